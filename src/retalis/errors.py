@@ -1,0 +1,80 @@
+"""Errors of the package: one root, and a place in a text for every error that is about a text."""
+
+from typing import List, NamedTuple, Optional, Sequence
+
+
+class Place(NamedTuple):
+    """A position in a text; line and column count from 1.
+
+    ``text`` is the line itself, so that the error can be shown without reading the source again.
+    """
+
+    source: str
+    line: int
+    column: int
+    text: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.source}:{self.line}:{self.column}"
+
+    def context(self) -> str:
+        """Return the source line and, under it, a caret at the column."""
+        lead = "".join("\t" if char == "\t" else " " for char in self.text[: self.column - 1])
+        return f"{self.text}\n{lead}^"
+
+
+def place_at(source: str, text: str, offset: int) -> Place:
+    """Return the place of the character at ``offset`` of ``text``."""
+    start = text.rfind("\n", 0, offset) + 1
+    end = text.find("\n", start)
+    line = text[start : end if end >= 0 else len(text)]
+    return Place(source, text.count("\n", 0, start) + 1, offset - start + 1, line)
+
+
+class RetalisError(Exception):
+    """Root of all errors that this package raises on purpose.
+
+    Attributes:
+        message: what is wrong and what was expected, in one sentence.
+        place: where in a text, or None.
+    """
+
+    def __init__(self, message: str, place: Optional[Place] = None):
+        super().__init__(message)
+        self.message = message
+        self.place = place
+
+    def __str__(self) -> str:
+        if self.place is None:
+            return self.message
+        return f"{self.place}: {self.message}\n{self.place.context()}"
+
+    def brief(self) -> str:
+        """Return the error in one line: message, line and column."""
+        if self.place is None:
+            return self.message
+        return f"{self.message} (line {self.place.line}, column {self.place.column})"
+
+
+class SyntaxFault(RetalisError):
+    """A text that does not read as a term."""
+
+
+class RuleError(RetalisError):
+    """A rule, clause or directive that reads well and cannot be accepted."""
+
+
+class ProgramErrors(RetalisError):
+    """All errors of a file at once; nothing of the file is active."""
+
+    def __init__(self, errors: Sequence[RetalisError]):
+        super().__init__("\n".join(str(error) for error in errors))
+        self.errors: List[RetalisError] = list(errors)
+
+
+class MessageError(RetalisError):
+    """A message, message definition, or term that is to become one, which does not fit its type."""
+
+
+class UsageError(RetalisError):
+    """A call of the package that asks for what cannot be (an id that is taken, an unknown memory)."""
