@@ -16,7 +16,7 @@ from functools import lru_cache
 from typing import Optional, Tuple
 
 from .errors import UsageError
-from .terms import CONS, NIL, Functor, Term, deref, functor, list_items
+from .terms import CONS, NIL, Functor, Lazy, Term, Var, deref, functor, list_items
 
 SECOND = 1_000_000_000
 """Nanoseconds in a second."""
@@ -150,6 +150,18 @@ def to_term(instant: int) -> Term:
     return instant.term  # type: ignore[attr-defined]
 
 
+def shown(instant: int) -> Term:
+    """Return the term of an instant as a lazy one: most are handed on to `from_term` and never looked at."""
+    if instant.__class__ is Stamp:
+        return instant.term  # type: ignore[attr-defined]
+    return Lazy(DATIME7, to_term, instant)
+
+
+def interval_term(start: int, end: int) -> Term:
+    """Return an interval as the list ``[T1,T2]``."""
+    return (CONS, shown(start), (CONS, shown(end), NIL))
+
+
 def from_term(term: Term) -> int:
     """Return the instant that a term names, keeping its form.
 
@@ -158,6 +170,10 @@ def from_term(term: Term) -> int:
     Raises:
         UsageError: where the term names no instant.
     """
+    while term.__class__ is Var and term.ref is not None:
+        term = term.ref
+    if term.__class__ is Lazy and term.make is to_term and term.made is None:
+        return term.source
     term = deref(term)
     kind = term.__class__
     if kind is int or kind is float:
