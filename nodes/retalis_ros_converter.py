@@ -1,0 +1,4 @@
+#!/usr/bin/env python3
+from retalis.ros.converter import main
+
+main()

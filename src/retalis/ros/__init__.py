@@ -1,0 +1,1 @@
+"""The two nodes; the only room that imports rospy."""
