@@ -1,0 +1,389 @@
+#!/usr/bin/env python3
+"""Bring Debian 12 or Ubuntu 20.04 to where retalis runs, and run its example or its tests.
+
+Needs Python 3.8 and nothing else. Each step looks first at what is there, so that it can be run again at any time.
+"""
+
+import argparse
+import hashlib
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+from pathlib import Path
+from typing import Dict, Iterable, List, NamedTuple, Optional, Sequence
+
+HERE = Path(__file__).resolve().parent
+PYTHON = "/usr/bin/python3"  # the one interpreter that sees the distribution's ROS modules
+INSTRUCTIONS = "http://wiki.ros.org/noetic/Installation/Ubuntu"
+KEY_URL = "https://raw.githubusercontent.com/ros/rosdistro/master/ros.asc"
+KEY_FILE = "/usr/share/keyrings/ros-archive-keyring.asc"
+SOURCE_FILE = "/etc/apt/sources.list.d/ros-noetic.list"
+TAIL = 15  # lines of a log shown when a step fails
+
+
+class Problem(Exception):
+    """Something that ends the run; its text is one line for the user."""
+
+
+class Platform(NamedTuple):
+    """A distribution that is known to work.
+
+    Attributes:
+        name: What to call it.
+        packages: System packages that building and running need.
+        setup: Script to source before ROS is there, or None where it is part of the system.
+        source: Line for apt's sources that has to be there, or None.
+    """
+
+    name: str
+    packages: Sequence[str]
+    setup: Optional[str] = None
+    source: Optional[str] = None
+
+
+_COMMON = ("cmake", "g++", "make", "python3-lark", "python3-numpy", "python3-setuptools", "python3-venv")
+
+DEBIAN_12 = Platform(
+    "Debian 12",
+    (
+        *_COMMON,
+        "catkin",
+        "librostest-dev",
+        "libstd-msgs-dev",
+        "python3-diagnostic-msgs",
+        "python3-geometry-msgs",
+        "python3-rosbag",
+        "python3-roslaunch",
+        "python3-rosmaster",
+        "python3-rosmsg",
+        "python3-rosnode",
+        "python3-rosparam",
+        "python3-rospy",
+        "python3-rosservice",
+        "python3-rostest",
+        "python3-rostopic",
+        "python3-std-msgs",
+        "python3-std-srvs",
+        "python3-tf",
+        "python3-tf2",
+        "python3-tf2-msgs",
+        "ros-message-generation",
+        "ros-message-runtime",
+        "rosout",
+    ),
+)
+
+UBUNTU_20_04 = Platform(
+    "Ubuntu 20.04",
+    (
+        *_COMMON,
+        *(
+            "ros-noetic-" + name
+            for name in (
+                "catkin",
+                "diagnostic-msgs",
+                "geometry-msgs",
+                "message-generation",
+                "message-runtime",
+                "rosbag",
+                "roslaunch",
+                "rosmaster",
+                "rosmsg",
+                "rosnode",
+                "rosout",
+                "rosparam",
+                "rospy",
+                "rosservice",
+                "rostest",
+                "rostopic",
+                "std-msgs",
+                "std-srvs",
+                "tf",
+                "tf2-msgs",
+                "tf2-py",
+            )
+        ),
+    ),
+    setup="/opt/ros/noetic/setup.bash",
+    source="deb [signed-by={}] http://packages.ros.org/ros/ubuntu focal main".format(KEY_FILE),
+)
+
+PLATFORMS = {("debian", "12"): DEBIAN_12, ("ubuntu", "20.04"): UBUNTU_20_04}
+
+
+def parse_os_release(text: str) -> Dict[str, str]:
+    """Read the assignments of an os-release file."""
+    pairs = (line.split("=", 1) for line in text.splitlines() if "=" in line and not line.startswith("#"))
+    return {key.strip(): "".join(shlex.split(value)) for key, value in pairs}
+
+
+def choose_platform(release: Dict[str, str]) -> Platform:
+    """Look the distribution up.
+
+    Raises:
+        Problem: It is not one of those that are known to work.
+    """
+    key = (release.get("ID", ""), release.get("VERSION_ID", ""))
+    if key not in PLATFORMS:
+        raise Problem(
+            "this is {}; ROS 1 is to be had on Debian 12 and Ubuntu 20.04. Without ROS: "
+            "pip install -r requirements.txt, then python3 -m retalis".format(
+                release.get("PRETTY_NAME", "an unknown system")
+            )
+        )
+    return PLATFORMS[key]
+
+
+def missing_packages(wanted: Iterable[str], report: str) -> List[str]:
+    """Return what is wanted and not installed, given dpkg-query's lines of package and status."""
+    installed = {line.split()[0] for line in report.splitlines() if line.endswith("install ok installed")}
+    return [name for name in wanted if name not in installed]
+
+
+def as_root(command: Sequence[str], uid: int) -> List[str]:
+    """Put sudo before a command where it is needed."""
+    return list(command) if uid == 0 else ["sudo", *command]
+
+
+def digest(*parts: str) -> str:
+    """Return a short name for these texts together; it changes when one of them does."""
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:16]
+
+
+def tail(text: str, count: int = TAIL) -> str:
+    """Return the last lines of a text, indented."""
+    return "\n".join("    " + line for line in text.rstrip().splitlines()[-count:])
+
+
+def stop(process: "subprocess.Popen[bytes]") -> None:
+    """End a process that was started here, first asking, then telling it."""
+    for number, patience in ((signal.SIGINT, 20), (signal.SIGTERM, 5), (signal.SIGKILL, 5)):
+        try:
+            process.send_signal(number)
+        except PermissionError:  # sudo's: the terminal has told it
+            pass
+        try:
+            process.wait(patience)
+            return
+        except subprocess.TimeoutExpired:
+            continue
+
+
+class Shell:
+    """Runs commands: quietly with a log for each, or before the user's eyes."""
+
+    def __init__(self, logs: Path, dry: bool = False) -> None:
+        self.logs = logs
+        self.dry = dry
+
+    def step(self, title: str, name: str, command: Sequence[str], cwd: Optional[Path] = None) -> None:
+        """Run a command with its output in a log, one line for the user.
+
+        Raises:
+            Problem: It failed; the end of its log is printed and the log named.
+        """
+        if self.dry:
+            print("would run: " + " ".join(map(shlex.quote, command)))
+            return
+        self.logs.mkdir(parents=True, exist_ok=True)
+        log = self.logs / (name + ".log")
+        print(title + " ...", end=" ", flush=True)
+        begin = time.monotonic()
+        with log.open("wb") as output:
+            code = self._wait(command, cwd, output)
+        print("done" if code == 0 else "failed", "({:.0f} s)".format(time.monotonic() - begin), flush=True)
+        if code:
+            print(tail(log.read_text(errors="replace")), file=sys.stderr)
+            raise Problem("{} failed with exit status {}; all of its output is in {}".format(name, code, log))
+
+    def show(self, command: Sequence[str], cwd: Optional[Path] = None) -> int:
+        """Run a command before the user's eyes and return its exit status."""
+        if self.dry:
+            print("would run: " + " ".join(map(shlex.quote, command)))
+            return 0
+        return self._wait(command, cwd, None)
+
+    @staticmethod
+    def _wait(command: Sequence[str], cwd: Optional[Path], output: Optional[object]) -> int:
+        errors = None if output is None else subprocess.STDOUT
+        try:
+            process = subprocess.Popen(command, cwd=cwd, stdout=output, stderr=errors)  # type: ignore[call-overload]
+        except FileNotFoundError:
+            raise Problem("{} is not installed".format(command[0])) from None
+        try:
+            return int(process.wait())
+        except BaseException:
+            stop(process)
+            raise
+
+
+class Installation:
+    """The steps, each of which does only what is not done yet."""
+
+    def __init__(self, platform: Platform, workspace: Path, shell: Shell, system: bool = True) -> None:
+        self.platform = platform
+        self.workspace = workspace
+        self.shell = shell
+        self.system = system
+        self.venv = workspace / "venv"
+
+    def system_packages(self) -> None:
+        """Install the system packages that are missing, after saying which."""
+        query = ["dpkg-query", "-W", "-f=${Package} ${Status}\\n", *self.platform.packages]
+        report = subprocess.run(query, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, universal_newlines=True)
+        missing = missing_packages(self.platform.packages, report.stdout)
+        if not missing:
+            return
+        if not self.system:
+            raise Problem("system packages are missing: " + " ".join(missing))
+        print("These system packages will be installed with apt-get:\n  " + " ".join(missing), flush=True)
+        uid = os.getuid()
+        if uid and not self.shell.dry and self.shell.show(["sudo", "-v"]):
+            raise Problem("installing system packages needs root or sudo")
+        if self.platform.source and not Path(self.platform.setup or "").exists():
+            self._add_source(self.platform.source, uid)
+        apt = as_root(["env", "DEBIAN_FRONTEND=noninteractive", "apt-get"], uid)
+        self.shell.step("Reading the package lists", "apt-update", [*apt, "update"])
+        install = [*apt, "install", "-y", "--no-install-recommends", *missing]
+        self.shell.step("Installing {} system packages".format(len(missing)), "apt-install", install)
+
+    def _add_source(self, line: str, uid: int) -> None:
+        """Tell apt where ROS is, with its key, unless somebody did."""
+        lists = [Path("/etc/apt/sources.list"), *Path("/etc/apt/sources.list.d").glob("*")]
+        if any("packages.ros.org/ros/" in path.read_text(errors="replace") for path in lists if path.is_file()):
+            return
+        print("apt will be told of ROS noetic: {} with the key {}".format(SOURCE_FILE, KEY_FILE), flush=True)
+        if self.shell.dry:
+            return
+        try:
+            with urllib.request.urlopen(KEY_URL, timeout=60) as answer:
+                key = answer.read()
+        except (urllib.error.URLError, OSError) as error:
+            raise Problem("no key for packages.ros.org ({}); add it as {} says".format(error, INSTRUCTIONS)) from None
+        self.shell.logs.mkdir(parents=True, exist_ok=True)
+        for text, place in ((key, KEY_FILE), (line.encode() + b"\n", SOURCE_FILE)):
+            source = self.shell.logs / Path(place).name
+            source.write_bytes(text)
+            self.shell.step(place, "apt-source", as_root(["install", "-m", "644", str(source), place], uid))
+
+    def python_packages(self, requirements: Sequence[str]) -> None:
+        """Install what the distribution lacks into a venv of the workspace that sees the distribution's packages."""
+        texts = [(HERE / name).read_text() for name in requirements]
+        stamp = self.venv / ("done-" + digest(self.platform.name, str(self.venv), *texts))
+        if stamp.exists():
+            return
+        print("Python packages that the distribution lacks will be put into {}".format(self.venv), flush=True)
+        make = [PYTHON, "-m", "venv", "--system-site-packages", str(self.venv)]
+        self.shell.step("Making a virtual environment", "venv", make)
+        pip = [str(self.venv / "bin" / "python3"), "-m", "pip", "--disable-pip-version-check"]
+        files = [part for name in requirements for part in ("-r", str(HERE / name))]
+        self.shell.step("Installing Python packages", "pip", [*pip, "install", *files])
+        # catkin needs the distribution's setuptools, which lays packages out as the distribution does
+        self.shell.step("Leaving setuptools to the distribution", "pip-setuptools", [*pip, "uninstall", "-y", "setuptools"])
+        if not self.shell.dry:
+            stamp.touch()
+
+    def build(self, install: bool) -> None:
+        """Build the workspace, and its install space where asked for."""
+        place = self.workspace / "src" / "retalis"
+        if not place.exists() and not self.shell.dry:
+            place.parent.mkdir(parents=True, exist_ok=True)
+            place.symlink_to(HERE)
+        if place.exists() and place.resolve() != HERE:
+            raise Problem("{} is another copy of retalis; choose another --workspace".format(place))
+        packages = "-Dretalis_PYTHON_PACKAGES={}".format(self.site_packages())
+        make = ["catkin_make", "-DPYTHON_EXECUTABLE=" + PYTHON, packages, *(["install"] if install else [])]
+        before = ["source " + self.platform.setup] if self.platform.setup else []
+        self.shell.step("Building", "catkin_make", bash([*before, 'exec "$@"'], make), cwd=self.workspace)
+
+    def site_packages(self) -> Path:
+        """Return the venv's folder of packages."""
+        version = subprocess.run(
+            [PYTHON, "-c", "import sys; print('python%d.%d' % sys.version_info[:2])"],
+            stdout=subprocess.PIPE,
+            universal_newlines=True,
+        ).stdout.strip()
+        return self.venv / "lib" / version / "site-packages"
+
+    def run(self, command: Sequence[str], space: str = "devel") -> int:
+        """Run a command where the package is, before the user's eyes, and return its exit status."""
+        script = self.workspace / space / "setup.bash"
+        return self.shell.show(bash(["source " + shlex.quote(str(script)), 'exec "$@"'], command), cwd=HERE)
+
+
+def bash(lines: Sequence[str], command: Sequence[str]) -> List[str]:
+    """Return a command that runs a shell script with another command as its arguments."""
+    return ["bash", "-c", " && ".join(lines), "bash", *command]
+
+
+def arguments(argv: Sequence[str]) -> argparse.Namespace:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--workspace", type=Path, default=HERE / "build" / "workspace", metavar="DIR",
+                        help="catkin workspace to build in (default: build/workspace beside this file)")  # fmt: skip
+    parser.add_argument("--no-system", action="store_true", help="install no system packages; stop where some are missing")
+    parser.add_argument("--install", action="store_true", help="make the install space as well (catkin_make install)")
+    parser.add_argument("--dry-run", action="store_true", help="say what would be done, and do nothing")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND")
+    commands.add_parser("build", help="install what is needed and build (the default)")
+    demo = commands.add_parser("demo", help="... and run the NAO example")
+    demo.add_argument("rest", nargs=argparse.REMAINDER, help="options of the demo; demo --help lists them")
+    test = commands.add_parser("test", help="... and run every test")
+    test.add_argument("rest", nargs=argparse.REMAINDER, help="options for pytest")
+    commands.add_parser("lint", help="... and check the style: ruff, mypy, catkin_lint")
+    options = parser.parse_args(argv)
+    options.command = options.command or "build"
+    options.workspace = options.workspace.expanduser().resolve()
+    return options
+
+
+def lint(installation: Installation) -> int:
+    """Run the checks that need no master; return how many failed."""
+    python = str(installation.venv / "bin" / "python3")
+    checks = (
+        [python, "-m", "ruff", "check", "."],
+        [python, "-m", "ruff", "format", "--check", "."],
+        [python, "-m", "mypy"],
+        [python, "-m", "catkin_lint", "-W2", "--strict", "--offline", "."],
+    )
+    failed = 0
+    for check in checks:
+        print("$ " + " ".join(["python3", *check[1:]]), flush=True)
+        failed += bool(installation.run(check))
+    return failed
+
+
+def main(argv: Sequence[str]) -> int:
+    """Do what the command line says and return the exit status."""
+    options = arguments(argv)
+    os.environ["PATH"] = "/usr/bin" + os.pathsep + os.environ.get("PATH", "")
+    shell = Shell(options.workspace / "log", options.dry_run)
+    platform = choose_platform(parse_os_release(Path("/etc/os-release").read_text()))
+    installation = Installation(platform, options.workspace, shell, not options.no_system)
+    develop = ["requirements-dev.txt"] if options.command in ("test", "lint") else []
+    installation.system_packages()
+    installation.python_packages(["requirements.txt", *develop])
+    installation.build(install=options.install or options.command == "test")
+    if options.command == "demo":
+        return installation.run([PYTHON, "-m", "retalis.ros.demo", *options.rest])
+    if options.command == "test":
+        os.environ["RETALIS_WORKSPACE"] = str(options.workspace)
+        return installation.run([PYTHON, "-m", "pytest", *options.rest])
+    if options.command == "lint":
+        return lint(installation)
+    print("retalis is built. To use it:  source {}/devel/setup.bash".format(options.workspace))
+    return 0
+
+
+if __name__ == "__main__":
+    try:
+        sys.exit(main(sys.argv[1:]))
+    except Problem as problem:
+        sys.exit("install.py: {}".format(problem))
+    except KeyboardInterrupt:
+        sys.exit(130)
