@@ -1,0 +1,191 @@
+"""ROS 1 bags, read and written message by message as raw bytes, without ROS (the ``rosbags`` package does the work)."""
+
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Collection, Dict, Iterator, NamedTuple, Optional, Tuple, Type, Union
+
+from .errors import RetalisError
+from .messages import Definition
+
+PathLike = Union[str, Path]
+
+
+class BagError(RetalisError):
+    """A bag that cannot be read or written."""
+
+
+class Topic(NamedTuple):
+    """A connection of a bag: one publisher's topic.
+
+    Attributes:
+        name: the topic's name.
+        type: the message type, ``pkg/Type``.
+        definition: the text of the type's definition, with those of nested types.
+        md5sum: the type's checksum.
+        messages: how many messages the bag has of this connection.
+        latched: whether the publisher latched its last message.
+        caller: the publishing node, where the bag says so.
+    """
+
+    name: str
+    type: str
+    definition: str
+    md5sum: str
+    messages: int = 0
+    latched: bool = False
+    caller: str = ""
+
+
+class Record(NamedTuple):
+    """A message of a bag: its topic, the time of its receipt in nanoseconds, and its bytes."""
+
+    topic: Topic
+    time: int
+    data: bytes
+
+
+class BagReader:
+    """A bag that is open for reading; a context manager.
+
+    Attributes:
+        path: the file.
+        topics: its connections; a topic with several publishers is there several times.
+        start, end: the times of the first and the last message in nanoseconds; 0 for an empty bag.
+        messages: the number of messages.
+
+    Raises:
+        BagError: where the file is missing, is no ROS 1 bag, or is cut off (``rosbag reindex`` repairs those).
+    """
+
+    def __init__(self, path: PathLike):
+        self.path = Path(path)
+        self._reader = _open(self.path)
+        self._topics: Dict[int, Topic] = {
+            connection.id: _topic(connection) for connection in self._reader.connections
+        }
+        self.topics: Tuple[Topic, ...] = tuple(self._topics.values())
+        self.messages: int = self._reader.message_count
+        self.start: int = self._reader.start_time if self.messages else 0
+        self.end: int = self._reader.end_time if self.messages else 0
+
+    def records(self, topics: Optional[Collection[str]] = None) -> Iterator[Record]:
+        """Yield the messages in the order of their receipt.
+
+        Args:
+            topics: names of the topics wanted, with or without leading ``/``; all by default.
+
+        Raises:
+            BagError: where the bag turns out to be broken.
+        """
+        connections = list(self._reader.connections)
+        if topics is not None:
+            wanted = {name.lstrip("/") for name in topics}
+            connections = [found for found in connections if found.topic.lstrip("/") in wanted]
+        if not connections:
+            return
+        known = self._topics
+        messages = self._reader.messages(connections)
+        while True:
+            try:
+                connection, time, data = next(messages)
+            except StopIteration:
+                return
+            except Exception as error:  # broken bags raise whatever their bytes lead to
+                raise BagError(f"{self.path}: the bag is broken: {_reason(error)}") from error
+            yield Record(known[connection.id], time, data if data.__class__ is bytes else bytes(data))
+
+    def close(self) -> None:
+        """Close the file."""
+        self._reader.close()
+
+    def __enter__(self) -> "BagReader":
+        return self
+
+    def __exit__(
+        self, kind: Optional[Type[BaseException]], error: Optional[BaseException], trace: Optional[TracebackType]
+    ) -> None:
+        self.close()
+
+
+class BagWriter:
+    """A new bag; a context manager. The bag is complete when it is closed.
+
+    Raises:
+        BagError: where the file exists already or cannot be written.
+    """
+
+    def __init__(self, path: PathLike):
+        self.path = Path(path)
+        writer = _rosbag1().Writer
+        if self.path.exists():
+            raise BagError(f"{self.path} exists already")
+        try:
+            self._writer = writer(self.path)
+            self._writer.open()
+        except OSError as error:
+            raise BagError(f"{self.path} cannot be written: {_reason(error)}") from error
+
+    def add(self, topic: str, definition: Definition, latched: bool = False, caller: str = "") -> Any:
+        """Add a connection; return what `write` takes for it."""
+        return self._writer.add_connection(
+            topic,
+            definition.name.replace("/", "/msg/"),
+            msgdef=definition.full_text,
+            md5sum=definition.md5sum,
+            callerid=caller or None,
+            latching=int(latched),
+        )
+
+    def write(self, connection: Any, time: int, data: bytes) -> None:
+        """Write a message with the time of its receipt in nanoseconds."""
+        self._writer.write(connection, time, data)
+
+    def close(self) -> None:
+        """Write the index and close the file."""
+        self._writer.close()
+
+    def __enter__(self) -> "BagWriter":
+        return self
+
+    def __exit__(
+        self, kind: Optional[Type[BaseException]], error: Optional[BaseException], trace: Optional[TracebackType]
+    ) -> None:
+        self.close()
+
+
+def _rosbag1() -> Any:
+    try:
+        from rosbags import rosbag1
+    except ImportError:
+        raise BagError("reading and writing bags needs the Python package rosbags (pip install rosbags)") from None
+    return rosbag1
+
+
+def _open(path: Path) -> Any:
+    rosbag1 = _rosbag1()
+    if not path.is_file():
+        raise BagError(f"{path}: there is no such file")
+    try:
+        reader = rosbag1.Reader(path)
+        reader.open()
+    except Exception as error:  # broken bags raise whatever their bytes lead to
+        raise BagError(f"{path} is no complete ROS 1 bag: {_reason(error)}") from error
+    return reader
+
+
+def _topic(connection: Any) -> Topic:
+    """Return a connection in ROS's own terms; versions of ``rosbags`` differ in where the text is."""
+    text = connection.msgdef
+    return Topic(
+        connection.topic,
+        connection.msgtype.replace("/msg/", "/"),
+        text if isinstance(text, str) else text.data,
+        connection.digest,
+        connection.msgcount,
+        bool(connection.ext.latching),
+        connection.ext.callerid or "",
+    )
+
+
+def _reason(error: BaseException) -> str:
+    return str(error).rstrip(".") or type(error).__name__

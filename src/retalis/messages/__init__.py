@@ -1,0 +1,23 @@
+"""ROS 1 messages: definitions, bytes to event terms, event terms to bytes. Works without ROS.
+
+A message of type ``pkg/Type`` is the term ``pkg__0__Type(Slot1, Slot2, ...)``. See `Decoder` and `Encoder` for
+the forms of the slots, `Definitions` for where types come from.
+"""
+
+from .decoding import Decoder
+from .definition import Constant, Definition, Field, functor_name, type_name
+from .encoding import Encoder
+from .installed import Installed
+from .registry import Definitions
+
+__all__ = [
+    "Constant",
+    "Decoder",
+    "Definition",
+    "Definitions",
+    "Encoder",
+    "Field",
+    "Installed",
+    "functor_name",
+    "type_name",
+]

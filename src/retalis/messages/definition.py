@@ -1,0 +1,322 @@
+"""ROS 1 message definitions: the text of a ``.msg`` file, read and checked."""
+
+import hashlib
+import re
+from dataclasses import dataclass, field
+from typing import Callable, Dict, Iterator, List, NamedTuple, Optional, Tuple, Union
+
+from ..errors import MessageError, Place, place_at
+
+PRIMITIVES: Dict[str, str] = {
+    "bool": "?",
+    "int8": "b",
+    "uint8": "B",
+    "byte": "b",
+    "char": "B",
+    "int16": "h",
+    "uint16": "H",
+    "int32": "i",
+    "uint32": "I",
+    "int64": "q",
+    "uint64": "Q",
+    "float32": "f",
+    "float64": "d",
+}
+"""Number types and their `struct` codes; ``byte`` and ``char`` are old names of int8 and uint8."""
+
+TIMES: Dict[str, str] = {"time": "II", "duration": "ii"}
+BUILTIN = frozenset(PRIMITIVES) | frozenset(TIMES) | {"string"}
+
+VARIABLE = -1
+"""The length of an array whose number of elements is in the message."""
+
+HEADER = "std_msgs/Header"
+_HEADER_NAMES = ("Header", "std_msgs/Header", "roslib/Header")
+SEPARATOR = "=" * 80
+
+_COMMENT = re.compile(r"#.*")
+_STRING_CONSTANT = re.compile(r"\s*string\s+(?P<name>\w+)\s*=(?P<value>.*)")
+_CONSTANT = re.compile(r"\s*(?P<type>[\w/]+)\s+(?P<name>\w+)\s*=(?P<value>.*)")
+_FIELD = re.compile(r"\s*(?P<type>[\w/]+)(?P<array>\[\s*\d*\s*\])?\s+(?P<name>\w+)\s*$")
+_NAME = re.compile(r"[A-Za-z]\w*\Z")
+_TYPE_NAME = re.compile(r"[A-Za-z]\w*/[A-Za-z]\w*\Z")
+
+Value = Union[bool, int, float, str]
+
+
+class Constant(NamedTuple):
+    """A named value of a definition; ``text`` is the value as written."""
+
+    type: str
+    name: str
+    text: str
+    value: Value
+
+
+class Field(NamedTuple):
+    """A slot of a message.
+
+    Attributes:
+        name: the slot's name.
+        type: the type of the slot or of its elements: a built-in one, or ``pkg/Type``.
+        length: None for a single value, `VARIABLE` or the number of elements for an array.
+        definition: the definition of a ``pkg/Type``, None for built-in types.
+    """
+
+    name: str
+    type: str
+    length: Optional[int] = None
+    definition: Optional["Definition"] = None
+
+    @property
+    def is_bytes(self) -> bool:
+        """Whether the slot is an array of bytes, which events show as text."""
+        return self.length is not None and self.type in ("uint8", "char")
+
+    def describe(self) -> str:
+        """Return the type as a definition writes it: ``float64[36]``."""
+        if self.length is None:
+            return self.type
+        return f"{self.type}[{'' if self.length == VARIABLE else self.length}]"
+
+
+@dataclass(frozen=True, eq=False)
+class Definition:
+    """A message type with all the types it is made of.
+
+    Attributes:
+        name: ``pkg/Type``.
+        fields: the slots in order.
+        constants: the constants in order.
+        text: the definition's own text.
+        md5sum: the checksum by which ROS tells versions of a type apart.
+    """
+
+    name: str
+    fields: Tuple[Field, ...]
+    constants: Tuple[Constant, ...] = ()
+    text: str = ""
+    md5sum: str = field(init=False, default="")
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "md5sum", hashlib.md5(_checksum_text(self).encode()).hexdigest())
+
+    @property
+    def functor_name(self) -> str:
+        """The name of the type's event terms: ``pkg__0__Type``."""
+        return functor_name(self.name)
+
+    @property
+    def full_text(self) -> str:
+        """The text with those of all nested types, as it stands in connection headers and bags."""
+        parts = [self.text]
+        for nested in self.dependencies():
+            parts.append(f"{SEPARATOR}\nMSG: {nested.name}\n{nested.text}")
+        return "\n".join(parts)
+
+    def dependencies(self) -> List["Definition"]:
+        """Return the definitions of all nested types, each once, in the order of their first use."""
+        found: Dict[str, Definition] = {}
+        _collect(self, found)
+        return list(found.values())
+
+    def renamed(self, name: str) -> "Definition":
+        """Return the same definition under another name (``tf/tfMessage`` for ``tf2_msgs/TFMessage``)."""
+        return Definition(name, self.fields, self.constants, self.text)
+
+    def __repr__(self) -> str:
+        return f"Definition({self.name!r}, md5sum={self.md5sum!r})"
+
+
+def functor_name(type_name: str) -> str:
+    """Return the functor's name of a message type: ``pkg__0__Type`` for ``pkg/Type``."""
+    return type_name.replace("/", "__0__")
+
+
+def type_name(functor_name: str) -> Optional[str]:
+    """Return ``pkg/Type`` for ``pkg__0__Type``, or None where the name is not of that form."""
+    package, mark, rest = functor_name.partition("__0__")
+    return f"{package}/{rest}" if mark and package and rest else None
+
+
+def split_sections(name: str, text: str) -> Dict[str, str]:
+    """Return the texts of a concatenated definition by type name, the first under ``name``.
+
+    The parts are separated by a line of ``=`` and a line ``MSG: pkg/Type``.
+
+    Raises:
+        MessageError: for a separator without a type, or a type that comes twice with different texts.
+    """
+    sections: Dict[str, str] = {}
+    current, lines, start = name, [], 0
+    numbered = list(enumerate(text.splitlines(), 1))
+    for number, line in numbered:
+        if start:
+            if not line.startswith("MSG:"):
+                raise MessageError("expected 'MSG: pkg/Type' after the line of '='", Place(name, number, 1, line))
+            current, lines, start = line[4:].strip(), [], 0
+        elif len(line) >= 20 and not line.strip("="):
+            _add_section(sections, current, lines)
+            start = number
+        else:
+            lines.append(line)
+    if start:
+        raise MessageError("expected 'MSG: pkg/Type' after the line of '='", Place(name, start, 1, SEPARATOR))
+    _add_section(sections, current, lines)
+    return sections
+
+
+def _add_section(sections: Dict[str, str], name: str, lines: List[str]) -> None:
+    text = "\n".join(lines) + "\n" if lines else ""
+    known = sections.setdefault(name, text)
+    if known.split() != text.split():
+        raise MessageError(f"{name} is defined twice, differently")
+
+
+def parse(name: str, text: str, find: Callable[[str, str], Definition], source: str = "") -> Definition:
+    """Read the definition of one type.
+
+    Args:
+        name: ``pkg/Type``.
+        text: its text, without those of nested types.
+        find: called with the name of a nested type as written and the package of this one;
+            returns the definition.
+        source: where the text comes from, for errors; the type's name by default.
+
+    Raises:
+        MessageError: with its place, for a line that is neither slot nor constant, and for what ``find`` raises.
+    """
+    if not _TYPE_NAME.match(name):
+        raise MessageError(f"{name!r} is not the name of a message type: expected package/Type")
+    return Definition(name, *_Reader(name, text, find, source or name).read(), text)
+
+
+class _Reader:
+    def __init__(self, name: str, text: str, find: Callable[[str, str], Definition], source: str):
+        self.package = name.split("/")[0]
+        self.text = text
+        self.find = find
+        self.source = source
+        self.fields: Dict[str, Field] = {}
+        self.constants: Dict[str, Constant] = {}
+
+    def read(self) -> Tuple[Tuple[Field, ...], Tuple[Constant, ...]]:
+        for offset, line in _lines(self.text):
+            self._line(offset, line)
+        return tuple(self.fields.values()), tuple(self.constants.values())
+
+    def _line(self, offset: int, line: str) -> None:
+        found = _STRING_CONSTANT.match(line)
+        if found:
+            self._constant("string", found, offset)
+            return
+        line = _COMMENT.sub("", line)
+        if not line.strip():
+            return
+        found = _FIELD.match(line)
+        if found:
+            self._field(found, offset)
+            return
+        found = _CONSTANT.match(line)
+        if found:
+            self._constant(found["type"], found, offset)
+            return
+        at = offset + len(line) - len(line.lstrip())
+        raise self._error(f"expected 'type name' or 'type NAME=value', found {line.strip()!r}", at)
+
+    def _constant(self, kind: str, found: "re.Match[str]", offset: int) -> None:
+        text = found["value"].strip()
+        self._new_name(found, offset, self.constants)
+        if kind not in PRIMITIVES and kind != "string":
+            raise self._error(f"a constant cannot be of type {kind}", offset + found.start())
+        try:
+            value = _constant_value(kind, text)
+        except ValueError:
+            at = offset + found.start("value")
+            raise self._error(f"{text!r} is not a value of type {kind}", at) from None
+        self.constants[found["name"]] = Constant(kind, found["name"], text, value)
+
+    def _field(self, found: "re.Match[str]", offset: int) -> None:
+        self._new_name(found, offset, self.fields)
+        kind, array, length = found["type"], found["array"], None
+        if array is not None:
+            size = array[1:-1].strip()
+            length = int(size) if size else VARIABLE
+        if kind in BUILTIN:
+            definition = None
+        else:
+            definition = self._nested(kind, offset + found.start("type"))
+            kind = definition.name
+        self.fields[found["name"]] = Field(found["name"], kind, length, definition)
+
+    def _nested(self, kind: str, at: int) -> Definition:
+        try:
+            return self.find(HEADER if kind in _HEADER_NAMES else kind, self.package)
+        except MessageError as error:
+            if error.place is not None:
+                raise
+            raise self._error(error.message, at) from None
+
+    def _new_name(self, found: "re.Match[str]", offset: int, known: Dict[str, "object"]) -> None:
+        name = found["name"]
+        if not _NAME.match(name):
+            raise self._error(f"{name!r} is not a slot's name", offset + found.start("name"))
+        if name in known:
+            raise self._error(f"{name} is defined twice", offset + found.start("name"))
+
+    def _error(self, message: str, offset: int) -> MessageError:
+        return MessageError(message, place_at(self.source, self.text, offset))
+
+
+def _lines(text: str) -> Iterator[Tuple[int, str]]:
+    offset = 0
+    for line in text.splitlines(keepends=True):
+        yield offset, line.rstrip("\r\n")
+        offset += len(line)
+
+
+_BOOLS = {"true": True, "True": True, "1": True, "false": False, "False": False, "0": False}
+
+
+def _constant_value(kind: str, text: str) -> Value:
+    if kind == "string":
+        return text
+    if kind == "bool":
+        if text not in _BOOLS:
+            raise ValueError(text)
+        return _BOOLS[text]
+    if kind in ("float32", "float64"):
+        return float(text)
+    value = int(text) if text.lstrip("+-").isdigit() else int(text, 0)
+    low, high = integer_range(PRIMITIVES[kind])
+    if not low <= value <= high:
+        raise ValueError(text)
+    return value
+
+
+def integer_range(code: str) -> Tuple[int, int]:
+    """Return the least and the greatest integer of a `struct` code."""
+    bits = {"b": 8, "h": 16, "i": 32, "q": 64}[code.lower()]
+    return (0, (1 << bits) - 1) if code.isupper() else (-(1 << (bits - 1)), (1 << (bits - 1)) - 1)
+
+
+def _collect(definition: Definition, found: Dict[str, Definition]) -> None:
+    for slot in definition.fields:
+        nested = slot.definition
+        if nested is not None and nested.name not in found:
+            found[nested.name] = nested
+            _collect(nested, found)
+
+
+def _checksum_text(definition: Definition) -> str:
+    """Return the text whose MD5 is the type's: constants, then slots, nested types by their checksums.
+
+    Comments, spacing and whether a nested type is an array do not count, as in ROS's own tools.
+    """
+    lines = [f"{constant.type} {constant.name}={constant.text}" for constant in definition.constants]
+    for slot in definition.fields:
+        if slot.definition is None:
+            lines.append(f"{slot.describe()} {slot.name}")
+        else:
+            lines.append(f"{slot.definition.md5sum} {slot.name}")
+    return "\n".join(lines).strip()

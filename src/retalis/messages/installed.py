@@ -1,0 +1,133 @@
+"""Looks up the texts of installed message types in the file system."""
+
+import ast
+import os
+import sys
+from pathlib import Path
+from typing import Dict, Iterator, List, Optional, Sequence, Tuple
+
+_SHARE = ("/usr/share", "/usr/local/share")
+_MODULES = ("/usr/lib/python3/dist-packages",)
+_DEPTH = 4
+
+
+class Installed:
+    """Finds ``pkg/Type`` where ROS and its tools keep message definitions.
+
+    In this order: ``msg/*.msg`` files of packages under ``ROS_PACKAGE_PATH``, ``CMAKE_PREFIX_PATH``, ``/opt/ros`` and
+    ``/usr/share``; generated Python modules ``pkg/msg/_Type.py`` on the module path, which are read, not imported
+    (Debian installs some types so only); the types that the ``rosbags`` package brings, where it is installed.
+
+    Args:
+        packages: folders that contain packages, instead of the usual ones.
+        modules: folders of Python modules, instead of the module path.
+        rosbags: whether to ask ``rosbags``.
+    """
+
+    def __init__(
+        self,
+        packages: Optional[Sequence[str]] = None,
+        modules: Optional[Sequence[str]] = None,
+        rosbags: bool = True,
+    ):
+        self._packages = list(dict.fromkeys(_package_folders() if packages is None else packages))
+        self._modules = list(dict.fromkeys([*sys.path, *_MODULES] if modules is None else modules))
+        self._rosbags = rosbags
+        self._sources: Optional[Dict[str, str]] = None
+
+    def text(self, name: str) -> Optional[Tuple[str, str]]:
+        """Return the text of a type and where it was read, or None where it is not installed."""
+        package, _, kind = name.partition("/")
+        if not package.isidentifier() or not kind.isidentifier():
+            return None
+        for path in self._message_files(package, kind):
+            if os.path.isfile(path):
+                return Path(path).read_text(encoding="utf-8", errors="replace"), path
+        return self._module_text(package, kind) or (_rosbags_text(package, kind) if self._rosbags else None)
+
+    def _message_files(self, package: str, kind: str) -> Iterator[str]:
+        for folder in self._packages:
+            yield os.path.join(folder, package, "msg", kind + ".msg")
+            if os.path.basename(folder.rstrip("/")) == package:
+                yield os.path.join(folder, "msg", kind + ".msg")
+        nested = self._source_packages().get(package)
+        if nested is not None:
+            yield os.path.join(nested, "msg", kind + ".msg")
+
+    def _source_packages(self) -> Dict[str, str]:
+        """Return the packages that lie deeper in a folder of packages, as in a workspace's ``src``."""
+        if self._sources is None:
+            self._sources = {}
+            for folder in self._packages:
+                if os.path.basename(folder.rstrip("/")) != "share":
+                    _find_packages(folder, _DEPTH, self._sources)
+        return self._sources
+
+    def _module_text(self, package: str, kind: str) -> Optional[Tuple[str, str]]:
+        for folder in self._modules:
+            path = os.path.join(folder, package, "msg", f"_{kind}.py")
+            if os.path.isfile(path):
+                text = _full_text(path)
+                if text is not None:
+                    return text, path
+        return None
+
+
+def _package_folders() -> List[str]:
+    folders = [path for path in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if path]
+    for prefix in os.environ.get("CMAKE_PREFIX_PATH", "").split(os.pathsep):
+        if prefix:
+            folders.append(os.path.join(prefix, "share"))
+    folders += sorted(str(path) for path in Path("/opt/ros").glob("*/share"))
+    return folders + list(_SHARE)
+
+
+def _find_packages(folder: str, depth: int, found: Dict[str, str]) -> None:
+    try:
+        entries = sorted(os.scandir(folder), key=lambda entry: entry.name)
+    except OSError:  # a folder of the path that is not there or not ours to read
+        return
+    names = {entry.name for entry in entries}
+    if "package.xml" in names:
+        if "msg" in names:
+            found.setdefault(os.path.basename(folder.rstrip("/")), folder)
+        return
+    if depth:
+        for entry in entries:
+            if not entry.name.startswith(".") and entry.is_dir():
+                _find_packages(entry.path, depth - 1, found)
+
+
+def _full_text(path: str) -> Optional[str]:
+    """Return the definition that a generated Python module holds as ``_full_text``, without running it."""
+    try:
+        tree = ast.parse(Path(path).read_text(encoding="utf-8"))
+    except (OSError, SyntaxError, UnicodeDecodeError):
+        return None
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Assign) and any(
+            isinstance(target, ast.Name) and target.id == "_full_text" for target in node.targets
+        ):
+            try:
+                text = ast.literal_eval(node.value)
+            except ValueError:
+                return None
+            return text if isinstance(text, str) else None
+    return None
+
+
+def _rosbags_text(package: str, kind: str) -> Optional[Tuple[str, str]]:
+    try:
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError:
+        return None
+    store = get_typestore(Stores.ROS1_NOETIC)
+    try:
+        text = store.generate_msgdef(f"{package}/msg/{kind}", ros_version=1)[0]
+    except KeyError:
+        return None
+    except Exception as error:
+        if type(error).__name__ != "TypesysError":
+            raise
+        return None
+    return text, "rosbags"

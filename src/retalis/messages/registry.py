@@ -1,0 +1,151 @@
+"""The message types that are known: from texts, and from what is installed. No part of ROS is needed."""
+
+from typing import Dict, List, Optional, Sequence, Set, Tuple, Union
+
+from ..errors import MessageError
+from .decoding import Decoder
+from .definition import Definition, parse, split_sections
+from .encoding import Encoder
+from .installed import Installed
+
+_SAME = {"tf/tfMessage": "tf2_msgs/TFMessage"}
+"""Types that are another one by an old name: equal texts, equal checksums."""
+
+_Key = Tuple[str, str]
+
+
+class Definitions:
+    """Message types by name, with their decoders and encoders.
+
+    A type is looked for among those added from texts (connection headers, bags), then among the installed ones,
+    then among the types nested in added texts.
+
+    Args:
+        installed: where installed types are looked up; the usual places by default.
+    """
+
+    def __init__(self, installed: Optional[Installed] = None):
+        self._installed = Installed() if installed is None else installed
+        self._added: Dict[str, Definition] = {}
+        self._nested: Dict[str, Definition] = {}
+        self._found: Dict[str, Definition] = {}
+        self._by_text: Dict[Tuple[str, str], Definition] = {}
+        self._decoders: Dict[_Key, Decoder] = {}
+        self._encoders: Dict[_Key, Encoder] = {}
+
+    def add(self, name: str, text: str) -> Definition:
+        """Add a type from its text, which may contain the texts of nested types (``MSG: pkg/Type``).
+
+        The first definition that is added under a name is the one that `find` gives; another text for the
+        same name is read and returned all the same.
+
+        Raises:
+            MessageError: for a text that is no definition, or that names a type found nowhere.
+        """
+        known = self._by_text.get((name, text))
+        if known is not None:
+            return known
+        sections = split_sections(name, text)
+        definition = _Resolver(self, sections).resolve(name)
+        self._by_text[name, text] = definition
+        self._added.setdefault(name, definition)
+        for nested in definition.dependencies():
+            self._nested.setdefault(nested.name, nested)
+        return definition
+
+    def find(self, name: str) -> Definition:
+        """Return the definition of ``pkg/Type``.
+
+        Raises:
+            MessageError: where it is found nowhere, or is wrong.
+        """
+        found = self._added.get(name) or self._found.get(name)
+        if found is None:
+            found = self._found[name] = _Resolver(self, {}).resolve(name)
+        return found
+
+    def __contains__(self, name: object) -> bool:
+        """Tell whether `find` finds a type."""
+        try:
+            self.find(str(name))
+        except MessageError:
+            return False
+        return True
+
+    def decoder(self, definition: Union[Definition, str]) -> Decoder:
+        """Return the decoder of a type, compiled once."""
+        definition = self.find(definition) if isinstance(definition, str) else definition
+        key = (definition.name, definition.md5sum)
+        found = self._decoders.get(key)
+        if found is None:
+            found = self._decoders[key] = Decoder(definition)
+        return found
+
+    def encoder(self, definition: Union[Definition, str]) -> Encoder:
+        """Return the encoder of a type, compiled once."""
+        definition = self.find(definition) if isinstance(definition, str) else definition
+        key = (definition.name, definition.md5sum)
+        found = self._encoders.get(key)
+        if found is None:
+            found = self._encoders[key] = Encoder(definition)
+        return found
+
+    def installed_text(self, name: str) -> Optional[Tuple[str, str]]:
+        """Return the text of an installed type and where it was read, or None."""
+        return self._installed.text(name)
+
+    def known(self, name: str) -> Optional[Definition]:
+        """Return an added or nested type without looking at what is installed."""
+        return self._added.get(name) or self._nested.get(name)
+
+
+class _Resolver:
+    """Reads a type and those it is made of: from the sections of one text first, then from the registry."""
+
+    def __init__(self, registry: Definitions, sections: Dict[str, str]):
+        self.registry = registry
+        self.sections = sections
+        self.done: Dict[str, Definition] = {}
+        self.open: Set[str] = set()
+
+    def resolve(self, name: str) -> Definition:
+        found = self.done.get(name)
+        if found is None:
+            if name in self.open:
+                raise MessageError(f"{name} contains itself")
+            self.open.add(name)
+            found = self.done[name] = self._read(name)
+            self.open.discard(name)
+        return found
+
+    def _read(self, name: str) -> Definition:
+        text = self.sections.get(name)
+        if text is not None:
+            return parse(name, text, self._nested)
+        installed = self.registry.installed_text(name)
+        if installed is not None:
+            text, source = installed
+            sections = split_sections(name, text)
+            if len(sections) > 1:
+                return _Resolver(self.registry, sections).resolve(name)
+            return parse(name, text, self._nested, source)
+        known = self.registry.known(name)
+        if known is not None:
+            return known
+        if name in _SAME:
+            return self.resolve(_SAME[name]).renamed(name)
+        raise MessageError(f"no definition of the message type {name} is installed or was received")
+
+    def _nested(self, written: str, package: str) -> Definition:
+        for name in _candidates(written, package, self.sections):
+            if name in self.sections:
+                return self.resolve(name)
+        return self.resolve(written if "/" in written else f"{package}/{written}")
+
+
+def _candidates(written: str, package: str, sections: Dict[str, str]) -> Sequence[str]:
+    """Return the names that a nested type may have in a concatenated text, the likeliest first."""
+    if "/" in written:
+        return [written]
+    others: List[str] = [name for name in sections if name.endswith("/" + written)]
+    return [f"{package}/{written}"] + (others if len(others) == 1 else [])
