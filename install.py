@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Bring Debian 12 or Ubuntu 20.04 to where retalis runs, and run its example or its tests.
 
-Needs Python 3.8 and nothing else. Each step looks first at what is there, so that it can be run again at any time.
+Needs Python 3.8 and nothing else. Each step looks first at what is there: it can be run again at any time.
 """
 
 import argparse
@@ -46,71 +46,27 @@ class Platform(NamedTuple):
     source: Optional[str] = None
 
 
-_COMMON = ("cmake", "g++", "make", "python3-lark", "python3-numpy", "python3-setuptools", "python3-venv")
+_COMMON = "cmake g++ make python3-lark python3-numpy python3-setuptools python3-venv"
 
-DEBIAN_12 = Platform(
-    "Debian 12",
-    (
-        *_COMMON,
-        "catkin",
-        "librostest-dev",
-        "libstd-msgs-dev",
-        "python3-diagnostic-msgs",
-        "python3-geometry-msgs",
-        "python3-rosbag",
-        "python3-roslaunch",
-        "python3-rosmaster",
-        "python3-rosmsg",
-        "python3-rosnode",
-        "python3-rosparam",
-        "python3-rospy",
-        "python3-rosservice",
-        "python3-rostest",
-        "python3-rostopic",
-        "python3-std-msgs",
-        "python3-std-srvs",
-        "python3-tf",
-        "python3-tf2",
-        "python3-tf2-msgs",
-        "ros-message-generation",
-        "ros-message-runtime",
-        "rosout",
-    ),
-)
+_DEBIAN = """
+    catkin librostest-dev libstd-msgs-dev python3-diagnostic-msgs python3-geometry-msgs python3-rosbag
+    python3-roslaunch python3-rosmaster python3-rosmsg python3-rosnode python3-rosparam python3-rospy
+    python3-rosservice python3-rostest python3-rostopic python3-std-msgs python3-std-srvs python3-tf python3-tf2
+    python3-tf2-msgs ros-message-generation ros-message-runtime rosout
+    """
+
+_NOETIC = """
+    catkin diagnostic-msgs geometry-msgs message-generation message-runtime rosbag roslaunch rosmaster rosmsg
+    rosnode rosout rosparam rospy rosservice rostest rostopic std-msgs std-srvs tf tf2-msgs tf2-py
+    """
+
+DEBIAN_12 = Platform("Debian 12", [*_COMMON.split(), *_DEBIAN.split()])
 
 UBUNTU_20_04 = Platform(
     "Ubuntu 20.04",
-    (
-        *_COMMON,
-        *(
-            "ros-noetic-" + name
-            for name in (
-                "catkin",
-                "diagnostic-msgs",
-                "geometry-msgs",
-                "message-generation",
-                "message-runtime",
-                "rosbag",
-                "roslaunch",
-                "rosmaster",
-                "rosmsg",
-                "rosnode",
-                "rosout",
-                "rosparam",
-                "rospy",
-                "rosservice",
-                "rostest",
-                "rostopic",
-                "std-msgs",
-                "std-srvs",
-                "tf",
-                "tf2-msgs",
-                "tf2-py",
-            )
-        ),
-    ),
+    [*_COMMON.split(), *("ros-noetic-" + name for name in _NOETIC.split())],
     setup="/opt/ros/noetic/setup.bash",
-    source="deb [signed-by={}] http://packages.ros.org/ros/ubuntu focal main".format(KEY_FILE),
+    source=f"deb [signed-by={KEY_FILE}] http://packages.ros.org/ros/ubuntu focal main",
 )
 
 PLATFORMS = {("debian", "12"): DEBIAN_12, ("ubuntu", "20.04"): UBUNTU_20_04}
@@ -196,10 +152,10 @@ class Shell:
         begin = time.monotonic()
         with log.open("wb") as output:
             code = self._wait(command, cwd, output)
-        print("done" if code == 0 else "failed", "({:.0f} s)".format(time.monotonic() - begin), flush=True)
+        print("done" if code == 0 else "failed", f"({time.monotonic() - begin:.0f} s)", flush=True)
         if code:
             print(tail(log.read_text(errors="replace")), file=sys.stderr)
-            raise Problem("{} failed with exit status {}; all of its output is in {}".format(name, code, log))
+            raise Problem(f"{name} failed with exit status {code}; all of its output is in {log}")
 
     def show(self, command: Sequence[str], cwd: Optional[Path] = None) -> int:
         """Run a command before the user's eyes and return its exit status."""
@@ -214,7 +170,7 @@ class Shell:
         try:
             process = subprocess.Popen(command, cwd=cwd, stdout=output, stderr=errors)  # type: ignore[call-overload]
         except FileNotFoundError:
-            raise Problem("{} is not installed".format(command[0])) from None
+            raise Problem(f"{command[0]} is not installed") from None
         try:
             return int(process.wait())
         except BaseException:
@@ -231,11 +187,12 @@ class Installation:
         self.shell = shell
         self.system = system
         self.venv = workspace / "venv"
+        self.package = workspace / "src" / "retalis"
 
     def system_packages(self) -> None:
         """Install the system packages that are missing, after saying which."""
         query = ["dpkg-query", "-W", "-f=${Package} ${Status}\\n", *self.platform.packages]
-        report = subprocess.run(query, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, universal_newlines=True)
+        report = subprocess.run(query, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
         missing = missing_packages(self.platform.packages, report.stdout)
         if not missing:
             return
@@ -250,21 +207,23 @@ class Installation:
         apt = as_root(["env", "DEBIAN_FRONTEND=noninteractive", "apt-get"], uid)
         self.shell.step("Reading the package lists", "apt-update", [*apt, "update"])
         install = [*apt, "install", "-y", "--no-install-recommends", *missing]
-        self.shell.step("Installing {} system packages".format(len(missing)), "apt-install", install)
+        self.shell.step(f"Installing {len(missing)} system packages", "apt-install", install)
 
     def _add_source(self, line: str, uid: int) -> None:
         """Tell apt where ROS is, with its key, unless somebody did."""
         lists = [Path("/etc/apt/sources.list"), *Path("/etc/apt/sources.list.d").glob("*")]
-        if any("packages.ros.org/ros/" in path.read_text(errors="replace") for path in lists if path.is_file()):
+        if any(
+            "packages.ros.org/ros/" in path.read_text(errors="replace") for path in lists if path.is_file()
+        ):
             return
-        print("apt will be told of ROS noetic: {} with the key {}".format(SOURCE_FILE, KEY_FILE), flush=True)
+        print(f"apt will be told of ROS noetic: {SOURCE_FILE} with the key {KEY_FILE}", flush=True)
         if self.shell.dry:
             return
         try:
             with urllib.request.urlopen(KEY_URL, timeout=60) as answer:
                 key = answer.read()
         except (urllib.error.URLError, OSError) as error:
-            raise Problem("no key for packages.ros.org ({}); add it as {} says".format(error, INSTRUCTIONS)) from None
+            raise Problem(f"no key for packages.ros.org ({error}); add it as {INSTRUCTIONS} says") from None
         self.shell.logs.mkdir(parents=True, exist_ok=True)
         for text, place in ((key, KEY_FILE), (line.encode() + b"\n", SOURCE_FILE)):
             source = self.shell.logs / Path(place).name
@@ -272,31 +231,31 @@ class Installation:
             self.shell.step(place, "apt-source", as_root(["install", "-m", "644", str(source), place], uid))
 
     def python_packages(self, requirements: Sequence[str]) -> None:
-        """Install what the distribution lacks into a venv of the workspace that sees the distribution's packages."""
+        """Install what the distribution lacks into a venv of the workspace."""
         texts = [(HERE / name).read_text() for name in requirements]
         stamp = self.venv / ("done-" + digest(self.platform.name, str(self.venv), *texts))
         if stamp.exists():
             return
-        print("Python packages that the distribution lacks will be put into {}".format(self.venv), flush=True)
+        print(f"Python packages that the distribution lacks will be put into {self.venv}", flush=True)
         make = [PYTHON, "-m", "venv", "--system-site-packages", str(self.venv)]
         self.shell.step("Making a virtual environment", "venv", make)
         pip = [str(self.venv / "bin" / "python3"), "-m", "pip", "--disable-pip-version-check"]
         files = [part for name in requirements for part in ("-r", str(HERE / name))]
         self.shell.step("Installing Python packages", "pip", [*pip, "install", *files])
         # catkin needs the distribution's setuptools, which lays packages out as the distribution does
-        self.shell.step("Leaving setuptools to the distribution", "pip-setuptools", [*pip, "uninstall", "-y", "setuptools"])
+        remove = [*pip, "uninstall", "-y", "setuptools"]
+        self.shell.step("Leaving setuptools to the distribution", "pip-setuptools", remove)
         if not self.shell.dry:
             stamp.touch()
 
     def build(self, install: bool) -> None:
         """Build the workspace, and its install space where asked for."""
-        place = self.workspace / "src" / "retalis"
-        if not place.exists() and not self.shell.dry:
-            place.parent.mkdir(parents=True, exist_ok=True)
-            place.symlink_to(HERE)
-        if place.exists() and place.resolve() != HERE:
-            raise Problem("{} is another copy of retalis; choose another --workspace".format(place))
-        packages = "-Dretalis_PYTHON_PACKAGES={}".format(self.site_packages())
+        if not self.package.exists() and not self.shell.dry:
+            self.package.parent.mkdir(parents=True, exist_ok=True)
+            self.package.symlink_to(HERE)
+        if self.package.exists() and self.package.resolve() != HERE:
+            raise Problem(f"{self.package} is another copy of retalis; choose another --workspace")
+        packages = f"-Dretalis_PYTHON_PACKAGES={self.site_packages()}"
         make = ["catkin_make", "-DPYTHON_EXECUTABLE=" + PYTHON, packages, *(["install"] if install else [])]
         before = ["source " + self.platform.setup] if self.platform.setup else []
         self.shell.step("Building", "catkin_make", bash([*before, 'exec "$@"'], make), cwd=self.workspace)
@@ -306,7 +265,7 @@ class Installation:
         version = subprocess.run(
             [PYTHON, "-c", "import sys; print('python%d.%d' % sys.version_info[:2])"],
             stdout=subprocess.PIPE,
-            universal_newlines=True,
+            text=True,
         ).stdout.strip()
         return self.venv / "lib" / version / "site-packages"
 
@@ -323,17 +282,23 @@ def bash(lines: Sequence[str], command: Sequence[str]) -> List[str]:
 
 def arguments(argv: Sequence[str]) -> argparse.Namespace:
     """Read the command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--workspace", type=Path, default=HERE / "build" / "workspace", metavar="DIR",
-                        help="catkin workspace to build in (default: build/workspace beside this file)")  # fmt: skip
-    parser.add_argument("--no-system", action="store_true", help="install no system packages; stop where some are missing")
-    parser.add_argument("--install", action="store_true", help="make the install space as well (catkin_make install)")
-    parser.add_argument("--dry-run", action="store_true", help="say what would be done, and do nothing")
+    parser = argparse.ArgumentParser(description=__doc__)
+    add = parser.add_argument
+    add(
+        "--workspace",
+        type=Path,
+        default=HERE / "build" / "workspace",
+        metavar="DIR",
+        help="catkin workspace to build in (default: build/workspace beside this file)",
+    )
+    add("--no-system", action="store_true", help="install no system packages; stop where some are missing")
+    add("--install", action="store_true", help="make the install space too (catkin_make install)")
+    add("--dry-run", action="store_true", help="say what would be done, and do nothing")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND")
     commands.add_parser("build", help="install what is needed and build (the default)")
-    demo = commands.add_parser("demo", help="... and run the NAO example")
+    demo = commands.add_parser("demo", help="... and run the NAO example", add_help=False)
     demo.add_argument("rest", nargs=argparse.REMAINDER, help="options of the demo; demo --help lists them")
-    test = commands.add_parser("test", help="... and run every test")
+    test = commands.add_parser("test", help="... and run every test", add_help=False)
     test.add_argument("rest", nargs=argparse.REMAINDER, help="options for pytest")
     commands.add_parser("lint", help="... and check the style: ruff, mypy, catkin_lint")
     options = parser.parse_args(argv)
@@ -346,10 +311,10 @@ def lint(installation: Installation) -> int:
     """Run the checks that need no master; return how many failed."""
     python = str(installation.venv / "bin" / "python3")
     checks = (
-        [python, "-m", "ruff", "check", "."],
-        [python, "-m", "ruff", "format", "--check", "."],
+        [python, "-m", "ruff", "check", "--output-format", "concise", "."],
+        [python, "-m", "ruff", "format", "--check", "--output-format", "concise", "."],
         [python, "-m", "mypy"],
-        [python, "-m", "catkin_lint", "-W2", "--strict", "--offline", "."],
+        [python, "-m", "catkin_lint", "-W2", "--strict", "--offline", str(installation.package)],
     )
     failed = 0
     for check in checks:
@@ -376,7 +341,7 @@ def main(argv: Sequence[str]) -> int:
         return installation.run([PYTHON, "-m", "pytest", *options.rest])
     if options.command == "lint":
         return lint(installation)
-    print("retalis is built. To use it:  source {}/devel/setup.bash".format(options.workspace))
+    print(f"retalis is built. To use it:  source {options.workspace}/devel/setup.bash")
     return 0
 
 
@@ -384,6 +349,6 @@ if __name__ == "__main__":
     try:
         sys.exit(main(sys.argv[1:]))
     except Problem as problem:
-        sys.exit("install.py: {}".format(problem))
+        sys.exit(f"install.py: {problem}")
     except KeyboardInterrupt:
         sys.exit(130)
