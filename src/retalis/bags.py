@@ -102,7 +102,10 @@ class BagReader:
         return self
 
     def __exit__(
-        self, kind: Optional[Type[BaseException]], error: Optional[BaseException], trace: Optional[TracebackType]
+        self,
+        kind: Optional[Type[BaseException]],
+        error: Optional[BaseException],
+        trace: Optional[TracebackType],
     ) -> None:
         self.close()
 
@@ -148,7 +151,10 @@ class BagWriter:
         return self
 
     def __exit__(
-        self, kind: Optional[Type[BaseException]], error: Optional[BaseException], trace: Optional[TracebackType]
+        self,
+        kind: Optional[Type[BaseException]],
+        error: Optional[BaseException],
+        trace: Optional[TracebackType],
     ) -> None:
         self.close()
 
@@ -157,7 +163,9 @@ def _rosbag1() -> Any:
     try:
         from rosbags import rosbag1
     except ImportError:
-        raise BagError("reading and writing bags needs the Python package rosbags (pip install rosbags)") from None
+        raise BagError(
+            "reading and writing bags needs the Python package rosbags (pip install rosbags)"
+        ) from None
     return rosbag1
 
 

@@ -58,11 +58,7 @@ def _message(definition: Definition, term: Term, path: str, chunks: List[bytes])
         if not _is_empty(term, definition.functor_name):
             raise _expected(path, f"the atom {definition.functor_name}", term)
         return
-    if (
-        term.__class__ is not tuple
-        or term[0].name != definition.functor_name
-        or term[0].arity != len(slots)
-    ):
+    if term.__class__ is not tuple or term[0].name != definition.functor_name or term[0].arity != len(slots):
         raise _expected(path, f"{definition.functor_name}/{len(slots)}", term)
     for slot, value in zip(slots, term[1:]):
         _slot(slot, value, f"{path}.{slot.name}" if path else slot.name, chunks)

@@ -153,7 +153,9 @@ def split_sections(name: str, text: str) -> Dict[str, str]:
     for number, line in numbered:
         if start:
             if not line.startswith("MSG:"):
-                raise MessageError("expected 'MSG: pkg/Type' after the line of '='", Place(name, number, 1, line))
+                raise MessageError(
+                    "expected 'MSG: pkg/Type' after the line of '='", Place(name, number, 1, line)
+                )
             current, lines, start = line[4:].strip(), [], 0
         elif len(line) >= 20 and not line.strip("="):
             _add_section(sections, current, lines)
