@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 """Make a ROS 1 bag of a simulated NAO, and beside it a file with the true positions of the markers.
 
-The bag has the topics of the original example: ``/tf``, ``ar_pose_marker`` and ``face_recognition/feedback``. The same
-seconds and seed give the same bag.
+The bag has the topics of the original example: ``/tf``, ``/ar_pose_marker`` and
+``/face_recognition/feedback``. The same seconds and seed give the same bag.
 """
 
 import argparse
@@ -21,6 +21,7 @@ import nao_messages  # noqa: E402
 import nao_truth  # noqa: E402
 from nao_robot import MARKERS, Link, Robot  # noqa: E402
 from nao_truth import Observation, Truth  # noqa: E402
+
 from retalis.bags import BagWriter  # noqa: E402
 from retalis.errors import RetalisError  # noqa: E402
 from retalis.terms import Term  # noqa: E402
@@ -185,8 +186,8 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
         print(f"make_bag.py: {error}", file=sys.stderr)
         return 1
     print(
-        f"{output}: {given.seconds:g} s, {len(truth.observations)} observations of {len(truth.markers)} markers; "
-        f"true positions in {nao_truth.truth_path(output)}"
+        f"{output}: {given.seconds:g} s, {len(truth.observations)} observations "
+        f"of {len(truth.markers)} markers; true positions in {nao_truth.truth_path(output)}"
     )
     return 0
 

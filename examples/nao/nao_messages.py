@@ -7,6 +7,7 @@ in the bag. The others are the common ones, repeated so that the bag can be made
 from typing import Dict, Sequence, Tuple
 
 from nao_robot import Pose
+
 from retalis.messages import Definition, Definitions, Encoder, Installed
 from retalis.terms import Term, atom, functor, make_list
 
@@ -26,7 +27,12 @@ _GEOMETRY: Dict[str, str] = {
     "geometry_msgs/PoseWithCovariance": "Pose pose\nfloat64[36] covariance\n",
 }
 _AR_POSE = {
-    "ar_pose/ARMarker": "Header header\nuint32 id\ngeometry_msgs/PoseWithCovariance pose\nuint32 confidence\n",
+    "ar_pose/ARMarker": """\
+Header header
+uint32 id
+geometry_msgs/PoseWithCovariance pose
+uint32 confidence
+""",
 }
 _FACES = {
     "actionlib_msgs/GoalID": "time stamp\nstring id\n",

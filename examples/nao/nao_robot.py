@@ -1,6 +1,7 @@
 """A simulated NAO: where its links are at any time, and which markers stand around it.
 
-Poses are pairs of a position (x, y, z) in metres and a quaternion (x, y, z, w); times are seconds since the start.
+Poses are pairs of a position (x, y, z) in metres and a quaternion (x, y, z, w); times are seconds since the
+start.
 """
 
 from math import cos, pi, sin, sqrt

@@ -5,8 +5,8 @@ The file beside the bag (``FILE.truth.json`` for ``FILE.bag``) is JSON:
 * ``seconds``, ``seed``, ``start``: what the bag was made with; ``start`` in nanoseconds.
 * ``frame``: the frame of all positions, ``/odom``, which is the world.
 * ``markers``: by name, ``position`` [x, y, z] in metres and ``orientation`` [x, y, z, w]. They do not move.
-* ``observations``: in the order of receipt, each with ``marker``, ``stamp`` and ``received`` in nanoseconds, and
-  ``complete``: whether the stamp lies within the data of all five links, so that its pose can be computed.
+* ``observations``: in the order of receipt, each with ``marker``, ``stamp`` and ``received`` in nanoseconds,
+  and ``complete``: whether the stamp lies within the data of all five links, so that there is a pose.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""ROS 1 bags, read and written message by message as raw bytes, without ROS (the ``rosbags`` package does the work)."""
+"""ROS 1 bags, read and written message by message as raw bytes; the ``rosbags`` package does the work."""
 
 from pathlib import Path
 from types import TracebackType
@@ -54,7 +54,7 @@ class BagReader:
         messages: the number of messages.
 
     Raises:
-        BagError: where the file is missing, is no ROS 1 bag, or is cut off (``rosbag reindex`` repairs those).
+        BagError: where the file is missing, is no ROS 1 bag, or is cut off (``rosbag reindex`` helps).
     """
 
     def __init__(self, path: PathLike):

@@ -1,7 +1,7 @@
 """ROS 1 messages: definitions, bytes to event terms, event terms to bytes. Works without ROS.
 
-A message of type ``pkg/Type`` is the term ``pkg__0__Type(Slot1, Slot2, ...)``. See `Decoder` and `Encoder` for
-the forms of the slots, `Definitions` for where types come from.
+A message of type ``pkg/Type`` is the term ``pkg__0__Type(Slot1, Slot2, ...)``. See `Decoder` and `Encoder`
+for the forms of the slots, `Definitions` for where types come from.
 """
 
 from .decoding import Decoder

@@ -23,7 +23,7 @@ def array_maker(code: str) -> Make:
     size = calcsize("<" + code)
 
     def make(source: bytes) -> Term:
-        term = NIL
+        term: Term = NIL
         for value in reversed(unpack(f"<{len(source) // size}{code}", source)):
             term = (CONS, value, term)
         return term
@@ -68,7 +68,7 @@ def variable_array(
         for _ in range(number):
             item, at = element(data, at)
             items.append(item)
-        term = NIL
+        term: Term = NIL
         while items:
             term = (CONS, items.pop(), term)
         return term, at

@@ -2,7 +2,7 @@
 
 from struct import error as StructError
 from struct import pack
-from typing import Callable, Dict, List, Tuple
+from typing import Callable, Dict, List
 
 from ..errors import MessageError
 from ..terms import FALSE, NIL, TRUE, Atom, Functor, Term, Var, atom, deref, functor, list_items
@@ -187,7 +187,7 @@ def _check_range(code: str, value: int, path: str, what: str) -> None:
 
 _Reader = Callable[[str, Term, str], bytes]
 _READERS: Dict[str, _Reader] = {
-    **{kind: _integer for kind in PRIMITIVES},
+    **dict.fromkeys(PRIMITIVES, _integer),
     "bool": _bool,
     "float32": _float,
     "float64": _float,

@@ -2,8 +2,8 @@
 
 The generated source reads each run of fixed-size slots with one `struct` call. Long arrays and texts become
 lazy terms: what no rule looks at is cut out of the message and left undecoded. Where a message is numbers,
-then texts, then numbers, all texts are looked up at once by the bytes they make up (a robot's frame names come
-again and again); so one transform costs two `struct` calls and one look-up.
+then texts, then numbers, all texts are looked up at once by the bytes they make up (a robot's frame names
+come again and again); so one transform costs two `struct` calls and one look-up.
 """
 
 from struct import Struct, calcsize
@@ -58,6 +58,7 @@ class TextCache(Dict[bytes, Any]):
     """Atoms by the bytes of their texts, bounded: names come again and again, other texts do not stay."""
 
     def keep(self, key: bytes, value: Any) -> None:
+        """Remember a value, if its key is short."""
         if len(key) <= _CACHED_LENGTH:
             if len(self) >= _CACHED_TEXTS:
                 self.clear()
@@ -246,7 +247,10 @@ class _Unsuited(Exception):
 
 
 class _FrameCode(_Code):
-    """Source for types that are numbers, then texts, then numbers; an array at the end is taken to have one element."""
+    """Source for types that are numbers, then texts, then numbers.
+
+    An array of messages at the end is taken to have one element.
+    """
 
     def __init__(self) -> None:
         super().__init__()

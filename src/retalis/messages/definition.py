@@ -3,7 +3,7 @@
 import hashlib
 import re
 from dataclasses import dataclass, field
-from typing import Callable, Dict, Iterator, List, NamedTuple, Optional, Tuple, Union
+from typing import Callable, Container, Dict, Iterator, List, NamedTuple, Optional, Tuple, Union
 
 from ..errors import MessageError, Place, place_at
 
@@ -148,9 +148,9 @@ def split_sections(name: str, text: str) -> Dict[str, str]:
         MessageError: for a separator without a type, or a type that comes twice with different texts.
     """
     sections: Dict[str, str] = {}
-    current, lines, start = name, [], 0
-    numbered = list(enumerate(text.splitlines(), 1))
-    for number, line in numbered:
+    current, start = name, 0
+    lines: List[str] = []
+    for number, line in enumerate(text.splitlines(), 1):
         if start:
             if not line.startswith("MSG:"):
                 raise MessageError(
@@ -186,7 +186,8 @@ def parse(name: str, text: str, find: Callable[[str, str], Definition], source: 
         source: where the text comes from, for errors; the type's name by default.
 
     Raises:
-        MessageError: with its place, for a line that is neither slot nor constant, and for what ``find`` raises.
+        MessageError: with its place, for a line that is neither slot nor constant, and for what
+            ``find`` raises.
     """
     if not _TYPE_NAME.match(name):
         raise MessageError(f"{name!r} is not the name of a message type: expected package/Type")
@@ -259,7 +260,7 @@ class _Reader:
                 raise
             raise self._error(error.message, at) from None
 
-    def _new_name(self, found: "re.Match[str]", offset: int, known: Dict[str, "object"]) -> None:
+    def _new_name(self, found: "re.Match[str]", offset: int, known: Container[str]) -> None:
         name = found["name"]
         if not _NAME.match(name):
             raise self._error(f"{name!r} is not a slot's name", offset + found.start("name"))

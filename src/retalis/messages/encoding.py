@@ -1,8 +1,8 @@
 """Event terms to message bytes.
 
-For each type a function is generated that takes terms apart by unpacking and packs each run of fixed-size slots
-with one `struct` call. It takes what events are made of and nothing else; whatever it stumbles over goes to
-`checking`, which takes every form that is allowed and says exactly what is wrong with the others.
+For each type a function is generated that takes terms apart by unpacking and packs each run of fixed-size
+slots with one `struct` call. It takes what events are made of and nothing else; whatever it stumbles over
+goes to `checking`, which takes every form that is allowed and says exactly what is wrong with the others.
 """
 
 from struct import Struct, pack

@@ -14,9 +14,10 @@ _DEPTH = 4
 class Installed:
     """Finds ``pkg/Type`` where ROS and its tools keep message definitions.
 
-    In this order: ``msg/*.msg`` files of packages under ``ROS_PACKAGE_PATH``, ``CMAKE_PREFIX_PATH``, ``/opt/ros`` and
-    ``/usr/share``; generated Python modules ``pkg/msg/_Type.py`` on the module path, which are read, not imported
-    (Debian installs some types so only); the types that the ``rosbags`` package brings, where it is installed.
+    In this order: ``msg/*.msg`` files of packages under ``ROS_PACKAGE_PATH``, ``CMAKE_PREFIX_PATH``,
+    ``/opt/ros`` and ``/usr/share``; generated Python modules ``pkg/msg/_Type.py`` on the module path, which
+    are read, not imported (Debian installs some types so only); the types that the package ``rosbags``
+    brings, where it is installed.
 
     Args:
         packages: folders that contain packages, instead of the usual ones.

@@ -17,8 +17,8 @@ _Key = Tuple[str, str]
 class Definitions:
     """Message types by name, with their decoders and encoders.
 
-    A type is looked for among those added from texts (connection headers, bags), then among the installed ones,
-    then among the types nested in added texts.
+    A type is looked for among those added from texts (connection headers, bags), then among the installed
+    ones, then among the types nested in added texts.
 
     Args:
         installed: where installed types are looked up; the usual places by default.
