@@ -1,0 +1,100 @@
+"""Numbers and their text, in both directions.
+
+Python refuses to convert long decimal texts (4,300 digits, a guard against slow conversion), so long
+integers are converted here in halves, which is also faster.
+"""
+
+from typing import Dict, List
+
+_SAFE = 4000
+"""Decimal digits that every Python version converts."""
+
+_DIGITS = {char: value for value, char in enumerate("0123456789abcdefghijklmnopqrstuvwxyz")}
+
+
+def integer(text: str, radix: int = 10) -> int:
+    """Return the integer that a text of digits names.
+
+    Raises:
+        ValueError: where a digit is none in this radix.
+    """
+    if len(text) <= _SAFE or radix in (2, 4, 8, 16, 32):
+        return int(text, radix)
+    values = [int(text[max(0, at - _SAFE) : at], radix) for at in range(len(text), 0, -_SAFE)]
+    scale = radix**_SAFE
+    while len(values) > 1:  # least significant first; neighbours are joined until one is left
+        if len(values) % 2:
+            values.append(0)
+        values = [low + high * scale for low, high in zip(values[::2], values[1::2])]
+        scale *= scale
+    return values[0]
+
+
+def integer_text(value: int) -> str:
+    """Return the decimal text of an integer of any size."""
+    if -(1 << 12_000) < value < 1 << 12_000:
+        return str(value)
+    if value < 0:
+        return "-" + integer_text(-value)
+    powers = [10**_SAFE]
+    while powers[-1] <= value:
+        powers.append(powers[-1] * powers[-1])
+    parts: List[int] = [value]
+    for power in reversed(powers):
+        parts = [half for part in parts for half in divmod(part, power)]
+    return "".join(str(part).zfill(_SAFE) for part in parts).lstrip("0")
+
+
+def float_text(value: float) -> str:
+    """Return a float as SWI-Prolog 9 writes it: shortest text that reads back, always with a point.
+
+    Whole numbers from 1e15 on have an exponent, as there; infinities and nan are ``1.0Inf`` and ``1.5NaN``.
+    """
+    text = repr(value)
+    if "e" in text:
+        mantissa, exponent = text.split("e")
+        return f"{mantissa if '.' in mantissa else mantissa + '.0'}e{int(exponent):+d}"
+    if len(text) > 17 and text.endswith(".0") and len(text) - (text[0] == "-") > 17:
+        return _exponent_form(text)
+    return _SPECIAL.get(text, text)
+
+
+_SPECIAL: Dict[str, str] = {"inf": "1.0Inf", "-inf": "-1.0Inf", "nan": "1.5NaN"}
+
+
+def _exponent_form(text: str) -> str:
+    """Return a whole number of 16 digits or more in exponent form."""
+    sign = "-" if text[0] == "-" else ""
+    digits = text[len(sign) : -2]
+    fraction = digits[1:].rstrip("0") or "0"
+    return f"{sign}{digits[0]}.{fraction}e+{len(digits) - 1}"
+
+
+def float_value(text: str) -> float:
+    """Return the float that a text names.
+
+    Raises:
+        ValueError: where the number is too large for a double.
+    """
+    if text.endswith("Inf"):
+        return float("inf")
+    if text.endswith("NaN"):
+        return float("nan")
+    value = float(text)
+    if value == float("inf"):
+        raise ValueError(text)
+    return value
+
+
+def radix_integer(text: str) -> int:
+    """Return the integer of a text such as ``16'FF``, ``0xFF``, ``0o17`` or ``0b11``.
+
+    Raises:
+        ValueError: where the radix is not 2 to 36, or a digit is none in it.
+    """
+    if "'" in text:
+        radix, digits = text.split("'")
+        if not (1 < len(radix) + 1 < 4 and 2 <= int(radix) <= 36):
+            raise ValueError(text)
+        return integer(digits, int(radix))
+    return int(text[2:].replace("_", ""), {"x": 16, "o": 8, "b": 2}[text[1]])

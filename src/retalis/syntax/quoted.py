@@ -1,0 +1,52 @@
+r"""Backslash escapes and doubled quotes inside quotes (ISO 13211-1, 6.4.2.1, and SWI-Prolog's)."""
+
+import re
+from typing import Match
+
+_ESCAPE = re.compile(
+    r"""\\(?: x([0-9a-fA-F]+)\\?
+          | ([0-7]+)\\?
+          | u([0-9a-fA-F]{4}) | U([0-9a-fA-F]{8})
+          | (\n)
+          | (c)\s*
+          | ([\s\S]?) )
+      | (['"`])\8""",
+    re.VERBOSE,
+)
+_PLAIN = {
+    "a": "\a", "b": "\b", "f": "\f", "n": "\n", "r": "\r", "t": "\t", "v": "\v", "0": "\0", "e": "\x1b",
+    "s": " ", "\\": "\\", "'": "'", '"': '"', "`": "`",
+}  # fmt: skip
+
+
+def unquote(body: str, quote: str) -> str:
+    """Return what the text between quotes stands for.
+
+    Args:
+        body: the text without its outer quotes.
+        quote: the quote around it; doubled inside, it stands for itself.
+
+    Raises:
+        ValueError: with a message and the offset of the escape that is none.
+    """
+
+    def value(found: "Match[str]") -> str:
+        hexadecimal, octal, short, long, newline, nothing, other, doubled = found.groups()
+        if doubled is not None:
+            return doubled if doubled == quote else doubled + doubled
+        if newline or nothing:
+            return ""
+        if other is not None:
+            if other in _PLAIN and other:
+                return _PLAIN[other]
+            raise ValueError(_unknown(found.group(0)), found.start())
+        code = int(octal, 8) if octal else int(hexadecimal or short or long, 16)
+        if code > 0x10FFFF or 0xD800 <= code < 0xE000:
+            raise ValueError(f"{found.group(0)} names no Unicode character", found.start())
+        return chr(code)
+
+    return _ESCAPE.sub(value, body)
+
+
+def _unknown(escape: str) -> str:
+    return rf"{escape} is no escape sequence: to write a backslash in quotes, double it (\\)"

@@ -1,0 +1,213 @@
+"""Text to tokens: lark splits, this module gives each token its value and each bad one its message."""
+
+import unicodedata
+from bisect import bisect_right
+from pathlib import Path
+from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Tuple
+
+from lark import Lark, Token
+from lark import __version__ as _lark_version
+
+from ..errors import Place, SyntaxFault
+from ..terms import NIL, String, Term, atom, make_list
+from . import numerals
+from .quoted import unquote
+
+NAME, QUOTED, NUMBER, VARIABLE, TEXT, END = "name", "quoted", "number", "variable", "text", "end"
+OPEN_CT = "f("
+"""An opening bracket directly behind a token: after a name it makes a compound term."""
+
+AnyToken = Tuple[str, Any, int, int]
+"""Kind, value, start, end. The kind of a bracket, comma or bar is the character itself."""
+
+
+class ReadFlags(NamedTuple):
+    """What changes how a text reads.
+
+    Attributes:
+        double_quotes: what ``"text"`` is: ``string`` (as SWI-Prolog 9), ``codes``, ``chars`` or ``atom``.
+        back_quotes: the same for back-quoted text.
+        iso: priorities as ISO 13211-1 has them: arguments at most 999, operators as operands in brackets,
+            no special floats.
+        event_text: text as events are written on the String topics: ``inf``, ``nan`` and ``-inf`` are
+            floats wherever they stand as arguments, and ``"text"`` is the atom ``'"text"'``.
+    """
+
+    double_quotes: str = "string"
+    back_quotes: str = "codes"
+    iso: bool = False
+    event_text: bool = False
+
+
+class Source:
+    """A text with its name, and the places in it."""
+
+    __slots__ = ("name", "text", "_starts")
+
+    def __init__(self, name: str, text: str):
+        self.name = name
+        self.text = text
+        self._starts: Optional[List[int]] = None
+
+    def place(self, offset: int) -> Place:
+        """Return the place of the character at ``offset``."""
+        text = self.text
+        starts = self._starts
+        if starts is None:
+            starts = self._starts = [0]
+            at = text.find("\n") + 1
+            while at:
+                starts.append(at)
+                at = text.find("\n", at) + 1
+        line = bisect_right(starts, offset)
+        start = starts[line - 1]
+        end = text.find("\n", start)
+        return Place(self.name, line, offset - start + 1, text[start : end if end >= 0 else len(text)])
+
+    def fault(self, message: str, offset: int) -> SyntaxFault:
+        """Return the error about the character at ``offset``."""
+        return SyntaxFault(message, self.place(min(offset, len(self.text))))
+
+
+_VERSION = tuple(int(part) for part in _lark_version.split(".")[:2])
+_START = "start_pos" if _VERSION >= (1, 0) else "pos_in_stream"
+_LEXER: Optional[Lark] = None
+
+
+def _lexer() -> Lark:
+    """Return the lexer; made at first use, which takes some milliseconds."""
+    global _LEXER
+    if _LEXER is None:
+        grammar = Path(__file__).with_name("tokens.lark").read_text(encoding="utf-8")
+        _LEXER = Lark(grammar, parser="lalr", lexer="basic" if _VERSION >= (1, 0) else "standard")
+    return _LEXER
+
+
+def tokens(source: Source, flags: ReadFlags) -> Iterator[AnyToken]:
+    """Yield the tokens of a text; a bad one as ``("bad", message, start, end)``, never an exception."""
+    text = source.text
+    last = -1
+    for found in _lexer().lex(text):
+        start = getattr(found, _START)
+        end = start + len(found)
+        kind = found.type
+        if kind == "WORD":
+            first = found[0]
+            if first == "_" or first.isupper() or first.istitle():
+                yield VARIABLE, str(found), start, end
+            else:
+                yield NAME, str(found), start, end
+        elif kind == "PUNCTUATION":
+            yield (OPEN_CT if found == "(" and start == last else str(found)), None, start, end
+        elif kind == "SYMBOL" or kind == "SOLO":
+            yield NAME, str(found), start, end
+        elif kind == "END":
+            yield END, None, start, end
+        else:
+            yield _valued(kind, found, start, end, text, flags)
+        last = end
+
+
+def _valued(kind: str, found: Token, start: int, end: int, text: str, flags: ReadFlags) -> AnyToken:
+    if kind == "NUMBER":
+        return _number(found, start, end, text, flags)
+    if kind == "QUOTED":
+        return _quoted(found, start, end, flags)
+    if kind == "BAD_COMMENT":
+        return "bad", 'this comment is never closed: expected "*/"', start, end
+    if kind == "BAD_QUOTE":
+        return "bad", _unclosed(str(found), start, text), start, end
+    if unicodedata.category(found[0])[0] == "S":
+        return NAME, str(found), start, end
+    return "bad", _stray(str(found)), start, end
+
+
+def _unclosed(quote: str, start: int, text: str) -> str:
+    message = f"this quote {quote} is not closed on its line"
+    if quote == "'" and text[start - 1 : start].isalnum():
+        message += "; in a name an apostrophe has to be quoted, as in 'it''s'"
+    return message
+
+
+_CURLY = {"\u2018": "'", "\u2019": "'", "\u201a": "'", "\u201b": "'", "\u00b4": "'"}
+_CURLY.update({"\u201c": '"', "\u201d": '"', "\u201e": '"', "\u201f": '"', "\u00ab": '"', "\u00bb": '"'})
+
+
+def _stray(char: str) -> str:
+    straight = _CURLY.get(char)
+    if straight is not None:
+        return f"{char} is a typographic quote, as word processors and web pages make them: write {straight}"
+    name = unicodedata.name(char, f"U+{ord(char):04X}")
+    return f"the character {char!r} ({name}) can stand only in quotes or comments"
+
+
+def _number(found: Token, start: int, end: int, text: str, flags: ReadFlags) -> AnyToken:
+    follow = text[end : end + 1]
+    if follow == "_" or follow.isalnum():
+        return "bad", f"{found}{follow}... is no number, and a name cannot begin with a digit", start, end
+    try:
+        return NUMBER, _number_value(str(found), flags), start, end
+    except ValueError as error:
+        return "bad", str(error), start, end
+
+
+def _number_value(text: str, flags: ReadFlags) -> Term:
+    if text.isdigit():
+        return numerals.integer(text)
+    second = text[1]
+    if second == "'" and text[0] == "0":
+        return ord("'" if text == "0'''" else unquote(text[2:], "")[0])
+    if second in "xob" or "'" in text:
+        try:
+            return numerals.radix_integer(text)
+        except ValueError:
+            raise ValueError(f"{text} is no number: expected digits of a radix from 2 to 36") from None
+    if "." in text or "e" in text or "E" in text:
+        if flags.iso and ("." not in text or text[-1] in "fN"):
+            raise ValueError(f"{text} is no number in ISO Prolog: expected digits, a point and digits")
+        try:
+            return numerals.float_value(text)
+        except ValueError:
+            raise ValueError(f"{text} is too large for a float (the largest is 1.8e308)") from None
+    return numerals.integer("".join(part.strip() for part in text.split("_")))
+
+
+def _quoted(found: Token, start: int, end: int, flags: ReadFlags) -> AnyToken:
+    quote = found[0]
+    body = str(found[1:-1])
+    if "\\" in body or quote in body:
+        try:
+            body = unquote(body, quote)
+        except ValueError as error:
+            message, at = error.args
+            return "bad", message, start + 1 + at, end
+    if quote == "'":
+        return QUOTED, body, start, end
+    if quote == '"':
+        if flags.event_text:
+            return QUOTED, f'"{body}"', start, end
+        return TEXT, _text_term(body, flags.double_quotes), start, end
+    return TEXT, _text_term(body, flags.back_quotes), start, end
+
+
+def _text_term(body: str, form: str) -> Term:
+    if form == "codes":
+        return make_list([ord(char) for char in body])
+    if form == "chars":
+        return make_list([atom(char) for char in body])
+    return atom(body) if form == "atom" else String(body)
+
+
+_SHOWN: Dict[str, str] = {OPEN_CT: '"("', END: "the end of the clause", "eof": "the end of the text"}
+
+
+def shown(token: AnyToken, text: str) -> str:
+    """Return a token as error messages name it."""
+    name = _SHOWN.get(token[0])
+    if name is None:
+        name = text[token[2] : token[3]]
+        name = f'"{name[:40]}..."' if len(name) > 45 else f'"{name}"'
+    return name
+
+
+__all__ = ["END", "NIL", "ReadFlags", "Source", "shown", "tokens"]

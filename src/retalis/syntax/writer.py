@@ -1,0 +1,261 @@
+"""Terms to text that reads back as the same term.
+
+Works without recursion: a stack holds what is still to be written. Two tokens that would run together are
+parted by a blank, and nothing else is, as SWI-Prolog 9 does it.
+"""
+
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
+
+from ..terms import CONS, NIL, Atom, Functor, String, Term, Var, deref, functor, serial
+from .atoms import atom_text, quote
+from .numerals import float_text, integer_text
+from .operators import Operator, Operators
+
+_CURLY = functor("{}", 1)
+_NUMBERED = functor("$VAR", 1)
+_SYMBOLS = frozenset("-+*/\\^<>=~:.?@#&$")
+
+
+class WriteOptions(NamedTuple):
+    """How a term is written; the names are those of ``write_term/2``.
+
+    Attributes:
+        quoted: atoms and strings are quoted where they have to be.
+        ignore_ops: operators are written as functor and arguments.
+        numbervars: ``'$VAR'(1)`` is written ``B``.
+        spacing: a blank behind the commas of arguments and lists.
+        variable_names: variable -> name; others are ``_G1`` and so on.
+        priority: a term of a higher priority is put in brackets.
+    """
+
+    quoted: bool = True
+    ignore_ops: bool = False
+    numbervars: bool = False
+    spacing: bool = False
+    variable_names: Optional[Dict[Var, str]] = None
+    priority: int = 1200
+
+
+class _Writer:
+    def __init__(self, operators: Operators, options: WriteOptions):
+        self.operators = operators
+        self.options = options
+        self.out: List[str] = []
+        self.last = ""
+        self.after: Optional[_Name] = None
+        self.names = options.variable_names or {}
+        self.atom: Callable[[str], str] = atom_text if options.quoted else str
+        self.comma = ", " if options.spacing else ","
+        self.stack: List[Any] = []
+
+    def write(self, term: Term) -> str:
+        """Return the text of ``term``.
+
+        An entry of the stack is a token (a str), a prefix operator, or a term and the priority that it may
+        have, with a third item where it is the argument of an operator.
+        """
+        stack = self.stack
+        stack.append((term, self.options.priority))
+        while stack:
+            entry = stack.pop()
+            kind = entry.__class__
+            if kind is str:
+                self._put(entry)
+            elif kind is _Name:
+                self._put(entry.text)
+                self.after = entry
+            else:
+                self._term(deref(entry[0]), entry[1], len(entry) == 3)
+        return "".join(self.out)
+
+    def _put(self, token: str) -> None:
+        """Add a token, with a blank before it where it would run into the one before."""
+        if not token:
+            return
+        last, first = self.last, token[0]
+        if last and (_run_together(last, first) or (self.after and self.after.needs_blank(first))):
+            self.out.append(" ")
+        self.after = None
+        self.out.append(token)
+        self.last = token[-1]
+
+    def _term(self, term: Term, limit: int, is_operand: bool) -> None:
+        kind = term.__class__
+        if kind is tuple:
+            self._compound(term, limit)
+        elif kind is Atom:
+            self._atom_term(term.name, is_operand)
+        elif kind is int:
+            self._put(integer_text(term))
+        elif kind is float:
+            self._put(float_text(term))
+        elif kind is String:
+            self._put(quote(term.text, '"') if self.options.quoted else term.text)
+        else:
+            self._put(self.names.get(term) or f"_G{serial(term)}")
+
+    def _atom_term(self, name: str, is_operand: bool) -> None:
+        if is_operand and name in self.operators:
+            self._put("(")
+            self._put(self.atom(name))
+            self._put(")")
+        else:
+            self._put(self.atom(name))
+
+    def _compound(self, term: Tuple[Any, ...], limit: int) -> None:
+        found: Functor = term[0]
+        if found is CONS:
+            self._list(term)
+            return
+        options = self.options
+        if found is _NUMBERED and options.numbervars and self._numbered(deref(term[1])):
+            return
+        if found is _CURLY and not options.ignore_ops:
+            self.stack += ("}", (term[1], 1200), "{")
+            return
+        if options.ignore_ops or found.arity > 2 or not self._operator(term, found, limit):
+            self._canonical(term, found)
+
+    def _numbered(self, number: Term) -> bool:
+        if number.__class__ is not int or number < 0:
+            return False
+        letter = chr(ord("A") + number % 26)
+        self._put(letter + (str(number // 26) if number >= 26 else ""))
+        return True
+
+    def _canonical(self, term: Tuple[Any, ...], found: Functor) -> None:
+        stack = self.stack
+        stack.append(")")
+        for argument in term[:1:-1]:
+            stack.append((argument, 999))
+            stack.append(self.comma)
+        if found.arity:
+            stack.append((term[1], 999))
+        self._put(self.atom(found.name))
+        self._put("(")
+
+    def _list(self, term: Tuple[Any, ...]) -> None:
+        entries: List[Any] = ["["]
+        rest: Term = term
+        while rest.__class__ is tuple and rest[0] is CONS:
+            entries += ((rest[1], 999), self.comma)
+            rest = deref(rest[2])
+        entries.pop()
+        if rest is not NIL:
+            entries += ("|", (rest, 999))
+        entries.append("]")
+        entries.reverse()
+        self.stack += entries
+
+    def _operator(self, term: Tuple[Any, ...], found: Functor, limit: int) -> bool:
+        """Write a term with its operator; False where its functor is none."""
+        name = found.name
+        if found.arity == 2:
+            infix = self.operators.infix.get(name)
+            if infix is None:
+                return False
+            entries = self._infix(term, infix, name)
+            priority = infix.priority
+        else:
+            prefix = self.operators.prefix.get(name)
+            postfix = self.operators.postfix.get(name)
+            if prefix is not None:
+                entries = [_Name(self.atom(name), True), (term[1], self._right(prefix, term[1]), True)]
+                priority = prefix.priority
+            elif postfix is not None:
+                entries = [(term[1], postfix.left, True), self.atom(name)]
+                priority = postfix.priority
+            else:
+                return False
+        if priority > limit:
+            entries = ["(", *entries, ")"]
+        entries.reverse()
+        self.stack += entries
+        return True
+
+    def _infix(self, term: Tuple[Any, ...], infix: Operator, name: str) -> List[Any]:
+        text: Any
+        if name == ",":
+            text = self.comma
+        elif name == "|":
+            text = "|"
+        else:
+            text = _Name(self.atom(name), False)
+        return [(term[1], infix.left, True), text, (term[2], self._right(infix, term[2]), True)]
+
+    def _right(self, found: Operator, argument: Term) -> int:
+        """Return the priority that the right argument may have.
+
+        Where it is an operator of the same priority that would take the operator before it as its left
+        argument, it needs brackets, as ``a xfy (b yfx c)``.
+        """
+        argument = deref(argument)
+        if found.right != found.priority or argument.__class__ is not tuple:
+            return found.right
+        name, arity = argument[0].name, argument[0].arity
+        if arity == 2:
+            inner = self.operators.infix.get(name)
+        elif arity == 1 and name not in self.operators.prefix:
+            inner = self.operators.postfix.get(name)
+        else:
+            return found.right
+        if inner is not None and inner.priority == inner.left == found.priority:
+            return found.right - 1
+        return found.right
+
+
+class _Name:
+    """An operator before its argument, waiting on the writer's stack."""
+
+    __slots__ = ("text", "is_prefix")
+
+    def __init__(self, text: str, is_prefix: bool):
+        self.text = text
+        self.is_prefix = is_prefix
+
+    def needs_blank(self, following: str) -> bool:
+        """Tell whether a blank must part the operator from a token that begins with this character."""
+        if self.is_prefix and (following == "(" or (self.text == "-" and following.isdigit())):
+            return True
+        return following in _SYMBOLS and _is_word(self.text[-1])
+
+
+def _is_word(char: str) -> bool:
+    return char.isalnum() or char == "_"
+
+
+def _run_together(last: str, first: str) -> bool:
+    """Tell whether two tokens would read as one, by the last character of one and the first of the other."""
+    if first in _SYMBOLS:
+        return last in _SYMBOLS
+    if first == "'":
+        return last == "'" or _is_word(last)
+    if _is_word(first):
+        return _is_word(last)
+    return first == last and first in '"`'
+
+
+def write_term(term: Term, operators: Optional[Operators] = None, **options: Any) -> str:
+    """Return the text of a term.
+
+    Args:
+        term: any term; bound variables are followed, lazy terms are looked at.
+        operators: the table to write with; Prolog's by default.
+        **options: see `WriteOptions`.
+    """
+    return _Writer(operators or _usual(), WriteOptions(**options)).write(term)
+
+
+def writeq(term: Term, operators: Optional[Operators] = None) -> str:
+    """Return the text of a term as ``writeq/1`` writes it: quoted, with operators and ``'$VAR'``."""
+    return _Writer(operators or _usual(), _QUOTED).write(term)
+
+
+_QUOTED = WriteOptions(numbervars=True)
+_tables: List[Operators] = []
+
+
+def _usual() -> Operators:
+    if not _tables:
+        _tables.append(Operators.prolog())
+    return _tables[0]
