@@ -1,0 +1,110 @@
+"""One runner at a time, without handing work to another thread.
+
+Callers append to a queue; whoever gets the lock without waiting works the queue off, the others return at
+once. Handing each event to a worker thread instead would double its cost.
+"""
+
+import threading
+from collections import deque
+from typing import Any, Callable, Deque, Optional, Tuple
+
+
+class Call:
+    """A piece of work whose caller waits for the result."""
+
+    def __init__(self, work: Callable[[], Any]):
+        self._work = work
+        self._done = threading.Event()
+        self._result: Any = None
+        self._error: Optional[BaseException] = None
+
+    def __call__(self) -> None:
+        try:
+            self._result = self._work()
+        except Exception as error:  # handed over to the caller that waits, in `result`
+            self._error = error
+        finally:
+            self._done.set()
+
+    def result(self) -> Any:
+        """Wait for the work and return its result, or raise what it raised."""
+        self._done.wait()
+        if self._error is not None:
+            raise self._error
+        return self._result
+
+
+class Runner:
+    """A bounded queue of work and the lock that lets one thread at a time do it.
+
+    Args:
+        size: how many pieces of work may wait; past that the oldest goes, is counted in ``dropped``,
+            and ``on_drop`` is called.
+        on_error: called with an exception that a piece of work let out.
+    """
+
+    def __init__(self, size: int, on_drop: Callable[[int], None], on_error: Callable[[Exception], None]):
+        self._size = size
+        self._queue: Deque[Tuple[Any, ...]] = deque()
+        self._calls: Deque[Call] = deque()
+        self._lock = threading.Lock()
+        self._running: Optional[int] = None
+        self._on_drop = on_drop
+        self._on_error = on_error
+        self.dropped = 0
+
+    def __len__(self) -> int:
+        return len(self._queue)
+
+    def post(self, work: Callable[..., Any], *arguments: Any) -> None:
+        """Queue a piece of work, and do what is queued if nobody is at it."""
+        self._queue.append((work, arguments))
+        if len(self._queue) > self._size:
+            self._drop()
+        self._drain()
+
+    def call(self, work: Callable[[], Any]) -> Any:
+        """Do a piece of work, after the one that runs and before those that wait; return its result.
+
+        From inside a piece of work (a subscriber that calls back) it is done at once.
+        """
+        if self._running == threading.get_ident():
+            return work()
+        call = Call(work)
+        self._calls.append(call)
+        self._drain()
+        return call.result()
+
+    def _drop(self) -> None:
+        try:
+            self._queue.popleft()
+        except IndexError:  # the runner took it meanwhile
+            return
+        self.dropped += 1
+        self._on_drop(self.dropped)
+
+    def _drain(self) -> None:
+        # Again after the release: something may have been appended by one who found the lock taken.
+        while self._queue or self._calls:
+            if not self._lock.acquire(False):
+                return
+            try:
+                self._running = threading.get_ident()
+                self._work_off()
+            finally:
+                self._running = None
+                self._lock.release()
+
+    def _work_off(self) -> None:
+        queue, calls = self._queue, self._calls
+        while True:
+            if calls:
+                calls.popleft()()
+            elif queue:
+                work, arguments = queue.popleft()
+                try:
+                    work(*arguments)
+                except Exception as error:  # one bad event must not take the others with it
+                    self._on_error(error)
+            else:
+                return

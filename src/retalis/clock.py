@@ -1,0 +1,93 @@
+"""What time it is for a program: rising stamps, alarms, and noticing that time went back."""
+
+import heapq
+import time
+from itertools import count
+from typing import Callable, List, Optional, Tuple
+
+from .timestamps import SECOND, WholeSeconds
+
+Alarm = Callable[[int], None]
+
+JUMP = SECOND
+"""A clock that goes back by more than this (a looped bag) starts a new run."""
+
+
+class Clock:
+    """A clock over some source of time, with alarms.
+
+    Nothing here waits: whoever owns the clock asks `due` for alarms when time may have passed.
+
+    Args:
+        source: returns the present instant (ns since the epoch); the system's clock by default.
+    """
+
+    def __init__(self, source: Callable[[], int] = time.time_ns):
+        self._source = source
+        self._last_stamp = 0
+        self._newest = 0
+        self._alarms: List[Tuple[int, int, Alarm]] = []
+        self._order = count()
+
+    def now(self) -> int:
+        """Return the present instant."""
+        return self._source()
+
+    def stamp(self) -> int:
+        """Return an instant for an event: now, but always after the last one given out."""
+        instant = self._source()
+        if instant <= self._last_stamp:
+            instant = self._last_stamp + 1
+        self._last_stamp = instant
+        return WholeSeconds(instant)
+
+    def call_at(self, instant: int, alarm: Alarm) -> None:
+        """Have ``alarm`` called with the instant when that has come."""
+        heapq.heappush(self._alarms, (instant, next(self._order), alarm))
+
+    def next_alarm(self) -> Optional[int]:
+        """Return the instant of the next alarm, or None."""
+        return self._alarms[0][0] if self._alarms else None
+
+    def due(self, until: Optional[int] = None) -> Optional[Tuple[int, Alarm]]:
+        """Take and return the next alarm that is due now (or at ``until``); None where there is none."""
+        if not self._alarms:
+            return None
+        if self._alarms[0][0] > (self.now() if until is None else until):
+            return None
+        instant, _, alarm = heapq.heappop(self._alarms)
+        return instant, alarm
+
+    def went_back(self) -> bool:
+        """Tell whether time has gone back by more than `JUMP` since the last call; the clock starts anew then."""
+        now = self._source()
+        newest = self._newest
+        self._newest = now if now > newest or now < newest - JUMP else newest
+        if now >= newest - JUMP:
+            return False
+        self.reset()
+        return True
+
+    def reset(self) -> None:
+        """Drop the alarms and the memory of the last stamp."""
+        self._alarms.clear()
+        self._last_stamp = 0
+
+
+class StreamClock(Clock):
+    """A clock that stands still until it is moved: the time of a stream of events or of a bag."""
+
+    def __init__(self, start: int = 0):
+        super().__init__(lambda: self._time)
+        self._time = start
+        self.pinned = False
+
+    def pin(self, instant: int) -> None:
+        """Stop the clock at an instant; it is not moved by events any more."""
+        self._time = instant
+        self.pinned = True
+
+    def move_to(self, instant: int, back: bool = False) -> None:
+        """Move the clock forward (with ``back`` also backwards) unless it is pinned."""
+        if not self.pinned and (back or instant > self._time):
+            self._time = int(instant)

@@ -1,0 +1,100 @@
+"""The folder of a program: ``pub_sub.xml``, ``goalPredicates.txt`` and what these name."""
+
+from pathlib import Path
+from typing import List, NamedTuple, Tuple, Union
+from xml.parsers import expat
+
+from .errors import Place, ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
+
+GOALS = "goalPredicates.txt"
+TOPICS = "pub_sub.xml"
+
+
+class TopicType(NamedTuple):
+    """A topic's name, as written (it may be relative), and its message type ``pkg/Type``."""
+
+    topic: str
+    type: str
+
+
+class Topics(NamedTuple):
+    """What ``pub_sub.xml`` says: topics that become events, and types of topics that are published."""
+
+    subscribed: Tuple[TopicType, ...] = ()
+    published: Tuple[TopicType, ...] = ()
+
+
+def read_text(path: Union[str, Path]) -> str:
+    """Return the text of a file (UTF-8).
+
+    Raises:
+        UsageError: where it cannot be read.
+    """
+    try:
+        return Path(path).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else f"no UTF-8 text ({error.reason})"
+        raise UsageError(f"cannot read {path}: {reason}") from error
+
+
+def read_topics(path: Union[str, Path]) -> Topics:
+    """Read a ``pub_sub.xml``.
+
+    Raises:
+        ProgramErrors: all that is wrong with it, each with its place.
+        UsageError: where it cannot be read.
+    """
+    reader = _TopicReader(str(path), read_text(path))
+    return reader.read()
+
+
+class _TopicReader:
+    """Collects ``subscribe_to`` and ``publish_to`` elements, at any depth, and the errors in them."""
+
+    def __init__(self, source: str, text: str):
+        self.source = source
+        self.text = text
+        self.lines = text.splitlines()
+        self.parser = expat.ParserCreate()
+        self.parser.StartElementHandler = self.element
+        self.inside = False
+        self.found: "dict[str, List[TopicType]]" = {"subscribe_to": [], "publish_to": []}
+        self.errors: List[RetalisError] = []
+
+    def read(self) -> Topics:
+        try:
+            self.parser.Parse(self.text, True)
+        except expat.ExpatError as error:
+            message = f"this is no XML: {expat.errors.messages[error.code]}"
+            self.errors.append(SyntaxFault(message, self.place(error.lineno, error.offset)))
+        if self.errors:
+            raise ProgramErrors(self.errors)
+        return Topics(tuple(self.found["subscribe_to"]), tuple(self.found["publish_to"]))
+
+    def place(self, line: int, offset: int) -> Place:
+        text = self.lines[line - 1] if line <= len(self.lines) else ""
+        return Place(self.source, line, offset + 1, text)
+
+    def element(self, tag: str, attributes: "dict[str, str]") -> None:
+        place = self.place(self.parser.CurrentLineNumber, self.parser.CurrentColumnNumber)
+        if not self.inside:
+            self.inside = True
+            if tag != "publish_subscribe":
+                self.wrong(f"the root has to be <publish_subscribe>, found <{tag}>", place)
+            return
+        if tag not in self.found:
+            if "msg_type" in attributes:  # any other element only groups what is in it
+                self.wrong(f"expected <subscribe_to> or <publish_to>, found <{tag}>", place)
+            return
+        for name in ("name", "msg_type"):
+            if not attributes.get(name, "").strip():
+                self.wrong(f'<{tag}> needs {name}="..."', place)
+                return
+        topic = TopicType(attributes["name"].strip(), attributes["msg_type"].strip())
+        if topic.type.count("/") != 1:
+            self.wrong(f'msg_type has to be "package/Type", found "{topic.type}"', place)
+            return
+        self.found[tag].append(topic)
+
+    def wrong(self, message: str, place: Place) -> None:
+        self.errors.append(RuleError(message, place))

@@ -1,0 +1,51 @@
+from retalis.clock import Clock, StreamClock
+from retalis.timestamps import SECOND
+
+
+def test_stamps_never_repeat_and_never_go_back():
+    times = iter([5, 5, 4, 100])
+    clock = Clock(lambda: next(times))
+    assert [clock.stamp() for _ in range(4)] == [5, 6, 7, 100]
+
+
+def test_alarms_come_in_order_and_only_when_due():
+    clock = StreamClock()
+    rung = []
+    clock.call_at(20, lambda instant: rung.append(("b", instant)))
+    clock.call_at(10, lambda instant: rung.append(("a", instant)))
+    assert clock.next_alarm() == 10
+    assert clock.due() is None
+    clock.move_to(15)
+    instant, alarm = clock.due()
+    alarm(instant)
+    assert clock.due() is None
+    clock.move_to(20)
+    instant, alarm = clock.due()
+    alarm(instant)
+    assert rung == [("a", 10), ("b", 20)]
+    assert clock.next_alarm() is None
+
+
+def test_a_stream_clock_goes_back_only_when_told_and_stands_still_when_pinned():
+    clock = StreamClock(100)
+    clock.move_to(50)
+    assert clock.now() == 100
+    clock.move_to(50, back=True)
+    assert clock.now() == 50
+    clock.pin(7)
+    clock.move_to(1000)
+    assert clock.now() == 7
+
+
+def test_a_jump_back_of_more_than_a_second_is_noticed_once():
+    clock = StreamClock(10 * SECOND)
+    assert not clock.went_back()
+    clock.stamp()
+    clock.call_at(12 * SECOND, lambda instant: None)
+    clock.move_to(9 * SECOND, back=True)
+    assert not clock.went_back()
+    clock.move_to(8 * SECOND, back=True)
+    assert clock.went_back()
+    assert not clock.went_back()
+    assert clock.next_alarm() is None
+    assert clock.stamp() == 8 * SECOND

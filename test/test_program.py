@@ -1,0 +1,69 @@
+from pathlib import Path
+
+import pytest
+
+from retalis.errors import ProgramErrors, UsageError
+from retalis.program import TopicType, read_topics
+
+APPLICATION = Path(__file__).parent.parent / "application_source"
+
+
+def read(tmp_path, text):
+    path = tmp_path / "pub_sub.xml"
+    path.write_text(text, encoding="utf-8")
+    return read_topics(path)
+
+
+def test_reads_the_nao_application():
+    topics = read_topics(APPLICATION / "pub_sub.xml")
+    assert topics.subscribed[0] == TopicType("tf", "tf/tfMessage")
+    assert TopicType("marker8", "geometry_msgs/PoseStamped") in topics.published
+
+
+def test_elements_stand_at_any_depth_and_comments_count_for_nothing(tmp_path):
+    topics = read(
+        tmp_path,
+        '<publish_subscribe><group><!-- <subscribe_to name="no" msg_type="a/B"/> -->'
+        '<subscribe_to name="/a/b" msg_type="std_msgs/String"/></group></publish_subscribe>',
+    )
+    assert topics.subscribed == (TopicType("/a/b", "std_msgs/String"),)
+    assert topics.published == ()
+
+
+@pytest.mark.parametrize(
+    ("text", "message", "line", "column"),
+    [
+        ("<publish_subscribe>\n  <group>\n", "no XML", 3, 1),
+        ("<root/>", "the root has to be <publish_subscribe>, found <root>", 1, 1),
+        ('<publish_subscribe>\n <publish_to name="x"/>\n</publish_subscribe>', 'needs msg_type="..."', 2, 2),
+        (
+            '<publish_subscribe><publish_to name="x" msg_type="String"/></publish_subscribe>',
+            'has to be "package/Type", found "String"',
+            1,
+            20,
+        ),
+        (
+            '<publish_subscribe><subscibe_to name="x" msg_type="a/B"/></publish_subscribe>',
+            "expected <subscribe_to> or <publish_to>, found <subscibe_to>",
+            1,
+            20,
+        ),
+    ],
+)
+def test_errors_say_where(tmp_path, text, message, line, column):
+    with pytest.raises(ProgramErrors) as caught:
+        read(tmp_path, text)
+    (error,) = caught.value.errors
+    assert message in error.message
+    assert (error.place.line, error.place.column) == (line, column)
+
+
+def test_all_errors_come_at_once(tmp_path):
+    with pytest.raises(ProgramErrors) as caught:
+        read(tmp_path, "<publish_subscribe><publish_to/><subscribe_to/></publish_subscribe>")
+    assert len(caught.value.errors) == 2
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(UsageError, match="nothing.xml"):
+        read_topics(tmp_path / "nothing.xml")

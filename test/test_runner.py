@@ -1,0 +1,87 @@
+import threading
+
+import pytest
+
+from retalis._runner import Call, Runner
+
+
+def make(size=100):
+    drops, errors = [], []
+    return Runner(size, drops.append, errors.append), drops, errors
+
+
+def test_work_is_done_in_order_and_an_error_stops_nothing():
+    runner, _, errors = make()
+    done = []
+    runner.post(done.append, 1)
+    runner.post(lambda: 1 / 0)
+    runner.post(done.append, 2)
+    assert done == [1, 2]
+    assert [type(error) for error in errors] == [ZeroDivisionError]
+
+
+def test_a_call_returns_its_result_or_raises():
+    runner, _, errors = make()
+    assert runner.call(lambda: 7) == 7
+    with pytest.raises(KeyError):
+        runner.call(lambda: {}["x"])
+    assert errors == []
+
+
+def test_a_call_from_inside_is_done_at_once():
+    runner, _, _ = make()
+    assert runner.call(lambda: runner.call(lambda: 3)) == 3
+
+
+def test_while_one_works_others_return_and_the_oldest_is_dropped():
+    runner, drops, _ = make(size=2)
+    started, go_on = threading.Event(), threading.Event()
+    done = []
+
+    def slow():
+        started.set()
+        go_on.wait(10)
+
+    worker = threading.Thread(target=runner.post, args=(slow,))
+    worker.start()
+    assert started.wait(10)
+    for number in range(4):
+        runner.post(done.append, number)
+    assert done == []
+    assert drops == [1, 2]
+    go_on.set()
+    worker.join(10)
+    assert done == [2, 3]
+    assert runner.dropped == 2
+
+
+def test_a_call_goes_before_what_waits():
+    runner, _, _ = make()
+    done = []
+
+    def first():
+        runner.post(done.append, "posted")
+        runner._calls.append(Call(lambda: done.append("called")))
+
+    runner.post(first)
+    assert done == ["called", "posted"]
+
+
+def test_many_threads_lose_nothing():
+    runner, _, _ = make(size=100_000)
+    total = [0]
+
+    def add():
+        total[0] += 1
+
+    def post():
+        for _ in range(2000):
+            runner.post(add)
+
+    threads = [threading.Thread(target=post) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(30)
+    runner.call(lambda: None)
+    assert total[0] == 8000
