@@ -1,0 +1,217 @@
+"""The oracle's own logic: substitutions as dictionaries, and an evaluator for simple goals.
+
+A substitution maps variables to terms and is never changed, only extended by making a new one.
+"""
+
+from fractions import Fraction
+from typing import Any, Dict, Iterator, Optional, Set
+
+from retalis.terms import CONS, NIL, Atom, String, Term, Var, atom, functor, list_items, make_list
+
+Bindings = Dict[Var, Term]
+
+
+class GoalError(Exception):
+    """A goal that raises an error in Prolog."""
+
+
+def value_of(term: Term, bindings: Bindings) -> Term:
+    """Follow a variable to what it stands for."""
+    while term.__class__ is Var and term in bindings:
+        term = bindings[term]
+    return term
+
+
+def instance(term: Term, bindings: Bindings) -> Term:
+    """Return a term with all bound variables replaced."""
+    term = value_of(term, bindings)
+    if term.__class__ is tuple:
+        return (term[0], *(instance(argument, bindings) for argument in term[1:]))
+    return term
+
+
+def unbound(term: Term, bindings: Bindings) -> Set[Var]:
+    """Return the variables that are left in a term."""
+    term = value_of(term, bindings)
+    if term.__class__ is Var:
+        return {term}
+    if term.__class__ is tuple:
+        return {var for argument in term[1:] for var in unbound(argument, bindings)}
+    return set()
+
+
+def unify(left: Term, right: Term, bindings: Bindings) -> Optional[Bindings]:
+    """Return the bindings extended so that both terms are equal, or None."""
+    left, right = value_of(left, bindings), value_of(right, bindings)
+    if left is right:
+        return bindings
+    if left.__class__ is Var:
+        return {**bindings, left: right}
+    if right.__class__ is Var:
+        return {**bindings, right: left}
+    if left.__class__ is tuple and right.__class__ is tuple:
+        if left[0] is not right[0]:
+            return None
+        for one, other in zip(left[1:], right[1:]):
+            extended = unify(one, other, bindings)
+            if extended is None:
+                return None
+            bindings = extended
+        return bindings
+    return bindings if left.__class__ is right.__class__ and left == right else None
+
+
+def merge(one: Bindings, other: Bindings) -> Optional[Bindings]:
+    """Return both substitutions as one, or None where they disagree on a variable."""
+    result: Optional[Bindings] = one
+    for var, value in other.items():
+        if result is None:
+            return None
+        result = unify(var, value, result)
+    return result
+
+
+def show(term: Term, bindings: Optional[Bindings] = None) -> str:
+    """Return the canonical text of a term; variables are A, B, ... in the order they are met."""
+    return _show(instance(term, bindings or {}), {})
+
+
+def _show(term: Term, names: Dict[Var, str]) -> str:
+    if term.__class__ is Var:
+        return names.setdefault(term, chr(ord("A") + len(names)) if len(names) < 26 else f"V{len(names)}")
+    if term.__class__ is Atom:
+        return _quoted(term.name)
+    if term.__class__ is String:
+        return f'"{term.text}"'
+    if term.__class__ is not tuple:
+        return str(term)
+    items = list_items(term)
+    if items is not None:
+        return "[" + ",".join(_show(item, names) for item in items) + "]"
+    return _quoted(term[0].name) + "(" + ",".join(_show(argument, names) for argument in term[1:]) + ")"
+
+
+def _quoted(name: str) -> str:
+    plain = name == "[]" or (name[:1].islower() and name.replace("_", "a").isalnum())
+    return name if plain else "'" + name.replace("\\", "\\\\").replace("'", "\\'") + "'"
+
+
+_COMPARE = {
+    "<": lambda one, other: one < other,
+    ">": lambda one, other: one > other,
+    "=<": lambda one, other: one <= other,
+    ">=": lambda one, other: one >= other,
+    "=:=": lambda one, other: one == other,
+    "=\\=": lambda one, other: one != other,
+}
+_ARITHMETIC = {
+    "+": lambda one, other: one + other,
+    "-": lambda one, other: one - other,
+    "*": lambda one, other: one * other,
+    "mod": lambda one, other: one % other,
+    "min": min,
+    "max": max,
+}
+TRUE, FAIL, FALSE = atom("true"), atom("fail"), atom("false")
+
+
+def number(term: Term, bindings: Bindings) -> Any:
+    """Return the value of an arithmetic expression."""
+    term = value_of(term, bindings)
+    if term.__class__ is int or term.__class__ is float:
+        return term
+    if term.__class__ is tuple and len(term) == 3 and term[0].name in _ARITHMETIC:
+        return _ARITHMETIC[term[0].name](number(term[1], bindings), number(term[2], bindings))
+    if term.__class__ is tuple and term[0] is functor("-", 1):
+        return -number(term[1], bindings)
+    raise GoalError(f"no number: {show(term, bindings)}")
+
+
+def quotient(one: Any, other: int) -> Any:
+    """Divide as ``/`` does: an integer where that is exact, else a float."""
+    if isinstance(one, int) and one % other == 0:
+        return one // other
+    return float(Fraction(one) / other) if isinstance(one, int) else one / other
+
+
+def solve(goal: Term, bindings: Bindings, facts: Optional[Dict[str, Term]] = None) -> Iterator[Bindings]:
+    """Yield the solutions of a goal in order.
+
+    ``facts`` are terms that hold for a predicate of one argument (``t1``, ``t2`` of check).
+
+    Raises:
+        GoalError: where Prolog would.
+    """
+    goal = value_of(goal, bindings)
+    facts = facts or {}
+    name = goal[0].name if goal.__class__ is tuple else getattr(goal, "name", None)
+    args = goal[1:] if goal.__class__ is tuple else ()
+    if goal is TRUE:
+        yield bindings
+    elif goal is FAIL or goal is FALSE:
+        return
+    elif name == "," and len(args) == 2:
+        for first in solve(args[0], bindings, facts):
+            yield from solve(args[1], first, facts)
+    elif name == ";" and len(args) == 2:
+        yield from solve(args[0], bindings, facts)
+        yield from solve(args[1], bindings, facts)
+    elif name == "\\+" and len(args) == 1:
+        if next(solve(args[0], bindings, facts), None) is None:
+            yield bindings
+    elif name in _COMPARE and len(args) == 2:
+        if _COMPARE[name](number(args[0], bindings), number(args[1], bindings)):
+            yield bindings
+    elif name in ("=", "is") and len(args) == 2:
+        right = args[1] if name == "=" else number(args[1], bindings)
+        extended = unify(args[0], right, bindings)
+        if extended is not None:
+            yield extended
+    elif name == "\\=" and len(args) == 2:
+        if unify(args[0], args[1], bindings) is None:
+            yield bindings
+    elif name in ("==", "\\==") and len(args) == 2:
+        if (instance(args[0], bindings) == instance(args[1], bindings)) == (name == "=="):
+            yield bindings
+    elif name == "member" and len(args) == 2:
+        rest = value_of(args[1], bindings)
+        while rest.__class__ is tuple and rest[0] is CONS:
+            extended = unify(args[0], rest[1], bindings)
+            if extended is not None:
+                yield extended
+            rest = value_of(rest[2], bindings)
+    elif name in facts and len(args) == 1:
+        extended = unify(args[0], facts[name], bindings)
+        if extended is not None:
+            yield extended
+    else:
+        raise GoalError(f"unknown goal {show(goal, bindings)}")
+
+
+def first(goal: Term, bindings: Bindings, facts: Optional[Dict[str, Term]] = None) -> Optional[Bindings]:
+    """Return the first solution of a goal, or None: also where it raises an error.
+
+    "A goal that fails stops that firing silently; a goal that raises an error stops that firing."
+    """
+    try:
+        return next(solve(goal, bindings, facts), None)
+    except GoalError:
+        return None
+
+
+__all__ = [
+    "NIL",
+    "Bindings",
+    "GoalError",
+    "first",
+    "instance",
+    "make_list",
+    "merge",
+    "number",
+    "quotient",
+    "show",
+    "solve",
+    "unbound",
+    "unify",
+    "value_of",
+]

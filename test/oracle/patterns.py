@@ -1,0 +1,233 @@
+"""Patterns of event rules as plain data.
+
+A pattern is one of the classes below; their fields are terms (`retalis.terms`), numbers of seconds, or patterns.
+Nodes compare by identity: the same pattern written at two places of a rule is two nodes.
+"""
+
+from dataclasses import dataclass, fields, replace
+from typing import Any, Iterator, List, Optional, Tuple
+
+from retalis.terms import Term, Var, variables
+
+
+@dataclass(frozen=True, eq=False)
+class Pattern:
+    """Any pattern."""
+
+
+@dataclass(frozen=True, eq=False)
+class Leaf(Pattern):
+    """An event that unifies with ``term``."""
+
+    term: Term
+
+
+@dataclass(frozen=True, eq=False)
+class Both(Pattern):
+    """``left kind right`` for the two-sided operators of `TWO_SIDED`."""
+
+    kind: str
+    left: Pattern
+    right: Pattern
+
+
+@dataclass(frozen=True, eq=False)
+class Or(Pattern):
+    """``left or right``."""
+
+    left: Pattern
+    right: Pattern
+
+
+@dataclass(frozen=True, eq=False)
+class Where(Pattern):
+    """``pattern where goal``."""
+
+    pattern: Pattern
+    goal: Term
+
+
+@dataclass(frozen=True, eq=False)
+class Prolog(Where):
+    """``pattern seq prolog(goal)``, or with ``before`` the other way round: the same as `Where`."""
+
+    before: bool = False
+    name: str = "prolog"
+
+
+@dataclass(frozen=True, eq=False)
+class Check(Pattern):
+    """``pattern check goal``."""
+
+    pattern: Pattern
+    goal: Term
+
+
+@dataclass(frozen=True, eq=False)
+class Within(Pattern):
+    """``pattern within seconds``."""
+
+    pattern: Pattern
+    seconds: Any
+
+
+@dataclass(frozen=True, eq=False)
+class Do(Pattern):
+    """``pattern do goal``."""
+
+    pattern: Pattern
+    goal: Term
+
+
+@dataclass(frozen=True, eq=False)
+class Multiply(Pattern):
+    """``pattern event_multiply goal``."""
+
+    pattern: Pattern
+    goal: Term
+
+
+@dataclass(frozen=True, eq=False)
+class Cnot(Pattern):
+    """``pattern cnot absent``."""
+
+    pattern: Pattern
+    absent: Pattern
+
+
+@dataclass(frozen=True, eq=False)
+class Fnot(Pattern):
+    """``pattern fnot absent``."""
+
+    pattern: Pattern
+    absent: Pattern
+
+
+@dataclass(frozen=True, eq=False)
+class Star(Pattern):
+    """``first seq (repeated star_times)``."""
+
+    first: Pattern
+    repeated: Pattern
+
+
+@dataclass(frozen=True, eq=False)
+class Ntimes(Pattern):
+    """``pattern ntimes times``."""
+
+    pattern: Pattern
+    times: int
+
+
+@dataclass(frozen=True, eq=False)
+class Aggregate(Pattern):
+    """``first seq aggregate(kind(value), repeated, result)``; ``value`` is None for count."""
+
+    first: Pattern
+    kind: str
+    value: Optional[Term]
+    repeated: Pattern
+    result: Term
+
+
+@dataclass(frozen=True, eq=False)
+class Sub(Pattern):
+    """``(head <- pattern)`` inside a pattern."""
+
+    head: Term
+    pattern: Pattern
+
+
+@dataclass(frozen=True, eq=False)
+class Rule:
+    """``head <- pattern``, with a label that may carry a window in seconds."""
+
+    head: Term
+    pattern: Pattern
+    label: Optional[str] = None
+    window: Any = None
+    do: Optional[Term] = None
+    """The goal of ``head do goal <- pattern``."""
+
+
+TWO_SIDED = ("seq", "and", "par", "equals", "meets", "during", "starts", "finishes", "forall_seq")
+EITHER_ORDER = TWO_SIDED[1:-1]
+KINDS = ("count", "sum", "min", "max", "avg", "list")
+CONDITIONS = (Where, Check, Within)
+
+
+def parts(node: Pattern) -> List[Any]:
+    """Return what a pattern is made of, from left to right: patterns, terms, numbers."""
+    if isinstance(node, Prolog) and node.before:
+        return [node.goal, node.pattern]
+    return [getattr(node, field.name) for field in fields(node)]
+
+
+def children(node: Pattern) -> List[Pattern]:
+    """Return the patterns directly below a pattern."""
+    return [part for part in parts(node) if isinstance(part, Pattern)]
+
+
+def walk(node: Pattern) -> Iterator[Pattern]:
+    """Yield a pattern and all patterns below it."""
+    yield node
+    for child in children(node):
+        yield from walk(child)
+
+
+def pattern_variables(node: Pattern) -> List[Var]:
+    """Return the variables of a pattern, those of its goals included, from left to right."""
+    found: List[Var] = []
+    for part in parts(node):
+        if isinstance(part, Pattern):
+            found += pattern_variables(part)
+        elif not isinstance(part, (str, bool)) and part is not None:
+            found += variables(part)
+    return list(dict.fromkeys(found))
+
+
+def expand(node: Pattern) -> Pattern:
+    """Return a pattern with every ``Q ntimes N`` written out."""
+    changed = {}
+    for field in fields(node):
+        part = getattr(node, field.name)
+        if isinstance(part, Pattern):
+            changed[field.name] = expand(part)
+    if not isinstance(node, Ntimes):
+        return replace(node, **changed)
+    # "ntimes N is exactly Q seq ... seq Q, variables shared"
+    result = expand(node.pattern)
+    for _ in range(node.times - 1):
+        result = Both("seq", result, expand(node.pattern))
+    return result
+
+
+def take_out_subpatterns(rules: List[Rule]) -> List[Rule]:
+    """Return the rules with each ``(S <- Q)`` replaced by S, and ``S <- Q`` as a rule of its own after them."""
+    extra: List[Rule] = []
+
+    def plain(node: Pattern) -> Pattern:
+        if isinstance(node, Sub):
+            extra.append(Rule(node.head, plain(node.pattern)))
+            return Leaf(node.head)
+        changed = {
+            field.name: plain(getattr(node, field.name))
+            for field in fields(node)
+            if isinstance(getattr(node, field.name), Pattern)
+        }
+        return replace(node, **changed)
+
+    return [replace(rule, pattern=plain(rule.pattern)) for rule in rules] + extra
+
+
+def strip(node: Pattern) -> Tuple[Pattern, List[Pattern]]:
+    """Return the nearest operator (or leaf) at or below a pattern, and the conditions above it, lowest first.
+
+    "A condition (where, within, check) belongs to the nearest operator below it, looking through other
+    conditions."
+    """
+    conditions: List[Pattern] = []
+    while isinstance(node, CONDITIONS):
+        conditions.insert(0, node)
+        node = node.pattern
+    return node, conditions

@@ -1,0 +1,223 @@
+"""Texts of the oracle: a small notation to write tests in, and rules written out for the engine to read.
+
+Terms here are canonical (``<(X,Y)``, no operators); patterns are written as prefix terms, ``seq(a(X),b(Y))``, and
+read into `patterns`. What is written out for the engine is the language's own notation, with every operator's
+operands in parentheses.
+"""
+
+import re
+from fractions import Fraction
+from typing import Any, Dict, Iterable, List, Tuple
+
+from retalis.terms import Term, Var, atom, functor, list_items, make_list
+
+from .goals import show
+from .patterns import (
+    KINDS,
+    TWO_SIDED,
+    Aggregate,
+    Both,
+    Check,
+    Cnot,
+    Do,
+    Fnot,
+    Leaf,
+    Multiply,
+    Ntimes,
+    Or,
+    Pattern,
+    Prolog,
+    Rule,
+    Star,
+    Sub,
+    Where,
+    Within,
+)
+
+_TOKEN = re.compile(r"\s*(-?\d+(?:\.\d+)?|[A-Z_]\w*|[a-z]\w*|'[^']*'|\[\]|[-+*/<>=\\:]+|.)")
+
+
+class Reader:
+    """Reads terms; the same name is the same variable for the life of the reader (one rule)."""
+
+    def __init__(self) -> None:
+        self.names: Dict[str, Var] = {}
+
+    def term(self, text: str) -> Term:
+        """Read one term."""
+        self.tokens = [token for token in _TOKEN.findall(text) if token.strip()]
+        result = self._term()
+        assert not self.tokens, f"left over: {self.tokens}"
+        return result
+
+    def _term(self) -> Term:
+        token = self.tokens.pop(0)
+        if token == "[":
+            return make_list(self._arguments("]"))
+        if re.match(r"-?\d", token):
+            return float(token) if "." in token else int(token)
+        if token[0].isupper() or token[0] == "_":
+            return Var() if token == "_" else self.names.setdefault(token, Var())
+        name = token.strip("'")
+        if self.tokens and self.tokens[0] == "(":
+            self.tokens.pop(0)
+            arguments = self._arguments(")")
+            return functor(name, len(arguments))(*arguments)
+        return atom(name)
+
+    def _arguments(self, close: str) -> List[Term]:
+        arguments = []
+        while True:
+            arguments.append(self._term())
+            token = self.tokens.pop(0)
+            if token == close:
+                return arguments
+            assert token == ",", token
+
+
+def pattern_of(term: Term) -> Pattern:
+    """Return the pattern that a term in prefix notation (or read by the package's reader) stands for."""
+    name = term[0].name if term.__class__ is tuple else None
+    args = term[1:] if term.__class__ is tuple else ()
+    if name in ("seq", "and", "or") and len(args) == 2:
+        found = _sequence(*args) if name == "seq" else None
+        if found is not None:
+            return found
+    if len(args) == 2 and name in TWO_SIDED:
+        return Both(name, pattern_of(args[0]), pattern_of(args[1]))
+    made: Dict[str, Any] = {
+        "or": lambda p, q: Or(pattern_of(p), pattern_of(q)),
+        "cnot": lambda p, q: Cnot(pattern_of(p), pattern_of(q)),
+        "fnot": lambda p, q: Fnot(pattern_of(p), pattern_of(q)),
+        "where": lambda p, goal: Where(pattern_of(p), goal),
+        "check": lambda p, goal: Check(pattern_of(p), goal),
+        "timestamp": lambda p, goal: Check(pattern_of(p), goal),
+        "within": lambda p, n: Within(pattern_of(p), Fraction(n)),
+        "do": lambda p, goal: Do(pattern_of(p), goal),
+        "event_multiply": lambda p, goal: Multiply(pattern_of(p), goal),
+        "ntimes": lambda p, n: Ntimes(pattern_of(p), n),
+        "<-": lambda head, p: Sub(head, pattern_of(p)),
+    }
+    if len(args) == 2 and name in made:
+        result: Pattern = made[name](*args)
+        return result
+    return Leaf(term)
+
+
+def _sequence(left: Term, right: Term) -> Any:
+    """Return the patterns that are written with seq and are no sequence of two events."""
+    for goal, other, before in ((right, left, False), (left, right, True)):
+        if goal.__class__ is tuple and goal[0].name in ("prolog", "query", "db") and len(goal) == 2:
+            return Prolog(pattern_of(other), goal[1], before, goal[0].name)
+    if right.__class__ is tuple and right[0].name == "star_times":
+        return Star(pattern_of(left), pattern_of(right[1]))
+    if right.__class__ is tuple and right[0] is functor("aggregate", 3):
+        kind = right[1]
+        value = kind[1] if kind.__class__ is tuple else None
+        name = kind[0].name if kind.__class__ is tuple else kind.name
+        assert name in KINDS, name
+        return Aggregate(pattern_of(left), name, value, pattern_of(right[2]), right[3])
+    return None
+
+
+def rule(head: str, pattern: str, **options: Any) -> Rule:
+    """Read a rule from the texts of its head and its pattern, both in prefix notation."""
+    reader = Reader()
+    if "do" in options:
+        options["do"] = reader.term(options["do"])
+    return Rule(reader.term(head), pattern_of(reader.term(pattern)), **options)
+
+
+def stream(text: str) -> List[Tuple[Term, Any, Any]]:
+    """Read events ``a(1)@1 b(2)@2-4``: term, start and end in seconds."""
+    events = []
+    for item in text.split():
+        term, times = item.rsplit("@", 1)
+        start, _, end = times.partition("-")
+        events.append((Reader().term(term), int(start), int(end or start)))
+    return events
+
+
+def brief(events: Iterable[Tuple[str, Any, Any]]) -> str:
+    """Write events in the notation of `stream`."""
+    return " ".join(f"{term}@{start}" + (f"-{end}" if end != start else "") for term, start, end in events)
+
+
+class Names(Dict[Var, str]):
+    """Names of a rule's variables, given out as they are met."""
+
+    def __missing__(self, var: Var) -> str:
+        name = self[var] = f"V{len(self)}"
+        return name
+
+
+def write_term(term: Term, names: Names) -> str:
+    """Write a term canonically, so that no operator matters."""
+    if term.__class__ is Var:
+        return names[term]
+    items = list_items(term)
+    if items is not None:
+        return "[" + ",".join(write_term(item, names) for item in items) + "]"
+    if term.__class__ is tuple:
+        inside = ",".join(write_term(argument, names) for argument in term[1:])
+        name = show(atom(term[0].name))
+        return f"{name}({inside})"
+    return show(term)
+
+
+def write_seconds(seconds: Any) -> str:
+    """Write a number of seconds."""
+    return str(int(seconds)) if seconds == int(seconds) else str(float(seconds))
+
+
+def write_pattern(node: Pattern, names: Names) -> str:
+    """Write a pattern in the language's notation."""
+
+    def term(part: Term) -> str:
+        return "(" + write_term(part, names) + ")"
+
+    def inner(part: Pattern) -> str:
+        return "(" + write_pattern(part, names) + ")"
+
+    if isinstance(node, Leaf):
+        return write_term(node.term, names)
+    if isinstance(node, Both):
+        return f"{inner(node.left)} {node.kind} {inner(node.right)}"
+    if isinstance(node, Or):
+        return f"{inner(node.left)} or {inner(node.right)}"
+    if isinstance(node, Prolog):
+        goal = f"{node.name}{term(node.goal)}"
+        return f"{goal} seq {inner(node.pattern)}" if node.before else f"{inner(node.pattern)} seq {goal}"
+    if isinstance(node, Star):
+        return f"{inner(node.first)} seq ({inner(node.repeated)} star_times)"
+    if isinstance(node, Aggregate):
+        kind = node.kind if node.value is None else f"{node.kind}{term(node.value)}"
+        repeated = write_pattern(node.repeated, names)
+        if not isinstance(node.repeated, Leaf):
+            repeated = f"({repeated})"
+        return f"{inner(node.first)} seq aggregate({kind},{repeated},{write_term(node.result, names)})"
+    if isinstance(node, Ntimes):
+        return f"{inner(node.pattern)} ntimes {node.times}"
+    if isinstance(node, Within):
+        return f"{inner(node.pattern)} within {write_seconds(node.seconds)}"
+    if isinstance(node, (Cnot, Fnot)):
+        return f"{inner(node.pattern)} {type(node).__name__.lower()} {inner(node.absent)}"
+    if isinstance(node, Sub):
+        return f"{write_term(node.head, names)} <- {write_pattern(node.pattern, names)}"
+    words = {Where: "where", Check: "check", Do: "do", Multiply: "event_multiply"}
+    return f"{inner(node.pattern)} {words[type(node)]} {term(node.goal)}"  # type: ignore[attr-defined]
+
+
+def write_rule(rule: Rule) -> str:
+    """Write a rule in the language's notation, with its full stop."""
+    names = Names()
+    head = write_term(rule.head, names)
+    if rule.do is not None:
+        head += f" do ({write_term(rule.do, names)})"
+    text = f"{head} <- {write_pattern(rule.pattern, names)}."
+    if rule.label is None and rule.window is None:
+        return text
+    label = rule.label or "label"
+    if rule.window is not None:
+        label += f"([property(event_rule_window,{write_seconds(rule.window)})])"
+    return f"{label} 'rule:' {text}"
