@@ -15,20 +15,32 @@ time goes there. Compound terms are immutable; ground ones are shared and never 
 Everything here works without recursion: a list of a million elements is as safe as one of three.
 """
 
+from _weakref import _remove_dead_weakref  # type: ignore[attr-defined]
 from itertools import count
+from threading import Lock
 from typing import Any, Callable, Dict, Iterable, Iterator, List, Optional, Tuple
+from weakref import ref
 
 Term = Any
 """The union above; Python's type system has no cheap name for it."""
 
 
 class Atom:
-    """A constant; made by `atom`, which gives the same object for the same name."""
+    """A constant; made by `atom`, which gives the same object for the same name.
 
-    __slots__ = ("name", "functor")
+    ``functor`` is the `Functor` of the name and arity 0, made when it is asked for.
+    """
+
+    __slots__ = ("name", "functor", "__weakref__")
 
     name: str
     functor: "Functor"
+
+    def __getattr__(self, attribute: str) -> "Functor":
+        if attribute != "functor":
+            raise AttributeError(attribute)
+        made = self.functor = functor(self.name, 0)
+        return made
 
     def __repr__(self) -> str:
         return f"atom({self.name!r})"
@@ -96,8 +108,9 @@ class Lazy:
     """A term that is made when it is looked at, once; its functor is known before.
 
     Attributes:
-        functor: the `Functor` that the term will have.
-        make: called with ``source`` to make the compound term.
+        functor: the `Functor` that the term will have; of the empty name and arity 0 where the term will be
+            an atom whose name is not known yet.
+        make: called with ``source`` to make the term.
     """
 
     __slots__ = ("functor", "make", "source", "made")
@@ -120,7 +133,14 @@ class Lazy:
         return f"Lazy({self.functor})"
 
 
-_atoms: Dict[str, Atom] = {}
+class _AtomRef(ref):  # type: ignore[type-arg]
+    """The table's reference to an atom: it goes when the last term with the atom goes."""
+
+    __slots__ = ("name",)
+
+
+_atoms: Dict[str, _AtomRef] = {}
+_new_atoms = Lock()
 _functors: Dict[Tuple[str, int], Functor] = {}
 _serials = count(1)
 
@@ -137,14 +157,32 @@ def functor(name: str, arity: int) -> Functor:
 
 
 def atom(name: str) -> Atom:
-    """Return the one `Atom` of this name."""
-    found = _atoms.get(name)
-    if found is None:
-        made = Atom()
-        made.name = name
-        made.functor = functor(name, 0)
-        found = _atoms.setdefault(name, made)
+    """Return the one `Atom` of this name.
+
+    Atoms that no term holds any more are forgotten: texts of messages do not pile up.
+    """
+    try:
+        found: Optional[Atom] = _atoms[name]()
+    except KeyError:
+        return _new_atom(name)
+    return found or _new_atom(name)
+
+
+def _new_atom(name: str) -> Atom:
+    with _new_atoms:
+        known = _atoms.get(name)
+        found: Optional[Atom] = None if known is None else known()
+        if found is None:
+            found = Atom()
+            found.name = name
+            reference = _AtomRef(found, _forget)
+            reference.name = name
+            _atoms[name] = reference
     return found
+
+
+def _forget(reference: _AtomRef) -> None:
+    _remove_dead_weakref(_atoms, reference.name)
 
 
 def serial(var: Var) -> int:

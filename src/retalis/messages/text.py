@@ -14,7 +14,7 @@ MARK = "FFFFFFFFFF"
 _LINE, _BREAK = 76, "////"
 _PRINTABLE = re.compile(rb"[ -~\t\n\r\v\f]*\Z")
 
-LONG = 256
+LONG = 1024
 """Bytes from which on a text is made only when something looks at it."""
 
 TEXT: Functor = functor("", 0)
