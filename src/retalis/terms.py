@@ -97,8 +97,11 @@ class Var:
 
     __slots__ = ("ref", "serial")
 
+    ref: Term
+    serial: int
+
     def __init__(self) -> None:
-        self.ref: Term = None
+        self.ref = None
 
     def __repr__(self) -> str:
         return f"Var(_G{serial(self)})" if self.ref is None else f"Var({self.ref!r})"
@@ -137,6 +140,8 @@ class _AtomRef(ref):  # type: ignore[type-arg]
     """The table's reference to an atom: it goes when the last term with the atom goes."""
 
     __slots__ = ("name",)
+
+    name: str
 
 
 _atoms: Dict[str, _AtomRef] = {}
