@@ -15,7 +15,7 @@ import time
 import urllib.error
 import urllib.request
 from pathlib import Path
-from typing import Dict, Iterable, List, NamedTuple, Optional, Sequence
+from typing import Dict, Iterable, List, Mapping, NamedTuple, Optional, Sequence
 
 HERE = Path(__file__).resolve().parent
 PYTHON = "/usr/bin/python3"  # the one interpreter that sees the distribution's ROS modules
@@ -51,12 +51,12 @@ _COMMON = "cmake g++ make python3-lark python3-numpy python3-setuptools python3-
 _DEBIAN = """
     catkin librostest-dev libstd-msgs-dev python3-diagnostic-msgs python3-geometry-msgs python3-rosbag
     python3-roslaunch python3-rosmaster python3-rosmsg python3-rosnode python3-rosparam python3-rospy
-    python3-rosservice python3-rostest python3-rostopic python3-std-msgs python3-std-srvs python3-tf python3-tf2
-    python3-tf2-msgs ros-message-generation ros-message-runtime rosout
+    python3-rosservice python3-rostest python3-rostopic python3-std-msgs python3-std-srvs python3-tf
+    python3-tf2 python3-tf2-msgs ros-message-generation ros-message-runtime rosbash rosout
     """
 
 _NOETIC = """
-    catkin diagnostic-msgs geometry-msgs message-generation message-runtime rosbag roslaunch rosmaster rosmsg
+    catkin diagnostic-msgs geometry-msgs message-generation message-runtime rosbag rosbash roslaunch rosmaster rosmsg
     rosnode rosout rosparam rospy rosservice rostest rostopic std-msgs std-srvs tf tf2-msgs tf2-py
     """
 
@@ -70,6 +70,12 @@ UBUNTU_20_04 = Platform(
 )
 
 PLATFORMS = {("debian", "12"): DEBIAN_12, ("ubuntu", "20.04"): UBUNTU_20_04}
+
+
+def default_workspace(source: Path, environ: Mapping[str, str]) -> Path:
+    """Return the cache folder's place for a copy of the sources: each copy has its own workspace."""
+    cache = Path(environ.get("XDG_CACHE_HOME") or Path(environ.get("HOME", "/tmp")) / ".cache")
+    return cache / "retalis" / f"{source.name}-{digest(str(source))[:8]}"
 
 
 def parse_os_release(text: str) -> Dict[str, str]:
@@ -282,28 +288,29 @@ def bash(lines: Sequence[str], command: Sequence[str]) -> List[str]:
 
 def arguments(argv: Sequence[str]) -> argparse.Namespace:
     """Read the command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(prog="install.py", description=__doc__)
     add = parser.add_argument
     add(
         "--workspace",
         type=Path,
-        default=HERE / "build" / "workspace",
         metavar="DIR",
-        help="catkin workspace to build in (default: build/workspace beside this file)",
+        help="catkin workspace (default: in ~/.cache/retalis)",
     )
     add("--no-system", action="store_true", help="install no system packages; stop where some are missing")
     add("--install", action="store_true", help="make the install space too (catkin_make install)")
     add("--dry-run", action="store_true", help="say what would be done, and do nothing")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND")
     commands.add_parser("build", help="install what is needed and build (the default)")
-    demo = commands.add_parser("demo", help="... and run the NAO example", add_help=False)
-    demo.add_argument("rest", nargs=argparse.REMAINDER, help="options of the demo; demo --help lists them")
-    test = commands.add_parser("test", help="... and run every test", add_help=False)
-    test.add_argument("rest", nargs=argparse.REMAINDER, help="options for pytest")
+    commands.add_parser("demo", help="... and run the NAO example (see demo --help)", add_help=False)
+    commands.add_parser("test", help="... and run every test; options go to pytest", add_help=False)
     commands.add_parser("lint", help="... and check the style: ruff, mypy, catkin_lint")
-    options = parser.parse_args(argv)
+    options, options.rest = parser.parse_known_args(argv)
+    if options.rest and options.command not in ("demo", "test"):
+        parser.error("unknown argument: " + options.rest[0])
     options.command = options.command or "build"
-    options.workspace = options.workspace.expanduser().resolve()
+    options.workspace = (options.workspace or default_workspace(HERE, os.environ)).expanduser().resolve()
+    if options.workspace == HERE or HERE in options.workspace.parents:
+        parser.error("the workspace has to be outside of the package: ROS searches a package's whole folder")
     return options
 
 
@@ -327,6 +334,9 @@ def main(argv: Sequence[str]) -> int:
     """Do what the command line says and return the exit status."""
     options = arguments(argv)
     os.environ["PATH"] = "/usr/bin" + os.pathsep + os.environ.get("PATH", "")
+    if options.command == "demo" and {"-h", "--help"} & set(options.rest):
+        os.environ["PYTHONPATH"] = str(HERE / "src")
+        return subprocess.call([sys.executable, "-m", "retalis.ros.demo", "--help"])
     shell = Shell(options.workspace / "log", options.dry_run)
     platform = choose_platform(parse_os_release(Path("/etc/os-release").read_text()))
     installation = Installation(platform, options.workspace, shell, not options.no_system)

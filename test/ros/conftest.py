@@ -1,0 +1,105 @@
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import time
+from pathlib import Path
+from xmlrpc.client import ServerProxy
+
+import pytest
+
+SPACES = ("devel", "install")
+
+
+@pytest.fixture
+def port():
+    """A port that nobody listens to."""
+    with socket.socket() as probe:
+        probe.bind(("localhost", 0))
+        return probe.getsockname()[1]
+
+
+class Space:
+    """The package as built into one of the workspace's spaces, with a master of its own."""
+
+    def __init__(self, script, port, logs):
+        self.port = port
+        self.env = dict(
+            os.environ,
+            PATH="/usr/bin" + os.pathsep + os.environ["PATH"],
+            ROS_MASTER_URI=f"http://localhost:{port}",
+            ROS_HOSTNAME="localhost",
+            ROS_LOG_DIR=str(logs),
+        )
+        for name in ("PYTHONPATH", "CMAKE_PREFIX_PATH", "ROS_PACKAGE_PATH"):
+            self.env.pop(name, None)
+        self.script = script
+        self.logs = logs
+        self.started = []
+
+    def command(self, *words):
+        """Return the command as it is run in a shell that has sourced setup.bash."""
+        return ["bash", "-c", 'source "$0" && exec "$@"', str(self.script), *words]
+
+    def run(self, *words):
+        """Run to the end and return what was printed."""
+        return subprocess.run(
+            self.command(*words), env=self.env, check=True, stdout=subprocess.PIPE, text=True, timeout=60
+        ).stdout
+
+    def start(self, *words):
+        """Start a process; it is ended after the test."""
+        log = self.logs / f"{len(self.started)}.out"
+        with log.open("wb") as output:
+            process = subprocess.Popen(
+                self.command(*words), env=self.env, stdout=output, stderr=subprocess.STDOUT
+            )
+        self.started.append(process)
+        return process
+
+    def printed(self):
+        """Return what the started processes have printed."""
+        return "\n".join(path.read_text(errors="replace") for path in sorted(self.logs.glob("*.out")))
+
+    def state(self):
+        """Return the master's nodes and services, or nothing where there is no master yet."""
+        try:
+            master = ServerProxy(self.env["ROS_MASTER_URI"])
+            publications, subscriptions, services = master.getSystemState("/test")[2]
+        except OSError:
+            return set(), set()
+        everything = (*publications, *subscriptions, *services)
+        return {node for _, nodes in everything for node in nodes}, {name for name, _ in services}
+
+    def wait_for(self, condition, seconds=30):
+        """Wait until the master's state fulfils the condition and return whether it did."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            if condition(*self.state()):
+                return True
+            time.sleep(0.1)
+        return False
+
+    def close(self):
+        """End what was started, last first; return the exit statuses."""
+        for process in reversed(self.started):
+            if process.poll() is None:
+                process.send_signal(signal.SIGINT)
+            try:
+                process.wait(timeout=20)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+        return [process.returncode for process in self.started]
+
+
+@pytest.fixture(params=SPACES)
+def space(request, port, tmp_path):
+    """Each space in turn, where install.py built them."""
+    workspace = os.environ.get("RETALIS_WORKSPACE")
+    if not workspace or not shutil.which("roslaunch"):
+        pytest.skip("./install.py test builds the spaces")
+    it = Space(Path(workspace) / request.param / "setup.bash", port, tmp_path)
+    yield it
+    it.close()

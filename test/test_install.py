@@ -1,0 +1,175 @@
+import importlib.util
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+HERE = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="module")
+def install():
+    spec = importlib.util.spec_from_file_location("install", str(HERE / "install.py"))
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_os_release_with_and_without_quotes(install):
+    text = '# made by hand\nID=debian\nVERSION_ID="12"\nPRETTY_NAME="Debian GNU/Linux 12 (bookworm)"\n\n'
+    assert install.parse_os_release(text) == {
+        "ID": "debian",
+        "VERSION_ID": "12",
+        "PRETTY_NAME": "Debian GNU/Linux 12 (bookworm)",
+    }
+
+
+@pytest.mark.parametrize(
+    "release, name",
+    [
+        ({"ID": "debian", "VERSION_ID": "12"}, "Debian 12"),
+        ({"ID": "ubuntu", "VERSION_ID": "20.04"}, "Ubuntu 20.04"),
+    ],
+)
+def test_known_platforms(install, release, name):
+    assert install.choose_platform(release).name == name
+
+
+def test_unknown_platform_names_itself_and_the_way_without_ros(install):
+    with pytest.raises(install.Problem, match=r"this is Arch Linux; .* python3 -m retalis") as raised:
+        install.choose_platform({"ID": "arch", "PRETTY_NAME": "Arch Linux"})
+    assert "\n" not in str(raised.value)
+
+
+def test_platforms_name_each_package_once(install):
+    for platform in install.PLATFORMS.values():
+        assert len(set(platform.packages)) == len(platform.packages)
+
+
+def test_missing_packages_keeps_the_order_and_counts_removed_ones(install):
+    report = "b install ok installed\nc deinstall ok config-files\n"
+    assert install.missing_packages(["d", "c", "b", "a"], report) == ["d", "c", "a"]
+
+
+def test_sudo_only_where_it_is_needed(install):
+    assert install.as_root(["apt-get", "update"], 0) == ["apt-get", "update"]
+    assert install.as_root(["apt-get", "update"], 1000) == ["sudo", "apt-get", "update"]
+
+
+def test_digest_tells_texts_apart(install):
+    assert install.digest("ab", "c") != install.digest("a", "bc")
+    assert install.digest("ab", "c") == install.digest("ab", "c")
+
+
+def test_tail_is_the_end_indented(install):
+    assert install.tail("1\n2\n3\n\n", 2) == "    2\n    3"
+
+
+def test_bash_keeps_arguments_apart(install):
+    command = install.bash(["X=1", 'exec "$@"'], ["printf", "%s|", "a b", "$X", "'"])
+    assert subprocess.check_output(command) == b"a b|$X|'|"
+
+
+def test_arguments(install):
+    options = install.arguments([])
+    assert (options.command, options.rest, options.dry_run) == ("build", [], False)
+    assert options.workspace == install.default_workspace(HERE, os.environ).resolve()
+    options = install.arguments(["--workspace", "~/ws", "demo", "--bag", "x.bag", "--seconds", "5"])
+    assert options.workspace == Path.home().resolve() / "ws"
+    assert (options.command, options.rest) == ("demo", ["--bag", "x.bag", "--seconds", "5"])
+
+
+def test_each_copy_of_the_sources_has_its_own_workspace(install):
+    home = {"HOME": "/home/me"}
+    one = install.default_workspace(Path("/a/retalis"), home)
+    assert str(one).startswith("/home/me/.cache/retalis/retalis-")
+    assert one != install.default_workspace(Path("/b/retalis"), home)
+    cache = {"HOME": "/home/me", "XDG_CACHE_HOME": "/cache"}
+    assert install.default_workspace(Path("/a/retalis"), cache).parent == Path("/cache/retalis")
+
+
+@pytest.mark.parametrize("place", [".", "build/workspace"])
+def test_a_workspace_inside_the_package_is_refused(install, place, capsys):
+    with pytest.raises(SystemExit):
+        install.arguments(["--workspace", str(HERE / place)])
+    assert "outside of the package" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("argv", [["lint", "--fast"], ["--fast"], ["buidl"]])
+def test_wrong_arguments_are_refused(install, argv, capsys):
+    with pytest.raises(SystemExit) as raised:
+        install.arguments(argv)
+    assert raised.value.code == 2
+    assert "install.py: error:" in capsys.readouterr().err
+
+
+def test_step_logs_and_says_so(install, tmp_path, capfd):
+    install.Shell(tmp_path / "log").step("Talking", "talk", [sys.executable, "-c", "print('hello')"])
+    assert (tmp_path / "log" / "talk.log").read_text() == "hello\n"
+    out, err = capfd.readouterr()
+    assert out.startswith("Talking ... done (") and "hello" not in out
+    assert err == ""
+
+
+def test_failed_step_shows_its_end_and_names_its_log(install, tmp_path, capfd):
+    failing = [sys.executable, "-c", "print('reason'); raise SystemExit(3)"]
+    with pytest.raises(install.Problem, match=r"talk failed with exit status 3; .*talk\.log"):
+        install.Shell(tmp_path).step("Talking", "talk", failing)
+    out, err = capfd.readouterr()
+    assert "failed (" in out
+    assert err == "    reason\n"
+
+
+def test_unknown_program_is_one_line(install, tmp_path):
+    with pytest.raises(install.Problem, match="no-such-program is not installed"):
+        install.Shell(tmp_path).step("Talking", "talk", ["no-such-program"])
+
+
+def test_dry_run_runs_nothing(install, tmp_path, capsys):
+    shell = install.Shell(tmp_path / "log", dry=True)
+    shell.step("Talking", "talk", ["touch", str(tmp_path / "a b")])
+    assert shell.show(["touch", str(tmp_path / "c")]) == 0
+    assert list(tmp_path.iterdir()) == []
+    assert capsys.readouterr().out.startswith("would run: touch '")
+
+
+PATIENT = """
+import sys, time
+try:
+    print("up", flush=True)
+    time.sleep(60)
+except KeyboardInterrupt:
+    sys.exit(7)
+"""
+
+
+def test_stop_asks_first(install):
+    process = subprocess.Popen([sys.executable, "-c", PATIENT], stdout=subprocess.PIPE)
+    process.stdout.readline()
+    install.stop(process)
+    process.stdout.close()
+    assert process.returncode == 7
+
+
+def test_interrupt_ends_the_command(install, tmp_path, monkeypatch):
+    ended = []
+
+    def stop(process):
+        ended.append(process)
+        process.kill()
+        process.wait()
+
+    monkeypatch.setattr(install, "stop", stop)
+
+    class Interrupted(subprocess.Popen):
+        def wait(self, timeout=None):
+            if not ended:
+                raise KeyboardInterrupt
+            return super().wait(timeout)
+
+    monkeypatch.setattr(install.subprocess, "Popen", Interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        install.Shell(tmp_path).show([sys.executable, "-c", "import time; time.sleep(60)"])
+    assert len(ended) == 1 and ended[0].returncode is not None
