@@ -1,0 +1,138 @@
+"""Under ``unrestricted``, what fires without any state: all combinations of events that satisfy the whole pattern.
+
+"Under unrestricted every combination that satisfies the whole pattern fires exactly once, on its last arrival."
+For each arrival, all assignments of the events so far to the leaves are made, and those stay that hold together and
+contain the new event. Only the conditions' evaluation and the tables of times are those of the other evaluator.
+
+Star_times, aggregates and forall_seq are not here: their results depend on runs and on what was used up.
+"""
+
+from collections import Counter
+from dataclasses import replace
+from typing import Any, Counter as CounterOf, Iterable, List, NamedTuple, Sequence, Tuple
+
+from retalis.terms import Term, copy
+
+from .evaluator import FIRES, INTERVAL, Event, Match, RuleState, _all
+from .goals import first, instance, show
+from .patterns import (
+    Aggregate,
+    Both,
+    Cnot,
+    Do,
+    Fnot,
+    Leaf,
+    Multiply,
+    Or,
+    Pattern,
+    Rule,
+    Star,
+    Sub,
+    strip,
+    walk,
+)
+
+
+class Found(NamedTuple):
+    """A match and the number of the arrival that completed it."""
+
+    match: Match
+    at: int
+
+
+def defined_for(rules: Sequence[Rule]) -> bool:
+    """Tell whether the rules are in the domain of this evaluator: one rule, no runs, no forall_seq."""
+    return len(rules) == 1 and not any(
+        isinstance(node, (Star, Aggregate, Sub)) or (isinstance(node, Both) and node.kind == "forall_seq")
+        for node in walk(rules[0].pattern)
+    )
+
+
+class Combinations:
+    """All matches of one rule's pattern in a list of events."""
+
+    def __init__(self, rule: Rule, out_of_order: bool):
+        self.rule = rule
+        self.out_of_order = out_of_order
+        self.tests = RuleState(rule, "unrestricted")
+
+    def found(self, node: Pattern, events: Sequence[Event]) -> List[Found]:
+        """Return all matches of a pattern."""
+        operator, conditions = strip(node)
+        matches = self._operator(operator, events, conditions)
+        tests = [self.tests._test_of(condition) for condition in conditions]
+        result = []
+        for match, at in matches:
+            settled = self.tests._settle(match, operator)
+            passed = None if settled is None else self.tests._passes(settled, tests)
+            if passed is not None:
+                result.append(Found(passed, at))
+        return result
+
+    def _operator(self, node: Any, events: Sequence[Event], conditions: List[Pattern]) -> Iterable[Found]:
+        if isinstance(node, Leaf):
+            return [Found(match, e.number) for e in events for match in self.tests._leaf(node, e)]
+        if isinstance(node, Or):
+            return self.found(node.left, events) + self.found(node.right, events)
+        if isinstance(node, Both):
+            return [pair for _, _, pair in self._pairs(node, events)]
+        if isinstance(node, Do):
+            solved = [
+                (first(node.goal, match.bindings), match, at)
+                for match, at in self.found(node.pattern, events)
+            ]
+            return [Found(replace(match, bindings=b), at) for b, match, at in solved if b is not None]
+        if isinstance(node, Multiply):
+            return [
+                Found(replace(match, bindings=bindings), at)
+                for match, at in self.found(node.pattern, events)
+                for bindings in _all(node.goal, match.bindings)
+            ]
+        assert isinstance(node, (Cnot, Fnot))
+        return self._absent(node, events)
+
+    def _pairs(self, node: Both, events: Sequence[Event]) -> Iterable[Tuple[Match, Match, Found]]:
+        for p in self.found(node.left, events):
+            for q in self.found(node.right, events):
+                in_time = node.kind != "seq" or self.out_of_order or p.at < q.at
+                same = len(p.match.numbers) == 1 and p.match.numbers == q.match.numbers
+                if same or not in_time or not FIRES[node.kind](p.match, q.match):
+                    continue
+                match = self.tests._join(p.match, q.match, *INTERVAL[node.kind](p.match, q.match), node)
+                if match is not None and self.tests._in_window(match):
+                    yield p.match, q.match, Found(match, max(p.at, q.at))
+
+    def _absent(self, node: Any, events: Sequence[Event]) -> Iterable[Found]:
+        absent = self.found(node.absent, events)
+        inner, between = strip(node.pattern)
+        if isinstance(node, Cnot) and isinstance(inner, Both) and inner.kind == "seq":
+            tests = [self.tests._test_of(condition) for condition in between]
+            for p, q, (match, at) in self._pairs(inner, events):
+                passed = self.tests._passes(match, tests)
+                if passed is not None and not any(
+                    r_at <= at and p.end < r.start and r.end < q.start and self.tests._agree(r, passed)
+                    for r, r_at in absent
+                ):
+                    yield Found(passed, at)
+        else:
+            for match, at in self.found(node.pattern, events):
+                if not any(
+                    r_at <= at and r.end < match.start and self.tests._agree(r, match) for r, r_at in absent
+                ):
+                    yield Found(match, at)
+
+
+def firings(
+    rule: Rule, stream: Iterable[Tuple[Term, Any, Any]], out_of_order: bool = False
+) -> List[CounterOf[Tuple[str, Any, Any]]]:
+    """Return what fires at each arrival, as multisets: the order is not this evaluator's business."""
+    events = [Event(term, start, end, number) for number, (term, start, end) in enumerate(stream)]
+    combinations = Combinations(rule, out_of_order)
+    results: List[CounterOf[Tuple[str, Any, Any]]] = [Counter() for _ in events]
+    for match, at in combinations.found(combinations.tests.pattern, events):
+        if not combinations.tests._in_window(match):
+            continue
+        bindings = match.bindings if rule.do is None else first(rule.do, match.bindings)
+        if bindings is not None:
+            results[at][show(copy(instance(rule.head, bindings))), match.start, match.end] += 1
+    return results

@@ -1,0 +1,118 @@
+"""Recorded scenarios as programs for the oracle, as far as they are in its domain.
+
+In the domain are scenarios whose files have event rules only, whose stream has events only, and whose goals set the
+policy and out_of_order.
+"""
+
+import json
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Tuple
+
+from retalis.syntax import Operators, read_program, read_term
+from retalis.terms import Term, conjuncts, deref, list_items
+from retalis.timestamps import SECOND, from_term
+
+from .goals import show
+from .patterns import Check, Do, Multiply, Rule, Where, walk
+from .text import pattern_of
+
+SOLVED = set(
+    "true fail false = \\= == \\== < > =< >= =:= =\\= is member \\+ t1 t2".split(),
+)
+
+
+class Scenario(NamedTuple):
+    """A program, its stream, and the events that are to be dispatched."""
+
+    name: str
+    rules: List[Rule]
+    flags: Dict[str, Any]
+    stream: List[Tuple[Term, Any, Any]]
+    expected: List[Tuple[str, Any, Any]]
+
+
+def scenarios(folder: Path) -> Iterator[Scenario]:
+    """Yield the scenarios of a folder that the oracle can run."""
+    for path in sorted(folder.glob("*.json")):
+        data = json.loads(path.read_text())
+        flags = _flags(data.get("goals") or [])
+        if flags is None or data.get("goals_after_compile") or data.get("files"):
+            continue
+        if not all(isinstance(item, list) for item in data["stream"] or [{}]):
+            continue
+        texts = data["rules"] if isinstance(data["rules"], list) else [data["rules"]]
+        rules = [_rule(term) for text in texts for term in _terms(text)]
+        if not rules or None in rules or not all(_solvable(rule) for rule in rules):  # type: ignore[arg-type]
+            continue
+        expected = data.get("expected_sane", data["expected"])
+        events = [(_term(text), *map(_seconds, stamps)) for text, stamps in data["stream"]]
+        wanted = [(show(_term(text)), _seconds(start), _seconds(end)) for text, start, end in expected]
+        yield Scenario(path.stem, rules, flags, events, wanted)  # type: ignore[arg-type]
+
+
+def _flags(goals: List[str]) -> Optional[Dict[str, Any]]:
+    flags: Dict[str, Any] = {}
+    for text in goals:
+        goal = _term(text)
+        if goal.__class__ is not tuple or goal[0].name != "set_etalis_flag":
+            return None
+        if goal[1].name == "event_consumption_policy":
+            flags["policy"] = goal[2].name
+        elif goal[1].name == "out_of_order":
+            flags["out_of_order"] = goal[2].name == "on"
+        else:
+            return None
+    return None if flags.get("policy") == "foo" else flags
+
+
+def _terms(text: str) -> List[Term]:
+    read = list(read_program(text, Operators.prolog(), "scenario"))
+    if not all(hasattr(item, "term") for item in read):
+        return [None]
+    return [item.term for item in read]  # type: ignore[union-attr]
+
+
+def _term(text: str) -> Term:
+    return read_term(text, Operators.prolog(), "scenario").term
+
+
+def _seconds(text: str) -> Any:
+    instant = Fraction(int(from_term(_term(text))), SECOND)
+    return int(instant) if instant.denominator == 1 else instant
+
+
+def _rule(term: Term) -> Optional[Rule]:
+    """Return a rule, or None where the clause is none."""
+    if term.__class__ is not tuple or len(term) != 3:
+        return None
+    if term[0].name == "rule:":
+        label, inner = term[1], _rule(term[2])
+        if inner is None or inner.label is not None:
+            return None
+        return Rule(inner.head, inner.pattern, "label", _window(label), inner.do)
+    if term[0].name != "<-":
+        return None
+    head, do = deref(term[1]), None
+    if head.__class__ is tuple and head[0].name == "do":
+        head, do = head[1], head[2]
+    return Rule(head, pattern_of(term[2]), None, None, do)
+
+
+def _window(label: Term) -> Any:
+    properties = list_items(label[1]) if label.__class__ is tuple else []
+    found = [item[2] for item in properties or [] if item[1].name in ("window", "event_rule_window")]
+    return min(found) if found else None
+
+
+def _solvable(rule: Rule) -> bool:
+    """Tell whether the oracle's own evaluator knows all goals of a rule."""
+    goals = [node.goal for node in walk(rule.pattern) if isinstance(node, (Where, Check, Do, Multiply))]
+    if rule.do is not None:
+        goals.append(rule.do)
+    for goal in goals:
+        for single in conjuncts(goal):
+            name = single[0].name if single.__class__ is tuple else getattr(single, "name", None)
+            if name not in SOLVED:
+                return False
+    return True

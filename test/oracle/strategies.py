@@ -1,0 +1,300 @@
+"""Random rules and streams, for hypothesis and for long runs with a plain random generator.
+
+Both draw through one function, ``choice(options)``, so that a case is the same kind of thing in either.
+Rules are over few names, few variables and small integers, so that matches happen.
+"""
+
+from dataclasses import dataclass
+from fractions import Fraction
+from random import Random
+from typing import Any, Callable, Dict, List, Optional, Sequence, Set, Tuple
+
+from hypothesis import strategies as st
+
+from retalis.terms import Term, Var, atom, functor, make_list, variables
+
+from .evaluator import POLICIES, run
+from .goals import show
+from .patterns import (
+    EITHER_ORDER,
+    Aggregate,
+    Both,
+    Check,
+    Cnot,
+    Do,
+    Fnot,
+    Leaf,
+    Multiply,
+    Ntimes,
+    Or,
+    Pattern,
+    Prolog,
+    Rule,
+    Star,
+    Sub,
+    Where,
+    Within,
+    pattern_variables,
+    walk,
+)
+from .text import write_rule
+
+Choice = Callable[[Any], Any]
+Stream = List[Tuple[Term, int, int]]
+
+NAMES = ("a", "b", "c", "d")
+ARITY = {"a": 1, "b": 1, "c": 2, "d": 0}
+NUMBERS = (0, 1, 1, 2)
+COMPARISONS = ("<", ">", "=<", ">=", "=:=", "=\\=", "==", "\\==")
+
+
+@dataclass(frozen=True)
+class Case:
+    """A program with its flags and a stream."""
+
+    rules: Tuple[Rule, ...]
+    policy: str
+    out_of_order: bool
+    stream: Tuple[Tuple[Term, int, int], ...]
+
+    def expected(self, **options: Any) -> List[Tuple[str, Any, Any]]:
+        """Return what the oracle says."""
+        return run(self.rules, self.stream, policy=self.policy, out_of_order=self.out_of_order, **options)
+
+    def text(self) -> str:
+        """Return the rules as the engine reads them."""
+        return "\n".join(write_rule(rule) for rule in self.rules)
+
+    def goals(self) -> str:
+        """Return the goals that set the flags."""
+        flags = [f"set_etalis_flag(event_consumption_policy,{self.policy})"]
+        if self.out_of_order:
+            flags.append("set_etalis_flag(out_of_order,on)")
+        return "".join(f":- {flag}.\n" for flag in flags)
+
+    def has_limits(self) -> bool:
+        """Tell whether a window or a within is part of the program."""
+        return any(
+            rule.window is not None or any(isinstance(node, Within) for node in walk(rule.pattern))
+            for rule in self.rules
+        )
+
+    def __repr__(self) -> str:
+        events = " ".join(f"{show(term)}@{start}-{end}" for term, start, end in self.stream)
+        return f"<{self.policy}{' out_of_order' if self.out_of_order else ''}\n{self.text()}\n{events}>"
+
+
+def certain(node: Pattern) -> Set[Var]:
+    """Return the variables that every match of a pattern binds."""
+    if isinstance(node, Leaf):
+        return set(variables(node.term))
+    if isinstance(node, Or):
+        return certain(node.left) & certain(node.right)
+    if isinstance(node, Both):
+        return certain(node.left) | certain(node.right)
+    if isinstance(node, Star):
+        return certain(node.first)
+    if isinstance(node, Aggregate):
+        return certain(node.first) | set(variables(node.result))
+    if isinstance(node, (Cnot, Fnot, Within, Ntimes)):
+        return certain(node.pattern)
+    if isinstance(node, Sub):
+        return set(variables(node.head))
+    return certain(node.pattern) | set(variables(node.goal))  # type: ignore[attr-defined]
+
+
+def bindable(node: Pattern) -> List[Var]:
+    """Return the variables that some match of a pattern binds."""
+    if isinstance(node, (Cnot, Fnot)):
+        return bindable(node.pattern)
+    return pattern_variables(node)
+
+
+class Generator:
+    """Draws rules, streams and cases; every decision goes through ``choice``."""
+
+    def __init__(self, choice: Choice):
+        self.choice = choice
+        self.pool = [Var(), Var(), Var()]
+        self.names: Dict[str, int] = dict(ARITY)
+
+    def chance(self, percent: int) -> bool:
+        """Return True in so many of a hundred draws; the simple answer is False."""
+        return bool(self.choice([False] * (100 - percent) + [True] * percent))
+
+    # Patterns. ``left`` are the variables that patterns to the left are certain to bind.
+
+    def leaf(self, pool: Optional[List[Var]] = None) -> Leaf:
+        """Draw a pattern of one event."""
+        name = self.choice(list(self.names))
+        arguments = [
+            self.choice([*(pool or self.pool)[:3], Var(), Var(), self.choice(NUMBERS)])
+            for _ in range(self.names[name])
+        ]
+        return Leaf(functor(name, len(arguments))(*arguments) if arguments else atom(name))
+
+    def pattern(self, depth: int, left: Tuple[Var, ...] = ()) -> Pattern:
+        """Draw a pattern of up to so many operators above each other."""
+        if depth == 0 or self.chance(15):
+            return self.leaf()
+        kind = self.choice(
+            ["seq"] * 5
+            + ["and"] * 2
+            + [*EITHER_ORDER, "or", "where", "where", "check", "within", "do", "multiply", "prolog"]
+            + ["cnot", "cnot", "fnot", "star", "aggregate", "ntimes", "forall_seq"]
+        )
+        if kind in ("seq", "forall_seq", *EITHER_ORDER):
+            first = self.pattern(depth - 1, left)
+            return Both(kind, first, self.pattern(depth - 1, (*left, *certain(first))))
+        if kind == "or":
+            return Or(self.pattern(depth - 1, left), self.pattern(depth - 1, left))
+        if kind in ("star", "aggregate"):
+            return self.repetition(kind, depth, left)
+        if kind == "ntimes":
+            return Ntimes(self.pattern(min(depth - 1, 1)), self.choice([1, 2, 2, 3]))
+        if kind in ("do", "multiply"):
+            below = self.pattern(depth - 1)
+            if kind == "do":
+                return Do(below, self.goal(below, (), binds=True))
+            return Multiply(below, self.several(below))
+        below = self.pattern(depth - 1, left)
+        if kind == "within":
+            return Within(below, self.choice([1, 2, 3, 4, 6, Fraction(1, 2), Fraction(5, 2)]))
+        if kind == "check":
+            return Check(below, self.stamp_goal())
+        if kind in ("cnot", "fnot"):
+            if kind == "cnot" and self.chance(60):
+                below = Both("seq", below, self.pattern(min(depth - 1, 1)))
+            absent = self.absent(below, min(depth - 1, 1))
+            return Cnot(below, absent) if kind == "cnot" else Fnot(below, absent)
+        goal = self.goal(below, left, binds=True)
+        if kind == "prolog":
+            return Prolog(below, goal, self.chance(30), self.choice(["prolog", "query", "db"]))
+        return Where(below, goal)
+
+    def repetition(self, kind: str, depth: int, left: Tuple[Var, ...]) -> Pattern:
+        """Draw a star_times or an aggregate."""
+        first = self.pattern(depth - 1, left)
+        below = min(depth - 1, 1)
+        repeated = self.leaf() if self.chance(60) else self.pattern(below, (*left, *certain(first)))
+        if kind == "star":
+            return Star(first, repeated)
+        values = [var for var in variables_in_order(repeated) if var in certain(repeated)]
+        which = self.choice(["count", "sum", "min", "max", "avg", "list"]) if values else "count"
+        value = self.choice(values) if which != "count" else None
+        return Aggregate(first, which, value, repeated, self.choice([Var(), Var(), Var(), 2]))
+
+    def absent(self, below: Pattern, depth: int) -> Pattern:
+        """Draw what must not happen; its variables are those of the pattern it belongs to, or its own."""
+        pool = [*[var for var in variables_in_order(below) if var in certain(below)][:2], Var()]
+        if depth == 0 or self.chance(70):
+            return self.leaf(pool)
+        keep, self.pool = self.pool, (pool * 3)[:3]
+        try:
+            return Both(self.choice(["seq", "and", "par"]), self.leaf(), self.leaf())
+        finally:
+            self.pool = keep
+
+    # Goals.
+
+    def goal(self, below: Pattern, left: Tuple[Var, ...], binds: bool = False) -> Term:
+        """Draw a condition over the variables of a pattern, sometimes of those to its left."""
+        own = [var for var in variables_in_order(below) if var in certain(below)]
+        outer = [var for var in left if var not in own]
+        usable = own + (outer if outer and self.chance(30) else [])
+        kind = self.choice(
+            ["compare"] * 8 + ["true", "is", "is", "member", "not", "equal"] + ["fail"] * self.chance(20)
+        )
+        if kind == "true" or not usable:
+            return atom("true")
+        if kind == "fail":
+            return atom("fail")
+        one = self.choice(usable)
+        if kind == "is" and binds:
+            return functor("is", 2)(Var(), functor("+", 2)(one, 1))
+        if kind == "member" and binds:
+            return functor("member", 2)(self.choice([Var(), one]), make_list([1, 2]))
+        if kind == "equal":
+            return functor("=", 2)(one, self.choice(NUMBERS))
+        test = functor(self.choice(COMPARISONS), 2)(one, self.choice([*usable, *NUMBERS]))
+        return functor("\\+", 1)(test) if kind == "not" else test
+
+    def several(self, below: Pattern) -> Term:
+        """Draw a goal with several solutions."""
+        var = Var()
+        member = functor("member", 2)(var, make_list([1, 2]))
+        own = sorted(certain(below), key=pattern_variables(below).index)
+        if own and self.chance(40):
+            return functor(",", 2)(member, functor("=<", 2)(self.choice(own), var))
+        if self.chance(30):
+            return functor(";", 2)(functor("=", 2)(var, 1), functor("=", 2)(var, 0))
+        return member
+
+    def stamp_goal(self) -> Term:
+        """Draw a goal about t1 and t2."""
+        start, end = Var(), Var()
+        both = functor(",", 2)
+        test = functor(self.choice(["<", ">="]), 2)(functor("-", 2)(end, start), self.choice([1, 2, 4]))
+        return both(functor("t1", 1)(start), both(functor("t2", 1)(end), test))
+
+    # Rules, streams, cases.
+
+    def rule(self, head: str, depth: int, bound_only: bool = False) -> Rule:
+        """Draw a rule whose head has some of the pattern's variables."""
+        self.pool = [Var(), Var(), Var()]
+        body = self.pattern(depth)
+        usable = [var for var in dict.fromkeys(bindable(body)) if not bound_only or var in certain(body)]
+        shown = [var for var in usable if self.chance(70)]
+        if bound_only:
+            shown = shown[:1]
+        term = functor(head, len(shown))(*shown) if shown else atom(head)
+        window = self.choice([None] * 12 + [1, 2, 4, 8, Fraction(3, 2)])
+        label = self.choice([None, "r1"]) if window is None else "r1"
+        return Rule(term, body, label, window)
+
+    def stream(self, size: int, rules: Sequence[Rule]) -> Stream:
+        """Draw events: in order of their ends, or some of them late; equal, touching and nested intervals."""
+        leaves = [node.term for rule in rules for node in walk(rule.pattern) if isinstance(node, Leaf)]
+        wanted = [term[0].name if term.__class__ is tuple else term.name for term in leaves]
+        names = [name for name in wanted if name in ARITY] * 2 + list(ARITY)
+        late = self.chance(50)
+        events: Stream = []
+        now = 10
+        for _ in range(size):
+            name = self.choice(names)
+            arguments = [self.choice(NUMBERS) for _ in range(ARITY[name])]
+            now += self.choice([0, 1, 1, 2, 3])
+            end = now - self.choice([0, 0, 1, 3, 5]) if late else now
+            start = end - self.choice([0, 0, 0, 1, 2, 4])
+            events.append(
+                (functor(name, len(arguments))(*arguments) if arguments else atom(name), start, end)
+            )
+        return events
+
+    def case(self, depth: int = 4) -> Case:
+        """Draw a program and a stream."""
+        rules = [self.rule("out", self.choice(range(depth + 1)))]
+        if self.chance(25):
+            rules = [self.rule("m", self.choice([1, 2]), bound_only=True)]
+            self.names["m"] = len(rules[0].head) - 1 if rules[0].head.__class__ is tuple else 0
+            rules.append(self.rule("out", self.choice(range(1, depth))))
+            if self.chance(20):
+                rules.reverse()
+        stream = self.stream(self.choice([*range(4), *range(4, 24)]), rules)
+        return Case(tuple(rules), self.choice(POLICIES), self.chance(30), tuple(stream))
+
+
+def variables_in_order(node: Pattern) -> List[Var]:
+    """Return the variables of a pattern from left to right."""
+    return pattern_variables(node)
+
+
+@st.composite
+def cases(draw: Any, depth: int = 4) -> Case:
+    """Programs with streams, for hypothesis."""
+    return Generator(lambda options: draw(st.sampled_from(list(options)))).case(depth)
+
+
+def random_case(seed: int, depth: int = 4) -> Case:
+    """Return the case of a seed."""
+    return Generator(Random(seed).choice).case(depth)

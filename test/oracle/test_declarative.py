@@ -1,0 +1,22 @@
+"""The two evaluators of the oracle against each other, where both are defined."""
+
+from collections import Counter
+
+from hypothesis import HealthCheck, assume, given, settings
+
+from oracle.declarative import defined_for, firings
+from oracle.evaluator import Program
+from oracle.goals import show
+from oracle.strategies import cases
+
+
+@settings(max_examples=300, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))
+@given(cases())
+def test_unrestricted_is_every_combination_once(case):
+    assume(defined_for(case.rules))
+    program = Program(case.rules, "unrestricted", case.out_of_order)
+    fired = []
+    for term, start, end in case.stream:
+        derived = program.event(term, start, end)[1:]
+        fired.append(Counter((show(event.term), event.start, event.end) for event in derived))
+    assert fired == firings(case.rules[0], case.stream, case.out_of_order)
