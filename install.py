@@ -19,6 +19,7 @@ from typing import Dict, Iterable, List, Mapping, NamedTuple, Optional, Sequence
 
 HERE = Path(__file__).resolve().parent
 PYTHON = "/usr/bin/python3"  # the one interpreter that sees the distribution's ROS modules
+DEMO = str(HERE / "examples" / "nao" / "demo.py")
 INSTRUCTIONS = "http://wiki.ros.org/noetic/Installation/Ubuntu"
 KEY_URL = "https://raw.githubusercontent.com/ros/rosdistro/master/ros.asc"
 KEY_FILE = "/usr/share/keyrings/ros-archive-keyring.asc"
@@ -56,8 +57,8 @@ _DEBIAN = """
     """
 
 _NOETIC = """
-    catkin diagnostic-msgs geometry-msgs message-generation message-runtime rosbag rosbash roslaunch rosmaster rosmsg
-    rosnode rosout rosparam rospy rosservice rostest rostopic std-msgs std-srvs tf tf2-msgs tf2-py
+    catkin diagnostic-msgs geometry-msgs message-generation message-runtime rosbag rosbash roslaunch rosmaster
+    rosmsg rosnode rosout rosparam rospy rosservice rostest rostopic std-msgs std-srvs tf tf2-msgs tf2-py
     """
 
 DEBIAN_12 = Platform("Debian 12", [*_COMMON.split(), *_DEBIAN.split()])
@@ -275,10 +276,10 @@ class Installation:
         ).stdout.strip()
         return self.venv / "lib" / version / "site-packages"
 
-    def run(self, command: Sequence[str], space: str = "devel") -> int:
-        """Run a command where the package is, before the user's eyes, and return its exit status."""
-        script = self.workspace / space / "setup.bash"
-        return self.shell.show(bash(["source " + shlex.quote(str(script)), 'exec "$@"'], command), cwd=HERE)
+    def run(self, command: Sequence[str], cwd: Optional[Path] = HERE) -> int:
+        """Run a command that sees the package, before the user's eyes, and return its exit status."""
+        script = shlex.quote(str(self.workspace / "devel" / "setup.bash"))
+        return self.shell.show(bash(["source " + script, 'exec "$@"'], command), cwd)
 
 
 def bash(lines: Sequence[str], command: Sequence[str]) -> List[str]:
@@ -335,8 +336,7 @@ def main(argv: Sequence[str]) -> int:
     options = arguments(argv)
     os.environ["PATH"] = "/usr/bin" + os.pathsep + os.environ.get("PATH", "")
     if options.command == "demo" and {"-h", "--help"} & set(options.rest):
-        os.environ["PYTHONPATH"] = str(HERE / "src")
-        return subprocess.call([sys.executable, "-m", "retalis.ros.demo", "--help"])
+        return subprocess.call([sys.executable, DEMO, "--help"])
     shell = Shell(options.workspace / "log", options.dry_run)
     platform = choose_platform(parse_os_release(Path("/etc/os-release").read_text()))
     installation = Installation(platform, options.workspace, shell, not options.no_system)
@@ -345,7 +345,7 @@ def main(argv: Sequence[str]) -> int:
     installation.python_packages(["requirements.txt", *develop])
     installation.build(install=options.install or options.command == "test")
     if options.command == "demo":
-        return installation.run([PYTHON, "-m", "retalis.ros.demo", *options.rest])
+        return installation.run([PYTHON, DEMO, *options.rest], cwd=None)
     if options.command == "test":
         os.environ["RETALIS_WORKSPACE"] = str(options.workspace)
         return installation.run([PYTHON, "-m", "pytest", *options.rest])

@@ -1,0 +1,283 @@
+#!/usr/bin/env python3
+"""Run the NAO example on a ROS master of its own: make a bag, play it, and say where the markers are.
+
+Needs a shell in which the package's setup.bash is sourced; ``./install.py demo`` sees to that.
+"""
+
+import argparse
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+import xmlrpc.client
+from pathlib import Path
+from typing import Any, Callable, Dict, List, Optional, Sequence, TextIO
+
+import nao_truth
+
+INPUTS = {
+    "topics": ("direct:=false", "embedded:=false"),
+    "direct": ("direct:=true", "embedded:=false"),
+    "embedded": ("direct:=false", "embedded:=true"),
+}
+TOPICS = tuple(f"marker{number}" for number in range(1, 9))
+START_SECONDS = 60.0  # for a machine that has just been installed
+QUIET_SECONDS = 2.0  # how long nothing has to come before all poses are taken to be there
+CONNECT_SECONDS = 1.5  # for the bag's subscribers to connect before its first message
+
+
+class DemoError(Exception):
+    """What ended the demonstration; its text is one line for the user."""
+
+
+class Processes:
+    """The processes that were started here, each with its output in a log; ended by id, last first."""
+
+    def __init__(self, logs: Path, environment: Dict[str, str]) -> None:
+        self._logs = logs
+        self._environment = environment
+        self._started: List[subprocess.Popen[bytes]] = []
+
+    def start(self, name: str, *command: str) -> "subprocess.Popen[bytes]":
+        """Start a command apart from the terminal, so that ctrl-C reaches it through `close` alone."""
+        with (self._logs / f"{name}.log").open("wb") as log:
+            process = subprocess.Popen(
+                command,
+                env=self._environment,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+        self._started.append(process)
+        return process
+
+    def close(self) -> None:
+        """End them, first asking, then telling."""
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        for process in reversed(self._started):
+            for number, patience in ((signal.SIGINT, 15), (signal.SIGTERM, 5), (signal.SIGKILL, 5)):
+                if process.poll() is not None:
+                    break
+                process.send_signal(number)
+                try:
+                    process.wait(patience)
+                except subprocess.TimeoutExpired:
+                    continue
+
+
+class Progress:
+    """A bar on a terminal, a line at each quarter elsewhere."""
+
+    def __init__(self, stream: TextIO = sys.stderr) -> None:
+        self._stream = stream
+        self._drawn = stream.isatty()
+        self._quarter = 0
+
+    def show(self, share: float, text: str) -> None:
+        """Show how much of the bag has been played."""
+        share = min(1.0, max(0.0, share))
+        if self._drawn:
+            width = max(10, min(40, shutil.get_terminal_size().columns - 40))
+            filled = round(share * width)
+            bar = "#" * filled + "." * (width - filled)
+            self._stream.write(f"\r[{bar}] {share:4.0%} {text}\x1b[K")
+        elif int(share * 4) > self._quarter:
+            self._quarter = int(share * 4)
+            self._stream.write(f"{share:4.0%} {text}\n")
+        self._stream.flush()
+
+    def close(self) -> None:
+        """End the bar's line."""
+        if self._drawn:
+            self._stream.write("\n")
+
+
+class Poses:
+    """Where each marker was last seen, and how many poses came, from the topics that the nodes publish."""
+
+    def __init__(self) -> None:
+        self.located: Dict[str, Sequence[float]] = {}
+        self.count = 0
+        self.latest = time.monotonic()
+
+    def add(self, message: Any) -> None:
+        """Take a pose; it comes from a thread of rospy's."""
+        place = message.pose.position
+        self.located[message.header.frame_id.strip('"')] = (place.x, place.y, place.z)
+        self.count += 1
+        self.latest = time.monotonic()
+
+
+def free_port() -> int:
+    """Return a port that nobody listens to."""
+    with socket.socket() as probe:
+        probe.bind(("localhost", 0))
+        return int(probe.getsockname()[1])
+
+
+def wait_until(condition: Callable[[], bool], what: str, alive: Sequence["subprocess.Popen[bytes]"]) -> None:
+    """Wait for a condition.
+
+    Raises:
+        DemoError: It did not come, or one of the processes ended meanwhile.
+    """
+    end = time.monotonic() + START_SECONDS
+    while not condition():
+        if time.monotonic() > end or any(process.poll() is not None for process in alive):
+            raise DemoError(f"{what} did not start")
+        time.sleep(0.1)
+
+
+class Master:
+    """What the demonstration asks of the master."""
+
+    def __init__(self, uri: str) -> None:
+        self._proxy = xmlrpc.client.ServerProxy(uri)
+
+    def answers(self) -> bool:
+        """Is it there."""
+        try:
+            self._proxy.getUri("/nao_demo")
+        except OSError:
+            return False
+        return True
+
+    def ready(self) -> bool:
+        """Do the nodes listen to the robot and publish all markers."""
+        publications, subscriptions, _ = self._proxy.getSystemState("/nao_demo")[2]  # type: ignore[index, misc]
+        published, subscribed = ({name for name, _ in found} for found in (publications, subscriptions))
+        return {"/tf", "/ar_pose_marker"} <= subscribed and {"/" + name for name in TOPICS} <= published
+
+
+def start_nodes(options: argparse.Namespace, processes: Processes, uri: str) -> "subprocess.Popen[bytes]":
+    """Start a master and the nodes; return the nodes' process when they are ready.
+
+    Raises:
+        DemoError: Something did not start.
+    """
+    core = processes.start("roscore", "roscore", "-p", uri.rsplit(":", 1)[1])
+    master = Master(uri)
+    wait_until(master.answers, "the master", [core])
+    nodes = processes.start("nodes", "roslaunch", "retalis", "nao.launch", *INPUTS[options.input])
+    wait_until(master.ready, "the nodes", [core, nodes])
+    return nodes
+
+
+def play(bag: Path, rate: float, processes: Processes, nodes: "subprocess.Popen[bytes]") -> Poses:
+    """Play the bag and return what the nodes published.
+
+    Raises:
+        DemoError: The nodes or the player failed.
+    """
+    import rosbag
+    import rospy
+    from geometry_msgs.msg import PoseStamped
+
+    with rosbag.Bag(str(bag)) as opened:
+        start, end = opened.get_start_time(), opened.get_end_time()
+    rospy.init_node("nao_demo", disable_signals=True)
+    poses = Poses()
+    for topic in TOPICS:
+        rospy.Subscriber(topic, PoseStamped, poses.add)
+    options = ("--clock", "--quiet", f"--delay={CONNECT_SECONDS}", f"--rate={rate}")
+    player = processes.start("rosbag", "rosbag", "play", *options, str(bag))
+    progress = Progress()
+    try:
+        while player.poll() is None or time.monotonic() - poses.latest < QUIET_SECONDS:
+            now = rospy.get_time()
+            played = (now - start) / max(end - start, 1e-9) if now else 0.0
+            progress.show(played, f"{poses.count} poses of {len(poses.located)} markers")
+            if nodes.poll() is not None:
+                raise DemoError("the nodes ended while the bag was played")
+            time.sleep(0.2)
+    finally:
+        progress.close()
+        rospy.signal_shutdown("the bag has been played")
+    if player.returncode:
+        raise DemoError(f"rosbag play ended with exit status {player.returncode}")
+    return poses
+
+
+def report(poses: Poses, bag: Path) -> bool:
+    """Print where each marker is, beside the truth where it is known; return whether all were located."""
+    try:
+        truth = nao_truth.load(bag)
+    except FileNotFoundError:
+        for name, place in sorted(poses.located.items()):
+            print(f"{name:<8} " + " ".join(f"{value:8.3f}" for value in place))
+        print(
+            f"{len(poses.located)} markers located by {poses.count} poses; no {nao_truth.truth_path(bag).name} to compare with"
+        )
+        return bool(poses.located)
+    comparisons = nao_truth.compare(truth, poses.located)
+    good = sum(comparison.good for comparison in comparisons)
+    print(nao_truth.table(comparisons))
+    print(
+        f"{good} of {len(comparisons)} markers located within {nao_truth.TOLERANCE * 100:g} cm; "
+        f"{poses.count} poses from {len(truth.complete)} observations"
+    )
+    return good == len(comparisons)
+
+
+def arguments(argv: Optional[Sequence[str]]) -> argparse.Namespace:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(prog="demo", description=__doc__.split("\n\n")[0])
+    parser.add_argument("--bag", type=Path, metavar="FILE", help="play this bag instead of a simulated one")
+    parser.add_argument(
+        "--seconds", type=float, default=20.0, help="length of the simulated bag (default 20)"
+    )
+    parser.add_argument("--seed", type=int, default=1, help="another seed gives another run (default 1)")
+    parser.add_argument("--rate", type=float, default=1.0, help="speed of the bag (default 1)")
+    parser.add_argument(
+        "--input", choices=sorted(INPUTS), default="topics",
+        help="way in: through the converter and the String topics, direct, or both nodes in one process",
+    )  # fmt: skip
+    options = parser.parse_args(argv)
+    if options.bag and not options.bag.is_file():
+        parser.error(f"no such file: {options.bag}")
+    if options.seconds <= 0 or options.rate <= 0:
+        parser.error("seconds and rate are positive numbers")
+    return options
+
+
+def main(argv: Optional[Sequence[str]] = None) -> int:
+    """Run the demonstration; return 0 when all markers were located."""
+    options = arguments(argv)
+    logs = Path(tempfile.mkdtemp(prefix="retalis-demo-"))
+    uri = f"http://localhost:{free_port()}"
+    os.environ.update(ROS_MASTER_URI=uri, ROS_HOSTNAME="localhost", ROS_LOG_DIR=str(logs))
+    processes = Processes(logs, dict(os.environ))
+    bag = options.bag
+    try:
+        if not bag:
+            from make_bag import make_bag
+
+            bag = logs / "nao.bag"
+            print(f"Making {options.seconds:g} s of a simulated NAO: {bag}", flush=True)
+            make_bag(bag, options.seconds, options.seed)
+        print(f"Playing it to the nodes of nao.launch, input: {options.input}", flush=True)
+        nodes = start_nodes(options, processes, uri)
+        poses = play(bag, options.rate, processes, nodes)
+    except DemoError as error:
+        print(f"demo: {error}; the logs are in {logs}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("\ndemo: interrupted", file=sys.stderr)
+        return 130
+    finally:
+        processes.close()
+    located = report(poses, bag)
+    if located:
+        shutil.rmtree(logs)
+    else:
+        print(f"demo: not all markers were located; the logs are in {logs}", file=sys.stderr)
+    return 0 if located else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
