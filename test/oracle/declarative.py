@@ -1,20 +1,22 @@
-"""Under ``unrestricted``, what fires without any state: all combinations of events that satisfy the whole pattern.
+"""Under ``unrestricted``, what fires, without any state: all combinations that satisfy the whole pattern.
 
-"Under unrestricted every combination that satisfies the whole pattern fires exactly once, on its last arrival."
-For each arrival, all assignments of the events so far to the leaves are made, and those stay that hold together and
-contain the new event. Only the conditions' evaluation and the tables of times are those of the other evaluator.
+Every combination that satisfies the whole pattern is to fire exactly once, on its last arrival.
+All assignments of the events to the leaves are made, and those stay that hold together; each belongs to the
+arrival that completed it. Only conditions and the tables of times are those of the other evaluator.
 
 Star_times, aggregates and forall_seq are not here: their results depend on runs and on what was used up.
 """
 
 from collections import Counter
 from dataclasses import replace
-from typing import Any, Counter as CounterOf, Iterable, List, NamedTuple, Sequence, Tuple
+from typing import Any, Iterable, List, NamedTuple, Sequence, Tuple
+from typing import Counter as CounterOf
 
 from retalis.terms import Term, copy
 
-from .evaluator import FIRES, INTERVAL, Event, Match, RuleState, _all
+from .conditions import Conditions, all_solutions
 from .goals import first, instance, show
+from .matches import FIRES, INTERVAL, Event, Match
 from .patterns import (
     Aggregate,
     Both,
@@ -54,24 +56,24 @@ class Combinations:
     def __init__(self, rule: Rule, out_of_order: bool):
         self.rule = rule
         self.out_of_order = out_of_order
-        self.tests = RuleState(rule, "unrestricted")
+        self.tests = Conditions(rule)
 
     def found(self, node: Pattern, events: Sequence[Event]) -> List[Found]:
         """Return all matches of a pattern."""
         operator, conditions = strip(node)
         matches = self._operator(operator, events, conditions)
-        tests = [self.tests._test_of(condition) for condition in conditions]
+        tests = [self.tests.test_of(condition) for condition in conditions]
         result = []
         for match, at in matches:
-            settled = self.tests._settle(match, operator)
-            passed = None if settled is None else self.tests._passes(settled, tests)
+            settled = self.tests.settle(match, operator)
+            passed = None if settled is None else self.tests.passes(settled, tests)
             if passed is not None:
                 result.append(Found(passed, at))
         return result
 
     def _operator(self, node: Any, events: Sequence[Event], conditions: List[Pattern]) -> Iterable[Found]:
         if isinstance(node, Leaf):
-            return [Found(match, e.number) for e in events for match in self.tests._leaf(node, e)]
+            return [Found(match, e.number) for e in events for match in self.tests.leaf(node, e)]
         if isinstance(node, Or):
             return self.found(node.left, events) + self.found(node.right, events)
         if isinstance(node, Both):
@@ -86,7 +88,7 @@ class Combinations:
             return [
                 Found(replace(match, bindings=bindings), at)
                 for match, at in self.found(node.pattern, events)
-                for bindings in _all(node.goal, match.bindings)
+                for bindings in all_solutions(node.goal, match.bindings)
             ]
         assert isinstance(node, (Cnot, Fnot))
         return self._absent(node, events)
@@ -98,26 +100,26 @@ class Combinations:
                 same = len(p.match.numbers) == 1 and p.match.numbers == q.match.numbers
                 if same or not in_time or not FIRES[node.kind](p.match, q.match):
                     continue
-                match = self.tests._join(p.match, q.match, *INTERVAL[node.kind](p.match, q.match), node)
-                if match is not None and self.tests._in_window(match):
+                match = self.tests.join(p.match, q.match, *INTERVAL[node.kind](p.match, q.match), node)
+                if match is not None and self.tests.in_window(match):
                     yield p.match, q.match, Found(match, max(p.at, q.at))
 
     def _absent(self, node: Any, events: Sequence[Event]) -> Iterable[Found]:
         absent = self.found(node.absent, events)
         inner, between = strip(node.pattern)
         if isinstance(node, Cnot) and isinstance(inner, Both) and inner.kind == "seq":
-            tests = [self.tests._test_of(condition) for condition in between]
+            tests = [self.tests.test_of(condition) for condition in between]
             for p, q, (match, at) in self._pairs(inner, events):
-                passed = self.tests._passes(match, tests)
+                passed = self.tests.passes(match, tests)
                 if passed is not None and not any(
-                    r_at <= at and p.end < r.start and r.end < q.start and self.tests._agree(r, passed)
+                    r_at <= at and p.end < r.start and r.end < q.start and self.tests.agree(r, passed)
                     for r, r_at in absent
                 ):
                     yield Found(passed, at)
         else:
             for match, at in self.found(node.pattern, events):
                 if not any(
-                    r_at <= at and r.end < match.start and self.tests._agree(r, match) for r, r_at in absent
+                    r_at <= at and r.end < match.start and self.tests.agree(r, match) for r, r_at in absent
                 ):
                     yield Found(match, at)
 
@@ -130,7 +132,7 @@ def firings(
     combinations = Combinations(rule, out_of_order)
     results: List[CounterOf[Tuple[str, Any, Any]]] = [Counter() for _ in events]
     for match, at in combinations.found(combinations.tests.pattern, events):
-        if not combinations.tests._in_window(match):
+        if not combinations.tests.in_window(match):
             continue
         bindings = match.bindings if rule.do is None else first(rule.do, match.bindings)
         if bindings is not None:

@@ -1,6 +1,6 @@
 """Patterns of event rules as plain data.
 
-A pattern is one of the classes below; their fields are terms (`retalis.terms`), numbers of seconds, or patterns.
+A pattern is one of the classes below; their fields are terms (`retalis.terms`), seconds, or patterns.
 Nodes compare by identity: the same pattern written at two places of a rule is two nodes.
 """
 
@@ -203,7 +203,7 @@ def expand(node: Pattern) -> Pattern:
 
 
 def take_out_subpatterns(rules: List[Rule]) -> List[Rule]:
-    """Return the rules with each ``(S <- Q)`` replaced by S, and ``S <- Q`` as a rule of its own after them."""
+    """Return the rules with S for each ``(S <- Q)``, and ``S <- Q`` as rules of their own after them."""
     extra: List[Rule] = []
 
     def plain(node: Pattern) -> Pattern:

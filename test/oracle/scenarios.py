@@ -18,7 +18,26 @@ from .patterns import Check, Do, Multiply, Rule, Where, walk
 from .text import pattern_of
 
 SOLVED = set(
-    "true fail false = \\= == \\== < > =< >= =:= =\\= is member \\+ t1 t2".split(),
+    [
+        "true",
+        "fail",
+        "false",
+        "=",
+        "\\=",
+        "==",
+        "\\==",
+        "<",
+        ">",
+        "=<",
+        ">=",
+        "=:=",
+        "=\\=",
+        "is",
+        "member",
+        "\\+",
+        "t1",
+        "t2",
+    ],
 )
 
 

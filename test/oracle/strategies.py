@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 
 from retalis.terms import Term, Var, atom, functor, make_list, variables
 
-from .evaluator import POLICIES, run
+from .evaluator import run
 from .goals import show
+from .matches import POLICIES
 from .patterns import (
     EITHER_ORDER,
     Aggregate,
@@ -70,7 +71,7 @@ class Case:
         flags = [f"set_etalis_flag(event_consumption_policy,{self.policy})"]
         if self.out_of_order:
             flags.append("set_etalis_flag(out_of_order,on)")
-        return "".join(f":- {flag}.\n" for flag in flags)
+        return "".join(f"{flag}.\n" for flag in flags)
 
     def has_limits(self) -> bool:
         """Tell whether a window or a within is part of the program."""

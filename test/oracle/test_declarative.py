@@ -3,7 +3,6 @@
 from collections import Counter
 
 from hypothesis import HealthCheck, assume, given, settings
-
 from oracle.declarative import defined_for, firings
 from oracle.evaluator import Program
 from oracle.goals import show

@@ -4,8 +4,8 @@ Expected are the derived events, in order.
 """
 
 import pytest
-
-from oracle.evaluator import POLICIES, run
+from oracle.evaluator import run
+from oracle.matches import POLICIES
 from oracle.text import brief, rule, stream
 
 

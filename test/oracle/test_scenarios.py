@@ -4,7 +4,6 @@ import os
 from pathlib import Path
 
 import pytest
-
 from oracle.evaluator import run
 from oracle.scenarios import scenarios
 

@@ -1,0 +1,171 @@
+"""The engine against the oracle: one case, many cases, and the smallest case that still differs.
+
+As a command: see README.md.
+"""
+
+import argparse
+import logging
+import sys
+import time
+from collections import Counter
+from dataclasses import fields, replace
+from typing import Any, Callable, Iterable, Iterator, List, Optional, Sequence, Tuple
+
+from retalis.clock import StreamClock
+from retalis.engine import Engine
+from retalis.errors import RetalisError
+from retalis.terms import Term, atom, functor
+from retalis.timestamps import SECOND
+
+from .goals import show
+from .patterns import Pattern, Rule
+from .strategies import Case, random_case
+
+Fired = List[Tuple[str, Any, Any]]
+
+
+def new_engine() -> Engine:
+    """Return an engine whose clock is past all stamps of generated streams."""
+    return Engine(clock=StreamClock(100_000 * SECOND))
+
+
+def engine_events(texts: Sequence[str], goals: str, stream: Iterable[Tuple[Term, Any, Any]]) -> Fired:
+    """Run rules, one file after the other, over a stream; return all events that the engine dispatches."""
+    engine = new_engine()
+    events: Fired = []
+    engine.on_event(lambda term, start, end: events.append((show(term), int(start), int(end))))
+    engine.load(goals=goals)
+    for text in texts:
+        engine.load(rules=text)
+    for term, start, end in stream:
+        engine.event(term, start, end)
+    return events
+
+
+def answers(case: Case) -> List[Fired]:
+    """Return what the oracle allows: one answer, two where a window and late events leave it open."""
+    results = [case.expected()]
+    if case.has_limits():
+        expired = case.expected(expiry=True)
+        if expired != results[0]:
+            results.append(expired)
+    return [[(term, start * SECOND, end * SECOND) for term, start, end in result] for result in results]
+
+
+def difference(case: Case) -> Optional[Tuple[Fired, Any]]:
+    """Return what was expected and what the engine did instead, or None where they agree."""
+    try:
+        expected = answers(case)
+    except RecursionError:
+        return None
+    try:
+        got: Any = engine_events([case.text()], case.goals(), case.stream)
+    except RetalisError as error:
+        got = f"refused: {error}"
+    except Exception as error:  # noqa: BLE001 - an internal error is a difference too
+        got = f"{type(error).__name__}: {error}"
+    return None if got in expected else (expected[0], got)
+
+
+# The smallest case.
+
+
+def smaller_patterns(node: Pattern) -> Iterator[Pattern]:
+    """Yield patterns that are a bit simpler: one operator or argument less."""
+    for field in fields(node):
+        part = getattr(node, field.name)
+        if isinstance(part, Pattern):
+            yield part
+            for simpler in smaller_patterns(part):
+                yield replace(node, **{field.name: simpler})
+
+
+def smaller_rules(rule: Rule) -> Iterator[Rule]:
+    """Yield simpler rules."""
+    for pattern in smaller_patterns(rule.pattern):
+        yield replace(rule, pattern=pattern)
+    if rule.window is not None or rule.label is not None:
+        yield replace(rule, window=None, label=None)
+    if rule.head.__class__ is tuple:
+        for at in range(1, len(rule.head)):
+            rest = rule.head[1:at] + rule.head[at + 1 :]
+            name = rule.head[0].name
+            yield replace(rule, head=functor(name, len(rest))(*rest) if rest else atom(name))
+
+
+def smaller(case: Case) -> Iterator[Case]:
+    """Yield simpler cases."""
+    for at in range(len(case.stream)):
+        yield replace(case, stream=case.stream[:at] + case.stream[at + 1 :])
+    for at in range(len(case.rules)):
+        if len(case.rules) > 1:
+            yield replace(case, rules=case.rules[:at] + case.rules[at + 1 :])
+    if case.out_of_order:
+        yield replace(case, out_of_order=False)
+    for at, rule in enumerate(case.rules):
+        for simpler in smaller_rules(rule):
+            yield replace(case, rules=(*case.rules[:at], simpler, *case.rules[at + 1 :]))
+
+
+def shrink(case: Case, fails: Callable[[Case], bool]) -> Case:
+    """Return a case that still fails and of which nothing can be left out."""
+    while True:
+        for candidate in smaller(case):
+            if fails(candidate):
+                case = candidate
+                break
+        else:
+            return case
+
+
+def report(case: Case) -> str:
+    """Describe a case that differs."""
+    found = difference(case)
+    assert found is not None
+    expected, got = found
+
+    def line(events: Any) -> str:
+        if isinstance(events, str):
+            return events
+        return " ".join(f"{t}@{s / SECOND:g}-{e / SECOND:g}" for t, s, e in events)
+
+    return f"{case!r}\nexpected {line(expected)}\n     got {line(got)}\n"
+
+
+def kind_of(case: Case) -> str:
+    """Return a name for what a shrunk case is about, so that a difference is shown only once."""
+    words = [word for word in case.text().replace("(", " ").replace(")", " ").split() if word.islower()]
+    return " ".join(word for word in words if len(word) > 1 and not word.startswith(("out", "v")))
+
+
+def main() -> int:
+    """Compare many cases; print those that differ, shrunk."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("--cases", type=int, default=50_000)
+    parser.add_argument("--seed", type=int, default=0, help="number of the first case")
+    parser.add_argument("--depth", type=int, default=4)
+    parser.add_argument("--show", type=int, default=20, help="how many differences to shrink and print")
+    options = parser.parse_args()
+    logging.disable(logging.CRITICAL)
+    begin = time.time()
+    kinds: Any = Counter()
+    differing = 0
+    for seed in range(options.seed, options.seed + options.cases):
+        case = random_case(seed, options.depth)
+        if difference(case) is None:
+            continue
+        differing += 1
+        if sum(1 for count in kinds.values() if count) < options.show:
+            small = shrink(case, lambda candidate: difference(candidate) is not None)
+            kind = kind_of(small)
+            kinds[kind] += 1
+            if kinds[kind] == 1:
+                print(f"seed {seed} {report(small)}", flush=True)
+    print(f"{options.cases} cases, {differing} differ, {time.time() - begin:.0f} s")
+    for kind, count in kinds.most_common():
+        print(f"{count:6} {kind}")
+    return 1 if differing else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,157 @@
+"""Conditions and windows of one rule: what a match must pass, and when.
+
+Comments name the sentence of the language's definition that the code next to them realises.
+"""
+
+from dataclasses import replace
+from typing import Any, Callable, Dict, Iterable, List, Optional
+
+from retalis.terms import Term, Var, copy, variables
+
+from .goals import Bindings, GoalError, first, instance, merge, show, solve, unbound, unify
+from .matches import Event, Match, Pending
+from .patterns import (
+    Check,
+    Leaf,
+    Pattern,
+    Rule,
+    Where,
+    Within,
+    children,
+    expand,
+    parts,
+    pattern_variables,
+    walk,
+)
+
+Test = Callable[[Match], Optional[Match]]
+"""What a match must pass: the match with what the test binds, or None."""
+
+
+class Conditions:
+    """The pattern of one rule with its conditions, windows and clock."""
+
+    def __init__(self, rule: Rule):
+        self.rule = rule
+        self.pattern = expand(rule.pattern)
+        self.place = {node: at for at, node in enumerate(walk(self.pattern))}
+        self.left_of: Dict[Pattern, List[Var]] = {}
+        self._note_left(self.pattern, [])
+        self.limits: Dict[Pattern, List[Any]] = {}
+        self._note_limits(self.pattern, [])
+        self.clock: Any = None
+
+    def _note_left(self, node: Pattern, before: List[Var]) -> None:
+        """Note for each pattern which variables stand to its left."""
+        self.left_of[node] = list(before)
+        seen = list(before)
+        for part in parts(node):
+            if isinstance(part, Pattern):
+                self._note_left(part, seen)
+                seen += pattern_variables(part)
+            elif part is not None and not isinstance(part, (str, bool)):
+                seen += variables(part)
+
+    def _note_limits(self, node: Pattern, limits: List[Any]) -> None:
+        """Note for each pattern the seconds of each within around it."""
+        if isinstance(node, Within):
+            limits = [*limits, node.seconds]
+        self.limits[node] = limits
+        for child in children(node):
+            self._note_limits(child, limits)
+
+    # Conditions.
+
+    def test_of(self, condition: Pattern) -> Test:
+        """Return a condition as a test."""
+        if isinstance(condition, Within):
+            # Table, within: e - s < N seconds, whatever the pattern is.
+            return lambda match: match if match.end - match.start < condition.seconds else None
+        assert isinstance(condition, (Where, Check))
+
+        def test(match: Match) -> Optional[Match]:
+            # Table, check: as where, with t1 and t2 true inside the goal.
+            facts = {"t1": match.start, "t2": match.end} if isinstance(condition, Check) else {}
+            waits = replace(match, pending=(*match.pending, Pending(condition.goal, facts)))
+            return self.settle(waits, condition)
+
+        return test
+
+    def settle(self, match: Match, node: Pattern) -> Optional[Match]:
+        """Call the conditions of a match that need nothing more from the left; None where one does not hold.
+
+        Patterns: a condition under several operators sees the variables of all patterns to its left.
+        """
+        kept: List[Pending] = []
+        bindings = match.bindings
+        for item in match.pending:
+            if unbound(item.goal, bindings) & set(self.left_of[node]):
+                kept.append(Pending(instance(item.goal, bindings), item.facts))
+                continue
+            # Table, where: the goal's first solution, which may bind the head.
+            solution = first(item.goal, bindings, item.facts)
+            if solution is None:
+                return None
+            bindings = solution
+        return replace(match, bindings=bindings, pending=tuple(kept))
+
+    @staticmethod
+    def passes(match: Match, tests: Iterable[Test]) -> Optional[Match]:
+        """Return a match with what all tests bind, or None where one rejects it."""
+        result: Optional[Match] = match
+        for test in tests:
+            if result is not None:
+                result = test(result)
+        return result
+
+    def join(self, p: Match, q: Match, start: Any, end: Any, node: Pattern) -> Optional[Match]:
+        """Return two matches as one where their shared variables agree."""
+        bindings = merge(p.bindings, q.bindings)
+        if bindings is None:
+            return None
+        joined = Match(start, end, bindings, p.terms + q.terms, p.numbers | q.numbers, p.pending + q.pending)
+        return self.settle(joined, node)
+
+    @staticmethod
+    def agree(absent: Match, match: Match) -> bool:
+        """Tell whether what must not happen is about a match: variables agree, conditions hold."""
+        bindings = merge(match.bindings, absent.bindings)
+        for item in absent.pending:
+            if bindings is not None:
+                bindings = first(item.goal, bindings, item.facts)
+        return bindings is not None
+
+    def leaf(self, node: Leaf, event: Event) -> List[Match]:
+        """Return the match of a pattern of one event. Table: it unifies, the interval is its own."""
+        bindings = unify(node.term, copy(event.term), {})
+        if bindings is None:
+            return []
+        taken = ((self.place[node], show(event.term)),)
+        return [Match(event.start, event.end, bindings, taken, frozenset([event.number]))]
+
+    # Windows.
+
+    def in_window(self, match: Match) -> bool:
+        """Labels: e - s =< V seconds, exactly, at every operator of the rule."""
+        return self.rule.window is None or match.end - match.start <= self.rule.window
+
+    def advance(self, event: Event) -> None:
+        """Time: a rule's clock is the newest end among the events that its patterns matched."""
+        leaves = [node for node in self.place if isinstance(node, Leaf)]
+        if any(unify(leaf.term, copy(event.term), {}) is not None for leaf in leaves):
+            self.clock = event.end if self.clock is None else max(self.clock, event.end)
+
+    def expired(self, node: Pattern, match: Match) -> bool:
+        """Policies: a match that can no longer complete is removed; windows expire by the clock."""
+        age = self.clock - match.start
+        if self.rule.window is not None and age > self.rule.window:
+            return True
+        return any(age >= seconds for seconds in self.limits[node])
+
+
+def all_solutions(goal: Term, bindings: Bindings) -> List[Bindings]:
+    """Table, event_multiply: every solution, in order; none of a goal that raises an error."""
+    try:
+        return list(solve(goal, bindings))
+    except GoalError:
+        return []

@@ -1,0 +1,100 @@
+"""What the oracle works with: events, matches of patterns, and the tables of times.
+
+Times are any exact numbers, in seconds.
+"""
+
+from dataclasses import dataclass, field
+from typing import Any, Callable, Dict, FrozenSet, List, NamedTuple, Tuple
+
+from retalis.terms import Term, make_list
+
+from .goals import Bindings, quotient, show
+
+POLICIES = ("recent", "recent_2", "chronological", "chronological_2", "unrestricted")
+
+
+class Event(NamedTuple):
+    """An occurrence: ``number`` counts arrivals."""
+
+    term: Term
+    start: Any
+    end: Any
+    number: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Pending:
+    """A condition that waits for variables of patterns to its left, with what t1 and t2 are for it."""
+
+    goal: Term
+    facts: Dict[str, Term]
+
+
+@dataclass(frozen=True, eq=False)
+class Match:
+    """An occurrence of a pattern: its interval, what its variables stand for, the events that make it up."""
+
+    start: Any
+    end: Any
+    bindings: Bindings
+    terms: Tuple[Tuple[int, str], ...]
+    """For each leaf that took part: its place in the rule and the text of its event; no repetitions."""
+    numbers: FrozenSet[int]
+    """The numbers of all events that make up this match."""
+    pending: Tuple[Pending, ...] = ()
+
+    def variant(self) -> Any:
+        """Return a key that two matches share when they are the very same event term."""
+        values = sorted((id(var), show(var, self.bindings)) for var in self.bindings)
+        return self.terms, tuple(values)
+
+    def is_one_event(self) -> bool:
+        """Tell whether this is a single event, not a composed one."""
+        return len(self.numbers) == 1
+
+
+@dataclass(eq=False)
+class Run:
+    """A running star_times or aggregate: its start, where it stands, and what it has collected."""
+
+    start: Match
+    now: Match
+    values: List[Any] = field(default_factory=list)
+
+
+# The table of patterns: when a pair fires.
+FIRES: Dict[str, Callable[[Match, Match], bool]] = {
+    "seq": lambda p, q: p.end < q.start,
+    "forall_seq": lambda p, q: p.end < q.start,
+    "and": lambda p, q: True,
+    "par": lambda p, q: max(p.start, q.start) < min(p.end, q.end),
+    "equals": lambda p, q: p.start == q.start and p.end == q.end,
+    "meets": lambda p, q: p.end == q.start,
+    "during": lambda p, q: q.start <= p.start and p.end <= q.end,
+    "starts": lambda p, q: p.start == q.start and p.end < q.end,
+    "finishes": lambda p, q: p.end == q.end and q.start < p.start,
+}
+
+# The table of patterns: the interval of a pair.
+INTERVAL: Dict[str, Callable[[Match, Match], Tuple[Any, Any]]] = {
+    "seq": lambda p, q: (p.start, q.end),
+    "forall_seq": lambda p, q: (p.start, q.end),
+    "and": lambda p, q: (min(p.start, q.start), max(p.end, q.end)),
+    "par": lambda p, q: (min(p.start, q.start), max(p.end, q.end)),
+    "equals": lambda p, q: (q.start, q.end),
+    "meets": lambda p, q: (p.start, q.end),
+    "during": lambda p, q: (q.start, q.end),
+    "starts": lambda p, q: (q.start, q.end),
+    "finishes": lambda p, q: (q.start, q.end),
+}
+
+# The table of patterns: aggregates. Count, sum and list have a value from the start; the others have none before
+# the first repetition, and fire with it.
+AGGREGATES: Dict[str, Callable[[List[Any]], Any]] = {
+    "count": len,
+    "sum": sum,
+    "list": make_list,
+    "min": lambda values: min(values) if values else None,
+    "max": lambda values: max(values) if values else None,
+    "avg": lambda values: quotient(sum(values), len(values)) if values else None,
+}

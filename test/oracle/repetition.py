@@ -1,0 +1,124 @@
+"""Star_times and aggregates: runs that a start begins and repetitions extend in place."""
+
+from dataclasses import replace
+from typing import Any, Dict, FrozenSet, List, Optional
+
+from retalis.terms import Var, variables
+
+from .conditions import Conditions
+from .goals import GoalError, instance, number, unbound, unify
+from .matches import AGGREGATES, Match, Run
+from .patterns import Aggregate, Pattern, Rule, Star, Within, parts, pattern_variables
+
+
+class Repetitions(Conditions):
+    """The runs of one rule."""
+
+    def __init__(self, rule: Rule, policy: str):
+        super().__init__(rule)
+        self.policy = policy
+        self.consuming = policy != "unrestricted"
+        self.runs: Dict[Pattern, List[Run]] = {}
+
+    def repetition(
+        self, node: Any, starts: List[Match], repetitions: List[Match], conditions: List[Pattern]
+    ) -> List[Match]:
+        """Take new starts and repetitions of a star_times or aggregate; return what fires."""
+        runs = self.runs.setdefault(node, [])
+        results: List[Match] = []
+        for q in repetitions:
+            for run in reversed(runs) if self.policy.startswith("recent") else list(runs):
+                fired = self._extended(node, run, q, conditions)
+                if fired is None:
+                    continue
+                results += fired
+                if self.consuming:
+                    break  # Policies: recent extends the newest that fits, chronological the oldest, else all.
+        for p in starts:
+            results += self._started(node, p, conditions)
+        return results
+
+    def _started(self, node: Any, p: Match, conditions: List[Pattern]) -> List[Match]:
+        runs = self.runs[node]
+        same = [run for run in runs if run.start.variant() == p.variant()]
+        if any((run.start.start, run.start.end) == (p.start, p.end) for run in same):
+            return []  # Policies: a start with the same term and stamps as a running one adds none.
+        if self.policy == "recent":
+            # Policies: under recent a newer start with the same term replaces the older.
+            runs[:] = [run for run in runs if run not in same]
+        run = Run(p, p)
+        runs.append(run)
+        # Table: zero repetitions fire at the start; count, sum and list with 0, 0 and [].
+        return self._result(node, run, conditions)
+
+    def _extended(self, node: Any, run: Run, q: Match, conditions: List[Pattern]) -> Optional[List[Match]]:
+        """Extend a run in place and return what fires, or None where the repetition does not fit."""
+        # Table, star_times: each starts after the last one (or the start) ended. Aggregate: after the start ended.
+        last = run.now if isinstance(node, Star) else run.start
+        if not last.end < q.start:
+            return None
+        # Policies: the end of a run is the largest so far.
+        joined = self.join(run.now, q, run.start.start, max(run.now.end, q.end), node)
+        if joined is None or not self.in_window(joined):
+            return None
+        fits = [
+            self.test_of(condition) for condition in conditions if not self._about_result(node, condition)
+        ]
+        if self.passes(joined, fits) is None:
+            return None
+        if isinstance(node, Aggregate):
+            try:
+                run.values = [*run.values, self._value(node, joined)]
+            except GoalError:
+                return None
+        # Table, star_times: a variable that stands elsewhere in the rule has one value for the whole match, set
+        # by the first repetition; any other is fresh each time.
+        fresh = self._only_inside(node)
+        kept = {var: instance(var, joined.bindings) for var in joined.bindings if var not in fresh}
+        run.now = replace(joined, bindings=kept, terms=run.start.terms)
+        return self._result(node, run, conditions)
+
+    @staticmethod
+    def _value(node: Aggregate, match: Match) -> Any:
+        if node.value is None:
+            return 1
+        value = instance(node.value, match.bindings)
+        return value if node.kind == "list" else number(value, match.bindings)
+
+    def _result(self, node: Any, run: Run, conditions: List[Pattern]) -> List[Match]:
+        match = run.now
+        if not self.in_window(match):
+            return []
+        if isinstance(node, Aggregate):
+            value = AGGREGATES[node.kind](run.values)
+            bindings = None if value is None else unify(node.result, value, match.bindings)
+            if bindings is None:
+                return []
+            match = replace(match, bindings=bindings)
+        passed = self.passes(match, [self.test_of(condition) for condition in conditions])
+        return [] if passed is None else [passed]
+
+    @staticmethod
+    def _about_result(node: Any, condition: Any) -> bool:
+        """Tell whether a condition asks for an aggregate's result: it chooses what fires, not the run."""
+        if isinstance(node, Star) or isinstance(condition, Within):
+            return False
+        return bool(unbound(node.result, {}) & unbound(condition.goal, {}))
+
+    def _only_inside(self, node: Any) -> FrozenSet[Var]:
+        """Return the variables of the repeated pattern that stand nowhere else in the rule."""
+        outside = set(variables(self.rule.head))
+        if self.rule.do is not None:
+            outside |= set(variables(self.rule.do))
+
+        def gather(other: Pattern) -> None:
+            for part in parts(other):
+                if part is node.repeated or (other is node and part is getattr(node, "value", None)):
+                    continue
+                if isinstance(part, Pattern):
+                    gather(part)
+                elif part is not None and not isinstance(part, (str, bool)):
+                    outside.update(variables(part))
+
+        gather(self.pattern)
+        return frozenset(set(pattern_variables(node.repeated)) - outside)
