@@ -15,7 +15,7 @@ import time
 import urllib.error
 import urllib.request
 from pathlib import Path
-from typing import Dict, Iterable, List, Mapping, NamedTuple, Optional, Sequence
+from typing import IO, Callable, Dict, Iterable, List, Mapping, NamedTuple, Optional, Sequence
 
 HERE = Path(__file__).resolve().parent
 PYTHON = "/usr/bin/python3"  # the one interpreter that sees the distribution's ROS modules
@@ -47,11 +47,11 @@ class Platform(NamedTuple):
     source: Optional[str] = None
 
 
-_COMMON = "cmake g++ make python3-lark python3-numpy python3-setuptools python3-venv"
+_COMMON = "cmake g++ make python3-numpy python3-setuptools python3-venv"
 
 _DEBIAN = """
-    catkin librostest-dev libstd-msgs-dev python3-diagnostic-msgs python3-geometry-msgs python3-rosbag
-    python3-roslaunch python3-rosmaster python3-rosmsg python3-rosnode python3-rosparam python3-rospy
+    catkin librostest-dev libstd-msgs-dev python3-diagnostic-msgs python3-geometry-msgs python3-lark
+    python3-rosbag python3-roslaunch python3-rosmaster python3-rosmsg python3-rosnode python3-rosparam python3-rospy
     python3-rosservice python3-rostest python3-rostopic python3-std-msgs python3-std-srvs python3-tf
     python3-tf2 python3-tf2-msgs ros-message-generation ros-message-runtime rosbash rosout
     """
@@ -137,6 +137,28 @@ def stop(process: "subprocess.Popen[bytes]") -> None:
             continue
 
 
+class Line:
+    """A line for the user that says what is being done; on a terminal also for how many seconds."""
+
+    def __init__(self, title: str) -> None:
+        self._title = title
+        self._begin = time.monotonic()
+        print(title + " ...", end="", flush=True)
+
+    def tick(self) -> None:
+        """Show the seconds so far."""
+        if sys.stdout.isatty():
+            print(f"\r{self._title} ... {self._seconds()}", end="", flush=True)
+
+    def end(self, result: str) -> None:
+        """Show the result and end the line."""
+        begin = f"\r{self._title} ..." if sys.stdout.isatty() else ""
+        print(f"{begin} {result} ({self._seconds()})", flush=True)
+
+    def _seconds(self) -> str:
+        return f"{time.monotonic() - self._begin:.0f} s"
+
+
 class Shell:
     """Runs commands: quietly with a log for each, or before the user's eyes."""
 
@@ -155,11 +177,10 @@ class Shell:
             return
         self.logs.mkdir(parents=True, exist_ok=True)
         log = self.logs / (name + ".log")
-        print(title + " ...", end=" ", flush=True)
-        begin = time.monotonic()
+        line = Line(title)
         with log.open("wb") as output:
-            code = self._wait(command, cwd, output)
-        print("done" if code == 0 else "failed", f"({time.monotonic() - begin:.0f} s)", flush=True)
+            code = self._wait(command, cwd, output, line.tick)
+        line.end("failed" if code else "done")
         if code:
             print(tail(log.read_text(errors="replace")), file=sys.stderr)
             raise Problem(f"{name} failed with exit status {code}; all of its output is in {log}")
@@ -169,17 +190,26 @@ class Shell:
         if self.dry:
             print("would run: " + " ".join(map(shlex.quote, command)))
             return 0
-        return self._wait(command, cwd, None)
+        return self._wait(command, cwd)
 
     @staticmethod
-    def _wait(command: Sequence[str], cwd: Optional[Path], output: Optional[object]) -> int:
+    def _wait(
+        command: Sequence[str],
+        cwd: Optional[Path],
+        output: Optional[IO[bytes]] = None,
+        tick: Callable[[], None] = lambda: None,
+    ) -> int:
         errors = None if output is None else subprocess.STDOUT
         try:
-            process = subprocess.Popen(command, cwd=cwd, stdout=output, stderr=errors)  # type: ignore[call-overload]
+            process = subprocess.Popen(command, cwd=cwd, stdout=output, stderr=errors)
         except FileNotFoundError:
             raise Problem(f"{command[0]} is not installed") from None
         try:
-            return int(process.wait())
+            while True:
+                try:
+                    return process.wait(1)
+                except subprocess.TimeoutExpired:
+                    tick()
         except BaseException:
             stop(process)
             raise
@@ -305,7 +335,8 @@ def arguments(argv: Sequence[str]) -> argparse.Namespace:
     commands.add_parser("demo", help="... and run the NAO example (see demo --help)", add_help=False)
     commands.add_parser("test", help="... and run every test; options go to pytest", add_help=False)
     commands.add_parser("lint", help="... and check the style: ruff, mypy, catkin_lint")
-    options, options.rest = parser.parse_known_args(argv)
+    options, rest = parser.parse_known_args(argv)
+    options.rest = rest
     if options.rest and options.command not in ("demo", "test"):
         parser.error("unknown argument: " + options.rest[0])
     options.command = options.command or "build"

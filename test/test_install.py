@@ -1,4 +1,5 @@
 import importlib.util
+import io
 import os
 import subprocess
 import sys
@@ -173,3 +174,66 @@ def test_interrupt_ends_the_command(install, tmp_path, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         install.Shell(tmp_path).show([sys.executable, "-c", "import time; time.sleep(60)"])
     assert len(ended) == 1 and ended[0].returncode is not None
+
+
+class Recorder:
+    """A shell that only notes what it should run."""
+
+    dry = False
+
+    def __init__(self, logs):
+        self.logs = logs
+        self.commands = []
+
+    def step(self, title, name, command, cwd=None):
+        self.commands.append(command)
+
+    def show(self, command, cwd=None):
+        self.commands.append(command)
+        return 0
+
+
+def nothing_installed(*arguments, **options):
+    return subprocess.CompletedProcess(arguments, 1, stdout="")
+
+
+@pytest.fixture
+def noetic(install, tmp_path, monkeypatch):
+    """Ubuntu 20.04 without ROS and without root."""
+    platform = install.UBUNTU_20_04._replace(setup=str(tmp_path / "no" / "setup.bash"))
+    monkeypatch.setattr(install.subprocess, "run", nothing_installed)
+    monkeypatch.setattr(install.os, "getuid", lambda: 1000)
+    return install.Installation(platform, tmp_path, Recorder(tmp_path / "log"))
+
+
+def test_noetic_gets_its_source_and_key_before_its_packages(install, noetic, monkeypatch, capsys):
+    monkeypatch.setattr(
+        install.urllib.request, "urlopen", lambda url, timeout: io.BytesIO(b"key of " + url.encode())
+    )
+    noetic.system_packages()
+    lines = [" ".join(command) for command in noetic.shell.commands]
+    assert lines[0] == "sudo -v"
+    assert lines[1].startswith("sudo install -m 644 ") and lines[1].endswith(install.KEY_FILE)
+    assert lines[2].startswith("sudo install -m 644 ") and lines[2].endswith(install.SOURCE_FILE)
+    assert lines[3] == "sudo env DEBIAN_FRONTEND=noninteractive apt-get update"
+    assert "ros-noetic-rospy" in lines[4]
+    source = (noetic.shell.logs / Path(install.SOURCE_FILE).name).read_text()
+    assert source == f"deb [signed-by={install.KEY_FILE}] http://packages.ros.org/ros/ubuntu focal main\n"
+    said = capsys.readouterr().out
+    assert install.SOURCE_FILE in said and "ros-noetic-rospy" in said
+
+
+def test_no_key_says_where_to_read_on(install, noetic, monkeypatch):
+    def refuse(url, timeout):
+        raise OSError("no route")
+
+    monkeypatch.setattr(install.urllib.request, "urlopen", refuse)
+    with pytest.raises(install.Problem, match=r"no key for packages.ros.org \(no route\); add it as http"):
+        noetic.system_packages()
+
+
+def test_without_system_the_missing_packages_are_named(install, noetic):
+    noetic.system = False
+    with pytest.raises(install.Problem, match=r"system packages are missing: cmake .*ros-noetic-rospy"):
+        noetic.system_packages()
+    assert noetic.shell.commands == []

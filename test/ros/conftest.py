@@ -72,14 +72,14 @@ class Space:
         everything = (*publications, *subscriptions, *services)
         return {node for _, nodes in everything for node in nodes}, {name for name, _ in services}
 
-    def wait_for(self, condition, seconds=30):
-        """Wait until the master's state fulfils the condition and return whether it did."""
+    def expect(self, condition, seconds=30):
+        """Wait until the master's nodes and services fulfil the condition."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             if condition(*self.state()):
-                return True
+                return
             time.sleep(0.1)
-        return False
+        pytest.fail(f"{self.state()}\n{self.printed()}")
 
     def close(self):
         """End what was started, last first; return the exit statuses."""

@@ -53,11 +53,11 @@ def test_embedded_is_one_process_with_six_services(space):
 
 def test_node_names_without_a_launch_file(space):
     space.start("roscore", "-p", str(space.port))
-    assert space.wait_for(lambda found, services: "/rosout" in found)
+    space.expect(lambda found, services: "/rosout" in found)
     space.start("rosrun", "retalis", "retalis_node")
     space.start("rosrun", "retalis", "retalis_ros_converter.py")
     wanted = {"/retalis", "/retalis_ros_converter"}
-    assert space.wait_for(lambda found, services: wanted <= found), (space.state(), space.printed())
+    space.expect(lambda found, services: wanted <= found)
 
 
 def test_launch_arguments_are_listed(space):
