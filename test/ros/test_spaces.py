@@ -34,20 +34,14 @@ def test_launch_file_starts_both_nodes_and_six_services(space):
     space.start("roslaunch", "-p", str(space.port), "retalis", "retalis.launch")
     wanted = {"/" + name for name in SERVICES}
     nodes = {"/retalis", "/retalis_ros_interface"}
-    assert space.wait_for(lambda found, services: nodes <= found and wanted <= services), (
-        space.state(),
-        space.printed(),
-    )
+    space.expect(lambda found, services: nodes <= found and wanted <= services)
     assert space.run("rosparam", "get", "/use_sim_time").strip() == "true"
 
 
 def test_embedded_is_one_process_with_six_services(space):
     space.start("roslaunch", "-p", str(space.port), "retalis", "retalis.launch", "embedded:=true")
     wanted = {"/" + name for name in SERVICES}
-    assert space.wait_for(lambda found, services: "/retalis" in found and wanted <= services), (
-        space.state(),
-        space.printed(),
-    )
+    space.expect(lambda found, services: "/retalis" in found and wanted <= services)
     assert "/retalis_ros_interface" not in space.state()[0]
 
 
