@@ -88,8 +88,8 @@ INTERVAL: Dict[str, Callable[[Match, Match], Tuple[Any, Any]]] = {
     "finishes": lambda p, q: (q.start, q.end),
 }
 
-# The table of patterns: aggregates. Count, sum and list have a value from the start; the others have none before
-# the first repetition, and fire with it.
+# The table of patterns: aggregates. Count, sum and list have a value from the start, the others with the
+# first repetition.
 AGGREGATES: Dict[str, Callable[[List[Any]], Any]] = {
     "count": len,
     "sum": sum,

@@ -33,7 +33,7 @@ class Repetitions(Conditions):
                     continue
                 results += fired
                 if self.consuming:
-                    break  # Policies: recent extends the newest that fits, chronological the oldest, else all.
+                    break  # Policies: the newest or the oldest that fits; unrestricted all.
         for p in starts:
             results += self._started(node, p, conditions)
         return results
@@ -53,7 +53,7 @@ class Repetitions(Conditions):
 
     def _extended(self, node: Any, run: Run, q: Match, conditions: List[Pattern]) -> Optional[List[Match]]:
         """Extend a run in place and return what fires, or None where the repetition does not fit."""
-        # Table, star_times: each starts after the last one (or the start) ended. Aggregate: after the start ended.
+        # Table: a star_times starts after the last one (or the start) ended, an aggregate after the start.
         last = run.now if isinstance(node, Star) else run.start
         if not last.end < q.start:
             return None
@@ -71,8 +71,8 @@ class Repetitions(Conditions):
                 run.values = [*run.values, self._value(node, joined)]
             except GoalError:
                 return None
-        # Table, star_times: a variable that stands elsewhere in the rule has one value for the whole match, set
-        # by the first repetition; any other is fresh each time.
+        # Table: a variable that stands elsewhere in the rule has one value for the whole match, set by the
+        # first repetition; any other is fresh each time.
         fresh = self._only_inside(node)
         kept = {var: instance(var, joined.bindings) for var in joined.bindings if var not in fresh}
         run.now = replace(joined, bindings=kept, terms=run.start.terms)

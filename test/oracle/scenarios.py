@@ -1,7 +1,7 @@
 """Recorded scenarios as programs for the oracle, as far as they are in its domain.
 
-In the domain are scenarios whose files have event rules only, whose stream has events only, and whose goals set the
-policy and out_of_order.
+In the domain are scenarios whose files have event rules only, whose stream has events only, and whose goals
+set the policy and out_of_order.
 """
 
 import json
@@ -17,28 +17,7 @@ from .goals import show
 from .patterns import Check, Do, Multiply, Rule, Where, walk
 from .text import pattern_of
 
-SOLVED = set(
-    [
-        "true",
-        "fail",
-        "false",
-        "=",
-        "\\=",
-        "==",
-        "\\==",
-        "<",
-        ">",
-        "=<",
-        ">=",
-        "=:=",
-        "=\\=",
-        "is",
-        "member",
-        "\\+",
-        "t1",
-        "t2",
-    ],
-)
+SOLVED = frozenset("true fail false = \\= == \\== < > =< >= =:= =\\= is member \\+ t1 t2".split())  # noqa: SIM905
 
 
 class Scenario(NamedTuple):

@@ -1,4 +1,4 @@
-"""The oracle against recorded scenarios: what is right in them where the original is not, else what was recorded."""
+"""The oracle against recorded scenarios: what is right where the original is not, else what was recorded."""
 
 import os
 from pathlib import Path

@@ -1,7 +1,7 @@
 """Texts of the oracle: a small notation to write tests in, and rules written out for the engine to read.
 
-Terms here are canonical (``<(X,Y)``, no operators); patterns are written as prefix terms, ``seq(a(X),b(Y))``, and
-read into `patterns`. What is written out for the engine is the language's own notation, with every operator's
+Terms here are canonical (``<(X,Y)``, no operators); patterns are prefix terms, ``seq(a(X),b(Y))``, read into
+`patterns`. What is written out for the engine is the language's own notation, with every operator's
 operands in parentheses.
 """
 
