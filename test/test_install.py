@@ -137,7 +137,8 @@ def test_dry_run_runs_nothing(install, tmp_path, capsys):
 
 
 PATIENT = """
-import sys, time
+import signal, sys, time
+signal.signal(signal.SIGINT, signal.default_int_handler)
 try:
     print("up", flush=True)
     time.sleep(60)
