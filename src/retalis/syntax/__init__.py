@@ -14,7 +14,8 @@ Event rules (see `rules`) come out with canonical functors, however their operat
     a seq b, a 'Seq' b, a * b       seq(a, b)                the same for and, or, par, ...
 """
 
-from .eventtext import EventReader, to_text
+from .eventreader import EventReader
+from .eventtext import to_text
 from .operators import Operators
 from .reader import Program, ReadTerm, read_program, read_term
 from .tokens import ReadFlags

@@ -1,13 +1,10 @@
-"""Events as text, as the String topics carry them: fast in both directions."""
+"""Terms to event text, as the String topics carry it."""
 
 from typing import Any, List
 
 from ..terms import CONS, NIL, Atom, String, Term, Var, deref, serial
 from .atoms import atom_text, quote
 from .numerals import integer_text
-from .operators import Operators
-from .reader import read_term
-from .tokens import ReadFlags
 
 
 def to_text(term: Term) -> str:
@@ -75,21 +72,3 @@ def _float(value: float) -> str:
     if "e" in text and "." not in text:
         text = text.replace("e", ".0e")
     return text
-
-
-class EventReader:
-    """Reads event text."""
-
-    def __init__(self) -> None:
-        self._operators = Operators.prolog()
-
-    def read(self, text: str) -> Term:
-        """Return the term of a text.
-
-        Raises:
-            SyntaxFault: where the text is not exactly one term.
-        """
-        return read_term(text, self._operators, "event text", _FLAGS, positions=False).term
-
-
-_FLAGS = ReadFlags(event_text=True)

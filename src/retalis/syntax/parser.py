@@ -191,10 +191,12 @@ class Parser:
         if following[0] == OPEN_CT:
             self._open_arguments(name, start)
             return
-        if kind == NAME and name == "-" and following[0] == NUMBER and self._is_sign(following):
-            self.at += 1
-            self._have(-following[1], start)
-            return
+        if kind == NAME and name == "-" and following[2] == start + 1:
+            number = self._signed(following)
+            if number is not None:
+                self.at += 1
+                self._have(-number, start)
+                return
         prefix = self.operators.prefix.get(name)
         if prefix is not None and self._is_prefix(following):
             self._push_prefix(prefix, start)
@@ -206,8 +208,13 @@ class Parser:
         if self.flags.iso and name in self.operators:
             self._bare_operator(name, start)
 
-    def _is_sign(self, number: AnyToken) -> bool:
-        return number[2] == self.tokens[self.at - 1][3]
+    def _signed(self, following: AnyToken) -> Term:
+        """Return the number directly behind a minus, or None."""
+        if following[0] == NUMBER:
+            return following[1]
+        if following[0] == NAME and self.flags.event_text and self.tokens[self.at + 1][0] != OPEN_CT:
+            return _SPECIAL_FLOATS.get(following[1])
+        return None
 
     def _bare_operator(self, name: str, start: int) -> None:
         """Check ISO's demand that an operator that is an operand stands alone or in brackets."""

@@ -135,6 +135,8 @@ def _is_infix(segment: Segment, tokens: Sequence[AnyToken], at: int, operators: 
     if kind == NAME and value in operators.infix and value not in operators.prefix:
         return tokens[at + 2][0] in _CANNOT_START or tokens[at + 2][0] == OPEN_CT
     kind, value = tokens[at - 1][:2]
+    if kind in (",", "|"):
+        return False
     if kind != NAME or at - 1 == segment.start or value in operators.postfix:
         return True
     return value not in operators.infix
