@@ -250,7 +250,7 @@ def main(argv: Optional[Sequence[str]] = None) -> int:
     uri = f"http://localhost:{free_port()}"
     os.environ.update(ROS_MASTER_URI=uri, ROS_HOSTNAME="localhost", ROS_LOG_DIR=str(logs))
     processes = Processes(logs, dict(os.environ))
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # also where a script started this in the background
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a script may have said to ignore it
     bag = options.bag
     try:
         if not bag:
