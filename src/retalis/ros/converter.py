@@ -1,9 +1,69 @@
-"""Node `retalis_ros_converter`."""
+"""Node ``retalis_ros_interface``: between ROS topics and events as text."""
+
+import logging
+from typing import Optional
 
 import rospy
+from std_msgs.msg import String
+
+from ..errors import RetalisError
+from ..program import TOPICS, Topics, read_topics
+from ..syntax import EventReader, to_text
+from ..terms import CONS, NIL, Term, deref, functor
+from ..timestamps import datime
+from ._log import forward_log, shown
+from .interface import Interface
+from .node import INPUT, OUTPUT, OUTPUT_EVENT, connect
+from .parameters import Parameters, direct_topics, read_parameters
+from .services import InterfaceServices
+
+EVENT = functor("event", 2)
+
+
+class Converter:
+    """The node: messages go out as text to node retalis, texts that come back go out as messages."""
+
+    def __init__(self, parameters: Parameters):
+        self._texts = rospy.Publisher(INPUT, String, queue_size=parameters.queue)
+        self._reader = EventReader()
+        self._interface = Interface(self._send, parameters.queue)
+        try:
+            topics = read_topics(parameters.program / TOPICS)
+        except RetalisError as error:
+            for line in shown(error):
+                rospy.logerr("%s", line)
+            topics = Topics()
+        connect(self._interface, topics, direct_topics(parameters.direct, topics))
+        InterfaceServices(self._interface)
+        rospy.Subscriber(OUTPUT, String, self._receive, queue_size=parameters.queue, buff_size=1 << 20)
+
+    def _send(self, term: Term, instant: Optional[int]) -> None:
+        if instant is None:
+            instant = rospy.get_rostime().to_nsec()
+        stamp = datime(instant)
+        interval = (CONS, stamp, (CONS, stamp, NIL))
+        self._texts.publish(String(to_text((EVENT, term, interval))))
+
+    def _receive(self, message: String) -> None:
+        try:
+            event = self._reader.read(message.data)
+        except RetalisError as error:
+            rospy.logerr("an output is not published: %s", error)
+            return
+        if event.__class__ is not tuple or event[0] is not OUTPUT_EVENT:
+            rospy.logerr("an output is not published: expected event(Term,Topic,Id), found %s", message.data)
+            return
+        topic = deref(event[2])
+        self._interface.publish(deref(event[1]), getattr(topic, "name", None) or to_text(topic))
 
 
 def main() -> None:
     """Run the node until it is shut down."""
     rospy.init_node("retalis_ros_converter")
+    forward_log(logging.getLogger("retalis"))
+    try:
+        Converter(read_parameters())
+    except RetalisError as error:
+        rospy.logfatal("%s", error)
+        raise SystemExit(1) from error
     rospy.spin()

@@ -1,9 +1,134 @@
-"""Node `retalis`."""
+"""Node ``retalis``: the engine behind its services and topics."""
+
+import logging
+from typing import Any, Optional
 
 import rospy
+from std_msgs.msg import String
+
+from ..clock import Alarm, Clock
+from ..engine import Engine
+from ..errors import RetalisError
+from ..program import TOPICS, Topics, read_topics
+from ..syntax import to_text
+from ..terms import Term, atom, functor
+from ._log import forward_log, shown
+from .interface import Interface
+from .parameters import Parameters, direct_topics, read_parameters
+from .services import EngineServices, InterfaceServices
+
+INPUT = "retalisInputEvents"
+OUTPUT = "retalisOutputEvents"
+OUTPUT_EVENT = functor("event", 3)
+
+
+class RosClock(Clock):
+    """ROS time, simulated or not; wakes the engine when an alarm is due."""
+
+    def __init__(self) -> None:
+        super().__init__(lambda: rospy.get_rostime().to_nsec())
+        self.engine: Optional[Engine] = None
+        self._timer: Optional[rospy.Timer] = None
+        self._timer_for: Optional[int] = None
+
+    def call_at(self, instant: int, alarm: Alarm) -> None:
+        """Have ``alarm`` called when ROS time reaches an instant."""
+        super().call_at(instant, alarm)
+        self._set_timer()
+
+    def _set_timer(self) -> None:
+        """Have one timer, for the earliest alarm."""
+        instant = self.next_alarm()
+        if instant is None or (self._timer_for is not None and self._timer_for <= instant):
+            return
+        if self._timer is not None:
+            self._timer.shutdown()
+        self._timer_for = instant
+        wait = max(1_000_000, instant - self.now())
+        self._timer = rospy.Timer(rospy.Duration.from_sec(wait / 1e9), self._wake, oneshot=True, reset=True)
+
+    def _wake(self, event: Any) -> None:
+        self._timer = self._timer_for = None
+        if self.engine is not None:
+            self.engine.advance()
+        self._set_timer()
+
+
+class Node:
+    """Node ``retalis``, set up from its parameters."""
+
+    def __init__(self, parameters: Parameters):
+        self._parameters = parameters
+        clock = RosClock()
+        self.engine = clock.engine = Engine(clock, parameters.settings)
+        self._load()
+        topics = self._topics()
+        self._texts = rospy.Publisher(OUTPUT, String, queue_size=parameters.queue)
+        self._interface = Interface(self.engine.post, parameters.queue)
+        self.engine.on_output(self._send_text)
+        direct = direct_topics(parameters.direct, topics)
+        if parameters.embedded:
+            connect(self._interface, topics, direct)
+            self.engine.on_output(lambda term, topic, name: self._interface.publish(term, topic))
+            InterfaceServices(self._interface)
+        for topic, kind in direct:
+            self._subscribe(topic, kind)
+        EngineServices(self.engine)
+        rospy.Subscriber(INPUT, String, self._take_text, queue_size=parameters.queue, buff_size=1 << 20)
+
+    def _load(self) -> None:
+        try:
+            self.engine.load_program(self._parameters.program)
+        except RetalisError as error:
+            for line in shown(error):
+                rospy.logerr("%s", line)
+
+    def _topics(self) -> Topics:
+        try:
+            return read_topics(self._parameters.program / TOPICS)
+        except RetalisError as error:
+            if self._parameters.embedded:  # otherwise the other node, whose file it is, says it
+                rospy.logerr("%s", error)
+            return Topics()
+
+    def _subscribe(self, topic: str, kind: str) -> None:
+        try:
+            self._interface.subscribe(topic, kind)
+        except RetalisError as error:
+            rospy.logerr("parameter ~direct: %s", error)
+
+    def _take_text(self, message: String) -> None:
+        self.engine.post_text(message.data)
+
+    def _send_text(self, term: Term, topic: str, name: Term) -> None:
+        if not self._parameters.embedded or self._texts.get_num_connections():
+            self._texts.publish(String(to_text((OUTPUT_EVENT, term, atom(topic), name))))
+
+
+def connect(interface: Interface, topics: Topics, direct: Any = ()) -> None:
+    """Subscribe and advertise what ``pub_sub.xml`` names, but for what node retalis subscribes by itself."""
+    apart = {topic.topic.lstrip("/") for topic in direct}
+    for topic, kind in topics.published:
+        _try(lambda topic=topic, kind=kind: interface.advertise(topic, kind))  # type: ignore[misc]
+    for topic, kind in topics.subscribed:
+        if topic.lstrip("/") not in apart:
+            _try(lambda topic=topic, kind=kind: interface.subscribe(topic, kind))  # type: ignore[misc]
+
+
+def _try(work: Any) -> None:
+    try:
+        work()
+    except RetalisError as error:
+        rospy.logerr("%s: %s", TOPICS, error)
 
 
 def main() -> None:
     """Run the node until it is shut down."""
     rospy.init_node("retalis")
+    forward_log(logging.getLogger("retalis"))
+    try:
+        Node(read_parameters())
+    except RetalisError as error:
+        rospy.logfatal("%s", error)
+        raise SystemExit(1) from error
     rospy.spin()

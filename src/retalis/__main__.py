@@ -1,0 +1,5 @@
+"""``python3 -m retalis``."""
+
+from .cli import main
+
+raise SystemExit(main())

@@ -1,0 +1,54 @@
+"""Goal files (``goalPredicates.txt``): one goal a line, the full stop left out more often than not."""
+
+from typing import Iterator, List, Union
+
+from .errors import SyntaxFault
+from .syntax import Operators, ReadTerm, read_term
+
+Read = Union[ReadTerm, SyntaxFault]
+
+
+def read_goals(text: str, operators: Operators, source: str) -> Iterator[Read]:
+    """Yield the goals of a goal file, and a `SyntaxFault` for each that does not read.
+
+    A line is a goal of its own where it reads as one, with or without a full stop. Where it does not, the
+    goal goes on to a line that ends in a full stop.
+    """
+    lines = text.split("\n")
+    at = 0
+    while at < len(lines):
+        if _is_blank(lines[at]):
+            at += 1
+            continue
+        goal = _read(lines, at, at + 1, operators, source)
+        end = at + 1
+        if isinstance(goal, SyntaxFault):
+            for stop in _full_stops(lines, end):
+                longer = _read(lines, at, stop, operators, source)
+                if not isinstance(longer, SyntaxFault):
+                    goal, end = longer, stop
+                    break
+        yield goal
+        at = end
+
+
+def _is_blank(line: str) -> bool:
+    code = line.strip()
+    return not code or code.startswith("%")
+
+
+def _full_stops(lines: List[str], start: int) -> Iterator[int]:
+    """Yield where a goal that began before ``start`` may end: behind the next line with a full stop."""
+    for index in range(start, len(lines)):
+        if lines[index].rstrip().endswith(".") or lines[index].split("%")[0].rstrip().endswith("."):
+            yield index + 1
+            return
+
+
+def _read(lines: List[str], start: int, end: int, operators: Operators, source: str) -> Read:
+    # Empty lines in front, so that errors say the right line.
+    text = "\n" * start + "\n".join(lines[start:end])
+    try:
+        return read_term(text, operators, source)
+    except SyntaxFault as fault:
+        return fault

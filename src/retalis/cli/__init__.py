@@ -1,0 +1,31 @@
+"""The command line: ``python3 -m retalis COMMAND``. Each command is a module with ``add_parser`` and ``run``."""
+
+import argparse
+import sys
+from typing import List, Optional
+
+from ..errors import RetalisError
+from . import bag, demo
+
+COMMANDS = (bag, demo)
+
+
+def main(arguments: Optional[List[str]] = None) -> int:
+    """Run a command; return its exit status: 0 done, 1 with errors, 2 wrongly called."""
+    parser = argparse.ArgumentParser(
+        prog="retalis", description="Event rules and a knowledge base for robots."
+    )
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    for command in COMMANDS:
+        command.add_parser(commands)
+    options = parser.parse_args(arguments)
+    try:
+        return options.run(options)
+    except RetalisError as error:
+        print(f"retalis: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+    except BrokenPipeError:  # whoever read our output has had enough
+        sys.stderr.close()
+        return 1

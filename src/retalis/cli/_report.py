@@ -1,0 +1,36 @@
+"""Errors on standard error, counted."""
+
+import logging
+import sys
+
+from ..errors import RetalisError
+
+
+class Report(logging.Handler):
+    """Prints errors and warnings to standard error and counts the errors.
+
+    Attributes:
+        errors: how many errors there were.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.errors = 0
+
+    def __call__(self, error: RetalisError) -> None:
+        """Report an error."""
+        self.errors += 1
+        print(f"error: {error}", file=sys.stderr)
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Report what was logged."""
+        if record.levelno >= logging.ERROR:
+            self.errors += 1
+        print(f"{record.levelname.lower()}: {self.format(record)}", file=sys.stderr)
+
+    def listen(self) -> "Report":
+        """Report what the package logs from now on."""
+        logger = logging.getLogger("retalis")
+        logger.addHandler(self)
+        logger.propagate = False
+        return self

@@ -1,0 +1,86 @@
+"""``bag``: run a program over a bag, without ROS."""
+
+import argparse
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, Dict, List
+
+from ..bags import BagReader, BagWriter
+from ..errors import UsageError
+from ..playback import Output, Playback
+from ..program import TopicType
+from ..syntax import to_text
+from ..terms import atom, functor
+from ._progress import progress
+from ._report import Report
+
+OUTPUT = functor("output", 2)
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command."""
+    parser = commands.add_parser(
+        "bag",
+        help="run a program over a bag, without ROS",
+        description="Feed a bag to a program and print what it publishes, as output(TERM,TOPIC) terms.",
+    )
+    parser.add_argument("bag", type=Path, help="a ROS 1 bag")
+    parser.add_argument(
+        "--program",
+        type=Path,
+        required=True,
+        metavar="FOLDER",
+        help="folder with pub_sub.xml and goalPredicates.txt",
+    )
+    parser.add_argument("--output", type=Path, metavar="BAG", help="write what is published into a bag")
+    parser.add_argument(
+        "--topic",
+        action="append",
+        default=[],
+        metavar="TOPIC=TYPE",
+        help="a topic that becomes events, besides those in pub_sub.xml",
+    )
+    parser.add_argument("--quiet", action="store_true", help="print no outputs")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    report = Report().listen()
+    with ExitStack() as stack:
+        reader = stack.enter_context(BagReader(options.bag))
+        playback = Playback(options.program, report, _topics(options.topic))
+        writer = _Writer(stack.enter_context(BagWriter(options.output))) if options.output else None
+        advance = stack.enter_context(progress("messages", reader.messages))
+        for output in playback.run(reader, advance):
+            if not options.quiet:
+                print(f"{to_text((OUTPUT, output.term, atom(output.topic)))}.")
+            if writer is not None:
+                writer.write(output)
+    return 1 if report.errors else 0
+
+
+def _topics(texts: List[str]) -> List[TopicType]:
+    topics = []
+    for text in texts:
+        name, found, kind = text.partition("=")
+        if not found or kind.count("/") != 1:
+            raise UsageError(f"--topic {text}: expected TOPIC=package/Type")
+        topics.append(TopicType(name, kind))
+    return topics
+
+
+class _Writer:
+    """Writes outputs into a bag, a connection for each topic."""
+
+    def __init__(self, writer: BagWriter):
+        self._writer = writer
+        self._connections: Dict[str, Any] = {}
+
+    def write(self, output: Output) -> None:
+        if output.definition is None or output.data is None:  # reported already
+            return
+        topic = output.topic if output.topic.startswith("/") else f"/{output.topic}"
+        if topic not in self._connections:
+            self._connections[topic] = self._writer.add(topic, output.definition)
+        self._writer.write(self._connections[topic], output.time, output.data)

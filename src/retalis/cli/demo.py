@@ -1,0 +1,75 @@
+"""``demo``: the NAO example from a bag, without ROS."""
+
+import argparse
+import importlib
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any, Dict, Tuple
+
+from ..bags import BagReader
+from ..errors import UsageError
+from ..playback import Playback
+from ..terms import deref
+from ._progress import progress
+from ._report import Report
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command."""
+    parser = commands.add_parser(
+        "demo",
+        help="run the NAO example over a bag, without ROS",
+        description="Make a bag of a simulated NAO, run the NAO program over it, and print where each marker "
+        "was located last, beside its true position. Exit status 0 when all markers were located.",
+    )
+    parser.add_argument("--bag", type=Path, help="play this bag instead (made by examples/nao/make_bag.py)")
+    parser.add_argument("--seconds", type=float, default=20.0, help="length of the bag that is made (20)")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the bag that is made (1)")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    report = Report().listen()
+    folder = example_folder()
+    sys.path.append(str(folder))
+    truth_module = importlib.import_module("nao_truth")
+    with tempfile.TemporaryDirectory() as temporary:
+        bag = options.bag
+        if bag is None:
+            bag = Path(temporary) / "nao.bag"
+            importlib.import_module("make_bag").make_bag(bag, options.seconds, options.seed)
+        truth = truth_module.load(bag)
+        located = locate(bag, folder.parent.parent / "application_source", report)
+    comparisons = truth_module.compare(truth, located)
+    print(truth_module.table(comparisons))
+    return 0 if comparisons and all(one.good for one in comparisons) and not report.errors else 1
+
+
+def locate(bag: Path, program: Path, report: Report) -> Dict[str, Tuple[float, float, float]]:
+    """Run the NAO program over a bag; return the last position of each marker by its name."""
+    located: Dict[str, Tuple[float, float, float]] = {}
+    with BagReader(bag) as reader, progress("messages", reader.messages) as advance:
+        for output in Playback(program, report).run(reader, advance):
+            if output.topic.startswith("marker"):
+                header, pose = deref(output.term[1]), deref(output.term[2])
+                point = deref(pose[1])
+                located[deref(header[3]).name.strip('"')] = tuple(deref(value) for value in point[1:])
+    return located
+
+
+def example_folder() -> Path:
+    """Return the folder of the NAO example: in the source tree, or where the package is installed.
+
+    Raises:
+        UsageError: where it is in neither.
+    """
+    here = Path(__file__).resolve()
+    for root in here.parents:
+        for folder in (root / "examples" / "nao", root / "share" / "retalis" / "examples" / "nao"):
+            if (folder / "make_bag.py").exists():
+                return folder
+    raise UsageError(
+        "the folder examples/nao is found neither in the source tree nor in an installed package"
+    )

@@ -1,0 +1,285 @@
+"""The engine: a program, the events that it takes, and what its subscribers get."""
+
+import logging
+from contextlib import closing
+from pathlib import Path
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple, Union
+
+from . import timestamps
+from ._goalfile import read_goals
+from ._inputs import READERS, event_of
+from ._runner import Runner
+from .clock import Clock, StreamClock
+from .errors import ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
+from .events import Dispatcher, Rules, Stage
+from .knowledge import Knowledge
+from .logic import DONE, Limits, Logic
+from .program import GOALS, read_text
+from .syntax import EventReader, read_term
+from .terms import Term, Var, copy, functor, variables
+
+log = logging.getLogger("retalis")
+
+Instant = Union[int, Term]
+OnOutput = Callable[[Term, str, Term], None]
+OnEvent = Callable[[Term, int, int], None]
+
+
+class Settings(NamedTuple):
+    """How an engine behaves.
+
+    Attributes:
+        limits: what a goal may use: seconds, inferences, memory.
+        max_depth: how long a chain of events that lead to events may be.
+        queue: how many events may wait for the one that is being worked on.
+        allow_goals: whether any goal is taken as input, not only events.
+    """
+
+    limits: Limits = Limits()
+    max_depth: int = 1000
+    queue: int = 5000
+    allow_goals: bool = False
+
+
+class Engine:
+    """A running program.
+
+    Events go in (`event`, `post`), outputs come out (`on_output`), questions are answered (`query`). Calls may
+    come from any thread: one at a time does the work. What goes wrong in a rule or goal is logged (logger
+    ``retalis``) with its place, and the rest goes on.
+
+    >>> engine = Engine()
+    >>> engine.load(rules="alarm(X) <- smoke(X) seq heat(X).", goals="subscribe(alarm(_), [], _, alarms, a)")
+    >>> engine.on_output(lambda term, topic, name: print(topic, engine.show(term)))
+    >>> engine.event("smoke(kitchen)", 1, 1)
+    >>> engine.event("heat(kitchen)", 2, 2)
+    alarms alarm(kitchen)
+
+    Args:
+        clock: what time it is; by default a clock that stands still but for the stamps of events.
+        settings: limits and sizes.
+    """
+
+    def __init__(self, clock: Optional[Clock] = None, settings: Optional[Settings] = None):
+        self.clock = StreamClock() if clock is None else clock
+        self.settings = settings = Settings() if settings is None else settings
+        self.logic = Logic()
+        self.logic.limits = settings.limits
+        self.dispatcher = Dispatcher(self.logic, max_depth=settings.max_depth)
+        self.rules = Rules(self.logic, self.dispatcher, self.clock)
+        self.knowledge = Knowledge(
+            self.logic, self.dispatcher, self.clock.stamp, self._deliver, lambda text: log.warning("%s", text)
+        )
+        self._runner = Runner(settings.queue, self._report_drop, self._report_error)
+        self._reader = EventReader(self.logic.operators)
+        self._outputs: List[OnOutput] = []
+        self._define()
+
+    # ---- loading -------------------------------------------------------------------------------------
+
+    def load(self, rules: str = "", goals: str = "", source: str = "text") -> None:
+        """Load goals and then rules from texts.
+
+        Raises:
+            ProgramErrors: all errors; goals before a failed one have been called, of wrong rules none is active.
+        """
+        if goals:
+            self.call_goals(goals, f"goals of {source}" if source == "text" else source)
+        if rules:
+            self._runner.call(lambda: self.rules.load_text(rules, source))
+
+    def load_program(self, folder: Union[str, Path]) -> None:
+        """Call the goals of ``goalPredicates.txt`` in a program's folder; they name the rule files.
+
+        Raises:
+            ProgramErrors: the goals that did not read, failed or raised; the others have been called.
+            UsageError: where the file cannot be read.
+        """
+        path = Path(folder) / GOALS
+        self.call_goals(read_text(path), str(path), path.parent)
+
+    def call_goals(self, text: str, source: str, folder: Optional[Path] = None) -> None:
+        """Call the goals of a goal file one after the other.
+
+        Raises:
+            ProgramErrors: all that did not read, failed or raised; the others have been called.
+        """
+        errors: List[RetalisError] = []
+        for goal in read_goals(text, self.logic.operators, source):
+            if isinstance(goal, SyntaxFault):
+                errors.append(goal)
+                continue
+            try:
+                with self.rules.relative_to(folder):
+                    if not self.call(goal.term):
+                        errors.append(RuleError("this goal fails", goal.place))
+            except ProgramErrors as error:
+                errors += error.errors
+            except RetalisError as error:
+                errors.append(error if error.place else RuleError(error.message, goal.place))
+        if errors:
+            raise ProgramErrors(errors)
+
+    # ---- events --------------------------------------------------------------------------------------
+
+    def event(
+        self, term: Union[str, Term], start: Optional[Instant] = None, end: Optional[Instant] = None
+    ) -> None:
+        """Take an event and return when all that follows from it is done.
+
+        Args:
+            term: the event, as a term or its text.
+            start: when it began: a stamp term or a number of seconds; the clock's time by default.
+            end: when it ended; as ``start`` by default.
+
+        Raises:
+            UsageError: for a wrong stamp or an end before the start.
+            SyntaxFault: for a text that is no term.
+        """
+        read = self._read(term)
+        first = None if start is None else timestamps.from_any(start)
+        last = first if end is None else timestamps.from_any(end)
+        self._runner.call(lambda: self._take(read, first, last))
+
+    def post(self, term: Term, start: Optional[int] = None, end: Optional[int] = None) -> None:
+        """Queue an event (a term of its own, instants in nanoseconds) and return without waiting for others."""
+        self._runner.post(self._take, term, start, start if end is None else end)
+
+    def post_text(self, text: str) -> None:
+        """Queue an event as other nodes send it: ``event(E)``, ``event(E,[T1,T2])`` or ``new_event(...)``.
+
+        What is none of these is refused with a warning, unless the settings allow any goal.
+        """
+        self._runner.post(self._take_text, text)
+
+    def advance(self) -> None:
+        """Do what has come due by the clock: alarms, and starting anew where it went back."""
+        self._runner.post(self._watch_clock)
+
+    def call(self, goal: Union[str, Term]) -> bool:
+        """Call a goal once; returns whether it has a solution.
+
+        Raises:
+            PrologError: what the goal raised.
+        """
+        term = self._read(goal)
+        return bool(self._runner.call(lambda: self.logic.once(term)))
+
+    def query(self, goal: Union[str, Term], most: Optional[int] = None) -> List[Dict[str, Term]]:
+        """Return the solutions of a goal, each as its variables' values by name.
+
+        Raises:
+            SyntaxFault: for a text that is no term.
+            PrologError: what the goal raised.
+        """
+        if isinstance(goal, str):
+            read = read_term(goal, self.logic.operators, "query")
+            term, names = read.term, read.names
+        else:
+            term = goal
+            names = {f"_{at}": var for at, var in enumerate(variables(goal))}
+        return self._runner.call(lambda: self._solutions(term, names, most))
+
+    def _solutions(self, term: Term, names: Dict[str, Var], most: Optional[int]) -> List[Dict[str, Term]]:
+        found: List[Dict[str, Term]] = []
+        with closing(self.logic.solutions(term)) as solutions:
+            for _ in solutions:
+                found.append({name: copy(value) for name, value in names.items()})
+                if most is not None and len(found) >= most:
+                    break
+        return found
+
+    def do(self, work: Callable[[], Any]) -> Any:
+        """Do a piece of work on the engine while nothing else does; return its result."""
+        return self._runner.call(work)
+
+    # ---- what comes out ------------------------------------------------------------------------------
+
+    def on_output(self, callback: OnOutput) -> None:
+        """Have ``callback`` called with term, topic and subscription id of each output."""
+        self._outputs.append(callback)
+
+    def on_event(self, callback: OnEvent) -> None:
+        """Have ``callback`` called with term, start and end of each event, in the order of dispatch."""
+
+        def observe(term: Term, values: Tuple[Term, ...], start: int, end: int, after: Any) -> Any:
+            callback(term, start, end)
+            return after
+
+        self.dispatcher.listen(Stage.TRACE, Var(), observe)
+
+    def show(self, term: Term) -> str:
+        """Return a term as text that reads back."""
+        return self.logic.show(term)
+
+    @property
+    def dropped(self) -> int:
+        """How many events were dropped because the queue was full."""
+        return self._runner.dropped
+
+    # ---- inside --------------------------------------------------------------------------------------
+
+    def _read(self, term: Union[str, Term]) -> Term:
+        return read_term(term, self.logic.operators, "text").term if isinstance(term, str) else term
+
+    def _take(self, term: Term, start: Optional[int], end: Optional[int]) -> None:
+        """Dispatch an event; with no start it is stamped by the clock."""
+        self._watch_clock()
+        if start is None or end is None:
+            start = end = self.clock.stamp()
+        elif end < start:
+            raise UsageError(f"{self.show(term)} ends before it starts")
+        self.logic.machine.run(self.dispatcher.dispatch(term, start, end, DONE))
+
+    def _take_text(self, text: str) -> None:
+        try:
+            goal = self._reader.read(text)
+            made = event_of(goal)
+        except RetalisError as error:
+            log.warning("an event is refused: %s", error)
+            return
+        if made is not None:
+            self._take(*made)
+        elif self.settings.allow_goals:
+            if not self.logic.once(goal):
+                log.warning("the goal %s fails", self.show(goal))
+        else:
+            log.warning("refused: %s (only event/1,2 and new_event/2,3,5 are taken)", text)
+
+    def _watch_clock(self) -> None:
+        clock = self.clock
+        if clock.went_back():
+            log.warning("time went back: memories, waiting queries and partial matches are cleared")
+            self.knowledge.clear()
+            self.rules.clear()
+        while True:
+            due = clock.due()
+            if due is None:
+                return
+            instant, alarm = due
+            alarm(instant)
+
+    def _deliver(self, term: Term, topic: str, name: Term) -> None:
+        for callback in self._outputs:
+            callback(term, topic, name)
+
+    def _report_drop(self, dropped: int) -> None:
+        if dropped & (dropped - 1) == 0:  # at 1, 2, 4, 8 ...: said at once, and never a flood
+            log.warning("events come faster than they are worked off: %d dropped so far", dropped)
+
+    def _report_error(self, error: Exception) -> None:
+        if isinstance(error, RetalisError):
+            log.error("%s", error)
+        else:
+            log.exception("internal error", exc_info=error)
+
+    def _define(self) -> None:
+        """Define the goals that make events."""
+        logic = self.logic
+
+        def event(machine: Any, arguments: Sequence[Term], after: Any) -> Any:
+            made = READERS[functor("new_event", len(arguments))](arguments)
+            return self.dispatcher.dispatch(copy(made.term), made.start, made.end, after)
+
+        for arity in (2, 3, 5):
+            logic.define_control("new_event", arity, event)

@@ -1,0 +1,10 @@
+"""What programs know: memory instances, queries that wait for them, and subscriptions.
+
+Each is fed by the dispatcher (`retalis.events`) and reached by goals (`retalis.logic`); `Knowledge` puts
+them together.
+"""
+
+from .knowledge import Knowledge
+from .memory import Memory
+
+__all__ = ["Knowledge", "Memory"]

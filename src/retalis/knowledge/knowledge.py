@@ -1,0 +1,106 @@
+"""Memories, waiting queries and subscriptions of one program, and the goals that reach them."""
+
+from typing import Any, Callable, Iterator
+
+from ..errors import UsageError
+from ..events import Dispatcher
+from ..logic import Logic, Machine, instantiation_error, type_error
+from ..terms import Term, Var, deref, functor
+from .memories import Instance, Memories, enumerate_records, read_access
+from .subscriptions import Deliver, Subscriptions
+from .waiting import WaitingQueries
+
+MEMORIZE = functor("memorize", 5)
+SUBSCRIBE = functor("subscribe", 5)
+
+
+class Knowledge:
+    """What a program remembers, waits for and sends out.
+
+    Args:
+        logic: where the goals are defined.
+        dispatcher: whose events are recorded and delivered.
+        stamp: returns the instant for an event of the clock.
+        deliver: takes what a subscription lets through.
+        warn: takes a warning as text.
+    """
+
+    def __init__(
+        self,
+        logic: Logic,
+        dispatcher: Dispatcher,
+        stamp: Callable[[], int],
+        deliver: Deliver,
+        warn: Callable[[str], None],
+    ):
+        self._logic = logic
+        self._warn = warn
+        self.memories = Memories(logic, dispatcher, stamp, warn)
+        self.waiting = WaitingQueries(logic, dispatcher, self.memories, warn)
+        self.subscriptions = Subscriptions(logic, dispatcher, deliver, warn)
+        self._define()
+
+    def clear(self) -> None:
+        """Forget records and waiting queries (the clock went back); instances and subscriptions stay."""
+        self.memories.clear()
+        self.waiting.clear()
+
+    def _define(self) -> None:
+        logic = self._logic
+        for (name, arity), predicate in read_access(self.memories).items():
+            logic.define(name, arity, predicate)
+        logic.define_nondeterministic("access_mem", 3, enumerate_records(self.memories))
+        logic.define_nondeterministic("memory_size", 2, self._sizes(lambda instance: instance.memory.size))
+        logic.define_nondeterministic(
+            "memory_counter", 2, self._sizes(lambda instance: instance.memory.added)
+        )
+        logic.define_control("memorize", 5, self._memorize(True))
+        logic.define_control("memorize_diactive", 5, self._memorize(False))
+        logic.define_control("memorize", 6, self._memorize_by_flag)
+        logic.define_control("delete_memory", 1, self._delete_memory)
+        logic.define("subscribe", 5, self._subscribe)
+        logic.define("delete_subscription", 2, self._delete_subscription)
+
+    def _memorize(self, active: bool) -> Callable[..., Any]:
+        def memorize(machine: Machine, arguments: Any, after: Any) -> Any:
+            return self.memories.create((MEMORIZE, *arguments), active, after)
+
+        return memorize
+
+    def _memorize_by_flag(self, machine: Machine, arguments: Any, after: Any) -> Any:
+        active = deref(arguments[5])
+        if active.__class__ is Var:
+            raise instantiation_error()
+        if active not in (0, 1):
+            raise type_error("boolean", active)
+        return self.memories.create((MEMORIZE, *arguments[:5]), active == 1, after)
+
+    def _delete_memory(self, machine: Machine, arguments: Any, after: Any) -> Any:
+        try:
+            return self.memories.delete(arguments[0], after)
+        except UsageError as error:  # a goal of a program goes on, as it always did
+            self._warn(str(error))
+            return after
+
+    def _subscribe(self, machine: Machine, *arguments: Term) -> bool:
+        self.subscriptions.create((SUBSCRIBE, *arguments))
+        return True
+
+    def _delete_subscription(self, machine: Machine, topic: Term, name: Term) -> bool:
+        if not self.subscriptions.delete(topic, name):
+            show = self._logic.show
+            self._warn(f"there is no subscription {show(deref(name))} of topic {show(deref(topic))}")
+        return True
+
+    def _sizes(self, number: Callable[[Instance], int]) -> Callable[..., Iterator[bool]]:
+        def solutions(machine: Machine, name: Term, value: Term) -> Iterator[bool]:
+            if deref(name).__class__ is Var:
+                found = list(self.memories)
+            else:
+                instance = self.memories.find(name)
+                found = [] if instance is None else [instance]
+            for instance in found:
+                if machine.unify(name, instance.id) and machine.unify(value, number(instance)):
+                    yield True
+
+        return solutions

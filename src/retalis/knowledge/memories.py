@@ -1,0 +1,236 @@
+"""Memory instances by name: made and deleted by goals and services, fed by events, read by goals."""
+
+from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple
+
+from .. import timestamps
+from ..errors import UsageError
+from ..events import Dispatcher, Stage
+from ..logic import Logic, Machine, domain_error, permission_error, type_error
+from ..terms import Atom, Functor, Term, Var, copy, deref, freeze, functor, is_ground
+from ._recording import Recording, key_of, recording
+from .memory import Memory
+
+CREATED: Functor = functor("memory_created", 5)
+UPDATED: Functor = functor("memory_updated", 2)
+DELETED: Functor = functor("memory_deleted", 1)
+
+
+class Instance:
+    """A memory with its name, its pattern, and the queries that wait for it."""
+
+    __slots__ = ("id", "active", "memory", "listener", "waiting", "open")
+
+    def __init__(self, name: Term, size: int, active: bool):
+        self.id = name
+        self.memory = Memory(size)
+        self.active = active
+        self.listener: Any = None
+        self.waiting: List[Tuple[int, int, Any]] = []
+        """A heap of those who wait: the instant to reach, their order, and the query."""
+        self.open = False
+        """Whether a record may have variables, so that a reader needs a copy."""
+
+
+class Memories:
+    """All memory instances of a program.
+
+    Args:
+        logic: where the goals are defined.
+        dispatcher: whose events are recorded.
+        stamp: returns the instant for an event of the clock.
+        problem: takes a report about a condition that raised an error.
+
+    Attributes:
+        on_update: called with an instance whose next waiting query is due, the end of the event that was
+            recorded, and the next frame; returns the frame to go on with.
+        on_delete: called with an instance that is deleted.
+    """
+
+    def __init__(
+        self,
+        logic: Logic,
+        dispatcher: Dispatcher,
+        stamp: Callable[[], int],
+        problem: Callable[[str], None],
+    ):
+        self._logic = logic
+        self._dispatcher = dispatcher
+        self._stamp = stamp
+        self._problem = problem
+        self._instances: Dict[Any, Instance] = {}
+        self.on_update: Callable[[Instance, int, Any], Any] = lambda instance, end, after: after
+        self.on_delete: Callable[[Instance], None] = lambda instance: None
+
+    def __iter__(self) -> Iterator[Instance]:
+        return iter(list(self._instances.values()))
+
+    def find(self, name: Term) -> Optional[Instance]:
+        """Return the instance of this name, or None."""
+        name = deref(name)
+        if name.__class__ is Atom:
+            return self._instances.get(name)
+        try:
+            return self._instances.get(freeze(name))
+        except ValueError:
+            return None
+
+    def clear(self) -> None:
+        """Forget all records (the clock went back); the instances stay."""
+        for instance in self._instances.values():
+            instance.memory.clear()
+
+    def create(self, definition: Term, active: bool, after: Any) -> Any:
+        """Make a memory of ``Pattern, Conditions, Record, Id, Size`` and return the frame that tells of it.
+
+        Raises:
+            PrologError: for a taken id or arguments that are no memory.
+        """
+        definition = copy(definition)
+        pattern, conditions, form, name, size = (deref(part) for part in definition[1:])
+        key = key_of(name)
+        if key in self._instances:
+            raise permission_error("create", "memory", name)
+        if size.__class__ is not int:
+            raise type_error("integer", size)
+        if size < 0:
+            raise domain_error("not_less_than_zero", size)
+        take = recording(self._logic, pattern, conditions, form, f"memory {self._logic.show(name)}")
+        instance = Instance(name, size, active)
+        recorder = self._recorder(instance, take, pattern.__class__ is Var)
+        instance.listener = self._dispatcher.listen(Stage.MEMORIES, pattern, recorder)
+        self._instances[key] = instance
+        if not active:
+            return after
+        kept = pattern if form.__class__ is Var else form
+        instant = self._stamp()
+        return self._dispatcher.dispatch(
+            (CREATED, pattern, conditions, kept, name, size), instant, instant, after
+        )
+
+    def delete(self, name: Term, after: Any) -> Any:
+        """Delete a memory with its waiting queries and return the frame that tells of it.
+
+        Raises:
+            UsageError: where there is no such memory.
+        """
+        instance = self.find(name)
+        if instance is None:
+            raise UsageError(f"there is no memory {self._logic.show(name)}")
+        del self._instances[key_of(instance.id)]
+        self._dispatcher.remove(instance.listener)
+        self.on_delete(instance)
+        if not instance.active:
+            return after
+        instant = self._stamp()
+        return self._dispatcher.dispatch((DELETED, instance.id), instant, instant, after)
+
+    def _recorder(self, instance: Instance, take: Recording, everything: bool) -> Callable[..., Any]:
+        """Return the action that records matching events, releases queries and tells of the update.
+
+        With ``everything`` the pattern is a variable; the memory's own updates are left out then.
+        """
+        memory = instance.memory
+        waiting = instance.waiting
+        wanted = self._dispatcher.wanted
+        problem = self._problem
+
+        def record(term: Term, values: Tuple[Term, ...], start: int, end: int, after: Any) -> Any:
+            if everything and _is_update_of(instance, term):
+                return after
+            kept = take(term, values, problem)
+            if kept is None or not memory.add(kept, start, end):
+                return after
+            if not is_ground(kept):
+                instance.open = True
+            if instance.active and wanted(UPDATED):
+                after = self._tell(instance, end, after)
+            if waiting and waiting[0][0] <= end:
+                return self.on_update(instance, end, after)
+            return after
+
+        return record
+
+    def _tell(self, instance: Instance, end: int, after: Any) -> Any:
+        """Return the frame that dispatches ``memory_updated`` when it is its turn."""
+        instant = self._stamp()
+        update = (UPDATED, instance.id, timestamps.to_term(end))
+        return self._dispatcher.later(update, instant, instant, after)
+
+
+def _is_update_of(instance: Instance, term: Term) -> bool:
+    return term.__class__ is tuple and term[0] is UPDATED and deref(term[1]) is instance.id
+
+
+def read_access(memories: Memories) -> Dict[Tuple[str, int], Callable[..., bool]]:
+    """Return the deterministic predicates that read memories, by name and arity."""
+    shown = timestamps.shown
+
+    def bind(machine: Machine, instance: Instance, found: Any, record: Term, start: Term, end: Term) -> bool:
+        if found is None:
+            return False
+        kept = copy(found[0]) if instance.open else found[0]
+        return (
+            machine.unify(record, kept)
+            and machine.unify(start, shown(found[1]))
+            and machine.unify(end, shown(found[2]))
+        )
+
+    def prev(machine: Machine, name: Term, record: Term, start: Term, end: Term, at: Term) -> bool:
+        instance = memories.find(name)
+        if instance is None:
+            return False
+        found = instance.memory.at_or_before(instant_of(at))
+        return bind(machine, instance, found, record, start, end)
+
+    def next_inf(machine: Machine, name: Term, record: Term, start: Term, end: Term, at: Term) -> bool:
+        instance = memories.find(name)
+        if instance is None:
+            return False
+        return bind(machine, instance, instance.memory.at_or_after(instant_of(at)), record, start, end)
+
+    def following(
+        machine: Machine, name: Term, record: Term, start: Term, end: Term, low: Term, high: Term
+    ) -> bool:
+        instance = memories.find(name)
+        if instance is None:
+            return False
+        found = instance.memory.at_or_after(instant_of(low))
+        if found is not None and found[2] > instant_of(high):
+            return False
+        return bind(machine, instance, found, record, start, end)
+
+    return {
+        ("prev", 5): prev,
+        ("prev_binary", 5): prev,
+        ("next_inf", 5): next_inf,
+        ("next", 6): following,
+        ("next_binary", 6): following,
+    }
+
+
+def instant_of(term: Term) -> int:
+    """Return the instant of a goal's argument.
+
+    Raises:
+        PrologError: a type error where the term is no instant.
+    """
+    try:
+        return timestamps.from_term(term)
+    except UsageError:
+        raise type_error("datime", term) from None
+
+
+def enumerate_records(memories: Memories) -> Callable[..., Iterator[bool]]:
+    """Return ``access_mem(Id, Record, [T1,T2])``: a solution for each record, newest first."""
+
+    def access(machine: Machine, name: Term, record: Term, interval: Term) -> Iterator[bool]:
+        instance = memories.find(name)
+        if instance is None:
+            return
+        for term, start, end in instance.memory.newest_first():
+            kept = copy(term) if instance.open else term
+            shown = timestamps.interval_term(start, end)
+            if machine.unify(record, kept) and machine.unify(interval, shown):
+                yield True
+
+    return access

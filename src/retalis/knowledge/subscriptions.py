@@ -1,0 +1,65 @@
+"""Subscriptions: which events go out, in which form, to which topic."""
+
+from typing import Any, Callable, Dict, Iterator, Tuple
+
+from ..events import Dispatcher, Stage
+from ..logic import Logic, permission_error
+from ..terms import Atom, Term, copy, deref
+from ._recording import key_of, recording
+
+Deliver = Callable[[Term, str, Term], None]
+
+
+class Subscriptions:
+    """All subscriptions of a program; topic and id together are the key of one.
+
+    Args:
+        logic: where conditions are compiled.
+        dispatcher: whose events are delivered.
+        deliver: called with the term, the topic as text and the id of the subscription.
+        problem: takes a report about a condition that raised an error.
+    """
+
+    def __init__(
+        self, logic: Logic, dispatcher: Dispatcher, deliver: Deliver, problem: Callable[[str], None]
+    ):
+        self._logic = logic
+        self._dispatcher = dispatcher
+        self._deliver = deliver
+        self._problem = problem
+        self._listeners: Dict[Tuple[Any, Any], Any] = {}
+
+    def __iter__(self) -> Iterator[Tuple[Any, Any]]:
+        return iter(list(self._listeners))
+
+    def create(self, definition: Term) -> None:
+        """Add a subscription of ``Pattern, Conditions, Format, Topic, Id``.
+
+        Raises:
+            PrologError: for a taken key or arguments that are no subscription.
+        """
+        definition = copy(definition)
+        pattern, conditions, form, topic, name = (deref(part) for part in definition[1:])
+        key = (key_of(topic), key_of(name))
+        if key in self._listeners:
+            raise permission_error("create", "subscription", definition[4:])
+        shape = recording(self._logic, pattern, conditions, form, f"subscription {self._logic.show(name)}")
+        deliver = self._deliver
+        problem = self._problem
+        topic_text = topic.name if topic.__class__ is Atom else self._logic.show(topic)
+
+        def action(term: Term, values: Tuple[Term, ...], start: int, end: int, after: Any) -> Any:
+            shaped = shape(term, values, problem)
+            if shaped is not None:
+                deliver(shaped, topic_text, name)
+            return after
+
+        self._listeners[key] = self._dispatcher.listen(Stage.SUBSCRIPTIONS, pattern, action)
+
+    def delete(self, topic: Term, name: Term) -> bool:
+        """Delete a subscription; returns False where there is none of this topic and id."""
+        listener = self._listeners.pop((key_of(topic), key_of(name)), None)
+        if listener is None:
+            return False
+        self._dispatcher.remove(listener)
+        return True

@@ -1,0 +1,172 @@
+"""Synchronized queries: goals that are called when the memories they read have the data."""
+
+import heapq
+from itertools import count
+from typing import Any, Callable, Dict, Iterable, List, Tuple
+
+from .. import timestamps
+from ..errors import UsageError
+from ..events import Dispatcher, Stage
+from ..logic import Logic, PrologError
+from ..terms import CONS, Term, Var, deref, functor, list_items
+from .memories import Instance, Memories
+
+LIMIT = 200_000
+"""How many queries may wait at once; past that the oldest is dropped with a warning."""
+
+
+class Waiting:
+    """A query that waits: the event to trigger, the goal, the interval, and how many memories it waits for."""
+
+    __slots__ = ("order", "event", "query", "start", "end", "missing")
+
+    def __init__(self, order: int, event: Term, query: Term, start: int, end: int, missing: int):
+        self.order = order
+        self.event = event
+        self.query = query
+        self.start = start
+        self.end = end
+        self.missing = missing
+
+
+class WaitingQueries:
+    """All synchronized queries of a program.
+
+    ``syncronized(Event, Query, [[Id, Time], ...])`` (also spelt ``synchronized``) calls Query as soon as each
+    memory named has taken an event that ends at or after its time, and triggers Event with the interval of
+    the synchronized event, once, for the first solution.
+
+    Each memory has a heap of those who wait for it, by time, so an event costs one comparison however many wait.
+    """
+
+    def __init__(
+        self,
+        logic: Logic,
+        dispatcher: Dispatcher,
+        memories: Memories,
+        warn: Callable[[str], None],
+        limit: int = LIMIT,
+    ):
+        self._logic = logic
+        self._dispatcher = dispatcher
+        self._memories = memories
+        self._warn = warn
+        self._limit = limit
+        self._order = count()
+        self._all: Dict[int, Waiting] = {}
+        event, query = Var(), Var()
+        call = (functor("call", 1), query)
+        self._goal = logic.compile_goal(call, [event, query], [event], name="synchronized query")
+        memories.on_update = self._release
+        memories.on_delete = self._drop_waiting_for
+        for name in ("syncronized", "synchronized"):
+            pattern = functor(name, 3)(Var(), Var(), Var())
+            dispatcher.listen(Stage.QUERIES, pattern, self._arrive)
+
+    def __len__(self) -> int:
+        return len(self._all)
+
+    def clear(self) -> None:
+        """Drop all that wait (the clock went back)."""
+        self._all.clear()
+        for instance in self._memories:
+            instance.waiting.clear()
+
+    def _arrive(self, term: Term, values: Tuple[Term, ...], start: int, end: int, after: Any) -> Any:
+        event, query, conditions = values
+        try:
+            behind = [
+                (instance, instant)
+                for instance, instant in self._conditions(conditions)
+                if instance.memory.latest is None or instance.memory.latest < instant
+            ]
+        except UsageError as error:
+            self._warn(f"{self._logic.show(event)} is dropped: {error}")
+            return after
+        if not behind:
+            return self._ask(event, query, start, end, after)
+        waiting = Waiting(next(self._order), event, query, start, end, len(behind))
+        if len(self._all) >= self._limit:
+            self._drop_oldest()
+        self._all[waiting.order] = waiting
+        for instance, instant in behind:
+            heapq.heappush(instance.waiting, (instant, waiting.order, waiting))
+        return after
+
+    def _conditions(self, conditions: Term) -> Iterable[Tuple[Instance, int]]:
+        """Return the memories and the instants they have to reach.
+
+        Raises:
+            UsageError: for an unknown memory or something that is no ``[Id, Time]``.
+        """
+        pairs = list_items(conditions)
+        if pairs is None:
+            raise UsageError("expected a list of [MemoryId, Time]")
+        found = []
+        for pair in pairs:
+            parts = list_items(pair)
+            if parts is None or len(parts) != 2:
+                raise UsageError(f"expected [MemoryId, Time], found {self._logic.show(pair)}")
+            instance = self._memories.find(parts[0])
+            if instance is None:
+                raise UsageError(f"there is no memory {self._logic.show(parts[0])}")
+            found.append((instance, _reach(parts[1])))
+        return found
+
+    def _ask(self, event: Term, query: Term, start: int, end: int, after: Any) -> Any:
+        """Return the frame that calls the query and triggers the event where it has a solution."""
+        dispatch = self._dispatcher.dispatch
+
+        def solved(outputs: Tuple[Term, ...]) -> Any:
+            return dispatch(outputs[0], start, end, after)
+
+        def failed(error: PrologError) -> None:
+            self._warn(f"{self._logic.show(event)} is dropped, its query raised: {error}")
+
+        return self._logic.machine.attempt(self._goal, (event, query), solved, after, failed)
+
+    def _release(self, instance: Instance, end: int, after: Any) -> Any:
+        """Return the frame that asks what has waited for this memory alone, in order of registration."""
+        heap = instance.waiting
+        ready: List[Waiting] = []
+        while heap and heap[0][0] <= end:
+            waiting = heapq.heappop(heap)[2]
+            waiting.missing -= 1
+            if waiting.missing == 0 and self._all.pop(waiting.order, None) is not None:
+                ready.append(waiting)
+        if len(ready) > 1:
+            ready.sort(key=lambda waiting: waiting.order, reverse=True)
+        for waiting in ready:
+            after = (self, waiting, after)
+        return after
+
+    def run(self, frame: Any) -> Any:
+        """Ask a query that has all its data, as code of a frame: one is done with before the next is asked."""
+        _, waiting, after = frame
+        return self._ask(waiting.event, waiting.query, waiting.start, waiting.end, after)
+
+    def _drop_oldest(self) -> None:
+        order = min(self._all)
+        waiting = self._all.pop(order)
+        self._warn(
+            f"more than {self._limit} queries wait; the oldest is dropped: {self._logic.show(waiting.event)}"
+        )
+
+    def _drop_waiting_for(self, instance: Instance) -> None:
+        for _, order, waiting in instance.waiting:
+            if self._all.pop(order, None) is not None:
+                self._warn(
+                    f"{self._logic.show(waiting.event)} is dropped: "
+                    f"the memory {self._logic.show(instance.id)} it waits for is deleted"
+                )
+        instance.waiting.clear()
+
+
+def _reach(time: Term) -> int:
+    """Return the instant that a memory has to reach for a time condition."""
+    time = deref(time)
+    if time.__class__ is float:
+        return timestamps.first_reaching(time)
+    if time.__class__ is tuple and time[0] is CONS:
+        return timestamps.from_any(time)
+    return timestamps.from_term(time)

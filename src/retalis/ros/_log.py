@@ -1,0 +1,31 @@
+"""What the package logs, handed on to ROS."""
+
+import logging
+from typing import List
+
+import rospy
+
+from ..errors import ProgramErrors, RetalisError
+
+
+class _RosHandler(logging.Handler):
+    def emit(self, record: logging.LogRecord) -> None:
+        text = self.format(record)
+        if record.levelno >= logging.ERROR:
+            rospy.logerr("%s", text)
+        elif record.levelno >= logging.WARNING:
+            rospy.logwarn("%s", text)
+        else:
+            rospy.loginfo("%s", text)
+
+
+def forward_log(logger: logging.Logger) -> None:
+    """Send what a logger gets to rospy's log functions, so that it is seen on the screen and on ``/rosout``."""
+    logger.addHandler(_RosHandler())
+    logger.setLevel(logging.INFO)
+    logger.propagate = False
+
+
+def shown(error: RetalisError) -> List[str]:
+    """Return the texts of an error: one for each where it is several."""
+    return [str(one) for one in error.errors] if isinstance(error, ProgramErrors) else [str(error)]

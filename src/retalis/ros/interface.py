@@ -1,0 +1,171 @@
+"""Between ROS topics and events: messages become terms, terms become messages."""
+
+import threading
+from typing import Any, Callable, Dict, Optional, Tuple
+
+import rospy
+
+from ..errors import MessageError, RetalisError, UsageError
+from ..messages import Decoder, Definitions, Encoder
+from ..terms import Term
+from ._raw import raw_class, raw_message
+
+Sink = Callable[[Term, Optional[int]], None]
+"""Takes an event term and the instant of its header (None without one)."""
+
+PERIOD = 5.0
+"""Seconds between two warnings of the same kind."""
+
+
+class Interface:
+    """Subscribes topics for an engine and publishes what comes out of it.
+
+    Args:
+        sink: takes each message as an event term.
+        queue: length of the queues.
+        definitions: the message types that are known.
+    """
+
+    def __init__(self, sink: Sink, queue: int, definitions: Optional[Definitions] = None):
+        self._sink = sink
+        self._queue = queue
+        self._definitions = Definitions() if definitions is None else definitions
+        self._inputs: Dict[str, Input] = {}
+        self._outputs: Dict[str, Tuple[Any, Any, Encoder]] = {}
+        self._lock = threading.Lock()
+
+    def subscribe(self, topic: str, kind: str) -> None:
+        """Have the messages of a topic become events.
+
+        Raises:
+            UsageError: for a topic that is subscribed already, or names that are none.
+        """
+        name = resolve(topic)
+        if kind.count("/") != 1 or not all(kind.split("/")):
+            raise UsageError(f'expected a message type "package/Type", found "{kind}"')
+        with self._lock:
+            if name in self._inputs:
+                raise UsageError(f"topic {topic} is subscribed already (as {self._inputs[name].kind})")
+            self._inputs[name] = Input(self._definitions, name, kind, self._sink, self._queue)
+
+    def unsubscribe(self, topic: str) -> None:
+        """Stop a subscription.
+
+        Raises:
+            UsageError: where there is none.
+        """
+        with self._lock:
+            found = self._inputs.pop(resolve(topic), None)
+        if found is None:
+            raise UsageError(f"topic {topic} is not subscribed")
+        found.close()
+
+    def advertise(self, topic: str, kind: str) -> None:
+        """Make a topic to which terms of a message type can be published.
+
+        Raises:
+            RetalisError: where the type or the topic's name is wrong, or the topic has another type already.
+        """
+        name = resolve(topic)
+        definition = self._definitions.find(kind)
+        with self._lock:
+            known = self._outputs.get(name)
+            if known is not None:
+                if known[2].definition.name != kind:
+                    raise UsageError(f"topic {topic} has the type {known[2].definition.name} already")
+                return
+            message = raw_class(definition)
+            publisher = rospy.Publisher(name, message, queue_size=self._queue)
+            self._outputs[name] = (publisher, message, self._definitions.encoder(definition))
+
+    def publish(self, term: Term, topic: str) -> None:
+        """Publish a term as a message; what does not fit the topic's type is logged and not published."""
+        try:
+            found = self._outputs.get(topic) or self._outputs.get(resolve(topic))
+            if found is None:
+                raise MessageError(f"topic {topic} has no type: pub_sub.xml has no <publish_to> of that name")
+            publisher, message, encoder = found
+            publisher.publish(raw_message(message, encoder.encode(term, topic)))
+        except RetalisError as error:
+            rospy.logerr("not published: %s", error)
+        except rospy.ROSException as error:  # the node is being shut down
+            rospy.logdebug("not published: %s", error)
+
+
+class Input:
+    """One subscribed topic: decodes its messages by the type it was given.
+
+    A type that is not installed is learned from the publisher's connection header.
+    """
+
+    def __init__(self, definitions: Definitions, name: str, kind: str, sink: Sink, queue: int):
+        self.kind = kind
+        self._definitions = definitions
+        self._name = name
+        self._sink = sink
+        self._decoders: Dict[str, Optional[Decoder]] = {}
+        self.refused = 0
+        self._subscriber = rospy.Subscriber(
+            name, rospy.AnyMsg, self._receive, queue_size=queue, buff_size=1 << 20, tcp_nodelay=True
+        )
+
+    def close(self) -> None:
+        """Stop receiving."""
+        self._subscriber.unregister()
+
+    def _receive(self, message: Any) -> None:
+        header = message._connection_header
+        checksum = header["md5sum"]
+        try:
+            decoder = self._decoders[checksum]
+        except KeyError:
+            decoder = self._decoders[checksum] = self._learn(header)
+        if decoder is None:
+            self._refuse(header)
+            return
+        data = message._buff
+        try:
+            self._sink(decoder.lazy(data), decoder.stamp(data))
+        except MessageError as error:
+            rospy.logerr_throttle(PERIOD, f"a message on {self._name} is dropped: {error}")
+
+    def _learn(self, header: Dict[str, str]) -> Optional[Decoder]:
+        """Return the decoder for a publisher's messages, None where they are of another type."""
+        kind, checksum = header.get("type", "*"), header["md5sum"]
+        try:
+            if self.kind in self._definitions:
+                definition = self._definitions.find(self.kind)
+                if definition.md5sum == checksum:
+                    return self._definitions.decoder(definition)
+            definition = self._definitions.add(kind, header.get("message_definition", ""))
+        except MessageError as error:
+            rospy.logerr("topic %s: %s", self._name, error)
+            return None
+        if kind == self.kind:
+            return self._definitions.decoder(definition)
+        if self.kind not in self._definitions and definition.md5sum == checksum:
+            return self._definitions.decoder(definition.renamed(self.kind))
+        return None
+
+    def _refuse(self, header: Dict[str, str]) -> None:
+        self.refused += 1
+        rospy.logwarn_throttle(
+            PERIOD,
+            f"topic {self._name} is subscribed as {self.kind}, but {header.get('callerid', 'somebody')} publishes "
+            f"{header.get('type', 'another type')}: {self.refused} messages dropped",
+        )
+
+
+def resolve(topic: str) -> str:
+    """Return the full name of a topic, remapping and namespace applied.
+
+    Raises:
+        UsageError: where it is no name.
+    """
+    try:
+        name = rospy.resolve_name(topic.strip())
+    except (ValueError, rospy.ROSException) as error:
+        raise UsageError(f'"{topic}" is no topic name: {error}') from error
+    if not topic.strip() or any(char in name for char in " \t\n,()[]'\""):
+        raise UsageError(f'"{topic}" is no topic name')
+    return name

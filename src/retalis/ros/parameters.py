@@ -1,0 +1,110 @@
+"""The parameters of the two nodes, checked."""
+
+import sys
+from pathlib import Path
+from typing import Any, Dict, List, NamedTuple, Optional, Tuple
+
+import rospkg
+import rospy
+
+from ..engine import Settings
+from ..errors import UsageError
+from ..logic import Limits
+from ..program import Topics, TopicType
+
+DIRECT = (TopicType("tf", "tf/tfMessage"), TopicType("ar_pose_marker", "ar_pose/ARMarkers"))
+"""The topics that node retalis subscribes by itself by default, as the original did."""
+
+
+class Parameters(NamedTuple):
+    """What a node was told.
+
+    Attributes:
+        program: the folder with pub_sub.xml and goalPredicates.txt.
+        direct: ``auto``, True, False, or the topics that node retalis subscribes by itself.
+        embedded: whether the ROS interface runs inside node retalis.
+        queue: the length of each queue.
+        settings: of the engine.
+    """
+
+    program: Path
+    direct: Any
+    embedded: bool
+    queue: int
+    settings: Settings
+
+
+def read_parameters(arguments: Optional[List[str]] = None) -> Parameters:
+    """Return the private parameters of this node.
+
+    Raises:
+        UsageError: for a value of the wrong kind, naming the parameter.
+    """
+    argv = rospy.myargv(sys.argv if arguments is None else arguments)
+    limits: Dict[str, Any] = {}
+    for field, name, kind in (("seconds", "max_seconds", float), ("inferences", "max_inferences", int)):
+        value = _number(f"~{name}", kind)
+        if value is not None:
+            limits[field] = value
+    depth = _number("~max_depth", int)
+    queue = _number("~queue", int)
+    settings = Settings(limits=Limits(**limits), allow_goals=_flag("~allow_goals"))
+    if depth is not None:
+        settings = settings._replace(max_depth=depth)
+    if queue is not None:
+        settings = settings._replace(queue=queue)
+    return Parameters(_program(argv), _direct(), _flag("~embedded"), settings.queue, settings)
+
+
+def direct_topics(direct: Any, topics: Topics) -> Tuple[TopicType, ...]:
+    """Return the topics that node retalis subscribes by itself."""
+    if direct is False:
+        return ()
+    if direct is True:
+        return DIRECT
+    if direct == "auto":
+        named = {topic.topic.lstrip("/") for topic in topics.subscribed}
+        return tuple(topic for topic in DIRECT if topic.topic not in named)
+    return tuple(direct)
+
+
+def _program(argv: List[str]) -> Path:
+    folder = rospy.get_param("~program", "")
+    if not isinstance(folder, str):
+        raise UsageError(f"parameter ~program: expected the path of a folder, found {folder!r}")
+    if folder:
+        return Path(folder)
+    package = argv[1] if len(argv) > 1 else rospkg.RosPack().get_path("retalis")
+    return Path(package) / "application_source"
+
+
+def _direct() -> Any:
+    value = rospy.get_param("~direct", "auto")
+    if value in (True, False, "auto"):
+        return value
+    wrong = UsageError(
+        "parameter ~direct: expected auto, true, false, or a list of topics and types "
+        f"[topic, package/Type, ...], found {value!r}"
+    )
+    if not isinstance(value, list):
+        raise wrong
+    flat = [item for entry in value for item in (entry if isinstance(entry, list) else [entry])]
+    if len(flat) % 2 or not all(isinstance(item, str) for item in flat):
+        raise wrong
+    return tuple(TopicType(topic, kind) for topic, kind in zip(flat[::2], flat[1::2]))
+
+
+def _flag(name: str) -> bool:
+    value = rospy.get_param(name, False)
+    if not isinstance(value, bool):
+        raise UsageError(f"parameter {name}: expected true or false, found {value!r}")
+    return value
+
+
+def _number(name: str, kind: Any) -> Any:
+    value = rospy.get_param(name, None)
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, (int, kind)) or value <= 0:
+        raise UsageError(f"parameter {name}: expected a positive number, found {value!r}")
+    return kind(value)

@@ -1,0 +1,140 @@
+"""The six services: texts in, ``ok`` or ``error: ...`` out."""
+
+from typing import Any, Callable, Dict, List
+
+import rospy
+
+from ..engine import Engine
+from ..errors import RetalisError, SyntaxFault, UsageError
+from ..syntax import read_term
+from ..terms import Atom, Term, atom, functor
+from .interface import Interface
+
+OK = "ok"
+
+
+def answer(work: Callable[[], None]) -> str:
+    """Do a request; return ``ok``, or ``error: `` and the reason in one line with the position in the text."""
+    try:
+        work()
+    except RetalisError as error:
+        return f"error: {error.brief()}"
+    return OK
+
+
+class EngineServices:
+    """The services of node retalis: subscriptions and memories."""
+
+    def __init__(self, engine: Engine):
+        from retalis import srv  # generated: there only where the package was built
+
+        self._engine = engine
+        rospy.Service("add_output_subscription", srv.AddOutputSubscription, self._add_subscription)
+        rospy.Service("delete_output_subscription", srv.DeleteOutputSubscription, self._delete_subscription)
+        rospy.Service("add_memory", srv.AddMemory, self._add_memory)
+        rospy.Service("delete_memory", srv.DeleteMemory, self._delete_memory)
+
+    def _add_subscription(self, request: Any) -> str:
+        return answer(
+            lambda: self._add(request, "subscribe", name(request.topic, "topic"), name(request.id, "id"))
+        )
+
+    def _add_memory(self, request: Any) -> str:
+        return answer(
+            lambda: self._add(request, "memorize", name(request.id, "id"), self._size(request.size))
+        )
+
+    def _delete_subscription(self, request: Any) -> str:
+        def work() -> None:
+            topic, key = name(request.topic, "topic"), name(request.id, "id")
+            if not self._engine.do(lambda: self._engine.knowledge.subscriptions.delete(topic, key)):
+                raise UsageError(
+                    f"there is no subscription {request.id.strip()} of topic {request.topic.strip()}"
+                )
+
+        return answer(work)
+
+    def _delete_memory(self, request: Any) -> str:
+        def work() -> None:
+            key = name(request.id, "id")
+            if self._engine.knowledge.memories.find(key) is None:
+                raise UsageError(f"there is no memory {request.id.strip()}")
+            self._call((functor("delete_memory", 1), key))
+
+        return answer(work)
+
+    def _add(self, request: Any, goal: str, fourth: Term, fifth: Term) -> None:
+        fields = {"event": request.event, "conditions": f"[{request.conditions}\n]", "format": request.format}
+        event, conditions, form = self._read_together(fields)
+        self._call((functor(goal, 5), event, conditions, form, fourth, fifth))
+
+    def _read_together(self, fields: Dict[str, str]) -> List[Term]:
+        """Read fields that share their variables.
+
+        Each is read alone first, so that an error says which field it is in and where.
+        """
+        operators = self._engine.logic.operators
+        for field, text in fields.items():
+            if not text.strip():
+                raise UsageError(f"{field} is empty")
+            try:
+                read_term(f"({text}\n)", operators, field)
+            except SyntaxFault as fault:
+                raise _moved(fault, field) from fault
+        whole = ",".join(f"(\n{text}\n)" for text in fields.values())
+        return list(read_term(f"request({whole})", operators, "request").term[1:])
+
+    def _size(self, text: str) -> int:
+        try:
+            size = int(text)
+        except ValueError:
+            raise UsageError(f'size: expected a whole number, found "{text}"') from None
+        if size < 0:
+            raise UsageError(f"size: expected a whole number from 0 on, found {size}")
+        return size
+
+    def _call(self, goal: Term) -> None:
+        if not self._engine.call(goal):
+            raise UsageError(f"{self._engine.show(goal)} fails")
+
+
+class InterfaceServices:
+    """The services of the ROS interface: input subscriptions."""
+
+    def __init__(self, interface: Interface):
+        from retalis import srv  # generated: there only where the package was built
+
+        self._interface = interface
+        rospy.Service("add_input_subscription", srv.AddInputSubscription, self._add)
+        rospy.Service("delete_input_subscription", srv.DeleteInputSubscription, self._delete)
+
+    def _add(self, request: Any) -> str:
+        return answer(lambda: self._interface.subscribe(request.topic.strip(), request.message_type.strip()))
+
+    def _delete(self, request: Any) -> str:
+        return answer(lambda: self._interface.unsubscribe(request.topic.strip()))
+
+
+def name(text: str, field: str) -> Term:
+    """Return the term of a topic or an id: what the text reads as if that is a constant, else the text's atom.
+
+    A topic like ``robot/marker1`` reads as a division, but is meant as a name.
+    """
+    text = text.strip()
+    if not text:
+        raise UsageError(f"{field} is empty")
+    try:
+        term = read_term(text, source=field).term
+    except SyntaxFault:
+        return atom(text)
+    return term if isinstance(term, (Atom, int)) else atom(text)
+
+
+def _moved(fault: SyntaxFault, field: str) -> RetalisError:
+    """Return the fault with its place counted in the field as the caller wrote it."""
+    place = fault.place
+    if place is None:
+        return fault
+    # The field was read behind one character: its bracket.
+    column = max(1, place.column - (1 if field != "conditions" else 2)) if place.line == 1 else place.column
+    return UsageError(f"{field}: {fault.message} (line {place.line}, column {column})")

@@ -1,0 +1,91 @@
+"""What the tests on a real master share: publishing raw bytes, waiting for what has to come."""
+
+import threading
+import time
+
+import rospy
+from std_msgs.msg import String
+
+from retalis.messages import Definitions
+from retalis.ros._raw import raw_class, raw_message
+from retalis.srv import AddInputSubscription, AddOutputSubscription
+
+PATIENCE = 30.0
+"""Seconds after which a test gives up waiting."""
+
+
+def wait_until(condition, what):
+    """Wait for a condition in real time (simulated time stands still in most tests)."""
+    deadline = time.monotonic() + PATIENCE
+    while not condition():
+        if time.monotonic() > deadline:
+            raise AssertionError(f"waited {PATIENCE:.0f} s in vain for {what}")
+        if rospy.is_shutdown():
+            raise AssertionError(f"shut down while waiting for {what}")
+        time.sleep(0.01)
+
+
+class Collector:
+    """Collects the messages of a topic."""
+
+    def __init__(self, topic, kind):
+        self.topic = topic
+        self.messages = []
+        self._changed = threading.Condition()
+        self._subscriber = rospy.Subscriber(topic, kind, self._take, queue_size=10_000)
+
+    def _take(self, message):
+        with self._changed:
+            self.messages.append(message)
+            self._changed.notify_all()
+
+    def wait_for(self, condition, what="messages"):
+        """Wait until ``condition`` holds for the list of messages; return the list."""
+        with self._changed:
+            if not self._changed.wait_for(lambda: condition(self.messages), PATIENCE):
+                got = [str(message)[:200] for message in self.messages[-5:]]
+                raise AssertionError(f"waited in vain for {what} on {self.topic}; the last ones: {got}")
+            return list(self.messages)
+
+    def connected(self):
+        return self._subscriber.get_num_connections() > 0
+
+
+class RawPublisher:
+    """Publishes bytes as messages of a type, whether the type is installed or not."""
+
+    def __init__(self, topic, definition):
+        self.kind = raw_class(definition)
+        self.publisher = rospy.Publisher(topic, self.kind, queue_size=10_000)
+
+    def publish(self, data):
+        self.publisher.publish(raw_message(self.kind, data))
+
+    def connected(self):
+        return self.publisher.get_num_connections() > 0
+
+
+def service(name, kind):
+    """Return a service's proxy once it is there."""
+    rospy.wait_for_service(name, PATIENCE)
+    return rospy.ServiceProxy(name, kind)
+
+
+def open_the_way():
+    """Return when messages get from a topic through the engine to a topic, whichever nodes are in between."""
+    added = service("add_input_subscription", AddInputSubscription)("probe", "std_msgs/String").result
+    assert added == "ok", added
+    subscribe = service("add_output_subscription", AddOutputSubscription)
+    added = subscribe("std_msgs__0__String('\"probe\"')", "", "_", "face_by_marker", "probe").result
+    assert added == "ok", added
+    probe = rospy.Publisher("probe", String, queue_size=10)
+    back = Collector("face_by_marker", String)
+
+    def answered():
+        probe.publish("probe")
+        return any(message.data == "probe" for message in back.messages)
+
+    wait_until(answered, "the way through the nodes")
+
+
+DEFINITIONS = Definitions()

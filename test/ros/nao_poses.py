@@ -1,0 +1,78 @@
+#!/usr/bin/env python3
+"""The NAO bag through real nodes: the poses are those that the engine gives offline."""
+
+import sys
+import tempfile
+import time
+import unittest
+from pathlib import Path
+
+import rospy
+import rostest
+from geometry_msgs.msg import PoseStamped
+from rosgraph_msgs.msg import Clock
+
+sys.path.append(str(Path(__file__).resolve().parent))
+sys.path.append(str(Path(__file__).resolve().parents[2] / "examples" / "nao"))
+from harness import DEFINITIONS, Collector, RawPublisher, open_the_way, wait_until  # noqa: E402
+from make_bag import make_bag  # noqa: E402
+
+from retalis.bags import BagReader  # noqa: E402
+
+SPEED = 2.0
+"""How many times faster than it was recorded the bag is played."""
+
+
+class NaoPoses(unittest.TestCase):
+    def setUp(self):
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        self.bag = Path(folder.name) / "nao.bag"
+        self.truth = make_bag(self.bag, seconds=5.0, seed=3)
+
+    def test_poses(self):
+        clock = rospy.Publisher("/clock", Clock, queue_size=10)
+        markers = [Collector(f"marker{i}", PoseStamped) for i in range(1, 9)]
+        with BagReader(self.bag) as bag:
+            publishers = {
+                topic.name: RawPublisher(topic.name, DEFINITIONS.add(topic.type, topic.definition))
+                for topic in bag.topics
+            }
+            wait_until(
+                lambda: all(one.connected() for one in publishers.values()), "subscribers of the bag's topics"
+            )
+            wait_until(lambda: all(one.connected() for one in markers), "publishers of the markers")
+            open_the_way()
+            self.play(bag, publishers, clock)
+        expected = sorted((one.marker, one.stamp) for one in self.truth.complete)
+        wait_until(
+            lambda: sum(len(one.messages) for one in markers) >= len(expected), f"{len(expected)} poses"
+        )
+        found = []
+        for number, collector in enumerate(markers, 1):
+            for pose in collector.messages:
+                name = pose.header.frame_id
+                self.assertEqual(name, f"4x4_{number}")
+                found.append((name, pose.header.stamp.to_nsec()))
+                place = pose.pose.position
+                true = self.truth.markers[name][0]
+                error = sum((a - b) ** 2 for a, b in zip((place.x, place.y, place.z), true)) ** 0.5
+                self.assertLess(error, 0.02)
+        self.assertEqual(sorted(found), expected)
+
+    def play(self, bag, publishers, clock):
+        """Publish the bag's messages at their times, as ``rosbag play --clock`` does."""
+        began, last = time.monotonic(), 0
+        for record in bag.records():
+            wait = (record.time - bag.start) / 1e9 / SPEED - (time.monotonic() - began)
+            if wait > 0:
+                time.sleep(wait)
+            if record.time - last > 10_000_000:
+                last = record.time
+                clock.publish(Clock(rospy.Time(*divmod(record.time, 10**9))))
+            publishers[record.topic.name].publish(record.data)
+
+
+if __name__ == "__main__":
+    rospy.init_node("nao_poses")
+    rostest.rosrun("retalis", "nao_poses", NaoPoses)

@@ -1,0 +1,150 @@
+#!/usr/bin/env python3
+"""The six services, with good and bad requests, while events flow."""
+
+import sys
+import threading
+import time
+import unittest
+from pathlib import Path
+
+import rospy
+import rostest
+from std_msgs.msg import Float64, String
+
+sys.path.append(str(Path(__file__).resolve().parent))
+from harness import Collector, open_the_way, service  # noqa: E402
+
+from retalis import srv  # noqa: E402
+
+
+class Services(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        open_the_way()
+        cls.add_subscription = staticmethod(service("add_output_subscription", srv.AddOutputSubscription))
+        cls.delete_subscription = staticmethod(
+            service("delete_output_subscription", srv.DeleteOutputSubscription)
+        )
+        cls.add_memory = staticmethod(service("add_memory", srv.AddMemory))
+        cls.delete_memory = staticmethod(service("delete_memory", srv.DeleteMemory))
+        cls.add_input = staticmethod(service("add_input_subscription", srv.AddInputSubscription))
+        cls.delete_input = staticmethod(service("delete_input_subscription", srv.DeleteInputSubscription))
+        cls.outputs = Collector("retalisOutputEvents", String)
+        cls.events = rospy.Publisher("retalisInputEvents", String, queue_size=5000)
+        cls.flowing = threading.Event()
+        cls.flowing.set()
+        cls.flow = threading.Thread(target=cls.keep_flowing, daemon=True)
+        cls.flow.start()
+
+    @classmethod
+    def tearDownClass(cls):
+        cls.flowing.clear()
+        cls.flow.join(10)
+
+    @classmethod
+    def keep_flowing(cls):
+        """Publish events the whole time, so that no service is answered by an idle node only."""
+        number = 0
+        while cls.flowing.is_set() and not rospy.is_shutdown():
+            number += 1
+            cls.events.publish(String(f"event(flow({number}))"))
+            time.sleep(0.002)
+
+    def send(self, *texts):
+        for text in texts:
+            self.events.publish(String(text))
+
+    def wait_for_output(self, text):
+        self.outputs.wait_for(lambda messages: any(message.data == text for message in messages), text)
+
+    def has_output(self, text):
+        return any(message.data == text for message in self.outputs.messages)
+
+    def assert_error(self, response, *parts):
+        self.assertTrue(response.result.startswith("error: "), response.result)
+        self.assertNotIn("\n", response.result)
+        for part in parts:
+            self.assertIn(part, response.result)
+
+    def test_a_subscription_is_added_delivers_and_is_deleted(self):
+        self.assertEqual(
+            self.add_subscription("a(X)", "X > 1, X < 9", "got(X)", "somewhere", "s1").result, "ok"
+        )
+        self.send("event(a(1))", "event(a(5))", "event(a(10))", "event(a(6))")
+        self.wait_for_output("event(got(6),somewhere,s1)")
+        self.assertTrue(self.has_output("event(got(5),somewhere,s1)"))
+        self.assertFalse(self.has_output("event(got(1),somewhere,s1)"))
+        self.assertFalse(self.has_output("event(got(10),somewhere,s1)"))
+        self.assertEqual(self.delete_subscription("somewhere", "s1").result, "ok")
+        self.assertEqual(self.add_subscription("a(X)", "", "_", "somewhere", "s2").result, "ok")
+        self.send("event(a(7))")
+        self.wait_for_output("event(a(7),somewhere,s2)")
+        self.assertFalse(self.has_output("event(got(7),somewhere,s1)"))
+        self.assertEqual(self.delete_subscription("somewhere", "s2").result, "ok")
+
+    def test_topics_may_have_slashes(self):
+        self.assertEqual(self.add_subscription("slash(X)", "", "_", "/robot/out", "1").result, "ok")
+        self.send("event(slash(1))")
+        self.wait_for_output("event(slash(1),'/robot/out',1)")
+        self.assertEqual(self.delete_subscription("/robot/out", "1").result, "ok")
+
+    def test_a_taken_subscription_is_an_error(self):
+        self.assertEqual(self.add_subscription("b(_)", "", "_", "t", "twice").result, "ok")
+        self.assert_error(self.add_subscription("b(_)", "", "_", "t", "twice"), "twice")
+        self.assertEqual(self.add_subscription("b(_)", "", "_", "other", "twice").result, "ok")
+        self.assertEqual(self.delete_subscription("t", "twice").result, "ok")
+        self.assertEqual(self.delete_subscription("other", "twice").result, "ok")
+
+    def test_an_unknown_subscription_is_an_error(self):
+        self.assert_error(self.delete_subscription("t", "never"), "never")
+
+    def test_errors_say_which_field_and_where(self):
+        self.assert_error(self.add_subscription("a(X", "", "_", "t", "e1"), "event", "column")
+        self.assert_error(self.add_subscription("a(X)", "X >", "_", "t", "e1"), "conditions", "column")
+        self.assert_error(self.add_subscription("a(X)", "", "f(]", "t", "e1"), "format", "column 3")
+        self.assert_error(self.add_subscription("", "", "_", "t", "e1"), "event")
+        self.assert_error(self.add_subscription("3", "", "_", "t", "e1"))
+        self.assert_error(self.add_subscription("a),b(X)", "", "_", "t", "e1"), "event")
+        self.assert_error(self.delete_subscription("t", "e1"), "e1")
+
+    def test_a_memory_is_added_used_and_deleted(self):
+        self.assertEqual(self.add_memory("v(X)", "", "kept(X)", "m", "2").result, "ok")
+        self.assert_error(self.add_memory("v(X)", "", "_", "m", "2"), "m")
+        added = self.add_subscription("ask", "findall(X, access_mem(m, kept(X), _), L)", "all(L)", "t", "ask")
+        self.assertEqual(added.result, "ok")
+        self.send(*(f"event(v({i}))" for i in (1, 2, 3)), "event(ask)")
+        self.wait_for_output("event(all([3,2]),t,ask)")
+        self.assertEqual(self.delete_memory("m").result, "ok")
+        self.assert_error(self.delete_memory("m"), "m")
+        self.assertEqual(self.delete_subscription("t", "ask").result, "ok")
+
+    def test_bad_memories_are_errors_and_nothing_is_half_added(self):
+        self.assert_error(self.add_memory("v(X)", "", "_", "bad", "many"), "size", "many")
+        self.assert_error(self.add_memory("v(X)", "", "_", "bad", "-1"), "size")
+        self.assert_error(self.add_memory("v(X)", "1", "_", "bad", "5"))
+        self.assert_error(self.add_memory("v(X)", "", "_", "", "5"), "id")
+        self.assert_error(self.delete_memory("bad"), "bad")
+
+    def test_input_subscriptions(self):
+        number = rospy.Publisher("number", Float64, queue_size=10)
+        self.assertEqual(self.add_input("number", "std_msgs/Float64").result, "ok")
+        self.assert_error(self.add_input("number", "std_msgs/Float64"), "number")
+        self.assertEqual(
+            self.add_subscription("std_msgs__0__Float64(X)", "", "number(X)", "t", "n").result, "ok"
+        )
+        deadline = time.monotonic() + 30
+        while not self.has_output("event(number(2.5),t,n)"):
+            self.assertLess(time.monotonic(), deadline, "the number never came")
+            number.publish(2.5)
+            time.sleep(0.01)
+        self.assertEqual(self.delete_input("number").result, "ok")
+        self.assert_error(self.delete_input("number"), "number")
+        self.assert_error(self.add_input("number", "Float64"), "package/Type")
+        self.assert_error(self.add_input("a b", "std_msgs/Float64"), "a b")
+        self.assert_error(self.add_input("", "std_msgs/Float64"))
+        self.assertEqual(self.delete_subscription("t", "n").result, "ok")
+
+
+if __name__ == "__main__":
+    rospy.init_node("services")
+    rostest.rosrun("retalis", "services", Services)

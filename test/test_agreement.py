@@ -1,0 +1,133 @@
+"""Positions that programs compute, against tf2 and against the truth."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from retalis.bags import BagReader
+from retalis.playback import Playback
+from retalis.terms import deref, list_items
+
+HERE = Path(__file__).resolve().parent
+NAO = HERE.parent / "examples" / "nao"
+PR2 = HERE.parent.parent / "shared" / "bags" / "pr2_mylaserdata.bag"
+
+sys.path += [str(NAO), str(HERE)]
+import nao_truth  # noqa: E402
+from make_bag import make_bag  # noqa: E402
+
+
+def play(program, path):
+    problems = []
+    playback = Playback(program, problems.append)
+    with BagReader(path) as bag:
+        outputs = list(playback.run(bag))
+    assert problems == []
+    return playback.engine, outputs
+
+
+def vector(term):
+    return tuple(deref(value) for value in deref(term)[1:])
+
+
+class Pose:
+    """A published PoseStamped, taken apart."""
+
+    def __init__(self, output):
+        header, pose = deref(output.term[1]), deref(output.term[2])
+        seconds, nanoseconds = (deref(part) for part in list_items(header[2]))
+        self.stamp = seconds * 10**9 + nanoseconds
+        self.marker = deref(header[3]).name.strip('"')
+        self.topic = output.topic
+        self.position, self.rotation = vector(pose[1]), vector(pose[2])
+
+
+@pytest.fixture(scope="module")
+def nao(tmp_path_factory):
+    path = tmp_path_factory.mktemp("nao") / "nao.bag"
+    truth = make_bag(path, seconds=10.0, seed=7)
+    _, outputs = play(HERE.parent / "application_source", path)
+    return path, truth, outputs
+
+
+@pytest.fixture(scope="module")
+def poses(nao):
+    return [Pose(output) for output in nao[2] if output.topic.startswith("marker")]
+
+
+def test_each_observation_that_can_be_computed_leads_to_one_pose(nao, poses):
+    expected = sorted((one.marker, one.stamp) for one in nao[1].complete)
+    assert sorted((pose.marker, pose.stamp) for pose in poses) == expected
+    assert len(expected) > 50
+
+
+def test_each_marker_has_its_topic(poses):
+    assert {(pose.marker, pose.topic) for pose in poses} == {(f"4x4_{i}", f"marker{i}") for i in range(1, 9)}
+
+
+def test_positions_are_the_true_ones_within_two_centimetres(nao, poses):
+    for pose in poses:
+        true = nao[1].markers[pose.marker][0]
+        assert sum((a - b) ** 2 for a, b in zip(pose.position, true)) ** 0.5 < nao_truth.TOLERANCE
+
+
+def test_positions_agree_with_tf2(nao, poses):
+    import tf2_reference as tf2
+
+    reference = tf2.Reference(nao[0])
+    relative = observations(nao[0])
+    for pose in poses:
+        camera = reference.pose("odom", "CameraTop_frame", pose.stamp)
+        position, rotation = tf2.compose(camera, relative[pose.marker, pose.stamp])
+        assert tf2.distance(pose.position, position) < 1e-6
+        assert tf2.angle(pose.rotation, rotation) < 1e-6
+
+
+def observations(path):
+    """Return the pose of each observation relative to the camera, by marker and stamp."""
+    from retalis.messages import Definitions
+
+    definitions = Definitions()
+    found = {}
+    with BagReader(path) as bag:
+        for record in bag.records(["/ar_pose_marker"]):
+            kind = definitions.add(record.topic.type, record.topic.definition)
+            message = definitions.decoder(kind).decode(record.data)
+            for marker in list_items(deref(message)[2]):
+                marker = deref(marker)
+                header, pose = deref(marker[1]), deref(deref(marker[3])[1])
+                seconds, nanoseconds = (deref(part) for part in list_items(header[2]))
+                key = deref(header[3]).name.strip('"'), seconds * 10**9 + nanoseconds
+                found[key] = vector(pose[1]), vector(pose[2])
+    return found
+
+
+def test_a_known_face_by_a_marker_is_published(nao):
+    texts = [deref(output.term[1]).name for output in nao[2] if output.topic == "face_by_marker"]
+    assert texts
+    assert all(" by 4x4_" in text for text in texts)
+
+
+@pytest.mark.skipif(not PR2.exists(), reason="the PR2's bag is not there")
+def test_the_head_of_a_pr2_agrees_with_tf2():
+    import tf2_reference as tf2
+
+    engine, _ = play(HERE / "data" / "pr2", PR2)
+    reference = tf2.Reference(PR2)
+    with BagReader(PR2) as bag:
+        start, end = bag.start, bag.end
+    instants = [start + (end - start) * i // 400 for i in range(400)]
+    compared = 0
+    for instant in instants:
+        expected = reference.pose("odom_combined", "head_plate_frame", instant)
+        answers = engine.query(f"head_plate([{instant // 10**9},{instant % 10**9}],[P,Q])")
+        assert bool(answers) == (expected is not None)
+        if expected is None:
+            continue
+        compared += 1
+        position = [deref(value) for value in list_items(answers[0]["P"])]
+        rotation = [deref(value) for value in list_items(answers[0]["Q"])]
+        assert tf2.distance(position, expected[0]) < 2e-8
+        assert tf2.angle(rotation, expected[1]) < 2e-8
+    assert compared >= 200

@@ -1,0 +1,222 @@
+"""The façade: loading, events, queries, outputs, errors."""
+
+import logging
+import threading
+
+import pytest
+
+from retalis import timestamps
+from retalis.clock import StreamClock
+from retalis.engine import Engine, Settings
+from retalis.errors import ProgramErrors, RetalisError, SyntaxFault, UsageError
+from retalis.terms import deref
+
+
+class Watched(Engine):
+    """An engine whose outputs and events are kept as text."""
+
+    def __init__(self, rules="", goals="", **settings):
+        super().__init__(settings=Settings(**settings))
+        self.outputs, self.events = [], []
+        self.on_output(
+            lambda term, topic, name: self.outputs.append((self.show(term), topic, self.show(name)))
+        )
+        self.on_event(lambda term, start, end: self.events.append((self.show(term), int(start), int(end))))
+        self.load(rules=rules, goals=goals)
+
+
+def test_a_rule_fires_and_a_subscriber_gets_it():
+    engine = Watched("alarm(X) <- smoke(X) seq heat(X).", "subscribe(alarm(X), [], warn(X), alarms, a)")
+    engine.event("smoke(kitchen)", 1)
+    engine.event("heat(cellar)", 2)
+    engine.event("heat(kitchen)", 3)
+    assert engine.outputs == [("warn(kitchen)", "alarms", "a")]
+    assert engine.events[-1] == ("alarm(kitchen)", 10**9, 3 * 10**9)
+
+
+def test_an_event_without_stamp_gets_the_clock_and_never_the_same_twice():
+    engine = Watched()
+    engine.clock.move_to(5)
+    engine.event("a")
+    engine.event("b")
+    assert engine.events == [("a", 5, 5), ("b", 6, 6)]
+
+
+def test_stamps_are_terms_numbers_or_ros_times():
+    engine = Watched()
+    stamp = timestamps.datime(7 * 10**9 + 1)
+    engine.event("a", stamp, stamp)
+    engine.event("b", 1.5, 2)
+    assert engine.events == [("a", 7 * 10**9 + 1, 7 * 10**9 + 1), ("b", 1_500_000_000, 2_000_000_000)]
+
+
+def test_an_end_before_the_start_is_refused():
+    engine = Watched()
+    with pytest.raises(RetalisError):
+        engine.event("a", 2, 1)
+    with pytest.raises(UsageError):
+        engine.event("a", "soon")
+    assert engine.events == []
+
+
+def test_text_that_is_no_term_is_refused():
+    with pytest.raises(SyntaxFault):
+        Watched().event("a(", 1)
+
+
+def test_queries_give_values_by_name():
+    engine = Watched("p(1). p(2). p(3).")
+    assert [deref(answer["X"]) for answer in engine.query("p(X), X > 1")] == [2, 3]
+    assert len(engine.query("p(_)", most=1)) == 1
+    assert engine.query("p(9)") == []
+    assert engine.query("p(1)") == [{}]
+
+
+def test_a_failing_or_wrong_goal_is_reported_with_its_place_and_the_others_are_called():
+    engine = Watched()
+    with pytest.raises(ProgramErrors) as caught:
+        engine.call_goals("assertz(a(1))\nfail\nno_such_goal(1)\nb(\nassertz(a(2))\n", "goals.txt")
+    errors = caught.value.errors
+    assert [(error.place.source, error.place.line) for error in errors] == [
+        ("goals.txt", 2),
+        ("goals.txt", 3),
+        ("goals.txt", 4),
+    ]
+    assert [deref(answer["X"]) for answer in engine.query("a(X)")] == [1, 2]
+
+
+def test_a_rule_file_is_found_beside_the_goal_file(tmp_path):
+    (tmp_path / "goalPredicates.txt").write_text("compile_event_file('more/rules.txt')\n")
+    (tmp_path / "more").mkdir()
+    (tmp_path / "more" / "rules.txt").write_text("b(X) <- a(X).\n")
+    engine = Watched()
+    engine.load_program(tmp_path)
+    engine.event("a(1)", 1)
+    assert [event for event, _, _ in engine.events] == ["a(1)", "b(1)"]
+
+
+def test_errors_of_a_rule_file_come_at_once_and_nothing_of_it_is_active(tmp_path):
+    (tmp_path / "goalPredicates.txt").write_text("compile_event_file('rules.txt')\n")
+    (tmp_path / "rules.txt").write_text("ok <- a.\nb <- a seq.\nc <- (a.\nfact(1).\n")
+    engine = Watched()
+    with pytest.raises(ProgramErrors) as caught:
+        engine.load_program(tmp_path)
+    assert [error.place.line for error in caught.value.errors] == [2, 3]
+    engine.event("a", 1)
+    assert [event for event, _, _ in engine.events] == ["a"]
+
+
+def test_a_goal_that_raises_stops_its_firing_only(caplog):
+    engine = Watched("null do no_such_goal(X) <- a(X).\nok(X) <- a(X).")
+    with caplog.at_level(logging.WARNING, "retalis"):
+        engine.event("a(1)", 1)
+    assert [event for event, _, _ in engine.events] == ["a(1)", "ok(1)"]
+    assert "no_such_goal" in caplog.text
+
+
+def test_events_made_by_goals_are_finished_first():
+    engine = Watched("null do new_event(b, 5, 7) <- a.\nc <- b.\nd <- a.")
+    engine.event("a", 1)
+    assert [event for event, _, _ in engine.events] == ["a", "b", "c", "null", "d"]
+    assert engine.events[1][1:] == (5 * 10**9 + 7,) * 2
+
+
+def test_a_chain_without_end_is_stopped_and_the_engine_goes_on(caplog):
+    engine = Watched("a(Y) <- a(X) where Y is X + 1.\nb(1) <- b.", max_depth=50)
+    with caplog.at_level(logging.WARNING, "retalis"):
+        engine.event("a(0)", 1)
+    assert len(engine.events) == 50
+    assert "50" in caplog.text
+    engine.event("b", 2)
+    assert engine.events[-1][0] == "b(1)"
+
+
+def test_a_long_chain_needs_no_stack():
+    engine = Watched("a(Y) <- a(X) where (X < 20000, Y is X + 1).", max_depth=100_000)
+    engine.event("a(0)", 1)
+    assert engine.events[-1][0] == "a(20000)"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "event(a(1),[datime(1970,1,1,0,0,1,0),datime(1970,1,1,0,0,1,0)])",
+        "new_event(a(1),1,0)",
+        "new_event(a(1),1,0,1,0)",
+        "new_event(a(1), [datime(1970,1,1,0,0,1.0,0), datime(1970,1,1,0,0,1,0)]).",
+    ],
+)
+def test_events_as_text(text):
+    engine = Watched()
+    engine.post_text(text)
+    assert engine.events == [("a(1)", 10**9, 10**9)]
+
+
+@pytest.mark.parametrize(
+    "text", ["assertz(x)", "event(", "event(X)", "event(1)", "event(a,[2,1])", "new_event(a,x,1)"]
+)
+def test_other_text_is_refused_with_a_warning(text, caplog):
+    engine = Watched()
+    with caplog.at_level(logging.WARNING, "retalis"):
+        engine.post_text(text)
+    assert len(caplog.records) == 1
+    assert engine.events == []
+    assert engine.query("catch(x, _, fail)") == []
+
+
+def test_any_goal_is_taken_where_that_is_allowed():
+    engine = Watched(allow_goals=True)
+    engine.post_text("assertz(x(1))")
+    assert engine.query("x(1)") == [{}]
+
+
+def test_time_that_goes_back_clears_what_was_remembered(caplog):
+    engine = Watched("c <- a seq b.", "memorize(a, [], _, m, 5)")
+    engine.clock.move_to(100 * 10**9)
+    engine.event("a", 100)
+    assert len(engine.query("access_mem(m, _, _)")) == 1
+    engine.clock.move_to(10 * 10**9, back=True)
+    with caplog.at_level(logging.WARNING, "retalis"):
+        engine.event("b", 101)
+    assert [event for event, _, _ in engine.events] == ["a", "b"]
+    assert engine.query("access_mem(m, _, _)") == []
+    assert sum("time went back" in record.message for record in caplog.records) == 1
+
+
+def test_an_alarm_rings_when_its_time_has_come():
+    engine = Watched("exceptionAlarm(late, 5) <- a.")
+    engine.event("a", 1)
+    engine.clock.move_to(5 * 10**9)
+    engine.advance()
+    assert [event for event, _, _ in engine.events] == ["a"]
+    engine.clock.move_to(6 * 10**9)
+    engine.advance()
+    assert engine.events[-1] == ("late", 10**9, 6 * 10**9)
+
+
+def test_a_query_and_events_from_many_threads():
+    engine = Watched("n(X) <- e(X).", "memorize(n(X), [], _, m, 10000)")
+    threads = [
+        threading.Thread(target=lambda k=k: [engine.event(f"e({k})", i) for i in range(50)]) for k in range(4)
+    ]
+    for thread in threads:
+        thread.start()
+    while any(thread.is_alive() for thread in threads):
+        engine.query("findall(X, access_mem(m, n(X), _), L)")
+        for thread in threads:
+            thread.join(0.001)
+    assert len(engine.query("access_mem(m, _, _)")) == 200
+
+
+def test_a_goal_that_runs_for_ever_is_stopped():
+    from retalis.logic import Limits
+
+    engine = Watched("loop :- loop.\nnull do loop <- a.\nok <- a.", limits=Limits(inferences=100_000))
+    engine.event("a", 1)
+    assert [event for event, _, _ in engine.events] == ["a", "ok"]
+    with pytest.raises(RetalisError, match="inferences"):
+        engine.query("loop")
+
+
+def test_the_default_clock_stands_still():
+    assert isinstance(Engine().clock, StreamClock)

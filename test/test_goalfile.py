@@ -1,0 +1,38 @@
+from retalis._goalfile import read_goals
+from retalis.errors import SyntaxFault
+from retalis.syntax import Operators, writeq
+
+
+def read(text):
+    found = []
+    for goal in read_goals(text, Operators.prolog(), "goals"):
+        if isinstance(goal, SyntaxFault):
+            found.append(("error", goal.place.line))
+        else:
+            found.append((writeq(goal.term), goal.place.line))
+    return found
+
+
+def test_one_goal_a_line_with_or_without_a_full_stop():
+    assert read("a(1)\n\n  b(x, Y).\nc\n")[::2] == [("a(1)", 1), ("c", 4)]
+    assert read("a(1)\n\n  b(x, Y).\nc\n")[1][0].startswith("b(x,")
+
+
+def test_lines_are_counted_from_the_start_of_the_file():
+    assert [line for _, line in read("a\n\nb\n% comment\nc.")] == [1, 3, 5]
+
+
+def test_comments_stand_alone_or_behind_a_goal():
+    assert [goal for goal, _ in read("% nothing\na % why\nb. % why\n")] == ["a", "b"]
+
+
+def test_a_goal_goes_on_over_lines_to_its_full_stop():
+    assert read("memorize(a,\n  [],\n  m,\n  5).\nb") == [("memorize(a,[],m,5)", 1), ("b", 5)]
+
+
+def test_an_error_takes_one_line_and_the_rest_is_read():
+    assert read("a(\nb\nc)\n") == [("error", 1), ("b", 2), ("error", 3)]
+
+
+def test_a_quoted_percent_sign_is_no_comment():
+    assert [goal for goal, _ in read("a('50%')\nb('1.%')")] == ["a('50%')", "b('1.%')"]

@@ -1,0 +1,92 @@
+"""What tf2 says: the judge of positions, where it is installed."""
+
+import math
+
+import pytest
+
+tf2_py = pytest.importorskip("tf2_py", reason="tf2 is not installed")
+genpy = pytest.importorskip("genpy")
+geometry_msgs = pytest.importorskip("geometry_msgs.msg")
+
+from retalis.bags import BagReader  # noqa: E402
+from retalis.messages import Definitions  # noqa: E402
+from retalis.terms import deref, list_items  # noqa: E402
+
+
+def name(atom):
+    return deref(atom).name.strip('"').lstrip("/")
+
+
+def numbers(term):
+    return [deref(value) for value in deref(term)[1:]]
+
+
+def stamp(header):
+    return [deref(part) for part in list_items(deref(header)[2])]
+
+
+class Reference:
+    """A tf2 buffer filled from the /tf messages of a bag, leading slashes of frames stripped."""
+
+    def __init__(self, path):
+        self.buffer = tf2_py.BufferCore(genpy.Duration(100_000))
+        definitions = Definitions()
+        with BagReader(path) as bag:
+            for record in bag.records(["/tf"]):
+                kind = definitions.add(record.topic.type, record.topic.definition)
+                message = definitions.decoder(kind).decode(record.data)
+                for transform in list_items(deref(message)[1]):
+                    self._add(deref(transform))
+
+    def _add(self, transform):
+        header = deref(transform[1])
+        made = geometry_msgs.TransformStamped()
+        made.header.stamp = genpy.Time(*stamp(header))
+        made.header.frame_id = name(header[3])
+        made.child_frame_id = name(transform[2])
+        translation, rotation = (numbers(part) for part in deref(transform[3])[1:])
+        made.transform.translation = geometry_msgs.Vector3(*translation)
+        made.transform.rotation = geometry_msgs.Quaternion(*rotation)
+        self.buffer.set_transform(made, "test")
+
+    def pose(self, target, source, instant):
+        """Return translation and rotation from source to target at an instant (ns); None where tf2 has no data."""
+        try:
+            found = self.buffer.lookup_transform_core(target, source, genpy.Time(*divmod(instant, 10**9)))
+        except tf2_py.ExtrapolationException:
+            return None
+        t, r = found.transform.translation, found.transform.rotation
+        return (t.x, t.y, t.z), (r.x, r.y, r.z, r.w)
+
+
+def compose(left, right):
+    """Return the product of two poses (translation, quaternion x y z w)."""
+    (t, q), (s, r) = left, right
+    x, y, z, w = q
+    u = (y * s[2] - z * s[1], z * s[0] - x * s[2], x * s[1] - y * s[0])
+    v = (y * u[2] - z * u[1], z * u[0] - x * u[2], x * u[1] - y * u[0])
+    place = tuple(t[i] + s[i] + 2 * (w * u[i] + v[i]) for i in range(3))
+    a, b, c, d = r
+    turn = (
+        w * a + x * d + y * c - z * b,
+        w * b - x * c + y * d + z * a,
+        w * c + x * b - y * a + z * d,
+        w * d - x * a - y * b - z * c,
+    )
+    return place, turn
+
+
+def distance(left, right):
+    """Return how far apart two points are."""
+    return math.dist(left, right)
+
+
+def angle(left, right):
+    """Return the angle between two rotations in radians."""
+    dot = abs(sum(a * b for a, b in zip(left, right)))
+    norm = math.sqrt(sum(a * a for a in left) * sum(b * b for b in right))
+    cross = min(1.0, dot / norm)
+    # Near 1 the arc cosine has lost its digits; the chord has not.
+    sign = 1 if sum(a * b for a, b in zip(left, right)) > 0 else -1
+    chord = math.sqrt(sum((a - sign * b) ** 2 for a, b in zip(left, right)))
+    return 2 * math.acos(cross) if cross < 0.99 else 4 * math.asin(min(1.0, chord / 2))
