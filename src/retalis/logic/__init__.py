@@ -1,0 +1,34 @@
+"""The Prolog: clauses compiled to Python, an iterative machine, clauses and built-ins.
+
+`Logic` is the façade. `Machine` runs frames; `Goal` is a goal compiled for Python code.
+"""
+
+from .faults import (
+    PrologError,
+    domain_error,
+    existence_error,
+    instantiation_error,
+    permission_error,
+    resource_error,
+    type_error,
+)
+from .goal import Goal
+from .logic import Logic
+from .machine import DONE, LAST, Code, Limits, Machine
+
+__all__ = [
+    "DONE",
+    "LAST",
+    "Code",
+    "Goal",
+    "Limits",
+    "Logic",
+    "Machine",
+    "PrologError",
+    "domain_error",
+    "existence_error",
+    "instantiation_error",
+    "permission_error",
+    "resource_error",
+    "type_error",
+]

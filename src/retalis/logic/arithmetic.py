@@ -1,0 +1,397 @@
+"""Arithmetic: the evaluable functions, and the evaluation of an expression that is known only at run time.
+
+Integers are unbounded; `/` of integers is an integer where it is exact and a float otherwise; an operation
+on floats whose result is no finite number raises, as SWI-Prolog does with its default flags.
+"""
+
+import math
+from typing import Any, Callable, Dict, List, Union
+
+from ..terms import CONS, NIL, Atom, Functor, Lazy, String, Term, Var, deref, functor
+from .faults import evaluation_error, indicator, instantiation_error, resource_error, type_error
+
+Number = Union[int, float]
+
+EVALUABLE: Dict[Functor, Callable[..., Number]] = {}
+"""Functions of numbers, by name and arity."""
+
+_HUGE = 1 << 27
+"""Bits of the largest integer that an operation may make (16 megabytes)."""
+
+
+def evaluable(name: str, arity: int) -> Callable[[Any], Any]:
+    """Register a Python function of ``arity`` numbers as the evaluable ``name/arity``."""
+
+    def register(function: Any) -> Any:
+        EVALUABLE[functor(name, arity)] = function
+        return function
+
+    return register
+
+
+def evaluate(term: Term) -> Number:
+    """Return the value of an arithmetic expression.
+
+    Raises:
+        PrologError: instantiation, type or evaluation errors.
+    """
+    kind = term.__class__
+    if kind is int or kind is float:
+        return term
+    if kind is Var:
+        term = deref(term)
+        kind = term.__class__
+        if kind is int or kind is float:
+            return term
+    if kind is tuple and len(term) <= 3:
+        function = EVALUABLE.get(term[0])
+        if function is not None:
+            # Most expressions are one operation on numbers.
+            left = deref(term[1])
+            kind = left.__class__
+            if kind is int or kind is float:
+                if len(term) == 2:
+                    return function(left)
+                right = deref(term[2])
+                kind = right.__class__
+                if kind is int or kind is float:
+                    return function(left, right)
+    return _evaluate_deep(term)
+
+
+def _evaluate_deep(term: Term) -> Number:
+    """Evaluate with a stack of its own: postorder of the expression's operations."""
+    values: List[Number] = []
+    stack: List[Any] = [term]
+    while stack:
+        item = stack.pop()
+        if item.__class__ is _Apply:
+            arity = item.arity
+            values[-arity:] = [item.function(*values[-arity:])]
+            continue
+        item = deref(item)
+        kind = item.__class__
+        if kind is int or kind is float:
+            values.append(item)
+        elif kind is tuple:
+            function = EVALUABLE.get(item[0])
+            if function is None:
+                if item[0] is CONS and deref(item[2]) is NIL:
+                    stack.append(item[1])
+                    continue
+                raise type_error("evaluable", indicator(item[0]))
+            stack.append(_Apply(function, len(item) - 1))
+            stack.extend(item[:0:-1])
+        else:
+            values.append(_constant(item, kind))
+    return values[0]
+
+
+class _Apply:
+    """An operation whose operands are on the stack of values."""
+
+    __slots__ = ("function", "arity")
+
+    def __init__(self, function: Callable[..., Number], arity: int):
+        self.function = function
+        self.arity = arity
+
+
+def _constant(item: Term, kind: type) -> Number:
+    if kind is Var:
+        raise instantiation_error()
+    if kind is Atom:
+        function = EVALUABLE.get(item.functor)
+        if function is not None:
+            return function()
+        if item is NIL:
+            raise type_error("evaluable", item)
+        raise type_error("evaluable", indicator(item.functor))
+    if kind is String:
+        if len(item.text) == 1:
+            return ord(item.text)
+        raise type_error("character", item)
+    if kind is Lazy:
+        return evaluate(item.term())
+    raise type_error("evaluable", item)
+
+
+def check(value: Number) -> Number:
+    """Return a result that is a finite number; called where ``value - value`` is not zero."""
+    if value != value:
+        raise evaluation_error("undefined")
+    raise evaluation_error("float_overflow")
+
+
+def checked(value: float, *operands: Number) -> float:
+    """Return a float result, unless it is infinite or nan and no operand was."""
+    if value - value == 0 or any(operand - operand != 0 for operand in operands):
+        return value
+    return check(value)  # type: ignore[return-value]
+
+
+def integer(value: Number) -> int:
+    """Return an operand that has to be an integer."""
+    if value.__class__ is not int:
+        raise type_error("integer", value)
+    return value  # type: ignore[return-value]
+
+
+def _to_float(value: Number) -> float:
+    try:
+        return float(value)
+    except OverflowError:
+        raise evaluation_error("float_overflow") from None
+
+
+# The four operations, also called by generated code with terms that may not be numbers yet.
+
+
+def add(left: Term, right: Term) -> Number:
+    """Evaluate both sides and return their sum."""
+    left, right = evaluate(left), evaluate(right)
+    value = left + right
+    return value if value - value == 0 else checked(value, left, right)
+
+
+def subtract(left: Term, right: Term) -> Number:
+    """Evaluate both sides and return their difference."""
+    left, right = evaluate(left), evaluate(right)
+    value = left - right
+    return value if value - value == 0 else checked(value, left, right)
+
+
+def multiply(left: Term, right: Term) -> Number:
+    """Evaluate both sides and return their product."""
+    left, right = evaluate(left), evaluate(right)
+    value = left * right
+    return value if value - value == 0 else checked(value, left, right)
+
+
+EVALUABLE[functor("+", 2)] = add
+EVALUABLE[functor("-", 2)] = subtract
+EVALUABLE[functor("*", 2)] = multiply
+
+
+@evaluable("/", 2)
+def divide(left: Number, right: Number) -> Number:
+    """Return the quotient: an integer where both are and it is exact, else a float."""
+    if left.__class__ is int and right.__class__ is int:
+        if right == 0:
+            raise evaluation_error("zero_divisor")
+        quotient, rest = divmod(left, right)
+        if rest == 0:
+            return quotient
+        try:
+            return left / right
+        except OverflowError:
+            raise evaluation_error("float_overflow") from None
+    if right == 0:
+        if right.__class__ is int or left == left:
+            raise evaluation_error("undefined" if left == 0 else "zero_divisor")
+        return math.nan
+    return checked(left / right, left, right)
+
+
+@evaluable("//", 2)
+def truncated_quotient(left: Number, right: Number) -> int:
+    """Return the integer quotient, truncated towards zero."""
+    integer(left), integer(right)
+    if right == 0:
+        raise evaluation_error("zero_divisor")
+    quotient = abs(left) // abs(right)
+    return quotient if (left >= 0) == (right > 0) else -quotient  # type: ignore[return-value]
+
+
+@evaluable("rem", 2)
+def remainder(left: Number, right: Number) -> int:
+    """Return the rest of truncated division; it has the sign of ``left``."""
+    integer(left), integer(right)
+    if right == 0:
+        raise evaluation_error("zero_divisor")
+    rest = abs(left) % abs(right)
+    return rest if left >= 0 else -rest  # type: ignore[return-value]
+
+
+@evaluable("mod", 2)
+def modulo(left: Number, right: Number) -> int:
+    """Return the rest of floored division; it has the sign of ``right``."""
+    integer(left), integer(right)
+    if right == 0:
+        raise evaluation_error("zero_divisor")
+    return left % right  # type: ignore[return-value]
+
+
+@evaluable("div", 2)
+def floored_quotient(left: Number, right: Number) -> int:
+    """Return the integer quotient, rounded down."""
+    integer(left), integer(right)
+    if right == 0:
+        raise evaluation_error("zero_divisor")
+    return left // right  # type: ignore[return-value]
+
+
+
+
+@evaluable("+", 1)
+def _plus(value: Number) -> Number:
+    return value
+
+
+@evaluable("-", 1)
+def negate(value: Number) -> Number:
+    """Return the negative."""
+    return -value
+
+
+@evaluable("abs", 1)
+def _abs(value: Number) -> Number:
+    return abs(value)
+
+
+@evaluable("sign", 1)
+def _sign(value: Number) -> Number:
+    if value.__class__ is int:
+        return (value > 0) - (value < 0)
+    return math.copysign(1.0, value) if value else value
+
+
+@evaluable("max", 2)
+def maximum(left: Number, right: Number) -> Number:
+    """Return the greater one; of equal ones the float, and nan wins."""
+    if left == right:
+        return right if right.__class__ is float else left
+    return left if left != left or left > right else right
+
+
+@evaluable("min", 2)
+def minimum(left: Number, right: Number) -> Number:
+    """Return the lesser one; of equal ones the integer, and nan wins."""
+    if left == right:
+        return left if right.__class__ is float else right
+    return left if left != left or left < right else right
+
+
+@evaluable("succ", 1)
+def _succ(value: Number) -> int:
+    return integer(value) + 1
+
+
+@evaluable("plus", 2)
+def _plus2(left: Number, right: Number) -> Number:
+    return add(left, right)
+
+
+@evaluable("gcd", 2)
+def _gcd(left: Number, right: Number) -> int:
+    return math.gcd(integer(left), integer(right))
+
+
+@evaluable("lcm", 2)
+def _lcm(left: Number, right: Number) -> int:
+    left, right = integer(left), integer(right)
+    return abs(left * right) // math.gcd(left, right) if left and right else 0
+
+
+# Bits
+
+
+@evaluable(">>", 2)
+def shift_right(left: Number, right: Number) -> int:
+    """Return ``left`` shifted right."""
+    left, right = integer(left), integer(right)
+    return left >> right if right >= 0 else shift_left(left, -right)
+
+
+@evaluable("<<", 2)
+def shift_left(left: Number, right: Number) -> int:
+    """Return ``left`` shifted left."""
+    left, right = integer(left), integer(right)
+    if right < 0:
+        return left >> -right
+    if left and right + left.bit_length() > _HUGE:
+        raise resource_error("memory")
+    return left << right if left else 0
+
+
+@evaluable("/\\", 2)
+def bit_and(left: Number, right: Number) -> int:
+    """Return the bitwise and."""
+    return integer(left) & integer(right)
+
+
+@evaluable("\\/", 2)
+def bit_or(left: Number, right: Number) -> int:
+    """Return the bitwise or."""
+    return integer(left) | integer(right)
+
+
+@evaluable("xor", 2)
+def _xor(left: Number, right: Number) -> int:
+    return integer(left) ^ integer(right)
+
+
+@evaluable("\\", 1)
+def _invert(value: Number) -> int:
+    return ~integer(value)
+
+
+@evaluable("msb", 1)
+def _msb(value: Number) -> int:
+    if integer(value) <= 0:
+        raise type_error("not_less_than_one", value)
+    return integer(value).bit_length() - 1
+
+
+@evaluable("popcount", 1)
+def _popcount(value: Number) -> int:
+    return bin(integer(value)).count("1")
+
+
+@evaluable("getbit", 2)
+def _getbit(value: Number, bit: Number) -> int:
+    return (integer(value) >> integer(bit)) & 1
+
+
+# Rounding
+
+
+def _rounded(function: Callable[[float], int]) -> Callable[[Number], int]:
+    def apply(value: Number) -> int:
+        if value.__class__ is int:
+            return value  # type: ignore[return-value]
+        try:
+            return function(value)
+        except (OverflowError, ValueError):
+            raise evaluation_error("undefined") from None
+
+    return apply
+
+
+def round_half_away(value: float) -> int:
+    """Round to the nearest integer, halves away from zero."""
+    whole = math.floor(abs(value))
+    whole += abs(value) - whole >= 0.5
+    return whole if value >= 0 else -whole
+
+
+EVALUABLE[functor("floor", 1)] = _rounded(math.floor)
+EVALUABLE[functor("ceiling", 1)] = _rounded(math.ceil)
+EVALUABLE[functor("truncate", 1)] = _rounded(math.trunc)
+EVALUABLE[functor("integer", 1)] = _rounded(round_half_away)
+EVALUABLE[functor("round", 1)] = _rounded(round_half_away)
+
+
+@evaluable("float", 1)
+def _float(value: Number) -> float:
+    return _to_float(value)
+
+
+@evaluable("float_integer_part", 1)
+def _integer_part(value: Number) -> Number:
+    return value if value.__class__ is int else float(math.trunc(value)) if value - value == 0 else value
+
+
+@evaluable("float_fractional_part", 1)
+def _fractional_part(value: Number) -> Number:
+    return 0 if value.__class__ is int else math.fmod(value, 1.0) if value - value == 0 else value

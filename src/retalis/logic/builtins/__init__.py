@@ -1,0 +1,21 @@
+"""Built-in predicates by theme; importing this package registers all of them."""
+
+from .. import functions  # noqa: F401  (registers evaluable functions)
+from . import (  # noqa: F401  (imported for what they register)
+    atoms,
+    clauses,
+    comparing,
+    datimes,
+    lists,
+    output,
+    poses,
+    solutions,
+    state,
+    taking_apart,
+)
+from .dcg import translate_rule
+from .library import library_index, load_library
+from .registry import ENTRIES
+from .state import default_flags
+
+__all__ = ["ENTRIES", "default_flags", "library_index", "load_library", "translate_rule"]

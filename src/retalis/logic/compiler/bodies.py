@@ -1,0 +1,252 @@
+"""Code for bodies: inline goals, calls as frames, and control constructs around calls."""
+
+from typing import Any, FrozenSet, List, Optional, Sequence
+
+from ...terms import Functor, Var, functor
+from .inline import forget, write_inline, write_test
+from .nodes import Condition, Cut, Either, Fail, Goal, Height, Interpret, Node, needed_by
+from .scope import Clause, Scope, Unit
+
+_MOST_CALLS = 12
+"""Frames of more calls than this are built in several steps."""
+
+_OUTPUTS = functor("outputs", 0)
+_EMPTY: FrozenSet[Any] = frozenset()
+
+
+class Bodies:
+    """Writes the bodies of one clause: the entry function's part and the continuations that it needs.
+
+    Args:
+        unit: where functions are added.
+        clause: its variables.
+        entry: the height at entry, which cuts of the clause cut to.
+        interpret: the code that runs a body from its term.
+        title: what tracebacks call the continuations.
+        key: functor of the clause, for errors.
+        outputs: code that takes the arguments of the goal ``outputs``, which ends a compiled goal.
+    """
+
+    def __init__(
+        self,
+        unit: Unit,
+        clause: Clause,
+        entry: Height,
+        interpret: Any,
+        title: str,
+        key: Optional[Functor],
+        outputs: Any = None,
+    ):
+        self.unit = unit
+        self.clause = clause
+        self.entry = entry
+        self.interpret = interpret
+        self.title = title
+        self.key = key
+        self.outputs = outputs
+
+    def write(self, scope: Scope, nodes: Sequence[Node]) -> None:
+        """Write goals to the end of the function: the last statements return the next frame."""
+        at = 0
+        while at < len(nodes) and nodes[at].inline:
+            scope.later = needed_by(nodes[at + 1 :])
+            write_inline(scope, nodes[at])
+            if isinstance(nodes[at], Fail):
+                return
+            at += 1
+        rest = nodes[at:]
+        if not rest:
+            self._flush(scope)
+            scope.line(f"return {scope.after}")
+        elif isinstance(rest[0], (Goal, Interpret)):
+            self._calls(scope, rest)
+        elif isinstance(rest[0], Either):
+            self._either(scope, rest[0], rest[1:])
+        elif isinstance(rest[0], Condition):
+            self._condition(scope, rest[0], rest[1:])
+        else:
+            raise AssertionError(rest[0])
+
+    # Leaving the function
+
+    def _flush(self, scope: Scope, needed: FrozenSet[Any] = _EMPTY) -> None:
+        """Write what has to happen before a frame is returned or a choice point pushed."""
+        if self.entry in needed and self.entry not in scope.names:
+            scope.line(f"{self.entry.name} = len(choices)")
+            scope.names[self.entry] = self.entry.name
+        if scope.pending is not None:
+            scope.line(scope.pending)
+            scope.pending = None
+            scope.fail = "return None"
+
+    def _calls(self, scope: Scope, nodes: Sequence[Node]) -> None:
+        count = 0
+        while count < min(len(nodes), _MOST_CALLS) and isinstance(nodes[count], (Goal, Interpret)):
+            if nodes[count].inline:
+                break
+            count += 1
+        calls, rest = nodes[:count], nodes[count:]
+        self._flush(scope, needed_by(rest) | needed_by(calls))
+        if count == 1 and not rest and self._loops(scope, calls[0]):
+            return
+        # New variables are made before the frames that share them.
+        for call in calls:
+            for var in sorted(call.vars, key=self.clause.number):
+                if var.__class__ is Var and var not in scope.names and not self.clause.is_void(var):
+                    scope.create(var)
+        frame = self._continuation(scope, rest, scope.after) if rest else scope.after
+        for call in reversed(calls):
+            frame = self._frame(scope, call, frame)
+        scope.line(f"return {frame}")
+
+    def _frame(self, scope: Scope, call: Node, after: str) -> str:
+        if isinstance(call, Interpret):
+            term = scope.build(call.term)
+            return f"({scope.unit.constant(self.interpret)}, {term}, {scope.names[call.height]}, {after})"
+        assert isinstance(call, Goal)
+        if self.outputs is not None and call.key is _OUTPUTS:
+            code = self.unit.constant(self.outputs)
+        else:
+            code = self.unit.predicate(call.key)
+        parts = [code, *[scope.build(arg) for arg in call.args], after]
+        return f"({', '.join(parts)})"
+
+    def _loops(self, scope: Scope, call: Node) -> bool:
+        """Write a last call of the predicate itself as another turn of the loop around it."""
+        if scope.loop is None or not isinstance(call, Goal) or scope.after != "after":
+            return False
+        key, locals_, statement = scope.loop
+        if call.key is not key:
+            return False
+        values = [scope.build(arg) for arg in call.args]
+        changed = [(local, value) for local, value in zip(locals_, values) if local != value]
+        if changed:
+            targets, sources = zip(*changed)
+            scope.line(f"{', '.join(targets)} = {', '.join(sources)}")
+        if statement or not changed:
+            scope.line(statement or "pass")
+        scope.looped = True
+        return True
+
+    # Continuations
+
+    def _live(self, scope: Scope, needed: FrozenSet[Any]) -> List[Any]:
+        return sorted((var for var in needed if var in scope.names), key=self.clause.number)
+
+    def _continuation(self, scope: Scope, nodes: Sequence[Node], after: str, retried: bool = False) -> str:
+        """Return an expression for the frame that runs ``nodes``; their function is written later.
+
+        A frame that is ``retried`` is a choice point: it ends with the length of the trail.
+        """
+        live = self._live(scope, needed_by(nodes))
+        code, function = self._code()
+        self._job(function, live, nodes, retried)
+        parts = [code, *[scope.names[var] for var in live], after]
+        if retried:
+            parts.append("len(trail)")
+        for var in live:
+            scope.fresh.discard(var)
+        return f"({', '.join(parts)})"
+
+    def _code(self) -> Any:
+        function = self.unit.unique("then_")
+        code = self.unit.code(self.title, function)
+        code.functor = self.key
+        return self.unit.constant(code), function
+
+    def _job(self, function: str, live: List[Any], nodes: Sequence[Node], retried: bool) -> None:
+        def write() -> None:
+            scope = Scope(self.unit, self.clause)
+            scope.entry = False
+            scope.names = {var: self.clause.local(var) for var in live}
+            # A continuation of a clause whose cut is not needed any more does not know the height.
+            parts = ["_", *scope.names.values(), "after", *(["_"] if retried else [])]
+            scope.line(f"{', '.join(parts)} = frame")
+            self.write(scope, nodes)
+            self.unit.add([f"def {function}(frame):", *scope.lines])
+
+        self.unit.jobs.append(write)
+
+    def _share(self, scope: Scope, groups: Sequence[Sequence[Node]]) -> None:
+        """Create the variables that more than one of the parts of a control construct needs."""
+        seen: FrozenSet[Any] = _EMPTY
+        twice: FrozenSet[Any] = _EMPTY
+        for group in groups:
+            needed = needed_by(group)
+            twice |= seen & needed
+            seen |= needed
+        for var in sorted(twice, key=self.clause.number):
+            if var.__class__ is Var and var not in scope.names:
+                scope.create(var)
+                scope.fresh.discard(var)
+
+    def _join(self, scope: Scope, rest: Sequence[Node]) -> None:
+        """Make the frame for what follows a control construct; its branches go on with it."""
+        if rest:
+            frame = self._continuation(scope, rest, scope.after)
+            scope.after = scope.temp("after")
+            scope.line(f"{scope.after} = {frame}")
+
+    def _alternative(self, scope: Scope, nodes: Sequence[Node]) -> None:
+        """Write the pushing of a choice point that runs ``nodes``."""
+        if nodes:
+            if isinstance(nodes[0], Fail):
+                scope.line("choose((DEAD, len(trail)))")
+            else:
+                scope.line(f"choose({self._continuation(scope, nodes, scope.after, True)})")
+        else:
+            scope.line(f"choose((RESUME, {scope.after}, len(trail)))")
+
+    # Control
+
+    def _either(self, scope: Scope, node: Either, rest: Sequence[Node]) -> None:
+        self._share(scope, [*node.branches, rest])
+        self._flush(scope, needed_by([node, *rest]))
+        self._join(scope, rest)
+        first, *others = node.branches
+        for branch in reversed(others):
+            self._alternative(scope, branch)
+        scope.fail = "return None"
+        self.write(scope, first)
+
+    def _condition(self, scope: Scope, node: Condition, rest: Sequence[Node]) -> None:
+        self._share(scope, [[*node.test, *node.then], node.otherwise, rest])
+        if all(goal.inline for goal in node.test) and node.inner is None and not node.soft:
+            self._if(scope, node, rest)
+            return
+        self._flush(scope, needed_by([node, *rest]))
+        self._join(scope, rest)
+        height = Height(scope.temp("h"))
+        height.name = f"g{self.clause.number(height)}"
+        scope.line(f"{height.name} = len(choices)")
+        scope.names[height] = height.name
+        self._alternative(scope, node.otherwise)
+        if node.inner is not None:
+            scope.line(f"{node.inner.name} = len(choices)")
+            scope.names[node.inner] = node.inner.name
+        scope.fail = "return None"
+        self.write(scope, [*node.test, Cut(height, node.soft), *node.then])
+
+    def _if(self, scope: Scope, node: Condition, rest: Sequence[Node]) -> None:
+        """Write a condition with an inline test and calls in its branches."""
+        scope.later = needed_by([*node.then, *rest])
+        if rest:
+            self._height(scope, rest)
+            self._join(scope, rest)
+        missed = write_test(scope, node.test)
+        before = scope.branch()
+        scope.depth += 1
+        self.write(scope, node.then)
+        scope.depth -= 1
+        scope.restore(before)
+        forget(scope, missed)
+        scope.line("else:")
+        scope.depth += 1
+        self.write(scope, node.otherwise)
+        scope.depth -= 1
+
+    def _height(self, scope: Scope, nodes: Sequence[Node]) -> None:
+        if self.entry in needed_by(nodes) and self.entry not in scope.names:
+            scope.line(f"{self.entry.name} = len(choices)")
+            scope.names[self.entry] = self.entry.name
+

@@ -1,0 +1,125 @@
+"""Code for goals that Python calls: a function of the inputs, or frames that hand the outputs over."""
+
+from typing import Any, Callable, List, Optional, Sequence, Tuple
+
+from ...errors import Place
+from ...terms import Term, Var, deref, functor, resolve, variables
+from ..machine import Code
+from .bodies import Bodies
+from .inline import write_sequence
+from .nodes import Goal, Height, Node, Parser, needed_by
+from .predicates import register
+from .scope import Clause, Scope, Unit
+
+_OUTPUTS = functor("outputs", 0)
+
+
+class HandOver(Goal):
+    """The end of a goal: its outputs go to the continuation."""
+
+    __slots__ = ()
+
+
+def _hand_over(frame: Any) -> Any:
+    collector = frame[-1]
+    return collector[0].take(collector, tuple([resolve(value) for value in frame[1:-1]]))
+
+
+HAND_OVER = Code("outputs", _hand_over)
+
+
+class GoalCode:
+    """Generates the code of one goal."""
+
+    def __init__(
+        self,
+        database: Any,
+        term: Term,
+        inputs: Tuple[Var, ...],
+        outputs: Tuple[Term, ...],
+        place: Optional[Place],
+        name: str,
+    ):
+        self._database = database
+        self._term = resolve(term)
+        self._inputs = inputs
+        self._outputs = outputs
+        self._place = place
+        self._name = name
+        self._nodes: List[Node] = []
+        self._entry = Height("height")
+
+    def parse(self) -> None:
+        """Read the goal with the predicates that are defined by now.
+
+        Raises:
+            PrologError: a type error where it is no goal.
+        """
+        self._entry = Height("height")
+        self._nodes = Parser(self._database.is_inline, self._entry).parse(self._term)
+
+    @property
+    def is_inline(self) -> bool:
+        """Tell whether the goal can be straight Python."""
+        return all(node.inline for node in self._nodes)
+
+    def _scope(self, unit: Unit) -> Scope:
+        # Inputs count as used twice: a value is never void.
+        scope = Scope(unit, Clause((*self._inputs, self._term, *self._outputs, *self._inputs)))
+        for at, var in enumerate(self._inputs):
+            scope.names[var] = f"a{at}"
+        return scope
+
+    def _finish(self, unit: Unit) -> Callable[..., Any]:
+        source = unit.source()
+        filename = register(source, self._place, self._name)
+        function: Callable[..., Any] = unit.finish(source, filename)["main"]
+        return function
+
+    def straight(self) -> Callable[..., Any]:
+        """Return the function of the inputs; bindings that it makes are undone, also where it fails."""
+        unit = Unit(self._database.machine, self._database)
+        scope = self._scope(unit)
+        scope.fail = _FAIL
+        write_sequence(scope, self._nodes, frozenset(variables((_OUTPUTS, *self._outputs))))
+        values = [_resolved(scope, output) for output in self._outputs]
+        result = f"({', '.join(values)}{',' if len(values) == 1 else ''})"
+        lines = scope.lines
+        if scope.binds:
+            lines = ["    mark = len(trail)", *lines, f"    result = {result}", "    undo(trail, mark)"]
+            result = "result"
+        else:
+            lines = [line.replace(_FAIL, "return None") for line in lines]
+        parameters = ", ".join(f"a{at}" for at in range(len(self._inputs)))
+        unit.add([f"def main({parameters}):", *lines, f"    return {result}"])
+        return self._finish(unit)
+
+    def enter(self, hands_over: bool) -> Callable[..., Any]:
+        """Return the function of the goal's frame."""
+        unit = Unit(self._database.machine, self._database)
+        scope = self._scope(unit)
+        locals_ = [scope.names[var] for var in self._inputs]
+        nodes: Sequence[Node] = self._nodes
+        if hands_over:
+            nodes = [*nodes, HandOver("call", _OUTPUTS, self._outputs, False)]
+        if self._entry in needed_by(nodes):
+            scope.line("height = len(choices)")
+            scope.names[self._entry] = "height"
+        bodies = Bodies(unit, scope.clause, self._entry, self._database.interpret, self._name, None, HAND_OVER)
+        bodies.write(scope, nodes)
+        unit.add(["def main(frame):", f"    {', '.join(['_', *locals_, 'after'])} = frame", *scope.lines])
+        return self._finish(unit)
+
+
+_FAIL = "return undo(trail, mark)"
+
+
+def _resolved(scope: Scope, output: Term) -> str:
+    output = deref(output)
+    if output.__class__ is not Var:
+        return f"resolve({scope.build(output)})"
+    known = scope.numbers.get(output)
+    if known is not None and scope.names.get(output) == known[0]:
+        return known[0]
+    name = scope.local(output)
+    return name if output in scope.fresh else f"resolve({name})"

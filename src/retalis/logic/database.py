@@ -1,0 +1,433 @@
+"""Predicates and their clauses.
+
+A predicate starts out interpreted: its clauses are found through indexes and unified by the general routine,
+which costs nothing to set up and suits facts and predicates that change all the time. One that is called
+again and again without changing is compiled.
+"""
+
+from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple
+
+from ..terms import TRUE, Atom, Functor, Lazy, Term, Var, copy, deref, is_ground, undo, unify
+from .compiler import Generator, Rule
+from .faults import indicator, permission_error
+from .machine import Code, Frame, Machine
+
+COMPILE_AFTER = 12
+"""Calls without a change after which a predicate is compiled."""
+
+_MOST_CLAUSES = 24
+"""Predicates with more clauses keep their indexes; their clauses are compiled one by one."""
+
+_MOST_FACTS = 8
+"""The same for predicates that are facts only."""
+
+_INDEX_FROM = 8
+"""Clauses from which on an index is made."""
+
+_NEVER = 1 << 62
+
+
+class Clause:
+    """A clause of a predicate.
+
+    Attributes:
+        head, body: its term; the variables are its own and never bound.
+        died: the generation that retracted it.
+        keys: first-level key of each argument, None for variables.
+        place: where it was read.
+    """
+
+    __slots__ = ("head", "body", "died", "keys", "ground", "fact", "code", "uses", "place", "predicate")
+
+    def __init__(self, predicate: "Predicate", head: Term, body: Term, place: Any):
+        self.predicate = predicate
+        self.head = head
+        self.body = body
+        self.died = _NEVER
+        self.place = place
+        self.keys = tuple([key_of(arg) for arg in head[1:]]) if head.__class__ is tuple else ()
+        self.fact = body is TRUE
+        self.ground = self.fact and is_ground(head)
+        self.code: Optional[Callable[[Frame], Optional[Frame]]] = None
+        self.uses = 0
+
+
+def key_of(term: Term) -> Any:
+    """Return the first-level key of a term for indexes: constant, functor, or None for a variable."""
+    kind = term.__class__
+    if kind is tuple:
+        return term[0]
+    if kind is Atom or kind is int:
+        return term
+    if kind is Var:
+        term = deref(term)
+        return None if term.__class__ is Var else key_of(term)
+    if kind is Lazy:
+        found = term.functor
+        return found if found.arity else key_of(term.term())
+    if kind is float:
+        return float, term.hex()
+    return term
+
+
+class Predicate:
+    """A predicate: code that is run by frames ``(predicate, argument..., next)``.
+
+    Attributes:
+        run: the function that does a call; exchanged as the predicate changes.
+        kind: "user", "builtin" (deterministic Python), "control" (anything else in Python), or "undefined".
+        function: the Python function of a deterministic built-in.
+        dynamic: clauses may be asserted and retracted by the program.
+        library: belongs to the system; programs may redefine it unless it is ``locked``.
+    """
+
+    def __init__(self, database: "Database", functor: Functor):
+        self.database = database
+        self.functor = functor
+        self.kind = "undefined"
+        self.function: Any = None
+        self.dynamic = False
+        self.discontiguous = False
+        self.multifile = False
+        self.locked = False
+        self.library = False
+        self.compiled = False
+        self.tabled = False
+        self.clauses: List[Clause] = []
+        self.dead = 0
+        self.calls = 0
+        self.compile_after = database.compile_after
+        self.indexes: Dict[int, Tuple[Dict[Any, List[Clause]], List[Clause]]] = {}
+        self.poor: Dict[int, int] = {}
+        self.run: Callable[[Frame], Optional[Frame]] = self._call
+        self._retry = Code(str(functor), self._next)
+        self._retry.functor = functor
+
+    def __repr__(self) -> str:
+        return f"<{self.functor}>"
+
+    @property
+    def defined(self) -> bool:
+        """Tell whether calling it is no existence error."""
+        return self.kind != "undefined" or self.dynamic
+
+    def live(self) -> Iterator[Clause]:
+        """Yield the clauses that are there, in order."""
+        return (clause for clause in list(self.clauses) if clause.died == _NEVER)
+
+    def __len__(self) -> int:
+        return len(self.clauses) - self.dead
+
+    # Changes
+
+    def add(self, clause: Clause, first: bool = False) -> None:
+        """Add a clause as the last or the first one."""
+        self.kind = "user"
+        self.changed()
+        if first:
+            self.clauses = [clause, *[old for old in self.clauses if old.died == _NEVER]]
+            self.dead = 0
+            self.indexes.clear()
+            return
+        self.clauses.append(clause)
+        for position, (index, others) in self.indexes.items():
+            key = clause.keys[position]
+            if key is None:
+                for found in index.values():
+                    found.append(clause)
+                others.append(clause)
+            else:
+                found = index.get(key)  # type: ignore[assignment]
+                if found is None:
+                    index[key] = [*others, clause]
+                else:
+                    found.append(clause)
+
+    def remove(self, clause: Clause) -> bool:
+        """Remove a clause; calls that are under way still see it. Return whether it was there."""
+        if clause.died != _NEVER:
+            return False
+        self.changed()
+        self.database.generation += 1
+        clause.died = self.database.generation
+        self.dead += 1
+        if self.dead == len(self.clauses) or (self.dead > 16 and self.dead * 2 > len(self.clauses)):
+            self.clauses = [old for old in self.clauses if old.died == _NEVER]
+            self.dead = 0
+            self.indexes.clear()
+        return True
+
+    def clear(self) -> None:
+        """Remove all clauses."""
+        for clause in list(self.live()):
+            self.remove(clause)
+
+    def changed(self) -> None:
+        """Go back to interpretation: the clauses are not what was compiled."""
+        if self.compiled:
+            self.compiled = False
+            self.run = self._call
+            self.compile_after *= 2
+        self.calls = 0
+
+    def forget(self) -> None:
+        """Drop compiled code whose references to other predicates are out of date."""
+        if self.kind == "user":
+            self.compiled = False
+            self.run = self._call
+            self.calls = 0
+            for clause in self.clauses:
+                clause.code = None
+
+    # Calls of interpreted clauses
+
+    def _call(self, frame: Frame) -> Optional[Frame]:
+        if self.kind == "undefined":
+            return self.database.undefined(self, frame)
+        self.calls += 1
+        if (self.calls > self.compile_after or self.library) and self._compile():
+            return self.run(frame)
+        clauses = self._select(frame)
+        return self._advance(frame, clauses, 0, len(clauses), self.database.generation)
+
+    def _select(self, frame: Frame) -> List[Clause]:
+        """Return a list that holds all clauses that the arguments of a call may match."""
+        clauses = self.clauses
+        size = len(clauses)
+        if size < _INDEX_FROM:
+            return clauses
+        best = clauses
+        for position in range(min(self.functor.arity, 4)):
+            key = key_of(frame[position + 1])
+            if key is None:
+                continue
+            found = self.indexes.get(position)
+            if found is None:
+                if self.poor.get(position, 0) * 2 > size:
+                    continue
+                found = self._index(position)
+                if found is None:
+                    continue
+            index, others = found
+            candidates = index.get(key, others)
+            if len(candidates) < len(best):
+                best = candidates
+                if len(best) <= 2:
+                    break
+        return best
+
+    def _index(self, position: int) -> Optional[Tuple[Dict[Any, List[Clause]], List[Clause]]]:
+        index: Dict[Any, List[Clause]] = {}
+        others: List[Clause] = []
+        variables = 0
+        clauses = [clause for clause in self.clauses if clause.died == _NEVER]
+        for clause in clauses:
+            key = clause.keys[position]
+            if key is None:
+                variables += 1
+                for found in index.values():
+                    found.append(clause)
+                others.append(clause)
+                if variables * 2 > len(clauses):
+                    break
+            else:
+                found = index.get(key)  # type: ignore[assignment]
+                if found is None:
+                    index[key] = [*others, clause]
+                else:
+                    found.append(clause)
+        if variables * 2 > len(clauses) or len(index) < 2:
+            self.poor[position] = len(clauses)
+            return None
+        self.indexes[position] = index, others
+        return index, others
+
+    def _next(self, entry: Frame) -> Optional[Frame]:
+        return self._advance(entry[1], entry[2], entry[3], entry[4], entry[5])
+
+    def _advance(self, frame: Frame, clauses: List[Clause], at: int, end: int, generation: int) -> Optional[Frame]:
+        """Try the clauses from ``at`` on; push a choice point where another one may match."""
+        machine = self.database.machine
+        trail = machine.trail
+        after = frame[-1]
+        keys = None
+        while at < end:
+            clause = clauses[at]
+            at += 1
+            if clause.died <= generation:
+                continue
+            if at < end:
+                # Look for the next clause that may match, so as not to leave a choice point for nothing.
+                if keys is None:
+                    keys = [key_of(arg) for arg in frame[1:-1]]
+                while at < end:
+                    other = clauses[at]
+                    if other.died > generation and may_match(keys, other.keys):
+                        break
+                    at += 1
+            mark = len(trail)
+            if clause.fact:
+                if self._match(frame, clause, trail):
+                    if at < end:
+                        machine.choices.append((self._retry, frame, clauses, at, end, generation, mark))
+                    return after
+                undo(trail, mark)
+                continue
+            height = len(machine.choices)
+            if at < end:
+                machine.choices.append((self._retry, frame, clauses, at, end, generation, mark))
+            code = clause.code
+            if code is None:
+                clause.uses += 1
+                if clause.uses > self.database.compile_after or self.library:
+                    code = self._compile_clause(clause)
+                else:
+                    return self._interpret(frame, clause, height, trail)
+            return code((*frame, height))
+        return None
+
+    @staticmethod
+    def _match(frame: Frame, clause: Clause, trail: List[Any]) -> bool:
+        head = clause.head
+        if not clause.ground:
+            head = copy(head)
+        for at in range(1, len(frame) - 1):
+            left = frame[at]
+            right = head[at]
+            if left is not right and not unify(left, right, trail):
+                return False
+        return True
+
+    def _interpret(self, frame: Frame, clause: Clause, height: int, trail: List[Any]) -> Optional[Frame]:
+        fresh: Dict[Var, Term] = {}
+        head = copy(clause.head, fresh)
+        for at in range(1, len(frame) - 1):
+            if not unify(frame[at], head[at], trail):
+                return None
+        return self.database.solve(copy(clause.body, fresh), height, frame[-1])
+
+    # Compilation
+
+    def _compile(self) -> bool:
+        """Compile all clauses as one function if that suits the predicate."""
+        self.calls = 0
+        clauses = list(self.live())
+        size = len(clauses)
+        facts = all(clause.fact for clause in clauses)
+        if not size or size > (_MOST_FACTS if facts else _MOST_CLAUSES):
+            self.compile_after = _NEVER
+            return False
+        rules = [Rule(_args(clause.head), clause.body, clause.place) for clause in clauses]
+        self.run = Generator(self._view(), self.functor, rules, self).main()
+        self.compiled = True
+        return True
+
+    def _compile_clause(self, clause: Clause) -> Callable[[Frame], Optional[Frame]]:
+        rule = Rule(_args(clause.head), clause.body, clause.place)
+        clause.code = Generator(self._view(), self.functor, [rule], self).single(0)
+        return clause.code
+
+    def _view(self) -> Any:
+        return self.database.library if self.library else self.database
+
+
+def may_match(keys: List[Any], others: Tuple[Any, ...]) -> bool:
+    """Tell whether the first-level keys of a call and of a clause's head agree."""
+    for key, other in zip(keys, others):
+        if key is not other and key is not None and other is not None and key != other:
+            return False
+    return True
+
+
+def _args(head: Term) -> Tuple[Term, ...]:
+    return head[1:] if head.__class__ is tuple else ()
+
+
+class Database:
+    """All predicates, by functor; the system's and the program's.
+
+    Attributes:
+        machine: runs them.
+        generation: counts retracted clauses, for the logical update view.
+    """
+
+    def __init__(self, machine: Machine, compile_after: int = COMPILE_AFTER):
+        self.machine = machine
+        self.generation = 0
+        self.version = 0
+        self.compile_after = compile_after
+        self.predicates: Dict[Functor, Predicate] = {}
+        self.library = Library(self)
+        self.interpret: Any = None
+        self.solve: Callable[[Term, int, Frame], Optional[Frame]] = lambda goal, height, after: None
+        self.undefined: Callable[[Predicate, Frame], Optional[Frame]] = lambda predicate, frame: None
+
+    def predicate(self, key: Functor) -> Predicate:
+        """Return the predicate of a functor; one that nobody defined yet is undefined."""
+        found = self.predicates.get(key)
+        if found is None:
+            found = self.predicates[key] = Predicate(self, key)
+        return found
+
+    def is_inline(self, key: Functor) -> bool:
+        """Tell whether a predicate is a deterministic built-in, which compiled clauses call in line."""
+        found = self.predicates.get(key)
+        return found is not None and found.kind == "builtin"
+
+    def define(self, key: Functor, function: Any, run: Callable[[Frame], Optional[Frame]], kind: str) -> Predicate:
+        """Define a predicate in Python."""
+        predicate = self.predicate(key)
+        if predicate.kind != "undefined":
+            self.forget()
+        predicate.kind = kind
+        predicate.function = function
+        predicate.run = run
+        predicate.library = True
+        predicate.clauses = []
+        return predicate
+
+    def forget(self) -> None:
+        """Drop compiled code that may refer to a predicate that is being redefined."""
+        self.version += 1
+        for predicate in self.predicates.values():
+            predicate.forget()
+
+    def writable(self, key: Functor, action: str) -> Predicate:
+        """Return a predicate whose clauses the program may change.
+
+        A program that defines a predicate of the library gets one of its own; the library keeps using its.
+
+        Raises:
+            PrologError: a permission error for the system's predicates.
+        """
+        predicate = self.predicate(key)
+        if not predicate.library:
+            return predicate
+        if predicate.locked:
+            raise permission_error(action, "static_procedure", indicator(key))
+        self.library.kept[key] = predicate
+        own = self.predicates[key] = Predicate(self, key)
+        self.forget()
+        return own
+
+
+class Library:
+    """The predicates as the library's own clauses see them: redefinitions by the program do not count."""
+
+    def __init__(self, database: Database):
+        self._database = database
+        self.machine = database.machine
+        self.kept: Dict[Functor, Predicate] = {}
+
+    @property
+    def interpret(self) -> Any:
+        """The code that runs a goal from its term."""
+        return self._database.interpret
+
+    def predicate(self, key: Functor) -> Predicate:
+        """Return the library's predicate, else the program's."""
+        return self.kept.get(key) or self._database.predicate(key)
+
+    def is_inline(self, key: Functor) -> bool:
+        """Tell whether the library's predicate is a deterministic built-in."""
+        return self.predicate(key).kind == "builtin"

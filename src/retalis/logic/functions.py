@@ -1,0 +1,191 @@
+"""Evaluable functions beyond the integers: powers, trigonometry, constants, random numbers."""
+
+import math
+import random
+import sys
+import time
+from typing import Callable
+
+from ..terms import Term, functor
+from .arithmetic import (
+    _HUGE,
+    EVALUABLE,
+    Number,
+    _to_float,
+    checked,
+    evaluable,
+    integer,
+)
+from .faults import evaluation_error, resource_error, type_error
+
+
+def _real(name: str, function: Callable[[float], float]) -> None:
+    """Register a function of one float; a value outside its domain is undefined."""
+
+    def apply(value: Number) -> float:
+        try:
+            return checked(function(_to_float(value)), value)
+        except OverflowError:
+            raise evaluation_error("float_overflow") from None
+        except ValueError:
+            if value != value:
+                return value
+            raise evaluation_error("undefined") from None
+
+    EVALUABLE[functor(name, 1)] = apply
+
+
+for _name in ("sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "exp", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh"):
+    _real(_name, getattr(math, _name))
+for _name in ("erf", "erfc", "lgamma"):
+    _real(_name, getattr(math, _name))
+
+
+def _logarithm(name: str, function: Callable[[Number], float]) -> None:
+    def apply(value: Number) -> float:
+        if value <= 0:
+            raise evaluation_error("undefined")
+        return function(value)
+
+    EVALUABLE[functor(name, 1)] = apply
+
+
+_logarithm("log", math.log)
+_logarithm("log2", math.log2)
+_logarithm("log10", math.log10)
+
+
+@evaluable("log", 2)
+def _log(base: Number, value: Number) -> float:
+    if value <= 0 or base <= 0:
+        raise evaluation_error("undefined")
+    if base == 1:
+        raise evaluation_error("zero_divisor")
+    return math.log(value) / math.log(base)
+
+
+@evaluable("atan2", 2)
+@evaluable("atan", 2)
+def _atan2(y: Number, x: Number) -> float:
+    if x.__class__ is int and y.__class__ is int and x == 0 == y:
+        raise evaluation_error("undefined")
+    return math.atan2(y, x)
+
+
+@evaluable("copysign", 2)
+def _copysign(value: Number, sign: Number) -> float:
+    return math.copysign(value, sign)
+
+
+@evaluable("nexttoward", 2)
+def _nexttoward(value: Number, target: Number) -> float:
+    value, target = float(value), float(target)
+    if value == target or value != value:
+        return value
+    if value == 0:
+        return math.copysign(sys.float_info.min * sys.float_info.epsilon, target)
+    from struct import pack, unpack
+
+    bits = unpack("<q", pack("<d", value))[0]
+    bits += 1 if (target > value) == (value > 0) else -1
+    return float(unpack("<d", pack("<q", bits))[0])
+
+
+@evaluable("hypot", 2)
+def _hypot(x: Number, y: Number) -> float:
+    return checked(math.hypot(x, y), x, y)
+
+
+@evaluable("^", 2)
+def power(base: Number, exponent: Number) -> Number:
+    """Return the power; of integers it is an integer, or a type error where there is none."""
+    if base.__class__ is int and exponent.__class__ is int:
+        return _integer_power(base, exponent)  # type: ignore[arg-type]
+    return _float_power(base, exponent)
+
+
+@evaluable("**", 2)
+def _power2(base: Number, exponent: Number) -> Number:
+    return power(base, exponent)
+
+
+def _integer_power(base: int, exponent: int) -> int:
+    if base in (0, 1, -1):
+        if exponent >= 0:
+            return base**exponent
+        if base == 0:
+            raise evaluation_error("zero_divisor")
+        return base if exponent % 2 else 1
+    if exponent < 0:
+        raise type_error("float", base)
+    if base.bit_length() * exponent > _HUGE:
+        raise resource_error("memory")
+    return base**exponent
+
+
+def _float_power(base: Number, exponent: Number) -> float:
+    base, exponent = _to_float(base), _to_float(exponent)
+    if base == 0 and exponent < 0:
+        raise evaluation_error("zero_divisor")
+    try:
+        return checked(math.pow(base, exponent), base, exponent)
+    except OverflowError:
+        raise evaluation_error("float_overflow") from None
+    except ValueError:
+        raise evaluation_error("undefined") from None
+
+
+@evaluable("powm", 3)
+def _powm(base: Number, exponent: Number, modulus: Number) -> int:
+    return pow(integer(base), integer(exponent), integer(modulus))
+
+
+@evaluable("cot", 1)
+def _cot(value: Number) -> float:
+    if value == 0:
+        raise evaluation_error("undefined")
+    return 1.0 / math.tan(value)
+
+
+@evaluable("acot", 1)
+def _acot(value: Number) -> float:
+    return math.atan(1.0 / value) if value else math.pi / 2
+
+
+@evaluable("random", 1)
+def _random(limit: Number) -> int:
+    if integer(limit) < 1:
+        raise type_error("not_less_than_one", limit)
+    return random.randrange(integer(limit))
+
+
+@evaluable("rational", 1)
+@evaluable("rationalize", 1)
+def _rational(value: Number) -> Number:
+    if value.__class__ is float and value == math.trunc(value):
+        return math.trunc(value)
+    return value
+
+
+def _constants() -> None:
+    constant: Callable[[Term], Callable[[], Number]] = lambda value: lambda: value  # noqa: E731
+    for name, value in (
+        ("pi", math.pi),
+        ("e", math.e),
+        ("inf", math.inf),
+        ("infinite", math.inf),
+        ("nan", math.nan),
+        ("epsilon", sys.float_info.epsilon),
+        ("max_tagged_integer", (1 << 60) - 1),
+        ("min_tagged_integer", -(1 << 60)),
+        ("max_integer", (1 << 63) - 1),
+        ("min_integer", -(1 << 63)),
+    ):
+        EVALUABLE[functor(name, 0)] = constant(value)
+    EVALUABLE[functor("random", 0)] = random.random
+    EVALUABLE[functor("random_float", 0)] = random.random
+    EVALUABLE[functor("cputime", 0)] = time.process_time
+    EVALUABLE[functor("realtime", 0)] = lambda: int(time.time())
+
+
+_constants()

@@ -1,0 +1,138 @@
+"""Goals that Python code calls: compiled once, with inputs and outputs by position."""
+
+from typing import Any, List, Optional, Sequence, Tuple
+
+from ..errors import Place
+from ..terms import Term, Var, deref, functor, resolve, undo
+from .compiler.goals import GoalCode
+from .database import Database
+from .faults import from_python
+from .machine import DONE, Code, Frame
+
+
+
+class Goal:
+    """A goal compiled with inputs and outputs; made by `Logic.compile_goal`.
+
+    Attributes:
+        straight: a Python function of the inputs that returns the outputs of the first solution or None;
+            None where the goal calls predicates that are no deterministic built-ins.
+        name: who asks, for errors.
+        term: the goal.
+        place: where it was read.
+    """
+
+    def __init__(
+        self,
+        database: Database,
+        term: Term,
+        inputs: Sequence[Var],
+        outputs: Sequence[Term],
+        place: Optional[Place] = None,
+        name: str = "goal",
+    ):
+        self.term = term
+        self.place = place
+        self.name = name
+        self._database = database
+        self._machine = database.machine
+        self._inputs = tuple(inputs)
+        self._outputs = tuple(outputs)
+        self._source = GoalCode(database, term, self._inputs, self._outputs, place, name)
+        self._version = -1
+        self._compile()
+
+    def _compile(self) -> None:
+        """Set up code that is generated when it is first run."""
+        self._version = self._database.version
+        source = self._source
+        source.parse()
+        self.straight: Any = self._first_straight if source.is_inline else None
+        self._code = Code(self.name, self._first_enter)
+        self._plain_code = Code(self.name, self._first_plain)
+
+    def _first_straight(self, *values: Term) -> Optional[Tuple[Term, ...]]:
+        self.straight = self._source.straight()
+        result: Optional[Tuple[Term, ...]] = self.straight(*values)
+        return result
+
+    def _first_enter(self, frame: Frame) -> Optional[Frame]:
+        self._code.run = self._source.enter(True)
+        return self._code.run(frame)
+
+    def _first_plain(self, frame: Frame) -> Optional[Frame]:
+        self._plain_code.run = self._source.enter(False)
+        return self._plain_code.run(frame)
+
+    def enter(self, values: Sequence[Term], collector: Frame) -> Frame:
+        """Return the frame that runs the goal and hands its resolved outputs over.
+
+        For each solution it calls ``collector[0].take(collector, outputs)``, which returns the frame to go
+        on with.
+        """
+        return (self._code, *values, collector)
+
+    def frame(self, values: Sequence[Term], after: Frame) -> Frame:
+        """Return the frame that runs the goal for its effects, then ``after``; its outputs are not used."""
+        return (self._plain_code, *values, after)
+
+    def test(self, values: Sequence[Term]) -> Optional[Tuple[Term, ...]]:
+        """Run the goal at once.
+
+        Args:
+            values: of the inputs, by position.
+
+        Returns:
+            The resolved outputs of the first solution, or None. No bindings are left.
+
+        Raises:
+            PrologError: what the goal threw.
+        """
+        machine = self._machine
+        mark = len(machine.trail)
+        if self.straight is not None:
+            try:
+                result: Optional[Tuple[Term, ...]] = self.straight(*values)
+                return result
+            except Exception as exc:
+                undo(machine.trail, mark)
+                error = from_python(exc)
+                if error is None or error is exc:
+                    raise
+                raise error from exc
+        found: List[Tuple[Term, ...]] = []
+        if not machine.run((self._code, *values, (_STORE, found))):
+            return None
+        undo(machine.trail, mark)
+        return found[0]
+
+    def all(self, values: Sequence[Term]) -> List[Tuple[Term, ...]]:
+        """Run the goal at once and return the resolved outputs of all its solutions."""
+        machine = self._machine
+        mark = len(machine.trail)
+        found: List[Tuple[Term, ...]] = []
+        machine.run((self._code, *values, (_STORE_ALL, found)))
+        undo(machine.trail, mark)
+        return found
+
+    def __repr__(self) -> str:
+        return f"<Goal {self.name}>"
+
+
+class _Store:
+    """Continuation that keeps the outputs and ends the run."""
+
+    def take(self, frame: Frame, outputs: Tuple[Term, ...]) -> Frame:
+        frame[1].append(outputs)
+        return DONE
+
+
+class _StoreAll:
+    """Continuation that keeps the outputs and asks for the next solution."""
+
+    def take(self, frame: Frame, outputs: Tuple[Term, ...]) -> None:
+        frame[1].append(outputs)
+
+
+_STORE = _Store()
+_STORE_ALL = _StoreAll()

@@ -1,0 +1,290 @@
+"""The façade of the logic room: a machine, its predicates, flags and operators."""
+
+import sys
+from typing import Any, Callable, Dict, Iterator, List, NoReturn, Optional, Sequence, Tuple, Union
+
+from ..errors import Place, RuleError
+from ..syntax import Operators, write_term
+from ..terms import TRUE, Atom, Functor, Term, Var, copy, deref, functor
+from . import builtins
+from .control import Control, check_body, control_predicates
+from .database import COMPILE_AFTER, Clause, Database, Predicate
+from .faults import PrologError, instantiation_error, permission_error, type_error
+from .goal import Goal
+from .machine import DONE, LAST, Code, Frame, Limits, Machine
+from .unknown import undefined
+
+_NECK = functor(":-", 2)
+_DIRECTIVE = functor(":-", 1)
+_QUERY = functor("?-", 1)
+_ARROW = functor("-->", 2)
+
+_END = object()
+
+
+class Logic:
+    """A Prolog: clauses, predicates in Python, goals.
+
+    Args:
+        operators: the operator table of the program; Prolog's by default.
+        compile_after: calls of an unchanged predicate after which it is compiled.
+
+    Attributes:
+        machine: runs frames.
+        database: predicates by functor.
+        operators: operator table, changed by ``op/3``.
+        flags: Prolog flags by name, as terms.
+        output: called with text that the program prints.
+        error_output: called with text printed to ``user_error``, and with warnings.
+    """
+
+    def __init__(self, operators: Optional[Operators] = None, compile_after: int = COMPILE_AFTER):
+        self.machine = Machine()
+        self.machine.logic = self
+        self.operators = Operators.prolog() if operators is None else operators
+        self.database = Database(self.machine, compile_after)
+        self.database.undefined = self._undefined
+        self.control = Control(self.database)
+        self.flags: Dict[str, Term] = builtins.default_flags()
+        self.globals: Dict[str, Term] = {}
+        self.output: Callable[[str], None] = _print
+        self.error_output: Callable[[str], None] = _print_error
+        self.state: Dict[str, Any] = {}
+        for (name, arity), function in control_predicates(self.control).items():
+            self.define_control(name, arity, function).locked = True
+        for (name, arity), entry in builtins.ENTRIES.items():
+            define = {
+                "deterministic": self.define,
+                "nondeterministic": self.define_nondeterministic,
+                "control": self.define_control,
+            }[entry.kind]
+            define(name, arity, entry.function).locked = entry.locked
+        self._library = builtins.library_index()
+
+    # Limits
+
+    @property
+    def limits(self) -> Limits:
+        """What a goal may use."""
+        return self.machine.limits
+
+    @limits.setter
+    def limits(self, limits: Limits) -> None:
+        self.machine.limits = limits
+
+    # Predicates in Python
+
+    def define(self, name: str, arity: int, function: Callable[..., bool]) -> Predicate:
+        """Define a deterministic predicate: ``function(machine, *args)`` says whether it succeeds.
+
+        Arguments may be bound variables or lazy (`deref` them); results are unified by ``machine.unify``.
+        Bindings of a call that fails are undone.
+        """
+        machine = self.machine
+
+        def run(frame: Frame) -> Optional[Frame]:
+            return frame[-1] if function(machine, *frame[1:-1]) else None
+
+        return self.database.define(functor(name, arity), function, run, "builtin")
+
+    def define_nondeterministic(self, name: str, arity: int, function: Callable[..., Any]) -> Predicate:
+        """Define a predicate by a generator ``function(machine, *args)`` that yields at each solution.
+
+        It unifies before each yield; the bindings are undone before it goes on. What it binds for a
+        solution that does not work out it has to undo itself: `Machine.unify_all` does. Yielding `LAST`
+        says that there are no more solutions.
+        """
+        machine = self.machine
+        choices, trail = machine.choices, machine.trail
+        key = functor(name, arity)
+
+        def resume(entry: Frame) -> Optional[Frame]:
+            _, solutions, after, _ = entry
+            mark = len(trail)
+            value = next(solutions, _END)
+            if value is _END:
+                return None
+            if value is not LAST:
+                choices.append((retry, solutions, after, mark))
+            return after
+
+        retry = Code(str(key), resume)
+        retry.functor = key
+
+        def run(frame: Frame) -> Optional[Frame]:
+            return resume((retry, iter(function(machine, *frame[1:-1])), frame[-1], 0))
+
+        return self.database.define(key, None, run, "control")
+
+    def define_control(self, name: str, arity: int, function: Callable[..., Optional[Frame]]) -> Predicate:
+        """Define a predicate that decides what runs next: ``function(machine, args, next)`` returns a frame."""
+        machine = self.machine
+
+        def run(frame: Frame) -> Optional[Frame]:
+            return function(machine, frame[1:-1], frame[-1])
+
+        return self.database.define(functor(name, arity), None, run, "control")
+
+    # Clauses
+
+    def add_clause(self, term: Term, place: Optional[Place] = None, first: bool = False) -> Clause:
+        """Add a clause (its variables are copied); DCG rules are translated.
+
+        Raises:
+            PrologError: where the term is no clause, or belongs to a predicate of the system.
+        """
+        term = deref(term)
+        if term.__class__ is tuple and term[0] is _ARROW:
+            term = builtins.translate_rule(term)
+        head, body = split_clause(copy(term))
+        key = head.functor if head.__class__ is Atom else head[0]
+        predicate = self.database.writable(key, "modify")
+        clause = Clause(predicate, head, body, place)
+        predicate.add(clause, first)
+        return clause
+
+    def load(
+        self, terms: Sequence[Tuple[Term, Optional[Place]]], problem: Callable[[str, Optional[Place]], None]
+    ) -> None:
+        """Add clauses and run directives in order; ``initialization/1`` goals run at the end.
+
+        Args:
+            terms: clauses and directives with their places.
+            problem: called for directives that fail or raise, and clauses that cannot be added.
+        """
+        late: List[Tuple[Term, Optional[Place]]] = []
+        for term, place in terms:
+            term = deref(term)
+            if term.__class__ is tuple and (term[0] is _DIRECTIVE or term[0] is _QUERY):
+                goal = deref(term[1])
+                if goal.__class__ is tuple and goal[0].name == "initialization":
+                    late.append((goal[1], place))
+                else:
+                    self.run_directive(goal, place, problem)
+                continue
+            try:
+                self.add_clause(term, place)
+            except PrologError as error:
+                problem(error.message, place)
+        for goal, place in late:
+            self.run_directive(goal, place, problem)
+
+    def run_directive(
+        self, goal: Term, place: Optional[Place], problem: Callable[[str, Optional[Place]], None]
+    ) -> bool:
+        """Run a directive; tell ``problem`` where it fails or raises. Return whether it succeeded."""
+        try:
+            if self.once(goal):
+                return True
+            problem(f"Goal (directive) failed: {self.show(goal)}", place)
+        except PrologError as error:
+            problem(error.message, place)
+        return False
+
+    # Goals
+
+    def compile_goal(
+        self,
+        goal: Term,
+        inputs: Sequence[Var] = (),
+        outputs: Sequence[Term] = (),
+        place: Optional[Place] = None,
+        name: str = "goal",
+    ) -> Goal:
+        """Compile a goal for Python code.
+
+        Args:
+            goal: its term.
+            inputs: variables that get values, by position.
+            outputs: variables (or terms) whose values are wanted.
+            place: where it was read, for tracebacks.
+            name: who asks, for tracebacks.
+
+        Raises:
+            PrologError: where the term can be no goal.
+        """
+        goal = deref(goal)
+        if goal.__class__ is not Var:
+            check_body(goal)
+        return Goal(self.database, goal, inputs, outputs, place, name)
+
+    def once(self, goal: Term) -> bool:
+        """Run a goal for its first solution, whose bindings stay. Return whether there is one.
+
+        Raises:
+            PrologError: what the goal threw.
+        """
+        return self.machine.run((self.control.code, (_CALL, goal), 0, DONE))
+
+    def solutions(self, goal: Term) -> Iterator[None]:
+        """Run a goal; yield at each solution, with its bindings in place. Closing drops what is left."""
+        return self.machine.solutions((self.control.code, (_CALL, goal), 0, DONE))
+
+    def show(self, term: Term, quoted: bool = True) -> str:
+        """Return a term as text that reads back with the program's operators."""
+        return write_term(term, self.operators, quoted=quoted, numbervars=True)
+
+    # Internals
+
+    def _undefined(self, predicate: Predicate, frame: Frame) -> Optional[Frame]:
+        """Load the part of the library that defines a predicate, or raise its existence error."""
+        key = predicate.functor
+        if predicate.dynamic:
+            return None
+        part = self._library.get((key.name, key.arity))
+        if part is not None:
+            builtins.load_library(self, part)
+            return self.database.predicate(key).run(frame)
+        return undefined(self, predicate)
+
+    def lookup(self, key: Functor) -> Optional[Predicate]:
+        """Return the predicate of a functor if it is defined, loading the library where it defines it."""
+        predicate = self.database.predicates.get(key)
+        if (predicate is None or predicate.kind == "undefined") and (key.name, key.arity) in self._library:
+            builtins.load_library(self, self._library[key.name, key.arity])
+            predicate = self.database.predicates.get(key)
+        return predicate if predicate is not None and predicate.defined else None
+
+    def names(self) -> Iterator[Functor]:
+        """Yield the functors of all defined predicates."""
+        for key, predicate in list(self.database.predicates.items()):
+            if predicate.defined:
+                yield key
+        for name, arity in self._library:
+            yield functor(name, arity)
+
+
+_CALL = functor("call", 1)
+
+
+def split_clause(term: Term) -> Tuple[Term, Term]:
+    """Return head and body of a clause.
+
+    Raises:
+        PrologError: instantiation and type errors where the term is no clause.
+    """
+    head, body = term, TRUE
+    if term.__class__ is tuple and term[0] is _NECK:
+        head, body = deref(term[1]), deref(term[2])
+    if head.__class__ is tuple and head[0].name == ":" and len(head) == 3:
+        head = deref(head[2])
+    kind = head.__class__
+    if kind is Var:
+        raise instantiation_error()
+    if kind is not tuple and kind is not Atom:
+        raise type_error("callable", head)
+    if body.__class__ is Var:
+        body = (_CALL, body)
+    else:
+        check_body(body)
+    return head, body
+
+
+def _print(text: str) -> None:
+    sys.stdout.write(text)
+
+
+def _print_error(text: str) -> None:
+    sys.stderr.write(text)
+
+

@@ -1,0 +1,375 @@
+"""The machine: frames, choice points, trail, exceptions and limits.
+
+A *frame* is a tuple ``(code, argument..., next)``: ``code.run(frame)`` does one step and returns the next
+frame, or None for failure. A *choice point* is a frame with one more item, the length of the trail when it
+was pushed; on failure the newest one is popped, the trail is undone to that length, and the frame is run.
+There is no recursion: the depth of a program is the length of a chain of frames.
+"""
+
+from sys import getrefcount
+from time import monotonic
+from typing import Any, Callable, Iterator, List, NamedTuple, Optional, Tuple
+
+from ..errors import RetalisError
+from ..terms import Term, Var, atom, copy, undo, unify
+from .faults import CONTEXT, ERROR, PrologError, from_python, indicator, resource_error
+
+Frame = Any
+"""A tuple ``(code, argument..., next)``."""
+
+SLICE = (None,) * 4096
+"""Steps between two looks at the limits."""
+
+LOOP = (None,) * 256
+"""Turns of a loop inside one step."""
+
+_COMPACT_AT = 20_000
+
+
+LAST = object()
+"""What a nondeterministic built-in yields at a solution after which there is surely none."""
+
+
+class Limits(NamedTuple):
+    """What a goal may use; None means without limit.
+
+    Attributes:
+        seconds: of wall time.
+        inferences: calls of predicates (counted in slices of some thousands).
+        megabytes: growth of the process's resident memory.
+    """
+
+    seconds: Optional[float] = None
+    inferences: Optional[int] = None
+    megabytes: Optional[int] = None
+
+
+NO_LIMITS = Limits()
+
+
+class Finished(Exception):  # noqa: N818  (no error: the end of a run)
+    """Leaves the machine's loop when a run has its solution."""
+
+
+class Code:
+    """A step given by a Python function."""
+
+    __slots__ = ("name", "run", "functor")
+
+    def __init__(self, name: str, run: Callable[[Frame], Optional[Frame]]):
+        self.name = name
+        self.run = run
+        self.functor: Any = None
+
+    def __repr__(self) -> str:
+        return f"<{self.name}>"
+
+
+def _finish(frame: Frame) -> Frame:
+    raise Finished
+
+
+def _fail(frame: Frame) -> None:
+    return None
+
+
+DONE: Frame = (Code("done", _finish),)
+"""The frame that ends a run: the continuation of the first frame of each `Machine.run`."""
+
+STOP = Code("stop", _fail)
+"""Choice point below a run: reached when the run has no (more) solution."""
+
+DEAD = Code("dead", _fail)
+"""Choice point that was taken back where the stack could not be cut."""
+
+RESUME = Code("resume", lambda frame: frame[1])
+"""Choice point that goes on with the frame that it holds."""
+
+
+class CatchMark:
+    """State of a ``catch/3``; goes on the trail when its goal has exited, so that backtracking reopens it."""
+
+    __slots__ = ("ref",)
+
+    def __init__(self) -> None:
+        self.ref: Any = None
+
+
+class Machine:
+    """Runs frames.
+
+    Attributes:
+        trail: variables bound since choice points were pushed; the list object never changes.
+        choices: choice points; the list object never changes.
+        limits: what each outermost run and each attempt may use.
+        loops: turns of loops inside steps, in units of `LOOP`.
+    """
+
+    def __init__(self) -> None:
+        self.trail: List[Any] = []
+        self.choices: List[Frame] = []
+        self.limits = NO_LIMITS
+        self.loops = 0
+        self.inferences = 0
+        self._spent = 0
+        self._deadline: Optional[float] = None
+        self._memory: Optional[int] = None
+        self._compact_at = _COMPACT_AT
+        self._attempt_code = Code("attempt", self._attempt_failed)
+        self._exit_code = _AttemptExit(self)
+        self.catch_code = Code("catch", _fail)
+        self.logic: Any = None
+
+    def unify(self, left: Term, right: Term) -> bool:
+        """Make two terms equal by binding variables, and say whether they could be; if not, nothing is bound."""
+        trail = self.trail
+        mark = len(trail)
+        if unify(left, right, trail):
+            return True
+        undo(trail, mark)
+        return False
+
+    def unify_all(self, *pairs: Tuple[Term, Term]) -> bool:
+        """Unify pairs of terms, all or none."""
+        trail = self.trail
+        mark = len(trail)
+        for left, right in pairs:
+            if not unify(left, right, trail):
+                undo(trail, mark)
+                return False
+        return True
+
+    def run(self, frame: Frame) -> bool:
+        """Run a frame that ends in `DONE` to its first solution; choice points left are dropped.
+
+        Returns:
+            Whether there was a solution; its bindings stay.
+
+        Raises:
+            PrologError: what the program threw and did not catch; then all bindings are undone.
+        """
+        choices = self.choices
+        base = len(choices)
+        mark = len(self.trail)
+        choices.append((STOP, mark))
+        try:
+            return self._loop(frame, base)
+        except BaseException:
+            undo(self.trail, mark)
+            raise
+        finally:
+            del choices[base:]
+            if not base:
+                self._spent = 0
+                self._deadline = None
+                self._memory = None
+
+    def solutions(self, frame: Optional[Frame]) -> Iterator[None]:
+        """Run a frame that ends in `DONE`; yield at each solution, with its bindings in place.
+
+        Closing the iterator drops what is left and undoes the bindings. Other runs may take place
+        between solutions as long as they are over before the next one is asked for.
+        """
+        choices = self.choices
+        base = len(choices)
+        mark = len(self.trail)
+        choices.append((STOP, mark))
+        try:
+            while self._loop(frame, base):
+                height = len(choices)
+                yield None
+                if len(choices) != height or choices[base][0] is not STOP:
+                    raise RetalisError("solutions of an outer goal were asked for while an inner goal is open")
+                frame = None
+        finally:
+            del choices[base:]
+            undo(self.trail, mark)
+            if not base:
+                self._spent = 0
+                self._deadline = None
+
+    def _loop(self, frame: Optional[Frame], base: int) -> bool:
+        choices = self.choices
+        trail = self.trail
+        pop = choices.pop
+        pop_trail = trail.pop
+        if frame is None:
+            frame = (DEAD,)
+        while True:
+            try:
+                while True:
+                    for _ in SLICE:
+                        frame = frame[0].run(frame)
+                        if frame is None:
+                            frame = pop()
+                            mark = frame[-1]
+                            while len(trail) > mark:
+                                pop_trail().ref = None
+                            if frame[0] is STOP:
+                                choices.append(frame)
+                                return False
+                    self._tick(frame)
+            except Finished:
+                return True
+            except Exception as exc:
+                error = from_python(exc)
+                if error is None:
+                    raise
+                frame = self._recover(error, frame, base)
+
+    # Limits
+
+    def _tick(self, frame: Frame) -> None:
+        """Count a slice and enforce the limits."""
+        steps = len(SLICE) + self.loops * len(LOOP)
+        self.loops = 0
+        self.inferences += steps
+        self._spent += steps
+        if len(self.trail) > self._compact_at:
+            self._compact()
+        limits = self.limits
+        if limits is NO_LIMITS:
+            return
+        if limits.inferences is not None and self._spent > limits.inferences:
+            self._exceed("inferences", frame)
+        if limits.seconds is not None:
+            now = monotonic()
+            if self._deadline is None:
+                self._deadline = now + limits.seconds
+            elif now > self._deadline:
+                self._exceed("seconds", frame)
+        if limits.megabytes is not None:
+            used = _resident_bytes()
+            if self._memory is None:
+                self._memory = used + (limits.megabytes << 20)
+            elif used > self._memory:
+                self._exceed("memory", frame)
+
+    def _exceed(self, what: str, frame: Frame) -> None:
+        # A handler of the program gets a tenth more, so that it can clean up but not go on for ever.
+        self._spent -= (self.limits.inferences or 0) // 10
+        self._deadline = None
+        self._memory = None
+        raise resource_error(what)
+
+    def _compact(self) -> None:
+        """Drop trail entries above the newest choice point that nothing else can see any more.
+
+        A deterministic loop leaves nothing but such entries behind: variables that only the trail still
+        holds. Their unbinding could not be noticed, so they need not be remembered.
+        """
+        trail = self.trail
+        low = self.choices[-1][-1] if self.choices else 0
+        entries = trail[low:]
+        del trail[low:]
+        entries.reverse()
+        while entries:  # oldest first: what goes may have been the last to hold a newer one
+            entry = entries.pop()
+            if getrefcount(entry) > 2 or entry.__class__ is not Var:  # `entry` and the argument are two
+                trail.append(entry)
+        self._compact_at = max(_COMPACT_AT, 2 * len(trail))
+
+    # Exceptions
+
+    def _recover(self, error: PrologError, frame: Frame, base: int) -> Frame:
+        """Return the frame that handles an error, or raise it where nothing above ``base`` does."""
+        choices = self.choices
+        trail = self.trail
+        ball = error.term = copy(error.term)
+        self._add_context(ball, frame)
+        while len(choices) > base + 1:
+            entry = choices.pop()
+            code = entry[0]
+            if code is self.catch_code:
+                _, mark, catcher, recover, height = entry
+                if mark.ref is None:
+                    undo(trail, height)
+                    if unify(catcher, ball, trail):
+                        return recover
+                    undo(trail, height)
+            elif code is self._attempt_code:
+                undo(trail, entry[-1])
+                self._restore(entry)
+                entry[3](error)
+                return entry[2]
+        raise error
+
+    @staticmethod
+    def _add_context(ball: Term, frame: Frame) -> None:
+        if ball.__class__ is tuple and ball[0] is ERROR and ball[2].__class__ is Var:
+            key = getattr(frame[0], "functor", None)
+            if key is not None:
+                ball[2].ref = (CONTEXT, indicator(key), Var())
+
+    # Attempts
+
+    def attempt(
+        self,
+        goal: Any,
+        values: Tuple[Term, ...],
+        then: Callable[[Tuple[Term, ...]], Optional[Frame]],
+        otherwise: Optional[Frame],
+        on_error: Callable[[PrologError], None],
+    ) -> Optional[Frame]:
+        """Run a `Goal` once behind a barrier, as part of a run: return the frame to go on with.
+
+        The first solution's outputs are resolved, its choice points and bindings are dropped, and the run
+        goes on with ``then(outputs)``; if there is none, or ``on_error(error)`` was called, with
+        ``otherwise``. Each attempt has the machine's limits to itself; what it used counts for the
+        attempt around it.
+        """
+        straight = goal.straight
+        if straight is not None:
+            mark = len(self.trail)
+            try:
+                outputs = straight(*values)
+            except Exception as exc:
+                undo(self.trail, mark)
+                error = from_python(exc)
+                if error is None:
+                    raise
+                on_error(error)
+                return otherwise
+            return otherwise if outputs is None else then(outputs)
+        choices = self.choices
+        height = len(choices)
+        choices.append((self._attempt_code, self._spent, otherwise, on_error, self._deadline, len(self.trail)))
+        self._spent = 0
+        self._deadline = None
+        return goal.enter(values, (self._exit_code, height, then))
+
+    def _restore(self, entry: Frame) -> None:
+        self._spent += entry[1]
+        self._deadline = entry[4]
+
+    def _attempt_failed(self, entry: Frame) -> Optional[Frame]:
+        self._restore(entry)
+        return entry[2]
+
+
+class _AttemptExit:
+    """Continuation of an attempt's goal, which hands its outputs over."""
+
+    __slots__ = ("_machine",)
+
+    def __init__(self, machine: Machine):
+        self._machine = machine
+
+    def take(self, frame: Frame, outputs: Tuple[Term, ...]) -> Optional[Frame]:
+        machine = self._machine
+        height = frame[1]
+        entry = machine.choices[height]
+        del machine.choices[height:]
+        undo(machine.trail, entry[-1])
+        machine._restore(entry)
+        return frame[2](outputs)
+
+
+def _resident_bytes() -> int:
+    try:
+        with open("/proc/self/statm", "rb") as file:
+            return int(file.read().split()[1]) * 4096
+    except OSError:  # a system without /proc has no memory limit
+        return 0
+
+
