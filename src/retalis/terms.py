@@ -383,37 +383,49 @@ def unify(left: Term, right: Term, trail: List[Any]) -> bool:
     while True:
         if left is not right:
             kind = left.__class__
+            while kind is Var:
+                ref = left.ref
+                if ref is None:
+                    break
+                left = ref
+                kind = ref.__class__
             other = right.__class__
-            if kind is Var or kind is Lazy:
-                left = deref(left)
-                kind = left.__class__
-            if other is Var or other is Lazy:
-                right = deref(right)
-                other = right.__class__
+            while other is Var:
+                ref = right.ref
+                if ref is None:
+                    break
+                right = ref
+                other = ref.__class__
             if left is right:
                 pass
             elif kind is Var:
-                left.ref = right
+                left.ref = right  # a lazy term stays lazy
                 trail.append(left)
             elif other is Var:
                 right.ref = left
                 trail.append(right)
-            elif kind is not other:
-                return False
-            elif kind is tuple:
-                if left[0] is not right[0]:
+            else:
+                if kind is Lazy:
+                    left = left.term()
+                    kind = left.__class__
+                if other is Lazy:
+                    right = right.term()
+                    other = right.__class__
+                if kind is not other:
                     return False
-                size = len(left)
-                if size > 2:
-                    for at in range(size - 1, 1, -1):
-                        stack.append(right[at])
-                        stack.append(left[at])
-                if size > 1:
-                    left = left[1]
-                    right = right[1]
-                    continue
-            elif kind is Atom or not same_constant(left, right):
-                return False
+                if kind is tuple:
+                    if left[0] is not right[0]:
+                        return False
+                    size = len(left)
+                    if size > 1:
+                        for at in range(size - 1, 1, -1):
+                            stack.append(right[at])
+                            stack.append(left[at])
+                        left = left[1]
+                        right = right[1]
+                        continue
+                elif left is not right and (kind is Atom or not same_constant(left, right)):
+                    return False
         if not stack:
             return True
         left = stack.pop()
