@@ -77,17 +77,17 @@ class RuleState(Repetitions):
             if isinstance(inner, Both) and inner.kind == "seq":
                 self._absent(operator, event)
                 lower = [self.test_of(condition) for condition in between]
-                return self._two_sided(inner, event, [*lower, *tests], operator)
+                return self.two_sided(inner, event, [*lower, *tests], operator)
         if isinstance(operator, Both):
-            return self._two_sided(operator, event, tests, None)
+            return self.two_sided(operator, event, tests, None)
         if isinstance(operator, (Star, Aggregate)):
             starts, repetitions = self.arrive(operator.first, event), self.arrive(operator.repeated, event)
             return self.repetition(operator, starts, repetitions, conditions)
-        settled = [self.settle(match, operator) for match in self._single(operator, event)]
+        settled = [self.settle(match, operator) for match in self.single(operator, event)]
         passed = [self.passes(match, tests) for match in settled if match is not None]
         return [match for match in passed if match is not None]
 
-    def _single(self, node: Pattern, event: Event) -> List[Match]:
+    def single(self, node: Pattern, event: Event) -> List[Match]:
         """Return the new matches of a pattern that has no partners to choose."""
         if isinstance(node, Leaf):
             return self.leaf(node, event)
@@ -105,23 +105,22 @@ class RuleState(Repetitions):
                 for solution in all_solutions(node.goal, match.bindings)
             ]
         assert isinstance(node, (Cnot, Fnot))
-        # Table: P, and no matching R ended before P started.
-        absent = self._absent(node, event)
-        return [
-            match
-            for match in self.arrive(node.pattern, event)
-            if not any(r.end < match.start and self.agree(r, match) for r in absent)
-        ]
+        self._absent(node, event)
+        return [match for match in self.arrive(node.pattern, event) if not self.ruled_out(node, match)]
 
-    def _absent(self, node: Any, event: Event) -> List[Match]:
+    def ruled_out(self, node: Pattern, match: Match) -> bool:
+        """Table: P cnot R and P fnot R need that no matching R ended before P started."""
+        absent = self.waiting[node, "absent"]
+        return any(r.end < match.start and self.agree(r, match) for r in absent)
+
+    def _absent(self, node: Any, event: Event) -> None:
         """Note what must not happen; policies: an R is never used up."""
-        absent = self.waiting.setdefault((node, "absent"), [])
-        absent += self.arrive(node.absent, event)
-        return absent
+        self.waiting.setdefault((node, "absent"), []).extend(self.arrive(node.absent, event))
 
     # Two sides.
 
-    def _two_sided(self, node: Both, event: Event, tests: List[Test], cnot: Optional[Cnot]) -> List[Match]:
+    def two_sided(self, node: Both, event: Event, tests: List[Test], cnot: Optional[Cnot]) -> List[Match]:
+        """Return the pairs that an event completes."""
         lefts = self.arrive(node.left, event)
         rights = self.arrive(node.right, event)
         p_waiting = self.waiting.setdefault((node, "left"), [])
@@ -132,11 +131,11 @@ class RuleState(Repetitions):
 
         if node.kind in EITHER_ORDER:
             return self._either_order(lefts, rights, p_waiting, q_waiting, fit)
-        return self._in_order(node.kind == "forall_seq", lefts, rights, p_waiting, q_waiting, fit)
+        return self._in_order(node, lefts, rights, p_waiting, q_waiting, fit)
 
     def _in_order(
         self,
-        for_all: bool,
+        node: Both,
         lefts: List[Match],
         rights: List[Match],
         p_waiting: List[Match],
@@ -145,16 +144,20 @@ class RuleState(Repetitions):
     ) -> List[Match]:
         """Policies, for seq and its like: an event that fits both sides completes first, then waits."""
         results: List[Match] = []
+        for_all = node.kind == "forall_seq"
         for q in rights:
             if for_all:
                 # Table, forall_seq: all waiting P, oldest first, used up under every policy.
-                results += self._take(p_waiting, lambda p, q=q: fit(p, q), "all", used_up=True)
+                found = self._take(p_waiting, lambda p, q=q: fit(p, q), "all", used_up=True)
             else:
-                results += self._complete(p_waiting, lambda p, q=q: fit(p, q))
+                found = self.complete(p_waiting, lambda p, q=q: fit(p, q))
+            results += found
+            if not found:
+                self.left_alone(node, q)
         left_over = []
         for p in lefts:
             # Patterns: a late first side is taken only under out_of_order.
-            found = self._complete(q_waiting, lambda q, p=p: fit(p, q)) if self.out_of_order else []
+            found = self.complete(q_waiting, lambda q, p=p: fit(p, q)) if self.out_of_order else []
             results += found
             # Policies: having matched, it does not wait for others, except under unrestricted.
             if not found or not (self.consuming or for_all):
@@ -184,14 +187,14 @@ class RuleState(Repetitions):
         completed = False
 
         def as_left(p: Match, may_complete: bool = True) -> None:
-            found = self._complete(q_waiting, lambda q: fit(p, q)) if may_complete else []
+            found = self.complete(q_waiting, lambda q: fit(p, q)) if may_complete else []
             results.extend(found)
             # Policies: having matched, it does not wait for others, except under unrestricted.
             if not found or not self.consuming:
                 self._wait(p_waiting, p)
 
         def as_right(q: Match) -> bool:
-            found = self._complete(p_waiting, lambda p: fit(p, q))
+            found = self.complete(p_waiting, lambda p: fit(p, q))
             results.extend(found)
             if not found or not self.consuming:
                 self._wait(q_waiting, q)
@@ -230,9 +233,13 @@ class RuleState(Repetitions):
                     return None
         return match
 
+    def left_alone(self, node: Both, q: Match) -> None:
+        """Take note of a second side that found no first side: for revision to overrule."""
+
     # Who is taken, and who waits.
 
-    def _complete(self, waiting: List[Match], fit: Callable[[Match], Optional[Match]]) -> List[Match]:
+    def complete(self, waiting: List[Match], fit: Callable[[Match], Optional[Match]]) -> List[Match]:
+        """Return the results of a completing event under the rule's policy."""
         return self._take(waiting, fit, self.policy, used_up=self.consuming)
 
     @staticmethod

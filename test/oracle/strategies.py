@@ -43,7 +43,7 @@ from .text import write_rule
 Choice = Callable[[Any], Any]
 Stream = List[Tuple[Term, int, int]]
 
-NAMES = ("a", "b", "c", "d")
+REV = functor("rev", 1)
 ARITY = {"a": 1, "b": 1, "c": 2, "d": 0}
 NUMBERS = (0, 1, 1, 2)
 COMPARISONS = ("<", ">", "=<", ">=", "=:=", "=\\=", "==", "\\==")
@@ -62,9 +62,9 @@ class Case:
         """Return what the oracle says."""
         return run(self.rules, self.stream, policy=self.policy, out_of_order=self.out_of_order, **options)
 
-    def text(self) -> str:
-        """Return the rules as the engine reads them."""
-        return "\n".join(write_rule(rule) for rule in self.rules)
+    def text(self, form: str = "V{}") -> str:
+        """Return the rules as the engine reads them; ``form`` makes names of variables."""
+        return "\n".join(write_rule(rule, form) for rule in self.rules)
 
     def goals(self) -> str:
         """Return the goals that set the flags."""
@@ -114,8 +114,10 @@ def bindable(node: Pattern) -> List[Var]:
 class Generator:
     """Draws rules, streams and cases; every decision goes through ``choice``."""
 
-    def __init__(self, choice: Choice):
+    def __init__(self, choice: Choice, revision: bool = False):
         self.choice = choice
+        self.revision = revision
+        """Leave out what revision is not defined for, and take events back."""
         self.pool = [Var(), Var(), Var()]
         self.names: Dict[str, int] = dict(ARITY)
 
@@ -138,12 +140,9 @@ class Generator:
         """Draw a pattern of up to so many operators above each other."""
         if depth == 0 or self.chance(15):
             return self.leaf()
-        kind = self.choice(
-            ["seq"] * 5
-            + ["and"] * 2
-            + [*EITHER_ORDER, "or", "where", "where", "check", "within", "do", "multiply", "prolog"]
-            + ["cnot", "cnot", "fnot", "star", "aggregate", "ntimes", "forall_seq"]
-        )
+        kinds = ["seq"] * 5 + ["and"] * 2 + [*EITHER_ORDER, "or", "where", "where", "check", "do", "multiply"]
+        kinds += ["prolog", "cnot", "cnot", "fnot", "ntimes"]
+        kind = self.choice(kinds if self.revision else [*kinds, "within", "star", "aggregate", "forall_seq"])
         if kind in ("seq", "forall_seq", *EITHER_ORDER):
             first = self.pattern(depth - 1, left)
             return Both(kind, first, self.pattern(depth - 1, (*left, *certain(first))))
@@ -249,8 +248,8 @@ class Generator:
         if bound_only:
             shown = shown[:1]
         term = functor(head, len(shown))(*shown) if shown else atom(head)
-        window = self.choice([None] * 12 + [1, 2, 4, 8, Fraction(3, 2)])
-        label = self.choice([None, "r1"]) if window is None else "r1"
+        window = None if self.revision else self.choice([None] * 12 + [1, 2, 4, 8, Fraction(3, 2)])
+        label = self.choice([None, f"r_{head}"]) if window is None else f"r_{head}"
         return Rule(term, body, label, window)
 
     def stream(self, size: int, rules: Sequence[Rule]) -> Stream:
@@ -272,6 +271,17 @@ class Generator:
             )
         return events
 
+    def with_revisions(self, stream: Stream) -> Stream:
+        """Draw events to be taken back some time after they happened."""
+        result: Stream = []
+        for event in stream:
+            result.append(event)
+            while self.chance(25):
+                term, start, end = self.choice(result)
+                if not is_revision(term):
+                    result.append((REV(term), event[2], event[2]))
+        return result
+
     def case(self, depth: int = 4) -> Case:
         """Draw a program and a stream."""
         rules = [self.rule("out", self.choice(range(depth + 1)))]
@@ -282,7 +292,14 @@ class Generator:
             if self.chance(20):
                 rules.reverse()
         stream = self.stream(self.choice([*range(4), *range(4, 24)]), rules)
+        if self.revision:
+            stream = self.with_revisions(stream)
         return Case(tuple(rules), self.choice(POLICIES), self.chance(30), tuple(stream))
+
+
+def is_revision(term: Term) -> bool:
+    """Tell whether an event takes others back."""
+    return term.__class__ is tuple and term[0] is REV
 
 
 def variables_in_order(node: Pattern) -> List[Var]:
@@ -291,11 +308,11 @@ def variables_in_order(node: Pattern) -> List[Var]:
 
 
 @st.composite
-def cases(draw: Any, depth: int = 4) -> Case:
-    """Programs with streams, for hypothesis."""
-    return Generator(lambda options: draw(st.sampled_from(list(options)))).case(depth)
+def cases(draw: Any, depth: int = 4, revision: bool = False) -> Case:
+    """Programs with streams, for hypothesis; with ``revision``, streams that take events back."""
+    return Generator(lambda options: draw(st.sampled_from(list(options))), revision).case(depth)
 
 
-def random_case(seed: int, depth: int = 4) -> Case:
+def random_case(seed: int, depth: int = 4, revision: bool = False) -> Case:
     """Return the case of a seed."""
-    return Generator(Random(seed).choice).case(depth)
+    return Generator(Random(seed).choice, revision).case(depth)

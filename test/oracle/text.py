@@ -146,8 +146,12 @@ def brief(events: Iterable[Tuple[str, Any, Any]]) -> str:
 class Names(Dict[Var, str]):
     """Names of a rule's variables, given out as they are met."""
 
+    def __init__(self, form: str = "V{}"):
+        super().__init__()
+        self.form = form
+
     def __missing__(self, var: Var) -> str:
-        name = self[var] = f"V{len(self)}"
+        name = self[var] = self.form.format(len(self))
         return name
 
 
@@ -208,9 +212,9 @@ def write_pattern(node: Pattern, names: Names) -> str:
     return f"{inner(node.pattern)} {words[type(node)]} {term(node.goal)}"  # type: ignore[attr-defined]
 
 
-def write_rule(rule: Rule) -> str:
-    """Write a rule in the language's notation, with its full stop."""
-    names = Names()
+def write_rule(rule: Rule, form: str = "V{}") -> str:
+    """Write a rule in the language's notation, with its full stop; ``form`` makes names of variables."""
+    names = Names(form)
     head = write_term(rule.head, names)
     if rule.do is not None:
         head += f" do ({write_term(rule.do, names)})"

@@ -1,0 +1,201 @@
+"""Revision: ``rev(E)`` takes back every occurrence of E, and what was derived from it.
+
+Two ways, as the policies need it:
+
+* under ``unrestricted`` nothing but the events counts, so the combinations are made anew without what was taken
+  back; what is missing then is taken back, what is new fires (`Recombined`);
+* under the others partners were used up and do not return, so matches carry the events they are made of, and
+  those that hold one that was taken back go (`Tagged`).
+
+Star_times and aggregates are in neither. In which order things are taken back is not defined: what follows from
+one event is compared as a multiset.
+"""
+
+from collections import Counter
+from typing import Any, Dict, FrozenSet, Iterable, List, Optional, Sequence, Set, Tuple
+from typing import Counter as CounterOf
+
+from retalis.terms import Term, copy, functor
+
+from .conditions import Test
+from .declarative import Combinations, Found
+from .evaluator import RuleState
+from .goals import first, instance, show
+from .matches import Event, Match
+from .patterns import Aggregate, Both, Cnot, Fnot, Pattern, Rule, Star, Sub, Within, walk
+
+REV = functor("rev", 1)
+NOTHING = Event(functor("an event that no rule is about", 1)(0), 0, 0, 0)
+Step = CounterOf[Tuple[str, Any, Any]]
+Stream = Iterable[Tuple[Term, Any, Any]]
+
+
+def defined_for(rules: Sequence[Rule], policy: str, out_of_order: bool) -> bool:
+    """Tell whether the revision of these rules is defined here."""
+    nodes = [node for rule in rules for node in walk(rule.pattern)]
+    if any(isinstance(node, (Star, Aggregate, Sub, Within)) for node in nodes):
+        return False
+    if any(rule.window is not None for rule in rules):
+        return False
+    if policy == "unrestricted":
+        return len(rules) == 1 and not any(isinstance(n, Both) and n.kind == "forall_seq" for n in nodes)
+    return not (out_of_order and any(isinstance(node, Cnot) for node in nodes))
+
+
+def run_with_revision(rules: Sequence[Rule], stream: Stream, policy: str, out_of_order: bool) -> List[Step]:
+    """Return what is dispatched at each event of the stream, itself included, as multisets."""
+    if policy == "unrestricted":
+        return Recombined(rules[0], out_of_order).run(stream)
+    return Tagged(rules, policy, out_of_order).run(stream)
+
+
+class Recombined:
+    """One rule under ``unrestricted``."""
+
+    def __init__(self, rule: Rule, out_of_order: bool):
+        self.rule = rule
+        self.combinations = Combinations(rule, out_of_order)
+        self.events: List[Event] = []
+        self.fired: Dict[Any, Tuple[str, Any, Any]] = {}
+
+    def run(self, stream: Stream) -> List[Step]:
+        """Return what is dispatched at each event."""
+        return [self._step(number, *item) for number, item in enumerate(stream)]
+
+    def _step(self, number: int, term: Term, start: Any, end: Any) -> Step:
+        step: Step = Counter([(show(term), start, end)])
+        if term.__class__ is tuple and term[0] is REV:
+            gone = show(term[1])
+            self.events = [event for event in self.events if show(event.term) != gone]
+        else:
+            self.events.append(Event(term, start, end, number))
+        before, self.fired = self.fired, self._holding()
+        for key, (text, _, _) in before.items():
+            if key not in self.fired:
+                step[f"rev({text})", start, end] += 1
+        for key, fired in self.fired.items():
+            if key not in before:
+                step[fired] += 1
+        return step
+
+    def _holding(self) -> Dict[Any, Tuple[str, Any, Any]]:
+        """Return what all events that were not taken back make, by the combination that made it."""
+        found: List[Found] = self.combinations.found(self.combinations.tests.pattern, self.events)
+        holding = {}
+        for at, (match, _) in enumerate(found):
+            bindings = match.bindings if self.rule.do is None else first(self.rule.do, match.bindings)
+            if bindings is not None:
+                key = match.variant(), tuple(sorted(match.numbers))
+                assert key not in holding, at
+                holding[key] = show(copy(instance(self.rule.head, bindings))), match.start, match.end
+        return holding
+
+
+class RevisedState(RuleState):
+    """A rule's state that forgets events, and tries again what they suppressed."""
+
+    def __init__(self, rule: Rule, policy: str, out_of_order: bool):
+        super().__init__(rule, policy, out_of_order)
+        self.suppressed: Dict[Pattern, List[Match]] = {}
+        self.reviving = False
+
+    def forget(self, numbers: FrozenSet[int]) -> None:
+        """Remove the partial matches that hold one of these events."""
+        for waiting in [*self.waiting.values(), *self.suppressed.values()]:
+            waiting[:] = [match for match in waiting if not match.numbers & numbers]
+
+    def revive(self) -> List[Match]:
+        """Return the matches that were suppressed by what is gone, and would now fire."""
+        self.reviving = True
+        matches = self.arrive(self.pattern, NOTHING)
+        self.reviving = False
+        return matches
+
+    def single(self, node: Pattern, event: Event) -> List[Match]:
+        """As always, and what P cnot R and P fnot R rejected is noted, to be tried again."""
+        if not isinstance(node, (Cnot, Fnot)):
+            return super().single(node, event)
+        self._absent(node, event)
+        suppressed = self.suppressed.setdefault(node, [])
+        candidates = self.arrive(node.pattern, event)
+        if self.reviving:
+            candidates = suppressed + candidates
+            suppressed[:] = []
+        rejected = [match for match in candidates if self.ruled_out(node, match)]
+        suppressed += rejected
+        return [match for match in candidates if match not in rejected]
+
+    def left_alone(self, node: Both, q: Match) -> None:
+        """Note a second side of a seq that found none."""
+        self.suppressed.setdefault(node, []).append(q)
+
+    def two_sided(self, node: Both, event: Event, tests: List[Test], cnot: Optional[Cnot]) -> List[Match]:
+        """As always; where a cnot may have ruled pairs out, second sides that were left alone try again."""
+        again: List[Match] = []
+        if self.reviving and cnot is not None:
+            alone = self.suppressed.setdefault(node, [])
+            for q in list(alone):
+
+                def fit(p: Match, q: Match = q) -> Optional[Match]:
+                    waited = max(p.numbers) < max(q.numbers)
+                    return self.fit(node, p, q, tests, cnot) if waited else None
+
+                found = self.complete(self.waiting[node, "left"], fit)
+                again += found
+                if found:
+                    alone.remove(q)
+        return again + super().two_sided(node, event, tests, cnot)
+
+
+class Tagged:
+    """Rules under a policy that uses partners up."""
+
+    def __init__(self, rules: Sequence[Rule], policy: str, out_of_order: bool):
+        self.states = [RevisedState(rule, policy, out_of_order) for rule in rules]
+        self.alive: Dict[int, Tuple[Event, FrozenSet[int]]] = {}
+        self.count = 0
+
+    def run(self, stream: Stream) -> List[Step]:
+        """Return what is dispatched at each event."""
+        steps = []
+        for term, start, end in stream:
+            step: Step = Counter()
+            if term.__class__ is tuple and term[0] is REV:
+                step[show(term), start, end] += 1
+                self._take_back(show(term[1]), start, end, step)
+            else:
+                self._dispatch(Event(term, start, end), frozenset(), step)
+            steps.append(step)
+        return steps
+
+    def _dispatch(self, event: Event, origin: FrozenSet[int], step: Step) -> None:
+        self.count += 1
+        event = event._replace(number=self.count)
+        self.alive[event.number] = (event, origin)
+        step[show(event.term), event.start, event.end] += 1
+        for state in self.states:
+            state.advance(event)
+            for match in state.arrive(state.pattern, event):
+                self._fire(state, match, step)
+
+    def _fire(self, state: RevisedState, match: Match, step: Step) -> None:
+        result = state.result_of(match)
+        if result is not None:
+            self._dispatch(result, match.numbers, step)
+
+    def _take_back(self, text: str, start: Any, end: Any, step: Step) -> None:
+        """Take back all occurrences of an event, everything derived from them, each once."""
+        gone: Set[int] = {n for n, (event, _) in self.alive.items() if show(event.term) == text}
+        external = set(gone)
+        for number, (_, origin) in sorted(self.alive.items()):
+            if origin & gone:
+                gone.add(number)
+        for number in sorted(gone):
+            event, _ = self.alive.pop(number)
+            if number not in external:
+                step[f"rev({show(event.term)})", start, end] += 1
+        for state in self.states:
+            state.forget(frozenset(gone))
+        for state in self.states:
+            for match in state.revive():
+                self._fire(state, match, step)

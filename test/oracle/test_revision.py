@@ -1,0 +1,44 @@
+"""Revision in the oracle: cases computed by hand, and the two ways against each other."""
+
+import pytest
+from hypothesis import HealthCheck, assume, given, settings
+from oracle.patterns import Both, Ntimes, walk
+from oracle.revision import defined_for, run_with_revision
+from oracle.strategies import cases
+from oracle.text import rule, stream
+
+CASES = [
+    ("out(X)", "or(a(X),b(X))", "a(1)@1 rev(a(1))@2 rev(a(1))@3", ["out(1)@1", "rev(out(1))@2", ""]),
+    ("out", "and(a,b)", "a@1 b@2 rev(a)@3 b@4 rev(b)@5", ["", "out@1-2", "rev(out)@3", "", ""]),
+    ("out", "seq(a,b)", "a@1 rev(a)@2 b@3", ["", "", ""]),
+    ("out", "fnot(b,a)", "a@1 b@2 rev(a)@3", ["", "", "out@2"]),
+    ("out", "cnot(seq(a,b),c)", "a@1 c@2 b@3 rev(c)@4", ["", "", "", "out@1-3"]),
+    ("out", "cnot(seq(a,b),c)", "a@1 c@2 c@2 b@3 rev(c)@4", ["", "", "", "", "out@1-3"]),
+    ("out(X)", "seq(a(X),b)", "a(1)@1 b@2 b@3 rev(a(1))@4", ["", "out(1)@1-2", None, "*"]),
+]
+
+
+@pytest.mark.parametrize("policy", ["recent", "chronological", "unrestricted"])
+@pytest.mark.parametrize(("head", "pattern", "events", "expected"), CASES)
+def test_by_hand(head, pattern, events, expected, policy):
+    steps = run_with_revision([rule(head, pattern)], stream(events), policy, False)
+    for step, wanted in zip(steps, expected):
+        derived = sorted(f"{t}@{s}" + (f"-{e}" if e != s else "") for t, s, e in step if "out" in t)
+        if wanted is None:
+            continue
+        if wanted == "*":
+            assert set(derived) == {"rev(out(1))@4"}
+        else:
+            assert derived == ([wanted] if wanted else [])
+
+
+@settings(max_examples=200, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))
+@given(cases(depth=3, revision=True))
+def test_both_ways_agree_where_there_are_no_partners(case):
+    assume(defined_for(case.rules, "unrestricted", case.out_of_order))
+    assume(not any(isinstance(node, (Both, Ntimes)) for node in walk(case.rules[0].pattern)))
+    steps = [
+        run_with_revision(case.rules, case.stream, policy, case.out_of_order)
+        for policy in ("unrestricted", "recent")
+    ]
+    assert steps[0] == steps[1]
