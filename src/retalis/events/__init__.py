@@ -1,0 +1,7 @@
+"""Event rules: dispatch, patterns, operators, consumption policies, and the network that runs them."""
+
+from .dispatch import Dispatcher, Listener, Stage
+from .network import Rules
+from .policy import Policy
+
+__all__ = ["Dispatcher", "Listener", "Policy", "Rules", "Stage"]

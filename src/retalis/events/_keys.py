@@ -1,0 +1,44 @@
+"""Dictionary keys of terms: for shared variables, and for telling identical events."""
+
+from typing import Any, Dict, List
+
+from ..terms import Atom, String, Term, Var, deref, freeze
+
+_PLAIN = frozenset((Atom, int, String))
+
+
+def term_key(term: Term) -> Any:
+    """Return a hashable key: equal for two terms exactly when they are variants of each other."""
+    kind = term.__class__
+    if kind in _PLAIN:
+        return term
+    if kind is tuple:
+        for item in term[1:]:
+            if item.__class__ not in _PLAIN:
+                break
+        else:
+            return term
+    try:
+        return freeze(term)
+    except ValueError:
+        return variant_key(term)
+
+
+def variant_key(term: Term) -> Any:
+    """Return the key of a term with variables: they count by the order in which they are met."""
+    flat: List[Any] = [Var]
+    numbers: Dict[Var, int] = {}
+    stack = [term]
+    while stack:
+        item = deref(stack.pop())
+        kind = item.__class__
+        if kind is tuple:
+            flat.append(item[0])
+            stack.extend(item[:0:-1])
+        elif kind is float:
+            flat.append((float, item.hex()))
+        elif kind is Var:
+            flat.append((Var, numbers.setdefault(item, len(numbers))))
+        else:
+            flat.append(item)
+    return tuple(flat)

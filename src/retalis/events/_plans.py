@@ -1,0 +1,146 @@
+"""Decision trees of the dispatcher: which listeners an event can concern, by the constants in their patterns."""
+
+from collections import Counter
+from typing import Any, Dict, List, Optional, Tuple
+
+from ..terms import Atom, Functor, Lazy, String, Term, Var, deref, freeze
+
+Path = Tuple[int, ...]
+Steps = Tuple[Any, ...]
+"""What is left of a plan when all tests are made: pairs of matcher and action, in order."""
+
+NOBODY: Steps = ()
+_DEEPEST = 6
+"""How many tests a plan makes at most; the matchers make the rest."""
+
+
+def make_plan(listeners: List[Any]) -> Any:
+    """Return the steps, or a `Choice` between them, for listeners that are in order."""
+    return _plan(listeners, (), _DEEPEST)
+
+
+class Choice:
+    """A test of one argument: by its constant or functor it gives the rest of the plan.
+
+    The branches are planned when an event first goes there.
+    """
+
+    __slots__ = ("path", "at", "table", "default", "all", "listeners", "tested", "depth")
+
+    def __init__(self, path: Path, listeners: List[Any], tested: Tuple[Path, ...], depth: int):
+        self.path = path
+        self.at = path[0] if len(path) == 1 else 0
+        self.listeners = listeners
+        self.tested = (*tested, path)
+        self.depth = depth
+        self.table: Dict[Any, Any] = {}
+        for listener in listeners:
+            key = _key_at(listener.pattern, path)
+            if key is not None:
+                self.table.setdefault(key, None)
+        self.default: Any = None
+        self.all: Any = None
+
+    def branch(self, term: Term) -> Any:
+        """Return the rest of the plan for an event."""
+        value = term[self.at] if self.at else _walk(term, self.path)
+        kind = value.__class__
+        if kind is Lazy:
+            key: Any = value.functor
+        elif kind is tuple:
+            key = value[0]
+        elif kind is Atom or kind is int or kind is String:
+            key = value
+        elif kind is Var:
+            value = deref(value)
+            if value.__class__ is Var:
+                if self.all is None:
+                    self.all = _plan(self.listeners, self.tested, self.depth - 1)
+                return self.all
+            key = _key(value)
+        else:
+            key = _key(value)
+        try:
+            plan = self.table[key]
+        except KeyError:
+            plan = self.default
+            if plan is None:
+                plan = self.default = self._among(None)
+            return plan
+        if plan is None:
+            plan = self.table[key] = self._among(key)
+        return plan
+
+    def _among(self, key: Any) -> Any:
+        path = self.path
+        listeners = [one for one in self.listeners if _key_at(one.pattern, path) in (None, key)]
+        return _plan(listeners, self.tested, self.depth - 1)
+
+
+def _plan(listeners: List[Any], tested: Tuple[Path, ...], depth: int) -> Any:
+    if not listeners:
+        return NOBODY
+    path = _best_path(listeners, tested) if depth > 0 else None
+    if path is None:
+        return tuple((listener.matcher, listener.action) for listener in listeners)
+    return Choice(path, listeners, tested, depth)
+
+
+def _best_path(listeners: List[Any], tested: Tuple[Path, ...]) -> Optional[Path]:
+    """Return the argument where most of the patterns have a constant; None where no test is worth its cost."""
+    found: "Counter[Path]" = Counter()
+    for listener in listeners:
+        found.update(path for path in _constant_paths(listener.pattern) if path not in tested)
+    if not found:
+        return None
+    path, _ = min(found.items(), key=lambda item: (-item[1], len(item[0]), item[0]))
+    return path
+
+
+def _constant_paths(pattern: Term) -> List[Path]:
+    """Return the places of a pattern's constants and of its inner functors, outer ones first."""
+    found: List[Path] = []
+    level: List[Tuple[Path, Term]] = [((), pattern)]
+    while level and len(found) < 32:
+        deeper: List[Tuple[Path, Term]] = []
+        for path, term in level:
+            if term.__class__ is tuple and len(path) < 3:
+                for at, argument in enumerate(term[1:], 1):
+                    if argument.__class__ is not Var:
+                        found.append((*path, at))
+                        deeper.append(((*path, at), argument))
+        level = deeper
+    return found
+
+
+def _key_at(pattern: Term, path: Path) -> Any:
+    """Return the key of the constant at a path of a pattern; None where a variable stands there or above."""
+    term = pattern
+    for at in path:
+        if term.__class__ is not tuple or len(term) <= at:
+            return None
+        term = term[at]
+    return None if term.__class__ is Var else _key(term)
+
+
+def _key(term: Term) -> Any:
+    if term.__class__ is tuple:
+        return term[0]
+    if term.__class__ is Lazy:
+        return term.functor
+    return freeze(term)
+
+
+def _walk(term: Term, path: Path) -> Term:
+    """Return what stands at a path of an event; a variable on the way stands for anything below it.
+
+    Where the event has no such place, NOBODY's pattern with a constant there can match; any number will do.
+    """
+    for at in path:
+        term = deref(term)
+        if term.__class__ is Var:
+            return term
+        if term.__class__ is not tuple or len(term) <= at:
+            return 0
+        term = term[at]
+    return term

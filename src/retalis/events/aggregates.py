@@ -1,0 +1,99 @@
+"""What aggregates collect: how they begin, what a further value does, and what they show."""
+
+from typing import Any, Callable, NamedTuple, Optional, Tuple
+
+from ..errors import RuleError
+from ..terms import NIL, Term, make_list
+
+Values = Tuple[Term, ...]
+
+
+class Kind(NamedTuple):
+    """A kind of aggregate.
+
+    Attributes:
+        start: the state without any value.
+        initial: the result without any value; None where there is none.
+        add: gives the state with one more value.
+        result: gives the result of a state.
+        numeric: whether values have to be numbers.
+    """
+
+    start: Any
+    initial: Any
+    add: Callable[[Any, Term], Any]
+    result: Callable[[Any], Term]
+    numeric: bool
+
+
+def _same(state: Any) -> Any:
+    return state
+
+
+def _average(state: Tuple[Any, int]) -> Term:
+    total, number = state
+    if total.__class__ is int and total % number == 0:
+        return total // number
+    return total / number
+
+
+KINDS = {
+    "count": Kind(0, 0, lambda state, value: state + 1, _same, False),
+    "sum": Kind(0, 0, lambda state, value: state + value, _same, True),
+    "min": Kind(
+        None, None, lambda state, value: value if state is None or value < state else state, _same, True
+    ),
+    "max": Kind(
+        None, None, lambda state, value: value if state is None or value > state else state, _same, True
+    ),
+    "avg": Kind((0, 0), None, lambda state, value: (state[0] + value, state[1] + 1), _average, True),
+    "list": Kind((), NIL, lambda state, value: (state, value), lambda state: _listed(state), False),
+}
+
+
+def _listed(state: Any) -> Term:
+    """Return the list of a state, which is a chain with the newest value outermost: adding one costs the same."""
+    items = []
+    while state:
+        state, value = state
+        items.append(value)
+    items.reverse()
+    return make_list(items)
+
+
+class Collector:
+    """An aggregate of one rule: a kind, and how to get the value from a match.
+
+    Args:
+        kind: one of `KINDS`.
+        value: gives the value from the values of a match.
+        evaluate: gives the number of an expression, for values that are not numbers.
+    """
+
+    def __init__(
+        self, kind: str, value: Callable[[Values], Term], evaluate: Callable[[Term], Optional[Term]]
+    ):
+        self.kind = KINDS[kind]
+        self.name = kind
+        self.start = self.kind.start
+        self.initial = self.kind.initial
+        self.result = self.kind.result
+        self._value = value
+        self._evaluate = evaluate
+
+    def add(self, state: Any, values: Values) -> Any:
+        """Return the state with the value of one more match.
+
+        Raises:
+            RuleError: where it needs a number and gets none.
+        """
+        value = self._value(values)
+        if self.kind.numeric and value.__class__ not in (int, float):
+            number = self._evaluate(value)
+            if number is None:
+                raise RuleError(f"aggregate {self.name} needs numbers")
+            value = number
+        try:
+            return self.kind.add(state, value)
+        except OverflowError:
+            raise RuleError(f"aggregate {self.name}: a number is too large") from None

@@ -1,0 +1,60 @@
+"""Terms built from values by compiled code: heads of rules, and what aggregates collect."""
+
+from typing import Any, Callable, Dict, List, Sequence, Tuple
+
+from ..terms import Term, Var, deref, is_ground, resolve
+from ._source import compile_function
+
+Values = Tuple[Term, ...]
+
+
+def compile_builder(term: Term, order: Sequence[Var], title: str) -> Callable[[Values], Term]:
+    """Return a function that makes ``term`` from the values of ``order``; other variables are new each time."""
+    term = resolve(term)
+    if is_ground(term):
+        return lambda values: term
+    places = {var: f"v[{at}]" for at, var in enumerate(order)}
+    lines: List[str] = []
+    names: Dict[str, Any] = {"Var": Var}
+
+    def constant(value: Any) -> str:
+        name = f"k{len(names)}"
+        names[name] = value
+        return name
+
+    def leaf(item: Term) -> str:
+        if item.__class__ is not Var:
+            return constant(item)
+        if item not in places:
+            places[item] = f"u{len(places)}"
+            lines.append(f"    {places[item]} = Var()")
+        return places[item]
+
+    result = _build(deref(term), leaf, constant, lines)
+    source = "def made(v):\n" + "\n".join(lines) + f"\n    return {result}\n"
+    made: Callable[[Values], Term] = compile_function(source, names, title)
+    return made
+
+
+def _build(term: Term, leaf: Callable[[Term], str], constant: Callable[[Any], str], lines: List[str]) -> str:
+    """Write one assignment for each compound with variables, inner ones first; return the name of the whole."""
+    if term.__class__ is not tuple:
+        return leaf(term)
+    stack: List[List[Any]] = [[term, []]]
+    while True:
+        source, done = stack[-1]
+        if len(done) == len(source) - 1:
+            name = f"t{len(lines)}"
+            lines.append(f"    {name} = ({constant(source[0])}, {', '.join(done)})")
+            stack.pop()
+            if not stack:
+                return name
+            stack[-1][1].append(name)
+            continue
+        item = source[len(done) + 1]
+        if item.__class__ is not tuple:
+            done.append(leaf(item))
+        elif is_ground(item):
+            done.append(constant(item))
+        else:
+            stack.append([item, []])

@@ -1,0 +1,433 @@
+"""From the pattern of a rule to its nodes: which conditions are tested where, and how long a match can be of use."""
+
+from typing import Any, Dict, FrozenSet, List, NamedTuple, Optional, Set, Tuple
+
+from ..errors import RuleError
+from ..logic import PrologError
+from ..terms import Term, Var, functor, variables
+from .absence import Absence
+from .aggregates import Collector
+from .building import compile_builder
+from .conditions import Call, Test, goal_test
+from .matches import Match
+from .nodes import Acting, Alternatives, Capture, Filter, Joining, Leaf, Never, Node
+from .operators import OPERATORS
+from .pattern import (
+    Absent,
+    Action,
+    Aggregate,
+    Condition,
+    Either,
+    Occurs,
+    Pair,
+    Star,
+    Within,
+    bound_by,
+    own_terms,
+    surely_bound_by,
+    walk,
+)
+from .runs import Running
+
+_IS = functor("is", 2)
+Names = FrozenSet[Var]
+
+
+class Deferred(NamedTuple):
+    """A condition that looks at variables of patterns further left, so that it is tested where those are known.
+
+    Attributes:
+        needs: the variables it waits for.
+        goal: the goal, or None for an absence.
+        timed: whether the goal sees ``t1/1`` and ``t2/1``.
+        absent: the negated node with the terms it shares, for an absence.
+        start: the variable under which the start of its pattern is carried on.
+        end: the variable of its end.
+    """
+
+    needs: Set[Var]
+    goal: Any
+    timed: bool
+    absent: Any
+    start: Var
+    end: Var
+
+
+class Built(NamedTuple):
+    """A node, and the conditions in it that are still to be tested."""
+
+    node: Any
+    deferred: List[Deferred]
+
+
+class _Wrapping(NamedTuple):
+    """The conditions that belong to one operator, inner ones first."""
+
+    core: Any
+    span: Optional[int]
+    conditions: List[Any]
+    absent: Any
+
+
+class Compiler:
+    """Builds the nodes of one rule.
+
+    Args:
+        rule: the rule at run time.
+        head: the terms beside the pattern that use its variables.
+        pattern: the pattern.
+
+    Attributes:
+        nodes: all nodes, each with the bound on its own interval and the shortest bound there is from it
+            upwards.
+    """
+
+    def __init__(self, rule: Any, head: List[Term], pattern: Any):
+        self.rule = rule
+        self.pattern = pattern
+        self.keep = _used_twice(head, pattern)
+        self._counts = _occurrences(head, pattern)
+        self.nodes: List[Tuple[Node, Optional[int], Optional[int]]] = []
+        self._rank = 0
+
+    def build(self) -> Node:
+        """Return the root of the network."""
+        built = self._build(self.pattern, frozenset(), None)
+        assert not built.deferred
+        node: Node = built.node
+        return node
+
+    def _build(self, pattern: Any, context: Names, limit: Optional[int]) -> Built:
+        """Build a pattern.
+
+        Args:
+            pattern: what to build.
+            context: the variables of the patterns to its left.
+            limit: the shortest interval bound above it; None for none.
+        """
+        wrapping = _unwrap(pattern)
+        span = wrapping.span
+        inner = span if limit is None else limit if span is None else min(span, limit)
+        core = wrapping.core
+        if isinstance(core, Pair):
+            return self._joining(core, wrapping, context, inner)
+        if isinstance(core, (Star, Aggregate)):
+            return self._running(core, wrapping, context, inner)
+        if isinstance(core, Occurs):
+            self._rank += 1
+            built = Built(self._add(Leaf(self.rule, core.term, self._rank), None, None), [])
+        elif isinstance(core, Either):
+            branches = [self._build(branch, context, inner) for branch in core.branches]
+            node = Alternatives([branch.node for branch in branches], self.keep)
+            built = Built(
+                self._add(node, None, inner), [one for branch in branches for one in branch.deferred]
+            )
+        elif isinstance(core, Absent):
+            built = self._never(core, context, inner)
+        else:
+            assert isinstance(core, Action)
+            below = self._build(core.pattern, context, inner)
+            node = Acting(below.node, Call(self.rule, core.goal, below.node.vars, self.keep), core.every)
+            built = Built(self._add(node, None, inner), below.deferred)
+        return self._filtered(built, wrapping, context)
+
+    def _add(self, node: Any, span: Optional[int], limit: Optional[int]) -> Any:
+        self.nodes.append((node, span, limit))
+        return node
+
+    def _filtered(self, built: Built, wrapping: _Wrapping, context: Names) -> Built:
+        """Put the conditions of an event, ``or`` or action behind its node."""
+        now, later = self._split(wrapping.conditions, wrapping.core, context)
+        node, deferred = built
+        if now or wrapping.span is not None:
+            tests, names = self._tests(now, node.vars)
+            node = self._add(Filter(node, names, tests), wrapping.span, None)
+        for condition, needs in later:
+            node, one = self._defer(node, condition.goal, condition.timed, None, needs)
+            deferred = [*deferred, one]
+        return Built(node, deferred)
+
+    def _split(self, conditions: List[Any], core: Any, context: Names) -> Tuple[List[Any], List[Any]]:
+        """Part conditions into those that can be tested now and those that wait, with what they need."""
+        now: List[Any] = []
+        later: List[Any] = []
+        known = surely_bound_by(core)
+        for condition in conditions:
+            mentioned = set(variables(condition.goal))
+            needs = (mentioned & context) - known
+            if needs:
+                later.append((condition, needs))
+            else:
+                now.append(condition)
+                known |= mentioned
+        return now, later
+
+    def _tests(self, conditions: List[Any], names: List[Var]) -> Tuple[List[Test], List[Var]]:
+        tests: List[Test] = []
+        for condition in conditions:
+            call = Call(self.rule, condition.goal, names, self.keep)
+            tests.append(goal_test(call, condition.timed, None))
+            names = call.result_vars
+        return tests, names
+
+    def _defer(self, node: Any, goal: Any, timed: bool, absent: Any, needs: Set[Var]) -> Tuple[Any, Deferred]:
+        start, end = Var(), Var()
+        self.keep |= {start, end}
+        node = self._add(Capture(node, start, end), None, None)
+        return node, Deferred(needs, goal, timed, absent, start, end)
+
+    def _joining(self, core: Pair, wrapping: _Wrapping, context: Names, limit: Optional[int]) -> Built:
+        here = context | frozenset(bound_by(core.left))
+        if _left_first(core):
+            left = self._build(core.left, context, limit)
+            right = self._build(core.right, here, limit)
+        else:
+            right = self._build(core.right, here, limit)
+            left = self._build(core.left, context, limit)
+        known = set(left.node.vars) | set(right.node.vars)
+        ready = [one for one in right.deferred if not one.needs - known]
+        deferred = [*left.deferred, *(one for one in right.deferred if one.needs - known)]
+        absent = wrapping.absent
+        negated, needs, conditions = None, set(), []
+        if absent is not None:
+            inner = here | frozenset(bound_by(core.right))
+            negated, needs, conditions = self._negated(absent.negated, known, inner, limit)
+        gap = (Var(), Var()) if needs else None
+        if gap is not None:
+            self.keep |= set(gap)
+        node = Joining(self.rule, OPERATORS[core.operator], left.node, right.node, self.keep, gap)
+        self._add(node, wrapping.span, limit)
+        if gap is not None:
+            deferred.append(Deferred(needs, None, False, (negated, conditions, False), *gap))
+        elif negated is not None:
+            node.absent(self._absence(negated, node.vars, False, conditions), negated.node)
+        for one in ready:
+            self._settle(node, one)
+        now, later = self._split(wrapping.conditions, wrapping.core, context)
+        for condition in now:
+            call = Call(self.rule, condition.goal, node.vars, self.keep)
+            node.test(goal_test(call, condition.timed, None), call.result_vars)
+        result: Any = node
+        for condition, needs in later:
+            result, one = self._defer(result, condition.goal, condition.timed, None, needs)
+            deferred.append(one)
+        return Built(result, deferred)
+
+    def _settle(self, node: Any, one: Deferred) -> None:
+        """Test a deferred condition at a node that knows all it looks at."""
+        at = (node.vars.index(one.start), node.vars.index(one.end))
+        if one.absent is None:
+            call = Call(self.rule, one.goal, node.vars, self.keep)
+            node.test(goal_test(call, one.timed, at), call.result_vars)
+            return
+        negated, conditions, ever = one.absent
+        absence = self._absence(negated, node.vars, ever, conditions)
+        node.carried.append((absence, negated.node))
+        node.test(_absence_test(absence, at, ever), node.vars)
+
+    def _negated(
+        self, pattern: Any, known: Set[Var], context: Names, limit: Optional[int]
+    ) -> Tuple[Built, Set[Var], List[Deferred]]:
+        """Build a negated pattern; also return the outer variables that it needs and has not got yet."""
+        built = self._build(pattern, context, limit)
+        mentioned = set(built.node.vars)
+        for one in built.deferred:
+            mentioned |= one.needs
+        return built, (mentioned & context) - known, built.deferred
+
+    def _absence(self, negated: Built, names: List[Var], ever: bool, conditions: List[Deferred]) -> Absence:
+        own = negated.node.vars
+        shared = [(own.index(var), names.index(var)) for var in own if var in names]
+        if not conditions:
+            return Absence(self.rule, shared, ever)
+        new = [var for var in own if var not in names]
+        at = [own.index(var) for var in new]
+        known = [*names, *new]
+        tests = []
+        for one in conditions:
+            call = Call(self.rule, one.goal, known, self.keep)
+            tests.append(goal_test(call, one.timed, (known.index(one.start), known.index(one.end))))
+
+        def condition(values: Tuple[Term, ...], match: Match) -> bool:
+            both: Any = values + tuple([match.values[index] for index in at])
+            width = len(both)
+            for test in tests:
+                found = test(both[:width], match.start, match.end)
+                if found is None:
+                    return False
+            return True
+
+        return Absence(self.rule, shared, ever, condition)
+
+    def _never(self, core: Absent, context: Names, limit: Optional[int]) -> Built:
+        below = self._build(core.pattern, context, limit)
+        here = context | frozenset(bound_by(core.pattern))
+        negated, needs, conditions = self._negated(core.negated, set(below.node.vars), here, None)
+        if needs:
+            node, one = self._defer(below.node, None, False, (negated, conditions, True), needs)
+            return Built(node, [*below.deferred, one])
+        absence = self._absence(negated, below.node.vars, True, conditions)
+        return Built(self._add(Never(below.node, negated.node, absence), None, None), below.deferred)
+
+    def _running(self, core: Any, wrapping: _Wrapping, context: Names, limit: Optional[int]) -> Built:
+        here = context | frozenset(bound_by(core.first))
+        pattern = core.repeated if isinstance(core, Star) else core.collected
+        repeated = self._build(pattern, here, limit)
+        first = self._build(core.first, context, limit)
+        outside = self._outside(pattern, core)
+        collector, result = None, None
+        if isinstance(core, Aggregate):
+            collector, result = self._collector(core, repeated.node.vars), core.result
+        node = Running(self.rule, first.node, repeated.node, outside, collector, result)
+        self._add(node, wrapping.span, limit)
+        deferred = list(first.deferred)
+        known = set(node.step_vars)
+        for one in repeated.deferred:
+            if one.needs - known:
+                raise RuleError(
+                    "a condition on what is repeated looks at a pattern further away", self.rule.place
+                )
+            self._settle_step(node, one)
+        now, later = self._split(wrapping.conditions, wrapping.core, context)
+        shown = set(node.result_new)
+        early: List[Any] = []
+        late: List[Any] = []
+        for condition in now:
+            mentioned = set(variables(condition.goal))
+            if mentioned & shown:
+                shown |= mentioned - known
+                late.append(condition)
+            else:
+                early.append(condition)
+        for condition in [*early, *late]:
+            call = Call(self.rule, condition.goal, node.vars, self.keep)
+            node.test(
+                goal_test(call, condition.timed, None),
+                call.result_vars,
+                any(condition is one for one in late),
+            )
+        built: Any = node
+        for condition, needs in later:
+            built, one = self._defer(built, condition.goal, condition.timed, None, needs)
+            deferred.append(one)
+        return Built(built, deferred)
+
+    def _settle_step(self, node: Running, one: Deferred) -> None:
+        """Test a deferred condition on each repetition."""
+        names = node.step_vars
+        at = (names.index(one.start), names.index(one.end))
+        if one.absent is None:
+            node.step_tests.append(goal_test(Call(self.rule, one.goal, names, frozenset()), one.timed, at))
+            return
+        negated, conditions, ever = one.absent
+        absence = self._absence(negated, names, ever, conditions)
+        node.carried.append((absence, negated.node))
+        node.step_tests.append(_absence_test(absence, at, ever))
+
+    def _outside(self, pattern: Any, core: Any) -> Set[Var]:
+        """Return the variables that stand elsewhere in the rule than in what is repeated."""
+        inside = _occurrences([], pattern)
+        if isinstance(core, Aggregate) and core.value is not None:
+            for var in _each_variable(core.value):
+                inside[var] = inside.get(var, 0) + 1
+        return {var for var, number in self._counts.items() if number > inside.get(var, 0)}
+
+    def _collector(self, core: Aggregate, names: List[Var]) -> Collector:
+        logic = self.rule.network.logic
+        if core.value is None:
+            return Collector(core.kind, lambda values: None, lambda term: None)
+        value = compile_builder(core.value, names, f"aggregate in {self.rule.name}")
+        number, expression = Var(), Var()
+        goal: List[Any] = []
+
+        def evaluate(term: Term) -> Optional[Term]:
+            if not goal:
+                goal.append(logic.compile_goal((_IS, number, expression), [expression], [number]))
+            try:
+                found = goal[0].test((term,))
+            except PrologError:
+                return None
+            return None if found is None else found[0]
+
+        return Collector(core.kind, value, evaluate)
+
+
+def _left_first(pair: Pair) -> bool:
+    """Tell which side of a pair takes an event first that fits both.
+
+    Of a sequence the right one: it completes before the left one waits. Else what is made of several events comes
+    before a single event, and of two such the left one; of two single events the right one.
+    """
+    if not OPERATORS[pair.operator].either:
+        return False
+    return not _is_single(pair.left)
+
+
+def _is_single(pattern: Any) -> bool:
+    """Tell whether a pattern is matched by one event."""
+    core = _unwrap(pattern).core
+    if isinstance(core, Either):
+        return all(_is_single(branch) for branch in core.branches)
+    if isinstance(core, (Action, Absent)):
+        return _is_single(core.pattern)
+    return isinstance(core, Occurs)
+
+
+def _absence_test(absence: Absence, at: Tuple[int, int], ever: bool) -> Test:
+    """Return the test of an absence whose gap is carried among the values."""
+
+    def test(values: Tuple[Term, ...], start: int, end: int) -> Optional[Tuple[Term, ...]]:
+        low, high = values[at[0]], values[at[1]]
+        if low.__class__ is Var:
+            return values
+        if absence.blocks(values, low, low if ever else high):
+            return None
+        return values
+
+    return test
+
+
+def _unwrap(pattern: Any) -> _Wrapping:
+    """Take the conditions off a pattern until the operator that they belong to."""
+    span: Optional[int] = None
+    conditions: List[Any] = []
+    absent: Any = None
+    while True:
+        if isinstance(pattern, Condition):
+            conditions.append(pattern)
+        elif isinstance(pattern, Within):
+            span = pattern.span if span is None else min(span, pattern.span)
+        elif isinstance(pattern, Absent) and pattern.inside:
+            absent = pattern
+        else:
+            return _Wrapping(pattern, span, conditions[::-1], absent)
+        pattern = pattern.pattern
+
+
+def _each_variable(term: Term) -> List[Var]:
+    """Return every occurrence of a variable in a term."""
+    found: List[Var] = []
+    stack = [term]
+    while stack:
+        item = stack.pop()
+        if item.__class__ is tuple:
+            stack.extend(item[1:])
+        elif item.__class__ is Var:
+            if item.ref is None:
+                found.append(item)
+            else:
+                stack.append(item.ref)
+    return found
+
+
+def _occurrences(terms: List[Term], pattern: Any) -> Dict[Var, int]:
+    """Count how often each variable stands in a rule."""
+    counts: Dict[Var, int] = {}
+    for term in [*terms, *(term for part in walk(pattern, True) for term in own_terms(part))]:
+        for var in _each_variable(term):
+            counts[var] = counts.get(var, 0) + 1
+    return counts
+
+
+def _used_twice(terms: List[Term], pattern: Any) -> Set[Var]:
+    return {var for var, number in _occurrences(terms, pattern).items() if number > 1}

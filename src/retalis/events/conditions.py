@@ -1,0 +1,160 @@
+"""Goals of rules: conditions that are part of a match, and actions."""
+
+from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
+
+from ..logic import PrologError
+from ..terms import Atom, String, Term, Var, functor, is_ground, list_items, make_list, variables
+from .matches import Match
+from .policy import Frame, emit_each
+
+Values = Tuple[Term, ...]
+Test = Callable[[Values, int, int], Optional[Values]]
+"""Takes values and interval of a match; gives the values with what was found, or None where it fails."""
+
+_PLAIN = frozenset((Atom, int, float, String))
+_FINDALL = functor("findall", 3)
+
+
+class Call:
+    """A goal of a rule, compiled for the variables that are known where it stands.
+
+    Args:
+        rule: whose goal it is.
+        goal: the goal.
+        known: whose values a match carries.
+        keep: the variables that anything else in the rule looks at.
+
+    Attributes:
+        result_vars: ``known``, then the variables that the goal may bind for others.
+    """
+
+    def __init__(self, rule: Any, goal: Term, known: Sequence[Var], keep: Any):
+        self.rule = rule
+        self.goal = goal
+        self.known = list(known)
+        mentioned = variables(goal)
+        inputs = [var for var in self.known if var in mentioned]
+        self.positions = tuple(self.known.index(var) for var in inputs)
+        self.outputs = [var for var in mentioned if var not in self.known and var in keep]
+        self.result_vars = [*self.known, *self.outputs]
+        self._compiled: Dict[Any, Any] = {}
+        self._inputs = inputs
+        self._plain = self._compile(inputs, self.outputs, False)
+
+    def test(self, values: Values) -> Optional[Values]:
+        """Return the values with those of the first solution, or None; an error counts as failure and is reported."""
+        network = self.rule.network
+        dispatcher = network.dispatcher
+        current = dispatcher.current
+        try:
+            given = tuple([values[at] for at in self.positions])
+            if _all_ground(given):
+                found = self._plain.test(given)
+                if found is None:
+                    return None
+                return values + found if found else values
+            return self._open().test(values)  # type: ignore[no-any-return]
+        except PrologError as error:
+            dispatcher.current = current
+            network.goal_failed(self.rule, self.goal, error)
+            return None
+
+    def act(self, match: Match, solved: Callable[[Values, Frame], Frame], after: Frame) -> Frame:
+        """Return the frame that calls the goal once and goes on with ``solved``; with ``after`` if it fails."""
+        values = match.values
+        given = tuple([values[at] for at in self.positions])
+        machine = self.rule.network.logic.machine
+        on_error = self._reporter()
+        if _all_ground(given):
+            return machine.attempt(
+                self._plain, given, lambda found: solved(values + tuple(found), after), after, on_error
+            )
+        return machine.attempt(
+            self._open(), values, lambda found: solved(tuple(found), after), after, on_error
+        )
+
+    def act_on_all(self, match: Match, solved: Callable[[Values, Frame], Frame], after: Frame) -> Frame:
+        """Return the frame that goes on with ``solved`` for every solution of the goal, in order."""
+        values = match.values
+        machine = self.rule.network.logic.machine
+        given = tuple([values[at] for at in self.positions])
+        ground = _all_ground(given)
+        goal = self._compile(self._inputs, self.outputs, True) if ground else self._open(True)
+
+        def each(found: Any) -> Frame:
+            solutions = [tuple(list_items(item) or ()) for item in list_items(found[0]) or ()]
+            if ground:
+                solutions = [values + solution for solution in solutions]
+            return emit_each(iter(solutions), solved, after)
+
+        return machine.attempt(goal, given if ground else values, each, after, self._reporter())
+
+    def _open(self, every: bool = False) -> Any:
+        """Return the goal for values with variables: it gives all values anew, as its solution leaves them."""
+        return self._compile(self.known, self.result_vars, every)
+
+    def _compile(self, inputs: Sequence[Var], outputs: Sequence[Var], every: bool) -> Any:
+        key = (tuple(inputs), tuple(outputs), every)
+        found = self._compiled.get(key)
+        if found is None:
+            goal, wanted = self.goal, list(outputs)
+            if every:
+                all_solutions = Var()
+                goal = (_FINDALL, make_list(outputs), goal, all_solutions)
+                wanted = [all_solutions]
+            rule = self.rule
+            found = self._compiled[key] = rule.network.logic.compile_goal(
+                goal, list(inputs), wanted, place=rule.place, name=rule.name
+            )
+        return found
+
+    def _reporter(self) -> Callable[[Exception], None]:
+        network = self.rule.network
+        current = network.dispatcher.current
+
+        def report(error: Any) -> None:
+            network.dispatcher.current = current
+            network.goal_failed(self.rule, self.goal, error)
+
+        return report
+
+
+def _all_ground(values: Sequence[Term]) -> bool:
+    for value in values:
+        kind = value.__class__
+        if kind not in _PLAIN and (kind is Var or (kind is tuple and not is_ground(value))):
+            return False
+    return True
+
+
+def goal_test(call: Call, timed: bool, captured: Optional[Tuple[int, int]]) -> Test:
+    """Return the test of a condition.
+
+    Args:
+        call: the goal.
+        timed: whether ``t1/1`` and ``t2/1`` hold in it.
+        captured: where the interval of the condition's pattern stands among the values, if it is tested
+            further up; a variable there means that the pattern is in a branch that was not taken.
+    """
+    goal = call.test
+    network = call.rule.network
+    missing = [Var for _ in call.outputs]
+
+    def plain(values: Values, start: int, end: int) -> Optional[Values]:
+        return goal(values)
+
+    def with_interval(values: Values, start: int, end: int) -> Optional[Values]:
+        if captured is not None:
+            start, end = values[captured[0]], values[captured[1]]
+            if start.__class__ is Var:
+                return values + tuple([make() for make in missing])
+        if not timed:
+            return goal(values)
+        before = network.checked
+        network.checked = (start, end)
+        try:
+            return goal(values)
+        finally:
+            network.checked = before
+
+    return with_interval if timed or captured is not None else plain

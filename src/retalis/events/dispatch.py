@@ -1,0 +1,253 @@
+"""From an event to those who listen to its kind, in order, depth first.
+
+Listeners are found by the event's functor and then by the constants in their patterns, through
+dictionaries, so an event costs nothing for listeners whose constants differ.
+"""
+
+from enum import IntEnum
+from itertools import count
+from typing import Any, Callable, Dict, Iterator, Optional, Tuple
+
+from ..errors import UsageError
+from ..terms import Atom, Functor, Lazy, Term, Var, copy, deref
+from ._keys import term_key
+from ._plans import Choice, make_plan
+from .matching import Matcher, Values, compile_matcher
+
+Frame = Any
+Action = Callable[[Term, Values, int, int, Frame], Frame]
+"""Takes the event, the values of the pattern's variables, start, end and the next frame; gives a frame."""
+
+
+class Stage(IntEnum):
+    """When a listener is served: lower stages first, in a stage the oldest first."""
+
+    TRACE = 0
+    """Those who only look on: recorded streams, logs."""
+    SUBSCRIPTIONS = 1
+    MEMORIES = 2
+    QUERIES = 3
+    RULES = 4
+
+
+class Listener:
+    """One pattern with what to do for each event that matches it; made by `Dispatcher.listen`."""
+
+    __slots__ = ("order", "pattern", "functor", "matcher", "action")
+
+    def __init__(
+        self,
+        order: Tuple[int, ...],
+        pattern: Term,
+        functor: Optional[Functor],
+        matcher: Matcher,
+        action: Action,
+    ):
+        self.order = order
+        self.pattern = pattern
+        self.functor = functor
+        self.matcher = matcher
+        self.action = action
+
+
+class Event:
+    """The dispatch of one event; as ``code`` of a frame it serves the listeners that are left.
+
+    Attributes:
+        token: what tells this event from all others, given by `Dispatcher.token`.
+        depth: how many events it was derived through, itself included.
+    """
+
+    __slots__ = ("dispatcher", "steps", "term", "start", "end", "parent", "depth", "token")
+
+    dispatcher: "Dispatcher"
+    steps: Iterator[Any]
+    term: Term
+    start: int
+    end: int
+    parent: Optional["Event"]
+    depth: int
+    token: Any
+
+    def run(self, frame: Frame) -> Frame:
+        """Serve listeners until one of them has something to do first, or none is left."""
+        dispatcher = self.dispatcher
+        dispatcher.current = self
+        term = self.term
+        start = self.start
+        end = self.end
+        for matcher, action in self.steps:
+            values = matcher(term)
+            if values is not None:
+                after = action(term, values, start, end, frame)
+                if after is not frame:
+                    return after
+        dispatcher.current = self.parent
+        return frame[1]
+
+
+class Dispatcher:
+    """Hands events to listeners.
+
+    Args:
+        logic: the program's logic, whose machine runs the frames.
+        max_depth: how long a chain of derived events may be (the rules see to it).
+
+    Attributes:
+        current: the `Event` whose listeners are being served, or None.
+        mark: makes the token of an event; tracking replaces it.
+    """
+
+    def __init__(self, logic: Any = None, max_depth: int = 1000) -> None:
+        self.max_depth = max_depth
+        self._listeners: Dict[Optional[Functor], Dict[Listener, None]] = {}
+        self._plans: Dict[Functor, Any] = {}
+        self._matchers: Dict[Any, Matcher] = {}
+        self._order = count()
+        self._tokens = count(1)
+        self.current: Optional[Event] = None
+        self.mark: Callable[[Event], Any] = lambda event: next(self._tokens)
+
+    def listen(self, stage: Stage, pattern: Term, action: Action, rank: Tuple[int, ...] = ()) -> Listener:
+        """Have ``action`` called for every event that unifies with ``pattern``.
+
+        A listener added while an event is dispatched sees later events only.
+
+        Args:
+            stage: when it is served.
+            pattern: an atom, a compound term, or a variable for any event. It is copied.
+            action: does its part and returns the frame to go on with, ``next`` if there is nothing more to do.
+            rank: place within the stage; by default behind all there are.
+
+        Raises:
+            UsageError: for a pattern that no event can match (a number, a string).
+        """
+        pattern = copy(pattern)
+        functor = _functor_of(pattern)
+        key = term_key(pattern)
+        matcher = self._matchers.get(key)
+        if matcher is None:
+            matcher = self._matchers[key] = compile_matcher(pattern)
+        order = (int(stage), *(rank or (next(self._order),)), next(self._order))
+        listener = Listener(order, pattern, functor, matcher, action)
+        self._listeners.setdefault(functor, {})[listener] = None
+        self._changed(functor)
+        return listener
+
+    def remove(self, listener: Listener) -> None:
+        """Take a listener away; removing it twice is no error."""
+        group = self._listeners.get(listener.functor, {})
+        if group.pop(listener, 0) is None:
+            if not any(other.matcher is listener.matcher for other in group):
+                self._matchers.pop(term_key(listener.pattern), None)
+            if not group:
+                del self._listeners[listener.functor]
+            self._changed(listener.functor)
+
+    def wanted(self, functor: Functor) -> bool:
+        """Tell whether anybody listens to events of this functor (tracing aside)."""
+        return self._wants(functor) or self._wants(None)
+
+    def dispatch(self, term: Term, start: int, end: int, after: Frame, token: Any = None) -> Frame:
+        """Return the frame that serves an event and then goes on with ``after``.
+
+        Where nobody listens that is ``after`` itself.
+
+        Args:
+            term: the event, an atom or compound term without bound variables.
+            start: the instant at which it began.
+            end: the instant at which it ended.
+            after: the frame to go on with.
+            token: what tells the event from others, where its maker has one already.
+
+        Raises:
+            UsageError: where the term is no event or the interval is reversed.
+        """
+        if start > end:
+            raise UsageError(f"an event cannot end before it starts ({start} > {end} ns)")
+        kind = term.__class__
+        if kind is tuple:
+            functor = term[0]
+        elif kind is Atom:
+            functor = term.functor
+        else:
+            term = deref(term)
+            functor = _functor_of(term)
+            if functor is None:
+                raise UsageError("an event is an atom or a compound term, not a variable")
+        plan = self._plans.get(functor)
+        if plan is None:
+            plan = self._plan(functor)
+        while plan.__class__ is Choice:
+            plan = plan.branch(term)
+        if not plan:
+            return after
+        event = Event()
+        event.dispatcher = self
+        event.steps = iter(plan)
+        event.term = term
+        event.start = start
+        event.end = end
+        event.token = token
+        event.parent = parent = self.current
+        event.depth = 1 if parent is None else parent.depth + 1
+        return (event, after)
+
+    def token(self) -> Any:
+        """Return what tells the event that is being served from all others."""
+        event = self.current
+        assert event is not None
+        token = event.token
+        if token is None:
+            token = event.token = self.mark(event)
+        return token
+
+    def later(self, term: Term, start: int, end: int, after: Frame) -> Frame:
+        """Return a frame that dispatches the event when it is run, not before."""
+        return (_LATER, self, term, start, end, after)
+
+    def _wants(self, functor: Optional[Functor]) -> bool:
+        group = self._listeners.get(functor)
+        return group is not None and any(listener.order[0] != Stage.TRACE for listener in group)
+
+    def _changed(self, functor: Optional[Functor]) -> None:
+        if functor is None:
+            self._plans.clear()
+        else:
+            self._plans.pop(functor, None)
+
+    def _plan(self, functor: Functor) -> Any:
+        listeners = [*self._listeners.get(functor, ()), *self._listeners.get(None, ())]
+        listeners.sort(key=lambda listener: listener.order)
+        plan = self._plans[functor] = make_plan(listeners)
+        return plan
+
+
+class _Later:
+    """Code of the frame that `Dispatcher.later` returns."""
+
+    @staticmethod
+    def run(frame: Frame) -> Frame:
+        _, dispatcher, term, start, end, after = frame
+        return dispatcher.dispatch(term, start, end, after)
+
+
+_LATER = _Later()
+
+
+def _functor_of(term: Term) -> Optional[Functor]:
+    """Return the functor of a pattern or event; None for a variable.
+
+    Raises:
+        UsageError: for a number or string.
+    """
+    kind = term.__class__
+    if kind is tuple:
+        return term[0]  # type: ignore[no-any-return]
+    if kind is Atom:
+        return term.functor  # type: ignore[no-any-return]
+    if kind is Lazy:
+        return term.functor  # type: ignore[no-any-return]
+    if kind is Var:
+        return None
+    raise UsageError("an event is an atom or a compound term, not a number or a string")

@@ -1,0 +1,101 @@
+"""Flags of the event language: their values, defaults, and what they do to the network."""
+
+from typing import Callable, Dict, List, NamedTuple, Optional, Tuple
+
+from ..errors import UsageError
+from ..terms import Atom, Term, atom
+from .policy import Mode, Policy
+
+_SWITCH = ("off", "on")
+
+
+class Flag(NamedTuple):
+    """A flag: its default, and the names it takes (none: a number)."""
+
+    default: Term
+    values: Tuple[str, ...]
+
+
+def _switch(default: str = "off") -> Flag:
+    return Flag(atom(default), _SWITCH)
+
+
+FLAGS: Dict[str, Flag] = {
+    "event_consumption_policy": Flag(atom("recent"), tuple(policy.value for policy in Policy)),
+    "out_of_order": _switch(),
+    "revision_flag": _switch(),
+    "etalis_justification": _switch(),
+    "rule_sharing": _switch(),
+    "garbage_control": Flag(atom("off"), ("off", "general", "pattern")),
+    "garbage_window": Flag(-1, ()),
+    "garbage_window_step": Flag(-1, ()),
+    "logging": _switch(),
+    "logging_to_file": _switch(),
+    "store_fired_events": _switch(),
+    "store_fired_events_java": _switch(),
+    "java_notification": _switch(),
+    "output_temporary_files": _switch(),
+    "prolog_backend": Flag(atom("swi"), ("swi",)),
+    "db_trace": _switch(),
+    "subPatterns": _switch("on"),
+    "save_ruleId": _switch(),
+}
+
+
+class Flags:
+    """The values of all flags.
+
+    Args:
+        changed: called with the name of a flag that was given another value.
+    """
+
+    def __init__(self, changed: Callable[[str], None]):
+        self._changed = changed
+        self._values: Dict[str, Term] = {name: flag.default for name, flag in FLAGS.items()}
+
+    def get(self, name: str) -> Optional[Term]:
+        """Return the value of a flag, or None where there is no such flag."""
+        return self._values.get(name)
+
+    def names(self) -> List[str]:
+        """Return the names of all flags."""
+        return list(FLAGS)
+
+    def set(self, name: str, value: Term) -> None:
+        """Set a flag.
+
+        Raises:
+            UsageError: for an unknown flag or a value that it does not take.
+        """
+        flag = FLAGS.get(name)
+        if flag is None:
+            raise UsageError(f"there is no flag {name}")
+        if flag.values:
+            if value.__class__ is not Atom or value.name not in flag.values:
+                raise UsageError(f"{name} takes {', '.join(flag.values)}")
+        elif value.__class__ not in (int, float) or value != value:
+            raise UsageError(f"{name} takes a number of seconds")
+        if value != self._values[name]:
+            self._values[name] = value
+            self._changed(name)
+
+    def reset(self) -> None:
+        """Set all flags to their defaults."""
+        for name, flag in FLAGS.items():
+            self.set(name, flag.default)
+
+    def is_on(self, name: str) -> bool:
+        """Tell whether a switch is on."""
+        return self._values[name] is atom("on")
+
+    def number(self, name: str) -> float:
+        """Return the value of a flag that is a number."""
+        return self._values[name]  # type: ignore[no-any-return]
+
+    def mode(self) -> Mode:
+        """Return how the network is to run."""
+        return Mode(
+            Policy(self._values["event_consumption_policy"].name),
+            self.is_on("out_of_order"),
+            self.is_on("revision_flag") or self.is_on("etalis_justification"),
+        )

@@ -1,0 +1,155 @@
+"""Event patterns compiled to Python: from an event term to the values of the pattern's variables."""
+
+from typing import Any, Callable, Dict, List, Optional, Tuple
+
+from ..terms import (
+    Atom,
+    Lazy,
+    String,
+    Term,
+    Var,
+    copy,
+    deref,
+    freeze,
+    resolve,
+    same_constant,
+    undo,
+    unify,
+    variables,
+)
+from ._source import compile_function
+
+Values = Tuple[Term, ...]
+Matcher = Callable[[Term], Optional[Values]]
+"""Takes an event term (no bound variables in it); gives the values of the pattern's variables, or None."""
+
+
+def compile_matcher(pattern: Term) -> Matcher:
+    """Return the matcher of a pattern; values come in the order of ``terms.variables(pattern)``.
+
+    The event's functor is not looked at: the dispatcher has chosen by it. Events without variables are taken
+    apart in straight code; where a variable of the event stands in the way, terms are unified in general.
+    """
+    pattern = resolve(pattern)
+    if pattern.__class__ is Var:
+        return _whole
+    if pattern.__class__ is not tuple:
+        return _nothing
+    return _Compiler(pattern).matcher()
+
+
+def _whole(term: Term) -> Optional[Values]:
+    return (term,)
+
+
+def _nothing(term: Term) -> Optional[Values]:
+    return ()
+
+
+class _Compiler:
+    """Writes the source of one matcher."""
+
+    def __init__(self, pattern: Term):
+        self.pattern = pattern
+        self.lines: List[str] = []
+        self.names: Dict[str, Any] = {"deref": deref, "Lazy": Lazy, "Var": Var, "same": _same}
+        self.places: Dict[Var, str] = {}
+        self.counter = 0
+
+    def matcher(self) -> Matcher:
+        order = variables(self.pattern)
+        self.names["general"] = _general(self.pattern, order)
+        pending: List[Tuple[str, Term]] = [("term", self.pattern)]
+        while pending:
+            pending.extend(reversed(self._take_apart(*pending.pop())))
+        values = ", ".join(self.places[var] for var in order)
+        self.lines.append(f"    return ({values}{',' if len(order) == 1 else ''})")
+        source = "def made(term):\n" + "\n".join(self.lines) + "\n"
+        made: Matcher = compile_function(source, self.names, f"matcher of {self.pattern[0]}")
+        return made
+
+    def _take_apart(self, name: str, pattern: Term) -> List[Tuple[str, Term]]:
+        """Unpack a compound; test its constants; return its compound arguments with their names."""
+        inner: List[Tuple[str, Term]] = []
+        tests: List[str] = []
+        targets = []
+        for argument in pattern[1:]:
+            if argument.__class__ is Var and argument not in self.places:
+                place = self._fresh()
+                self.places[argument] = place
+                targets.append(place)
+                continue
+            place = self._fresh()
+            targets.append(place)
+            if argument.__class__ is Var:
+                tests.append(
+                    f"    if {place} is not {self.places[argument]} and not same({place}, "
+                    f"{self.places[argument]}):\n        return general(term, None)"
+                )
+            elif argument.__class__ is tuple:
+                functor = self._constant(argument[0])
+                tests.append(
+                    f"    if {place}.__class__ is not tuple:\n        {place} = deref({place})\n"
+                    f"        if {place}.__class__ is not tuple:\n            return general(term, {place})\n"
+                    f"    if {place}[0] is not {functor}:\n        return None"
+                )
+                inner.append((place, argument))
+            else:
+                tests.append(
+                    f"    if {self._differs(place, argument)}:\n        return general(term, {place})"
+                )
+        if targets:
+            self.lines.append(f"    _, {', '.join(targets)} = {name}")
+        self.lines.extend(tests)
+        return inner
+
+    def _differs(self, place: str, constant: Term) -> str:
+        name = self._constant(constant)
+        if constant.__class__ is Atom:
+            return f"{place} is not {name}"
+        kind = {int: "int", float: "float", String: "String"}[constant.__class__]
+        self.names["String"] = String
+        if constant.__class__ is float:
+            self.names["equal"] = same_constant
+            return f"{place}.__class__ is not float or not equal({place}, {name})"
+        return f"{place}.__class__ is not {kind} or {place} != {name}"
+
+    def _fresh(self) -> str:
+        self.counter += 1
+        return f"a{self.counter}"
+
+    def _constant(self, value: Any) -> str:
+        self.counter += 1
+        name = f"k{self.counter}"
+        self.names[name] = value
+        return name
+
+
+def _same(left: Term, right: Term) -> bool:
+    """Tell whether two values are surely the same term; general unification decides the rest."""
+    try:
+        return bool(freeze(left) == freeze(right))
+    except ValueError:
+        return False
+
+
+def _general(pattern: Term, order: List[Var]) -> Callable[[Term, Any], Optional[Values]]:
+    """Return what matches when straight code cannot: ``met`` is what stood in the way, None for any."""
+
+    def general(term: Term, met: Any) -> Optional[Values]:
+        if met is not None and deref(met).__class__ is not Var:
+            return None
+        return unify_pattern(pattern, order, term)
+
+    return general
+
+
+def unify_pattern(pattern: Term, order: List[Var], term: Term) -> Optional[Values]:
+    """Unify a copy of the pattern with the event; nothing stays bound."""
+    fresh: Dict[Var, Term] = {var: Var() for var in order}
+    trail: List[Any] = []
+    values: Optional[Values] = None
+    if unify(copy(pattern, fresh), term, trail):
+        values = tuple(resolve(fresh[var]) for var in order)
+    undo(trail, 0)
+    return values

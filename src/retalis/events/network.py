@@ -1,0 +1,306 @@
+"""All event rules of a program and the flags by which they run."""
+
+import logging
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Tuple
+
+from ..errors import Place, ProgramErrors, RetalisError, RuleError, UsageError
+from ..logic import DONE, Logic
+from ..terms import Atom, Term, Var, atom, copy, deref, functor, unify
+from ..timestamps import SECOND, from_seconds
+from ._keys import term_key
+from .clauses import Checker, Property, is_rule
+from .dispatch import Dispatcher
+from .flags import Flags
+from .loading import Loader
+from .pattern import same_rule_key
+from .policy import Mode
+from .predicates import define_predicates
+from .rule import Definition, Rule
+from .store import Store
+from .tracking import Tracker
+
+log = logging.getLogger("retalis")
+
+_UNLABELED = atom("unlabeled")
+_CONFIGURING = frozenset(
+    ("event_consumption_policy", "out_of_order", "revision_flag", "etalis_justification", "garbage_control")
+    + ("garbage_window", "garbage_window_step")
+)
+
+
+class Rules:
+    """The event rules of a program.
+
+    Args:
+        logic: where goals are compiled and clauses are kept.
+        dispatcher: whose events the rules take, and which takes theirs.
+        clock: gives ``now()`` and takes alarms by ``call_at(instant, callback)``.
+        cap: how many partial matches a rule may have; the oldest go.
+        future: by how many nanoseconds a stamp may be ahead of the clock to move the clocks of rules.
+
+    Attributes:
+        on_error: called with each error of a rule or goal while events flow.
+        on_warning: called with each warning.
+        flags: the flags of ``set_etalis_flag/2``.
+        mode: what the flags say about how the network runs.
+    """
+
+    def __init__(
+        self,
+        logic: Logic,
+        dispatcher: Dispatcher,
+        clock: Any,
+        cap: int = 1_000_000,
+        future: int = 10 * SECOND,
+    ):
+        self.logic = logic
+        self.dispatcher = dispatcher
+        self.clock = clock
+        self.cap = cap
+        self.future = future
+        self.on_error: Callable[[RetalisError], None] = lambda error: log.error("%s", error)
+        self.on_warning: Callable[[RetalisError], None] = lambda error: log.warning("%s", error)
+        self.checked: Optional[Tuple[int, int]] = None
+        self.rules: List[Rule] = []
+        self.flags = Flags(self._flag_changed)
+        self.mode: Mode = self.flags.mode()
+        self.tracker = Tracker(self)
+        self.store = Store(self)
+        self.loader = Loader(self)
+        self._properties: Dict[Any, List[Property]] = {}
+        self._serial = 0
+        define_predicates(self)
+
+    @property
+    def deepest(self) -> int:
+        """How long a chain of derived events may be."""
+        return self.dispatcher.max_depth
+
+    # ---- loading -------------------------------------------------------------------------------------
+
+    def load_text(self, text: str, source: str = "text", folder: Optional[Path] = None) -> None:
+        """Load the text of an event file.
+
+        Raises:
+            ProgramErrors: all errors; nothing of the text is active then.
+        """
+        self.loader.load_text(text, source, folder)
+
+    def load_file(self, path: Any) -> None:
+        """Load an event file; a relative path is relative to the file that names it.
+
+        Raises:
+            ProgramErrors: all errors; nothing of the file is active then.
+            UsageError: where it cannot be read.
+        """
+        self.loader.load_file(path)
+
+    def load_terms(self, terms: Sequence[Tuple[Term, Optional[Place]]]) -> None:
+        """Load terms as if they were an event file.
+
+        Raises:
+            ProgramErrors: all errors; nothing is active then.
+        """
+        self.loader.load_terms(terms)
+
+    @contextmanager
+    def relative_to(self, folder: Optional[Path]) -> Iterator[None]:
+        """Have relative paths of files be relative to a folder, while the context lasts."""
+        with self.loader.relative_to(folder):
+            yield
+
+    # ---- rules ---------------------------------------------------------------------------------------
+
+    def add(self, definition: Definition) -> Rule:
+        """Add a rule behind all others; it sees later events only."""
+        rule = self.compile(definition)
+        self.activate(rule)
+        return rule
+
+    def compile(self, definition: Definition) -> Rule:
+        """Build a rule without having it take events.
+
+        Raises:
+            RetalisError: where a goal or pattern cannot be compiled.
+        """
+        self._serial += 1
+        return Rule(self, definition, self._serial, self._name(definition))
+
+    def activate(self, rule: Rule) -> None:
+        """Have a rule take events."""
+        self.rules.append(rule)
+        self._configure(rule)
+
+    def insert(self, term: Term) -> bool:
+        """Add one rule given as a term; anything else is added as a clause, and the result is False.
+
+        Raises:
+            ProgramErrors: where the rule cannot fire.
+        """
+        term = copy(term)
+        self.loader.load_terms([(term, None)])
+        return is_rule(term)
+
+    def delete(self, term: Term) -> bool:
+        """Delete by label (all rules with it), or by rule: exactly that one, and its partial matches.
+
+        Returns:
+            Whether there was one.
+        """
+        term = deref(term)
+        if is_rule(term):
+            found = self._same_rules(term)[:1]
+        else:
+            key = term_key(term)
+            found = [one for one in self.rules if term_key(_label_of(one)) == key]
+        for rule in found:
+            self.remove(rule)
+        return bool(found)
+
+    def delete_by_head(self, head: Term) -> bool:
+        """Delete all rules whose head unifies with a term; returns whether there were any."""
+        found = []
+        for rule in self.rules:
+            trail: List[Any] = []
+            own = rule.definition.head
+            if own is not None and unify(copy(own), copy(head), trail):
+                found.append(rule)
+        for rule in found:
+            self.remove(rule)
+        return bool(found)
+
+    def remove(self, rule: Rule) -> None:
+        """Take a rule out, with its partial matches."""
+        rule.unlisten()
+        rule.clear()
+        self.rules = [one for one in self.rules if one is not rule]
+
+    def _same_rules(self, term: Term) -> List[Rule]:
+        checker = Checker()
+        checker.term(copy(term), lambda part: None, None)
+        if not checker.rules:
+            return []
+        wanted = checker.rules[0]
+        key = same_rule_key(wanted.head, wanted.pattern)
+        return [
+            rule
+            for rule in self.rules
+            if same_rule_key(rule.definition.head, rule.definition.pattern) == key
+            and (wanted.label is None or _label_of(rule) is wanted.label)
+        ]
+
+    def _name(self, definition: Definition) -> str:
+        head = "(no head)" if definition.head is None else self.logic.show(definition.head)
+        label = "" if definition.label is None else f"{self.logic.show(definition.label)}: "
+        where = "" if definition.place is None else f" at {definition.place}"
+        return f"rule {label}{head}{where}"
+
+    # ---- how they run --------------------------------------------------------------------------------
+
+    def set_property(self, one: Property) -> None:
+        """Give a label a property; it holds for the rules that have the label, at once."""
+        self._properties.setdefault(term_key(one.label), []).append(one)
+        for rule in self.rules:
+            if _label_of(rule) is one.label:
+                self._configure(rule)
+
+    def drop_property(self, one: Property) -> None:
+        """Take a property back."""
+        self._properties[term_key(one.label)].remove(one)
+
+    def properties(self, label: Term) -> List[Property]:
+        """Return the properties of a label."""
+        return self._properties.get(term_key(label), [])
+
+    def _configure(self, rule: Rule) -> None:
+        found: Dict[str, List[int]] = {}
+        for one in self.properties(_label_of(rule)):
+            found.setdefault(one.name, []).append(from_seconds(one.value))
+        windows = found.get("window", []) + found.get("event_rule_window", [])
+        rule.configure(self.mode, min(windows) if windows else None, self._garbage_control(found))
+
+    def _garbage_control(self, properties: Dict[str, List[int]]) -> Optional[Tuple[int, int]]:
+        """Return window and step of the garbage control of a rule with these properties, or None."""
+        kind = self.flags.get("garbage_control")
+        if kind is atom("general"):
+            window = self.flags.number("garbage_window")
+            if window > 0:
+                return from_seconds(window), max(0, from_seconds(self.flags.number("garbage_window_step")))
+        elif kind is atom("pattern") and "window" in properties and "window_step" in properties:
+            return min(properties["window"]), min(properties["window_step"])
+        return None
+
+    def _flag_changed(self, name: str) -> None:
+        if name in _CONFIGURING:
+            self.mode = self.flags.mode()
+            self.tracker.configure()
+            for rule in self.rules:
+                self._configure(rule)
+        elif name == "store_fired_events":
+            self.store.keep_all(self.flags.is_on(name))
+
+    def newest_allowed(self) -> int:
+        """Return the newest stamp that may move the clock of a rule."""
+        return self.clock.now() + self.future  # type: ignore[no-any-return]
+
+    def clear(self) -> None:
+        """Drop all partial matches and what is kept of past events (time went back, or a reset)."""
+        for rule in self.rules:
+            rule.clear()
+        self.tracker.clear()
+        self.dispatcher.current = None
+
+    def reset(self) -> None:
+        """Drop all rules, properties, partial matches and stored events; set all flags to their defaults."""
+        for rule in list(self.rules):
+            self.remove(rule)
+        self._properties.clear()
+        self.store.clear()
+        self.tracker.clear()
+        self.flags.reset()
+
+    @property
+    def waiting(self) -> int:
+        """How many partial matches there are."""
+        return sum(rule.waiting for rule in self.rules)
+
+    # ---- alarms and reports --------------------------------------------------------------------------
+
+    def set_alarm(self, rule: Rule, term: Term, start: int, instant: int, token: Any = None) -> None:
+        """Have an event fire when its instant has come."""
+
+        def fire(now: int) -> None:
+            self.dispatcher.current = None
+            self.logic.machine.run(rule.fire(term, start, instant, DONE, token))
+
+        self.clock.call_at(instant, fire)
+
+    def rule_failed(self, rule: Rule, error: RuleError) -> None:
+        """Report what stopped a rule from firing."""
+        event = self.dispatcher.current
+        met = "" if event is None else f", at event {self.logic.show(event.term)}"
+        self.on_error(RuleError(f"{rule.name}{met}: {error.message}", rule.place))
+
+    def goal_failed(self, rule: Rule, goal: Term, error: RetalisError) -> None:
+        """Report an error that a goal of a rule raised."""
+        self.rule_failed(rule, RuleError(f"goal {self.logic.show(goal)}: {error.message}"))
+
+    def dropped(self, rule: Rule) -> None:
+        """Report that a rule has too many partial matches; at 1, 2, 4, 8 ... of them."""
+        if rule.dropped & (rule.dropped - 1) == 0:
+            self.on_warning(
+                RuleError(
+                    f"{rule.name} has more than {self.cap} partial matches; {rule.dropped} of the oldest "
+                    "were dropped so far",
+                    rule.place,
+                )
+            )
+
+
+def _label_of(rule: Rule) -> Term:
+    return _UNLABELED if rule.label is None else rule.label
+
+
+__all__ = ["Rules", "ProgramErrors", "UsageError", "Atom", "Var", "functor"]

@@ -1,0 +1,324 @@
+"""Nodes of the network: what runs for each part of a rule's pattern.
+
+A node takes matches from the nodes below it and emits its own to ``out``; both take a match and the next
+frame and return the frame to go on with. `Node.bind` connects them for a policy, from the root down.
+"""
+
+from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
+
+from ..terms import Term, Var, variables
+from ._keys import term_key
+from ._source import compile_function
+from .conditions import Test
+from .matches import Match, Place, identity
+from .operators import Operator
+from .policy import Emit, Frame, Mode, Side, taking_all, taking_and_using_all, taking_one, waiting_only
+
+
+class Node:
+    """One part of a rule's pattern.
+
+    Attributes:
+        vars: whose values its matches carry, in their order.
+        limit: how many nanoseconds a match below can be a part of; None for no bound.
+    """
+
+    vars: List[Var]
+
+    def bind(self, out: Emit, mode: Mode) -> None:
+        """Send matches to ``out`` from now on, by the policy and flags of ``mode``; what waits stays."""
+        raise NotImplementedError
+
+    def places(self) -> Sequence[Place]:
+        """Return where matches wait in this node itself."""
+        return ()
+
+    def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
+        """Set the longest interval of this node's matches, and how long those that wait can be of use."""
+
+
+class Leaf(Node):
+    """Waits for events that unify with a term."""
+
+    def __init__(self, rule: Any, term: Term, rank: int):
+        self.rule = rule
+        self.term = term
+        self.rank = rank
+        self.vars = variables(term)
+        self.listener: Any = None
+
+    def bind(self, out: Emit, mode: Mode) -> None:
+        rule = self.rule
+        token = rule.network.dispatcher.token
+        tick = rule.tick
+
+        def arrive(term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
+            return out(Match(values, start, end, token(), term, None), after)
+
+        def arrive_timed(term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
+            tick(end)
+            return out(Match(values, start, end, token(), term, None), after)
+
+        rule.listen(self, arrive_timed if rule.timed else arrive)
+
+
+class Filter(Node):
+    """Lets through what passes tests: conditions on an event, an ``or``, or what an action has left."""
+
+    def __init__(self, child: Node, names: Sequence[Var], tests: Sequence[Test]):
+        self.child = child
+        self.vars = list(names)
+        self.tests = list(tests)
+        self.span: Optional[int] = None
+
+    def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
+        self.span = span
+
+    def bind(self, out: Emit, mode: Mode) -> None:
+        tests = self.tests
+        known = len(self.child.vars)
+        span = self.span
+
+        def arrive(match: Match, after: Frame) -> Frame:
+            start = match.start
+            end = match.end
+            if span is not None and end - start > span:
+                return after
+            values: Any = match.values
+            for test in tests:
+                values = test(values, start, end)
+                if values is None:
+                    return after
+            if values is not match.values:
+                match = Match(values, start, end, match.event, None, (match, *_keys(values[known:])))
+            return out(match, after)
+
+        self.child.bind(arrive, mode)
+
+
+def _keys(values: Sequence[Term]) -> List[Any]:
+    return [term_key(value) for value in values]
+
+
+class Capture(Node):
+    """Adds the interval of a match to its values, for a condition that is tested further up."""
+
+    def __init__(self, child: Node, start: Var, end: Var):
+        self.child = child
+        self.vars = [*child.vars, start, end]
+
+    def bind(self, out: Emit, mode: Mode) -> None:
+        def arrive(match: Match, after: Frame) -> Frame:
+            values = (*match.values, match.start, match.end)
+            return out(Match(values, match.start, match.end, match.event, None, (match,)), after)
+
+        self.child.bind(arrive, mode)
+
+
+class Alternatives(Node):
+    """Emits what any of its branches emits; variables of the other branches are left open."""
+
+    def __init__(self, children: Sequence[Node], keep: Any):
+        self.children = children
+        found: Dict[Var, None] = {}
+        for child in children:
+            for var in child.vars:
+                if var in keep:
+                    found.setdefault(var)
+        self.vars = list(found)
+
+    def bind(self, out: Emit, mode: Mode) -> None:
+        for index, child in enumerate(self.children):
+            child.bind(self._branch(index, child, out), mode)
+
+    def _branch(self, index: int, child: Node, out: Emit) -> Emit:
+        layout = [child.vars.index(var) if var in child.vars else None for var in self.vars]
+
+        def arrive(match: Match, after: Frame) -> Frame:
+            values = match.values
+            laid = tuple([Var() if at is None else values[at] for at in layout])
+            return out(Match(laid, match.start, match.end, match.event, None, (index, match)), after)
+
+        return arrive
+
+
+class Acting(Node):
+    """Calls a goal for each match: once, or for all of its solutions."""
+
+    def __init__(self, child: Node, call: Any, every: bool):
+        self.child = child
+        self.call = call
+        self.every = every
+        self.vars = list(call.result_vars)
+        self.span: Optional[int] = None
+
+    def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
+        self.span = span
+
+    def bind(self, out: Emit, mode: Mode) -> None:
+        act = self.call.act_on_all if self.every else self.call.act
+        known = len(self.child.vars)
+        span = self.span
+
+        def arrive(match: Match, after: Frame) -> Frame:
+            if span is not None and match.end - match.start > span:
+                return after
+
+            def solved(values: Any, then: Frame) -> Frame:
+                parts = (match, *_keys(values[known:]))
+                return out(Match(values, match.start, match.end, match.event, None, parts), then)
+
+            return act(match, solved, after)
+
+        self.child.bind(arrive, mode)
+
+
+class Never(Node):
+    """Lets a match through if no event of another kind ended before it started."""
+
+    def __init__(self, child: Node, negated: Node, absence: Any):
+        self.child = child
+        self.negated = negated
+        self.absence = absence
+        self.vars = child.vars
+
+    def bind(self, out: Emit, mode: Mode) -> None:
+        absence = self.absence
+
+        def arrive(match: Match, after: Frame) -> Frame:
+            if absence.blocks(match.values, match.start, match.start):
+                return after
+            return out(match, after)
+
+        self.child.bind(arrive, mode)
+        self.negated.bind(absence.arrive, mode)
+
+    def places(self) -> Sequence[Place]:
+        return (self.absence.place,)
+
+
+class Joining(Node):
+    """Puts two matches together by an operator, an interval bound, absences and conditions.
+
+    Args:
+        rule: the rule it belongs to.
+        operator: which pairs fit, and their interval.
+        left: the node of the left operand.
+        right: the node of the right operand.
+        keep: the variables that anything else in the rule looks at.
+        gap: the variables under which the gap between the sides is carried on, for an absence tested above.
+    """
+
+    def __init__(
+        self,
+        rule: Any,
+        operator: Operator,
+        left: Node,
+        right: Node,
+        keep: Any,
+        gap: Optional[Tuple[Var, Var]],
+    ):
+        self.rule = rule
+        self.operator = operator
+        self.left = left
+        self.right = right
+        self.gap = gap
+        shared = [var for var in left.vars if var in right.vars]
+        self.pairs = tuple((left.vars.index(var), right.vars.index(var)) for var in shared)
+        self.left_place = Place(rule, tuple(one for one, _ in self.pairs))
+        self.right_place = Place(rule, tuple(two for _, two in self.pairs))
+        taken = [(f"lv[{at}]", var) for at, var in enumerate(left.vars) if var in keep]
+        taken += [
+            (f"rv[{at}]", var) for at, var in enumerate(right.vars) if var in keep and var not in left.vars
+        ]
+        if gap is not None:
+            taken += [("e1", gap[0]), ("s2", gap[1])]
+        self.taken = [source for source, _ in taken]
+        self.vars = [var for _, var in taken]
+        self.absences: List[Any] = []
+        self.negated: List[Node] = []
+        self.carried: List[Tuple[Any, Node]] = []
+        self.tests: List[Test] = []
+        self.completed: Dict[Any, None] = {}
+        self.span: Optional[int] = None
+
+    def test(self, test: Test, names: Sequence[Var]) -> None:
+        """Add a condition; ``names`` are the variables it leaves."""
+        self.tests.append(test)
+        self.vars = list(names)
+
+    def absent(self, absence: Any, negated: Node) -> None:
+        """Add a pattern that must not match between the sides."""
+        self.absences.append(absence)
+        self.negated.append(negated)
+
+    def places(self) -> Sequence[Place]:
+        absences = [*self.absences, *(absence for absence, _ in self.carried)]
+        return (self.left_place, self.right_place, *(absence.place for absence in absences))
+
+    def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
+        self.span = span
+        for place in (self.left_place, self.right_place, *(absence.place for absence in self.absences)):
+            place.span = limit
+
+    def bind(self, out: Emit, mode: Mode) -> None:
+        policy = mode.policy
+        operator = self.operator
+        for place in (self.left_place, self.right_place):
+            place.identify(identity if policy.replacing else None)
+        late = mode.out_of_order and not operator.either
+        both = operator.either
+        left = Side(self.left_place, self.right_place, self._join(True), self.pairs, True, True, False)
+        flipped = tuple((two, one) for one, two in self.pairs)
+        right = Side(self.right_place, self.left_place, self._join(False), flipped, False, both or late, late)
+        if operator.everything:
+            self.right.bind(taking_and_using_all(right, out), mode)
+            arrive = taking_one(left, policy.newest, policy.consuming, out) if late else waiting_only(left)
+            self.left.bind(arrive, mode)
+        elif not policy.consuming:
+            self.right.bind(taking_all(right, out), mode)
+            self.left.bind(taking_all(left, out) if both or late else waiting_only(left), mode)
+        else:
+            once = self if both and operator.alone else None
+            self.right.bind(taking_one(right, policy.newest, True, out, once), mode)
+            if both or late:
+                self.left.bind(taking_one(left, policy.newest, True, out, once), mode)
+            else:
+                self.left.bind(waiting_only(left), mode)
+        for negated, absence in zip(self.negated, self.absences):
+            negated.bind(absence.arrive, mode)
+        for absence, negated in self.carried:
+            negated.bind(absence.arrive, mode)
+
+    def _join(self, left_arrives: bool) -> Callable[[Match, Match], Optional[Match]]:
+        """Compile the test and the result of a pair; the arriving match is the first argument."""
+        operator = self.operator
+        names: Dict[str, Any] = {"Match": Match}
+        lines = [
+            f"def made({'l, r' if left_arrives else 'r, l'}):",
+            "    s1 = l.start; e1 = l.end; s2 = r.start; e2 = r.end",
+            f"    if not ({operator.fits}):",
+            "        return None",
+        ]
+        if operator.alone:
+            lines += ["    if l.event is not None and l.event == r.event:", "        return None"]
+        lines += [f"    start = {operator.start}", f"    end = {operator.end}"]
+        if self.span is not None:
+            lines += [f"    if end - start > {self.span}:", "        return None"]
+        lines += ["    lv = l.values", "    rv = r.values"]
+        lines.append(f"    values = ({', '.join(self.taken)}{',' if len(self.taken) == 1 else ''})")
+        for number, absence in enumerate(self.absences):
+            names[f"absence{number}"] = absence.blocks
+            lines += [f"    if absence{number}(values, e1, s2):", "        return None"]
+        for number, test in enumerate(self.tests):
+            names[f"test{number}"] = test
+            lines += [
+                f"    values = test{number}(values, start, end)",
+                "    if values is None:",
+                "        return None",
+            ]
+        lines.append("    return Match(values, start, end, None, None, (l, r))")
+        made: Callable[[Match, Match], Optional[Match]] = compile_function(
+            "\n".join(lines) + "\n", names, f"{operator.name} of {self.rule.name}"
+        )
+        return made

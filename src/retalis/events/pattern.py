@@ -1,0 +1,362 @@
+"""Patterns of rules as trees: read from terms, checked on the way."""
+
+from typing import Any, Callable, Dict, FrozenSet, List, NamedTuple, Optional, Set, Tuple, Union
+
+from ..errors import Place, RuleError
+from ..terms import Atom, String, Term, Var, deref, functor, variables
+from ..timestamps import from_seconds
+from .operators import OPERATORS
+
+Pattern = Union["Occurs", "Pair", "Either", "Absent", "Star", "Aggregate", "Condition", "Within", "Action"]
+
+
+class Occurs(NamedTuple):
+    """An event that unifies with a term."""
+
+    term: Term
+
+
+class Pair(NamedTuple):
+    """Two patterns joined by an operator of `OPERATORS`."""
+
+    operator: str
+    left: Any
+    right: Any
+
+
+class Either(NamedTuple):
+    """One of several patterns (``or``)."""
+
+    branches: Tuple[Any, ...]
+
+
+class Absent(NamedTuple):
+    """A pattern, and no event of another one: between the sides of a sequence (``inside``), or ever before."""
+
+    pattern: Any
+    negated: Any
+    inside: bool
+
+
+class Star(NamedTuple):
+    """A pattern, then another one any number of times."""
+
+    first: Any
+    repeated: Any
+
+
+class Aggregate(NamedTuple):
+    """A pattern, then another one any number of times, collected into a result."""
+
+    first: Any
+    kind: str
+    value: Term
+    collected: Any
+    result: Term
+
+
+class Condition(NamedTuple):
+    """A pattern and a goal that has to have a solution; ``timed`` gives the goal ``t1/1`` and ``t2/1``."""
+
+    pattern: Any
+    goal: Term
+    timed: bool
+
+
+class Within(NamedTuple):
+    """A pattern that takes no longer than ``span`` nanoseconds."""
+
+    pattern: Any
+    span: int
+
+
+class Action(NamedTuple):
+    """A pattern and a goal to call: once (``do``), or for all of its solutions (``every``)."""
+
+    pattern: Any
+    goal: Term
+    every: bool
+
+
+SEQ = "seq"
+_GOAL_OPERATORS = {"where": (True, False), "check": (True, True), "timestamp": (True, True)}
+_GOALS_AS_PATTERN = frozenset((functor("prolog", 1), functor("query", 1), functor("db", 1)))
+_AGGREGATES = {"count": 0, "sum": 1, "min": 1, "max": 1, "avg": 1, "list": 1}
+
+
+def _spellings() -> Dict[Any, str]:
+    names = [
+        *OPERATORS,
+        "or",
+        "cnot",
+        "fnot",
+        "not",
+        "ntimes",
+        "where",
+        "check",
+        "timestamp",
+        "event_multiply",
+        "do",
+    ]
+    table = {}
+    for name in names:
+        title = "_".join(part.capitalize() for part in name.split("_"))
+        for spelling in (name, name.capitalize(), title, name.upper()):
+            table[functor(spelling, 2)] = name
+    table[functor("within", 2)] = "within"
+    for spelling, name in (("*", "seq"), ("#", "par"), ("/\\", "and"), ("\\/", "or")):
+        table[functor(spelling, 2)] = name
+    return table
+
+
+SPELLINGS = _spellings()
+STAR_TIMES = functor("star_times", 1)
+AGGREGATE = functor("aggregate", 3)
+ARROWS = frozenset(functor(name, 2) for name in ("<-", "iff", "IFF"))
+COMMA_PATTERN = functor(",", 2)
+
+
+class Reader:
+    """Turns the body of one rule into a pattern.
+
+    Args:
+        place: gives the place of a subterm in the rule's text, or None.
+        warn: takes what is no error but probably a mistake.
+
+    Attributes:
+        inner: the rules defined by the way, ``(S <- Q)`` inside a pattern.
+    """
+
+    def __init__(self, place: Callable[[Term], Optional[Place]], warn: Callable[[RuleError], None]):
+        self._place = place
+        self._warn = warn
+        self.inner: List[Term] = []
+
+    def read(self, term: Term) -> Any:
+        """Return the pattern of a term.
+
+        Raises:
+            RuleError: for what cannot fire.
+        """
+        term = deref(term)
+        if term.__class__ is not tuple:
+            return self._event(term)
+        head = term[0]
+        if head in ARROWS:
+            self.inner.append(term)
+            return self._event(deref(term[1]))
+        name = SPELLINGS.get(head)
+        if name is None:
+            if head is STAR_TIMES:
+                raise self._error("star_times can only be the right side of a seq", term)
+            if head is AGGREGATE:
+                raise self._error("an aggregate can only be the right side of a seq", term)
+            return self._event(term)
+        if name == SEQ:
+            return self._sequence(term)
+        if name in OPERATORS:
+            return Pair(name, self._operand(term[1], name), self._operand(term[2], name))
+        if name == "or":
+            return self._alternatives(term)
+        if name == "not":
+            raise self._error(
+                "there is no operator not; cnot and fnot say that something did not happen", term
+            )
+        if name in ("cnot", "fnot"):
+            return self._absence(name, term)
+        if name == "ntimes":
+            return self._repetition(term)
+        if name == "within":
+            return Within(self._operand(term[1], name), self._span(term[2]) - 1)
+        pattern = self._operand(term[1], name)
+        goal = self._goal(term[2], name, term)
+        if name in _GOAL_OPERATORS:
+            return Condition(pattern, goal, _GOAL_OPERATORS[name][1])
+        return Action(pattern, goal, name == "event_multiply")
+
+    def _operand(self, term: Term, operator: str) -> Any:
+        term = deref(term)
+        if term.__class__ is tuple and term[0] in _GOALS_AS_PATTERN:
+            raise self._error(f"{term[0].name}(Goal) can only stand beside seq, not beside {operator}", term)
+        return self.read(term)
+
+    def _event(self, term: Term) -> Occurs:
+        term = deref(term)
+        if term.__class__ not in (tuple, Atom, Var):
+            kind = "a string" if term.__class__ is String else "a number"
+            raise self._error(f"an event is an atom or a compound term, not {kind}", term)
+        if term.__class__ is tuple and term[0] is COMMA_PATTERN:
+            self._warn(self._error("a comma between patterns makes one event of them; use and or seq", term))
+        return Occurs(term)
+
+    def _sequence(self, term: Term) -> Any:
+        left, right = deref(term[1]), deref(term[2])
+        left_goal = self._called(left)
+        right_goal = self._called(right)
+        if left_goal is not None and right_goal is not None:
+            raise self._error("a sequence of two goals waits for no event", term)
+        if right_goal is not None:
+            return Condition(self.read(left), right_goal, False)
+        if left_goal is not None:
+            return Condition(self.read(right), left_goal, False)
+        first = self.read(left)
+        if right.__class__ is tuple and right[0] is STAR_TIMES:
+            return Star(first, self._operand(right[1], "star_times"))
+        if right.__class__ is tuple and right[0] is AGGREGATE:
+            return self._aggregate(first, right)
+        return Pair(SEQ, first, self.read(right))
+
+    def _called(self, term: Term) -> Optional[Term]:
+        if term.__class__ is tuple and term[0] in _GOALS_AS_PATTERN:
+            return self._goal(term[1], term[0].name, term)
+        return None
+
+    def _aggregate(self, first: Any, term: Term) -> Aggregate:
+        kind = deref(term[1])
+        name = kind.name if kind.__class__ is Atom else kind[0].name if kind.__class__ is tuple else ""
+        arity = len(kind) - 1 if kind.__class__ is tuple else 0
+        if _AGGREGATES.get(name) != arity:
+            known = "count, sum(X), min(X), max(X), avg(X), list(X)"
+            raise self._error(f"there is no such aggregate; there are {known}", kind if arity else term)
+        collected = self._operand(term[2], "aggregate")
+        return Aggregate(first, name, deref(kind[1]) if arity else None, collected, deref(term[3]))
+
+    def _alternatives(self, term: Term) -> Either:
+        branches: List[Any] = []
+        pending = [term]
+        while pending:
+            one = deref(pending.pop())
+            if one.__class__ is tuple and SPELLINGS.get(one[0]) == "or":
+                pending += (one[2], one[1])
+            else:
+                branches.append(self._operand(one, "or"))
+        return Either(tuple(branches))
+
+    def _absence(self, name: str, term: Term) -> Absent:
+        pattern = self._operand(term[1], name)
+        negated = self._operand(term[2], name)
+        return Absent(pattern, negated, name == "cnot" and _is_sequence(pattern))
+
+    def _repetition(self, term: Term) -> Any:
+        times = deref(term[2])
+        if times.__class__ is not int or times < 1:
+            raise self._error("ntimes needs a positive integer", term)
+        if times > 1000:
+            raise self._error("ntimes takes at most 1000 repetitions", term)
+        pattern = self._operand(term[1], "ntimes")
+        result = pattern
+        for _ in range(times - 1):
+            result = Pair(SEQ, result, pattern)
+        return result
+
+    def _span(self, term: Term) -> int:
+        term = deref(term)
+        if term.__class__ not in (int, float) or not term > 0 or term == float("inf"):
+            raise self._error("within needs a positive number of seconds", term)
+        return from_seconds(term)
+
+    def _goal(self, goal: Term, operator: str, term: Term) -> Term:
+        goal = deref(goal)
+        if goal.__class__ not in (tuple, Atom, Var):
+            raise self._error(f"{operator} needs a goal", term)
+        return goal
+
+    def _error(self, message: str, term: Term) -> RuleError:
+        return RuleError(message, self._place(term))
+
+
+def _is_sequence(pattern: Any) -> bool:
+    """Tell whether a pattern is a sequence, looking through conditions."""
+    while isinstance(pattern, (Condition, Within)):
+        pattern = pattern.pattern
+    return isinstance(pattern, Pair) and pattern.operator in (SEQ, "forall_seq")
+
+
+def bound_by(pattern: Any) -> List[Var]:
+    """Return the variables that a match of a pattern may give values to, from left to right."""
+    found: Dict[Var, None] = {}
+    for part in walk(pattern):
+        for term in own_terms(part):
+            for var in variables(term):
+                found.setdefault(var)
+    return list(found)
+
+
+def surely_bound_by(pattern: Any) -> Set[Var]:
+    """Return the variables that every match of a pattern gives values to."""
+    if isinstance(pattern, Either):
+        branches = [surely_bound_by(branch) for branch in pattern.branches]
+        return set.intersection(*branches)
+    found = {var for term in own_terms(pattern) for var in variables(term)}
+    if isinstance(pattern, Star):
+        return found | surely_bound_by(pattern.first)
+    for child in children(pattern, False):
+        found |= surely_bound_by(child)
+    return found
+
+
+def own_terms(part: Any) -> List[Term]:
+    """Return the terms that stand at one node of a pattern itself."""
+    if isinstance(part, Occurs):
+        return [part.term]
+    if isinstance(part, (Condition, Action)):
+        return [part.goal]
+    if isinstance(part, Aggregate):
+        return [part.result] if part.value is None else [part.value, part.result]
+    return []
+
+
+def walk(pattern: Any, negated: bool = False) -> List[Any]:
+    """Return the nodes of a pattern from left to right, what it negates only if asked for."""
+    found: List[Any] = []
+    stack = [pattern]
+    while stack:
+        part = stack.pop()
+        found.append(part)
+        stack.extend(reversed(children(part, negated)))
+    return found
+
+
+def children(part: Any, negated: bool = True) -> Tuple[Any, ...]:
+    """Return the patterns directly below a node, from left to right."""
+    if isinstance(part, Pair):
+        return (part.left, part.right)
+    if isinstance(part, Either):
+        return part.branches
+    if isinstance(part, Absent):
+        return (part.pattern, part.negated) if negated else (part.pattern,)
+    if isinstance(part, Star):
+        return (part.first, part.repeated)
+    if isinstance(part, Aggregate):
+        return (part.first, part.collected)
+    if isinstance(part, (Condition, Within, Action)):
+        return (part.pattern,)
+    return ()
+
+
+def same_rule_key(head: Optional[Term], pattern: Any) -> Any:
+    """Return a key: equal for rules that are the same but for the names of variables and spellings."""
+    from ._keys import variant_key
+
+    return variant_key((functor("<-", 2), functor("none", 0) if head is None else head, _as_term(pattern)))
+
+
+def _as_term(pattern: Any) -> Term:
+    parts: List[Term] = []
+    for part in walk(pattern, True):
+        kind = type(part).__name__
+        marks: Tuple[Any, ...] = ()
+        if isinstance(part, Pair):
+            kind = part.operator
+        elif isinstance(part, Either):
+            marks = (len(part.branches),)
+        elif isinstance(part, Absent):
+            marks = (int(part.inside),)
+        elif isinstance(part, Aggregate):
+            kind = part.kind
+        elif isinstance(part, Within):
+            marks = (part.span,)
+        elif isinstance(part, (Condition, Action)):
+            marks = (int(part.timed if isinstance(part, Condition) else part.every),)
+        parts.append((functor(kind, 0), *marks, *own_terms(part)))
+    return (functor("pattern", 0), *parts)

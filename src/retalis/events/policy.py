@@ -1,0 +1,240 @@
+"""Consumption policies: which waiting partners an event takes, and what becomes of them."""
+
+from enum import Enum
+from typing import Any, Callable, List, NamedTuple, Tuple
+
+from .matches import Match, Place, unify_sides
+
+Frame = Any
+Emit = Callable[[Match, Frame], Frame]
+_REMEMBERED = 2000
+Join = Callable[[Match, Match], Any]
+
+
+class Policy(Enum):
+    """A consumption policy; see the table in the language reference."""
+
+    RECENT = "recent"
+    """The newest that fits; a newer occurrence of the same event replaces a waiting one."""
+    RECENT_2 = "recent_2"
+    """The newest that fits; identical events both wait."""
+    CHRONOLOGICAL = "chronological"
+    """The oldest that fits."""
+    CHRONOLOGICAL_2 = "chronological_2"
+    """The oldest that fits."""
+    UNRESTRICTED = "unrestricted"
+    """All that fit, oldest first; nothing is used up."""
+
+    @property
+    def newest(self) -> bool:
+        """Whether the newest partner is taken first."""
+        return self in (Policy.RECENT, Policy.RECENT_2)
+
+    @property
+    def consuming(self) -> bool:
+        """Whether a partner is used up."""
+        return self is not Policy.UNRESTRICTED
+
+    @property
+    def replacing(self) -> bool:
+        """Whether a newer occurrence of the same event replaces the one that waits."""
+        return self is Policy.RECENT
+
+
+class Mode(NamedTuple):
+    """How the network runs: set by flags, the same for all rules."""
+
+    policy: Policy = Policy.RECENT
+    out_of_order: bool = False
+    tracked: bool = False
+
+
+class Side(NamedTuple):
+    """One operand of a two-sided node, as an arriving match sees it.
+
+    Attributes:
+        own: where matches of this side wait.
+        other: where possible partners wait.
+        join: gives the result of an arriving match and a partner, or None where they do not fit.
+        shared: the positions of shared variables, this side's and the other's.
+        left: whether this is the left operand.
+        waits: whether a match without a partner waits.
+        stays: whether it waits even after it has found one.
+    """
+
+    own: Place
+    other: Place
+    join: Join
+    shared: Tuple[Tuple[int, int], ...]
+    left: bool
+    waits: bool
+    stays: bool
+
+
+def waiting_only(side: Side) -> Emit:
+    """Return what a match does that can complete nothing."""
+    own = side.own
+
+    def arrive(match: Match, after: Frame) -> Frame:
+        own.add(match, own.key_of(match))
+        return after
+
+    return arrive
+
+
+def taking_one(side: Side, newest: bool, uses: bool, emit: Emit, node: Any = None) -> Emit:
+    """Return what a match does that takes one partner.
+
+    Args:
+        side: the operand at which it arrives.
+        newest: whether it takes the newest that fits, else the oldest.
+        uses: whether the partner is used up.
+        emit: where results go.
+        node: where one single event may arrive at both sides: remembers the last that was a right side.
+    """
+    own, other, join, shared, left, waits, stays = side
+    key_of = own.key
+
+    def arrive(match: Match, after: Frame) -> Frame:
+        try:
+            key = key_of(match.values)
+        except ValueError:
+            return slowly(match, None, after)
+        if other.loose.live:
+            return slowly(match, key, after)
+        bucket = other.buckets.get(key)
+        if bucket is not None:
+            partner = bucket.items[-1] if newest else bucket.items[bucket.head]
+            result = join(match, partner)
+            if result is not None and partner.bucket is not None:
+                return matched(match, key, partner, result, after)
+            if bucket.live > 1:
+                for partner in bucket.newest_first() if newest else bucket.oldest_first():
+                    result = join(match, partner)
+                    if result is not None and partner.bucket is not None:
+                        return matched(match, key, partner, result, after)
+        if waits:
+            own.add(match, key)
+        return after
+
+    def slowly(match: Match, key: Any, after: Frame) -> Frame:
+        partners = other.candidates(key)
+        if newest:
+            partners.reverse()
+        for partner in partners:
+            result = join_any(side, match, key, partner)
+            if result is not None and partner.bucket is not None:
+                return matched(match, key, partner, result, after)
+        if waits:
+            own.add(match, key)
+        return after
+
+    def matched(match: Match, key: Any, partner: Match, result: Match, after: Frame) -> Frame:
+        if uses:
+            partner.bucket.remove(partner)
+        if stays:
+            own.add(match, key)
+        return emit(result, after)
+
+    if node is None:
+        return arrive
+    return _once_for_one_event(arrive, own, node, left)
+
+
+def _once_for_one_event(arrive: Emit, own: Place, node: Any, left: bool) -> Emit:
+    """Have a single event that fits both sides complete as the right one; then it only waits as the left one."""
+
+    completed = node.completed
+
+    def as_right(match: Match, after: Frame) -> Frame:
+        event = match.event
+        result = arrive(match, after)
+        if event is not None and match.bucket is None:
+            if len(completed) > _REMEMBERED:
+                del completed[next(iter(completed))]
+            completed[event] = None
+        return result
+
+    def as_left(match: Match, after: Frame) -> Frame:
+        if match.event is not None and completed.pop(match.event, 0) is None:
+            own.add(match, own.key_of(match))
+            return after
+        return arrive(match, after)
+
+    return as_left if left else as_right
+
+
+def taking_all(side: Side, emit: Emit) -> Emit:
+    """Return what a match does that takes all partners and uses up none."""
+    own, other, join, shared, left, waits, stays = side
+    key_of = own.key_of
+
+    def arrive(match: Match, after: Frame) -> Frame:
+        key = key_of(match)
+        partners = other.candidates(key)
+        # It waits before results go out: what they lead to may be a partner, and each pair is seen once.
+        if waits:
+            own.add(match, key)
+        if not partners:
+            return after
+        results = (
+            result
+            for partner in partners
+            if partner.bucket is not None
+            for result in (join_any(side, match, key, partner),)
+            if result is not None
+        )
+        return emit_each(results, emit, after)
+
+    return arrive
+
+
+def taking_and_using_all(side: Side, emit: Emit) -> Emit:
+    """Return what a match does that takes all partners and uses all of them up."""
+    own, other, join, shared, left, waits, stays = side
+
+    def arrive(match: Match, after: Frame) -> Frame:
+        key = own.key_of(match)
+        results: List[Match] = []
+        for partner in other.candidates(key):
+            result = join_any(side, match, key, partner)
+            if result is not None and partner.bucket is not None:
+                partner.bucket.remove(partner)
+                results.append(result)
+        if stays or (waits and not results):
+            own.add(match, key)
+        return emit_each(iter(results), emit, after)
+
+    return arrive
+
+
+def join_any(side: Side, match: Match, key: Any, partner: Match) -> Any:
+    """Join two matches whose shared values may have variables."""
+    if key is not None and partner.bucket is not None and partner.bucket.key is not None:
+        return side.join(match, partner)
+    sides = unify_sides(match, partner, side.shared)
+    return None if sides is None else side.join(*sides)
+
+
+def emit_each(results: Any, emit: Emit, after: Frame) -> Frame:
+    """Return the frame that emits one result after the other, each with all that it leads to."""
+    burst = _Burst(results, emit)
+    return burst.run((burst, after))
+
+
+class _Burst:
+    """Code of a frame that emits the results that are left."""
+
+    __slots__ = ("results", "emit")
+
+    def __init__(self, results: Any, emit: Emit):
+        self.results = results
+        self.emit = emit
+
+    def run(self, frame: Frame) -> Frame:
+        emit = self.emit
+        for result in self.results:
+            after = emit(result, frame)
+            if after is not frame:
+                return after
+        return frame[1]

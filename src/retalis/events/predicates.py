@@ -1,0 +1,313 @@
+"""The goals of the event language: rules, flags, files, streams, stored events."""
+
+from pathlib import Path
+from typing import Any, Callable, Dict, Iterator, List, Sequence, Tuple
+
+from ..errors import ProgramErrors, RetalisError, SyntaxFault, UsageError
+from ..logic import PrologError, domain_error, existence_error, instantiation_error, type_error
+from ..syntax import read_program
+from ..terms import CONS, Atom, String, Term, Var, atom, copy, deref, freeze, functor, list_items, make_list
+from ..timestamps import shown
+from .flags import FLAGS
+from .store import solutions
+
+Frame = Any
+_EVENT1 = functor("event", 1)
+_EVENT2 = functor("event", 2)
+
+
+def define_predicates(rules: Any) -> None:
+    """Define all goals of the event language for a program's rules."""
+    logic = rules.logic
+    _Editing(rules).define(logic)
+    _Settings(rules).define(logic)
+    _Streams(rules).define(logic)
+    _Looking(rules).define(logic)
+
+
+def _callable(term: Term) -> Term:
+    term = deref(term)
+    if term.__class__ is Var:
+        raise instantiation_error()
+    if term.__class__ not in (tuple, Atom):
+        raise type_error("callable", term)
+    return term
+
+
+def _path(term: Term) -> str:
+    term = deref(term)
+    if term.__class__ is Var:
+        raise instantiation_error()
+    if term.__class__ not in (Atom, String):
+        raise type_error("atom", term)
+    return term.name if term.__class__ is Atom else term.text  # type: ignore[no-any-return]
+
+
+def _items(term: Term) -> List[Term]:
+    items = list_items(term)
+    if items is None:
+        raise type_error("list", term)
+    return items
+
+
+class _Editing:
+    """Goals that add and delete rules."""
+
+    def __init__(self, rules: Any):
+        self.rules = rules
+
+    def define(self, logic: Any) -> None:
+        logic.define("ins_event_rule", 1, self.insert)
+        logic.define("del_event_rule", 1, self.delete)
+        logic.define("del_all_event_rules", 1, self.delete_by_head)
+        for name in ("compile_event_file", "compile_events"):
+            logic.define(name, 1, self.load_file)
+        logic.define("compile_event_rules", 1, self.load_terms)
+        logic.define("compile_event_rules", 2, lambda machine, module, terms: self.load_terms(machine, terms))
+        logic.define("reset_db", 0, self.reset_db)
+        logic.define("call_gc", 0, self.reset_db)
+        logic.define("reset_etalis_state", 0, self.reset_state)
+        logic.define("reset_etalis", 0, self.reset)
+
+    def insert(self, machine: Any, rule: Term) -> bool:
+        return bool(self.rules.insert(_callable(rule)))
+
+    def delete(self, machine: Any, rule: Term) -> bool:
+        self.rules.delete(_callable(rule))
+        return True
+
+    def delete_by_head(self, machine: Any, head: Term) -> bool:
+        self.rules.delete_by_head(_callable(head))
+        return True
+
+    def load_file(self, machine: Any, path: Term) -> bool:
+        self.rules.load_file(_path(path))
+        return True
+
+    def load_terms(self, machine: Any, terms: Term) -> bool:
+        self.rules.load_terms([(term, None) for term in _items(terms)])
+        return True
+
+    def reset_db(self, machine: Any) -> bool:
+        for rule in self.rules.rules:
+            rule.clear()
+        return True
+
+    def reset_state(self, machine: Any) -> bool:
+        self.reset_db(machine)
+        self.rules.store.clear()
+        self.rules.tracker.clear()
+        return True
+
+    def reset(self, machine: Any) -> bool:
+        self.rules.reset()
+        return True
+
+
+class _Settings:
+    """Goals that set and read flags and counters."""
+
+    def __init__(self, rules: Any):
+        self.rules = rules
+        self.counters: Dict[Any, int] = {}
+        self.values: Dict[Any, Term] = {}
+
+    def define(self, logic: Any) -> None:
+        logic.define("set_etalis_flag", 2, self.set_flag)
+        logic.define_nondeterministic("get_etalis_flag", 2, self.get_flag)
+        logic.define("incCounter", 1, self.increase)
+        logic.define("counter", 2, self.count)
+        logic.define("resetCounter", 1, self.reset_counter)
+        logic.define("set_flag", 2, self.set_value)
+        logic.define("get_flag", 2, self.get_value)
+
+    def set_flag(self, machine: Any, name: Term, value: Term) -> bool:
+        name, value = _callable(name), deref(value)
+        if value.__class__ is Var:
+            raise instantiation_error()
+        if name.__class__ is not Atom or self.rules.flags.get(name.name) is None:
+            raise domain_error("etalis_flag", name)
+        try:
+            self.rules.flags.set(name.name, value)
+        except UsageError:
+            raise domain_error("etalis_flag_value", (functor("+", 2), name, value)) from None
+        return True
+
+    def get_flag(self, machine: Any, name: Term, value: Term) -> Iterator[bool]:
+        name = deref(name)
+        names = list(FLAGS) if name.__class__ is Var else [name.name if name.__class__ is Atom else ""]
+        for one in names:
+            found = self.rules.flags.get(one)
+            if found is None:
+                raise existence_error("etalis_flag", name)
+            mark = len(machine.trail)
+            if machine.unify(name, atom(one)) and machine.unify(value, found):
+                yield True
+            while len(machine.trail) > mark:
+                machine.trail.pop().ref = None
+
+    def increase(self, machine: Any, name: Term) -> bool:
+        key = _key(name)
+        self.counters[key] = self.counters.get(key, 0) + 1
+        return True
+
+    def count(self, machine: Any, name: Term, value: Term) -> bool:
+        return bool(machine.unify(value, self.counters.get(_key(name), 0)))
+
+    def reset_counter(self, machine: Any, name: Term) -> bool:
+        self.counters[_key(name)] = 0
+        return True
+
+    def set_value(self, machine: Any, name: Term, value: Term) -> bool:
+        self.values[_key(name)] = copy(value)
+        return True
+
+    def get_value(self, machine: Any, name: Term, value: Term) -> bool:
+        return bool(machine.unify(value, copy(self.values.get(_key(name), atom("nil")))))
+
+
+def _key(term: Term) -> Any:
+    try:
+        return freeze(deref(term))
+    except ValueError:
+        raise instantiation_error() from None
+
+
+class _Streams:
+    """Goals that fire events: one, a list, a file."""
+
+    def __init__(self, rules: Any):
+        self.rules = rules
+
+    def define(self, logic: Any) -> None:
+        logic.define_control("fire_event_list", 1, self.fire_list)
+        logic.define_control("fire_event_list_return_external_events", 2, self.fire_and_return)
+        logic.define_control("execute_event_stream_file", 1, self.execute_file)
+
+    def fire_list(self, machine: Any, arguments: Sequence[Term], after: Frame) -> Frame:
+        goals = list_items(arguments[0])
+        if goals is None:
+            self.rules.on_warning(UsageError("fire_event_list takes a list; one event is fired"))
+            goals = [_callable(arguments[0])]
+        return self._each([copy(goal) for goal in goals], after)
+
+    def fire_and_return(self, machine: Any, arguments: Sequence[Term], after: Frame) -> Frame:
+        goals = [(_EVENT1, copy(item)) for item in _items(arguments[0])]
+        if not machine.unify(arguments[1], make_list([])):
+            return None
+        return self._each(goals, after)
+
+    def execute_file(self, machine: Any, arguments: Sequence[Term], after: Frame) -> Frame:
+        path: Path = self.rules.loader.resolve(_path(arguments[0]))
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise existence_error("source_sink", arguments[0]) from error
+        goals: List[Term] = []
+        errors: List[RetalisError] = []
+        for read in read_program(text, self.rules.logic.operators, str(path)):
+            if isinstance(read, SyntaxFault):
+                errors.append(read)
+            else:
+                goals.append(read.term)
+        if errors:
+            raise ProgramErrors(errors)
+        return self._each(goals, after)
+
+    def _each(self, goals: List[Term], after: Frame) -> Frame:
+        """Return the frame that calls one goal after the other; what fails or raises is reported, and the rest goes on."""
+        stream = _Stream(self.rules, goals)
+        return stream.run((stream, after))
+
+
+class _Stream:
+    """Code of a frame that calls the goals that are left."""
+
+    def __init__(self, rules: Any, goals: List[Term]):
+        self.rules = rules
+        self.goals = iter(goals)
+        query = Var()
+        self.call = rules.logic.compile_goal((functor("call", 1), query), [query], [])
+
+    def run(self, frame: Frame) -> Frame:
+        for goal in self.goals:
+            return self.rules.logic.machine.attempt(
+                self.call, (goal,), self._done(frame), (_FAILED, self, goal, frame), self._raised(goal)
+            )
+        return frame[1]
+
+    def _done(self, frame: Frame) -> Callable[[Any], Frame]:
+        return lambda outputs: frame
+
+    def _raised(self, goal: Term) -> Callable[[PrologError], None]:
+        def report(error: PrologError) -> None:
+            self.goals = iter([_RAISED, *self.goals])
+            text = self.rules.logic.show(goal)
+            self.rules.on_error(UsageError(f"{text} in an event stream: {error.message}"))
+
+        return report
+
+
+_RAISED = object()
+
+
+class _Failed:
+    """Code of the frame for a goal of a stream that failed (or raised, which is reported already)."""
+
+    @staticmethod
+    def run(frame: Frame) -> Frame:
+        _, stream, goal, after = frame
+        left = list(stream.goals)
+        if left and left[0] is _RAISED:
+            stream.goals = iter(left[1:])
+        else:
+            stream.goals = iter(left)
+            text = stream.rules.logic.show(goal)
+            stream.rules.on_error(UsageError(f"{text} in an event stream fails"))
+        return after
+
+
+_FAILED = _Failed()
+
+
+class _Looking:
+    """Goals that look at what is there."""
+
+    def __init__(self, rules: Any):
+        self.rules = rules
+
+    def define(self, logic: Any) -> None:
+        logic.define("t1", 1, lambda machine, instant: self.checked(machine, instant, 0))
+        logic.define("t2", 1, lambda machine, instant: self.checked(machine, instant, 1))
+        logic.define_nondeterministic("fired_event", 2, self.fired)
+        logic.define_nondeterministic("stored_event", 1, self.stored)
+        for name in ("spy_event", "print_trigger", "external_trigger", "persistent_event"):
+            predicate = logic.database.predicate(functor(name, 1))
+            predicate.dynamic = True
+        logic.define("see_db", 0, self.see)
+        for name in ("event_rule_property",):
+            logic.database.predicate(functor(name, 3)).dynamic = True
+
+    def checked(self, machine: Any, instant: Term, at: int) -> bool:
+        interval = self.rules.checked
+        return interval is not None and bool(machine.unify(instant, shown(interval[at])))
+
+    def fired(self, machine: Any, event: Term, interval: Term) -> Iterator[bool]:
+        return solutions(self.rules.store.stored(), machine, event, interval)
+
+    def stored(self, machine: Any, event: Term) -> Iterator[bool]:
+        term, first, last = Var(), Var(), Var()
+        interval = make_list([first, last])
+        if not machine.unify(event, (_EVENT2, term, interval)):
+            return
+        yield from solutions(self.rules.store.stored(), machine, term, interval)
+
+    def see(self, machine: Any) -> bool:
+        logic = self.rules.logic
+        for rule in self.rules.rules:
+            logic.output(f"{rule.name}: {rule.waiting} partial matches\n")
+        return True
+
+
+Pairs = List[Tuple[Term, Term]]
+__all__ = ["define_predicates", "CONS", "Pairs"]

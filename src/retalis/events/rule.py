@@ -1,0 +1,238 @@
+"""Event rules at run time: their clock, what waits for them, and what they fire."""
+
+import heapq
+from collections import deque
+from typing import Any, Deque, List, NamedTuple, Optional, Tuple
+
+from ..errors import Place, RuleError, UsageError
+from ..terms import Atom, Term, deref
+from .alarms import alarm_of
+from .building import compile_builder
+from .compiling import Compiler
+from .dispatch import Listener, Stage
+from .matches import Match
+from .policy import Frame, Mode
+
+_SPARE = 1000
+
+
+class Definition(NamedTuple):
+    """What a rule says.
+
+    Attributes:
+        term: the rule as it was written, without its label.
+        head: the event that it fires; None for a pattern that only calls a goal.
+        pattern: its pattern, the goals of the head included.
+        label: its label, or None.
+        place: where it stands.
+    """
+
+    term: Term
+    head: Optional[Term]
+    pattern: Any
+    label: Optional[Term]
+    place: Optional[Place]
+
+
+class Rule:
+    """One event rule in the network.
+
+    Attributes:
+        name: what reports call it.
+        serial: the place among the rules: older ones are served first.
+        window: the longest interval that its label allows, in ns; None for no bound.
+        waiting: how many partial matches it has.
+        timed: whether its clock has to be kept.
+        clock: the newest end among the events that its patterns matched.
+    """
+
+    def __init__(self, network: Any, definition: Definition, serial: int, name: str):
+        self.network = network
+        self.definition = definition
+        self.place = definition.place
+        self.label = definition.label
+        self.serial = serial
+        self.name = name
+        self.window: Optional[int] = None
+        self.waiting = 0
+        self.dropped = 0
+        self.timed = False
+        self.clock: int = -(1 << 63)
+        self._order = 0
+        self._arrivals: Deque[Match] = deque()
+        self._expiries: List[Tuple[int, int, Match]] = []
+        self._collected_at: Optional[int] = None
+        self._garbage: Optional[Tuple[int, int]] = None
+        self._by_end: List[Tuple[int, int, Match]] = []
+        self._listeners: List[Listener] = []
+        self._bound = False
+        head = definition.head
+        compiler = Compiler(self, [] if head is None else [head], definition.pattern)
+        self.root = compiler.build()
+        self.nodes = compiler.nodes
+        self.builder = None if head is None else compile_builder(head, self.root.vars, f"head of {name}")
+
+    def configure(self, mode: Mode, window: Optional[int], garbage: Optional[Tuple[int, int]]) -> None:
+        """Connect the nodes for a mode, a window and a garbage control (window and step, in ns)."""
+        self.window = window
+        self._garbage = garbage
+        self.timed = garbage is not None
+        for node, span, limit in self.nodes:
+            node.set_span(_least(span, window), _least(limit, window))
+            self.timed = self.timed or any(place.span is not None for place in node.places())
+        self._resettle()
+        self.unlisten()
+        self.root.bind(self._complete_tracked if mode.tracked else self._complete, mode)
+
+    def _resettle(self) -> None:
+        """File what waits already under the bounds that hold now."""
+        self._expiries = []
+        self._by_end = []
+        for match in self._arrivals:
+            if match.bucket is not None:
+                self._file(match, match.bucket.place.span)
+
+    def listen(self, leaf: Any, action: Any) -> None:
+        """Have a leaf's action called for its events."""
+        dispatcher = self.network.dispatcher
+        self._listeners.append(dispatcher.listen(Stage.RULES, leaf.term, action, (self.serial, leaf.rank)))
+
+    def unlisten(self) -> None:
+        """Stop taking events."""
+        for listener in self._listeners:
+            self.network.dispatcher.remove(listener)
+        self._listeners = []
+
+    def clear(self) -> None:
+        """Remove all partial matches."""
+        for match in list(self._arrivals):
+            match.leave()
+        self._arrivals.clear()
+        self._expiries = []
+        self._by_end = []
+        self.clock = -(1 << 63)
+        self._collected_at = None
+
+    def tick(self, end: int) -> None:
+        """Move the rule's clock and remove what is too old by it."""
+        if end <= self.clock or end > self.network.newest_allowed():
+            return
+        self.clock = end
+        expiries = self._expiries
+        while expiries and expiries[0][0] < end:
+            heapq.heappop(expiries)[2].leave()
+        if self._garbage is not None:
+            self._collect(*self._garbage)
+
+    def _collect(self, window: int, step: int) -> None:
+        """Remove what ended longer than the garbage window ago, at most once a step."""
+        clock = self.clock
+        if self._collected_at is None:
+            self._collected_at = clock
+        if clock - self._collected_at < step:
+            return
+        self._collected_at = clock
+        old = self._by_end
+        while old and old[0][0] < clock - window:
+            heapq.heappop(old)[2].leave()
+
+    def keep(self, match: Match, span: Optional[int]) -> None:
+        """Count a match that begins to wait; with too many the oldest goes."""
+        self._order += 1
+        match.order = self._order
+        self.waiting += 1
+        arrivals = self._arrivals
+        arrivals.append(match)
+        if self.timed:
+            self._file(match, span)
+        network = self.network
+        if self.waiting > network.cap:
+            self._drop_oldest()
+        elif len(arrivals) > 2 * self.waiting + _SPARE:
+            self._arrivals = deque(one for one in arrivals if one.bucket is not None)
+
+    def _file(self, match: Match, span: Optional[int]) -> None:
+        if span is not None:
+            heapq.heappush(self._expiries, (match.start + span, match.order, match))
+            self._expiries = _compacted(self._expiries, self.waiting)
+        if self._garbage is not None:
+            end = match.last if hasattr(match, "last") else match.end
+            heapq.heappush(self._by_end, (end, match.order, match))
+            self._by_end = _compacted(self._by_end, self.waiting)
+
+    def _drop_oldest(self) -> None:
+        arrivals = self._arrivals
+        while arrivals:
+            oldest = arrivals.popleft()
+            if oldest.bucket is not None:
+                oldest.leave()
+                self.dropped += 1
+                self.network.dropped(self)
+                return
+
+    def _complete(self, match: Match, after: Frame) -> Frame:
+        window = self.window
+        if window is not None and match.end - match.start > window:
+            return after
+        builder = self.builder
+        if builder is None:
+            return after
+        return self.fire(builder(match.values), match.start, match.end, after)
+
+    def _complete_tracked(self, match: Match, after: Frame) -> Frame:
+        window = self.window
+        if window is not None and match.end - match.start > window:
+            return after
+        if self.builder is None:
+            return after
+        return self.network.tracker.fire(self, match, self.builder(match.values), after)
+
+    def fire(self, head: Term, start: int, end: int, after: Frame, token: Any = None) -> Frame:
+        """Return the frame that dispatches the head and goes on with ``after``."""
+        network = self.network
+        dispatcher = network.dispatcher
+        current = dispatcher.current
+        if current is not None and current.depth >= network.deepest:
+            network.rule_failed(
+                self, RuleError(f"more than {network.deepest} events derived one from the other")
+            )
+            return after
+        if head.__class__ not in (tuple, Atom):
+            head = deref(head)
+        if head.__class__ is tuple and head[0].name in _ALARMS:
+            return self._set_alarm(head, start, end, after)
+        try:
+            return dispatcher.dispatch(head, start, end, after, token)
+        except UsageError as error:
+            network.rule_failed(self, RuleError(error.message))
+            return after
+
+    def _set_alarm(self, head: Term, start: int, end: int, after: Frame) -> Frame:
+        network = self.network
+        try:
+            alarm = alarm_of(head, start, end)
+        except UsageError as error:
+            network.rule_failed(self, RuleError(error.message))
+            return after
+        if alarm is None:
+            return network.dispatcher.dispatch(head, start, end, after)
+        network.set_alarm(self, *alarm)
+        return after
+
+
+_ALARMS = frozenset(("exceptionAlarm", "exceptionAlarmAbsoluteDatime"))
+
+
+def _least(one: Optional[int], other: Optional[int]) -> Optional[int]:
+    if one is None:
+        return other
+    return one if other is None else min(one, other)
+
+
+def _compacted(heap: List[Tuple[int, int, Match]], waiting: int) -> List[Tuple[int, int, Match]]:
+    """Return the heap without those that wait no more, when they have become the larger part."""
+    if len(heap) <= 2 * waiting + _SPARE:
+        return heap
+    left = [entry for entry in heap if entry[2].bucket is not None]
+    heapq.heapify(left)
+    return left
