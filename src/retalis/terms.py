@@ -17,7 +17,6 @@ Everything here works without recursion: a list of a million elements is as safe
 
 from _weakref import _remove_dead_weakref  # type: ignore[attr-defined]
 from itertools import count
-from threading import Lock
 from typing import Any, Callable, Dict, Iterable, Iterator, List, Optional, Tuple
 from weakref import ref
 
@@ -145,7 +144,6 @@ class _AtomRef(ref):  # type: ignore[type-arg]
 
 
 _atoms: Dict[str, _AtomRef] = {}
-_new_atoms = Lock()
 _functors: Dict[Tuple[str, int], Functor] = {}
 _serials = count(1)
 
@@ -174,16 +172,19 @@ def atom(name: str) -> Atom:
 
 
 def _new_atom(name: str) -> Atom:
-    with _new_atoms:
-        known = _atoms.get(name)
-        found: Optional[Atom] = None if known is None else known()
-        if found is None:
-            found = Atom()
-            found.name = name
-            reference = _AtomRef(found, _forget)
-            reference.name = name
-            _atoms[name] = reference
-    return found
+    """Put an atom into the table, or return the one that got there first; no lock, each step is one."""
+    made = Atom()
+    made.name = name
+    reference = _AtomRef(made, _forget)
+    reference.name = name
+    while True:
+        known = _atoms.setdefault(name, reference)
+        if known is reference:
+            return made
+        found: Optional[Atom] = known()
+        if found is not None:
+            return found
+        _remove_dead_weakref(_atoms, name)
 
 
 def _forget(reference: _AtomRef) -> None:
