@@ -1,0 +1,210 @@
+"""Bytes to terms to text and back, for every installed message type and for some that have everything."""
+
+import importlib
+import io
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from messages.wire import messages, serialize, to_term
+
+from retalis.messages import Definitions, Installed
+from retalis.syntax import EventReader, to_text
+from retalis.terms import freeze
+
+INSTALLED = sorted(
+    f"{path.parts[-3]}/{path.stem}"
+    for root in ("/usr/share", "/opt/ros/noetic/share")
+    for path in Path(root).glob("*/msg/*.msg")
+)
+EVERYTHING = """\
+bool flag
+int8 a
+uint8 b
+byte c
+char d
+int16 e
+uint16 f
+int32 g
+uint32 h
+int64 i
+uint64 j
+float32 k
+float64 l
+string m
+time n
+duration o
+bool[] flags
+bool[2] two_flags
+bool[7] seven_flags
+uint8[] bytes
+uint8[16] sixteen_bytes
+char[] chars
+byte[] numbers
+int64[3] three
+float64[36] matrix
+float32[] floats
+string[] names
+string[2] two_names
+time[] times
+duration[3] durations
+Inner inner
+Inner[] inners
+Inner[2] two_inners
+Fixed fixed
+Fixed[] fixeds
+Fixed[3] three_fixeds
+Nothing nothing
+Nothing[] nothings
+Nothing[2] two_nothings
+string last
+================================================================================
+MSG: test_msgs/Inner
+Header header
+string[] names
+Fixed[] deep
+================================================================================
+MSG: test_msgs/Fixed
+int16 x
+time t
+float32[9] rotation
+uint8[5] code
+Nothing nothing
+bool b
+================================================================================
+MSG: test_msgs/Nothing
+# no slots
+uint8 CONSTANT=1
+================================================================================
+MSG: std_msgs/Header
+uint32 seq
+time stamp
+string frame_id
+"""
+SHAPES = {
+    "texts_at_end": "float64 x\nstring a\nstring b\n",
+    "texts_first": "string a\nstring b\nfloat64 x\nduration d\n",
+    "one_text": "string a\n",
+    "text_between": "uint8 x\nstring a\nfloat64[36] matrix\nbool b\n",
+    "numbers": "uint8 x\nfloat64[36] matrix\nbool b\n",
+    "texts_apart": "string a\nuint8 x\nstring b\n",
+    "stamped": "Header header\nint32 x\n",
+    "stamped_array": "Stamped[] all\n",
+    "array_then_more": "Stamped[] all\nint8 more\n",
+    "array_of_arrays": "Arrays[] all\n",
+    "nothing": "",
+}
+_PARTS = """
+================================================================================
+MSG: test_msgs/Stamped
+Header header
+string child
+float64 x
+================================================================================
+MSG: test_msgs/Arrays
+Stamped[] all
+================================================================================
+MSG: std_msgs/Header
+uint32 seq
+time stamp
+string frame_id
+"""
+REGISTRY = Definitions()
+WITHOUT_ROS = Definitions(Installed([], [], rosbags=False))
+
+brief = settings(
+    max_examples=12,
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
+)
+unicode = st.text(max_size=20).map(str.encode)  # genpy replaces bytes that are no UTF-8
+printable = st.text(st.characters(min_codepoint=32, max_codepoint=126), max_size=12).map(str.encode)
+
+
+def check(definition, registry, raw):
+    """Check the way round: through a term and through its text."""
+    decode, encode = registry.decoder(definition).decode, registry.encoder(definition).encode
+    assert encode(decode(raw)) == raw
+    term = decode(raw)
+    text = to_text(term)
+    assert encode(EventReader().read(text)) == raw
+    assert encode(term) == raw  # now that all of it has been looked at
+    again = decode(raw)  # now that its texts are known
+    assert to_text(again) == text
+
+
+def genpy_class(name):
+    package, kind = name.split("/")
+    try:
+        return getattr(importlib.import_module(package + ".msg"), kind)
+    except (ImportError, AttributeError):
+        return None
+
+
+@pytest.mark.parametrize(
+    "name", INSTALLED or [pytest.param("", marks=pytest.mark.skip(reason="no ROS messages installed"))]
+)
+def test_installed_types(name):
+    definition = REGISTRY.find(name)
+    generated = genpy_class(name)
+
+    @brief
+    @given(messages(definition, unicode))
+    def every_message(values):
+        raw = serialize(definition, values)
+        if generated is not None:
+            assert generated._md5sum == definition.md5sum
+            out = io.BytesIO()
+            generated().deserialize(raw).serialize(out)
+            assert out.getvalue() == raw
+        check(definition, REGISTRY, raw)
+
+    every_message()
+
+
+@settings(brief, max_examples=40)
+@given(st.data())
+def test_a_type_with_everything(data):
+    definition = WITHOUT_ROS.add("test_msgs/Everything", EVERYTHING)
+    check(definition, WITHOUT_ROS, serialize(definition, data.draw(messages(definition))))
+
+
+@settings(brief, max_examples=30)
+@given(st.data())
+def test_the_term_is_the_expected_one(data):
+    definition = WITHOUT_ROS.add("test_msgs/Everything", EVERYTHING)
+    values = data.draw(messages(definition, printable))
+    for index, slot in enumerate(definition.fields):
+        if slot.is_bytes:
+            values[index] = b"x" * len(values[index])
+    values = _without_codes(definition, values)
+    term = WITHOUT_ROS.decoder(definition).decode(serialize(definition, values))
+    assert freeze(term) == freeze(to_term(definition, values))
+
+
+def _without_codes(definition, values):
+    """Replace byte arrays, which may not be printable."""
+    kept = []
+    for slot, value in zip(definition.fields, values):
+        if slot.is_bytes:
+            value = b"x" * len(value)
+        elif slot.definition is not None and slot.length is None:
+            value = _without_codes(slot.definition, value)
+        elif slot.definition is not None:
+            value = [_without_codes(slot.definition, item) for item in value]
+        kept.append(value)
+    return kept
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_shapes_of_messages(shape):
+    definition = WITHOUT_ROS.add(f"test_msgs/{shape}", SHAPES[shape] + _PARTS)
+
+    @settings(brief, max_examples=40)
+    @given(messages(definition, printable | st.binary(max_size=5)))
+    def every_message(values):
+        check(definition, WITHOUT_ROS, serialize(definition, values))
+
+    every_message()
