@@ -17,6 +17,7 @@ from retalis.errors import RetalisError
 from retalis.terms import Term, atom, functor
 from retalis.timestamps import SECOND
 
+from . import revision
 from .goals import show
 from .patterns import Pattern, Rule
 from .strategies import Case, random_case
@@ -29,17 +30,23 @@ def new_engine() -> Engine:
     return Engine(clock=StreamClock(100_000 * SECOND))
 
 
-def engine_events(texts: Sequence[str], goals: str, stream: Iterable[Tuple[Term, Any, Any]]) -> Fired:
-    """Run rules, one file after the other, over a stream; return all events that the engine dispatches."""
+def engine_steps(texts: Sequence[str], goals: str, stream: Iterable[Tuple[Term, Any, Any]]) -> List[Fired]:
+    """Run rules, one file after the other, over a stream; return what the engine dispatches for each event."""
     engine = new_engine()
-    events: Fired = []
-    engine.on_event(lambda term, start, end: events.append((show(term), int(start), int(end))))
+    steps: List[Fired] = []
+    engine.on_event(lambda term, start, end: steps[-1].append((show(term), int(start), int(end))))
     engine.load(goals=goals)
     for text in texts:
         engine.load(rules=text)
     for term, start, end in stream:
+        steps.append([])
         engine.event(term, start, end)
-    return events
+    return steps
+
+
+def engine_events(texts: Sequence[str], goals: str, stream: Iterable[Tuple[Term, Any, Any]]) -> Fired:
+    """Run rules over a stream and return all events that the engine dispatches."""
+    return [event for step in engine_steps(texts, goals, stream) for event in step]
 
 
 def answers(case: Case) -> List[Fired]:
@@ -52,14 +59,31 @@ def answers(case: Case) -> List[Fired]:
     return [[(term, start * SECOND, end * SECOND) for term, start, end in result] for result in results]
 
 
+def in_steps(steps: Iterable[Any]) -> List[Fired]:
+    """Return steps with the events of each in one order: which comes first is not defined under revision."""
+    return [sorted(step.elements() if isinstance(step, Counter) else step) for step in steps]
+
+
+def revised_answer(case: Case) -> List[Fired]:
+    """Return what the oracle says for each event where events are taken back."""
+    steps = revision.run_with_revision(case.rules, case.stream, case.policy, case.out_of_order)
+    return in_steps(
+        [(term, start * SECOND, end * SECOND) for term, start, end in step.elements()] for step in steps
+    )
+
+
 def difference(case: Case) -> Optional[Tuple[Fired, Any]]:
     """Return what was expected and what the engine did instead, or None where they agree."""
+    revises = case.revises()
+    if revises and not revision.defined_for(case.rules, case.policy, case.out_of_order):
+        return None
     try:
-        expected = answers(case)
+        expected = [sum(revised_answer(case), [])] if revises else answers(case)
     except RecursionError:
         return None
     try:
-        got: Any = engine_events([case.text()], case.goals(), case.stream)
+        steps = engine_steps([case.text()], case.goals(), case.stream)
+        got: Any = sum(in_steps(steps) if revises else steps, [])
     except RetalisError as error:
         got = f"refused: {error}"
     except Exception as error:  # noqa: BLE001 - an internal error is a difference too
@@ -145,13 +169,14 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0, help="number of the first case")
     parser.add_argument("--depth", type=int, default=4)
     parser.add_argument("--show", type=int, default=20, help="how many differences to shrink and print")
+    parser.add_argument("--revision", action="store_true", help="streams that take events back")
     options = parser.parse_args()
     logging.disable(logging.CRITICAL)
     begin = time.time()
     kinds: Any = Counter()
     differing = 0
     for seed in range(options.seed, options.seed + options.cases):
-        case = random_case(seed, options.depth)
+        case = random_case(seed, options.depth, options.revision)
         if difference(case) is None:
             continue
         differing += 1

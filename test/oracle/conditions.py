@@ -4,7 +4,7 @@ Comments name the sentence of the language's definition that the code next to th
 """
 
 from dataclasses import replace
-from typing import Any, Callable, Dict, Iterable, List, Optional
+from typing import Any, Callable, Dict, Iterable, List, Optional, Set
 
 from retalis.terms import Term, Var, copy, variables
 
@@ -59,6 +59,25 @@ class Conditions:
         self.limits[node] = limits
         for child in children(node):
             self._note_limits(child, limits)
+
+    def outside(self, node: Pattern) -> Set[Var]:
+        """Return the variables that stand in the rule outside of a pattern."""
+        found = set(variables(self.rule.head))
+        if self.rule.do is not None:
+            found |= set(variables(self.rule.do))
+
+        def gather(other: Pattern) -> None:
+            for part in parts(other):
+                if part is node:
+                    continue
+                if isinstance(part, Pattern):
+                    gather(part)
+                elif part is not None and not isinstance(part, (str, bool)):
+                    found.update(variables(part))
+
+        if node is not self.pattern:
+            gather(self.pattern)
+        return found
 
     # Conditions.
 

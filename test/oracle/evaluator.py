@@ -130,7 +130,7 @@ class RuleState(Repetitions):
             return self.fit(node, p, q, tests, cnot)
 
         if node.kind in EITHER_ORDER:
-            return self._either_order(lefts, rights, p_waiting, q_waiting, fit)
+            return self._either_order(node, lefts, rights, p_waiting, q_waiting, fit)
         return self._in_order(node, lefts, rights, p_waiting, q_waiting, fit)
 
     def _in_order(
@@ -163,15 +163,16 @@ class RuleState(Repetitions):
             if not found or not (self.consuming or for_all):
                 left_over.append(p)
         for p in left_over:
-            self._wait(p_waiting, p, identical_too=for_all)
+            self._wait(node.left, p_waiting, p, identical_too=for_all)
         if self.out_of_order:
             # Policies: the second side of a seq also waits, for late first sides.
             for q in rights:
-                self._wait(q_waiting, q)
+                self._wait(node.right, q_waiting, q)
         return results
 
     def _either_order(
         self,
+        node: Both,
         lefts: List[Match],
         rights: List[Match],
         p_waiting: List[Match],
@@ -191,13 +192,13 @@ class RuleState(Repetitions):
             results.extend(found)
             # Policies: having matched, it does not wait for others, except under unrestricted.
             if not found or not self.consuming:
-                self._wait(p_waiting, p)
+                self._wait(node.left, p_waiting, p)
 
         def as_right(q: Match) -> bool:
             found = self.complete(p_waiting, lambda p: fit(p, q))
             results.extend(found)
             if not found or not self.consuming:
-                self._wait(q_waiting, q)
+                self._wait(node.right, q_waiting, q)
             return bool(found)
 
         for p in lefts:
@@ -262,11 +263,12 @@ class RuleState(Repetitions):
                 break  # Policies: the newest that fits, the oldest that fits; else all, oldest first.
         return results
 
-    def _wait(self, waiting: List[Match], match: Match, identical_too: bool = False) -> None:
+    def _wait(self, side: Pattern, waiting: List[Match], match: Match, identical_too: bool = False) -> None:
         if self.policy == "recent" and not identical_too:
             # Policies: under recent an arrival replaces the same term at the same place, whatever the stamps.
-            variant = match.variant()
-            waiting[:] = [other for other in waiting if other.variant() != variant]
+            seen = self.outside(side)
+            variant = match.variant(seen)
+            waiting[:] = [other for other in waiting if other.variant(seen) != variant]
         waiting.append(match)
 
     def _expire(self) -> None:

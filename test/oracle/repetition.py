@@ -1,14 +1,14 @@
 """Star_times and aggregates: runs that a start begins and repetitions extend in place."""
 
 from dataclasses import replace
-from typing import Any, Dict, FrozenSet, List, Optional
+from typing import Any, Dict, List, Optional, Set
 
 from retalis.terms import Var, variables
 
 from .conditions import Conditions
 from .goals import GoalError, instance, number, unbound, unify
 from .matches import AGGREGATES, Match, Run
-from .patterns import Aggregate, Pattern, Rule, Star, Within, parts, pattern_variables
+from .patterns import Aggregate, Pattern, Rule, Star, Within, pattern_variables
 
 
 class Repetitions(Conditions):
@@ -40,7 +40,8 @@ class Repetitions(Conditions):
 
     def _started(self, node: Any, p: Match, conditions: List[Pattern]) -> List[Match]:
         runs = self.runs[node]
-        same = [run for run in runs if run.start.variant() == p.variant()]
+        seen = self.outside(node.first)
+        same = [run for run in runs if run.start.variant(seen) == p.variant(seen)]
         if any((run.start.start, run.start.end) == (p.start, p.end) for run in same):
             return []  # Policies: a start with the same term and stamps as a running one adds none.
         if self.policy == "recent":
@@ -105,20 +106,12 @@ class Repetitions(Conditions):
             return False
         return bool(unbound(node.result, {}) & unbound(condition.goal, {}))
 
-    def _only_inside(self, node: Any) -> FrozenSet[Var]:
-        """Return the variables of the repeated pattern that stand nowhere else in the rule."""
-        outside = set(variables(self.rule.head))
-        if self.rule.do is not None:
-            outside |= set(variables(self.rule.do))
+    def _only_inside(self, node: Any) -> Set[Var]:
+        """Return the variables of the repeated pattern that stand nowhere else in the rule.
 
-        def gather(other: Pattern) -> None:
-            for part in parts(other):
-                if part is node.repeated or (other is node and part is getattr(node, "value", None)):
-                    continue
-                if isinstance(part, Pattern):
-                    gather(part)
-                elif part is not None and not isinstance(part, (str, bool)):
-                    outside.update(variables(part))
-
-        gather(self.pattern)
-        return frozenset(set(pattern_variables(node.repeated)) - outside)
+        That an aggregate says which variable it adds up is no other place.
+        """
+        outside = self.outside(node.repeated)
+        if isinstance(node, Aggregate) and node.value is not None:
+            outside = self.outside(node) | set(pattern_variables(node.first)) | set(variables(node.result))
+        return set(pattern_variables(node.repeated)) - outside

@@ -82,11 +82,12 @@ class Recombined:
         """Return what all events that were not taken back make, by the combination that made it."""
         found: List[Found] = self.combinations.found(self.combinations.tests.pattern, self.events)
         holding = {}
-        for at, (match, _) in enumerate(found):
+        for match, _ in found:
             bindings = match.bindings if self.rule.do is None else first(self.rule.do, match.bindings)
             if bindings is not None:
-                key = match.variant(), tuple(sorted(match.numbers))
-                assert key not in holding, at
+                key: Any = (match.variant(list(match.bindings)), tuple(sorted(match.numbers)))
+                while key in holding:  # the same solution of an event_multiply twice
+                    key = (key,)
                 holding[key] = show(copy(instance(self.rule.head, bindings))), match.start, match.end
         return holding
 

@@ -71,7 +71,13 @@ class Case:
         flags = [f"set_etalis_flag(event_consumption_policy,{self.policy})"]
         if self.out_of_order:
             flags.append("set_etalis_flag(out_of_order,on)")
+        if self.revises():
+            flags.append("set_etalis_flag(revision_flag,on)")
         return "".join(f"{flag}.\n" for flag in flags)
+
+    def revises(self) -> bool:
+        """Tell whether the stream takes events back."""
+        return any(is_revision(term) for term, _, _ in self.stream)
 
     def has_limits(self) -> bool:
         """Tell whether a window or a within is part of the program."""
@@ -176,7 +182,7 @@ class Generator:
         """Draw a star_times or an aggregate."""
         first = self.pattern(depth - 1, left)
         below = min(depth - 1, 1)
-        repeated = self.leaf() if self.chance(60) else self.pattern(below, (*left, *certain(first)))
+        repeated = self.leaf() if self.chance(60) else self.pattern(below, tuple(certain(first)))
         if kind == "star":
             return Star(first, repeated)
         values = [var for var in variables_in_order(repeated) if var in certain(repeated)]
