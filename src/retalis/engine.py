@@ -8,9 +8,10 @@ from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tu
 from . import timestamps
 from ._goalfile import read_goals
 from ._inputs import READERS, event_of
+from ._reports import Reports
 from ._runner import Runner
 from .clock import Clock, StreamClock
-from .errors import ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
+from .errors import Place, ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
 from .events import Dispatcher, Rules, Stage
 from .knowledge import Knowledge
 from .logic import DONE, Limits, Logic
@@ -66,11 +67,14 @@ class Engine:
         self.logic = Logic()
         self.logic.limits = settings.limits
         self.dispatcher = Dispatcher(self.logic, max_depth=settings.max_depth)
+        self.reports = Reports()
         self.rules = Rules(self.logic, self.dispatcher, self.clock)
+        self.rules.on_error = self.reports.error
+        self.rules.on_warning = self.reports.warning
         self.knowledge = Knowledge(
-            self.logic, self.dispatcher, self.clock.stamp, self._deliver, lambda text: log.warning("%s", text)
+            self.logic, self.dispatcher, self.clock.stamp, self._deliver, self.reports.warning
         )
-        self._runner = Runner(settings.queue, self._report_drop, self._report_error)
+        self._runner = Runner(settings.queue, self._report_drop, self.reports.error)
         self._reader = EventReader(self.logic.operators)
         self._outputs: List[OnOutput] = []
         self._define()
@@ -113,10 +117,8 @@ class Engine:
                 with self.rules.relative_to(folder):
                     if not self.call(goal.term):
                         errors.append(RuleError("this goal fails", goal.place))
-            except ProgramErrors as error:
-                errors += error.errors
             except RetalisError as error:
-                errors.append(error if error.place else RuleError(error.message, goal.place))
+                errors += _in_goal(error, goal.place)
         if errors:
             raise ProgramErrors(errors)
 
@@ -236,15 +238,15 @@ class Engine:
             goal = self._reader.read(text)
             made = event_of(goal)
         except RetalisError as error:
-            log.warning("an event is refused: %s", error)
+            self.reports.warning(f"an event is refused: {error}", "refused")
             return
         if made is not None:
             self._take(*made)
         elif self.settings.allow_goals:
             if not self.logic.once(goal):
-                log.warning("the goal %s fails", self.show(goal))
+                self.reports.warning(f"the goal {self.show(goal)} fails")
         else:
-            log.warning("refused: %s (only event/1,2 and new_event/2,3,5 are taken)", text)
+            self.reports.warning(f"refused: {text} (only event/1,2 and new_event/2,3,5 are taken)", "refused")
 
     def _watch_clock(self) -> None:
         clock = self.clock
@@ -264,14 +266,9 @@ class Engine:
             callback(term, topic, name)
 
     def _report_drop(self, dropped: int) -> None:
-        if dropped & (dropped - 1) == 0:  # at 1, 2, 4, 8 ...: said at once, and never a flood
-            log.warning("events come faster than they are worked off: %d dropped so far", dropped)
-
-    def _report_error(self, error: Exception) -> None:
-        if isinstance(error, RetalisError):
-            log.error("%s", error)
-        else:
-            log.exception("internal error", exc_info=error)
+        self.reports.warning(
+            f"events come faster than they are worked off: {dropped} dropped so far", "dropped"
+        )
 
     def _define(self) -> None:
         """Define the goals that make events."""
@@ -283,3 +280,10 @@ class Engine:
 
         for arity in (2, 3, 5):
             logic.define_control("new_event", arity, event)
+
+
+def _in_goal(error: RetalisError, place: Place) -> List[RetalisError]:
+    """Return the errors that a goal of a goal file met: those of the file that it loads, or its own."""
+    if isinstance(error.__cause__, ProgramErrors):
+        return error.__cause__.errors
+    return [error if error.place else RuleError(error.message, place)]

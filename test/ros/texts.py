@@ -16,7 +16,7 @@ sys.path.append(str(Path(__file__).resolve().parent))
 from harness import DEFINITIONS, Collector, RawPublisher, open_the_way, service, wait_until  # noqa: E402
 
 from retalis import srv  # noqa: E402
-from retalis.syntax import read_term  # noqa: E402
+from retalis.syntax import Operators, read_term  # noqa: E402
 
 POSE = (
     "geometry_msgs__0__PoseStamped(std_msgs__0__Header(0,[5,7],{name}),"
@@ -108,7 +108,7 @@ class Texts(unittest.TestCase):
         self.assertEqual(self.add_input("thing", "nowhere_msgs/Thing").result, "ok")
         self.subscribe("nowhere_msgs__0__Thing(_,_)", "", "_", "t", "thing")
         wait_until(publisher.connected, "the subscriber of the thing")
-        term = read_term("nowhere_msgs__0__Thing(0.5,[nowhere_msgs__0__Part('\"arm\"',true)])").term
+        term = read_term("nowhere_msgs__0__Thing(0.5,[nowhere_msgs__0__Part('\"arm\"',true)])", Operators.prolog()).term
         publisher.publish(DEFINITIONS.encoder(definition).encode(term, "thing"))
         self.wait_for_output(
             "event(nowhere_msgs__0__Thing(0.5,[nowhere_msgs__0__Part('\"arm\"',true)]),t,thing)"

@@ -4,7 +4,7 @@ from typing import Any, Callable, Dict, Iterator, Tuple
 
 from ..events import Dispatcher, Stage
 from ..logic import Logic, permission_error
-from ..terms import Atom, Term, copy, deref
+from ..terms import MINUS, Atom, Term, copy, deref
 from ._recording import key_of, recording
 
 Deliver = Callable[[Term, str, Term], None]
@@ -40,13 +40,13 @@ class Subscriptions:
         """
         definition = copy(definition)
         pattern, conditions, form, topic, name = (deref(part) for part in definition[1:])
-        key = (key_of(topic), key_of(name))
+        topic_text = self._topic(topic)
+        key = (topic_text, key_of(name))
         if key in self._listeners:
-            raise permission_error("create", "subscription", definition[4:])
+            raise permission_error("create", "subscription", (MINUS, topic, name))
         shape = recording(self._logic, pattern, conditions, form, f"subscription {self._logic.show(name)}")
         deliver = self._deliver
         problem = self._problem
-        topic_text = topic.name if topic.__class__ is Atom else self._logic.show(topic)
 
         def action(term: Term, values: Tuple[Term, ...], start: int, end: int, after: Any) -> Any:
             shaped = shape(term, values, problem)
@@ -58,8 +58,14 @@ class Subscriptions:
 
     def delete(self, topic: Term, name: Term) -> bool:
         """Delete a subscription; returns False where there is none of this topic and id."""
-        listener = self._listeners.pop((key_of(topic), key_of(name)), None)
+        listener = self._listeners.pop((self._topic(topic), key_of(name)), None)
         if listener is None:
             return False
         self._dispatcher.remove(listener)
         return True
+
+    def _topic(self, topic: Term) -> str:
+        """Return a topic as text; ``robot/marker1`` reads as a division, but is meant as a name."""
+        key_of(topic)
+        topic = deref(topic)
+        return topic.name if topic.__class__ is Atom else self._logic.show(topic, quoted=False)

@@ -6,7 +6,7 @@ import rospy
 
 from ..engine import Engine
 from ..errors import RetalisError, SyntaxFault, UsageError
-from ..syntax import read_term
+from ..syntax import Operators, read_term
 from ..terms import Atom, Term, atom, functor
 from .interface import Interface
 
@@ -124,7 +124,7 @@ def name(text: str, field: str) -> Term:
     if not text:
         raise UsageError(f"{field} is empty")
     try:
-        term = read_term(text, source=field).term
+        term = read_term(text, Operators.prolog(), field).term
     except SyntaxFault:
         return atom(text)
     return term if isinstance(term, (Atom, int)) else atom(text)
