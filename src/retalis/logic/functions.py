@@ -106,6 +106,9 @@ def power(base: Number, exponent: Number) -> Number:
 
 @evaluable("**", 2)
 def _power2(base: Number, exponent: Number) -> Number:
+    """Return the power; unlike with ``^``, an integer to a negative one is a float."""
+    if exponent < 0 and base.__class__ is int and base not in (1, -1):
+        return _float_power(base, exponent)
     return power(base, exponent)
 
 

@@ -1,6 +1,7 @@
 """The façade of the logic room: a machine, its predicates, flags and operators."""
 
 import sys
+from time import time_ns
 from typing import Any, Callable, Dict, Iterator, List, NoReturn, Optional, Sequence, Tuple, Union
 
 from ..errors import Place, RuleError
@@ -35,6 +36,8 @@ class Logic:
         operators: operator table, changed by ``op/3``.
         flags: Prolog flags by name, as terms.
         output: called with text that the program prints.
+        column: where that stands in its line.
+        now: gives the present in nanoseconds.
         error_output: called with text printed to ``user_error``, and with warnings.
     """
 
@@ -47,9 +50,11 @@ class Logic:
         self.control = Control(self.database)
         self.flags: Dict[str, Term] = builtins.default_flags()
         self.globals: Dict[str, Term] = {}
+        self.column = 0
         self.output: Callable[[str], None] = _print
         self.error_output: Callable[[str], None] = _print_error
         self.state: Dict[str, Any] = {}
+        self.now: Callable[[], int] = time_ns
         for (name, arity), function in control_predicates(self.control).items():
             self.define_control(name, arity, function).locked = True
         for (name, arity), entry in builtins.ENTRIES.items():
@@ -219,6 +224,12 @@ class Logic:
     def solutions(self, goal: Term) -> Iterator[None]:
         """Run a goal; yield at each solution, with its bindings in place. Closing drops what is left."""
         return self.machine.solutions((self.control.code, (_CALL, goal), 0, DONE))
+
+    def write(self, text: str) -> None:
+        """Write to the current output."""
+        newline = text.rfind("\n")
+        self.column = self.column + len(text) if newline < 0 else len(text) - newline - 1
+        self.output(text)
 
     def show(self, term: Term, quoted: bool = True) -> str:
         """Return a term as text that reads back with the program's operators."""

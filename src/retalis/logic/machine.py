@@ -65,6 +65,21 @@ class Code:
         return f"<{self.name}>"
 
 
+class Guard(Code):
+    """A choice point that has to be told when it goes, by failure or by an exception.
+
+    Args:
+        name: for errors.
+        unwind: called with the choice point. Where a goal exits, whoever cuts the choice point calls it.
+    """
+
+    __slots__ = ("unwind",)
+
+    def __init__(self, name: str, unwind: Callable[[Frame], None]):
+        super().__init__(name, unwind)
+        self.unwind = unwind
+
+
 def _finish(frame: Frame) -> Frame:
     raise Finished
 
@@ -287,6 +302,8 @@ class Machine:
                     if unify(catcher, ball, trail):
                         return recover
                     undo(trail, height)
+            elif code.__class__ is Guard:
+                code.unwind(entry)
             elif code is self._attempt_code:
                 undo(trail, entry[-1])
                 self._restore(entry)

@@ -1,1 +1,325 @@
-"""Later."""
+"""Atoms and their text: conversions, concatenation, parts."""
+
+from typing import Any, Iterator, List
+
+from ...terms import NIL, Atom, String, Term, Var, atom, deref, list_items, make_list, unify
+from ..faults import domain_error, instantiation_error, representation_error, syntax_error, type_error
+from ..machine import LAST
+from .arguments import integer_or_var, items, partial_items
+from .registry import deterministic, nondeterministic
+from .text import (
+    LARGEST_CODE,
+    atomic_text,
+    chars,
+    codes,
+    constant_text,
+    list_text,
+    number_or_error,
+    number_text,
+    parse_number,
+    text_of,
+)
+
+
+@deterministic("atom_length/2")
+def atom_length(machine: Any, text: Term, length: Term) -> bool:
+    """Give the number of characters of an atom."""
+    size = deref(length)
+    value = len(atomic_text(text))
+    if size.__class__ is not Var:
+        if size.__class__ is not int:
+            raise type_error("integer", size)
+        if size < 0:
+            raise domain_error("not_less_than_zero", size)
+    return unify(size, value, machine.trail)
+
+
+def _converter(to_list: Any, from_text: Any) -> Any:
+    def run(machine: Any, constant: Term, parts: Term) -> bool:
+        found = constant_text(deref(constant))
+        if found is not None:
+            return unify(parts, to_list(found), machine.trail)
+        if deref(constant).__class__ is not Var:
+            raise type_error("atomic", deref(constant))
+        text = list_text(parts)
+        if text is None:
+            text = constant_text(deref(parts))
+            if text is None:
+                raise type_error("list", deref(parts))
+        return unify(constant, from_text(machine, text), machine.trail)
+
+    return run
+
+
+def _atom(machine: Any, text: str) -> Term:
+    return atom(text)
+
+
+def _number(machine: Any, text: str) -> Term:
+    return number_or_error(text, machine.logic.operators)
+
+
+def _any_constant(machine: Any, text: str) -> Term:
+    found = parse_number(text, machine.logic.operators)
+    return atom(text) if found is None else found
+
+
+deterministic("atom_codes/2")(_converter(codes, _atom))
+deterministic("atom_chars/2")(_converter(chars, _atom))
+deterministic("name/2")(_converter(codes, _any_constant))
+
+
+def _number_converter(to_list: Any) -> Any:
+    def run(machine: Any, number: Term, parts: Term) -> bool:
+        number = deref(number)
+        if number.__class__ not in (Var, int, float):
+            raise type_error("number", number)
+        # The text decides where it is there: "0x10" is 16, whatever number the other side is.
+        given = deref(parts)
+        if number.__class__ is not Var and not _is_whole_list(given):
+            return unify(parts, to_list(number_text(number)), machine.trail)
+        text = list_text(given)
+        if text is None:
+            text = constant_text(given)
+            if text is None or given is NIL:
+                raise type_error("list", given) if text is None else syntax_error("illegal_number")
+        return unify(number, number_or_error(text, machine.logic.operators), machine.trail)
+
+    return run
+
+
+def _is_whole_list(term: Term) -> bool:
+    tail = deref(term)
+    if tail is NIL:
+        return False
+    while tail.__class__ is tuple and len(tail) == 3:
+        if deref(tail[1]).__class__ is Var:
+            return False
+        tail = deref(tail[2])
+    return tail is NIL
+
+
+deterministic("number_codes/2")(_number_converter(codes))
+deterministic("number_chars/2")(_number_converter(chars))
+
+
+@deterministic("char_code/2")
+def char_code(machine: Any, char: Term, code: Term) -> bool:
+    """Relate a character with its code."""
+    char, code = deref(char), deref(code)
+    if char.__class__ is Atom:
+        if len(char.name) != 1:
+            raise type_error("character", char)
+        return unify(code, ord(char.name), machine.trail)
+    if char.__class__ is not Var:
+        raise type_error("character", char)
+    if code.__class__ is Var:
+        raise instantiation_error()
+    if code.__class__ is not int:
+        raise type_error("integer", code)
+    if not 0 <= code <= LARGEST_CODE:
+        raise representation_error("character_code")
+    return unify(char, atom(chr(code)), machine.trail)
+
+
+@deterministic("atom_number/2")
+def atom_number(machine: Any, text: Term, number: Term) -> bool:
+    """Relate an atom with the number that it reads as."""
+    text, number = deref(text), deref(number)
+    if text.__class__ is Var:
+        if number.__class__ is Var:
+            raise instantiation_error()
+        if number.__class__ not in (int, float):
+            raise type_error("number", number)
+        return unify(text, atom(number_text(number)), machine.trail)
+    if text.__class__ not in (Atom, String):
+        raise type_error("atom", text)
+    if number.__class__ not in (Var, int, float):
+        raise type_error("number", number)
+    found = parse_number(text_of(text), machine.logic.operators)
+    return found is not None and unify(number, found, machine.trail)
+
+
+@deterministic("term_to_atom/2")
+def term_to_atom(machine: Any, term: Term, text: Term) -> bool:
+    """Relate a term with its text."""
+    from .reading import parse
+
+    given = deref(text)
+    if deref(term).__class__ is Var and given.__class__ is not Var:
+        return unify(term, parse(machine, text_of(given)), machine.trail)
+    if given.__class__ is Var or deref(term).__class__ is not Var:
+        if given.__class__ is not Var:
+            return unify(term, parse(machine, text_of(given)), machine.trail)
+        if deref(term).__class__ is Var:
+            raise instantiation_error()
+    return unify(text, atom(machine.logic.show(term)), machine.trail)
+
+
+@nondeterministic("atom_concat/3")
+def atom_concat(machine: Any, left: Term, right: Term, whole: Term) -> Iterator[Any]:
+    """Relate two texts with the atom that they make together."""
+    return _concat(machine, left, right, whole, atom)
+
+
+@nondeterministic("string_concat/3")
+def string_concat(machine: Any, left: Term, right: Term, whole: Term) -> Iterator[Any]:
+    """Relate two texts with the string that they make together."""
+    return _concat(machine, left, right, whole, String)
+
+
+def _concat(machine: Any, left: Term, right: Term, whole: Term, make: Any) -> Iterator[Any]:
+    left, right = deref(left), deref(right)
+    start = None if left.__class__ is Var else atomic_text(left)
+    end = None if right.__class__ is Var else atomic_text(right)
+    if start is not None and end is not None:
+        found = deref(whole)
+        text = constant_text(found)
+        if text is None and found.__class__ is not Var:
+            raise type_error("atomic", found)
+        if text == start + end if text is not None else machine.unify(whole, make(start + end)):
+            yield LAST
+        return
+    if deref(whole).__class__ is Var:
+        raise instantiation_error()
+    text = atomic_text(whole)
+    if start is not None:
+        if text.startswith(start) and machine.unify(right, make(text[len(start) :])):
+            yield LAST
+    elif end is not None:
+        if text.endswith(end) and machine.unify(left, make(text[: len(text) - len(end)])):
+            yield LAST
+    else:
+        for at in range(len(text) + 1):
+            if machine.unify_all((left, make(text[:at])), (right, make(text[at:]))):
+                yield LAST if at == len(text) else None
+
+
+@nondeterministic("sub_atom/5")
+def sub_atom(machine: Any, text: Term, before: Term, length: Term, after: Term, part: Term) -> Iterator[Any]:
+    """Enumerate the parts of an atom."""
+    return sub_text(machine, text, before, length, after, part, atom)
+
+
+@nondeterministic("sub_string/5")
+def sub_string(machine: Any, text: Term, before: Term, length: Term, after: Term, part: Term) -> Iterator[Any]:
+    """Enumerate the parts of a string."""
+    return sub_text(machine, text, before, length, after, part, String)
+
+
+def sub_text(
+    machine: Any, text: Term, before: Term, length: Term, after: Term, part: Term, make: Any
+) -> Iterator[Any]:
+    """Enumerate the parts of a text in order of their start, then of their length."""
+    if deref(text).__class__ is Var:
+        raise instantiation_error()
+    whole = text_of(text)
+    size = len(whole)
+    b, count, a = integer_or_var(before), integer_or_var(length), integer_or_var(after)
+    for value in (b, count, a):
+        if value is not None and value < 0:
+            return
+    given = deref(part)
+    if given.__class__ is not Var:
+        wanted = constant_text(given)
+        if wanted is None:
+            raise type_error("atomic", given)
+        yield from _occurrences(machine, whole, wanted, before, length, after, b, a)
+        return
+    if b is not None and count is not None:
+        spans = [(b, b + count)]
+    elif b is not None and a is not None:
+        spans = [(b, size - a)]
+    elif count is not None and a is not None:
+        spans = [(size - a - count, size - a)]
+    else:
+        for start, end in _spans(size, b, count, a):
+            if machine.unify_all(
+                (before, start), (length, end - start), (after, size - end), (part, make(whole[start:end]))
+            ):
+                yield None
+        return
+    start, end = spans[0]
+    if 0 <= start <= end <= size and machine.unify_all(
+        (before, start), (length, end - start), (after, size - end), (part, make(whole[start:end]))
+    ):
+        yield LAST
+
+
+def _spans(size: int, b: Any, count: Any, a: Any) -> Iterator[Any]:
+    if b is not None:
+        return ((b, end) for end in range(b, size + 1))
+    if count is not None:
+        return ((start, start + count) for start in range(size - count + 1))
+    if a is not None:
+        return ((start, size - a) for start in range(size - a + 1))
+    return ((start, end) for start in range(size + 1) for end in range(start, size + 1))
+
+
+def _occurrences(
+    machine: Any, whole: str, wanted: str, before: Term, length: Term, after: Term, b: Any, a: Any
+) -> Iterator[Any]:
+    size = len(whole)
+    if b is not None or a is not None:
+        start = b if b is not None else size - a - len(wanted)
+        if start >= 0 and whole.startswith(wanted, start) and start + len(wanted) <= size:
+            if machine.unify_all((before, start), (length, len(wanted)), (after, size - start - len(wanted))):
+                yield LAST
+        return
+    start = whole.find(wanted)
+    while start >= 0:
+        following = whole.find(wanted, start + 1)
+        if machine.unify_all((before, start), (length, len(wanted)), (after, size - start - len(wanted))):
+            yield LAST if following < 0 else None
+        start = following
+
+
+@deterministic("atomic_list_concat/2")
+def atomic_list_concat(machine: Any, parts: Term, whole: Term) -> bool:
+    """Join texts to an atom."""
+    return unify(whole, atom("".join([atomic_text(item) for item in items(parts)])), machine.trail)
+
+
+@deterministic("atomic_list_concat/3")
+def atomic_list_concat_separated(machine: Any, parts: Term, separator: Term, whole: Term) -> bool:
+    """Join texts with a separator to an atom, or split an atom at it."""
+    between = atomic_text(separator)
+    joined = _join(parts, between)
+    if joined is not None:
+        found = constant_text(deref(whole))
+        return found == joined if found is not None else unify(whole, atom(joined), machine.trail)
+    if deref(whole).__class__ is Var:
+        raise instantiation_error()
+    if not between:
+        raise domain_error("non_empty_atom", separator)
+    return unify(parts, make_list([atom(part) for part in atomic_text(whole).split(between)]), machine.trail)
+
+
+def _join(parts: Term, between: str) -> Any:
+    """Return the joined text, or None where the list or an item is not bound yet."""
+    found: List[str] = []
+    if list_items(parts) is None:
+        partial_items(parts)  # raises for what is no list
+        return None
+    for item in items(parts):
+        item = deref(item)
+        text = constant_text(item)
+        if text is None:
+            if item.__class__ is Var:
+                return None
+            raise type_error("atomic", item)
+        found.append(text)
+    return between.join(found)
+
+
+def _case(change: Any, make: Any) -> Any:
+    def run(machine: Any, text: Term, result: Term) -> bool:
+        return unify(result, make(change(text_of(text))), machine.trail)
+
+    return run
+
+
+deterministic("upcase_atom/2")(_case(str.upper, atom))
+deterministic("downcase_atom/2")(_case(str.lower, atom))
+deterministic("string_upper/2")(_case(str.upper, String))
+deterministic("string_lower/2")(_case(str.lower, String))

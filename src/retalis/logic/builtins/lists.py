@@ -1,1 +1,294 @@
-"""Later."""
+"""Lists: what wants speed; the rest is in the library (library/lists.pl)."""
+
+from functools import cmp_to_key
+from typing import Any, Callable, Iterator, Optional
+
+from ...terms import CONS, MINUS, NIL, Atom, Term, Var, compare, deref, functor, make_list, undo, unify
+from ..arithmetic import EVALUABLE, add, evaluate
+from ..faults import domain_error, instantiation_error, resource_error, type_error
+from ..machine import LAST, Code, Frame
+from .arguments import integer, items, natural
+from .registry import control, deterministic, nondeterministic
+from .solutions import sort_unique
+
+_KEY = cmp_to_key(compare)
+_MAX, _MIN = EVALUABLE[functor("max", 2)], EVALUABLE[functor("min", 2)]
+_MOST = 50_000_000
+
+
+@control("length/2")
+def length(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+    """Relate a list with its length."""
+    count = 0
+    tail = deref(args[0])
+    while tail.__class__ is tuple and tail[0] is CONS:
+        count += 1
+        tail = deref(tail[2])
+    size = deref(args[1])
+    if size.__class__ is not Var:
+        integer(size)
+        if size < 0 and tail.__class__ is Var:
+            raise domain_error("not_less_than_zero", size)
+    if tail is NIL:
+        return after if unify(size, count, machine.trail) else None
+    if tail.__class__ is not Var:
+        raise type_error("list", args[0])
+    if size.__class__ is int:
+        if size - count > _MOST:
+            raise resource_error("memory")
+        return after if size >= count and unify(tail, _open_list(size - count), machine.trail) else None
+    if size is tail:
+        raise resource_error("infinite")
+    return _longer(machine, tail, size, count, count, after)
+
+
+def _open_list(size: int) -> Term:
+    return make_list([Var() for _ in range(size)])
+
+
+def _longer(machine: Any, tail: Term, size: Term, count: int, total: int, after: Frame) -> Optional[Frame]:
+    machine.choices.append((_LONGER, machine, tail, size, count, total + 1, after, len(machine.trail)))
+    return after if machine.unify_all((tail, _open_list(total - count)), (size, total)) else None
+
+
+_LONGER = Code("length", lambda entry: _longer(*entry[1:7]))
+
+
+@deterministic("msort/2")
+def msort(machine: Any, unsorted: Term, result: Term) -> bool:
+    """Sort in the standard order, keeping duplicates."""
+    return unify(result, make_list(sorted(items(unsorted), key=_KEY)), machine.trail)
+
+
+@deterministic("sort/2")
+def sort(machine: Any, unsorted: Term, result: Term) -> bool:
+    """Sort in the standard order without duplicates."""
+    return unify(result, make_list(sort_unique(items(unsorted))), machine.trail)
+
+
+@deterministic("sort/4")
+def sort_by(machine: Any, key: Term, order: Term, unsorted: Term, result: Term) -> bool:
+    """Sort by an argument (0: the whole term) in one of the orders ``@<``, ``@=<``, ``@>``, ``@>=``."""
+    at = natural(key)
+    order = deref(order)
+    if order.__class__ is Var:
+        raise instantiation_error()
+    if order.__class__ is not Atom:
+        raise type_error("atom", order)
+    if order.name not in ("@<", "@=<", "@>", "@>="):
+        raise domain_error("order", order)
+    pairs = [(_KEY(_argument(item, at)), item) for item in items(unsorted)]
+    pairs.sort(key=lambda pair: pair[0], reverse=order.name[1] == ">")
+    if "=" not in order.name:
+        pairs = [pair for n, pair in enumerate(pairs) if n == 0 or pairs[n - 1][0] != pair[0]]
+    return unify(result, make_list([item for _, item in pairs]), machine.trail)
+
+
+def _argument(item: Term, at: int) -> Term:
+    if at == 0:
+        return item
+    item = deref(item)
+    if item.__class__ is Var:
+        raise instantiation_error()
+    if item.__class__ is not tuple:
+        raise type_error("compound", item)
+    if at >= len(item):
+        raise type_error("compound", item)
+    return item[at]
+
+
+@deterministic("keysort/2")
+def keysort(machine: Any, pairs: Term, result: Term) -> bool:
+    """Sort pairs ``Key-Value`` by key, keeping the order of equal keys."""
+    found = [deref(pair) for pair in items(pairs)]
+    for pair in found:
+        if pair.__class__ is Var:
+            raise instantiation_error()
+        if pair.__class__ is not tuple or pair[0] is not MINUS:
+            raise type_error("pair", pair)
+    found.sort(key=lambda pair: _KEY(pair[1]))
+    return unify(result, make_list(found), machine.trail)
+
+
+@deterministic("reverse/2", locked=False)
+def reverse(machine: Any, given: Term, result: Term) -> bool:
+    """Reverse a list."""
+    return unify(result, make_list(items(given)[::-1]), machine.trail)
+
+
+@deterministic("memberchk/2", locked=False)
+def memberchk(machine: Any, item: Term, given: Term) -> bool:
+    """Find the first item of a list that unifies; a partial list is extended."""
+    trail = machine.trail
+    tail = deref(given)
+    while tail.__class__ is tuple and tail[0] is CONS:
+        mark = len(trail)
+        if unify(item, tail[1], trail):
+            return True
+        undo(trail, mark)
+        tail = deref(tail[2])
+    return tail.__class__ is Var and unify(tail, (CONS, item, Var()), trail)
+
+
+@deterministic("sum_list/2", "sumlist/2", locked=False)
+def sum_list(machine: Any, given: Term, result: Term) -> bool:
+    """Add numbers."""
+    total: Any = 0
+    for item in items(given):
+        total = add(total, item)
+    return unify(result, total, machine.trail)
+
+
+def _best(better: Callable[..., Any]) -> Any:
+    def run(machine: Any, given: Term, result: Term) -> bool:
+        values = [evaluate(item) for item in items(given)]
+        if not values:
+            return False
+        best = values[0]
+        for value in values[1:]:
+            best = better(best, value)
+        return unify(result, best, machine.trail)
+
+    return run
+
+
+deterministic("max_list/2", locked=False)(_best(_MAX))
+deterministic("min_list/2", locked=False)(_best(_MIN))
+
+
+@deterministic("numlist/3", locked=False)
+def numlist(machine: Any, low: Term, high: Term, result: Term) -> bool:
+    """Give the list of integers between two."""
+    first, last = integer(low), integer(high)
+    if last - first > _MOST:
+        raise resource_error("memory")
+    return first <= last and unify(result, make_list(range(first, last + 1)), machine.trail)
+
+
+@deterministic("last/2", locked=False)
+def last(machine: Any, given: Term, result: Term) -> bool:
+    """Give the last item of a list."""
+    found = items(given)
+    return bool(found) and unify(result, found[-1], machine.trail)
+
+
+@deterministic("list_to_set/2", locked=False)
+def list_to_set(machine: Any, given: Term, result: Term) -> bool:
+    """Drop duplicates (by ``==``), keeping the first."""
+    found = list(enumerate(items(given)))
+    found.sort(key=lambda pair: _KEY(pair[1]))  # stable: of equal ones the first comes first
+    kept = [pair for n, pair in enumerate(found) if n == 0 or compare(found[n - 1][1], pair[1])]
+    kept.sort(key=lambda pair: pair[0])
+    return unify(result, make_list([item for _, item in kept]), machine.trail)
+
+
+@deterministic("list_to_ord_set/2", locked=False)
+def list_to_ord_set(machine: Any, given: Term, result: Term) -> bool:
+    """Sort without duplicates."""
+    return sort(machine, given, result)
+
+
+def _nth(base: int) -> Any:
+    def run(machine: Any, index: Term, given: Term, item: Term) -> Iterator[Any]:
+        index = deref(index)
+        if index.__class__ is not Var:
+            at = integer(index)
+            if at < 0:
+                raise type_error("not_less_than_zero", at)
+            tail = deref(given)
+            while at > base and tail.__class__ is tuple and tail[0] is CONS:
+                at -= 1
+                tail = deref(tail[2])
+            if tail.__class__ is Var and at >= base:
+                cells: Term = (CONS, item, Var())
+                for _ in range(at - base):
+                    cells = (CONS, Var(), cells)
+                if unify(tail, cells, machine.trail):
+                    yield LAST
+            elif at == base and tail.__class__ is tuple and tail[0] is CONS and machine.unify(item, tail[1]):
+                yield LAST
+            return
+        tail = deref(given)
+        at = base
+        while tail.__class__ is tuple and tail[0] is CONS:
+            rest = deref(tail[2])
+            if machine.unify_all((item, tail[1]), (index, at)):
+                yield LAST if rest is NIL else None
+            at += 1
+            tail = rest
+        while tail.__class__ is Var:
+            cells = (CONS, item, Var())
+            for _ in range(at - base):
+                cells = (CONS, Var(), cells)
+            if machine.unify_all((tail, cells), (index, at)):
+                yield None
+            at += 1
+
+    return run
+
+
+nondeterministic("nth0/3", locked=False)(_nth(0))
+nondeterministic("nth1/3", locked=False)(_nth(1))
+
+
+@nondeterministic("between/3")
+def between(machine: Any, low: Term, high: Term, value: Term) -> Iterator[Any]:
+    """Enumerate the integers between two; the upper one may be ``inf``."""
+    first = integer(low)
+    high = deref(high)
+    if high.__class__ is Atom and high.name in ("inf", "infinite"):
+        limit = None
+    else:
+        limit = integer(high)
+    value = deref(value)
+    if value.__class__ is not Var:
+        if first <= integer(value) and (limit is None or value <= limit):
+            yield LAST
+        return
+    trail = machine.trail
+    at = first
+    while limit is None or at <= limit:
+        value.ref = at
+        trail.append(value)
+        yield LAST if at == limit else None
+        at += 1
+
+
+@deterministic("pairs_keys_values/3", locked=False)
+def pairs_keys_values(machine: Any, pairs: Term, keys: Term, values: Term) -> bool:
+    """Relate a list of pairs with the lists of keys and of values."""
+    size = _known_length(pairs, keys, values)
+    if size is None:
+        raise instantiation_error()
+    made = [(Var(), Var()) for _ in range(size)]
+    return machine.unify_all(  # type: ignore[no-any-return]
+        (pairs, make_list([(MINUS, key, value) for key, value in made])),
+        (keys, make_list([key for key, _ in made])),
+        (values, make_list([value for _, value in made])),
+    )
+
+
+def _known_length(*lists: Term) -> Optional[int]:
+    """Return the length of the first proper list."""
+    for given in lists:
+        count = 0
+        tail = deref(given)
+        while tail.__class__ is tuple and tail[0] is CONS:
+            count += 1
+            tail = deref(tail[2])
+        if tail is NIL:
+            return count
+    return None
+
+
+@deterministic("pairs_keys/2", locked=False)
+def pairs_keys(machine: Any, pairs: Term, keys: Term) -> bool:
+    """Relate pairs with their keys."""
+    return pairs_keys_values(machine, pairs, keys, Var())
+
+
+@deterministic("pairs_values/2", locked=False)
+def pairs_values(machine: Any, pairs: Term, values: Term) -> bool:
+    """Relate pairs with their values."""
+    return pairs_keys_values(machine, pairs, Var(), values)
+

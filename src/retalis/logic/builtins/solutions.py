@@ -1,1 +1,192 @@
-"""Later."""
+"""All solutions of a goal: bagof, setof, aggregate_all (findall and forall are control)."""
+
+from functools import cmp_to_key
+from typing import Any, Callable, List, Optional
+
+from ...terms import (
+    COMMA,
+    MINUS,
+    Functor,
+    Term,
+    Var,
+    atom,
+    compare,
+    deref,
+    functor,
+    make_list,
+    unify,
+    variables,
+)
+from ..arithmetic import EVALUABLE, add, evaluate
+from ..faults import domain_error, instantiation_error, type_error
+from ..machine import Code, Frame
+from .arguments import callable_of
+from .comparing import is_variant
+from .registry import control
+
+_HAT = functor("^", 2)
+_KEY = cmp_to_key(compare)
+_MAX, _MIN = EVALUABLE[functor("max", 2)], EVALUABLE[functor("min", 2)]
+
+
+def sort_unique(found: List[Term]) -> List[Term]:
+    """Return terms in the standard order, without duplicates."""
+    result: List[Term] = []
+    for item in sorted(found, key=_KEY):
+        if not result or compare(result[-1], item):
+            result.append(item)
+    return result
+
+
+def _strip(goal: Term) -> Any:
+    """Return the goal inside ``Var^Goal`` and the terms before the hats."""
+    bound = []
+    goal = deref(goal)
+    while goal.__class__ is tuple and (goal[0] is _HAT or (goal[0].name == ":" and len(goal) == 3)):
+        if goal[0] is _HAT:
+            bound.append(goal[1])
+        goal = deref(goal[2])
+    return goal, bound
+
+
+def _grouped(sort: bool) -> Any:
+    def run(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+        template, goal, result = args
+        inner, bound = _strip(goal)
+        if inner.__class__ is Var:
+            raise instantiation_error()
+        if deref(result).__class__ not in (Var, tuple) and deref(result) is not atom("[]"):
+            raise type_error("list", result)
+        local = set(variables((COMMA, template, *bound)))
+        free = [var for var in variables(inner) if var not in local]
+        witness = make_list(free)
+
+        def finish(items: List[Term]) -> Term:
+            return make_list(sort_unique(items) if sort else items)
+
+        if not free:
+
+            def done(found: List[Term]) -> Optional[Frame]:
+                return after if found and unify(result, finish(found), machine.trail) else None
+
+            return machine.logic.control.collect(inner, template, done)
+
+        def done_grouped(found: List[Term]) -> Optional[Frame]:
+            groups = _groups(found)
+            return _enumerate(machine, witness, result, [(key, finish(items)) for key, items in groups], 0, after)
+
+        return machine.logic.control.collect(inner, (MINUS, witness, template), done_grouped)
+
+    return run
+
+
+def _groups(found: List[Term]) -> List[Any]:
+    """Group ``Witness-Template`` pairs by variants of the witness, in the standard order of witnesses."""
+    pairs = sorted(found, key=lambda pair: _KEY(pair[1]))
+    groups: List[Any] = []
+    for pair in pairs:
+        for key, items in reversed(groups):
+            if is_variant(key, pair[1]):
+                unify(key, pair[1], [])
+                items.append(pair[2])
+                break
+            if not variables(key):
+                groups.append((pair[1], [pair[2]]))
+                break
+        else:
+            groups.append((pair[1], [pair[2]]))
+    return groups
+
+
+def _enumerate(machine: Any, witness: Term, result: Term, groups: List[Any], at: int, after: Frame) -> Optional[Frame]:
+    while at < len(groups):
+        mark = len(machine.trail)
+        key, items = groups[at]
+        at += 1
+        if machine.unify_all((witness, key), (result, items)):
+            if at < len(groups):
+                machine.choices.append((_NEXT, machine, witness, result, groups, at, after, mark))
+            return after
+    return None
+
+
+_NEXT = Code("bagof", lambda entry: _enumerate(*entry[1:7]))
+
+control("bagof/3")(_grouped(False))
+control("setof/3")(_grouped(True))
+
+
+# Aggregates
+
+_COUNT, _SUM, _BAG, _SET = (functor(name, 1) for name in ("count", "sum", "bag", "set"))
+_EXTREMES = {
+    functor("max", 1): _MAX,
+    functor("min", 1): _MIN,
+}
+_WITH_WITNESS = {functor("max", 2): 1, functor("min", 2): -1}
+_R = functor("r", 2)
+
+
+def _total(values: List[Term]) -> Term:
+    total: Term = 0
+    for value in values:
+        total = add(total, value)
+    return total
+
+
+@control("aggregate_all/3", locked=False)
+def aggregate_all(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+    """Aggregate over all solutions: count, count(T), sum(E), max(E), min(E), max(E,W), min(E,W), bag(T), set(T)."""
+    spec, goal, result = deref(args[0]), args[1], args[2]
+    finish, template = _aggregate(spec)
+
+    def done(found: List[Term]) -> Optional[Frame]:
+        value = finish(found)
+        return after if value is not None and unify(result, value, machine.trail) else None
+
+    inner, _ = _strip(goal)
+    return machine.logic.control.collect(inner, template, done)  # type: ignore[no-any-return]
+
+
+def _aggregate(spec: Term) -> Any:
+    """Return what makes the result of an aggregate from the collected terms, and what to collect."""
+    if spec is atom("count"):
+        return len, spec
+    spec = callable_of(spec)
+    key: Functor = spec[0] if spec.__class__ is tuple else spec.functor
+    if key is _COUNT:
+        return len, spec[1]
+    if key is _SUM:
+        return _total, spec[1]
+    if key is _BAG:
+        return make_list, spec[1]
+    if key is _SET:
+        return (lambda found: make_list(sort_unique(found))), spec[1]
+    if key in _EXTREMES:
+        return _extreme(_EXTREMES[key]), spec[1]
+    if key in _WITH_WITNESS:
+        return _witness(key, _WITH_WITNESS[key]), (_R, spec[1], spec[2])
+    raise domain_error("aggregate_spec", spec)
+
+
+def _extreme(better: Callable[..., Any]) -> Callable[[List[Term]], Optional[Term]]:
+    def finish(found: List[Term]) -> Optional[Term]:
+        value = None
+        for item in found:
+            number = evaluate(item)
+            value = number if value is None else better(value, number)
+        return value
+
+    return finish
+
+
+def _witness(key: Functor, sign: int) -> Callable[[List[Term]], Optional[Term]]:
+    def finish(found: List[Term]) -> Optional[Term]:
+        best = None
+        for _, item, witness in found:
+            number = evaluate(item)
+            if best is None or (number - best[0]) * sign > 0:
+                best = number, witness
+        return None if best is None else (key, *best)
+
+    return finish

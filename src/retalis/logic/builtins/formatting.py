@@ -1,0 +1,258 @@
+"""Interpretation of format strings, with column stops, as SWI-Prolog's ``format/2``."""
+
+from typing import Any, Callable, Dict, List, Optional, Tuple
+
+from ...terms import Term, Var, atom, deref, functor
+from ..arithmetic import evaluate
+from ..faults import domain_error, error, instantiation_error, type_error
+from .arguments import integer
+from .text import text_of
+
+_FORMAT = functor("format", 1)
+
+
+def format_error(message: str) -> Exception:
+    """Return the error of a format string and arguments that do not fit."""
+    return error((_FORMAT, atom(message)))
+
+
+class Line:
+    """The text so far, with the column stops of its last line.
+
+    Args:
+        column: where the output stands before it.
+    """
+
+    def __init__(self, column: int):
+        self.done: List[str] = []
+        self.segment: List[str] = []
+        self.fills: List[Tuple[int, str]] = []
+        self.start = column
+        self.column = column
+
+    def add(self, text: str) -> None:
+        """Add text to the segment between two column stops."""
+        if not text:
+            return
+        self.segment.append(text)
+        newline = text.rfind("\n")
+        if newline >= 0:
+            self.done += self.segment
+            self.segment = []
+            self.fills = []
+            self.column = self.start = len(text) - newline - 1
+        else:
+            self.column += len(text)
+
+    def fill(self, char: str) -> None:
+        """Note that blanks of the column go here."""
+        self.fills.append((sum(map(len, self.segment)), char))
+
+    def stop(self, target: int) -> None:
+        """End the segment at a column, putting the missing characters where the fills are."""
+        text = "".join(self.segment)
+        missing = target - self.column
+        if missing > 0:
+            text = _spread(text, self.fills or [(len(text), " ")], missing)
+            self.column = target
+        self.done.append(text)
+        self.segment = []
+        self.fills = []
+        self.start = self.column
+
+    def text(self) -> str:
+        """Return everything."""
+        return "".join(self.done) + "".join(self.segment)
+
+
+def _spread(text: str, fills: List[Tuple[int, str]], missing: int) -> str:
+    """Insert ``missing`` characters at the fills in equal shares; the last takes the rest."""
+    share, rest = divmod(missing, len(fills))
+    out = []
+    last = 0
+    for number, (at, char) in enumerate(fills):
+        out.append(text[last:at])
+        out.append(char * (share + (rest if number == len(fills) - 1 else 0)))
+        last = at
+    out.append(text[last:])
+    return "".join(out)
+
+
+class Formatter:
+    """Formats arguments by a format string.
+
+    Args:
+        machine: whose program writes.
+        column: where the output stands.
+    """
+
+    def __init__(self, machine: Any, column: int):
+        self.machine = machine
+        self.line = Line(column)
+        self.arguments: List[Term] = []
+
+    def format(self, text: str, arguments: List[Term]) -> str:
+        """Return the formatted text.
+
+        Raises:
+            PrologError: where arguments are missing, left over, or of the wrong type.
+        """
+        self.arguments = arguments[::-1]
+        at = 0
+        line = self.line
+        while True:
+            tilde = text.find("~", at)
+            if tilde < 0:
+                line.add(text[at:])
+                break
+            line.add(text[at:tilde])
+            at = self._directive(text, tilde + 1)
+        if self.arguments:
+            raise format_error("too many arguments")
+        return line.text()
+
+    def _next(self) -> Term:
+        if not self.arguments:
+            raise format_error("not enough arguments")
+        return self.arguments.pop()
+
+    def _directive(self, text: str, at: int) -> int:
+        """Do the directive that starts behind the tilde; return where it ends."""
+        number: Optional[int] = None
+        if text[at : at + 1] == "`":
+            number = ord(text[at + 1 : at + 2] or "`")
+            at += 2
+        elif text[at : at + 1] == "*":
+            number = integer(self._next())
+            at += 1
+        else:
+            start = at
+            while text[at : at + 1].isdigit():
+                at += 1
+            if at > start:
+                number = int(text[start:at])
+        letter = text[at : at + 1]
+        if not letter:
+            raise format_error("truncated format specification")
+        line = self.line
+        if letter == "|" or letter == "+":
+            if letter == "+":
+                target = line.start + (8 if number is None else number)
+            else:
+                target = line.column if number is None else number
+            line.stop(target)
+        elif letter == "t":
+            line.fill(chr(32 if number is None else number))
+        elif letter == "~":
+            line.add("~")
+        elif letter == "n":
+            line.add("\n" * (1 if number is None else number))
+        elif letter == "c":
+            line.add(chr(integer(self._next())) * (1 if number is None else number))
+        elif letter == "i":
+            self._next()
+        else:
+            convert = _CONVERSIONS.get(letter)
+            if convert is None:
+                raise format_error(f"unknown directive: ~{letter}")
+            line.add(convert(self.machine, self._next(), number))
+        return at + 1
+
+
+def _atomic(machine: Any, term: Term, number: Optional[int]) -> str:
+    if deref(term).__class__ is Var:
+        raise instantiation_error()
+    return text_of(term)
+
+
+def _write(machine: Any, term: Term, number: Optional[int]) -> str:
+    return machine.logic.show(term, quoted=False)  # type: ignore[no-any-return]
+
+
+def _quoted(machine: Any, term: Term, number: Optional[int]) -> str:
+    return machine.logic.show(term)  # type: ignore[no-any-return]
+
+
+def _text(machine: Any, term: Term, number: Optional[int]) -> str:
+    return text_of(term, "codes")
+
+
+def group(digits: str, size: int, mark: str) -> str:
+    """Return digits in groups of ``size`` from the right."""
+    first = len(digits) % size or size
+    return mark.join([digits[:first], *[digits[at : at + size] for at in range(first, len(digits), size)]])
+
+
+def _decimal(mark: str) -> Callable[..., str]:
+    def convert(machine: Any, term: Term, number: Optional[int]) -> str:
+        value = deref(term)
+        if value.__class__ is not int:
+            if value.__class__ is Var:
+                raise instantiation_error()
+            value = evaluate(value) if value.__class__ is tuple else value
+            if value.__class__ is not int:
+                raise type_error("integer", value)
+        digits = str(abs(value))
+        fraction = ""
+        if number:
+            digits = digits.rjust(number + 1, "0")
+            digits, fraction = digits[:-number], "." + digits[-number:]
+        if mark:
+            digits = group(digits, 3, mark)
+        return ("-" if value < 0 else "") + digits + fraction
+
+    return convert
+
+
+def _float(letter: str) -> Callable[..., str]:
+    def convert(machine: Any, term: Term, number: Optional[int]) -> str:
+        value = evaluate(term)
+        places = 6 if number is None else number
+        if letter == "f" and value.__class__ is int:
+            return f"{value}.{'0' * places}" if places else str(value)
+        return f"%.{places}{letter}" % value
+
+    return convert
+
+
+_DIGITS = "0123456789abcdefghijklmnopqrstuvwxyz"
+
+
+def radix_text(value: int, radix: int) -> str:
+    """Return an integer in another base."""
+    digits = []
+    rest = abs(value)
+    while True:
+        rest, digit = divmod(rest, radix)
+        digits.append(_DIGITS[digit])
+        if not rest:
+            break
+    return ("-" if value < 0 else "") + "".join(reversed(digits))
+
+
+def _radix(change: Callable[[str], str]) -> Callable[..., str]:
+    def convert(machine: Any, term: Term, number: Optional[int]) -> str:
+        value = integer(term)
+        if number is None:
+            raise format_error("no default radix")
+        if not 2 <= number <= 36:
+            raise domain_error("radix", number)
+        return change(radix_text(value, number))
+
+    return convert
+
+
+_CONVERSIONS: Dict[str, Callable[..., str]] = {
+    "a": _atomic,
+    "w": _write,
+    "p": _quoted,
+    "q": _quoted,
+    "s": _text,
+    "d": _decimal(""),
+    "D": _decimal(","),
+    "e": _float("e"),
+    "f": _float("f"),
+    "g": _float("g"),
+    "r": _radix(str),
+    "R": _radix(str.upper),
+}
