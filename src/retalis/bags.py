@@ -66,7 +66,7 @@ class BagReader:
         self.topics: Tuple[Topic, ...] = tuple(self._topics.values())
         self.messages: int = self._reader.message_count
         self.start: int = self._reader.start_time if self.messages else 0
-        self.end: int = self._reader.end_time if self.messages else 0
+        self.end: int = self._reader.end_time - 1 if self.messages else 0
 
     def records(self, topics: Optional[Collection[str]] = None) -> Iterator[Record]:
         """Yield the messages in the order of their receipt.

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from messages.wire import messages, serialize, to_term
 
+from messages.wire import messages, serialize, to_term
 from retalis.messages import Definitions, Installed
 from retalis.syntax import EventReader, to_text
 from retalis.terms import freeze

@@ -7,12 +7,10 @@ from typing import Any, Callable, Dict, List, Tuple
 
 from ..terms import CONS, NIL, Term
 from ._compile import compile_function
+from .layout import EMPTY_LIMIT
 
 SMALL = 4
 """Arrays up to this length are decoded with the message: a lazy term would cost as much."""
-
-_EMPTY_LIMIT = 1 << 20
-"""Elements that an array of empty messages may have; its length is all that such an array is."""
 
 Make = Callable[[bytes], Term]
 
@@ -62,7 +60,7 @@ def variable_array(
     """
 
     def decode(data: bytes, at: int, number: int) -> Tuple[Term, int]:
-        if number * least > len(data) - at or (not least and number > _EMPTY_LIMIT):
+        if number * least > len(data) - at or (not least and number > EMPTY_LIMIT):
             raise StructError
         items = []
         for _ in range(number):

@@ -203,10 +203,12 @@ def describe(term: Term) -> str:
     kind = term.__class__
     if kind is Var:
         return "an unbound variable"
+    items = list_items(term)
+    if items is not None:
+        return f"a list of {len(items)}" if items else "an empty list"
     if kind is tuple:
         head: Functor = term[0]
-        items = list_items(term)
-        return f"a list of {len(items)}" if items is not None else f"{head.name}/{head.arity}"
+        return f"{head.name}/{head.arity}"
     if kind is Atom:
         return _short("the atom ", term.name)
     if kind is PrologString:

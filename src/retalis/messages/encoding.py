@@ -9,6 +9,7 @@ from struct import Struct, pack
 from struct import error as StructError
 from typing import Any, Callable, Dict, List
 
+from ..errors import MessageError
 from ..terms import CONS, FALSE, NIL, TRUE, Atom, Lazy, Term, atom, functor
 from ._compile import compile_function
 from .arrays import SMALL, array_maker
@@ -63,7 +64,7 @@ class _PackedTexts(Dict[Atom, bytes]):
 
 
 _packed = _PackedTexts()
-_ERRORS = (_Unusual, ValueError, TypeError, KeyError, StructError, OverflowError)
+_ERRORS = (_Unusual, MessageError, ValueError, TypeError, KeyError, StructError, OverflowError)
 
 
 class _Code:

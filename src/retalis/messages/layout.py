@@ -5,6 +5,9 @@ from typing import Optional
 
 from .definition import PRIMITIVES, TIMES, VARIABLE, Definition, Field
 
+EMPTY_LIMIT = 1 << 20
+"""Elements that an array of empty messages may have; its length is all that such an array is."""
+
 
 def element_format(slot: Field) -> Optional[str]:
     """Return the `struct` format of one element of a slot, or None where elements differ in size."""
@@ -61,12 +64,10 @@ def _end(definition: Definition, data: bytes, at: int, prefix: str) -> int:
         number = 1 if slot.length is None else slot.length
         if slot.length == VARIABLE:
             at, number = at + 4, _number(data, at, path)
-            if number * least_size(slot._replace(length=None)) > len(data) - at:
-                raise _Cut(path)
         size = element_format(slot)
         if size is not None:
             at += number * calcsize("<" + size)
-            if at > len(data):
+            if at > len(data) or (not size and number > EMPTY_LIMIT):
                 raise _Cut(path)
             continue
         for index in range(number):

@@ -11,6 +11,9 @@ from .installed import Installed
 _SAME = {"tf/tfMessage": "tf2_msgs/TFMessage"}
 """Types that are another one by an old name: equal texts, equal checksums."""
 
+_COMMON = {"tf2_msgs/TFMessage": "geometry_msgs/TransformStamped[] transforms\n"}
+"""Types that every robot sends and that not every system has as text (Debian, ``rosbags``)."""
+
 _Key = Tuple[str, str]
 
 
@@ -132,6 +135,8 @@ class _Resolver:
         known = self.registry.known(name)
         if known is not None:
             return known
+        if name in _COMMON:
+            return parse(name, _COMMON[name], self._nested)
         if name in _SAME:
             return self.resolve(_SAME[name]).renamed(name)
         raise MessageError(f"no definition of the message type {name} is installed or was received")

@@ -1,0 +1,136 @@
+import pytest
+
+from retalis.errors import MessageError
+from retalis.messages import Definitions, Installed
+from retalis.messages.definition import VARIABLE, functor_name, parse, split_sections, type_name
+
+HEADER = "uint32 seq\ntime stamp\nstring frame_id\n"
+
+
+def registry(**installed):
+    return Definitions(Installed([], [], rosbags=False))
+
+
+def read(text, name="pkg/Type"):
+    return registry().add(name, text)
+
+
+def fault(text):
+    with pytest.raises(MessageError) as caught:
+        read(text)
+    return caught.value
+
+
+def test_slots():
+    definition = read("# a comment\n\nfloat64 x # metres\nint32[]  many\nuint8[4] four\r\n\tstring name\n")
+    assert [(slot.name, slot.type, slot.length) for slot in definition.fields] == [
+        ("x", "float64", None),
+        ("many", "int32", VARIABLE),
+        ("four", "uint8", 4),
+        ("name", "string", None),
+    ]
+    assert [slot.describe() for slot in definition.fields] == ["float64", "int32[]", "uint8[4]", "string"]
+
+
+def test_constants():
+    definition = read(
+        "int8 LOW=-128\nuint8 MASK = 0x1F # bits\nfloat32 HALF=0.5\nbool YES=True\n"
+        "string NAME= it's # not a comment \n"
+    )
+    assert [(c.name, c.value) for c in definition.constants] == [
+        ("LOW", -128),
+        ("MASK", 31),
+        ("HALF", 0.5),
+        ("YES", True),
+        ("NAME", "it's # not a comment"),
+    ]
+    assert definition.fields == ()
+
+
+def test_checksums_are_those_of_ros():
+    assert read(HEADER, "std_msgs/Header").md5sum == "2176decaecbce78abc3b96ef049fabed"
+    assert read("string data\n", "std_msgs/String").md5sum == "992ce8a1687cec8c8bd883ec73ca41d1"
+    assert read("", "std_msgs/Empty").md5sum == "d41d8cd98f00b204e9800998ecf8427e"
+    text = "geometry_msgs/Vector3  linear\ngeometry_msgs/Vector3  angular\n"
+    vector = "=" * 80 + "\nMSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z"
+    assert read(text + vector, "geometry_msgs/Twist").md5sum == "9f195f881246fdfa2798d1d3eebca84a"
+
+
+def test_comments_do_not_count_but_constants_do():
+    plain = read("int32 x\nint32 Y=1\n")
+    assert read("# why\nint32   x # what\n int32 Y = 1 # how\n").md5sum == plain.md5sum
+    assert read("int32 x\nint32 Y=2\n").md5sum != plain.md5sum
+
+
+def test_header_is_that_of_std_msgs():
+    text = "Header header\n" + "=" * 80 + "\nMSG: std_msgs/Header\n" + HEADER
+    assert read(text).fields[0].type == "std_msgs/Header"
+    assert read(text.replace("Header header", "roslib/Header header")).md5sum == read(text).md5sum
+
+
+def test_nested_types_are_looked_for_in_the_own_package_first():
+    text = "Point p\n" + "=" * 80 + "\nMSG: pkg/Point\nint8 x\n" + "=" * 80 + "\nMSG: other/Point\nint16 x\n"
+    assert read(text).fields[0].type == "pkg/Point"
+
+
+def test_nested_types_of_old_texts_without_a_package():
+    text = "Point p\n" + "=" * 80 + "\nMSG: geometry_msgs/Point\nfloat64 x\n"
+    assert read(text).fields[0].type == "geometry_msgs/Point"
+
+
+def test_full_text_reads_back():
+    text = "Header header\nInner[] all\n" + "=" * 80 + "\nMSG: pkg/Inner\nHeader header\n" + "=" * 80
+    definition = read(text + "\nMSG: std_msgs/Header\n" + HEADER)
+    again = read(definition.full_text)
+    assert again.md5sum == definition.md5sum
+    assert [nested.name for nested in again.dependencies()] == ["std_msgs/Header", "pkg/Inner"]
+
+
+@pytest.mark.parametrize(
+    ("text", "message", "line", "column"),
+    [
+        ("int32 x\nnonsense\n", "expected 'type name' or 'type NAME=value', found 'nonsense'", 2, 1),
+        ("int32 x y\n", "expected 'type name' or 'type NAME=value', found 'int32 x y'", 1, 1),
+        ("int32 x\n  int32 x\n", "x is defined twice", 2, 9),
+        ("int32 1x\n", "'1x' is not a slot's name", 1, 7),
+        ("uint8 BIG=256\n", "'256' is not a value of type uint8", 1, 11),
+        ("bool B=maybe\n", "'maybe' is not a value of type bool", 1, 8),
+        ("time T=3\n", "a constant cannot be of type time", 1, 1),
+        ("int32 x\nother/Thing thing\n", "no definition of the message type other/Thing", 2, 1),
+        ("Thing[] things\n", "no definition of the message type pkg/Thing", 1, 1),
+        ("int32[x] y\n", "expected 'type name'", 1, 1),
+    ],
+)
+def test_errors_have_a_place(text, message, line, column):
+    error = fault(text)
+    assert message in error.message
+    assert (error.place.source, error.place.line, error.place.column) == ("pkg/Type", line, column)
+
+
+def test_an_error_in_a_nested_type_names_that_type():
+    error = fault("Inner inner\n" + "=" * 80 + "\nMSG: pkg/Inner\nint32 x\nfloat y\n")
+    assert str(error.place) == "pkg/Inner:2:1"
+
+
+def test_a_type_cannot_contain_itself():
+    assert "pkg/Type contains itself" in fault("Type inner\n").message
+
+
+def test_broken_sections():
+    assert "expected 'MSG: pkg/Type'" in fault("int32 x\n" + "=" * 80 + "\nint32 y\n").message
+    assert "expected 'MSG: pkg/Type'" in fault("int32 x\n" + "=" * 80 + "\n").message
+    both = "int32 x\n" + ("=" * 80 + "\nMSG: a/B\nint8 {}\n") * 2
+    assert "a/B is defined twice, differently" in fault(both.format("x", "y")).message
+    assert len(split_sections("pkg/Type", both.format("x", "x"))) == 2
+
+
+@pytest.mark.parametrize("name", ["Type", "pkg/", "pkg/a/b", "1pkg/Type", ""])
+def test_wrong_names_of_types(name):
+    with pytest.raises(MessageError, match="is not the name of a message type"):
+        parse(name, "int8 x\n", lambda written, package: None)
+
+
+def test_names_of_functors():
+    assert functor_name("geometry_msgs/Pose") == "geometry_msgs__0__Pose"
+    assert type_name("geometry_msgs__0__Pose") == "geometry_msgs/Pose"
+    assert type_name("tf") is None

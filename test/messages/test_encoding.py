@@ -1,0 +1,225 @@
+import struct
+
+import pytest
+
+from retalis.errors import MessageError
+from retalis.messages import Definitions, Installed
+from retalis.terms import CONS, NIL, Lazy, String, Var, atom, functor, make_list
+
+STAMPED = """\
+Header header
+Pose pose
+================================================================================
+MSG: std_msgs/Header
+uint32 seq
+time stamp
+string frame_id
+================================================================================
+MSG: geometry_msgs/Pose
+Point position
+float64[4] orientation
+================================================================================
+MSG: geometry_msgs/Point
+float64 x
+float64 y
+float64 z
+"""
+ONE = functor("pkg__0__Type", 1)
+
+
+def encoder(text, name="pkg/Type"):
+    registry = Definitions(Installed([], [], rosbags=False))
+    return registry.encoder(registry.add(name, text)).encode
+
+
+def one(kind, value, topic=""):
+    return encoder(f"{kind} x\n")((ONE, value), topic)
+
+
+def fault(kind, value):
+    with pytest.raises(MessageError) as caught:
+        one(kind, value)
+    return caught.value.message
+
+
+def pose(**parts):
+    given = {
+        "seq": 1,
+        "stamp": make_list([2, 3]),
+        "frame": atom('"odom"'),
+        "x": 1.0,
+        "y": 2,
+        "q": [0.0, 0.0, 0.0, 1.0],
+    }
+    given.update(parts)
+    header = functor("std_msgs__0__Header", 3)(given["seq"], given["stamp"], given["frame"])
+    point = functor("geometry_msgs__0__Point", 3)(given["x"], given["y"], 3.0)
+    pose = functor("geometry_msgs__0__Pose", 2)(point, make_list(given["q"]))
+    return functor("geometry_msgs__0__PoseStamped", 2)(header, pose)
+
+
+POSE = struct.pack("<IIII4s3d4d", 1, 2, 3, 4, b"odom", 1, 2, 3, 0, 0, 0, 1)
+
+
+def test_a_nested_message():
+    assert encoder(STAMPED, "geometry_msgs/PoseStamped")(pose()) == POSE
+
+
+def test_bound_variables_and_lazy_terms_are_followed():
+    encode = encoder(STAMPED, "geometry_msgs/PoseStamped")
+    var, frame = Var(), Var()
+    var.ref = 1.0
+    frame.ref = atom('"odom"')
+    assert encode(pose(x=var, frame=frame)) == POSE
+    whole = Lazy(functor("geometry_msgs__0__PoseStamped", 2), lambda source: pose(), None)
+    assert encode(whole) == POSE
+    assert encode(pose(stamp=Lazy(CONS, make_list, [2, 3]))) == POSE
+
+
+@pytest.mark.parametrize("frame", [atom("odom"), String("odom"), atom('"odom"')])
+def test_texts_with_and_without_quotes(frame):
+    assert encoder(STAMPED, "geometry_msgs/PoseStamped")(pose(frame=frame)) == POSE
+
+
+@pytest.mark.parametrize(
+    ("value", "flag"), [("true", 1), ("false", 0), ("True", 1), ("False", 0), (1, 1), (0, 0)]
+)
+def test_booleans(value, flag):
+    assert one("bool", atom(value) if isinstance(value, str) else value) == bytes([flag])
+
+
+def test_floats():
+    assert one("float64", 3) == struct.pack("<d", 3.0)
+    assert one("float32", 0.1) == struct.pack("<f", 0.1)
+    assert one("float64", float("inf")) == struct.pack("<d", float("inf"))
+    assert one("float64", atom("inf")) == struct.pack("<d", float("inf"))
+    assert one("float64", (functor("-", 1), atom("inf"))) == struct.pack("<d", float("-inf"))
+    assert one("float32", atom("nan")) == one("float32", float("nan")) == struct.pack("<f", float("nan"))
+
+
+def test_times():
+    assert one("time", make_list([2**32 - 1, 0])) == struct.pack("<II", 2**32 - 1, 0)
+    assert one("duration", make_list([-1, 500])) == struct.pack("<ii", -1, 500)
+
+
+def test_arrays():
+    numbers = make_list([1.0, 2.0])
+    assert one("float64[]", numbers) == struct.pack("<I2d", 2, 1, 2)
+    assert one("float64[2]", numbers) == struct.pack("<2d", 1, 2)
+    assert one("float64[6]", make_list(range(6))) == struct.pack("<6d", *range(6))
+    assert one("int8[]", NIL) == struct.pack("<I", 0)
+    assert one("bool[]", make_list([atom("true"), 1, atom("false")])) == struct.pack("<I3?", 3, 1, 1, 0)
+    assert one("string[]", make_list([atom('"a"'), String("bc")])) == struct.pack(
+        "<II1sI2s", 2, 1, b"a", 2, b"bc"
+    )
+    assert one("time[1]", make_list([make_list([1, 2])])) == struct.pack("<II", 1, 2)
+
+
+def test_byte_arrays_as_texts_and_as_lists():
+    assert one("uint8[]", atom('"abc"')) == struct.pack("<I3s", 3, b"abc")
+    assert one("uint8[]", atom('"FFFFFFFFFFAAEC////"')) == struct.pack("<I3s", 3, b"\0\1\2")
+    assert one("uint8[]", make_list([0, 255])) == struct.pack("<I2B", 2, 0, 255)
+    assert one("uint8[]", NIL) == struct.pack("<I", 0)
+    assert one("uint8[3]", atom('"abc"')) == b"abc"
+    assert one("uint8[2]", make_list([1, 2])) == b"\1\2"
+
+
+def test_a_type_without_slots():
+    encode = encoder("", "std_msgs/Empty")
+    assert encode(atom("std_msgs__0__Empty")) == b""
+    with pytest.raises(MessageError, match="expected the atom std_msgs__0__Empty, got the atom other"):
+        encode(atom("other"))
+
+
+@pytest.mark.parametrize(
+    ("kind", "value", "message"),
+    [
+        ("uint8", 256, "slot x: expected uint8 from 0 to 255, got 256"),
+        ("int8", -129, "slot x: expected int8 from -128 to 127, got -129"),
+        ("char", -1, "slot x: expected char from 0 to 255, got -1"),
+        ("int32", 1.5, "slot x: expected int32, got 1.5"),
+        ("int64", 2**63, "slot x: expected int64 from"),
+        ("int32", atom("a"), "slot x: expected int32, got the atom a"),
+        ("float64", atom("a"), "slot x: expected float64, got the atom a"),
+        ("float64", String("1"), 'slot x: expected float64, got the string "1"'),
+        ("float32", 1e39, "slot x: 1e+39 is too large for float32"),
+        ("float64", 10**400, "is too large for float64"),
+        ("bool", 2, "slot x: expected bool (true or false), got 2"),
+        ("bool", 1.0, "slot x: expected bool (true or false), got 1.0"),
+        ("bool", atom("yes"), "slot x: expected bool (true or false), got the atom yes"),
+        ("string", 3, "slot x: expected a string, got 3"),
+        ("string", NIL, "slot x: expected a string, got an empty list"),
+        ("string", atom('"FFFFFFFFFFabc"'), "slot x: expected base64 in lines"),
+        ("time", make_list([1]), "slot x: expected time as [Sec,NSec], got a list of 1"),
+        ("time", make_list([-1, 0]), "slot x: expected time as [Sec,NSec], Sec from 0 to 4294967295, got -1"),
+        ("duration", make_list([1, 2.5]), "slot x: expected duration as [Sec,NSec], got a list of 2"),
+        ("time", 5, "slot x: expected time as [Sec,NSec], got 5"),
+        ("float64[3]", make_list([1.0]), "slot x: expected 3 elements (float64[3]), got 1"),
+        ("float64[9]", make_list([1.0]), "slot x: expected 9 elements (float64[9]), got 1"),
+        ("float64[]", make_list([1.0, atom("b")]), "slot x[1]: expected float64, got the atom b"),
+        ("float64[]", 3, "slot x: expected a list (float64[]), got 3"),
+        ("string[]", make_list([atom("a"), 3]), "slot x[1]: expected a string, got 3"),
+        ("uint8[2]", atom('"abc"'), "slot x: expected 2 elements (uint8[2]), got 3"),
+        ("uint8[]", make_list([300]), "slot x[0]: expected uint8 from 0 to 255, got 300"),
+        ("uint8[]", 3, "slot x: expected a text or a list (uint8[]), got 3"),
+        ("int8", Var(), "slot x: expected int8, got an unbound variable"),
+        ("int8", (functor("f", 2), 1, 2), "slot x: expected int8, got f/2"),
+        ("string", String("x" * 100), None),
+    ],
+)
+def test_what_does_not_fit(kind, value, message):
+    if message is None:
+        assert one(kind, value)
+    else:
+        assert message in fault(kind, value)
+
+
+def test_errors_name_topic_type_and_slot():
+    encode = encoder(STAMPED, "geometry_msgs/PoseStamped")
+    with pytest.raises(MessageError) as caught:
+        encode(pose(x=atom("here")), "marker1")
+    assert caught.value.message == (
+        "topic marker1, geometry_msgs/PoseStamped, slot pose.position.x: expected float64, got the atom here"
+    )
+    with pytest.raises(MessageError) as caught:
+        encode(pose(q=[0.0, 0.0, Var(), 1.0]))
+    assert caught.value.message == (
+        "geometry_msgs/PoseStamped, slot pose.orientation[2]: expected float64, got an unbound variable"
+    )
+
+
+@pytest.mark.parametrize(
+    "term",
+    [
+        atom("a"),
+        3,
+        Var(),
+        functor("geometry_msgs__0__PoseStamped", 1)(1),
+        functor("geometry_msgs__0__Pose", 2)(1, 2),
+        make_list([1, 2]),
+    ],
+)
+def test_terms_of_another_type(term):
+    with pytest.raises(MessageError, match="expected geometry_msgs__0__PoseStamped/2, got"):
+        encoder(STAMPED, "geometry_msgs/PoseStamped")(term)
+
+
+def test_partial_lists():
+    assert "expected a list (int8[])" in fault("int8[]", (CONS, 1, Var()))
+    assert "expected a list (int8[])" in fault("int8[]", (CONS, 1, 2))
+    tail = Var()
+    tail.ref = make_list([2])
+    assert one("int8[]", (CONS, 1, tail)) == struct.pack("<I2b", 2, 1, 2)
+
+
+def test_undecoded_parts_go_out_as_they_came_in():
+    text = "float32[9] a\nfloat64[] b\nuint8[] c\nstring d\n"
+    registry = Definitions(Installed([], [], rosbags=False))
+    definition = registry.add("pkg/Type", text)
+    signalling = b"\1\0\xa0\x7f"  # a nan that comes through no float
+    data = signalling * 9 + struct.pack(
+        "<I6dI2000sI2000s", 6, *range(6), 2000, b"c" * 2000, 2000, b"d" * 2000
+    )
+    term = registry.decoder(definition).decode(data)
+    assert registry.encoder(definition).encode(term) == data
+    assert all(part.made is None for part in term[1:])

@@ -1,0 +1,134 @@
+import sys
+
+import pytest
+
+from retalis.errors import MessageError
+from retalis.messages import Definitions, Installed
+
+STAMPED = """Header header
+Inner inner
+================================================================================
+MSG: pkg/Inner
+int8 x
+================================================================================
+MSG: std_msgs/Header
+uint32 seq
+time stamp
+string frame_id
+"""
+
+
+def nothing_installed():
+    return Definitions(Installed([], [], rosbags=False))
+
+
+def package(root, name, **messages):
+    folder = root / name / "msg"
+    folder.mkdir(parents=True)
+    (root / name / "package.xml").write_text("<package/>")
+    for kind, text in messages.items():
+        (folder / f"{kind}.msg").write_text(text)
+
+
+def test_an_added_type_is_found_with_its_nested_ones():
+    registry = nothing_installed()
+    definition = registry.add("pkg/Stamped", STAMPED)
+    assert registry.find("pkg/Stamped") is definition
+    assert registry.add("pkg/Stamped", STAMPED) is definition
+    assert registry.find("pkg/Inner").fields[0].name == "x"
+    assert "pkg/Stamped" in registry
+    assert "pkg/Other" not in registry
+
+
+def test_another_text_for_a_known_name_is_another_definition():
+    registry = nothing_installed()
+    first = registry.add("pkg/Type", "int8 x\n")
+    second = registry.add("pkg/Type", "int16 x\n")
+    assert registry.find("pkg/Type") is first
+    assert first.md5sum != second.md5sum
+    assert registry.decoder(second).decode(b"\1\0") == registry.decoder(first).decode(b"\1")
+    assert registry.decoder("pkg/Type") is registry.decoder(first)
+    assert registry.encoder("pkg/Type").definition is first
+
+
+def test_an_unknown_type_is_an_error_that_names_it():
+    with pytest.raises(MessageError, match="no definition of the message type pkg/Missing"):
+        nothing_installed().find("pkg/Missing")
+
+
+def test_installed_types_are_found_and_read_once(tmp_path):
+    package(tmp_path, "pkg", Outer="other/Inner inner\nOwn own\n", Own="int8 x\n")
+    package(tmp_path, "other", Inner="float64 y\n")
+    registry = Definitions(Installed([str(tmp_path)], [], rosbags=False))
+    outer = registry.find("pkg/Outer")
+    assert [slot.type for slot in outer.fields] == ["other/Inner", "pkg/Own"]
+    assert registry.find("pkg/Outer") is outer
+
+
+def test_an_installed_type_that_is_wrong_names_its_file(tmp_path):
+    package(tmp_path, "pkg", Bad="int8 x\nint8 x\n")
+    with pytest.raises(MessageError) as caught:
+        Definitions(Installed([str(tmp_path)], [], rosbags=False)).find("pkg/Bad")
+    assert str(caught.value.place) == f"{tmp_path}/pkg/msg/Bad.msg:2:6"
+
+
+def test_packages_deep_in_a_workspace(tmp_path):
+    package(tmp_path / "src" / "stack", "pkg", Type="int8 x\n")
+    (tmp_path / "src" / ".hidden").mkdir()
+    registry = Definitions(Installed([str(tmp_path / "src"), str(tmp_path / "missing")], [], rosbags=False))
+    assert registry.find("pkg/Type").fields[0].type == "int8"
+
+
+def test_a_folder_that_is_a_package_itself(tmp_path):
+    package(tmp_path, "pkg", Type="int8 x\n")
+    assert "pkg/Type" in Definitions(Installed([str(tmp_path / "pkg")], [], rosbags=False))
+
+
+def test_the_usual_places(tmp_path, monkeypatch):
+    package(tmp_path / "path", "one", Type="int8 x\n")
+    package(tmp_path / "prefix" / "share", "two", Type="int16 x\n")
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path / "path"))
+    monkeypatch.setenv("CMAKE_PREFIX_PATH", str(tmp_path / "prefix"))
+    registry = Definitions()
+    assert registry.find("one/Type").fields[0].type == "int8"
+    assert registry.find("two/Type").fields[0].type == "int16"
+
+
+def test_generated_modules_are_read_and_not_run(tmp_path):
+    folder = tmp_path / "pkg" / "msg"
+    folder.mkdir(parents=True)
+    (folder / "_Type.py").write_text(f"raise SystemExit\nclass Type:\n  _full_text = {STAMPED!r}\n")
+    (folder / "_Broken.py").write_text("class Type(:\n")
+    registry = Definitions(Installed([], [str(tmp_path)], rosbags=False))
+    assert registry.find("pkg/Type").fields[1].type == "pkg/Inner"
+    assert "pkg/Broken" not in registry
+    assert "pkg" not in sys.modules
+
+
+def test_types_that_rosbags_brings():
+    pytest.importorskip("rosbags")
+    registry = Definitions(Installed([], []))
+    assert registry.find("geometry_msgs/PoseStamped").md5sum == "d3812c3cbc69362b77dc0b19b345f8f5"
+    assert registry.find("sensor_msgs/NavSatStatus").md5sum == "331cdbddfa4bc96ffc3b9ad98900a54c"
+    assert "pkg/Type" not in registry
+
+
+@pytest.mark.parametrize("name", ["tf/tfMessage", "tf2_msgs/TFMessage"])
+def test_tf_by_both_names_wherever_geometry_is(name):
+    pytest.importorskip("rosbags")
+    definition = Definitions(Installed([], [])).find(name)
+    assert definition.name == name
+    assert definition.md5sum == "94810edda583a504dfda3829e70d7eec"
+
+
+def test_added_types_come_before_installed_ones_and_those_before_nested_ones(tmp_path):
+    package(tmp_path, "pkg", Inner="int64 installed\n", Stamped="int64 installed\n")
+    registry = Definitions(Installed([str(tmp_path)], [], rosbags=False))
+    registry.add("pkg/Stamped", STAMPED)
+    assert registry.find("pkg/Stamped").fields[0].name == "header"
+    assert registry.find("pkg/Inner").fields[0].name == "installed"
+
+
+def test_names_that_are_paths_are_not_looked_up(tmp_path):
+    package(tmp_path, "pkg", Type="int8 x\n")
+    assert Installed([str(tmp_path / "other")], [], rosbags=False).text("../pkg/Type") is None

@@ -1,0 +1,77 @@
+import base64
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from retalis.errors import MessageError
+from retalis.messages.text import text_atom, text_bytes
+from retalis.terms import NIL, String, atom
+
+
+@pytest.mark.parametrize(
+    ("data", "name"),
+    [
+        (b"", '""'),
+        (b"base_link", '"base_link"'),
+        (b"/odom", '"/odom"'),
+        (b'say "hi"', '"say "hi""'),
+        (b"it's\\", '"it\'s\\"'),
+        (b"two\nlines\t", '"two\nlines\t"'),
+        (b"FFFFFFFFF", '"FFFFFFFFF"'),
+        (b"\0", '"FFFFFFFFFFAA==////"'),
+        ("é".encode(), '"FFFFFFFFFFw6k=////"'),
+        (b"FFFFFFFFFF", '"FFFFFFFFFFRkZGRkZGRkZGRg==////"'),
+    ],
+)
+def test_texts_as_atoms(data, name):
+    assert text_atom(data) is atom(name)
+    assert text_bytes(atom(name)) == data
+
+
+def test_base64_comes_in_lines_of_76():
+    data = bytes(range(256))
+    name = text_atom(data).name
+    assert name.startswith('"FFFFFFFFFF')
+    lines = name[11:-1]
+    expected = base64.encodebytes(data).decode().replace("\n", "////")
+    assert lines == expected
+    assert len(lines.split("////")[0]) == 76
+
+
+def test_slashes_of_base64_are_no_line_breaks():
+    data = b"\xff" * 60  # all of it "/" in base64
+    assert text_atom(data).name == '"FFFFFFFFFF' + "/" * 76 + "////" + "/" * 4 + "////" + '"'
+    assert text_bytes(text_atom(data)) == data
+
+
+@given(st.binary(max_size=300) | st.text(max_size=100).map(str.encode))
+def test_every_text_comes_back(data):
+    assert text_bytes(text_atom(data)) == data
+
+
+@pytest.mark.parametrize(
+    ("term", "data"),
+    [
+        (atom("base_link"), b"base_link"),
+        (String("base_link"), b"base_link"),
+        (String('"quoted"'), b'"quoted"'),
+        (atom('"'), b'"'),
+        (atom(""), b""),
+        (atom("é"), "é".encode()),
+        (String("FFFFFFFFFFAA==////"), b"\0"),
+        (NIL, None),
+        (3, None),
+        (2.5, None),
+    ],
+)
+def test_other_terms_for_texts(term, data):
+    assert text_bytes(term) == data
+
+
+@pytest.mark.parametrize(
+    "broken", ["FFFFFFFFFFAA==", "FFFFFFFFFFA////", "FFFFFFFFFF?!==////", "FFFFFFFFFFé////"]
+)
+def test_broken_base64(broken):
+    with pytest.raises(MessageError, match="base64"):
+        text_bytes(atom(f'"{broken}"'))
