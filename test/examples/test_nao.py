@@ -1,3 +1,4 @@
+import os
 import shutil
 import subprocess
 import sys
@@ -178,7 +179,7 @@ def test_observations(made, records):
 
 def test_faces(records):
     names = set()
-    for topic, received, (header, status, (order, found, confidence)) in [
+    for _topic, received, (header, status, (order, found, confidence)) in [
         record for record in records if record[0] == "/face_recognition/feedback"
     ]:
         assert 0.05e9 <= received - nanoseconds(header[1]) <= 0.15e9
@@ -225,8 +226,6 @@ def test_comparison_table():
 
 @pytest.mark.skipif(not Path("/usr/bin/rosbag").exists(), reason="no ROS here")
 def test_ros_reads_the_bag(made, tmp_path):
-    import os
-
     environment = {**os.environ, "PATH": "/usr/bin:" + os.environ["PATH"], "ROS_LOG_DIR": str(tmp_path)}
     done = subprocess.run(
         [shutil.which("rosbag", path="/usr/bin"), "info", "--yaml", "--key=messages", str(made[0])],

@@ -114,7 +114,7 @@ REGISTRY = Definitions()
 WITHOUT_ROS = Definitions(Installed([], [], rosbags=False))
 
 brief = settings(
-    max_examples=12,
+    max_examples=8,
     deadline=None,
     derandomize=True,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
@@ -164,14 +164,14 @@ def test_installed_types(name):
     every_message()
 
 
-@settings(brief, max_examples=40)
+@settings(brief, max_examples=20)
 @given(st.data())
 def test_a_type_with_everything(data):
     definition = WITHOUT_ROS.add("test_msgs/Everything", EVERYTHING)
     check(definition, WITHOUT_ROS, serialize(definition, data.draw(messages(definition))))
 
 
-@settings(brief, max_examples=30)
+@settings(brief, max_examples=15)
 @given(st.data())
 def test_the_term_is_the_expected_one(data):
     definition = WITHOUT_ROS.add("test_msgs/Everything", EVERYTHING)
@@ -202,7 +202,7 @@ def _without_codes(definition, values):
 def test_shapes_of_messages(shape):
     definition = WITHOUT_ROS.add(f"test_msgs/{shape}", SHAPES[shape] + _PARTS)
 
-    @settings(brief, max_examples=40)
+    @settings(brief, max_examples=20)
     @given(messages(definition, printable | st.binary(max_size=5)))
     def every_message(values):
         check(definition, WITHOUT_ROS, serialize(definition, values))
