@@ -1,4 +1,4 @@
 #!/usr/bin/env python3
 from retalis.ros.converter import main
 
-main()
+raise SystemExit(main())

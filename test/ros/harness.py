@@ -50,6 +50,9 @@ class Collector:
     def connected(self):
         return self._subscriber.get_num_connections() > 0
 
+    def close(self):
+        self._subscriber.unregister()
+
 
 class RawPublisher:
     """Publishes bytes as messages of a type, whether the type is installed or not."""

@@ -1,6 +1,5 @@
 """Node ``retalis_ros_interface``: between ROS topics and events as text."""
 
-import logging
 from typing import Optional
 
 import rospy
@@ -11,10 +10,11 @@ from ..program import TOPICS, Topics, read_topics
 from ..syntax import EventReader, to_text
 from ..terms import CONS, NIL, Term, deref, functor
 from ..timestamps import datime
-from ._log import forward_log, shown
+from ._log import shown
 from .interface import Interface
 from .node import INPUT, OUTPUT, OUTPUT_EVENT, connect
-from .parameters import Parameters, direct_topics, read_parameters
+from .parameters import Parameters, direct_topics
+from .running import run_node
 from .services import InterfaceServices
 
 EVENT = functor("event", 2)
@@ -57,13 +57,6 @@ class Converter:
         self._interface.publish(deref(event[1]), getattr(topic, "name", None) or to_text(topic))
 
 
-def main() -> None:
-    """Run the node until it is shut down."""
-    rospy.init_node("retalis_ros_converter")
-    forward_log(logging.getLogger("retalis"))
-    try:
-        Converter(read_parameters())
-    except RetalisError as error:
-        rospy.logfatal("%s", error)
-        raise SystemExit(1) from error
-    rospy.spin()
+def main() -> int:
+    """Run the node until it is shut down; return its exit status."""
+    return run_node("retalis_ros_converter", Converter)

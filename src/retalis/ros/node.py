@@ -1,6 +1,5 @@
 """Node ``retalis``: the engine behind its services and topics."""
 
-import logging
 from typing import Any, Optional
 
 import rospy
@@ -12,9 +11,10 @@ from ..errors import RetalisError
 from ..program import TOPICS, Topics, read_topics
 from ..syntax import to_text
 from ..terms import Term, atom, functor
-from ._log import forward_log, shown
+from ._log import shown
 from .interface import Interface
-from .parameters import Parameters, direct_topics, read_parameters
+from .parameters import Parameters, direct_topics
+from .running import run_node
 from .services import EngineServices, InterfaceServices
 
 INPUT = "retalisInputEvents"
@@ -122,13 +122,6 @@ def _try(work: Any) -> None:
         rospy.logerr("%s: %s", TOPICS, error)
 
 
-def main() -> None:
-    """Run the node until it is shut down."""
-    rospy.init_node("retalis")
-    forward_log(logging.getLogger("retalis"))
-    try:
-        Node(read_parameters())
-    except RetalisError as error:
-        rospy.logfatal("%s", error)
-        raise SystemExit(1) from error
-    rospy.spin()
+def main() -> int:
+    """Run the node until it is shut down; return its exit status."""
+    return run_node("retalis", Node)

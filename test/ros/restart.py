@@ -1,0 +1,88 @@
+#!/usr/bin/env python3
+"""Nodes that are killed, started again and interrupted; the other one goes on."""
+
+import os
+import signal
+import subprocess
+import sys
+import unittest
+from pathlib import Path
+
+import rosgraph
+import rosnode
+import rospy
+import rostest
+from std_msgs.msg import String
+
+sys.path.append(str(Path(__file__).resolve().parent))
+from harness import PATIENCE, Collector, open_the_way, service, wait_until  # noqa: E402
+
+from retalis import srv  # noqa: E402
+
+TYPES = {"retalis": "retalis_node", "retalis_ros_interface": "retalis_ros_converter.py"}
+
+
+def alive(name):
+    return f"/{name}" in rosnode.get_node_names()
+
+
+class Restart(unittest.TestCase):
+    def start(self, name):
+        """Start a node as a user would, and have it ended with the test."""
+        process = subprocess.Popen(["rosrun", "retalis", TYPES[name], f"__name:={name}"], start_new_session=True)
+        self.addCleanup(self.end, process)
+        wait_until(lambda: alive(name), f"node {name}")
+        return process
+
+    def end(self, process):
+        """Interrupt a node, so that the master forgets it."""
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGINT)
+            process.wait(PATIENCE)
+
+    def kill(self, name):
+        killed, failed = rosnode.kill_nodes([f"/{name}"])
+        self.assertEqual((killed, failed), ([f"/{name}"], []))
+        wait_until(lambda: not self.registered(name), f"the end of {name}")
+
+    def test_1_the_interface_is_killed_and_started_again(self):
+        open_the_way()
+        self.kill("retalis_ros_interface")
+        self.assertTrue(alive("retalis"))
+        add = service("add_memory", srv.AddMemory)
+        self.assertEqual(add("x(Y)", "", "_", "while_alone", "1").result, "ok")
+        self.start("retalis_ros_interface")
+        deleted = service("delete_output_subscription", srv.DeleteOutputSubscription)("face_by_marker", "probe")
+        self.assertEqual(deleted.result, "ok")
+        open_the_way()
+
+    def test_2_the_engine_is_killed_and_started_again(self):
+        self.start("retalis_ros_interface")  # the first test took its own with it
+        self.kill("retalis")
+        self.start("retalis")
+        open_the_way()
+
+    def test_3_an_interrupt_ends_a_node_at_once(self):
+        for name in TYPES:
+            process = self.start(name)
+            events = rospy.Publisher("retalisInputEvents", String, queue_size=100)
+            outputs = Collector("retalisOutputEvents", String)
+            if name == "retalis":
+                wait_until(lambda events=events: events.get_num_connections() > 0, "the engine")
+                events.publish("event(a)")
+            else:
+                wait_until(lambda: alive("retalis_ros_interface"), "the interface")
+            os.killpg(process.pid, signal.SIGINT)
+            process.wait(5)
+            outputs.close()
+            wait_until(lambda name=name: not self.registered(name), f"the end of {name}")
+
+    def registered(self, name):
+        return any(
+            f"/{name}" in nodes for state in rosgraph.Master("/restart").getSystemState() for _, nodes in state
+        )
+
+
+if __name__ == "__main__":
+    rospy.init_node("restart")
+    rostest.rosrun("retalis", "restart", Restart)

@@ -1,0 +1,92 @@
+"""Every snippet in README and docs is run: what it shows is what happens."""
+
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from retalis import Engine
+from retalis.syntax import Operators, read_program
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+SNIPPET = re.compile(r"(?:<!-- (?P<name>[\w.]+) -->\n)?```(?P<kind>\w*)\n(?P<text>.*?)```", re.DOTALL)
+LINK = re.compile(r"\]\((?!https?:)([^)#]+)")
+
+
+def snippets(page):
+    return list(SNIPPET.finditer(page.read_text(encoding="utf-8")))
+
+
+def test_the_example_of_the_readme_prints_what_it_says(tmp_path):
+    files = {}
+    for found in snippets(ROOT / "README.md"):
+        if found["name"]:
+            files[found["name"]] = found["text"]
+            (tmp_path / found["name"]).write_text(found["text"], encoding="utf-8")
+    result = subprocess.run(
+        [sys.executable, "fever.py"],
+        cwd=tmp_path,
+        env={"PYTHONPATH": str(ROOT / "src"), "PATH": "/usr/bin:/bin"},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert result.stderr == ""
+    assert result.stdout == files["fever.out"]
+
+
+def prolog():
+    for page in PAGES:
+        for number, found in enumerate(snippets(page)):
+            if found["kind"] == "prolog":
+                yield pytest.param(found["text"], id=f"{page.name}-{number}")
+
+
+@pytest.mark.parametrize("text", prolog())
+def test_rules_and_goals_in_the_pages_load(text):
+    engine = Engine()
+    if text.startswith(("memorize(", "subscribe(")):
+        engine.call_goals(text, "snippet")
+    else:
+        assert list(read_program(text, Operators.prolog(), "snippet"))
+        engine.load(rules=text)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page):
+    for target in LINK.findall(page.read_text(encoding="utf-8")):
+        assert (page.parent / target).exists(), target
+
+
+def test_commands_of_the_readme_are_commands():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    commands = [shlex.split(line, comments=True) for line in re.findall(r"^    (\S.*)$", text, re.MULTILINE)]
+    known = {"./install.py", "roslaunch", "rosservice", "PYTHONPATH=src"}
+    assert {command[0] for command in commands} <= known
+    for command in commands:
+        if command[0] == "./install.py":
+            shown = subprocess.run([sys.executable, str(ROOT / "install.py"), "--help"], capture_output=True, text=True)
+            assert command[1] in shown.stdout
+        elif command[0] == "PYTHONPATH=src":
+            module = subprocess.run(
+                [sys.executable, *command[2:], "--help"],
+                cwd=ROOT,
+                env={"PYTHONPATH": "src"},
+                capture_output=True,
+                timeout=60,
+            )
+            assert module.returncode == 0
+
+
+def test_launch_arguments_that_the_readme_names_exist():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    launch = ElementTree.parse(ROOT / "launch" / "retalis.launch")
+    arguments = {arg.get("name") for arg in launch.iter("arg")}
+    named = set(re.findall(r"`(\w+):=", text))
+    assert named
+    assert named <= arguments
