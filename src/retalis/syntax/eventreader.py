@@ -38,11 +38,12 @@ _NUMBER = re.compile(
     r"(-?(?:[0-9]{1,200}(?:\.[0-9]{1,200}(?:[eE](?:-[0-9]{1,3}|\+?[0-9]{1,2}))?)?|inf|nan))"
     r"(?=[,)\]|])"
 )
+# Each with its closing quote, which may be missing: so that no text makes the search begin again and again.
 _QUOTED = re.compile(
-    r"""'((?:[^'\\\n]|\\[\s\S]|'')*)'|"((?:[^"\\\n]|\\[\s\S]|"")*)\""""
+    r"""'((?:[^'\\\n]|\\[\s\S]|'')*)('?)|"((?:[^"\\\n]|\\[\s\S]|"")*)("?)"""
 )
 _ALONE = re.compile(r"(?:^|[(\[{,|])\s*(?:'|\"\")\s*(?=$|[)\]},|])")
-_PLACE = re.compile("[\0']|\"\"")
+_PLACE = re.compile('[\0\']|""')
 _JOINTS = re.compile("\0([(,\\[|] *)\0")
 _scan = JSONDecoder().scan_once  # type: ignore[attr-defined]
 
@@ -76,8 +77,9 @@ class EventReader:
         if parts is None:
             return self._read_fully(text)
         skeleton, numbers, quoted, strings = parts
-        builder = self._builders.get(skeleton, _split)
-        if builder is _split:
+        try:
+            builder = self._builders[skeleton]
+        except KeyError:
             builder = self._learn(skeleton)
         if builder is None:
             return self._read_fully(text)
@@ -127,14 +129,17 @@ def _split_escaped(text: str) -> Optional[Parts]:
     pieces = _QUOTED.split(text)
     quoted, strings, rest = [], [], [pieces[0]]
     try:
-        for at in range(1, len(pieces), 3):
-            if pieces[at] is not None:
+        for at in range(1, len(pieces), 5):
+            atom_body, atom_end, string_body, string_end, between = pieces[at : at + 5]
+            if atom_end:
                 rest.append("'")
-                quoted.append(unquote(pieces[at], "'"))
-            else:
+                quoted.append(unquote(atom_body, "'"))
+            elif string_end:
                 rest.append('""')
-                strings.append(unquote(pieces[at + 1], '"'))
-            rest.append(pieces[at + 2])
+                strings.append(unquote(string_body, '"'))
+            else:
+                return None
+            rest.append(between)
     except ValueError:
         return None
     pieces = _NUMBER.split("".join(rest))

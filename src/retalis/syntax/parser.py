@@ -11,16 +11,16 @@ closes the operators before it, as far as their arguments allow; at a bracket th
 from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 from ..terms import COMMA, CONS, NIL, Functor, Term, Var, atom, functor
+from . import faults
 from .operators import CANONICAL_IN_PATTERNS, Operator, Operators
 from .rules import NO_RULES, Layout
-from .tokens import END, NAME, NUMBER, OPEN_CT, QUOTED, TEXT, VARIABLE, AnyToken, ReadFlags, Source, shown
+from .tokens import END, NAME, NUMBER, OPEN_CT, QUOTED, TEXT, VARIABLE, AnyToken, ReadFlags, Source
 
-_INFIX, _PREFIX, _GROUP, _ARGUMENTS, _LIST = range(5)
+_INFIX, _PREFIX, _GROUP, _ARGUMENTS, _LIST = range(5)  # the operators come first
 
 Table = Dict[str, Operator]
 
 _ENDS = frozenset((")", "]", "}", ",", "|", END, "eof"))
-_CLOSER = {"(": ")", OPEN_CT: ")", "[": "]", "{": "}"}
 _CURLY = functor("{}", 1)
 _ARROW = functor("<-", 2)
 _RULE = functor("rule:", 2)
@@ -64,11 +64,15 @@ _PATTERN_ARGUMENTS: Dict[Functor, Tuple[bool, ...]] = {
 class Parser:
     """Reads one clause from its tokens; make a new one for each clause.
 
+    ``INFIX``, ``PREFIX`` and ``GROUP`` are kinds of entries on its stack, for those who look at it.
+
     Attributes:
         names: name -> variable, in order of appearance, without ``_``.
         counts: name -> how often it stands in the clause.
         spots: ``id`` of a compound term -> offsets of its functor and of its arguments.
     """
+
+    INFIX, PREFIX, GROUP = _INFIX, _PREFIX, _GROUP
 
     def __init__(
         self,
@@ -89,6 +93,7 @@ class Parser:
         self.counts: Dict[str, int] = {}
         self.at = 0
         self.stack: List[Any] = []
+        self.brackets: List[List[Any]] = []
         self.table: Table = operators.infix
         self.patterns: Optional[Table] = operators.patterns() if rules is not NO_RULES else None
         self.left: Term = None
@@ -129,9 +134,9 @@ class Parser:
             self.at = at + 1
             self._push_group(at, start)
         elif kind == "[" or kind == "{":
-            self._bracket(kind, at, start)
+            self._open_bracket(kind, at, start)
         else:
-            self._no_operand()
+            raise faults.no_operand(self, self.stack[-1])
 
     def _have(self, term: Term, start: int) -> None:
         self.left = term
@@ -150,8 +155,8 @@ class Parser:
             self.counts[name] += 1
         return found
 
-    def _bracket(self, kind: str, at: int, start: int) -> None:
-        closer = _CLOSER[kind]
+    def _open_bracket(self, kind: str, at: int, start: int) -> None:
+        closer = faults.CLOSER[kind]
         if self.tokens[at + 1][0] == closer:
             self.at = at + 2
             self._atom(kind + closer, start)
@@ -160,7 +165,7 @@ class Parser:
             self._push_group(at, start)
         else:
             self.at = at + 1
-            self.stack.append([self.argument_limit, _LIST, at, self.table, [], [], False])
+            self._push_bracket([self.argument_limit, _LIST, at, self.table, [], [], False])
             self._begin_segment(self.at, self.operators.infix)
 
     def _atom(self, name: str, start: int) -> None:
@@ -182,7 +187,7 @@ class Parser:
             modes = _PATTERN_ARGUMENTS.get(canonical, ())
             if modes:
                 name = canonical.name
-        self.stack.append([self.argument_limit, _ARGUMENTS, at, self.table, [], [], name, start, modes])
+        self._push_bracket([self.argument_limit, _ARGUMENTS, at, self.table, [], [], name, start, modes])
         self._begin_segment(self.at, self.patterns if modes[:1] == (True,) else self.operators.infix)
 
     def _name(self, kind: str, name: str, start: int) -> None:
@@ -239,14 +244,19 @@ class Parser:
 
     def _push_prefix(self, found: Operator, start: int) -> None:
         if found.priority > self.stack[-1][0]:
-            raise self._clash(found, start)
+            top = self.stack[-1]
+            raise faults.clash(self, found, start, top[2] if top[1] <= _PREFIX else None)
         self.stack.append((found.right, _PREFIX, found, start, self.table))
 
     def _push_group(self, at: Optional[int], start: int) -> None:
         """Open a round or curly bracket, or the clause itself (``at`` is None)."""
-        self.stack.append([1200, _GROUP, at, self.table, start])
+        self._push_bracket([1200, _GROUP, at, self.table, start])
         inner = self.table if at is None or self.tokens[at][0] != "{" else self.operators.infix
         self._begin_segment(self.at, inner)
+
+    def _push_bracket(self, entry: List[Any]) -> None:
+        self.stack.append(entry)
+        self.brackets.append(entry)
 
     def _begin_segment(self, at: int, table: Optional[Table]) -> None:
         """Set the operators for what begins at the token ``at``."""
@@ -256,21 +266,8 @@ class Parser:
         self.table = table if table is not None else self.operators.infix
         self.wants_operand = True
 
-    def _no_operand(self) -> None:
-        token = self.tokens[self.at]
-        top = self.stack[-1]
-        what = shown(token, self.source.text)
-        if top[1] == _INFIX:
-            message = f'expected the right argument of "{self._text(top[5])}" before {what}'
-        elif top[1] == _PREFIX:
-            message = f'expected the argument of "{self._text(top[3])}" before {what}'
-        elif token[0] == END and top[2] is None:
-            message = "expected a clause before the full stop"
-        else:
-            message = f"expected a term before {what}"
-        raise self.source.fault(message, token[2])
-
-    def _text(self, start: int) -> str:
+    def text_at(self, start: int) -> str:
+        """Return the text of the token that begins at an offset."""
         for token in self.tokens:
             if token[2] == start:
                 return self.source.text[start : token[3]]
@@ -289,17 +286,15 @@ class Parser:
         elif kind == ")" or kind == "]" or kind == "}" or kind == END or kind == "eof":
             self._close(kind)
         else:
-            self._no_operator()
+            raise faults.no_operator(self, self.brackets[-1])
 
     def _name_operator(self, name: str, start: int) -> None:
         infix = self.table.get(name)
         if self.patterns is not None and self.at in self.rules.labels:
             infix = _LABEL
         postfix = self.operators.postfix.get(name)
-        if infix is None:
-            infix = self._outer_infix(name)
         if infix is None and postfix is None:
-            self._no_operator()
+            raise faults.no_operator(self, self.brackets[-1])
         self.at += 1
         if postfix is not None and (infix is None or not self._starts_operand(self.tokens[self.at])):
             self._take_postfix(postfix, start)
@@ -315,10 +310,6 @@ class Parser:
             return value in self.operators.prefix
         return True
 
-    def _outer_infix(self, name: str) -> Optional[Operator]:
-        """Return an operator that is none in this goal but is one in the pattern around it."""
-        return None
-
     def _make_room(self, found: Operator, name: str, start: int) -> Operator:
         """Close operators until ``found`` fits as the next one; return it as it is in the table then.
 
@@ -332,7 +323,7 @@ class Parser:
                 break
             if top[1] > _PREFIX:
                 if limit < priority:
-                    raise self._clash(found, start)
+                    raise faults.clash(self, found, start, None)
                 break
             if limit == priority and not (found[1] == priority and top[2][0] == priority):
                 break
@@ -341,7 +332,7 @@ class Parser:
             if table is not self.table:
                 found = self.table.get(name, found)
         if self.left_priority > found[1]:
-            raise self._clash(found, start)
+            raise faults.clash(self, found, start, None)
         return found
 
     def _take_postfix(self, found: Operator, start: int) -> None:
@@ -372,14 +363,13 @@ class Parser:
         top = self.stack.pop()
         found = top[2]
         if top[1] == _INFIX:
-            spots = (top[4], self.left_at)
-            self.left_at = top[4]
-            self._build((found.functor, top[3], self.left), top[5], spots)
+            left_at = top[4]
+            self._build((found.functor, top[3], self.left), top[5], (left_at, self.left_at))
+            self.left_at = left_at
             self.table = top[6]
         else:
-            spots = (self.left_at,)
+            self._build((found.functor, self.left), top[3], (self.left_at,))
             self.left_at = top[3]
-            self._build((found.functor, self.left), top[3], spots)
             self.table = top[4]
         self.left_priority = found.priority
 
@@ -395,17 +385,10 @@ class Parser:
         stack = self.stack
         while stack[-1][1] <= _PREFIX:
             self._reduce()
-        bracket: List[Any] = stack[-1]
-        return bracket
-
-    def _bracket_kind(self) -> int:
-        for entry in reversed(self.stack):
-            if entry[1] > _PREFIX:
-                return int(entry[1])
-        return _GROUP
+        return self.brackets[-1]
 
     def _comma(self, start: int) -> None:
-        kind = self._bracket_kind()
+        kind = self.brackets[-1][1]
         self.at += 1
         if kind == _GROUP:
             self._push_infix(_COMMA, ",", start)
@@ -428,7 +411,7 @@ class Parser:
             bracket[5].append(self.left_at)
 
     def _bar(self, start: int) -> None:
-        if self._bracket_kind() == _LIST:
+        if self.brackets[-1][1] == _LIST:
             bracket = self._innermost()
             if bracket[6]:
                 raise self.source.fault('expected "]": a list has one term behind "|"', start)
@@ -439,19 +422,19 @@ class Parser:
             return
         infix = self.table.get("|")
         if infix is None:
-            self._no_operator()
-        else:
-            self.at += 1
-            self._push_infix(infix, "|", start)
+            raise faults.no_operator(self, self.brackets[-1])
+        self.at += 1
+        self._push_infix(infix, "|", start)
 
     def _close(self, kind: str) -> None:
         bracket = self._innermost()
         opened = bracket[2]
-        expected = END if opened is None else _CLOSER[self.tokens[opened][0]]
+        expected = END if opened is None else faults.CLOSER[self.tokens[opened][0]]
         if kind != expected and not (opened is None and kind == "eof"):
-            raise self._unbalanced(kind, opened)
+            raise faults.unbalanced(self, opened)
         self.at += 1
         self.stack.pop()
+        self.brackets.pop()
         self.table = bracket[3]
         if bracket[1] == _GROUP:
             if kind == "}":
@@ -477,32 +460,6 @@ class Parser:
         items = bracket[4]
         self._build((functor(bracket[6], len(items)), *items), bracket[7], tuple(bracket[5]))
         self.left_at = bracket[7]
-
-    # -- errors --------------------------------------------------------------------------------------
-
-    def _unbalanced(self, kind: str, opened: Optional[int]) -> Exception:
-        token = self.tokens[self.at]
-        what = shown(token, self.source.text)
-        if opened is None:
-            return self.source.fault(f"{what} closes nothing: expected an operator or a full stop", token[2])
-        place = self.source.place(self.tokens[opened][2])
-        opener = self.source.text[self.tokens[opened][2]]
-        closer = _CLOSER[self.tokens[opened][0]]
-        where = f"line {place.line}, column {place.column}"
-        return self.source.fault(f'expected "{closer}" for the "{opener}" of {where} before {what}', token[2])
-
-    def _clash(self, found: Operator, start: int) -> Exception:
-        name = self._text(start)
-        return self.source.fault(
-            f'priority clash: expected brackets around an argument of "{name}" ({found.priority} {found.type})'
-            " or around the whole",
-            start,
-        )
-
-    def _no_operator(self) -> None:
-        token = self.tokens[self.at]
-        what = shown(token, self.source.text)
-        raise self.source.fault(f"expected an operator, a comma or a full stop before {what}", token[2])
 
 
 _SPECIAL_FLOATS = {"inf": float("inf"), "nan": float("nan")}

@@ -5,10 +5,11 @@ from typing import Dict, Iterator, List, Optional, Tuple, Union
 
 from ..errors import Place, SyntaxFault
 from ..terms import Term, Var
+from .faults import starts_line
 from .operators import Operators
 from .parser import Parser
 from .rules import MARKERS, NO_RULES, layout
-from .tokens import END, NAME, QUOTED, AnyToken, ReadFlags, Source, tokens
+from .tokens import END, NAME, QUOTED, VARIABLE, AnyToken, ReadFlags, Source, tokens
 
 DEFAULT = ReadFlags()
 
@@ -78,6 +79,7 @@ class Program:
         self._source = Source(source, text)
         self._flags = flags
         self._stream = tokens(self._source, flags)
+        self._again: List[AnyToken] = []
 
     @property
     def flags(self) -> ReadFlags:
@@ -94,29 +96,32 @@ class Program:
     def _clause(self) -> List[AnyToken]:
         """Return the tokens up to the next full stop; none at the end of the text."""
         clause: List[AnyToken] = []
-        for token in self._stream:
+        for token in chain(self._again, self._stream):
             clause.append(token)
             if token[0] == END:
-                return clause
+                break
+        self._again = []
         return clause
 
     def _read(self, clause: List[AnyToken]) -> Union[ReadTerm, SyntaxFault]:
+        parser = None
         try:
-            if clause[-1][0] != END:
-                return self._unfinished(clause)
-            return read_tokens(clause, self._source, self.operators, self._flags, positions=True)
+            parser = _parser(clause, self._source, self.operators, self._flags, positions=True)
+            term = parser.read()
         except SyntaxFault as fault:
-            self._resume(clause)
+            if parser is not None:
+                self._go_back(clause, parser.at)
             return fault
+        if clause[-1][0] != END:
+            return self._source.fault("expected a full stop at the end of the clause", clause[-1][3])
+        return ReadTerm(parser, term, clause[0][2])
 
-    def _resume(self, clause: List[AnyToken]) -> None:
-        return
-
-    def _unfinished(self, clause: List[AnyToken]) -> SyntaxFault:
-        for token in clause:
-            if token[0] == "bad":
-                return self._source.fault(token[1], token[2])
-        return self._source.fault("expected a full stop at the end of the clause", clause[-1][3])
+    def _go_back(self, clause: List[AnyToken], at: int) -> None:
+        """After an error at a token at the start of a line, read on from there: a full stop was missing."""
+        if 0 < at < len(clause):
+            kind, _, start, _ = clause[at]
+            if kind in (NAME, QUOTED, VARIABLE) and starts_line(self._source.text, start):
+                self._again = clause[at:]
 
 
 def read_program(
@@ -148,28 +153,22 @@ def read_term(
             raise where.fault("expected nothing behind the full stop", found[at + 1][2])
     if not found or found[0][0] == END:
         raise where.fault("expected a term", found[0][2] if found else 0)
-    return read_tokens(found, where, operators, flags, positions)
+    parser = _parser(found, where, operators, flags, positions)
+    return ReadTerm(parser, parser.read(), found[0][2])
 
 
-def read_tokens(
+def _parser(
     clause: List[AnyToken], source: Source, operators: Operators, flags: ReadFlags, positions: bool
-) -> ReadTerm:
-    """Read one clause from its tokens, at least one."""
+) -> Parser:
+    """Return a parser for the tokens of one clause, at least one; SyntaxFault where a token is bad."""
     marked = False
-    for token in clause:
-        kind = token[0]
+    for kind, value, start, _ in clause:
         if kind == "bad":
-            raise source.fault(token[1], token[2])
-        if (kind in (NAME, QUOTED)) and token[1] in MARKERS:
+            raise source.fault(value, start)
+        if (kind in (NAME, QUOTED)) and value in MARKERS:
             marked = True
-    start, end = clause[0][2], clause[-1][3]
-    if clause[-1][0] != END:
-        clause = [*clause, ("eof", None, end, end)]
-    clause = [*clause, ("eof", None, end, end), ("eof", None, end, end)]
+    end = ("eof", None, clause[-1][3], clause[-1][3])
+    clause = [*clause, end, end, end]  # so that looking ahead needs no test
     rules = layout(clause, operators) if marked else NO_RULES
     spots: Optional[Dict[int, Tuple[int, ...]]] = {} if positions else None
-    parser = Parser(clause, source, operators, flags, rules, spots)
-    return ReadTerm(parser, parser.read(), start)
-
-
-__all__ = ["Program", "ReadTerm", "chain", "read_program", "read_term"]
+    return Parser(clause, source, operators, flags, rules, spots)

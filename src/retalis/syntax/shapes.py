@@ -98,7 +98,9 @@ class ShapeCompiler:
         if len(items) > _NESTED:
             first = items[0]
             run = [f"n[{at}]" for at in range(_index(first), _index(first) + len(items))]
-            several = f"n[{run[0][2:-1]}:{int(run[-1][2:-1]) + 1}]" if run == items else f"({', '.join(items)})"
+            several = (
+                f"n[{run[0][2:-1]}:{int(run[-1][2:-1]) + 1}]" if run == items else f"({', '.join(items)})"
+            )
             return self._temporary(f"make_list({several}, {tail})")
         for item in reversed(items):
             tail = f"(C, {item}, {tail})"

@@ -116,7 +116,7 @@ def _valued(kind: str, found: Token, start: int, end: int, text: str, flags: Rea
     if kind == "BAD_COMMENT":
         return "bad", 'this comment is never closed: expected "*/"', start, end
     if kind == "BAD_QUOTE":
-        return "bad", _unclosed(str(found), start, text), start, end
+        return "bad", _unclosed(found[0], start, text), start, end
     if unicodedata.category(found[0])[0] == "S":
         return NAME, str(found), start, end
     return "bad", _stray(str(found)), start, end
