@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 """Time of decoding and encoding messages, against genpy where ROS is installed.
 
-Prints a line for each case: ``case CASE TYPE us_per_message U genpy U ratio R``. ``decode`` goes to all the fields that
-the NAO rules look at; ``look`` also makes the lazy parts; ``encode`` starts from the decoded term.
+Prints a line for each case: ``case CASE TYPE us_per_message U genpy U ratio R``. ``decode`` goes to all the fields
+that the NAO rules look at; ``look`` also makes the lazy parts; ``encode`` starts from the decoded term.
 """
 
 import argparse
