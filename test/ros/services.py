@@ -12,7 +12,7 @@ import rostest
 from std_msgs.msg import Float64, String
 
 sys.path.append(str(Path(__file__).resolve().parent))
-from harness import Collector, open_the_way, service  # noqa: E402
+from harness import Collector, open_the_way, service, wait_until  # noqa: E402
 
 from retalis import srv  # noqa: E402
 
@@ -31,6 +31,7 @@ class Services(unittest.TestCase):
         cls.delete_input = staticmethod(service("delete_input_subscription", srv.DeleteInputSubscription))
         cls.outputs = Collector("retalisOutputEvents", String)
         cls.events = rospy.Publisher("retalisInputEvents", String, queue_size=5000)
+        wait_until(lambda: cls.events.get_num_connections() > 0 and cls.outputs.connected(), "node retalis")
         cls.flowing = threading.Event()
         cls.flowing.set()
         cls.flow = threading.Thread(target=cls.keep_flowing, daemon=True)

@@ -5,6 +5,7 @@ from typing import Any, Callable, Dict, Optional, Tuple
 
 import rospy
 
+from .._reports import Reports
 from ..errors import MessageError, RetalisError, UsageError
 from ..messages import Decoder, Definitions, Encoder
 from ..terms import Term
@@ -33,6 +34,7 @@ class Interface:
         self._inputs: Dict[str, Input] = {}
         self._outputs: Dict[str, Tuple[Any, Any, Encoder]] = {}
         self._lock = threading.Lock()
+        self._reports = Reports()
 
     def subscribe(self, topic: str, kind: str) -> None:
         """Have the messages of a topic become events.
@@ -83,11 +85,13 @@ class Interface:
         try:
             found = self._outputs.get(topic) or self._outputs.get(resolve(topic))
             if found is None:
-                raise MessageError(f"topic {topic} has no type: pub_sub.xml has no <publish_to> of that name")
+                raise MessageError(
+                    f"nothing is published on {topic}: pub_sub.xml has no <publish_to> that gives its type"
+                )
             publisher, message, encoder = found
             publisher.publish(raw_message(message, encoder.encode(term, topic)))
         except RetalisError as error:
-            rospy.logerr("not published: %s", error)
+            self._reports.error(error)
         except rospy.ROSException as error:  # the node is being shut down
             rospy.logdebug("not published: %s", error)
 

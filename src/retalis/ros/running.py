@@ -15,14 +15,15 @@ def run_node(name: str, build: Callable[[Parameters], Any]) -> int:
     """Run a node until it is shut down or interrupted; return its exit status.
 
     rospy's own signal handler calls the master from within the handler, and hangs where the interrupted code
-    was just doing the same. Here a signal raises KeyboardInterrupt, and the node is taken down afterwards.
+    was just doing the same. Here a signal raises KeyboardInterrupt, and the node is taken down afterwards;
+    while the node is set up, only when that is done, so that nothing stays registered by half.
     """
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.default_int_handler)
+    interrupt = _Interrupt()
     try:
         rospy.init_node(name, disable_signals=True)
         forward_log(logging.getLogger("retalis"))
         node = build(read_parameters())
+        interrupt.allow()
         rospy.spin()
         del node
     except RetalisError as error:
@@ -31,8 +32,33 @@ def run_node(name: str, build: Callable[[Parameters], Any]) -> int:
     except KeyboardInterrupt:
         pass
     finally:
-        # A second interrupt must not cut off what the master has to be told.
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, signal.SIG_IGN)
+        interrupt.ignore()
         rospy.signal_shutdown("ended")
     return 0
+
+
+class _Interrupt:
+    """What SIGINT and SIGTERM do; a second one while a first is put off interrupts at once."""
+
+    def __init__(self) -> None:
+        self._allowed = self._pending = False
+        self._set(self._take)
+
+    def _set(self, handler: Any) -> None:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, handler)
+
+    def _take(self, number: int, frame: Any) -> None:
+        if self._allowed or self._pending:
+            raise KeyboardInterrupt
+        self._pending = True
+
+    def allow(self) -> None:
+        """Let signals interrupt from now on, and do so if one came before."""
+        self._allowed = True
+        if self._pending:
+            raise KeyboardInterrupt
+
+    def ignore(self) -> None:
+        """Let no signal cut off what the master has to be told at the end."""
+        self._set(signal.SIG_IGN)
