@@ -1,0 +1,188 @@
+"""Source of decoding functions: from the bytes of a type, piece by piece, to the source of its term."""
+
+from struct import Struct, calcsize
+from struct import error as StructError
+from typing import Any, Callable, Dict, List, Tuple
+
+from ..terms import CONS, FALSE, NIL, TRUE, Lazy, Term, atom, functor
+from ._compile import compile_function
+from ._texts import read_text, texts
+from .arrays import SMALL, array_maker, record_maker, variable_array
+from .definition import PRIMITIVES, TIMES, VARIABLE, Definition, Field
+from .layout import element_format, least_size
+from .text import text_term
+
+
+class Code:
+    """Source of the function for one type, in the making.
+
+    Runs of fixed-size slots are collected until something of variable size comes. ``base`` is the source of
+    the place where the run starts.
+    """
+
+    def __init__(self) -> None:
+        self.lines: List[str] = []
+        self.names: Dict[str, Any] = {
+            "C": CONS,
+            "N": NIL,
+            "T": TRUE,
+            "F": FALSE,
+            "Lazy": Lazy,
+            "StructError": StructError,
+            "known": texts.get,
+            "read_text": read_text,
+            "text": text_term,
+        }
+        self.serial = 0
+        self.base, self.shift = "o", 0
+        self.format = ""
+        self.targets: List[str] = []
+
+    def name(self, prefix: str, value: Any = None) -> str:
+        self.serial += 1
+        name = f"{prefix}{self.serial}"
+        if value is not None:
+            self.names[name] = value
+        return name
+
+    def constant(self, name: str, value: Any) -> str:
+        self.names[name] = value
+        return name
+
+    # What a message is made of; the source of the term is returned.
+
+    def message(self, definition: Definition) -> str:
+        if not definition.fields:
+            return self.constant("A_" + definition.functor_name, atom(definition.functor_name))
+        head = self.constant(
+            f"F_{definition.functor_name}", functor(definition.functor_name, len(definition.fields))
+        )
+        parts = [self.slot(slot) for slot in definition.fields]
+        return f"({head}, {', '.join(parts)})"
+
+    def slot(self, slot: Field) -> str:
+        if slot.length is None:
+            return self.single(slot)
+        if slot.length == VARIABLE:
+            return self.variable(slot)
+        return self.fixed_array(slot)
+
+    def single(self, slot: Field) -> str:
+        if slot.definition is not None:
+            return self.message(slot.definition)
+        if slot.type == "string":
+            return self.string()
+        if slot.type in TIMES:
+            code = TIMES[slot.type][0]
+            return f"(C, {self.fixed(code)}, (C, {self.fixed(code)}, N))"
+        value = self.fixed(PRIMITIVES[slot.type])
+        return f"(T if {value} else F)" if slot.type == "bool" else value
+
+    def fixed_array(self, slot: Field) -> str:
+        number = slot.length or 0
+        if number == 0:
+            return "text(b'')" if slot.is_bytes else "N"
+        if slot.is_bytes:
+            return f"text({self.fixed(f'{number}s')})"
+        if number <= SMALL and slot.definition is None:
+            parts = [self.single(slot._replace(length=None)) for _ in range(number)]
+            return "".join(f"(C, {part}, " for part in parts) + "N" + ")" * number
+        element = element_format(slot)
+        if not element:
+            return self.elements(slot, str(number))
+        value = self.fixed(f"{number * calcsize('<' + element)}s")
+        return f"Lazy(C, {self.name('make', _maker(slot))}, {value})"
+
+    def variable(self, slot: Field) -> str:
+        number = self.fixed("I")
+        self.flush()
+        if slot.is_bytes:
+            return self.blob(number)
+        element = element_format(slot)
+        if not element:
+            return self.elements(slot, number)
+        size = calcsize("<" + element)
+        value = self.name("t")
+        make = self.name("make", _maker(slot))
+        self.move(f"{number} * {size}")
+        self.lines += [
+            f"if not {number}: {value} = N",
+            f"elif {number} <= {SMALL}: {value} = {make}(data[s:o])",
+            f"else: {value} = Lazy(C, {make}, data[s:o])",
+        ]
+        return value
+
+    def elements(self, slot: Field, number: str) -> str:
+        """An array whose elements differ in size: each is decoded to find the next."""
+        self.flush()
+        read = self.name("read", variable_array(*_compile_element(slot)))
+        value = self.name("t")
+        self.lines.append(f"{value}, o = {read}(data, {self.place()}, {number})")
+        self.base, self.shift = "o", 0
+        return value
+
+    def string(self) -> str:
+        number = self.fixed("I")
+        self.flush()
+        self.move(number)
+        value = self.name("t")
+        self.lines += [
+            f"{value} = known(data[s:o])",
+            f"if {value} is None: {value} = read_text(data, s, o)",
+        ]
+        return value
+
+    def blob(self, number: str) -> str:
+        self.move(number)
+        value = self.name("t")
+        self.lines.append(f"{value} = text(data[s:o])")
+        return value
+
+    # Runs.
+
+    def fixed(self, code: str) -> str:
+        self.format += code
+        self.targets.append(self.name("v"))
+        return self.targets[-1]
+
+    def place(self) -> str:
+        return f"{self.base} + {self.shift}" if self.shift else self.base
+
+    def flush(self) -> None:
+        if not self.format:
+            return
+        layout = Struct("<" + self.format)
+        unpack = self.name("S", layout.unpack_from)
+        self.lines.append(f"{', '.join(self.targets)}, = {unpack}(data, {self.place()})")
+        self.shift += layout.size
+        self.format, self.targets = "", []
+
+    def move(self, size: str) -> None:
+        """Set ``s`` and ``o`` to the start and the end of ``size`` bytes that come next."""
+        self.lines += [f"s = {self.place()}", f"o = s + {size}"]
+        self.base, self.shift = "o", 0
+
+
+def _compile_element(slot: Field) -> Tuple[Callable[[bytes, int], Tuple[Term, int]], int]:
+    """Return the function that decodes one element of an array, and the least size of one."""
+    code = Code()
+    result = code.single(slot._replace(length=None))
+    code.flush()
+    lines = ["def element(data, o):", *("  " + line for line in code.lines)]
+    lines.append(f"  return {result}, {code.place()}")
+    title = f"decode element {slot.type}"
+    return compile_function("element", title, lines, code.names), least_size(slot._replace(length=None))
+
+
+def _compile_records(slot: Field) -> Callable[[bytes], Term]:
+    """Return the function that makes the list of an array's elements, which are of one size."""
+    code = Code()
+    result = code.single(slot._replace(length=None))
+    layout = Struct("<" + code.format)
+    return record_maker(slot.describe(), layout, code.targets, result, code.names)
+
+
+def _maker(slot: Field) -> Callable[[bytes], Term]:
+    if slot.definition is None and slot.type in PRIMITIVES and slot.type != "bool":
+        return array_maker(PRIMITIVES[slot.type])
+    return _compile_records(slot)

@@ -1,0 +1,94 @@
+"""Source of decoding functions for messages that are numbers, then texts, then numbers."""
+
+from struct import Struct
+from typing import Any, Callable, List, Optional, Tuple
+
+from ..terms import Term
+from ._decode_code import Code
+from ._texts import TextCache, read_texts
+from .definition import Definition, Field
+
+
+class Unsuited(Exception):
+    """The type is not numbers, texts, numbers."""
+
+
+class FrameCode(Code):
+    """Source for types that are numbers, then texts, then numbers.
+
+    An array of messages at the end is taken to have one element.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.texts: List[str] = []
+        self.before: Tuple[str, List[str]] = ("", [])
+        self.count: Optional[str] = None
+        self.closed = False
+
+    def fixed(self, code: str) -> str:
+        if self.closed:
+            raise Unsuited
+        return super().fixed(code)
+
+    def string(self) -> str:
+        if self.closed or (self.texts and self.format):
+            raise Unsuited
+        if not self.texts:
+            self.before = self.format, self.targets
+            self.format, self.targets = "", []
+        self.texts.append(self.name("t"))
+        return self.texts[-1]
+
+    def variable(self, slot: Field) -> str:
+        if slot.definition is None or self.texts or self.count:
+            raise Unsuited
+        self.count = self.fixed("I")
+        element = self.message(slot.definition)
+        self.closed = True
+        return f"(C, {element}, N)"
+
+    def elements(self, slot: Field, number: str) -> str:
+        raise Unsuited
+
+    def build(self, definition: Definition, general: Callable[[bytes], Term]) -> List[str]:
+        """Return the source of the whole function, which falls back on ``general``.
+
+        Raises:
+            Unsuited: where the type is not of this shape.
+        """
+        result = self.message(definition)
+        head, tail = Struct("<" + self.before[0]), Struct("<" + self.format)
+        if not self.texts or not (head.size or tail.size):
+            raise Unsuited
+        cache = TextCache()
+        number = len(self.texts)
+
+        def learn(key: bytes) -> Any:
+            texts = read_texts(key, number)
+            if texts is None:
+                return None
+            found = texts if number > 1 else texts[0]
+            cache.keep(key, found)
+            return found
+
+        self.names.update(
+            known=cache.get, learn=learn, head=head.unpack_from, tail=tail.unpack_from, general=general
+        )
+        key = f"data[{head.size}:{-tail.size if tail.size else ''}]"
+        lines = ["def decode(data):", "  try:"]
+        if self.before[1]:
+            lines.append(f"    {', '.join(self.before[1])}, = head(data)")
+        if self.count:
+            lines.append(f"    if {self.count} != 1: return general(data)")
+        lines += [
+            f"    k = known({key})",
+            "    if k is None:",
+            f"      k = learn({key})",
+            "      if k is None: return general(data)",
+        ]
+        if tail.size:
+            lines.append(f"    {', '.join(self.targets)}, = tail(data, {-tail.size})")
+        lines += ["  except StructError:", "    return general(data)"]
+        lines.append(f"  {', '.join(self.texts)}{'' if number == 1 else ','} = k")
+        return [*lines, f"  return {result}"]
