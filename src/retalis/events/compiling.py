@@ -23,6 +23,7 @@ from .pattern import (
     Star,
     Within,
     bound_by,
+    children,
     own_terms,
     surely_bound_by,
     walk,
@@ -54,10 +55,24 @@ class Deferred(NamedTuple):
 
 
 class Built(NamedTuple):
-    """A node, and the conditions in it that are still to be tested."""
+    """A node, with what is to be known of it above.
+
+    Attributes:
+        node: the node.
+        deferred: the conditions in it that are still to be tested.
+        joined: the leaves whose events complete something of several events, in the order in which they are served.
+        single: the leaves whose events the node passes on one by one.
+    """
 
     node: Any
     deferred: List[Deferred]
+    joined: List[Leaf]
+    single: List[Leaf]
+
+    @property
+    def leaves(self) -> List[Leaf]:
+        """All leaves, in the order in which they are served."""
+        return [*self.joined, *self.single]
 
 
 class _Wrapping(NamedTuple):
@@ -88,12 +103,16 @@ class Compiler:
         self.keep = _used_twice(head, pattern)
         self._counts = _occurrences(head, pattern)
         self.nodes: List[Tuple[Node, Optional[int], Optional[int]]] = []
-        self._rank = 0
 
     def build(self) -> Node:
         """Return the root of the network."""
         built = self._build(self.pattern, frozenset(), None)
-        assert not built.deferred
+        if built.deferred:
+            raise RuleError(
+                "a condition looks at variables that no pattern to its left binds", self.rule.place
+            )
+        for rank, leaf in enumerate([*built.joined, *built.single]):
+            leaf.rank = rank
         node: Node = built.node
         return node
 
@@ -114,21 +133,22 @@ class Compiler:
         if isinstance(core, (Star, Aggregate)):
             return self._running(core, wrapping, context, inner)
         if isinstance(core, Occurs):
-            self._rank += 1
-            built = Built(self._add(Leaf(self.rule, core.term, self._rank), None, None), [])
+            leaf = self._add(Leaf(self.rule, core.term), None, None)
+            built = Built(leaf, [], [], [leaf])
         elif isinstance(core, Either):
             branches = [self._build(branch, context, inner) for branch in core.branches]
             node = Alternatives([branch.node for branch in branches], self.keep)
-            built = Built(
-                self._add(node, None, inner), [one for branch in branches for one in branch.deferred]
-            )
+            leaves = [leaf for branch in branches for leaf in branch.leaves]
+            joined, single = (leaves, []) if any(branch.joined for branch in branches) else ([], leaves)
+            deferred = [one for branch in branches for one in branch.deferred]
+            built = Built(self._add(node, None, inner), deferred, joined, single)
         elif isinstance(core, Absent):
             built = self._never(core, context, inner)
         else:
             assert isinstance(core, Action)
             below = self._build(core.pattern, context, inner)
             node = Acting(below.node, Call(self.rule, core.goal, below.node.vars, self.keep), core.every)
-            built = Built(self._add(node, None, inner), below.deferred)
+            built = below._replace(node=self._add(node, None, inner))
         return self._filtered(built, wrapping, context)
 
     def _add(self, node: Any, span: Optional[int], limit: Optional[int]) -> Any:
@@ -138,14 +158,14 @@ class Compiler:
     def _filtered(self, built: Built, wrapping: _Wrapping, context: Names) -> Built:
         """Put the conditions of an event, ``or`` or action behind its node."""
         now, later = self._split(wrapping.conditions, wrapping.core, context)
-        node, deferred = built
+        node, deferred = built.node, built.deferred
         if now or wrapping.span is not None:
             tests, names = self._tests(now, node.vars)
             node = self._add(Filter(node, names, tests), wrapping.span, None)
         for condition, needs in later:
             node, one = self._defer(node, condition.goal, condition.timed, None, needs)
             deferred = [*deferred, one]
-        return Built(node, deferred)
+        return built._replace(node=node, deferred=deferred)
 
     def _split(self, conditions: List[Any], core: Any, context: Names) -> Tuple[List[Any], List[Any]]:
         """Part conditions into those that can be tested now and those that wait, with what they need."""
@@ -178,15 +198,18 @@ class Compiler:
 
     def _joining(self, core: Pair, wrapping: _Wrapping, context: Names, limit: Optional[int]) -> Built:
         here = context | frozenset(bound_by(core.left))
-        if _left_first(core):
-            left = self._build(core.left, context, limit)
-            right = self._build(core.right, here, limit)
-        else:
-            right = self._build(core.right, here, limit)
-            left = self._build(core.left, context, limit)
+        left = self._build(core.left, context, limit)
+        right = self._build(core.right, here, limit)
         known = set(left.node.vars) | set(right.node.vars)
-        ready = [one for one in right.deferred if not one.needs - known]
-        deferred = [*left.deferred, *(one for one in right.deferred if one.needs - known)]
+        ready: List[Deferred] = []
+        deferred = list(left.deferred)
+        reached = set(known)
+        for one in right.deferred:
+            if one.needs - reached:
+                deferred.append(one)
+            else:
+                ready.append(one)
+                reached |= set() if one.goal is None else set(variables(one.goal))
         absent = wrapping.absent
         negated, needs, conditions = None, set(), []
         if absent is not None:
@@ -195,7 +218,11 @@ class Compiler:
         gap = (Var(), Var()) if needs else None
         if gap is not None:
             self.keep |= set(gap)
-        node = Joining(self.rule, OPERATORS[core.operator], left.node, right.node, self.keep, gap)
+        node = Joining(
+            self.rule, OPERATORS[core.operator], left.node, right.node, self.keep, gap, _meet(left, right)
+        )
+        node.left_place.telling = self._telling(core.left, left.node.vars)
+        node.right_place.telling = self._telling(core.right, right.node.vars)
         self._add(node, wrapping.span, limit)
         if gap is not None:
             deferred.append(Deferred(needs, None, False, (negated, conditions, False), *gap))
@@ -211,7 +238,10 @@ class Compiler:
         for condition, needs in later:
             result, one = self._defer(result, condition.goal, condition.timed, None, needs)
             deferred.append(one)
-        return Built(result, deferred)
+        joined = _served(OPERATORS[core.operator].either, left, right)
+        if negated is not None:
+            joined += negated.leaves
+        return Built(result, deferred, joined, [])
 
     def _settle(self, node: Any, one: Deferred) -> None:
         """Test a deferred condition at a node that knows all it looks at."""
@@ -265,20 +295,23 @@ class Compiler:
         negated, needs, conditions = self._negated(core.negated, set(below.node.vars), here, None)
         if needs:
             node, one = self._defer(below.node, None, False, (negated, conditions, True), needs)
-            return Built(node, [*below.deferred, one])
+            deferred = [*below.deferred, one]
+            return Built(node, deferred, [*below.joined, *negated.leaves], below.single)
         absence = self._absence(negated, below.node.vars, True, conditions)
-        return Built(self._add(Never(below.node, negated.node, absence), None, None), below.deferred)
+        node = self._add(Never(below.node, negated.node, absence), None, None)
+        return Built(node, below.deferred, [*below.joined, *negated.leaves], below.single)
 
     def _running(self, core: Any, wrapping: _Wrapping, context: Names, limit: Optional[int]) -> Built:
         here = context | frozenset(bound_by(core.first))
         pattern = core.repeated if isinstance(core, Star) else core.collected
         repeated = self._build(pattern, here, limit)
         first = self._build(core.first, context, limit)
-        outside = self._outside(pattern, core)
+        outside = self._outside(pattern, core.value if isinstance(core, Aggregate) else None)
         collector, result = None, None
         if isinstance(core, Aggregate):
             collector, result = self._collector(core, repeated.node.vars), core.result
         node = Running(self.rule, first.node, repeated.node, outside, collector, result)
+        node.place.telling = self._telling(core.first, first.node.vars)
         self._add(node, wrapping.span, limit)
         deferred = list(first.deferred)
         known = set(node.step_vars)
@@ -310,27 +343,42 @@ class Compiler:
         for condition, needs in later:
             built, one = self._defer(built, condition.goal, condition.timed, None, needs)
             deferred.append(one)
-        return Built(built, deferred)
+        return Built(built, deferred, [*repeated.leaves, *first.joined], first.single)
 
     def _settle_step(self, node: Running, one: Deferred) -> None:
         """Test a deferred condition on each repetition."""
         names = node.step_vars
         at = (names.index(one.start), names.index(one.end))
         if one.absent is None:
-            node.step_tests.append(goal_test(Call(self.rule, one.goal, names, frozenset()), one.timed, at))
+            node.step_tests.append(goal_test(Call(self.rule, one.goal, names, self.keep), one.timed, at))
             return
         negated, conditions, ever = one.absent
         absence = self._absence(negated, names, ever, conditions)
         node.carried.append((absence, negated.node))
         node.step_tests.append(_absence_test(absence, at, ever))
 
-    def _outside(self, pattern: Any, core: Any) -> Set[Var]:
-        """Return the variables that stand elsewhere in the rule than in what is repeated."""
-        inside = _occurrences([], pattern)
-        if isinstance(core, Aggregate) and core.value is not None:
-            for var in _each_variable(core.value):
-                inside[var] = inside.get(var, 0) + 1
+    def _outside(self, pattern: Any, value: Any = None) -> Set[Var]:
+        """Return the variables that stand in the rule elsewhere than in a pattern (and what an aggregate takes)."""
+        inside = _occurrences([] if value is None else [value], pattern)
         return {var for var, number in self._counts.items() if number > inside.get(var, 0)}
+
+    def _telling(self, pattern: Any, names: List[Var]) -> Tuple[int, ...]:
+        """Return where those values stand that tell matches of the same events apart.
+
+        They are what goals, repetitions and aggregates have found, as far as others in the rule see it.
+        """
+        outside = self._outside(pattern)
+        of_events: Set[Var] = set()
+        stack = [pattern]
+        while stack:
+            part = stack.pop()
+            if isinstance(part, Occurs):
+                of_events.update(variables(part.term))
+            elif isinstance(part, (Star, Aggregate)):
+                stack.append(part.first)
+            else:
+                stack.extend(children(part, False))
+        return tuple(at for at, var in enumerate(names) if var in outside and var not in of_events)
 
     def _collector(self, core: Aggregate, names: List[Var]) -> Collector:
         logic = self.rule.network.logic
@@ -352,25 +400,29 @@ class Compiler:
         return Collector(core.kind, value, evaluate)
 
 
-def _left_first(pair: Pair) -> bool:
-    """Tell which side of a pair takes an event first that fits both.
+def _served(either: bool, left: Built, right: Built) -> List[Leaf]:
+    """Return the leaves of a pair in the order in which they take an event that fits several of them.
 
-    Of a sequence the right one: it completes before the left one waits. Else what is made of several events comes
-    before a single event, and of two such the left one; of two single events the right one.
+    Of a sequence the right side comes first: it completes before the left one waits. Else what is made of several
+    events comes before a single event, and of two such the left one; of two single events the right one.
     """
-    if not OPERATORS[pair.operator].either:
-        return False
-    return not _is_single(pair.left)
+    if not either:
+        return [*right.leaves, *left.leaves]
+    return [*left.joined, *right.joined, *right.single, *left.single]
 
 
-def _is_single(pattern: Any) -> bool:
-    """Tell whether a pattern is matched by one event."""
-    core = _unwrap(pattern).core
-    if isinstance(core, Either):
-        return all(_is_single(branch) for branch in core.branches)
-    if isinstance(core, (Action, Absent)):
-        return _is_single(core.pattern)
-    return isinstance(core, Occurs)
+def _meet(left: Built, right: Built) -> bool:
+    """Tell whether one event may be in both sides of a pair."""
+
+    def kinds(built: Built) -> Set[Any]:
+        found = set()
+        for leaf in built.leaves:
+            term = leaf.term
+            found.add(term[0] if term.__class__ is tuple else term)
+        return found
+
+    ours, theirs = kinds(left), kinds(right)
+    return bool(ours & theirs) or any(kind.__class__ is Var for kind in ours | theirs)
 
 
 def _absence_test(absence: Absence, at: Tuple[int, int], ever: bool) -> Test:

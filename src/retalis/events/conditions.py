@@ -22,10 +22,11 @@ class Call:
         rule: whose goal it is.
         goal: the goal.
         known: whose values a match carries.
-        keep: the variables that anything else in the rule looks at.
+
+        keep: the variables that stand more than once in the rule.
 
     Attributes:
-        result_vars: ``known``, then the variables that the goal may bind for others.
+        result_vars: ``known``, then the other variables of the goal that are kept.
     """
 
     def __init__(self, rule: Any, goal: Term, known: Sequence[Var], keep: Any):

@@ -17,7 +17,7 @@ class Match:
         end: where it ends.
         event: the token of the event, where the match is of one single event; else None.
         term: the event, where it is the match of an event pattern.
-        parts: what else it was put together from: matches, and keys of what tells it from others.
+        parts: what else it was put together from: matches, `Held`, and the number of a branch.
         bucket: where it waits; None while it does not wait (any more).
         order: the larger, the later it began to wait.
     """
@@ -50,9 +50,13 @@ def identity(match: Match) -> Any:
     parts = match.parts
     if parts is None:
         return term_key(match.term)
-    return tuple(
-        [identity(part) if isinstance(part, Match) else part for part in parts if part.__class__ is not Held]
-    )
+    key = []
+    for part in parts:
+        if isinstance(part, Match):
+            key.append(identity(part))
+        elif part.__class__ is not Held:
+            key.append(part)
+    return key[0] if len(key) == 1 else tuple(key)
 
 
 def leaves(match: Match) -> Iterator[Any]:
@@ -132,6 +136,7 @@ class Place:
         buckets: by key, those whose shared values have no variables.
         loose: the others; they are unified with every partner.
         span: how many nanoseconds a match that waits here can be a part of; None for no bound.
+        telling: where the values stand that tell matches of the same events apart.
         same: where a match replaces one of the same name: those that wait by name; else None.
     """
 
@@ -143,7 +148,8 @@ class Place:
         self.loose = Bucket(self, None)
         self.span: Optional[int] = None
         self.same: Optional[Dict[Any, Match]] = None
-        self.name: Callable[[Match], Any] = identity
+        self.telling: Tuple[int, ...] = ()
+        self._name: Callable[[Match], Any] = identity
 
     def key_of(self, match: Match) -> Any:
         """Return the key of a match; None where a shared value has variables."""
@@ -196,6 +202,14 @@ class Place:
             found.sort(key=_order)
         return found
 
+    def name(self, match: Match) -> Any:
+        """Return what a match is identified by."""
+        name = self._name(match)
+        if self.telling:
+            values = match.values
+            return (name, *[term_key(values[at]) for at in self.telling])
+        return name
+
     def identify(self, name: Optional[Callable[[Match], Any]]) -> None:
         """Have a match replace a waiting one of the same ``name``, or none with None.
 
@@ -205,9 +219,9 @@ class Place:
             self.same = None
             return
         self.same = {}
-        self.name = name
+        self._name = name
         for match in self.all():
-            match.identity = name(match)
+            match.identity = self.name(match)
             self.same[match.identity] = match
 
 

@@ -7,12 +7,11 @@ frame and return the frame to go on with. `Node.bind` connects them for a policy
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 from ..terms import Term, Var, variables
-from ._keys import term_key
 from ._source import compile_function
 from .conditions import Test
 from .matches import Match, Place, identity
 from .operators import Operator
-from .policy import Emit, Frame, Mode, Side, taking_all, taking_and_using_all, taking_one, waiting_only
+from .policy import Emit, Frame, Mode, Side, taking_all, taking_all_at_once, taking_one, waiting_only
 
 
 class Node:
@@ -40,26 +39,28 @@ class Node:
 class Leaf(Node):
     """Waits for events that unify with a term."""
 
-    def __init__(self, rule: Any, term: Term, rank: int):
+    def __init__(self, rule: Any, term: Term):
         self.rule = rule
         self.term = term
-        self.rank = rank
+        self.rank = 0
         self.vars = variables(term)
-        self.listener: Any = None
 
     def bind(self, out: Emit, mode: Mode) -> None:
         rule = self.rule
         token = rule.network.dispatcher.token
-        tick = rule.tick
 
         def arrive(term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
             return out(Match(values, start, end, token(), term, None), after)
 
-        def arrive_timed(term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
-            tick(end)
-            return out(Match(values, start, end, token(), term, None), after)
+        def arrive_prepared(term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
+            event = token()
+            if rule.later:
+                rule.add_those_of_other_events(event)
+            if rule.timed:
+                rule.tick(end)
+            return out(Match(values, start, end, event, term, None), after)
 
-        rule.listen(self, arrive_timed if rule.timed else arrive)
+        rule.listen(self, arrive_prepared if rule.timed or rule.double else arrive)
 
 
 class Filter(Node):
@@ -76,7 +77,6 @@ class Filter(Node):
 
     def bind(self, out: Emit, mode: Mode) -> None:
         tests = self.tests
-        known = len(self.child.vars)
         span = self.span
 
         def arrive(match: Match, after: Frame) -> Frame:
@@ -90,14 +90,10 @@ class Filter(Node):
                 if values is None:
                     return after
             if values is not match.values:
-                match = Match(values, start, end, match.event, None, (match, *_keys(values[known:])))
+                match = Match(values, start, end, match.event, None, (match,))
             return out(match, after)
 
         self.child.bind(arrive, mode)
-
-
-def _keys(values: Sequence[Term]) -> List[Any]:
-    return [term_key(value) for value in values]
 
 
 class Capture(Node):
@@ -157,7 +153,6 @@ class Acting(Node):
 
     def bind(self, out: Emit, mode: Mode) -> None:
         act = self.call.act_on_all if self.every else self.call.act
-        known = len(self.child.vars)
         span = self.span
 
         def arrive(match: Match, after: Frame) -> Frame:
@@ -165,7 +160,7 @@ class Acting(Node):
                 return after
 
             def solved(values: Any, then: Frame) -> Frame:
-                parts = (match, *_keys(values[known:]))
+                parts = (match,)
                 return out(Match(values, match.start, match.end, match.event, None, parts), then)
 
             return act(match, solved, after)
@@ -207,6 +202,7 @@ class Joining(Node):
         right: the node of the right operand.
         keep: the variables that anything else in the rule looks at.
         gap: the variables under which the gap between the sides is carried on, for an absence tested above.
+        double: whether one event may be in both sides.
     """
 
     def __init__(
@@ -217,6 +213,7 @@ class Joining(Node):
         right: Node,
         keep: Any,
         gap: Optional[Tuple[Var, Var]],
+        double: bool,
     ):
         self.rule = rule
         self.operator = operator
@@ -240,6 +237,7 @@ class Joining(Node):
         self.carried: List[Tuple[Any, Node]] = []
         self.tests: List[Test] = []
         self.completed: Dict[Any, None] = {}
+        self.double = double
         self.span: Optional[int] = None
 
     def test(self, test: Test, names: Sequence[Var]) -> None:
@@ -264,22 +262,29 @@ class Joining(Node):
     def bind(self, out: Emit, mode: Mode) -> None:
         policy = mode.policy
         operator = self.operator
-        for place in (self.left_place, self.right_place):
-            place.identify(identity if policy.replacing else None)
+        name = identity if policy.replacing else None
+        self.left_place.identify(None if operator.everything else name)
+        self.right_place.identify(name)
         late = mode.out_of_order and not operator.either
         both = operator.either
         left = Side(self.left_place, self.right_place, self._join(True), self.pairs, True, True, False)
         flipped = tuple((two, one) for one, two in self.pairs)
         right = Side(self.right_place, self.left_place, self._join(False), flipped, False, both or late, late)
         if operator.everything:
-            self.right.bind(taking_and_using_all(right, out), mode)
-            arrive = taking_one(left, policy.newest, policy.consuming, out) if late else waiting_only(left)
-            self.left.bind(arrive, mode)
+            self.right.bind(taking_all_at_once(right, True, out), mode)
+            if not late:
+                self.left.bind(waiting_only(left), mode)
+            elif policy.consuming:
+                self.left.bind(taking_one(left, policy.newest, True, out), mode)
+            else:
+                self.left.bind(taking_all_at_once(left, False, out), mode)
         elif not policy.consuming:
             self.right.bind(taking_all(right, out), mode)
             self.left.bind(taking_all(left, out) if both or late else waiting_only(left), mode)
         else:
-            once = self if both and operator.alone else None
+            once = self.completed if self.double and both and operator.alone else None
+            if self.double and policy.replacing and late:
+                right = right._replace(wait=self._wait_later)
             self.right.bind(taking_one(right, policy.newest, True, out, once), mode)
             if both or late:
                 self.left.bind(taking_one(left, policy.newest, True, out, once), mode)
@@ -289,6 +294,13 @@ class Joining(Node):
             negated.bind(absence.arrive, mode)
         for absence, negated in self.carried:
             negated.bind(absence.arrive, mode)
+
+    def _wait_later(self, match: Match, key: Any) -> None:
+        """Let a late right side wait when its event has been tried as a left side too.
+
+        Else it would replace an older one of the same event that the left side still has to meet.
+        """
+        self.rule.add_later(self.right_place, match, key)
 
     def _join(self, left_arrives: bool) -> Callable[[Match, Match], Optional[Match]]:
         """Compile the test and the result of a pair; the arriving match is the first argument."""

@@ -269,7 +269,7 @@ def _is_sequence(pattern: Any) -> bool:
     """Tell whether a pattern is a sequence, looking through conditions."""
     while isinstance(pattern, (Condition, Within)):
         pattern = pattern.pattern
-    return isinstance(pattern, Pair) and pattern.operator in (SEQ, "forall_seq")
+    return isinstance(pattern, Pair) and pattern.operator == SEQ
 
 
 def bound_by(pattern: Any) -> List[Var]:

@@ -1,7 +1,7 @@
 """Consumption policies: which waiting partners an event takes, and what becomes of them."""
 
 from enum import Enum
-from typing import Any, Callable, List, NamedTuple, Tuple
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
 
 from .matches import Match, Place, unify_sides
 
@@ -60,6 +60,7 @@ class Side(NamedTuple):
         left: whether this is the left operand.
         waits: whether a match without a partner waits.
         stays: whether it waits even after it has found one.
+        wait: lets a match wait, where that is not to be at once.
     """
 
     own: Place
@@ -69,6 +70,7 @@ class Side(NamedTuple):
     left: bool
     waits: bool
     stays: bool
+    wait: Optional[Callable[[Match, Any], None]] = None
 
 
 def waiting_only(side: Side) -> Emit:
@@ -82,7 +84,9 @@ def waiting_only(side: Side) -> Emit:
     return arrive
 
 
-def taking_one(side: Side, newest: bool, uses: bool, emit: Emit, node: Any = None) -> Emit:
+def taking_one(
+    side: Side, newest: bool, uses: bool, emit: Emit, completed: Optional[Dict[Any, None]] = None
+) -> Emit:
     """Return what a match does that takes one partner.
 
     Args:
@@ -90,10 +94,12 @@ def taking_one(side: Side, newest: bool, uses: bool, emit: Emit, node: Any = Non
         newest: whether it takes the newest that fits, else the oldest.
         uses: whether the partner is used up.
         emit: where results go.
-        node: where one single event may arrive at both sides: remembers the last that was a right side.
+        completed: where one single event may be at both sides: those that have completed as the right one.
     """
-    own, other, join, shared, left, waits, stays = side
+    own, other, join, waits, stays = side.own, side.other, side.join, side.waits, side.stays
     key_of = own.key
+    wait = side.own.add if side.wait is None else side.wait
+    remembering = completed is not None and not side.left
 
     def arrive(match: Match, after: Frame) -> Frame:
         try:
@@ -114,7 +120,7 @@ def taking_one(side: Side, newest: bool, uses: bool, emit: Emit, node: Any = Non
                     if result is not None and partner.bucket is not None:
                         return matched(match, key, partner, result, after)
         if waits:
-            own.add(match, key)
+            wait(match, key)
         return after
 
     def slowly(match: Match, key: Any, after: Frame) -> Frame:
@@ -126,47 +132,40 @@ def taking_one(side: Side, newest: bool, uses: bool, emit: Emit, node: Any = Non
             if result is not None and partner.bucket is not None:
                 return matched(match, key, partner, result, after)
         if waits:
-            own.add(match, key)
+            wait(match, key)
         return after
 
     def matched(match: Match, key: Any, partner: Match, result: Match, after: Frame) -> Frame:
         if uses:
             partner.bucket.remove(partner)
         if stays:
-            own.add(match, key)
+            wait(match, key)
+        if remembering and match.event is not None:
+            if len(completed) > _REMEMBERED:  # type: ignore[arg-type]
+                del completed[next(iter(completed))]  # type: ignore[union-attr, arg-type]
+            completed[match.event] = None  # type: ignore[index]
         return emit(result, after)
 
-    if node is None:
-        return arrive
-    return _once_for_one_event(arrive, own, node, left)
+    if completed is not None and side.left:
+        return _waiting_after_completion(arrive, own, completed)
+    return arrive
 
 
-def _once_for_one_event(arrive: Emit, own: Place, node: Any, left: bool) -> Emit:
-    """Have a single event that fits both sides complete as the right one; then it only waits as the left one."""
-
-    completed = node.completed
-
-    def as_right(match: Match, after: Frame) -> Frame:
-        event = match.event
-        result = arrive(match, after)
-        if event is not None and match.bucket is None:
-            if len(completed) > _REMEMBERED:
-                del completed[next(iter(completed))]
-            completed[event] = None
-        return result
+def _waiting_after_completion(arrive: Emit, own: Place, completed: Dict[Any, None]) -> Emit:
+    """Have a single event that has completed as the right side only wait as the left one."""
 
     def as_left(match: Match, after: Frame) -> Frame:
-        if match.event is not None and completed.pop(match.event, 0) is None:
+        if match.event is not None and match.event in completed:
             own.add(match, own.key_of(match))
             return after
         return arrive(match, after)
 
-    return as_left if left else as_right
+    return as_left
 
 
 def taking_all(side: Side, emit: Emit) -> Emit:
     """Return what a match does that takes all partners and uses up none."""
-    own, other, join, shared, left, waits, stays = side
+    own, other, join, waits, stays = side.own, side.other, side.join, side.waits, side.stays
     key_of = own.key_of
 
     def arrive(match: Match, after: Frame) -> Frame:
@@ -189,9 +188,9 @@ def taking_all(side: Side, emit: Emit) -> Emit:
     return arrive
 
 
-def taking_and_using_all(side: Side, emit: Emit) -> Emit:
-    """Return what a match does that takes all partners and uses all of them up."""
-    own, other, join, shared, left, waits, stays = side
+def taking_all_at_once(side: Side, uses: bool, emit: Emit) -> Emit:
+    """Return what a match does that takes all partners there are, using them up or itself."""
+    own, other, join, waits, stays = side.own, side.other, side.join, side.waits, side.stays
 
     def arrive(match: Match, after: Frame) -> Frame:
         key = own.key_of(match)
@@ -199,7 +198,8 @@ def taking_and_using_all(side: Side, emit: Emit) -> Emit:
         for partner in other.candidates(key):
             result = join_any(side, match, key, partner)
             if result is not None and partner.bucket is not None:
-                partner.bucket.remove(partner)
+                if uses:
+                    partner.bucket.remove(partner)
                 results.append(result)
         if stays or (waits and not results):
             own.add(match, key)

@@ -66,14 +66,18 @@ class Rule:
         self._by_end: List[Tuple[int, int, Match]] = []
         self._listeners: List[Listener] = []
         self._bound = False
+        self.later: List[Tuple[Any, Match, Any]] = []
+        self._later_event: Any = None
         head = definition.head
         compiler = Compiler(self, [] if head is None else [head], definition.pattern)
         self.root = compiler.build()
         self.nodes = compiler.nodes
+        self.double = any(getattr(node, "double", False) for node, _, _ in self.nodes)
         self.builder = None if head is None else compile_builder(head, self.root.vars, f"head of {name}")
 
     def configure(self, mode: Mode, window: Optional[int], garbage: Optional[Tuple[int, int]]) -> None:
         """Connect the nodes for a mode, a window and a garbage control (window and step, in ns)."""
+        self.settle()
         self.window = window
         self._garbage = garbage
         self.timed = garbage is not None
@@ -105,6 +109,7 @@ class Rule:
 
     def clear(self) -> None:
         """Remove all partial matches."""
+        self.later = []
         for match in list(self._arrivals):
             match.leave()
         self._arrivals.clear()
@@ -112,6 +117,22 @@ class Rule:
         self._by_end = []
         self.clock = -(1 << 63)
         self._collected_at = None
+
+    def add_later(self, place: Any, match: Match, key: Any) -> None:
+        """Let a match wait in a place when the next event comes."""
+        self._later_event = self.network.dispatcher.token()
+        self.later.append((place, match, key))
+
+    def add_those_of_other_events(self, event: Any) -> None:
+        """Let those matches wait that were to wait when another event comes."""
+        if self._later_event != event:
+            self.settle()
+
+    def settle(self) -> None:
+        """Let all matches wait that are to wait."""
+        later, self.later = self.later, []
+        for place, match, key in later:
+            place.add(match, key)
 
     def tick(self, end: int) -> None:
         """Move the rule's clock and remove what is too old by it."""
@@ -143,6 +164,9 @@ class Rule:
         self.waiting += 1
         arrivals = self._arrivals
         arrivals.append(match)
+        if span is not None and match.start + span < self.clock:
+            match.leave()  # it came too late to be a part of anything
+            return
         if self.timed:
             self._file(match, span)
         network = self.network

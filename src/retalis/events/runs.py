@@ -4,7 +4,6 @@ from typing import Any, List, Optional, Sequence, Tuple
 
 from ..errors import RuleError
 from ..terms import Term, Var, resolve, undo, unify, variables
-from ._keys import term_key
 from .aggregates import Collector
 from .building import compile_builder
 from .conditions import Test
@@ -177,22 +176,25 @@ class Running(Node):
         span = self.span
         if span is not None and last - run.start > span:
             return False, None
-        first = run.first
+        values: Any = run.values
         if key is None or run.bucket.key is None:
-            sides = unify_sides(first, match, self.pairs)
+            sides = unify_sides(run, match, self.pairs)
             if sides is None:
                 return False, None
-            first, match = sides
+            values, match = sides[0].values, sides[1]
         fixed = tuple([match.values[at] for at in self.fixed_at])
-        if run.fixed is not None and not _agree(run.fixed, fixed):
-            return False, None
+        if run.fixed is not None:
+            agreed = _agreed(run.fixed, fixed)
+            if agreed is None:
+                return False, None
+            fixed = agreed
         if self.step_tests:
-            values: Any = first.values + tuple([match.values[at] for at in self._step_at])
+            step: Any = values + tuple([match.values[at] for at in self._step_at])
             for test in self.step_tests:
-                values = test(values, match.start, match.end)
-                if values is None:
+                step = test(step, match.start, match.end)
+                if step is None:
                     return False, None
-        found = self._fit(first.values, fixed, run.start, last)
+        found = self._fit(values, fixed, run.start, last)
         if found is None:
             return False, None
         if self.collector is not None:
@@ -203,7 +205,7 @@ class Running(Node):
                 return False, None
         run.last = last
         run.fixed = fixed
-        run.values = first.values
+        run.values = values
         if self.tracked:
             run.taken.append(match)
         return True, self.result_of(run, found)
@@ -234,9 +236,9 @@ class Running(Node):
                 found = test(found, start, end)
             if found is None:
                 return None
-        own = [term_key(value) for value in found[len(run.values) :]]
         held = (Held(tuple(run.taken)),) if self.tracked else ()
-        return Match(found, start, end, None, None, (run.first, *held, *own))
+        event = run.event if run.fixed is None else None
+        return Match(found, start, end, event, None, (run.first, *held))
 
     def _with_result(self, values: Values, value: Term) -> Optional[Values]:
         """Put the result where its variables stand among the values."""
@@ -264,8 +266,11 @@ def _by_occurrence(run: Match) -> Any:
     return (identity(first), int(first.start), int(first.end))
 
 
-def _agree(left: Values, right: Values) -> bool:
+def _agreed(left: Values, right: Values) -> Optional[Values]:
+    """Unify values pairwise; return them, or None where they differ."""
     trail: List[Any] = []
-    result = all(unify(one, other, trail) for one, other in zip(left, right))
+    result = None
+    if all(unify(one, other, trail) for one, other in zip(left, right)):
+        result = tuple([resolve(one) for one in left])
     undo(trail, 0)
     return result
