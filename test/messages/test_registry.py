@@ -51,6 +51,17 @@ def test_another_text_for_a_known_name_is_another_definition():
     assert registry.encoder("pkg/Type").definition is first
 
 
+def test_a_definition_that_is_not_that_of_the_messages():
+    registry = nothing_installed()
+    with pytest.raises(
+        MessageError, match="the definition of pkg/Type that came with the messages is not theirs"
+    ):
+        registry.add("pkg/Type", "", "123")
+    assert "pkg/Type" not in registry
+    definition = registry.add("pkg/Type", "int8 x\n", "*")
+    assert registry.add("pkg/Type", "int8 x\n", definition.md5sum) is definition
+
+
 def test_an_unknown_type_is_an_error_that_names_it():
     with pytest.raises(MessageError, match="no definition of the message type pkg/Missing"):
         nothing_installed().find("pkg/Missing")

@@ -36,21 +36,30 @@ class Definitions:
         self._decoders: Dict[_Key, Decoder] = {}
         self._encoders: Dict[_Key, Encoder] = {}
 
-    def add(self, name: str, text: str) -> Definition:
+    def add(self, name: str, text: str, md5sum: str = "") -> Definition:
         """Add a type from its text, which may contain the texts of nested types (``MSG: pkg/Type``).
 
         The first definition that is added under a name is the one that `find` gives; another text for the
         same name is read and returned all the same.
 
+        Args:
+            name: ``pkg/Type``.
+            text: the definition.
+            md5sum: the checksum that came with the text; it is compared where it is given and is not ``*``.
+
         Raises:
-            MessageError: for a text that is no definition, or that names a type found nowhere.
+            MessageError: for a text that is no definition, that names a type found nowhere, or that has
+                another checksum.
         """
-        known = self._by_text.get((name, text))
-        if known is not None:
-            return known
-        sections = split_sections(name, text)
-        definition = _Resolver(self, sections).resolve(name)
-        self._by_text[name, text] = definition
+        definition = self._by_text.get((name, text))
+        if definition is None:
+            definition = _Resolver(self, split_sections(name, text)).resolve(name)
+            self._by_text[name, text] = definition
+        if md5sum not in ("", "*", definition.md5sum):
+            raise MessageError(
+                f"the definition of {name} that came with the messages is not theirs: "
+                f"its checksum is {definition.md5sum}, theirs {md5sum}"
+            )
         self._added.setdefault(name, definition)
         for nested in definition.dependencies():
             self._nested.setdefault(nested.name, nested)
