@@ -8,9 +8,9 @@ from dataclasses import replace
 import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
-from oracle.comparison import answers, engine_events
+from oracle.comparison import answers, difference, engine_events, report, shrink
 from oracle.patterns import Check, walk
-from oracle.strategies import cases
+from oracle.strategies import cases, drawn_cases
 from oracle.text import write_rule
 
 from retalis.terms import atom, functor
@@ -27,8 +27,21 @@ def of_engine(case, texts=None, goals="", stream=None):
 @settings(quick, max_examples=500)
 @given(cases())
 def test_oracle(case):
-    allowed = answers(case)
-    assert of_engine(case) in allowed
+    if difference(case) is not None:
+        pytest.fail(report(shrink(case, lambda smaller: difference(smaller) is not None)), pytrace=False)
+
+
+@quick
+@given(drawn_cases())
+def test_oracle_drawn_piece_by_piece(case):
+    assert of_engine(case) in answers(case)
+
+
+@settings(quick, max_examples=150)
+@given(cases(depth=3, revision=True))
+def test_revision(case):
+    if difference(case) is not None:
+        pytest.fail(report(shrink(case, lambda smaller: difference(smaller) is not None)), pytrace=False)
 
 
 @quick

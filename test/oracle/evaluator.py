@@ -130,7 +130,7 @@ class RuleState(Repetitions):
             return self.fit(node, p, q, tests, cnot)
 
         if node.kind in EITHER_ORDER:
-            return self._either_order(node, lefts, rights, p_waiting, q_waiting, fit)
+            return self._either_order(lefts, rights, p_waiting, q_waiting, fit)
         return self._in_order(node, lefts, rights, p_waiting, q_waiting, fit)
 
     def _in_order(
@@ -163,16 +163,15 @@ class RuleState(Repetitions):
             if not found or not (self.consuming or for_all):
                 left_over.append(p)
         for p in left_over:
-            self._wait(node.left, p_waiting, p, identical_too=for_all)
+            self._wait(p_waiting, p, identical_too=for_all)
         if self.out_of_order:
             # Policies: the second side of a seq also waits, for late first sides.
             for q in rights:
-                self._wait(node.right, q_waiting, q)
+                self._wait(q_waiting, q)
         return results
 
     def _either_order(
         self,
-        node: Both,
         lefts: List[Match],
         rights: List[Match],
         p_waiting: List[Match],
@@ -181,39 +180,39 @@ class RuleState(Repetitions):
     ) -> List[Match]:
         """Take the sides in either order of arrival.
 
-        Composed sides come first, left before right; then the event itself where it is a side: first as the
-        right side, then as the left one.
+        Composed sides come first, left before right, each completing or waiting; then the event itself where it
+        is a side.
         """
         results: List[Match] = []
-        completed = False
 
-        def as_left(p: Match, may_complete: bool = True) -> None:
-            found = self.complete(q_waiting, lambda q: fit(p, q)) if may_complete else []
+        def as_left(p: Match) -> bool:
+            found = self.complete(q_waiting, lambda q: fit(p, q))
             results.extend(found)
-            # Policies: having matched, it does not wait for others, except under unrestricted.
-            if not found or not self.consuming:
-                self._wait(node.left, p_waiting, p)
+            return bool(found)
 
         def as_right(q: Match) -> bool:
             found = self.complete(p_waiting, lambda p: fit(p, q))
             results.extend(found)
-            if not found or not self.consuming:
-                self._wait(node.right, q_waiting, q)
             return bool(found)
 
+        # Policies: having matched, it does not wait for others, except under unrestricted.
         for p in lefts:
-            if not p.is_one_event():
-                as_left(p)
+            if not p.is_one_event() and (not as_left(p) or not self.consuming):
+                self._wait(p_waiting, p)
         for q in rights:
-            if not q.is_one_event():
-                as_right(q)
-        for q in rights:
-            if q.is_one_event():
-                completed |= as_right(q)
-        for p in lefts:
-            if p.is_one_event():
-                # Policies: an event that fits both sides completes first, then waits.
-                as_left(p, may_complete=not (completed and self.consuming))
+            if not q.is_one_event() and (not as_right(q) or not self.consuming):
+                self._wait(q_waiting, q)
+        # Policies: an event that fits both sides completes first (once: as the right side, else as the left one),
+        # then waits.
+        single_rights = [(q, as_right(q)) for q in rights if q.is_one_event()]
+        completed = self.consuming and any(matched for _, matched in single_rights)
+        single_lefts = [(p, not completed and as_left(p)) for p in lefts if p.is_one_event()]
+        for q, matched in single_rights:
+            if not matched or not self.consuming:
+                self._wait(q_waiting, q)
+        for p, matched in single_lefts:
+            if not matched or not self.consuming:
+                self._wait(p_waiting, p)
         return results
 
     def fit(self, node: Both, p: Match, q: Match, tests: List[Test], cnot: Optional[Cnot]) -> Optional[Match]:
@@ -263,12 +262,11 @@ class RuleState(Repetitions):
                 break  # Policies: the newest that fits, the oldest that fits; else all, oldest first.
         return results
 
-    def _wait(self, side: Pattern, waiting: List[Match], match: Match, identical_too: bool = False) -> None:
+    def _wait(self, waiting: List[Match], match: Match, identical_too: bool = False) -> None:
         if self.policy == "recent" and not identical_too:
             # Policies: under recent an arrival replaces the same term at the same place, whatever the stamps.
-            seen = self.outside(side)
-            variant = match.variant(seen)
-            waiting[:] = [other for other in waiting if other.variant(seen) != variant]
+            variant = match.variant()
+            waiting[:] = [other for other in waiting if other.variant() != variant]
         waiting.append(match)
 
     def _expire(self) -> None:

@@ -4,9 +4,9 @@ Times are any exact numbers, in seconds.
 """
 
 from dataclasses import dataclass, field
-from typing import Any, Callable, Container, Dict, FrozenSet, List, NamedTuple, Tuple
+from typing import Any, Callable, Dict, FrozenSet, List, NamedTuple, Tuple
 
-from retalis.terms import Term, Var, make_list
+from retalis.terms import Term, make_list
 
 from .goals import Bindings, quotient, show
 
@@ -43,12 +43,12 @@ class Match:
     """The numbers of all events that make up this match."""
     pending: Tuple[Pending, ...] = ()
 
-    def variant(self, seen: Container[Var]) -> Any:
+    def variant(self) -> Any:
         """Return a key that two matches share when they are the very same event term.
 
-        ``seen``: the variables that stand outside of the pattern too; what a goal gave others does not count.
+        The term of a composed event is its pattern with all variables replaced, those of goals included.
         """
-        values = sorted((id(var), show(var, self.bindings)) for var in self.bindings if var in seen)
+        values = sorted((id(var), show(var, self.bindings)) for var in self.bindings)
         return self.terms, tuple(values)
 
     def is_one_event(self) -> bool:

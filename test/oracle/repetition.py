@@ -40,8 +40,7 @@ class Repetitions(Conditions):
 
     def _started(self, node: Any, p: Match, conditions: List[Pattern]) -> List[Match]:
         runs = self.runs[node]
-        seen = self.outside(node.first)
-        same = [run for run in runs if run.start.variant(seen) == p.variant(seen)]
+        same = [run for run in runs if run.start.variant() == p.variant()]
         if any((run.start.start, run.start.end) == (p.start, p.end) for run in same):
             return []  # Policies: a start with the same term and stamps as a running one adds none.
         if self.policy == "recent":

@@ -85,7 +85,7 @@ class Recombined:
         for match, _ in found:
             bindings = match.bindings if self.rule.do is None else first(self.rule.do, match.bindings)
             if bindings is not None:
-                key: Any = (match.variant(list(match.bindings)), tuple(sorted(match.numbers)))
+                key: Any = (match.variant(), tuple(sorted(match.numbers)))
                 while key in holding:  # the same solution of an event_multiply twice
                     key = (key,)
                 holding[key] = show(copy(instance(self.rule.head, bindings))), match.start, match.end
