@@ -15,7 +15,7 @@ import tempfile
 import time
 import xmlrpc.client
 from pathlib import Path
-from typing import Any, Callable, Dict, List, Optional, Sequence, TextIO
+from typing import Any, Callable, Collection, Dict, FrozenSet, List, NamedTuple, Optional, Sequence, TextIO
 
 import nao_truth
 
@@ -97,6 +97,14 @@ class Progress:
             self._stream.write("\n")
 
 
+class Content(NamedTuple):
+    """What is in a bag: when it starts and ends, in seconds, and which markers the robot saw."""
+
+    start: float
+    end: float
+    markers: FrozenSet[str]
+
+
 class Poses:
     """Where each marker was last seen, and how many poses came, from the topics that the nodes publish."""
 
@@ -111,6 +119,28 @@ class Poses:
         self.located[message.header.frame_id.strip('"')] = (place.x, place.y, place.z)
         self.count += 1
         self.latest = time.monotonic()
+
+
+def look_into(bag: Path) -> Content:
+    """Return what is in a bag.
+
+    Raises:
+        DemoError: It cannot be read, or no marker was seen.
+    """
+    import rosbag
+
+    try:
+        with rosbag.Bag(str(bag)) as opened:
+            seen = opened.read_messages(topics=["/ar_pose_marker", "ar_pose_marker"])
+            names = {
+                marker.header.frame_id.strip('"') for _, message, _ in seen for marker in message.markers
+            }
+            start, end = opened.get_start_time(), opened.get_end_time()
+    except (rosbag.ROSBagException, OSError) as error:
+        raise DemoError(f"{bag} cannot be read: {error}") from None
+    if not names:
+        raise DemoError(f"{bag} has no markers on ar_pose_marker")
+    return Content(start, end, frozenset(names))
 
 
 def free_port() -> int:
@@ -168,18 +198,17 @@ def start_nodes(options: argparse.Namespace, processes: Processes, uri: str) -> 
     return nodes
 
 
-def play(bag: Path, rate: float, processes: Processes, nodes: "subprocess.Popen[bytes]") -> Poses:
+def play(
+    bag: Path, content: Content, rate: float, processes: Processes, nodes: "subprocess.Popen[bytes]"
+) -> Poses:
     """Play the bag and return what the nodes published.
 
     Raises:
         DemoError: The nodes or the player failed.
     """
-    import rosbag
     import rospy
     from geometry_msgs.msg import PoseStamped
 
-    with rosbag.Bag(str(bag)) as opened:
-        start, end = opened.get_start_time(), opened.get_end_time()
     rospy.init_node("nao_demo", disable_signals=True)
     poses = Poses()
     for topic in TOPICS:
@@ -190,7 +219,7 @@ def play(bag: Path, rate: float, processes: Processes, nodes: "subprocess.Popen[
     try:
         while player.poll() is None or time.monotonic() - poses.latest < QUIET_SECONDS:
             now = rospy.get_time()
-            played = (now - start) / max(end - start, 1e-9) if now else 0.0
+            played = (now - content.start) / max(content.end - content.start, 1e-9) if now else 0.0
             progress.show(played, f"{poses.count} poses of {len(poses.located)} markers")
             if nodes.poll() is not None:
                 raise DemoError("the nodes ended while the bag was played")
@@ -203,15 +232,18 @@ def play(bag: Path, rate: float, processes: Processes, nodes: "subprocess.Popen[
     return poses
 
 
-def report(poses: Poses, bag: Path) -> bool:
+def report(poses: Poses, bag: Path, seen: Collection[str]) -> bool:
     """Print where each marker is, beside the truth where it is known; return whether all were located."""
     try:
         truth = nao_truth.load(bag)
     except FileNotFoundError:
-        for name, place in sorted(poses.located.items()):
-            print(f"{name:<8} " + " ".join(f"{value:8.3f}" for value in place))
-        print(f"{len(poses.located)} markers located by {poses.count} poses; the truth is not known")
-        return bool(poses.located)
+        for name in sorted(seen):
+            place = poses.located.get(name)
+            shown = " ".join(f"{value:8.3f}" for value in place) if place else "not located"
+            print(f"{name:<8} {shown}")
+        found = len(set(seen) & set(poses.located))
+        print(f"{found} of {len(seen)} markers located by {poses.count} poses; the truth is not known")
+        return found == len(seen)
     comparisons = nao_truth.compare(truth, poses.located)
     good = sum(comparison.good for comparison in comparisons)
     print(nao_truth.table(comparisons))
@@ -259,9 +291,10 @@ def main(argv: Optional[Sequence[str]] = None) -> int:
             bag = logs / "nao.bag"
             print(f"Making {options.seconds:g} s of a simulated NAO: {bag}", flush=True)
             make_bag(bag, options.seconds, options.seed)
+        content = look_into(bag)
         print(f"Playing it to the nodes of nao.launch, input: {options.input}", flush=True)
         nodes = start_nodes(options, processes, uri)
-        poses = play(bag, options.rate, processes, nodes)
+        poses = play(bag, content, options.rate, processes, nodes)
     except DemoError as error:
         print(f"demo: {error}; the logs are in {logs}", file=sys.stderr)
         return 1
@@ -270,7 +303,7 @@ def main(argv: Optional[Sequence[str]] = None) -> int:
         return 130
     finally:
         processes.close()
-    located = report(poses, bag)
+    located = report(poses, bag, content.markers)
     if located:
         shutil.rmtree(logs)
     else:

@@ -88,10 +88,16 @@ def test_last_pose_of_each_marker_counts(demo):
 
 def test_report_of_a_bag_without_truth(demo, tmp_path, capsys):
     poses = demo.Poses()
-    assert not demo.report(poses, tmp_path / "own.bag")
     poses.add(message("4x4_1", 1.0, 2.0, 3.0))
-    assert demo.report(poses, tmp_path / "own.bag")
-    assert "1 markers located by 1 poses" in capsys.readouterr().out
+    assert not demo.report(poses, tmp_path / "own.bag", {"4x4_1", "4x4_2"})
+    assert demo.report(poses, tmp_path / "own.bag", {"4x4_1"})
+    assert capsys.readouterr().out.splitlines() == [
+        "4x4_1       1.000    2.000    3.000",
+        "4x4_2    not located",
+        "1 of 2 markers located by 1 poses; the truth is not known",
+        "4x4_1       1.000    2.000    3.000",
+        "1 of 1 markers located by 1 poses; the truth is not known",
+    ]
 
 
 def test_report_wants_every_marker_near_its_truth(demo, tmp_path, capsys):
@@ -100,12 +106,12 @@ def test_report_wants_every_marker_near_its_truth(demo, tmp_path, capsys):
     demo.nao_truth.save(demo.nao_truth.Truth(1.0, 1, 0, markers, []), bag)
     poses = demo.Poses()
     poses.add(message("4x4_1", 1.0, 2.0, 0.51))
-    assert not demo.report(poses, bag)
+    assert not demo.report(poses, bag, markers)
     assert "not located" in capsys.readouterr().out
     poses.add(message("4x4_2", 1.0, 2.0, 0.53))
-    assert not demo.report(poses, bag)
+    assert not demo.report(poses, bag, markers)
     poses.add(message("4x4_2", 1.0, 2.0, 0.5))
-    assert demo.report(poses, bag)
+    assert demo.report(poses, bag, markers)
     assert "2 of 2 markers located within 2 cm" in capsys.readouterr().out
 
 
