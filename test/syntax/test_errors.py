@@ -16,7 +16,7 @@ FAULTS = [
     ("h <- a :- b.", 8, ['"<-" and ":-"']),
     ("f(a, [b.", 8, ['expected "]"', '"[" of line 1, column 6', "end of the clause"]),
     ("k(a)).", 5, ['")" closes nothing']),
-    ("f({a).", 6, ['expected "}"', '"{" of line 1, column 3']),
+    ("f({a).", 5, ['expected "}"', '"{" of line 1, column 3']),
     ("l(\u201cx\u201d).", 3, ["typographic quote", 'write "']),
     ("l(\u2018x\u2019).", 3, ["typographic quote", "write '"]),
     ("m('it's).", 7, ["written twice"]),
@@ -47,7 +47,7 @@ FAULTS = [
     ("aj(40'z).", 4, ["radix"]),
     ("a /* b", 3, ["never closed"]),
     ("a :- \u00a7.", 6, ["SECTION SIGN"]),
-    (".", 1, ["expected a clause"]),
+    (".", 1, ["expected a term"]),
     ("a. b.", 4, ["nothing behind the full stop"]),
     ("", 1, ["expected a term"]),
     ("[a|b|c]", 5, ['one term behind "|"']),
@@ -137,7 +137,7 @@ def test_depth_is_no_danger(opening, closing, rule):
     depth = 30_000
     read_term(rule + opening * depth + "b" + closing * depth, OPERATORS)
     with pytest.raises(SyntaxFault):
-        read_term(rule + opening * depth, OPERATORS)
+        read_term(rule + opening * depth + "(", OPERATORS)
 
 
 @pytest.mark.parametrize("text", ["'\\'", "' . ", "\"\\\n", "0'", "1_ ", "'\\\n\\'", "(,", "a b\n", "/*", "\\"])

@@ -37,7 +37,6 @@ def read(text, **flags):
         ("1.0Inf", math.inf),
         ("-1.0Inf", -math.inf),
         ("-7", -7),
-        ("9" * 10_000, 10**10_000 - 1),
     ],
 )
 def test_numbers(text, value):
@@ -47,7 +46,8 @@ def test_numbers(text, value):
         assert read(write_term(value)) == value
 
 
-def test_long_integers_are_written():
+def test_long_integers():
+    assert read("9" * 10_000) == 10**10_000 - 1
     assert write_term(10**20_000 + 7) == "1" + "0" * 19_999 + "7"
     assert write_term(-(10**9000)) == "-1" + "0" * 9000
 

@@ -33,7 +33,7 @@ def to_text(term: Term) -> str:
                     stack.append(argument)
                     stack.append(",")
                 stack.append(item[1])
-                out.append(_name(item[0].name) + "(")
+                out.append(atom_text(item[0].name) + "(")
         elif kind is Atom:
             out.append(_name(item.name))
         elif kind is float:

@@ -25,6 +25,7 @@ _CURLY = functor("{}", 1)
 _ARROW = functor("<-", 2)
 _RULE = functor("rule:", 2)
 _LABEL = Operator(1200, 1199, 1200, _RULE, "xfy")
+_NECKS = frozenset((functor(":-", 2), functor("-->", 2)))
 _COMMA = Operator(1000, 999, 1000, COMMA, "xfy")
 
 _GOAL_RIGHT = frozenset(
@@ -344,6 +345,8 @@ class Parser:
         label = self.rules.labels.get(self.at - 1) if found is _LABEL else None
         if found[0] > self.stack[-1][0] or found[0] == self.stack[-1][0] or self.left_priority:
             found = self._make_room(found, name, start)
+        if self.table is self.patterns and found.functor in _NECKS:
+            raise faults.clash(self, found, start, self.operators.infix.get("<-", found))
         self.stack.append((found.right, _INFIX, found, self.left, self.left_at, start, self.table))
         self.wants_operand = True
         if self.patterns is not None:

@@ -74,9 +74,16 @@ class Program:
     at when the next clause is asked for.
     """
 
-    def __init__(self, text: str, operators: Operators, source: str = "text", flags: ReadFlags = DEFAULT):
+    def __init__(
+        self,
+        text: str,
+        operators: Operators,
+        source: str = "text",
+        flags: ReadFlags = DEFAULT,
+        first_line: int = 1,
+    ):
         self.operators = operators
-        self._source = Source(source, text)
+        self._source = Source(source, text, first_line)
         self._flags = flags
         self._stream = tokens(self._source, flags)
         self._again: List[AnyToken] = []
@@ -125,14 +132,19 @@ class Program:
 
 
 def read_program(
-    text: str, operators: Operators, source: str = "text", flags: ReadFlags = DEFAULT
+    text: str, operators: Operators, source: str = "text", flags: ReadFlags = DEFAULT, first_line: int = 1
 ) -> Program:
     """Return a reader of all clauses of a program; see `Program`."""
-    return Program(text, operators, source, flags)
+    return Program(text, operators, source, flags, first_line)
 
 
 def read_term(
-    text: str, operators: Operators, source: str = "text", flags: ReadFlags = DEFAULT, positions: bool = True
+    text: str,
+    operators: Operators,
+    source: str = "text",
+    flags: ReadFlags = DEFAULT,
+    positions: bool = True,
+    first_line: int = 1,
 ) -> ReadTerm:
     """Read a text that is one term, with or without a full stop.
 
@@ -142,11 +154,12 @@ def read_term(
         source: a name for the text, for errors.
         flags: see `ReadFlags`.
         positions: keep the places of the parts (see `ReadTerm.place_of`); costs some time.
+        first_line: the number of the text's first line, where it is a part of a longer one.
 
     Raises:
         SyntaxFault: where the text is not exactly one term.
     """
-    where = Source(source, text)
+    where = Source(source, text, first_line)
     found = list(tokens(where, flags))
     for at, token in enumerate(found):
         if token[0] == END and at + 1 < len(found):

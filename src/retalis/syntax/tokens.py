@@ -40,13 +40,14 @@ class ReadFlags(NamedTuple):
 
 
 class Source:
-    """A text with its name, and the places in it."""
+    """A text with its name, and the places in it; ``first_line`` where it is a part of a longer one."""
 
-    __slots__ = ("name", "text", "_starts")
+    __slots__ = ("name", "text", "first_line", "_starts")
 
-    def __init__(self, name: str, text: str):
+    def __init__(self, name: str, text: str, first_line: int = 1):
         self.name = name
         self.text = text
+        self.first_line = first_line
         self._starts: Optional[List[int]] = None
 
     def place(self, offset: int) -> Place:
@@ -62,6 +63,7 @@ class Source:
         line = bisect_right(starts, offset)
         start = starts[line - 1]
         end = text.find("\n", start)
+        line += self.first_line - 1
         return Place(self.name, line, offset - start + 1, text[start : end if end >= 0 else len(text)])
 
     def fault(self, message: str, offset: int) -> SyntaxFault:
