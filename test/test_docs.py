@@ -70,7 +70,9 @@ def test_commands_of_the_readme_are_commands():
     assert {command[0] for command in commands} <= known
     for command in commands:
         if command[0] == "./install.py":
-            shown = subprocess.run([sys.executable, str(ROOT / "install.py"), "--help"], capture_output=True, text=True)
+            shown = subprocess.run(
+                [sys.executable, str(ROOT / "install.py"), "--help"], capture_output=True, text=True
+            )
             assert command[1] in shown.stdout
         elif command[0] == "PYTHONPATH=src":
             module = subprocess.run(

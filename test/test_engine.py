@@ -178,7 +178,7 @@ def test_time_that_goes_back_clears_what_was_remembered(caplog):
     engine.clock.move_to(10 * 10**9, back=True)
     with caplog.at_level(logging.WARNING, "retalis"):
         engine.event("b", 101)
-    assert [event for event, _, _ in engine.events][1:] == ["a", "b"]
+    assert [event for event, _, _ in engine.events if not event.startswith("memory_")] == ["a", "b"]
     assert engine.query("access_mem(m, _, _)") == []
     assert sum("time went back" in record.message for record in caplog.records) == 1
 

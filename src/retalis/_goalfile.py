@@ -46,9 +46,7 @@ def _full_stops(lines: List[str], start: int) -> Iterator[int]:
 
 
 def _read(lines: List[str], start: int, end: int, operators: Operators, source: str) -> Read:
-    # Empty lines in front, so that errors say the right line.
-    text = "\n" * start + "\n".join(lines[start:end])
     try:
-        return read_term(text, operators, source)
+        return read_term("\n".join(lines[start:end]), operators, source, first_line=start + 1)
     except SyntaxFault as fault:
         return fault

@@ -75,19 +75,30 @@ class Clock:
 
 
 class StreamClock(Clock):
-    """A clock that stands still until it is moved: the time of a stream of events or of a bag."""
+    """A clock that stands still until it is moved: the time of a stream of events or of a bag.
+
+    A clock that is pinned says the same time for ever; alarms go by the stream's time all the same.
+    """
 
     def __init__(self, start: int = 0):
-        super().__init__(lambda: self._time)
         self._time = start
-        self.pinned = False
+        self._pinned: Optional[int] = None
+        super().__init__(lambda: self._time if self._pinned is None else self._pinned)
 
     def pin(self, instant: int) -> None:
-        """Stop the clock at an instant; it is not moved by events any more."""
-        self._time = instant
-        self.pinned = True
+        """Have the clock say an instant from now on, whatever moves the stream's time."""
+        self._pinned = int(instant)
+        self._time = max(self._time, self._pinned)
 
     def move_to(self, instant: int, back: bool = False) -> None:
-        """Move the clock forward (with ``back`` also backwards) unless it is pinned."""
-        if not self.pinned and (back or instant > self._time):
+        """Move the stream's time forward; with ``back`` also backwards."""
+        if back or instant > self._time:
             self._time = int(instant)
+
+    def move_by(self, nanoseconds: int) -> None:
+        """Let some of the stream's time pass."""
+        self._time += nanoseconds
+
+    def due(self, until: Optional[int] = None) -> Optional[Tuple[int, Alarm]]:
+        """Take and return the next alarm that is due by the stream's time."""
+        return super().due(self._time if until is None else until)

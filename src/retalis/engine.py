@@ -66,6 +66,7 @@ class Engine:
         self.settings = settings = Settings() if settings is None else settings
         self.logic = Logic()
         self.logic.limits = settings.limits
+        self.logic.now = self.clock.now
         self.dispatcher = Dispatcher(self.logic, max_depth=settings.max_depth)
         self.reports = Reports()
         self.rules = Rules(self.logic, self.dispatcher, self.clock)
@@ -90,7 +91,15 @@ class Engine:
         if goals:
             self.call_goals(goals, f"goals of {source}" if source == "text" else source)
         if rules:
-            self._runner.call(lambda: self.rules.load_text(rules, source))
+            self.load_rules(rules, source)
+
+    def load_rules(self, text: str, source: str = "text", folder: Optional[Path] = None) -> None:
+        """Load the text of an event file; relative paths in it are relative to ``folder``.
+
+        Raises:
+            ProgramErrors: all errors; nothing of the text is active then.
+        """
+        self._runner.call(lambda: self.rules.load_text(text, source, folder))
 
     def load_program(self, folder: Union[str, Path]) -> None:
         """Call the goals of ``goalPredicates.txt`` in a program's folder; they name the rule files.
@@ -131,17 +140,20 @@ class Engine:
 
         Args:
             term: the event, as a term or its text.
-            start: when it began: a stamp term or a number of seconds; the clock's time by default.
+            start: when it began: a stamp term or a number of seconds; by default now, by the clock.
             end: when it ended; as ``start`` by default.
 
         Raises:
             UsageError: for a wrong stamp or an end before the start.
             SyntaxFault: for a text that is no term.
         """
-        read = self._read(term)
         first = None if start is None else timestamps.from_any(start)
         last = first if end is None else timestamps.from_any(end)
-        self._runner.call(lambda: self._take(read, first, last))
+        self.event_at(self._read(term), first, last)
+
+    def event_at(self, term: Term, start: Optional[int], end: Optional[int]) -> None:
+        """Take an event whose interval is given as instants in nanoseconds; see `event`."""
+        self._runner.call(lambda: self._take(term, start, end))
 
     def post(self, term: Term, start: Optional[int] = None, end: Optional[int] = None) -> None:
         """Queue an event (a term of its own, instants in nanoseconds) and return without waiting for others."""

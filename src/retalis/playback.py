@@ -76,7 +76,7 @@ class Playback:
             bag: the messages, in the order of their receipt.
             progress: called with the number of messages read so far, after each.
         """
-        engine, clock, outputs = self.engine, self.clock, self._outputs
+        clock, outputs = self.clock, self._outputs
         for topic in bag.topics:
             if _plain(topic.name) in self._types and topic.definition:
                 self._learn(topic)
@@ -85,21 +85,27 @@ class Playback:
             clock.move_to(record.time, back=True)
             decoder = self._decoders.get(record.topic)
             if decoder is not None:
-                engine.post(decoder.lazy(record.data), decoder.stamp(record.data))
+                self._post(decoder, record.data)
             progress(done)
             if outputs:
                 yield from outputs
                 outputs.clear()
         clock.move_to(bag.end)
-        engine.advance()
+        self.engine.advance()
         yield from outputs
         outputs.clear()
+
+    def _post(self, decoder: Decoder, data: bytes) -> None:
+        try:
+            self.engine.post(decoder.decode(data), decoder.stamp(data))
+        except MessageError as error:
+            self._report(error)
 
     def _learn(self, topic: Topic) -> None:
         """Note the decoder for a connection, under the type that the program gives the topic."""
         kind = self._types[_plain(topic.name)]
         try:
-            definition = self.definitions.add(topic.type, topic.definition)
+            definition = self.definitions.add(topic.type, topic.definition, topic.md5sum)
             if definition.name != kind:
                 if kind in self.definitions and self.definitions.find(kind).md5sum != definition.md5sum:
                     raise MessageError(f"topic {topic.name} is read as {kind}, but the bag has {topic.type}")

@@ -29,7 +29,9 @@ def alive(name):
 class Restart(unittest.TestCase):
     def start(self, name):
         """Start a node as a user would, and have it ended with the test."""
-        process = subprocess.Popen(["rosrun", "retalis", TYPES[name], f"__name:={name}"], start_new_session=True)
+        process = subprocess.Popen(
+            ["rosrun", "retalis", TYPES[name], f"__name:={name}"], start_new_session=True
+        )
         self.addCleanup(self.end, process)
         wait_until(lambda: alive(name), f"node {name}")
         return process
@@ -52,7 +54,9 @@ class Restart(unittest.TestCase):
         add = service("add_memory", srv.AddMemory)
         self.assertEqual(add("x(Y)", "", "_", "while_alone", "1").result, "ok")
         self.start("retalis_ros_interface")
-        deleted = service("delete_output_subscription", srv.DeleteOutputSubscription)("face_by_marker", "probe")
+        deleted = service("delete_output_subscription", srv.DeleteOutputSubscription)(
+            "face_by_marker", "probe"
+        )
         self.assertEqual(deleted.result, "ok")
         open_the_way()
 
@@ -79,7 +83,9 @@ class Restart(unittest.TestCase):
 
     def registered(self, name):
         return any(
-            f"/{name}" in nodes for state in rosgraph.Master("/restart").getSystemState() for _, nodes in state
+            f"/{name}" in nodes
+            for state in rosgraph.Master("/restart").getSystemState()
+            for _, nodes in state
         )
 
 

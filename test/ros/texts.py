@@ -108,7 +108,9 @@ class Texts(unittest.TestCase):
         self.assertEqual(self.add_input("thing", "nowhere_msgs/Thing").result, "ok")
         self.subscribe("nowhere_msgs__0__Thing(_,_)", "", "_", "t", "thing")
         wait_until(publisher.connected, "the subscriber of the thing")
-        term = read_term("nowhere_msgs__0__Thing(0.5,[nowhere_msgs__0__Part('\"arm\"',true)])", Operators.prolog()).term
+        term = read_term(
+            "nowhere_msgs__0__Thing(0.5,[nowhere_msgs__0__Part('\"arm\"',true)])", Operators.prolog()
+        ).term
         publisher.publish(DEFINITIONS.encoder(definition).encode(term, "thing"))
         self.wait_for_output(
             "event(nowhere_msgs__0__Thing(0.5,[nowhere_msgs__0__Part('\"arm\"',true)]),t,thing)"

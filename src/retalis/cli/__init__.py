@@ -5,9 +5,9 @@ import sys
 from typing import List, Optional
 
 from ..errors import RetalisError
-from . import bag, demo
+from . import bag, demo, events
 
-COMMANDS = (bag, demo)
+COMMANDS = (bag, demo, events)
 
 
 def main(arguments: Optional[List[str]] = None) -> int:

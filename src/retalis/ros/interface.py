@@ -129,7 +129,7 @@ class Input:
             return
         data = message._buff
         try:
-            self._sink(decoder.lazy(data), decoder.stamp(data))
+            self._sink(decoder.decode(data), decoder.stamp(data))
         except MessageError as error:
             rospy.logerr_throttle(PERIOD, f"a message on {self._name} is dropped: {error}")
 
@@ -141,7 +141,7 @@ class Input:
                 definition = self._definitions.find(self.kind)
                 if definition.md5sum == checksum:
                     return self._definitions.decoder(definition)
-            definition = self._definitions.add(kind, header.get("message_definition", ""))
+            definition = self._definitions.add(kind, header.get("message_definition", ""), checksum)
         except MessageError as error:
             rospy.logerr("topic %s: %s", self._name, error)
             return None

@@ -1,0 +1,240 @@
+"""``events``: run a program over a stream of events."""
+
+import argparse
+import json
+import sys
+from contextlib import ExitStack
+from pathlib import Path
+from typing import IO, Any, Dict, List, Optional
+
+from .. import timestamps
+from .._goalfile import read_goals
+from .._inputs import event_of
+from ..clock import StreamClock
+from ..engine import Engine
+from ..errors import ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
+from ..program import read_text
+from ..syntax import Operators, ReadTerm, WriteOptions, read_term, write_term
+from ..terms import Term, Var, atom, deref, functor, rebuild, variables
+from ._report import Report
+from ._stream import read_stream
+
+EVENT = functor("event", 2)
+MEMORY_EVENT = functor("memory_event", 2)
+OUTPUT = functor("output", 3)
+MEMORY_EVENTS = frozenset(
+    (functor("memory_created", 5), functor("memory_updated", 2), functor("memory_deleted", 1))
+)
+
+DESCRIPTION = """\
+Call the goals, load the rules, feed the stream, and print each event in the order in which it happened, as
+event(TERM,[T1,T2]). The stream is Prolog terms: event(TERM,[T1,T2])., event(TERM)., or any goal. The clock is the
+stream's: the stamp of an event moves it, the goal sleep(Seconds) moves it, alarms go by it.
+"""
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command."""
+    parser = commands.add_parser(
+        "events", help="run a program over a stream of events", description=DESCRIPTION
+    )
+    add = parser.add_argument
+    add("--rules", type=Path, action="append", default=[], metavar="FILE", help="event rules and clauses")
+    add(
+        "--goals",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="goals called first, one a line",
+    )
+    add("--stream", metavar="FILE", help="events and goals; - is standard input, read as it comes")
+    add("--outputs", metavar="FILE", help="write what subscribers get, as output(TERM,TOPIC,ID); - prints it")
+    add("--queries", type=Path, metavar="FILE", help="goals whose solutions are printed at the end")
+    add("--memory-events", action="store_true", help="print memory events too, as memory_event(TERM,[T1,T2])")
+    add("--explain", metavar="TERM", help="print why such an event happened, or what was missing")
+    add("--clock", metavar="TERM", help="pin the clock to an instant: datime(2001,1,1,0,0,0,0) or seconds")
+    add("--json", action="store_true", help="print one JSON object a line instead of terms")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command; the status is 1 if there was an error."""
+    report = Report().listen()
+    with ExitStack() as stack:
+        printer = Printer(options.json, options.memory_events, _opened(options.outputs, stack))
+        session = Session(options, report, printer)
+        if session.load():
+            session.feed()
+            session.ask()
+    sys.stdout.flush()
+    return 1 if report.errors else 0
+
+
+def _opened(name: Optional[str], stack: ExitStack) -> Optional[IO[str]]:
+    if name is None:
+        return None
+    if name == "-":
+        return sys.stdout
+    try:
+        return stack.enter_context(open(name, "w", encoding="utf-8"))
+    except OSError as error:
+        raise UsageError(f"cannot write {name}: {error.strerror}") from error
+
+
+class Printer:
+    """Prints events, outputs and solutions: as terms that read back, or as JSON."""
+
+    def __init__(self, as_json: bool, memory_events: bool, outputs: Optional[IO[str]]):
+        self._json = as_json
+        self._memory_events = memory_events
+        self._outputs = outputs
+
+    def event(self, term: Term, start: int, end: int) -> None:
+        """Print an event."""
+        memory = term.__class__ is tuple and term[0] in MEMORY_EVENTS
+        if memory and not self._memory_events:
+            return
+        first, last = timestamps.to_term(start), timestamps.to_term(end)
+        if self._json:
+            kind = "memory_event" if memory else "event"
+            self._line({kind: text(term), "start": text(first), "end": text(last)})
+        else:
+            interval = timestamps.interval_term(start, end)
+            print(f"{text((MEMORY_EVENT if memory else EVENT, term, interval))}.", flush=True)
+
+    def output(self, term: Term, topic: str, name: Term) -> None:
+        """Print what a subscriber gets."""
+        if self._outputs is None:
+            return
+        if self._json:
+            self._line({"output": text(term), "topic": topic, "id": text(name)}, self._outputs)
+        else:
+            print(f"{text((OUTPUT, term, atom(topic), name))}.", file=self._outputs, flush=True)
+
+    def solutions(self, goal: Term, found: List[Term]) -> None:
+        """Print the solutions of a query, each as the goal with its values."""
+        if self._json:
+            self._line({"query": text(goal), "solutions": [text(solution) for solution in found]})
+            return
+        for solution in found:
+            print(f"{text(solution)}.", flush=True)
+
+    def _line(self, content: Dict[str, Any], file: Optional[IO[str]] = None) -> None:
+        print(json.dumps(content, ensure_ascii=False), file=file or sys.stdout, flush=True)
+
+
+class Session:
+    """One run: the engine and what it was asked to do."""
+
+    def __init__(self, options: argparse.Namespace, report: Report, printer: Printer):
+        self._options = options
+        self._report = report
+        self._printer = printer
+        self._clock = StreamClock()
+        self.engine = Engine(self._clock)
+        self.engine.on_event(printer.event)
+        self.engine.on_output(printer.output)
+        self.engine.logic.define_control("sleep", 1, self._sleep)
+        if options.clock:
+            stamp = read_term(options.clock, Operators.prolog(), "--clock").term
+            self._clock.pin(timestamps.from_term(stamp))
+
+    def load(self) -> bool:
+        """Call the goals and load the rules; False where a rule file cannot be used."""
+        for path in self._options.goals:
+            self._try(lambda path=path: self.engine.call_goals(read_text(path), str(path), path.parent))
+        loaded = True
+        for path in self._options.rules:
+            loaded &= self._try(
+                lambda path=path: self.engine.load_rules(read_text(path), str(path), path.parent)
+            )
+        return loaded
+
+    def feed(self) -> None:
+        """Feed the stream."""
+        name = self._options.stream
+        if name is None:
+            return
+        operators = self.engine.logic.operators
+        if name == "-":
+            self._feed(read_stream(sys.stdin, operators, "standard input"))
+            return
+        try:
+            with open(name, encoding="utf-8") as file:
+                self._feed(read_stream(file, operators, name))
+        except (OSError, UnicodeDecodeError) as error:
+            raise UsageError(f"cannot read {name}: {error}") from error
+
+    def _feed(self, stream: Any) -> None:
+        for item in stream:
+            if isinstance(item, SyntaxFault):
+                self._report(item)
+            else:
+                self._try(lambda item=item: self._step(item))
+
+    def _step(self, item: ReadTerm) -> None:
+        try:
+            self._do(item.term)
+        except RetalisError as error:
+            raise (error if error.place else RuleError(error.message, item.place)) from error
+
+    def _do(self, goal: Term) -> None:
+        made = event_of(goal)
+        if made is None:
+            if not self.engine.call(goal):
+                raise RuleError("this goal fails")
+            return
+        if made.end is not None:
+            self._clock.move_to(made.end)
+        self.engine.event_at(*made)
+
+    def ask(self) -> None:
+        """Print the solutions of the queries, and the explanation."""
+        if self._options.queries is not None:
+            path = self._options.queries
+            for goal in read_goals(read_text(path), self.engine.logic.operators, str(path)):
+                if isinstance(goal, SyntaxFault):
+                    self._report(goal)
+                else:
+                    self._try(lambda goal=goal: self._query(goal))
+
+    def _query(self, goal: ReadTerm) -> None:
+        found: List[Term] = []
+        try:
+            for answer in self.engine.query(goal.term):
+                values = dict(zip(variables(goal.term), answer.values()))
+                found.append(rebuild(goal.term, lambda var, values=values: values[var]))
+        except RetalisError as error:
+            raise RuleError(error.message, goal.place) from error
+        finally:
+            self._printer.solutions(goal.term, found)
+
+    def _sleep(self, machine: Any, arguments: Any, after: Any) -> Any:
+        """Let the stream's time pass: the goal ``sleep(Seconds)``."""
+        seconds = deref(arguments[0])
+        if not isinstance(seconds, (int, float)):
+            raise UsageError("sleep/1 needs a number of seconds")
+        self._clock.move_by(timestamps.from_seconds(seconds))
+        self.engine.advance()
+        return after
+
+    def _try(self, work: Any) -> bool:
+        try:
+            work()
+        except ProgramErrors as errors:
+            for error in errors.errors:
+                self._report(error)
+            return False
+        except RetalisError as error:
+            self._report(error)
+            return False
+        return True
+
+
+def text(term: Term) -> str:
+    """Return a term as it stands in recorded streams: quoted, operators ignored, variables A, B, ..."""
+    names: Dict[Var, str] = {}
+    for number, var in enumerate(variables(term)):
+        names[var] = f"{chr(65 + number % 26)}{number // 26 or ''}"
+    return write_term(term, quoted=True, ignore_ops=True, variable_names=names)
