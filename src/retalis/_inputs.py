@@ -1,6 +1,6 @@
 """Events written as goals: ``event/1,2`` and ``new_event/2,3,5``, in programs and on the String topics."""
 
-from typing import Callable, Dict, NamedTuple, Optional, Sequence
+from typing import Any, Callable, Dict, NamedTuple, Optional, Sequence
 
 from . import timestamps
 from .errors import UsageError
@@ -9,11 +9,11 @@ from .terms import Atom, Functor, Term, Var, deref, functor, list_items
 
 
 class Input(NamedTuple):
-    """An event and its interval; None where the clock is to stamp it."""
+    """An event and the two instants of its interval; None where the clock is to stamp it."""
 
     term: Term
-    start: Optional[int]
-    end: Optional[int]
+    start: Any
+    end: Any
 
 
 def event_of(goal: Term) -> Optional[Input]:

@@ -3,7 +3,7 @@
 import logging
 from contextlib import closing
 from pathlib import Path
-from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple, Union
+from typing import Any, Callable, Dict, Generator, List, NamedTuple, Optional, Sequence, Tuple, Union, cast
 
 from . import timestamps
 from ._goalfile import read_goals
@@ -196,7 +196,7 @@ class Engine:
 
     def _solutions(self, term: Term, names: Dict[str, Var], most: Optional[int]) -> List[Dict[str, Term]]:
         found: List[Dict[str, Term]] = []
-        with closing(self.logic.solutions(term)) as solutions:
+        with closing(cast(Generator[None, None, None], self.logic.solutions(term))) as solutions:
             for _ in solutions:
                 found.append({name: copy(value) for name, value in names.items()})
                 if most is not None and len(found) >= most:

@@ -1,7 +1,7 @@
 """The folder of a program: ``pub_sub.xml``, ``goalPredicates.txt`` and what these name."""
 
 from pathlib import Path
-from typing import List, NamedTuple, Tuple, Union
+from typing import Dict, List, NamedTuple, Tuple, Union
 from xml.parsers import expat
 
 from .errors import Place, ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
@@ -58,7 +58,7 @@ class _TopicReader:
         self.parser = expat.ParserCreate()
         self.parser.StartElementHandler = self.element
         self.inside = False
-        self.found: "dict[str, List[TopicType]]" = {"subscribe_to": [], "publish_to": []}
+        self.found: Dict[str, List[TopicType]] = {"subscribe_to": [], "publish_to": []}
         self.errors: List[RetalisError] = []
 
     def read(self) -> Topics:
@@ -75,7 +75,7 @@ class _TopicReader:
         text = self.lines[line - 1] if line <= len(self.lines) else ""
         return Place(self.source, line, offset + 1, text)
 
-    def element(self, tag: str, attributes: "dict[str, str]") -> None:
+    def element(self, tag: str, attributes: Dict[str, str]) -> None:
         place = self.place(self.parser.CurrentLineNumber, self.parser.CurrentColumnNumber)
         if not self.inside:
             self.inside = True

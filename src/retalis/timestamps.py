@@ -43,6 +43,7 @@ class Stamp(int):
 
     @classmethod
     def of(cls, nanoseconds: int, term: Term) -> "Stamp":
+        """Return the stamp of an instant (ns) that shows as ``term``."""
         stamp = cls(nanoseconds)
         stamp.term = term
         return stamp

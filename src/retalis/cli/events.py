@@ -14,7 +14,7 @@ from ..clock import StreamClock
 from ..engine import Engine
 from ..errors import ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
 from ..program import read_text
-from ..syntax import Operators, ReadTerm, WriteOptions, read_term, write_term
+from ..syntax import Operators, ReadTerm, read_term, write_term
 from ..terms import Term, Var, atom, deref, functor, rebuild, variables
 from ._report import Report
 from ._stream import read_stream
@@ -204,7 +204,7 @@ class Session:
         try:
             for answer in self.engine.query(goal.term):
                 values = dict(zip(variables(goal.term), answer.values()))
-                found.append(rebuild(goal.term, lambda var, values=values: values[var]))
+                found.append(rebuild(goal.term, values.__getitem__))
         except RetalisError as error:
             raise RuleError(error.message, goal.place) from error
         finally:
