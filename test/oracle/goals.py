@@ -122,6 +122,8 @@ def number(term: Term, bindings: Bindings) -> Any:
         return term
     if term.__class__ is tuple and len(term) == 3 and term[0].name in _ARITHMETIC:
         return _ARITHMETIC[term[0].name](number(term[1], bindings), number(term[2], bindings))
+    if term.__class__ is tuple and term[0] is CONS and value_of(term[2], bindings) is NIL:
+        return number(term[1], bindings)  # [X] is X
     if term.__class__ is tuple and term[0] is functor("-", 1):
         return -number(term[1], bindings)
     raise GoalError(f"no number: {show(term, bindings)}")
