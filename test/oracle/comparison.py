@@ -72,18 +72,18 @@ def revised_answer(case: Case) -> List[Fired]:
     )
 
 
-def difference(case: Case) -> Optional[Tuple[Fired, Any]]:
+def difference(case: Case) -> Optional[Tuple[Any, Any]]:
     """Return what was expected and what the engine did instead, or None where they agree."""
     revises = case.revises()
     if revises and not revision.defined_for(case.rules, case.policy, case.out_of_order):
         return None
     try:
-        expected = [sum(revised_answer(case), [])] if revises else answers(case)
+        expected: List[Any] = [revised_answer(case)] if revises else answers(case)
     except RecursionError:
         return None
     try:
         steps = engine_steps([case.text()], case.goals(), case.stream)
-        got: Any = sum(in_steps(steps) if revises else steps, [])
+        got: Any = in_steps(steps) if revises else sum(steps, [])
     except RetalisError as error:
         got = f"refused: {error}"
     except Exception as error:  # noqa: BLE001 - an internal error is a difference too
@@ -151,6 +151,8 @@ def report(case: Case) -> str:
     def line(events: Any) -> str:
         if isinstance(events, str):
             return events
+        if events and isinstance(events[0], list):  # step by step
+            return " | ".join(line(step) for step in events)
         return " ".join(f"{t}@{s / SECOND:g}-{e / SECOND:g}" for t, s, e in events)
 
     return f"{case!r}\nexpected {line(expected)}\n     got {line(got)}\n"
