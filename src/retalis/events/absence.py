@@ -85,5 +85,6 @@ class Absence:
                 ) is None:
                     continue
                 if condition is None or condition(values, match):
+                    self.rule.network.tracker.blocker = match
                     return True
         return False

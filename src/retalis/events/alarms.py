@@ -13,8 +13,10 @@ _AT = functor("exceptionAlarmAbsoluteDatime", 2)
 def alarm_of(head: Term, start: int, end: int) -> Optional[Tuple[Term, int, int]]:
     """Return the event, its start and the instant at which it fires; None for a head that is no alarm.
 
+    An instant before the start is none: as in the original engine, the head is an ordinary event then.
+
     Raises:
-        UsageError: where the duration or instant is wrong, or the instant lies before the start.
+        UsageError: where the duration or instant is wrong.
     """
     if head[0] is _AFTER:
         instant = WholeSeconds(end + duration(head[2]))
@@ -23,7 +25,7 @@ def alarm_of(head: Term, start: int, end: int) -> Optional[Tuple[Term, int, int]
     else:
         return None
     if instant < start:
-        raise UsageError("an alarm cannot fire before the event that sets it has started")
+        return None
     return deref(head[1]), start, instant
 
 

@@ -90,6 +90,23 @@ class Call:
 
         return machine.attempt(goal, given if ground else values, each, after, self._reporter())
 
+    def noting_cause(self, act: Any) -> Any:
+        """Return ``act`` so that events made by the goal know what the goal was called for."""
+        rule = self.rule
+        dispatcher = rule.network.dispatcher
+
+        def noting(match: Match, solved: Callable[[Values, Frame], Frame], after: Frame) -> Frame:
+            before = dispatcher.cause
+
+            def over(values: Values, then: Frame) -> Frame:
+                dispatcher.cause = before
+                return solved(values, then)
+
+            dispatcher.cause = (rule, match)
+            return act(match, over, (_RESTORE, dispatcher, before, after))
+
+        return noting
+
     def _open(self, every: bool = False) -> Any:
         """Return the goal for values with variables: it gives all values anew, as its solution leaves them."""
         return self._compile(self.known, self.result_vars, every)
@@ -118,6 +135,19 @@ class Call:
             network.goal_failed(self.rule, self.goal, error)
 
         return report
+
+
+class _Restore:
+    """Code of a frame that goes back to the cause of events that was before a goal."""
+
+    @staticmethod
+    def run(frame: Frame) -> Frame:
+        _, dispatcher, before, after = frame
+        dispatcher.cause = before
+        return after
+
+
+_RESTORE = _Restore()
 
 
 def _all_ground(values: Sequence[Term]) -> bool:

@@ -56,9 +56,10 @@ class Event:
     Attributes:
         token: what tells this event from all others, given by `Dispatcher.token`.
         depth: how many events it was derived through, itself included.
+        cause: the rule and match whose goal made it, where that is tracked.
     """
 
-    __slots__ = ("dispatcher", "steps", "term", "start", "end", "parent", "depth", "token")
+    __slots__ = ("dispatcher", "steps", "term", "start", "end", "parent", "depth", "token", "cause")
 
     dispatcher: "Dispatcher"
     steps: Iterator[Any]
@@ -68,6 +69,7 @@ class Event:
     parent: Optional["Event"]
     depth: int
     token: Any
+    cause: Any
 
     def run(self, frame: Frame) -> Frame:
         """Serve listeners until one of them has something to do first, or none is left."""
@@ -96,6 +98,7 @@ class Dispatcher:
     Attributes:
         current: the `Event` whose listeners are being served, or None.
         mark: makes the token of an event; tracking replaces it.
+        cause: the rule and match whose goal is running, where that is tracked.
     """
 
     def __init__(self, logic: Any = None, max_depth: int = 1000) -> None:
@@ -106,6 +109,7 @@ class Dispatcher:
         self._order = count()
         self._tokens = count(1)
         self.current: Optional[Event] = None
+        self.cause: Any = None
         self.mark: Callable[[Event], Any] = lambda event: next(self._tokens)
 
     def listen(self, stage: Stage, pattern: Term, action: Action, rank: Tuple[int, ...] = ()) -> Listener:
@@ -145,8 +149,8 @@ class Dispatcher:
             self._changed(listener.functor)
 
     def wanted(self, functor: Functor) -> bool:
-        """Tell whether anybody listens to events of this functor (tracing aside)."""
-        return self._wants(functor) or self._wants(None)
+        """Tell whether anybody listens to events of this functor."""
+        return functor in self._listeners or None in self._listeners
 
     def dispatch(self, term: Term, start: int, end: int, after: Frame, token: Any = None) -> Frame:
         """Return the frame that serves an event and then goes on with ``after``.
@@ -189,6 +193,7 @@ class Dispatcher:
         event.start = start
         event.end = end
         event.token = token
+        event.cause = self.cause
         event.parent = parent = self.current
         event.depth = 1 if parent is None else parent.depth + 1
         return (event, after)
@@ -205,10 +210,6 @@ class Dispatcher:
     def later(self, term: Term, start: int, end: int, after: Frame) -> Frame:
         """Return a frame that dispatches the event when it is run, not before."""
         return (_LATER, self, term, start, end, after)
-
-    def _wants(self, functor: Optional[Functor]) -> bool:
-        group = self._listeners.get(functor)
-        return group is not None and any(listener.order[0] != Stage.TRACE for listener in group)
 
     def _changed(self, functor: Optional[Functor]) -> None:
         if functor is None:

@@ -20,9 +20,10 @@ class Match:
         parts: what else it was put together from: matches, `Held`, and the number of a branch.
         bucket: where it waits; None while it does not wait (any more).
         order: the larger, the later it began to wait.
+        used: whether it completed something and was used up by that.
     """
 
-    __slots__ = ("values", "start", "end", "event", "term", "parts", "bucket", "order", "identity")
+    __slots__ = ("values", "start", "end", "event", "term", "parts", "bucket", "order", "identity", "used")
 
     def __init__(self, values: Values, start: int, end: int, event: Any, term: Term, parts: Any):
         self.values = values
@@ -32,6 +33,7 @@ class Match:
         self.term = term
         self.parts = parts
         self.bucket: Any = None
+        self.used = False
 
     def leave(self) -> None:
         """Take the match out of where it waits, if it does."""

@@ -13,6 +13,7 @@ from ._keys import term_key
 from .clauses import Checker, Property, is_rule
 from .dispatch import Dispatcher
 from .flags import Flags
+from .justification import Justifier
 from .loading import Loader
 from .pattern import same_rule_key
 from .policy import Mode
@@ -67,6 +68,7 @@ class Rules:
         self.flags = Flags(self._flag_changed)
         self.mode: Mode = self.flags.mode()
         self.tracker = Tracker(self)
+        self.justifier = Justifier(self)
         self.store = Store(self)
         self.loader = Loader(self)
         self._properties: Dict[Any, List[Property]] = {}
@@ -273,6 +275,10 @@ class Rules:
 
         def fire(now: int) -> None:
             self.dispatcher.current = None
+            if token is not None:
+                if token.gone:
+                    return
+                token.term, token.start, token.end = term, start, instant
             self.logic.machine.run(rule.fire(term, start, instant, DONE, token))
 
         self.clock.call_at(instant, fire)

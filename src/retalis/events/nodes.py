@@ -9,7 +9,7 @@ from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 from ..terms import Term, Var, variables
 from ._source import compile_function
 from .conditions import Test
-from .matches import Match, Place, identity
+from .matches import Match, Place, identity, leaves
 from .operators import Operator
 from .policy import Emit, Frame, Mode, Side, taking_all, taking_all_at_once, taking_one, waiting_only
 
@@ -153,6 +153,8 @@ class Acting(Node):
 
     def bind(self, out: Emit, mode: Mode) -> None:
         act = self.call.act_on_all if self.every else self.call.act
+        if mode.tracked:
+            act = self.call.noting_cause(act)
         span = self.span
 
         def arrive(match: Match, after: Frame) -> Frame:
@@ -179,12 +181,17 @@ class Never(Node):
 
     def bind(self, out: Emit, mode: Mode) -> None:
         absence = self.absence
+        tracker = absence.rule.network.tracker
+        tracked = mode.tracked
 
         def arrive(match: Match, after: Frame) -> Frame:
             if absence.blocks(match.values, match.start, match.start):
+                if tracked:
+                    tracker.suppressed(self, match)
                 return after
             return out(match, after)
 
+        self.retry = arrive
         self.child.bind(arrive, mode)
         self.negated.bind(absence.arrive, mode)
 
@@ -224,6 +231,7 @@ class Joining(Node):
         self.pairs = tuple((left.vars.index(var), right.vars.index(var)) for var in shared)
         self.left_place = Place(rule, tuple(one for one, _ in self.pairs))
         self.right_place = Place(rule, tuple(two for _, two in self.pairs))
+        self.operands = (self.left_place, self.right_place)
         taken = [(f"lv[{at}]", var) for at, var in enumerate(left.vars) if var in keep]
         taken += [
             (f"rv[{at}]", var) for at, var in enumerate(right.vars) if var in keep and var not in left.vars
@@ -262,12 +270,14 @@ class Joining(Node):
     def bind(self, out: Emit, mode: Mode) -> None:
         policy = mode.policy
         operator = self.operator
+        self.out = out
+        self.joined = self._join(True)
         name = identity if policy.replacing else None
         self.left_place.identify(None if operator.everything else name)
         self.right_place.identify(name)
         late = mode.out_of_order and not operator.either
         both = operator.either
-        left = Side(self.left_place, self.right_place, self._join(True), self.pairs, True, True, False)
+        left = Side(self.left_place, self.right_place, self.joined, self.pairs, True, True, False)
         flipped = tuple((two, one) for one, two in self.pairs)
         right = Side(self.right_place, self.left_place, self._join(False), flipped, False, both or late, late)
         if operator.everything:
@@ -283,7 +293,7 @@ class Joining(Node):
             self.left.bind(taking_all(left, out) if both or late else waiting_only(left), mode)
         else:
             once = self.completed if self.double and both and operator.alone else None
-            if self.double and policy.replacing and late:
+            if self.double and policy.replacing and (both or late):
                 right = right._replace(wait=self._wait_later)
             self.right.bind(taking_one(right, policy.newest, True, out, once), mode)
             if both or late:
@@ -296,11 +306,14 @@ class Joining(Node):
             negated.bind(absence.arrive, mode)
 
     def _wait_later(self, match: Match, key: Any) -> None:
-        """Let a late right side wait when its event has been tried as a left side too.
+        """Let a right side wait when its event has been tried as a left side too.
 
         Else it would replace an older one of the same event that the left side still has to meet.
         """
-        self.rule.add_later(self.right_place, match, key)
+        if match.event is None and self.operator.either:
+            self.right_place.add(match, key)
+        else:
+            self.rule.add_later(self.right_place, match, key)
 
     def _join(self, left_arrives: bool) -> Callable[[Match, Match], Optional[Match]]:
         """Compile the test and the result of a pair; the arriving match is the first argument."""
@@ -333,4 +346,40 @@ class Joining(Node):
         made: Callable[[Match, Match], Optional[Match]] = compile_function(
             "\n".join(lines) + "\n", names, f"{operator.name} of {self.rule.name}"
         )
+        if self.rule.network.mode.tracked and (self.absences or self.carried):
+            return self._noting_what_is_suppressed(made, left_arrives)
         return made
+
+    def _noting_what_is_suppressed(
+        self, join: Callable[[Match, Match], Optional[Match]], left_arrives: bool
+    ) -> Callable[[Match, Match], Optional[Match]]:
+        tracker = self.rule.network.tracker
+
+        def noting(match: Match, partner: Match) -> Optional[Match]:
+            tracker.blocker = None
+            result = join(match, partner)
+            if result is None and tracker.blocker is not None:
+                tracker.suppressed(self, (match, partner) if left_arrives else (partner, match))
+            return result
+
+        return noting
+
+    def retry(self, pair: Tuple[Match, Match], after: Frame) -> Frame:
+        """Join two matches again, what was between them having been taken back."""
+        left, right = pair
+        mode = self.rule.network.mode
+        if left.bucket is None or right.used or (right.bucket is None and self._right_waits(mode)):
+            return after
+        if any(token.gone for match in pair for token in leaves(match) if hasattr(token, "gone")):
+            return after
+        result = self.joined(left, right)
+        if result is None:
+            return after
+        if mode.policy.consuming or self.operator.everything:
+            left.leave()
+            right.leave()
+            right.used = True
+        return self.out(result, after)
+
+    def _right_waits(self, mode: Mode) -> bool:
+        return self.operator.either or mode.out_of_order

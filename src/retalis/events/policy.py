@@ -138,6 +138,7 @@ def taking_one(
     def matched(match: Match, key: Any, partner: Match, result: Match, after: Frame) -> Frame:
         if uses:
             partner.bucket.remove(partner)
+        match.used = True
         if stays:
             wait(match, key)
         if remembering and match.event is not None:

@@ -6,8 +6,22 @@ from typing import Any, Callable, Dict, Iterator, List, Sequence, Tuple
 from ..errors import ProgramErrors, RetalisError, SyntaxFault, UsageError
 from ..logic import PrologError, domain_error, existence_error, instantiation_error, type_error
 from ..syntax import read_program
-from ..terms import CONS, Atom, String, Term, Var, atom, copy, deref, freeze, functor, list_items, make_list
-from ..timestamps import shown
+from ..terms import (
+    Atom,
+    String,
+    Term,
+    Var,
+    atom,
+    copy,
+    deref,
+    freeze,
+    functor,
+    list_items,
+    make_list,
+    resolve,
+    undo,
+)
+from ..timestamps import from_any, shown
 from .flags import FLAGS
 from .store import solutions
 
@@ -50,6 +64,33 @@ def _items(term: Term) -> List[Term]:
     return items
 
 
+def _interval(term: Term) -> Tuple[int, int]:
+    """Return the interval of ``[T1,T2]``.
+
+    Raises:
+        PrologError: where it is none, or reversed.
+    """
+    stamps = list_items(term)
+    if stamps is None or len(stamps) != 2:
+        raise type_error("interval", term)
+    try:
+        start, end = from_any(stamps[0]), from_any(stamps[1])
+    except UsageError:
+        raise type_error("datime", term) from None
+    if end < start:
+        raise domain_error("interval", term)
+    return start, end
+
+
+def _each(machine: Any, terms: Sequence[Term], found: Iterator[Tuple[Term, ...]]) -> Iterator[bool]:
+    """Unify terms with one solution after the other."""
+    for solution in list(found):
+        mark = len(machine.trail)
+        if all(machine.unify(term, value) for term, value in zip(terms, solution)):
+            yield True
+        undo(machine.trail, mark)
+
+
 class _Editing:
     """Goals that add and delete rules."""
 
@@ -90,11 +131,13 @@ class _Editing:
 
     def reset_db(self, machine: Any) -> bool:
         for rule in self.rules.rules:
-            rule.clear()
+            if rule.label is None:
+                rule.clear_pairs()
         return True
 
     def reset_state(self, machine: Any) -> bool:
-        self.reset_db(machine)
+        for rule in self.rules.rules:
+            rule.clear()
         self.rules.store.clear()
         self.rules.tracker.clear()
         return True
@@ -143,8 +186,7 @@ class _Settings:
             mark = len(machine.trail)
             if machine.unify(name, atom(one)) and machine.unify(value, found):
                 yield True
-            while len(machine.trail) > mark:
-                machine.trail.pop().ref = None
+            undo(machine.trail, mark)
 
     def increase(self, machine: Any, name: Term) -> bool:
         key = _key(name)
@@ -180,9 +222,23 @@ class _Streams:
         self.rules = rules
 
     def define(self, logic: Any) -> None:
+        logic.define_control("event", 1, self.event)
+        logic.define_control("event", 2, self.event)
         logic.define_control("fire_event_list", 1, self.fire_list)
         logic.define_control("fire_event_list_return_external_events", 2, self.fire_and_return)
         logic.define_control("execute_event_stream_file", 1, self.execute_file)
+
+    def event(self, machine: Any, arguments: Sequence[Term], after: Frame) -> Frame:
+        """Dispatch an event, with the interval given or stamped by the clock."""
+        term = _callable(arguments[0])
+        interval = arguments[1] if len(arguments) == 2 else None
+        if interval is None and term.__class__ is tuple and term[0] is _EVENT2:
+            term, interval = _callable(term[1]), term[2]
+        if interval is None:
+            start = end = self.rules.clock.stamp()
+        else:
+            start, end = _interval(interval)
+        return self.rules.dispatcher.dispatch(copy(term), start, end, after)
 
     def fire_list(self, machine: Any, arguments: Sequence[Term], after: Frame) -> Frame:
         goals = list_items(arguments[0])
@@ -285,6 +341,8 @@ class _Looking:
             predicate = logic.database.predicate(functor(name, 1))
             predicate.dynamic = True
         logic.define("see_db", 0, self.see)
+        logic.define_nondeterministic("justify_event", 3, self.justify)
+        logic.define_nondeterministic("justification_edge", 2, self.edges)
         for name in ("event_rule_property",):
             logic.database.predicate(functor(name, 3)).dynamic = True
 
@@ -302,12 +360,15 @@ class _Looking:
             return
         yield from solutions(self.rules.store.stored(), machine, term, interval)
 
+    def justify(self, machine: Any, event: Term, interval: Term, why: Term) -> Iterator[bool]:
+        found = self.rules.justifier.explanations(resolve(event), resolve(interval))
+        return _each(machine, (event, interval, why), found)
+
+    def edges(self, machine: Any, head: Term, body: Term) -> Iterator[bool]:
+        return _each(machine, (head, body), self.rules.justifier.edges())
+
     def see(self, machine: Any) -> bool:
         logic = self.rules.logic
         for rule in self.rules.rules:
             logic.output(f"{rule.name}: {rule.waiting} partial matches\n")
         return True
-
-
-Pairs = List[Tuple[Term, Term]]
-__all__ = ["define_predicates", "CONS", "Pairs"]

@@ -118,6 +118,14 @@ class Rule:
         self.clock = -(1 << 63)
         self._collected_at = None
 
+    def clear_pairs(self) -> None:
+        """Remove what waits for the other side of a two-sided pattern; runs and absences stay."""
+        self.settle()
+        for node, _, _ in self.nodes:
+            for place in getattr(node, "operands", ()):
+                for match in place.all():
+                    match.leave()
+
     def add_later(self, place: Any, match: Match, key: Any) -> None:
         """Let a match wait in a place when the next event comes."""
         self._later_event = self.network.dispatcher.token()
@@ -167,9 +175,13 @@ class Rule:
         if span is not None and match.start + span < self.clock:
             match.leave()  # it came too late to be a part of anything
             return
+        network = self.network
+        if network.mode.tracked:
+            network.tracker.hold(match)
+            if match.bucket is None:
+                return
         if self.timed:
             self._file(match, span)
-        network = self.network
         if self.waiting > network.cap:
             self._drop_oldest()
         elif len(arrivals) > 2 * self.waiting + _SPARE:
@@ -224,14 +236,14 @@ class Rule:
         if head.__class__ not in (tuple, Atom):
             head = deref(head)
         if head.__class__ is tuple and head[0].name in _ALARMS:
-            return self._set_alarm(head, start, end, after)
+            return self._set_alarm(head, start, end, after, token)
         try:
             return dispatcher.dispatch(head, start, end, after, token)
         except UsageError as error:
             network.rule_failed(self, RuleError(error.message))
             return after
 
-    def _set_alarm(self, head: Term, start: int, end: int, after: Frame) -> Frame:
+    def _set_alarm(self, head: Term, start: int, end: int, after: Frame, token: Any) -> Frame:
         network = self.network
         try:
             alarm = alarm_of(head, start, end)
@@ -239,8 +251,8 @@ class Rule:
             network.rule_failed(self, RuleError(error.message))
             return after
         if alarm is None:
-            return network.dispatcher.dispatch(head, start, end, after)
-        network.set_alarm(self, *alarm)
+            return network.dispatcher.dispatch(head, start, end, after, token)
+        network.set_alarm(self, *alarm, token)
         return after
 
 

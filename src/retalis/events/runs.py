@@ -208,7 +208,34 @@ class Running(Node):
         run.values = values
         if self.tracked:
             run.taken.append(match)
+            self.rule.network.tracker.hold_repetition(run, match, self)
         return True, self.result_of(run, found)
+
+    def take_back(self, run: Any, match: Match) -> Optional[Run]:
+        """Take a repetition out of a run; return the run where its result is to be fired anew."""
+        if run.bucket is None or match not in run.taken:
+            return None
+        last = run.taken[-1] is match
+        run.taken.remove(match)
+        collector = self.collector
+        run.last = run.end
+        run.state = None if collector is None else collector.start
+        run.values = run.first.values
+        run.fixed = None
+        for one in run.taken:
+            run.last = max(run.last, one.end)
+            run.fixed = tuple([one.values[at] for at in self.fixed_at])
+            if collector is not None:
+                run.state = collector.add(run.state, one.values)
+        return None if last or not run.taken else run  # type: ignore[no-any-return]
+
+    def retry(self, run: Any, after: Frame) -> Frame:
+        """Fire the result of a run as it is after something was taken back."""
+        if run.bucket is None:
+            return after
+        values = self._fit(run.values, run.fixed, run.start, run.last)
+        result = None if values is None else self.result_of(run, values)
+        return after if result is None else self.out(result, after)
 
     def _fit(self, first: Values, fixed: Optional[Values], start: int, end: int) -> Optional[Values]:
         """Return the values of a run with those of its conditions, the result still open; None where one fails."""

@@ -1,24 +1,231 @@
-"""What events came from, kept for revision and justification."""
+"""What events came from: kept for revision and justification, bounded, and only while a flag asks for it."""
 
-from typing import Any
+from collections import deque
+from typing import Any, Deque, Dict, Iterator, List, Optional, Tuple
 
-from ..terms import Term
-from .matches import Match
+from ..terms import Term, Var, functor
+from ._keys import term_key
+from .dispatch import Event, Listener, Stage
+from .matches import Match, leaves
 from .policy import Frame
+from .runs import Run
+
+KEPT = 100_000
+"""How many events are remembered."""
+
+REV = functor("rev", 1)
+_SYNCHRONIZED = frozenset((functor("syncronized", 3), functor("synchronized", 3)))
+
+
+class Occurrence:
+    """An event that was dispatched.
+
+    Attributes:
+        term, start, end: the event.
+        rule: the rule that fired it, or None.
+        match: what its rule, or the goal that made it, had matched; None for an event from outside.
+        derived: the events that came from it.
+        held: partial matches that hold it.
+        gone: whether it was taken back.
+        takes_back: the occurrences that it takes back, for an event ``rev(E)`` that was derived.
+        suppressed: what it has kept from firing, with the node to try again.
+    """
+
+    __slots__ = (
+        "term",
+        "start",
+        "end",
+        "rule",
+        "match",
+        "derived",
+        "held",
+        "gone",
+        "takes_back",
+        "suppressed",
+    )
+
+    def __init__(self, term: Term, start: int, end: int, rule: Any, match: Optional[Match]):
+        self.term = term
+        self.start = start
+        self.end = end
+        self.rule = rule
+        self.match = match
+        self.derived: List["Occurrence"] = []
+        self.held: List[Any] = []
+        self.gone = False
+        self.takes_back: Optional[List["Occurrence"]] = None
+        self.suppressed: List[Tuple[Any, Any]] = []
+
+    def sources(self) -> List["Occurrence"]:
+        """Return the occurrences that it came from."""
+        return [] if self.match is None else occurrences_in(self.match)
+
+
+def occurrences_in(match: Match) -> List[Occurrence]:
+    """Return the events of a match, as far as they were tracked."""
+    return [token for token in leaves(match) if isinstance(token, Occurrence)]
 
 
 class Tracker:
-    """Keeps where derived events came from, while a flag asks for it."""
+    """Remembers events and what they came from; takes back what ``rev`` asks for.
+
+    Attributes:
+        cause: the rule and match whose goal is running, for the events that it makes.
+        blocker: the negated match that made the last test fail.
+    """
 
     def __init__(self, rules: Any):
         self._rules = rules
+        self._recent: Deque[Occurrence] = deque()
+        self._by_term: Dict[Any, List[Occurrence]] = {}
+        self._by_functor: Dict[Any, int] = {}
+        self._listeners: List[Listener] = []
+        self._plain_mark = rules.dispatcher.mark
+        self.blocker: Optional[Match] = None
 
     def configure(self) -> None:
         """Follow the flags."""
+        dispatcher = self._rules.dispatcher
+        for listener in self._listeners:
+            dispatcher.remove(listener)
+        self._listeners = []
+        if not self._rules.mode.tracked:
+            dispatcher.mark = self._plain_mark
+            self.clear()
+            return
+        dispatcher.mark = self._mark
+        self._listeners.append(dispatcher.listen(Stage.TRACE, Var(), self._note))
+        if self._rules.flags.is_on("revision_flag"):
+            self._listeners.append(dispatcher.listen(Stage.RULES, (REV, Var()), self._take_back, (-1,)))
 
     def clear(self) -> None:
         """Forget all."""
+        self._recent.clear()
+        self._by_term.clear()
+
+    # ---- remembering ---------------------------------------------------------------------------------
+
+    def _mark(self, event: Event) -> Occurrence:
+        """Return the token of an event that has none: one from outside, or made by a goal."""
+        rule, match = event.cause or (None, None)
+        occurrence = Occurrence(event.term, event.start, event.end, rule, match)
+        sources = occurrence.sources()
+        parent = event.parent
+        if not sources and parent is not None and _is_synchronized(parent.term) and parent.token is not None:
+            sources = [parent.token]
+        for source in sources:
+            source.derived.append(occurrence)
+        return occurrence
+
+    def _note(self, term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
+        occurrence: Occurrence = self._rules.dispatcher.token()
+        self._recent.append(occurrence)
+        self._by_term.setdefault(term_key(term), []).append(occurrence)
+        if len(self._recent) > KEPT:
+            oldest = self._recent.popleft()
+            oldest.derived = []
+            key = term_key(oldest.term)
+            found = self._by_term[key]
+            found.remove(oldest)
+            if not found:
+                del self._by_term[key]
+        return after
 
     def fire(self, rule: Any, match: Match, head: Term, after: Frame) -> Frame:
         """Fire a rule and keep what its event came from."""
-        return rule.fire(head, match.start, match.end, after)
+        occurrence = Occurrence(head, match.start, match.end, rule, match)
+        for source in occurrence.sources():
+            source.derived.append(occurrence)
+        frame = rule.fire(head, match.start, match.end, after, occurrence)
+        return frame
+
+    def hold(self, match: Match) -> None:
+        """Remember that a partial match holds its events."""
+        for occurrence in occurrences_in(match):
+            if occurrence.gone:
+                match.leave()
+                return
+            held = occurrence.held
+            held.append(match)
+            if len(held) > 64 and len(held) & (len(held) - 1) == 0:
+                occurrence.held = [one for one in held if one.__class__ is tuple or one.bucket is not None]
+
+    def hold_repetition(self, run: Run, match: Match, node: Any) -> None:
+        """Remember that a run was extended by a match."""
+        for occurrence in occurrences_in(match):
+            occurrence.held.append((node, run, match))
+
+    def suppressed(self, node: Any, what: Any) -> None:
+        """Remember what the last negated match has kept from firing."""
+        if self.blocker is not None:
+            for occurrence in occurrences_in(self.blocker):
+                occurrence.suppressed.append((node, what))
+
+    # ---- taking back ---------------------------------------------------------------------------------
+
+    def _take_back(self, term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
+        """Take back what an event ``rev(E)`` names: all occurrences of E, or the one it was derived for."""
+        token = self._rules.dispatcher.token()
+        found = token.takes_back
+        if found is None:
+            found = [one for one in self._by_term.get(term_key(values[0]), ()) if not one.gone]
+            for one in found:
+                one.gone = True
+        if not found:
+            return after
+        work = _TakingBack(self, found, start, end)
+        return work.run((work, after))
+
+    def steps(self, found: List[Occurrence], start: int, end: int) -> Iterator[Any]:
+        """Yield functions from a frame to a frame: what is to be done one after the other."""
+        retries: List[Tuple[Any, Any]] = []
+        for occurrence in found:
+            held, occurrence.held = occurrence.held, []
+            for one in held:
+                if one.__class__ is tuple:
+                    again = one[0].take_back(one[1], one[2])
+                    if again is not None:
+                        retries.append((one[0], again))
+                else:
+                    one.leave()
+            retries += [(node, what) for node, what in occurrence.suppressed]
+            occurrence.suppressed = []
+        for occurrence in found:
+            for one in occurrence.derived:
+                if not one.gone:
+                    one.gone = True
+                    yield self._dispatch_rev(one, start, end)
+        for node, what in retries:
+            yield lambda after, node=node, what=what: node.retry(what, after)
+
+    def _dispatch_rev(self, occurrence: Occurrence, start: int, end: int) -> Any:
+        term = (REV, occurrence.term)
+        token = Occurrence(term, start, end, None, None)
+        token.takes_back = [occurrence]
+        return lambda after: self._rules.dispatcher.dispatch(term, start, end, after, token)
+
+    # ---- looking -------------------------------------------------------------------------------------
+
+    def all(self) -> List[Occurrence]:
+        """Return the remembered events that were not taken back, oldest first."""
+        return [one for one in self._recent if not one.gone]
+
+
+def _is_synchronized(term: Term) -> bool:
+    return term.__class__ is tuple and term[0] in _SYNCHRONIZED
+
+
+class _TakingBack:
+    """Code of a frame that does what is left of taking events back."""
+
+    __slots__ = ("steps",)
+
+    def __init__(self, tracker: Tracker, found: List[Occurrence], start: int, end: int):
+        self.steps = tracker.steps(found, start, end)
+
+    def run(self, frame: Frame) -> Frame:
+        for step in self.steps:
+            after = step(frame)
+            if after is not frame:
+                return after
+        return frame[1]

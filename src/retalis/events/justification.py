@@ -1,0 +1,202 @@
+"""Why an event happened, as a term; or what was missing for one that did not."""
+
+from typing import Any, Iterator, List, Sequence, Tuple
+
+from ..terms import Term, Var, atom, copy, functor, make_list, resolve, undo, unify
+from ..timestamps import interval_term
+from .matches import Held, Match
+from .pattern import Absent, Action, Aggregate, Condition, Either, Occurs, Pair, Star, Within
+from .tracking import Occurrence
+
+_EVENT = functor("event", 2)
+_CLAUSE_BODY = functor("clause_body", 2)
+_JUSTIFICATION = functor("justification", 3)
+_HEAD = functor("head", 2)
+_DEFAULT = atom("default")
+_FAILED = atom("failed")
+_FAILED_BODY = functor("failed", 1)
+_UNLABELED = atom("unlabeled")
+_DEEPEST = 20
+"""How deep an explanation of what did not happen goes."""
+
+
+class Justifier:
+    """Answers ``justify_event/3`` and ``justification_edge/2`` from what the tracker remembers."""
+
+    def __init__(self, rules: Any):
+        self._rules = rules
+
+    # ---- what happened -------------------------------------------------------------------------------
+
+    def edges(self) -> Iterator[Tuple[Term, Term]]:
+        """Yield ``event(H,I)`` and ``clause_body(Label,Body)`` for each remembered event that a rule fired."""
+        for one in self._rules.tracker.all():
+            if one.rule is not None:
+                body = describe(one.rule.definition.pattern, one.match, _as_event)
+                yield _as_event(one), (_CLAUSE_BODY, _label(one.rule), body)
+
+    def explanations(self, event: Term, interval: Term) -> Iterator[Tuple[Term, Term, Term]]:
+        """Yield event, interval and explanation for each occurrence; one explanation where there is none."""
+        found = False
+        for one in self._rules.tracker.all():
+            shown = interval_term(one.start, one.end)
+            if _unifies((event, one.term), (interval, shown)):
+                found = True
+                yield one.term, shown, self._why(one)
+        if not found:
+            yield event, interval, make_list(self._why_not(event, interval, 0))
+
+    def _why(self, root: Occurrence) -> Term:
+        """Return the tree of an occurrence, the newest first; done without recursion along the rules."""
+        done: Any = {}
+        stack = [root]
+        while stack:
+            one = stack[-1]
+            missing = [source for source in one.sources() if id(source) not in done]
+            if missing:
+                stack += missing
+                continue
+            stack.pop()
+            if one.match is None:
+                label, body = _UNLABELED, _DEFAULT
+            else:
+                label = _label(one.rule)
+                body = describe(one.rule.definition.pattern, one.match, lambda source: done[id(source)])
+            head = (_HEAD, one.term, interval_term(one.start, one.end))
+            done[id(one)] = (_JUSTIFICATION, label, head, body)
+        return done[id(root)]
+
+    # ---- what did not happen -------------------------------------------------------------------------
+
+    def _why_not(self, event: Term, interval: Term, depth: int) -> List[Term]:
+        """Return one explanation for each rule that could have fired an event."""
+        found = []
+        for rule in self._rules.rules:
+            head = rule.definition.head
+            if head is None or depth > _DEEPEST:
+                continue
+            explained = self._for_rule(rule, event, interval, depth)
+            if explained is not None:
+                found.append(explained)
+        if found:
+            return found
+        return [(_JUSTIFICATION, _UNLABELED, (_HEAD, event, interval), _FAILED)]
+
+    def _for_rule(self, rule: Any, event: Term, interval: Term, depth: int) -> Any:
+        trail: List[Any] = []
+        try:
+            if not unify(rule.definition.head, event, trail):
+                return None
+            body = self._missing(rule.definition.pattern, depth + 1)
+            head = (_HEAD, resolve(event), interval)
+            return (_JUSTIFICATION, _label(rule), head, copy((_FAILED_BODY, body)))
+        finally:
+            undo(trail, 0)
+
+    def _missing(self, pattern: Any, depth: int) -> Term:
+        if isinstance(pattern, Occurs):
+            return self._event_missing(pattern.term, depth)
+        name, parts = _parts(pattern)
+        operands = [part.term if isinstance(part, _Quoted) else self._missing(part, depth) for part in parts]
+        shown = functor(name, len(parts))(*[_as_term(part) for part in parts])
+        return (
+            _JUSTIFICATION,
+            _UNLABELED,
+            (_HEAD, shown, make_list([Var(), Var()])),
+            functor(name, len(operands))(*operands),
+        )
+
+    def _event_missing(self, term: Term, depth: int) -> Term:
+        term = resolve(term)
+        interval = make_list([Var(), Var()])
+        for one in self._rules.tracker.all():
+            if _unifies((term, one.term)):
+                shown = interval_term(one.start, one.end)
+                return (_JUSTIFICATION, _UNLABELED, (_HEAD, one.term, shown), _DEFAULT)
+        return self._why_not(term, interval, depth)[0]
+
+
+def describe(pattern: Any, match: Match, show: Any) -> Term:
+    """Return the term of a match: its events, shown by ``show``, under the names of the operators."""
+    while isinstance(pattern, (Condition, Within)) or (isinstance(pattern, Absent) and pattern.inside):
+        pattern = pattern.pattern
+    if isinstance(pattern, Occurs):
+        while match.parts is not None:
+            match = match.parts[0]
+        return show(match.event) if isinstance(match.event, Occurrence) else match.term
+    parts = match.parts or ()
+    if isinstance(pattern, (Action, Absent)):
+        inner = parts[0] if len(parts) == 1 and isinstance(parts[0], Match) else match
+        return describe(pattern.pattern, inner if isinstance(pattern, Action) else match, show)
+    while len(parts) == 1 and isinstance(parts[0], Match):
+        match = parts[0]
+        parts = match.parts or ()
+    if isinstance(pattern, Either):
+        return describe(pattern.branches[parts[0]], parts[1], show)
+    if isinstance(pattern, Pair):
+        left = describe(pattern.left, parts[0], show)
+        return functor(f"{pattern.operator}f", 2)(left, describe(pattern.right, parts[1], show))
+    return _describe_run(pattern, parts, show)
+
+
+def _describe_run(pattern: Any, parts: Sequence[Any], show: Any) -> Term:
+    first = describe(pattern.first, parts[0], show)
+    held = [part for part in parts if part.__class__ is Held]
+    taken = list(held[0].matches) if held else []
+    if isinstance(pattern, Star):
+        repeated = [describe(pattern.repeated, one, show) for one in taken]
+        return functor("seqf", 2)(first, functor("star_timesf", 1)(make_list(repeated)))
+    kind = atom(pattern.kind) if pattern.value is None else functor(pattern.kind, 1)(copy(pattern.value))
+    if not taken:
+        return functor("aggregate", 2)(kind, first)
+    newest_first = [describe(pattern.collected, one, show) for one in reversed(taken)]
+    return functor("aggregate", 2 + len(newest_first))(kind, *newest_first, first)
+
+
+def _parts(pattern: Any) -> Tuple[str, List[Any]]:
+    """Return name and operands of a pattern as an explanation shows it."""
+    if isinstance(pattern, Pair):
+        return f"{pattern.operator}f", [pattern.left, pattern.right]
+    if isinstance(pattern, Either):
+        return "orf", list(pattern.branches)
+    if isinstance(pattern, Absent):
+        return "cnotf" if pattern.inside else "fnotf", [pattern.pattern, _Quoted(_as_term(pattern.negated))]
+    if isinstance(pattern, Star):
+        return "star_timesf", [pattern.first, _Quoted(_as_term(pattern.repeated))]
+    if isinstance(pattern, Aggregate):
+        return "aggregatef", [pattern.first, _Quoted(_as_term(pattern.collected))]
+    if isinstance(pattern, Within):
+        return "withinf", [pattern.pattern, _Quoted((pattern.span + 1) / 1e9)]
+    name = "dof" if isinstance(pattern, Action) else "checkf" if pattern.timed else "wheref"
+    return name, [pattern.pattern, _Quoted(resolve(pattern.goal))]
+
+
+class _Quoted:
+    """A part of an explanation that is shown as it stands."""
+
+    def __init__(self, term: Term):
+        self.term = term
+
+
+def _as_term(part: Any) -> Term:
+    if isinstance(part, _Quoted):
+        return part.term
+    if isinstance(part, Occurs):
+        return resolve(part.term)
+    name, parts = _parts(part)
+    return functor(name, len(parts))(*[_as_term(one) for one in parts])
+
+
+def _as_event(occurrence: Any) -> Term:
+    return (_EVENT, occurrence.term, interval_term(occurrence.start, occurrence.end))
+
+
+def _label(rule: Any) -> Term:
+    return _UNLABELED if rule is None or rule.label is None else rule.label
+
+
+def _unifies(*pairs: Tuple[Term, Term]) -> bool:
+    trail: List[Any] = []
+    result = all(unify(copy(left), right, trail) for left, right in pairs)
+    undo(trail, 0)
+    return result
