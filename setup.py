@@ -5,10 +5,11 @@ from xml.etree import ElementTree
 
 from setuptools import find_packages, setup
 
+DATA = [path for kind in ("*.lark", "*.pl") for path in sorted(Path("src/retalis").rglob(kind))]
 LAYOUT = {
     "packages": find_packages("src"),
     "package_dir": {"": "src"},
-    "package_data": {"": ["*.lark", "*.pl"]},
+    "package_data": {"retalis": [str(path.relative_to("src/retalis")) for path in DATA]},
 }
 
 
