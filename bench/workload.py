@@ -1,0 +1,139 @@
+"""The work of the original's experiments: the NAO's streams and programs, with names that can be changed."""
+
+import math
+from pathlib import Path
+from typing import Iterator, List, NamedTuple, Tuple
+
+from retalis.engine import Engine
+from retalis.messages import Definitions
+from retalis.syntax import Operators, read_term
+from retalis.terms import Term, atom, functor, make_list
+
+APPLICATION = Path(__file__).resolve().parent.parent / "application_source"
+BASE = 1_413_748_205
+"""When the streams begin, in seconds since the epoch."""
+
+CHAIN = (
+    ("/odom", "/base_link", "odom_base", 10),
+    ("base_link", "torso", "base_torso", 50),
+    ("torso", "Neck", "torso_neck", 10),
+    ("Neck", "Head", "neck_head", 10),
+    ("Head", "CameraTop_frame", "head_cam", 50),
+)
+
+
+class Item(NamedTuple):
+    """One event of a stream: the term, and its instant (None: stamped on receipt)."""
+
+    term: Term
+    instant: "int | None"
+    type: str
+
+
+class Names(NamedTuple):
+    """Message types and the order of their slots."""
+
+    tf: str = "tf/tfMessage"
+    marker: str = "ar_pose/ARMarkers"
+
+
+def quoted(text: str) -> Term:
+    """Return the atom of a message's string."""
+    return atom(f'"{text}"')
+
+
+def point(name: str, *values: float) -> Term:
+    """Return a message of numbers."""
+    return functor(f"geometry_msgs__0__{name}", len(values))(*values)
+
+
+def header(seconds: int, nanoseconds: int, frame: str) -> Term:
+    """Return a header."""
+    return functor("std_msgs__0__Header", 3)(1, make_list([seconds, nanoseconds]), quoted(frame))
+
+
+def transform(time: float, parent: str, child: str) -> Term:
+    """Return the tf message of one transform at a time after `BASE`."""
+    seconds, nanoseconds = BASE + int(time), int((time - int(time)) * 1e9)
+    x = math.sin(time)
+    pose = functor("geometry_msgs__0__Transform", 2)(
+        point("Vector3", x, x / 10, 0.2), point("Quaternion", 0.0, 0.0, math.sin(x / 2), math.cos(x / 2))
+    )
+    stamped = functor("geometry_msgs__0__TransformStamped", 3)(
+        header(seconds, nanoseconds, parent), quoted(child), pose
+    )
+    return functor("tf__0__tfMessage", 1)(make_list([stamped]))
+
+
+def marker(time: float, number: int) -> Tuple[Term, int]:
+    """Return the message of one observation, and its instant."""
+    seconds, nanoseconds = BASE + int(time), int((time - int(time)) * 1e9)
+    pose = functor("geometry_msgs__0__Pose", 2)(
+        point("Point", 1.0, 0.5, 0.2), point("Quaternion", 0.0, 0.0, 0.0, 1.0)
+    )
+    with_covariance = functor("geometry_msgs__0__PoseWithCovariance", 2)(pose, make_list([0.0] * 36))
+    one = functor("ar_pose__0__ARMarker", 4)(
+        header(seconds, nanoseconds, f"4x4_{number}"), number, with_covariance, 50
+    )
+    message = functor("ar_pose__0__ARMarkers", 2)(header(seconds, nanoseconds, ""), make_list([one]))
+    return message, seconds * 10**9 + nanoseconds
+
+
+def nao_stream(seconds: int) -> List[Item]:
+    """Return the NAO's messages in the order of time: 1,880 transforms and 7 markers a second."""
+    pairs = [(parent, child, rate) for parent, child, _, rate in CHAIN]
+    pairs += [(f"link{i}", f"link{i}_child", 50) for i in range(1, 36)]
+    timed = []
+    for parent, child, rate in pairs:
+        for k in range(seconds * rate):
+            timed.append((k / rate + 0.0005, 0, parent, child))
+    for k in range(1, seconds * 7 + 1):
+        timed.append(((k - 1) / 7 + 0.01, 1, str(k % 8 + 1), ""))
+    timed.sort(key=lambda entry: entry[0])
+    items = []
+    for time, kind, first, second in timed:
+        if kind == 0:
+            items.append(Item(transform(time, first, second), None, "tf/tfMessage"))
+        else:
+            items.append(Item(*marker(time, int(first)), "ar_pose/ARMarkers"))
+    return items
+
+
+def goals(text: str) -> str:
+    """Return goals, one a line."""
+    return "\n".join(line.strip() for line in text.strip().splitlines())
+
+
+MEMORIES = "\n".join(
+    f"""memorize(tf('"{parent}"', '"{child}"', V, Q), [], tf(V, Q), {name}, 2500)"""
+    for parent, child, name, _ in CHAIN
+)
+SUBSCRIPTIONS = "\n".join(
+    f"""subscribe(geometry_msgs__0__PoseStamped(std_msgs__0__Header(_,_,'"4x4_{i}"'),_),[],_,marker{i},m{i})"""
+    for i in range(1, 9)
+)
+
+
+def nao_engine() -> Engine:
+    """Return an engine with the NAO's rules, its memories and its subscriptions, unrestricted."""
+    engine = Engine()
+    engine.load(goals="set_etalis_flag(event_consumption_policy, unrestricted)")
+    engine.load_rules((APPLICATION / "eventRules.txt").read_text(encoding="utf-8"), "eventRules.txt")
+    engine.load(goals=f"{MEMORIES}\n{SUBSCRIPTIONS}")
+    return engine
+
+
+def extra_memories(number: int, pattern: str, record: str, size: int) -> str:
+    """Return the goals that make further memories."""
+    return "\n".join(f"memorize({pattern}, [], {record}, extra{i}, {size})" for i in range(number))
+
+
+def as_bytes(items: List[Item], definitions: Definitions) -> Iterator[Tuple[bytes, str]]:
+    """Yield the messages of a stream as bytes, with their types."""
+    for item in items:
+        yield definitions.encoder(item.type).encode(item.term), item.type
+
+
+def term(text: str) -> Term:
+    """Return the term of a text."""
+    return read_term(text, Operators.prolog()).term
