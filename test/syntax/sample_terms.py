@@ -28,13 +28,19 @@ def shape(term):
 
 names = st.one_of(
     st.sampled_from(["a", "foo", "tf__0__tfMessage", "x1", "[]", "{}", "!", ";", ",", "|", "-", "+", "\\+"]),
-    st.sampled_from(["dynamic", "seq", "not", "do", "<-", ":", ":-", "nan", "inf", "is", "mod", "*", "$", "."]),
-    st.sampled_from(['"/odom"', '""', "it's", "", " ", "A", "_", "a b", "é", "É", "→", "\n", "\\", "/*", "%", "1"]),
+    st.sampled_from(
+        ["dynamic", "seq", "not", "do", "<-", ":", ":-", "nan", "inf", "is", "mod", "*", "$", "."]
+    ),
+    st.sampled_from(
+        ['"/odom"', '""', "it's", "", " ", "A", "_", "a b", "é", "É", "→", "\n", "\\", "/*", "%", "1"]
+    ),
     st.text(max_size=5),
 )
 atoms = names.map(atom)
 variables = st.sampled_from([Var() for _ in range(3)])
-numbers = st.one_of(st.integers(), st.integers(-9, 9), st.floats(), st.sampled_from([0.0, -0.0, 1e15, 1e22, 1e-7]))
+numbers = st.one_of(
+    st.integers(), st.integers(-9, 9), st.floats(), st.sampled_from([0.0, -0.0, 1e15, 1e22, 1e-7])
+)
 leaves = st.one_of(atoms, numbers, variables, st.text(max_size=4).map(String))
 
 

@@ -60,7 +60,9 @@ def test_message(text, column, parts):
     with pytest.raises(SyntaxFault) as caught:
         read_term(text, OPERATORS, "rules.txt")
     fault = caught.value
-    assert (fault.place.source, fault.place.line, fault.place.column) == ("rules.txt", 1, column), fault.message
+    assert (fault.place.source, fault.place.line, fault.place.column) == ("rules.txt", 1, column), (
+        fault.message
+    )
     for part in parts:
         assert part in fault.message
 
@@ -114,8 +116,69 @@ def test_places_of_parts():
 
 
 PIECES = st.sampled_from(
-    "a X _ 1 2.5 'q' \"s\" `c` 0'c ( ) [ ] { } , | . ; :- <- --> do seq 'Seq' where * # - + \\+ : rule: = ! f( - "
-    "dynamic not star_times within / \\ ' \" ` % /* */ \n .\n 1e 0x 1_ 'rule:' iff aggregate( \u201c \0 \u2028 \\x".split(" ")
+    [
+        "a",
+        "X",
+        "_",
+        "1",
+        "2.5",
+        "'q'",
+        '"s"',
+        "`c`",
+        "0'c",
+        "(",
+        ")",
+        "[",
+        "]",
+        "{",
+        "}",
+        ",",
+        "|",
+        ".",
+        ";",
+        ":-",
+        "<-",
+        "-->",
+        "do",
+        "seq",
+        "'Seq'",
+        "where",
+        "*",
+        "#",
+        "-",
+        "+",
+        "\\+",
+        ":",
+        "rule:",
+        "=",
+        "!",
+        "f(",
+        "-",
+        "dynamic",
+        "not",
+        "star_times",
+        "within",
+        "/",
+        "\\",
+        "'",
+        '"',
+        "`",
+        "%",
+        "/*",
+        "*/",
+        "\n",
+        ".\n",
+        "1e",
+        "0x",
+        "1_",
+        "'rule:'",
+        "iff",
+        "aggregate(",
+        "“",
+        "\x00",
+        "\u2028",
+        "\\x",
+    ]
 )
 
 
@@ -131,7 +194,9 @@ def test_any_text_reads_or_is_a_syntax_fault(text):
             assert fault.message and fault.place is not None
 
 
-@pytest.mark.parametrize("opening,closing", [("(", ")"), ("f(", ")"), ("[", "]"), ("{", "}"), ("- ", ""), ("[a|", "]")])
+@pytest.mark.parametrize(
+    "opening,closing", [("(", ")"), ("f(", ")"), ("[", "]"), ("{", "}"), ("- ", ""), ("[a|", "]")]
+)
 @pytest.mark.parametrize("rule", ["", "x <- "])
 def test_depth_is_no_danger(opening, closing, rule):
     depth = 30_000
@@ -140,7 +205,9 @@ def test_depth_is_no_danger(opening, closing, rule):
         read_term(rule + opening * depth + "(", OPERATORS)
 
 
-@pytest.mark.parametrize("text", ["'\\'", "' . ", "\"\\\n", "0'", "1_ ", "'\\\n\\'", "(,", "a b\n", "/*", "\\"])
+@pytest.mark.parametrize(
+    "text", ["'\\'", "' . ", '"\\\n', "0'", "1_ ", "'\\\n\\'", "(,", "a b\n", "/*", "\\"]
+)
 def test_no_text_takes_quadratic_time(text):
     for entry in read_program(text * 20_000, OPERATORS):
         assert isinstance(entry, (ReadTerm, SyntaxFault))

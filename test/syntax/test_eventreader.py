@@ -3,12 +3,11 @@ import re
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from sample_terms import shape, terms
 
 from retalis.errors import SyntaxFault
 from retalis.syntax import EventReader, Operators, ReadFlags, read_term, to_text, write_term
 from retalis.terms import atom, list_items
-
-from sample_terms import shape, terms
 
 OPERATORS = Operators.prolog()
 TF = (
@@ -103,7 +102,23 @@ def test_same_as_full_reader(text):
 
 def test_shapes_are_not_confused():
     reader = EventReader()
-    places = ["1", "-1", "1.5", "'a'", '"a"', "a", "nan", "X", "'1'", '"1"', "'\"1\"'", "'\"'", "[]", "''", "-a"]
+    places = [
+        "1",
+        "-1",
+        "1.5",
+        "'a'",
+        '"a"',
+        "a",
+        "nan",
+        "X",
+        "'1'",
+        '"1"',
+        "'\"1\"'",
+        "'\"'",
+        "[]",
+        "''",
+        "-a",
+    ]
     for _ in range(2):
         for one in places:
             for two in places:
@@ -158,8 +173,49 @@ def test_written_terms(found):
 
 
 PIECES = st.sampled_from(
-    ["f(", "g(", "(", "[", ")", "]", ",", "|", " ", "a", "X", "'", '"', "'b'", '"c"', "1", "-1", "2.5", "-", ".", "nan"]
-    + ["inf", "-inf", "\\", "''", '""', "0'", "\n", "%", "/*", "*/", "e5", "_", "\0", "{", "}", "dynamic", "'-'", " - "]
+    [
+        "f(",
+        "g(",
+        "(",
+        "[",
+        ")",
+        "]",
+        ",",
+        "|",
+        " ",
+        "a",
+        "X",
+        "'",
+        '"',
+        "'b'",
+        '"c"',
+        "1",
+        "-1",
+        "2.5",
+        "-",
+        ".",
+        "nan",
+    ]
+    + [
+        "inf",
+        "-inf",
+        "\\",
+        "''",
+        '""',
+        "0'",
+        "\n",
+        "%",
+        "/*",
+        "*/",
+        "e5",
+        "_",
+        "\0",
+        "{",
+        "}",
+        "dynamic",
+        "'-'",
+        " - ",
+    ]
 )
 
 

@@ -122,3 +122,12 @@ def test_user_operators_hold_from_the_next_clause_on():
         operators.add(700, "xfx", "~~")
         seen.append(write_term(entry.term, Operators()))
     assert seen == ["a", "~~(x,y)", "<-(p,seq(~~(q,r),s))"]
+
+
+def test_flags_hold_from_the_next_clause_on():
+    reader = read_program('x("a"). x("a").', OPERATORS)
+    seen = []
+    for entry in reader:
+        seen.append(write_term(entry.term))
+        reader.flags = reader.flags._replace(double_quotes="codes")
+    assert seen == ['x("a")', "x([97])"]

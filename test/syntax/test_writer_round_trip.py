@@ -1,10 +1,9 @@
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from sample_terms import names, shape, terms
 
 from retalis.syntax import Operators, ReadFlags, read_term, to_text, write_term
 from retalis.terms import Functor, atom
-
-from sample_terms import names, shape, terms
 
 EVENT = ReadFlags(event_text=True)
 

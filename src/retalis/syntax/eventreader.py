@@ -39,9 +39,7 @@ _NUMBER = re.compile(
     r"(?=[,)\]|])"
 )
 # Each with its closing quote, which may be missing: so that no text makes the search begin again and again.
-_QUOTED = re.compile(
-    r"""'((?:[^'\\\n]|\\[\s\S]|'')*)('?)|"((?:[^"\\\n]|\\[\s\S]|"")*)("?)"""
-)
+_QUOTED = re.compile(r"""'((?:[^'\\\n]|\\[\s\S]|'')*)('?)|"((?:[^"\\\n]|\\[\s\S]|"")*)("?)""")
 _ALONE = re.compile(r"(?:^|[(\[{,|])\s*(?:'|\"\")\s*(?=$|[)\]},|])")
 _PLACE = re.compile('[\0\']|""')
 _JOINTS = re.compile("\0([(,\\[|] *)\0")

@@ -14,40 +14,36 @@ def to_text(term: Term) -> str:
     atoms of these names are quoted).
     """
     out: List[str] = []
+    put = out.append
     stack: List[Any] = [term]
+    pop = stack.pop
     while stack:
-        item = stack.pop()
+        item = pop()
         kind = item.__class__
         if kind is str:
-            out.append(item)
-            continue
-        if kind is Var or item.__class__ not in _KNOWN:
-            item = deref(item)
-            kind = item.__class__
-        if kind is tuple:
+            put(item)
+        elif kind is float:
+            put(_float(item))
+        elif kind is int:
+            put(integer_text(item))
+        elif kind is tuple:
             if item[0] is CONS:
                 _list(item, stack)
             else:
+                put(atom_text(item[0].name) + "(")
                 stack.append(")")
                 for argument in item[:1:-1]:
-                    stack.append(argument)
-                    stack.append(",")
+                    stack += (argument, ",")
                 stack.append(item[1])
-                out.append(atom_text(item[0].name) + "(")
         elif kind is Atom:
-            out.append(_name(item.name))
-        elif kind is float:
-            out.append(_float(item))
-        elif kind is int:
-            out.append(integer_text(item))
+            put(_name(item.name))
         elif kind is String:
-            out.append(quote(item.text, '"'))
+            put(quote(item.text, '"'))
+        elif kind is Var and item.ref is None:
+            put(f"_G{serial(item)}")
         else:
-            out.append(f"_G{serial(item)}")
+            stack.append(deref(item))
     return "".join(out)
-
-
-_KNOWN = frozenset((tuple, Atom, float, int, String))
 
 
 def _list(term: Term, stack: List[Any]) -> None:

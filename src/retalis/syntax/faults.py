@@ -174,6 +174,3 @@ def _fault(parser: "Parser", message: str, hint: str, offset: Optional[int] = No
     if offset is None:
         offset = parser.tokens[parser.at][2]
     return parser.source.fault(f"{message}; {hint}" if hint else message, offset)
-
-
-__all__ = ["CLOSER", "clash", "no_operand", "no_operator", "starts_line", "unbalanced"]

@@ -9,7 +9,8 @@ from typing import Dict, List
 _SAFE = 4000
 """Decimal digits that every Python version converts."""
 
-_DIGITS = {char: value for value, char in enumerate("0123456789abcdefghijklmnopqrstuvwxyz")}
+_MOST = 10**_SAFE
+_LEAST = -_MOST
 
 
 def integer(text: str, radix: int = 10) -> int:
@@ -32,7 +33,7 @@ def integer(text: str, radix: int = 10) -> int:
 
 def integer_text(value: int) -> str:
     """Return the decimal text of an integer of any size."""
-    if -(1 << 12_000) < value < 1 << 12_000:
+    if _LEAST < value < _MOST:
         return str(value)
     if value < 0:
         return "-" + integer_text(-value)

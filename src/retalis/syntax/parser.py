@@ -10,10 +10,10 @@ closes the operators before it, as far as their arguments allow; at a bracket th
 
 from typing import Any, Dict, List, Optional, Sequence, Tuple
 
-from ..terms import COMMA, CONS, NIL, Functor, Term, Var, atom, functor
+from ..terms import COMMA, CONS, NIL, Term, Var, atom, functor
 from . import faults
 from .operators import CANONICAL_IN_PATTERNS, Operator, Operators
-from .rules import NO_RULES, Layout
+from .rules import ARROW, GOAL_RIGHT, NO_RULES, PATTERN_ARGUMENTS, Layout
 from .tokens import END, NAME, NUMBER, OPEN_CT, QUOTED, TEXT, VARIABLE, AnyToken, ReadFlags, Source
 
 _INFIX, _PREFIX, _GROUP, _ARGUMENTS, _LIST = range(5)  # the operators come first
@@ -22,44 +22,10 @@ Table = Dict[str, Operator]
 
 _ENDS = frozenset((")", "]", "}", ",", "|", END, "eof"))
 _CURLY = functor("{}", 1)
-_ARROW = functor("<-", 2)
 _RULE = functor("rule:", 2)
 _LABEL = Operator(1200, 1199, 1200, _RULE, "xfy")
 _NECKS = frozenset((functor(":-", 2), functor("-->", 2)))
 _COMMA = Operator(1000, 999, 1000, COMMA, "xfy")
-
-_GOAL_RIGHT = frozenset(
-    functor(name, 2) for name in ("where", "do", "check", "timestamp", "event_multiply", "within")
-)
-"""Operators of patterns whose right argument is a goal or a number: there, Prolog's operators hold."""
-
-_PATTERN_ARGUMENTS: Dict[Functor, Tuple[bool, ...]] = {
-    **{
-        functor(name, 2): (True, True)
-        for name in (
-            [
-                "seq",
-                "and",
-                "or",
-                "par",
-                "cnot",
-                "fnot",
-                "not",
-                "equals",
-                "meets",
-                "during",
-                "starts",
-                "finishes",
-                "forall_seq",
-            ]
-        )
-    },
-    **dict.fromkeys((*_GOAL_RIGHT, functor("ntimes", 2)), (True, False)),
-    functor("star_times", 1): (True,),
-    functor("aggregate", 3): (False, True, False),
-    _ARROW: (False, True),
-}
-"""Which arguments are patterns, where these are written as functor and arguments in a pattern."""
 
 
 class Parser:
@@ -185,7 +151,7 @@ class Parser:
         if self.table is self.patterns:
             arity = self.rules.commas.get(at, 0) + 1
             canonical = functor(CANONICAL_IN_PATTERNS.get(name, name), arity)
-            modes = _PATTERN_ARGUMENTS.get(canonical, ())
+            modes = PATTERN_ARGUMENTS.get(canonical, ())
             if modes:
                 name = canonical.name
         self._push_bracket([self.argument_limit, _ARGUMENTS, at, self.table, [], [], name, start, modes])
@@ -241,7 +207,9 @@ class Parser:
         after = self.tokens[self.at + 1]
         if after[0] in _ENDS or after[0] == OPEN_CT:
             return True
-        return after[0] == NAME and after[1] in self.table and after[1] not in operators.prefix
+        if after[0] != NAME or after[1] not in self.table or after[1] in operators.prefix:
+            return False
+        return self.tokens[self.at + 2][0] not in _ENDS  # "- = =" is =(-, =), "dynamic seq / 2" is none
 
     def _push_prefix(self, found: Operator, start: int) -> None:
         if found.priority > self.stack[-1][0]:
@@ -356,9 +324,9 @@ class Parser:
         """Set the operators for the right argument of ``found``, in a clause with event rules."""
         if found is _LABEL:
             self.table = self.patterns if label is False and self.patterns else self.operators.infix
-        elif found.functor is _ARROW:
+        elif found.functor is ARROW:
             self.table = self.patterns or self.table
-        elif self.table is self.patterns and found.functor in _GOAL_RIGHT:
+        elif self.table is self.patterns and found.functor in GOAL_RIGHT:
             self.table = self.operators.infix
 
     def _reduce(self) -> None:

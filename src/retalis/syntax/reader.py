@@ -84,14 +84,9 @@ class Program:
     ):
         self.operators = operators
         self._source = Source(source, text, first_line)
-        self._flags = flags
-        self._stream = tokens(self._source, flags)
+        self.flags = flags
+        self._stream = tokens(self._source, lambda: self.flags)
         self._again: List[AnyToken] = []
-
-    @property
-    def flags(self) -> ReadFlags:
-        """The flags; setting them holds from the next clause on."""
-        return self._flags
 
     def __iter__(self) -> Iterator[Union[ReadTerm, SyntaxFault]]:
         while True:
@@ -113,7 +108,7 @@ class Program:
     def _read(self, clause: List[AnyToken]) -> Union[ReadTerm, SyntaxFault]:
         parser = None
         try:
-            parser = _parser(clause, self._source, self.operators, self._flags, positions=True)
+            parser = _parser(clause, self._source, self.operators, self.flags, positions=True)
             term = parser.read()
         except SyntaxFault as fault:
             if parser is not None:
@@ -160,7 +155,7 @@ def read_term(
         SyntaxFault: where the text is not exactly one term.
     """
     where = Source(source, text, first_line)
-    found = list(tokens(where, flags))
+    found = list(tokens(where, lambda: flags))
     for at, token in enumerate(found):
         if token[0] == END and at + 1 < len(found):
             raise where.fault("expected nothing behind the full stop", found[at + 1][2])

@@ -13,8 +13,9 @@ the tokens at its own level (not those in inner brackets) a segment is
 A ``:`` or ``'rule:'`` before the rest of a rule is that of its label; any other ``:`` is Prolog's.
 """
 
-from typing import Dict, List, NamedTuple, Optional, Sequence
+from typing import Dict, List, NamedTuple, Optional, Sequence, Tuple
 
+from ..terms import Functor, functor
 from .operators import CANONICAL, Operators
 from .tokens import END, NAME, OPEN_CT, QUOTED, AnyToken
 
@@ -24,6 +25,41 @@ _CLOSE = frozenset((")", "]", "}"))
 _CANNOT_START = frozenset((")", "]", "}", ",", "|", END, "eof"))
 MARKERS = frozenset(name for name, same in CANONICAL.items() if same in ("<-", "do", "rule:"))
 """Names that make a clause worth looking at."""
+
+ARROW = functor("<-", 2)
+
+GOAL_RIGHT = frozenset(
+    functor(name, 2) for name in ("where", "do", "check", "timestamp", "event_multiply", "within")
+)
+"""Operators of patterns whose right argument is a goal or a number: there, Prolog's operators hold."""
+
+PATTERN_ARGUMENTS: Dict[Functor, Tuple[bool, ...]] = {
+    **{
+        functor(name, 2): (True, True)
+        for name in (
+            [
+                "seq",
+                "and",
+                "or",
+                "par",
+                "cnot",
+                "fnot",
+                "not",
+                "equals",
+                "meets",
+                "during",
+                "starts",
+                "finishes",
+                "forall_seq",
+            ]
+        )
+    },
+    **dict.fromkeys((*GOAL_RIGHT, functor("ntimes", 2)), (True, False)),
+    functor("star_times", 1): (True,),
+    functor("aggregate", 3): (False, True, False),
+    ARROW: (False, True),
+}
+"""Which arguments are patterns, where these are written as functor and arguments in a pattern."""
 
 
 class Segment:

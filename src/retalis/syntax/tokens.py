@@ -3,13 +3,13 @@
 import unicodedata
 from bisect import bisect_right
 from pathlib import Path
-from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Tuple
+from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Tuple
 
 from lark import Lark, Token
 from lark import __version__ as _lark_version
 
 from ..errors import Place, SyntaxFault
-from ..terms import NIL, String, Term, atom, make_list
+from ..terms import String, Term, atom, make_list
 from . import numerals
 from .quoted import unquote
 
@@ -85,8 +85,11 @@ def _lexer() -> Lark:
     return _LEXER
 
 
-def tokens(source: Source, flags: ReadFlags) -> Iterator[AnyToken]:
-    """Yield the tokens of a text; a bad one as ``("bad", message, start, end)``, never an exception."""
+def tokens(source: Source, flags: Callable[[], ReadFlags]) -> Iterator[AnyToken]:
+    """Yield the tokens of a text; a bad one as ``("bad", message, start, end)``, never an exception.
+
+    ``flags`` is asked for each token, as a program may change them between its clauses.
+    """
     text = source.text
     last = -1
     for found in _lexer().lex(text):
@@ -106,7 +109,7 @@ def tokens(source: Source, flags: ReadFlags) -> Iterator[AnyToken]:
         elif kind == "END":
             yield END, None, start, end
         else:
-            yield _valued(kind, found, start, end, text, flags)
+            yield _valued(kind, found, start, end, text, flags())
         last = end
 
 
@@ -210,6 +213,3 @@ def shown(token: AnyToken, text: str) -> str:
         name = text[token[2] : token[3]]
         name = f'"{name[:40]}..."' if len(name) > 45 else f'"{name}"'
     return name
-
-
-__all__ = ["END", "NIL", "ReadFlags", "Source", "shown", "tokens"]

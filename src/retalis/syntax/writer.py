@@ -62,22 +62,26 @@ class _Writer:
             if kind is str:
                 self._put(entry)
             elif kind is _Name:
-                self._put(entry.text)
+                entry.parted = self._put(entry.text)
                 self.after = entry
             else:
                 self._term(deref(entry[0]), entry[1], len(entry) == 3)
         return "".join(self.out)
 
-    def _put(self, token: str) -> None:
-        """Add a token, with a blank before it where it would run into the one before."""
+    def _put(self, token: str) -> bool:
+        """Add a token, with a blank before it where it would run into the one before; tell whether so."""
         if not token:
-            return
+            return False
         last, first = self.last, token[0]
-        if last and (_run_together(last, first) or (self.after and self.after.needs_blank(first))):
+        parted = bool(last) and (
+            _run_together(last, first) or (self.after is not None and self.after.needs_blank(first))
+        )
+        if parted:
             self.out.append(" ")
         self.after = None
         self.out.append(token)
         self.last = token[-1]
+        return parted
 
     def _term(self, term: Term, limit: int, is_operand: bool) -> None:
         kind = term.__class__
@@ -207,15 +211,18 @@ class _Writer:
 class _Name:
     """An operator before its argument, waiting on the writer's stack."""
 
-    __slots__ = ("text", "is_prefix")
+    __slots__ = ("text", "is_prefix", "parted")
 
     def __init__(self, text: str, is_prefix: bool):
         self.text = text
         self.is_prefix = is_prefix
+        self.parted = False
 
     def needs_blank(self, following: str) -> bool:
         """Tell whether a blank must part the operator from a token that begins with this character."""
-        if self.is_prefix and (following == "(" or (self.text == "-" and following.isdigit())):
+        if not self.is_prefix:
+            return self.parted
+        if following == "(" or (self.text == "-" and following.isdigit()):
             return True
         return following in _SYMBOLS and _is_word(self.text[-1])
 
@@ -229,7 +236,7 @@ def _run_together(last: str, first: str) -> bool:
     if first in _SYMBOLS:
         return last in _SYMBOLS
     if first == "'":
-        return last == "'" or _is_word(last)
+        return last == "'" or last.isdigit()
     if _is_word(first):
         return _is_word(last)
     return first == last and first in '"`'
