@@ -3,25 +3,26 @@
 The oracle (``test/oracle``) is an evaluator of its own; its README has the command for long runs.
 """
 
+from collections import Counter
 from dataclasses import replace
 
 import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
-from oracle.comparison import answers, difference, engine_events, report, shrink
-from oracle.patterns import Check, walk
+from oracle.comparison import answers, difference, engine_events, engine_steps, report, shrink
+from oracle.declarative import defined_for, firings
+from oracle.patterns import Check, Cnot, Fnot, walk
 from oracle.strategies import cases, drawn_cases
-from oracle.text import write_rule
+from oracle.text import stream, write_rule
 
 from retalis.terms import atom, functor
 
 quick = settings(max_examples=60, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))
 
 
-def of_engine(case, texts=None, goals="", stream=None):
-    return engine_events(
-        texts or [case.text()], case.goals() + goals, case.stream if stream is None else stream
-    )
+def of_engine(case, texts=None, goals="", events=None):
+    texts = texts or [case.text()]
+    return engine_events(texts, case.goals() + goals, case.stream if events is None else events)
 
 
 @settings(quick, max_examples=500)
@@ -37,6 +38,40 @@ def test_oracle_drawn_piece_by_piece(case):
     assert of_engine(case) in answers(case)
 
 
+@quick
+@given(cases(depth=3), st.integers(1, 6))
+def test_garbage_control_leaves_what_is_young(case, window):
+    """Nothing fires that would not have, and everything does of which no part is older than the window."""
+    case = replace(case, policy="unrestricted")
+    assume(defined_for(case.rules) and not case.has_limits())
+    rule = case.rules[0]
+    assume(not any(isinstance(node, (Cnot, Fnot)) for node in walk(rule.pattern)))
+    flags = f"set_etalis_flag(garbage_control,general).\nset_etalis_flag(garbage_window,{window}).\n"
+    flags += "set_etalis_flag(garbage_window_step,1).\n"
+    steps = engine_steps([case.text()], case.goals() + flags, case.stream)
+    most = firings(rule, case.stream, case.out_of_order)
+    least = firings(rule, case.stream, case.out_of_order, youngest=window)
+    for got, maximum, minimum in zip(steps, most, least):
+        fired = Counter((term, start / 10**9, end / 10**9) for term, start, end in got[1:])
+        assert minimum - fired == Counter()
+        assert fired - maximum == Counter()
+
+
+@pytest.mark.parametrize(
+    "pattern",
+    ["a seq b", "a and b", "(a seq c) seq b", "a forall_seq b", "a seq b star_times", "(a or c) seq b"],
+)
+def test_garbage_control_drops_what_is_old(pattern):
+    flags = (
+        "set_etalis_flag(event_consumption_policy,unrestricted).\nset_etalis_flag(garbage_control,general).\n"
+    )
+    flags += "set_etalis_flag(garbage_window,5).\nset_etalis_flag(garbage_window_step,1).\n"
+    events = stream("a@1 c@2 c@9 c@10 c@11 b@12")
+    old = ("out", 10**9, 12 * 10**9)
+    assert old in engine_events([f"out <- {pattern}."], flags.split("set_etalis_flag(garbage")[0], events)
+    assert old not in engine_events([f"out <- {pattern}."], flags, events)
+
+
 @settings(quick, max_examples=150)
 @given(cases(depth=3, revision=True))
 def test_revision(case):
@@ -49,7 +84,7 @@ def test_revision(case):
 def test_shifted_in_time(case, seconds):
     assume(not any(isinstance(node, Check) for rule in case.rules for node in walk(rule.pattern)))
     later = [(term, start + seconds, end + seconds) for term, start, end in case.stream]
-    shifted = of_engine(case, stream=later)
+    shifted = of_engine(case, events=later)
     by = seconds * 10**9
     assert [(term, start - by, end - by) for term, start, end in shifted] == of_engine(case)
 

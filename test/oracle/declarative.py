@@ -9,6 +9,7 @@ Star_times, aggregates and forall_seq are not here: their results depend on runs
 
 from collections import Counter
 from dataclasses import replace
+from itertools import accumulate
 from typing import Any, Iterable, List, NamedTuple, Sequence, Tuple
 from typing import Counter as CounterOf
 
@@ -125,14 +126,26 @@ class Combinations:
 
 
 def firings(
-    rule: Rule, stream: Iterable[Tuple[Term, Any, Any]], out_of_order: bool = False
+    rule: Rule,
+    stream: Iterable[Tuple[Term, Any, Any]],
+    out_of_order: bool = False,
+    youngest: Any = None,
 ) -> List[CounterOf[Tuple[str, Any, Any]]]:
-    """Return what fires at each arrival, as multisets: the order is not this evaluator's business."""
+    """Return what fires at each arrival, as multisets: the order is not this evaluator's business.
+
+    With ``youngest``, only of combinations in which nothing ended longer ago than so many seconds, by the newest
+    end that has arrived: what garbage control of that window has to leave.
+    """
     events = [Event(term, start, end, number) for number, (term, start, end) in enumerate(stream)]
+    clocks = list(accumulate((event.end for event in events), max))
     combinations = Combinations(rule, out_of_order)
     results: List[CounterOf[Tuple[str, Any, Any]]] = [Counter() for _ in events]
     for match, at in combinations.found(combinations.tests.pattern, events):
         if not combinations.tests.in_window(match):
+            continue
+        if youngest is not None and any(
+            events[number].end < clocks[at] - youngest for number in match.numbers
+        ):
             continue
         bindings = match.bindings if rule.do is None else first(rule.do, match.bindings)
         if bindings is not None:
