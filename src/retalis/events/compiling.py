@@ -23,7 +23,6 @@ from .pattern import (
     Star,
     Within,
     bound_by,
-    children,
     own_terms,
     surely_bound_by,
     walk,
@@ -113,8 +112,12 @@ class Compiler:
             )
         for rank, leaf in enumerate([*built.joined, *built.single]):
             leaf.rank = rank
-        node: Node = built.node
-        return node
+        node: Any = built.node
+        root: Node = node
+        while isinstance(node, (Acting, Filter)):
+            node.windowed = True
+            node = node.child
+        return root
 
     def _build(self, pattern: Any, context: Names, limit: Optional[int]) -> Built:
         """Build a pattern.
@@ -147,7 +150,7 @@ class Compiler:
         else:
             assert isinstance(core, Action)
             below = self._build(core.pattern, context, inner)
-            node = Acting(below.node, Call(self.rule, core.goal, below.node.vars, self.keep), core.every)
+            node = Acting(below.node, Call(self.rule, core.goal, below.node.vars), core.every)
             built = below._replace(node=self._add(node, None, inner))
         return self._filtered(built, wrapping, context)
 
@@ -185,7 +188,7 @@ class Compiler:
     def _tests(self, conditions: List[Any], names: List[Var]) -> Tuple[List[Test], List[Var]]:
         tests: List[Test] = []
         for condition in conditions:
-            call = Call(self.rule, condition.goal, names, self.keep)
+            call = Call(self.rule, condition.goal, names)
             tests.append(goal_test(call, condition.timed, None))
             names = call.result_vars
         return tests, names
@@ -221,8 +224,6 @@ class Compiler:
         node = Joining(
             self.rule, OPERATORS[core.operator], left.node, right.node, self.keep, gap, _meet(left, right)
         )
-        node.left_place.telling = self._telling(core.left, left.node.vars)
-        node.right_place.telling = self._telling(core.right, right.node.vars)
         self._add(node, wrapping.span, limit)
         if gap is not None:
             deferred.append(Deferred(needs, None, False, (negated, conditions, False), *gap))
@@ -232,7 +233,7 @@ class Compiler:
             self._settle(node, one)
         now, later = self._split(wrapping.conditions, wrapping.core, context)
         for condition in now:
-            call = Call(self.rule, condition.goal, node.vars, self.keep)
+            call = Call(self.rule, condition.goal, node.vars)
             node.test(goal_test(call, condition.timed, None), call.result_vars)
         result: Any = node
         for condition, needs in later:
@@ -247,7 +248,7 @@ class Compiler:
         """Test a deferred condition at a node that knows all it looks at."""
         at = (node.vars.index(one.start), node.vars.index(one.end))
         if one.absent is None:
-            call = Call(self.rule, one.goal, node.vars, self.keep)
+            call = Call(self.rule, one.goal, node.vars)
             node.test(goal_test(call, one.timed, at), call.result_vars)
             return
         negated, conditions, ever = one.absent
@@ -275,7 +276,7 @@ class Compiler:
         known = [*names, *new]
         tests = []
         for one in conditions:
-            call = Call(self.rule, one.goal, known, self.keep)
+            call = Call(self.rule, one.goal, known)
             tests.append(goal_test(call, one.timed, (known.index(one.start), known.index(one.end))))
 
         def condition(values: Tuple[Term, ...], match: Match) -> bool:
@@ -311,7 +312,6 @@ class Compiler:
         if isinstance(core, Aggregate):
             collector, result = self._collector(core, repeated.node.vars), core.result
         node = Running(self.rule, first.node, repeated.node, outside, collector, result)
-        node.place.telling = self._telling(core.first, first.node.vars)
         self._add(node, wrapping.span, limit)
         deferred = list(first.deferred)
         known = set(node.step_vars)
@@ -333,7 +333,7 @@ class Compiler:
             else:
                 early.append(condition)
         for condition in [*early, *late]:
-            call = Call(self.rule, condition.goal, node.vars, self.keep)
+            call = Call(self.rule, condition.goal, node.vars)
             node.test(
                 goal_test(call, condition.timed, None),
                 call.result_vars,
@@ -350,7 +350,7 @@ class Compiler:
         names = node.step_vars
         at = (names.index(one.start), names.index(one.end))
         if one.absent is None:
-            node.step_tests.append(goal_test(Call(self.rule, one.goal, names, self.keep), one.timed, at))
+            node.step_tests.append(goal_test(Call(self.rule, one.goal, names), one.timed, at))
             return
         negated, conditions, ever = one.absent
         absence = self._absence(negated, names, ever, conditions)
@@ -361,24 +361,6 @@ class Compiler:
         """Return the variables that stand in the rule elsewhere than in a pattern (and what an aggregate takes)."""
         inside = _occurrences([] if value is None else [value], pattern)
         return {var for var, number in self._counts.items() if number > inside.get(var, 0)}
-
-    def _telling(self, pattern: Any, names: List[Var]) -> Tuple[int, ...]:
-        """Return where those values stand that tell matches of the same events apart.
-
-        They are what goals, repetitions and aggregates have found, as far as others in the rule see it.
-        """
-        outside = self._outside(pattern)
-        of_events: Set[Var] = set()
-        stack = [pattern]
-        while stack:
-            part = stack.pop()
-            if isinstance(part, Occurs):
-                of_events.update(variables(part.term))
-            elif isinstance(part, (Star, Aggregate)):
-                stack.append(part.first)
-            else:
-                stack.extend(children(part, False))
-        return tuple(at for at, var in enumerate(names) if var in outside and var not in of_events)
 
     def _collector(self, core: Aggregate, names: List[Var]) -> Collector:
         logic = self.rule.network.logic

@@ -23,20 +23,19 @@ class Call:
         goal: the goal.
         known: whose values a match carries.
 
-        keep: the variables that stand more than once in the rule.
 
     Attributes:
-        result_vars: ``known``, then the other variables of the goal that are kept.
+        result_vars: ``known``, then the other variables of the goal.
     """
 
-    def __init__(self, rule: Any, goal: Term, known: Sequence[Var], keep: Any):
+    def __init__(self, rule: Any, goal: Term, known: Sequence[Var]):
         self.rule = rule
         self.goal = goal
         self.known = list(known)
         mentioned = variables(goal)
         inputs = [var for var in self.known if var in mentioned]
         self.positions = tuple(self.known.index(var) for var in inputs)
-        self.outputs = [var for var in mentioned if var not in self.known and var in keep]
+        self.outputs = [var for var in mentioned if var not in self.known]
         self.result_vars = [*self.known, *self.outputs]
         self._compiled: Dict[Any, Any] = {}
         self._inputs = inputs

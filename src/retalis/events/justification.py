@@ -4,7 +4,7 @@ from typing import Any, Iterator, List, Sequence, Tuple
 
 from ..terms import Term, Var, atom, copy, functor, make_list, resolve, undo, unify
 from ..timestamps import interval_term
-from .matches import Held, Match
+from .matches import Found, Held, Match
 from .pattern import Absent, Action, Aggregate, Condition, Either, Occurs, Pair, Star, Within
 from .tracking import Occurrence
 
@@ -125,10 +125,11 @@ def describe(pattern: Any, match: Match, show: Any) -> Term:
             match = match.parts[0]
         return show(match.event) if isinstance(match.event, Occurrence) else match.term
     parts = match.parts or ()
-    if isinstance(pattern, (Action, Absent)):
-        inner = parts[0] if len(parts) == 1 and isinstance(parts[0], Match) else match
-        return describe(pattern.pattern, inner if isinstance(pattern, Action) else match, show)
-    while len(parts) == 1 and isinstance(parts[0], Match):
+    if isinstance(pattern, Absent):
+        return describe(pattern.pattern, match, show)
+    if isinstance(pattern, Action):
+        return describe(pattern.pattern, parts[0] if _is_wrapped(parts) else match, show)
+    while _is_wrapped(parts):
         match = parts[0]
         parts = match.parts or ()
     if isinstance(pattern, Either):
@@ -137,6 +138,11 @@ def describe(pattern: Any, match: Match, show: Any) -> Term:
         left = describe(pattern.left, parts[0], show)
         return functor(f"{pattern.operator}f", 2)(left, describe(pattern.right, parts[1], show))
     return _describe_run(pattern, parts, show)
+
+
+def _is_wrapped(parts: Sequence[Any]) -> bool:
+    """Tell whether the parts are those of a condition or action around a match."""
+    return bool(parts) and isinstance(parts[0], Match) and (len(parts) == 1 or parts[1].__class__ is Found)
 
 
 def _describe_run(pattern: Any, parts: Sequence[Any], show: Any) -> Term:

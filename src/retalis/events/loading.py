@@ -90,6 +90,9 @@ class Loader:
                 errors.append(read)
                 continue
             checker.read(read)
+            if read.singletons and self._rules.warn_singletons:
+                names = ", ".join(read.singletons)
+                self._rules.on_warning(RuleError(f"singleton variables: {names}", read.place))
             term = deref(read.term)
             if term.__class__ is tuple and term[0] in _DIRECTIVES:
                 self._change_reading(term[1], program)

@@ -17,7 +17,7 @@ class Match:
         end: where it ends.
         event: the token of the event, where the match is of one single event; else None.
         term: the event, where it is the match of an event pattern.
-        parts: what else it was put together from: matches, `Held`, and the number of a branch.
+        parts: what else it was put together from: matches, `Held` and `Found`, and the number of a branch.
         bucket: where it waits; None while it does not wait (any more).
         order: the larger, the later it began to wait.
         used: whether it completed something and was used up by that.
@@ -47,6 +47,12 @@ class Held(NamedTuple):
     matches: Tuple["Match", ...]
 
 
+class Found(NamedTuple):
+    """Values that goals, repetitions and aggregates have given a match: they tell it from others."""
+
+    values: Values
+
+
 def identity(match: Match) -> Any:
     """Return a key: equal for two matches of a node made of identical event terms."""
     parts = match.parts
@@ -56,6 +62,8 @@ def identity(match: Match) -> Any:
     for part in parts:
         if isinstance(part, Match):
             key.append(identity(part))
+        elif part.__class__ is Found:
+            key.append(tuple([term_key(value) for value in part.values]))
         elif part.__class__ is not Held:
             key.append(part)
     return key[0] if len(key) == 1 else tuple(key)
@@ -138,7 +146,6 @@ class Place:
         buckets: by key, those whose shared values have no variables.
         loose: the others; they are unified with every partner.
         span: how many nanoseconds a match that waits here can be a part of; None for no bound.
-        telling: where the values stand that tell matches of the same events apart.
         same: where a match replaces one of the same name: those that wait by name; else None.
     """
 
@@ -150,8 +157,7 @@ class Place:
         self.loose = Bucket(self, None)
         self.span: Optional[int] = None
         self.same: Optional[Dict[Any, Match]] = None
-        self.telling: Tuple[int, ...] = ()
-        self._name: Callable[[Match], Any] = identity
+        self.name: Callable[[Match], Any] = identity
 
     def key_of(self, match: Match) -> Any:
         """Return the key of a match; None where a shared value has variables."""
@@ -204,14 +210,6 @@ class Place:
             found.sort(key=_order)
         return found
 
-    def name(self, match: Match) -> Any:
-        """Return what a match is identified by."""
-        name = self._name(match)
-        if self.telling:
-            values = match.values
-            return (name, *[term_key(values[at]) for at in self.telling])
-        return name
-
     def identify(self, name: Optional[Callable[[Match], Any]]) -> None:
         """Have a match replace a waiting one of the same ``name``, or none with None.
 
@@ -221,9 +219,9 @@ class Place:
             self.same = None
             return
         self.same = {}
-        self._name = name
+        self.name = name
         for match in self.all():
-            match.identity = self.name(match)
+            match.identity = name(match)
             self.same[match.identity] = match
 
 

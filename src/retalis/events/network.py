@@ -44,6 +44,7 @@ class Rules:
     Attributes:
         on_error: called with each error of a rule or goal while events flow.
         on_warning: called with each warning.
+        warn_singletons: whether variables that stand in a clause only once are worth a warning.
         flags: the flags of ``set_etalis_flag/2``.
         mode: what the flags say about how the network runs.
     """
@@ -62,6 +63,7 @@ class Rules:
         self.cap = cap
         self.future = future
         self.on_error: Callable[[RetalisError], None] = lambda error: log.error("%s", error)
+        self.warn_singletons = False
         self.on_warning: Callable[[RetalisError], None] = lambda error: log.warning("%s", error)
         self.checked: Optional[Tuple[int, int]] = None
         self.rules: List[Rule] = []

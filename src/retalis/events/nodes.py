@@ -9,7 +9,7 @@ from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 from ..terms import Term, Var, variables
 from ._source import compile_function
 from .conditions import Test
-from .matches import Match, Place, identity, leaves
+from .matches import Found, Match, Place, identity, leaves
 from .operators import Operator
 from .policy import Emit, Frame, Mode, Side, taking_all, taking_all_at_once, taking_one, waiting_only
 
@@ -23,6 +23,8 @@ class Node:
     """
 
     vars: List[Var]
+    windowed = True
+    """Whether the window of a label is tested here."""
 
     def bind(self, out: Emit, mode: Mode) -> None:
         """Send matches to ``out`` from now on, by the policy and flags of ``mode``; what waits stays."""
@@ -68,6 +70,7 @@ class Filter(Node):
 
     def __init__(self, child: Node, names: Sequence[Var], tests: Sequence[Test]):
         self.child = child
+        self.windowed = False
         self.vars = list(names)
         self.tests = list(tests)
         self.span: Optional[int] = None
@@ -78,6 +81,7 @@ class Filter(Node):
     def bind(self, out: Emit, mode: Mode) -> None:
         tests = self.tests
         span = self.span
+        known = len(self.child.vars)
 
         def arrive(match: Match, after: Frame) -> Frame:
             start = match.start
@@ -90,7 +94,7 @@ class Filter(Node):
                 if values is None:
                     return after
             if values is not match.values:
-                match = Match(values, start, end, match.event, None, (match,))
+                match = Match(values, start, end, match.event, None, (match, Found(values[known:])))
             return out(match, after)
 
         self.child.bind(arrive, mode)
@@ -143,6 +147,7 @@ class Acting(Node):
 
     def __init__(self, child: Node, call: Any, every: bool):
         self.child = child
+        self.windowed = False
         self.call = call
         self.every = every
         self.vars = list(call.result_vars)
@@ -156,6 +161,7 @@ class Acting(Node):
         if mode.tracked:
             act = self.call.noting_cause(act)
         span = self.span
+        known = len(self.child.vars)
 
         def arrive(match: Match, after: Frame) -> Frame:
             if span is not None and match.end - match.start > span:
@@ -342,7 +348,10 @@ class Joining(Node):
                 "    if values is None:",
                 "        return None",
             ]
-        lines.append("    return Match(values, start, end, None, None, (l, r))")
+        known = len(self.taken)
+        names["Found"] = Found
+        parts = f"(l, r, Found(values[{known}:]))" if len(self.vars) > known else "(l, r)"
+        lines.append(f"    return Match(values, start, end, None, None, {parts})")
         made: Callable[[Match, Match], Optional[Match]] = compile_function(
             "\n".join(lines) + "\n", names, f"{operator.name} of {self.rule.name}"
         )

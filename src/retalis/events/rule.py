@@ -82,7 +82,7 @@ class Rule:
         self._garbage = garbage
         self.timed = garbage is not None
         for node, span, limit in self.nodes:
-            node.set_span(_least(span, window), _least(limit, window))
+            node.set_span(_least(span, window) if node.windowed else span, _least(limit, window))
             self.timed = self.timed or any(place.span is not None for place in node.places())
         self._resettle()
         self.unlisten()

@@ -7,7 +7,7 @@ from ..terms import Term, Var, resolve, undo, unify, variables
 from .aggregates import Collector
 from .building import compile_builder
 from .conditions import Test
-from .matches import Held, Match, Place, identity, unify_sides
+from .matches import Found, Held, Match, Place, identity, unify_sides
 from .nodes import Node
 from .policy import Emit, Frame, Mode, emit_each
 
@@ -119,9 +119,6 @@ class Running(Node):
         collector = self.collector
 
         def arrive(match: Match, after: Frame) -> Frame:
-            span = self.span
-            if span is not None and match.end - match.start > span:
-                return after
             run = Run(match)
             older = place.same.get(place.name(run))  # type: ignore[union-attr, misc]
             if older is not None and older.start == run.start and older.first.end == run.end:
@@ -129,7 +126,10 @@ class Running(Node):
             if collector is not None:
                 run.state = collector.start
             place.add(run, place.key_of(run))
+            span = self.span
             if collector is not None and collector.initial is None:
+                return after
+            if span is not None and match.end - match.start > span:
                 return after
             values = self._fit(run.values, None, run.start, run.end)
             result = None if values is None else self.result_of(run, values)
@@ -263,9 +263,11 @@ class Running(Node):
                 found = test(found, start, end)
             if found is None:
                 return None
-        held = (Held(tuple(run.taken)),) if self.tracked else ()
+        own = Found(found[len(run.values) :])
+        # Without what is held the start would look like a condition around a match.
+        held = (Held(tuple(run.taken)),)
         event = run.event if run.fixed is None else None
-        return Match(found, start, end, event, None, (run.first, *held))
+        return Match(found, start, end, event, None, (run.first, *held, own))
 
     def _with_result(self, values: Values, value: Term) -> Optional[Values]:
         """Put the result where its variables stand among the values."""

@@ -1,0 +1,160 @@
+"""Recorded programs of the original engine (``test/data/scenarios``, see its README for what counts).
+
+`contradictions` names those that the language reference is not to follow.
+"""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from events.contradictions import CONTRADICTED
+from retalis.clock import StreamClock
+from retalis.engine import Engine
+from retalis.errors import RetalisError
+from retalis.syntax import Operators, read_term, write_term
+from retalis.terms import copy, deref, functor, variables
+from retalis.timestamps import SECOND, from_term, to_term
+
+FOLDER = Path(__file__).parent.parent / "data" / "scenarios"
+SCENARIOS = sorted(FOLDER.glob("*.json"))
+MEMORY_EVENTS = ("memory_created", "memory_updated", "memory_deleted")
+BASE = from_term(read_term("datime(2001,1,1,0,0,0)", Operators.prolog()).term)
+NOW = from_term(read_term("datime(2001,1,1,1,0,0)", Operators.prolog()).term)
+
+
+def normal(term):
+    """Return a term as text with its variables named in order; two variants give the same text."""
+    term = copy(term)
+    for number, var in enumerate(variables(term)):
+        var.ref = (functor("$VAR", 1), number)
+    return write_term(term, None, quoted=True, ignore_ops=True, numbervars=True)
+
+
+def read(text):
+    return read_term(text, Operators.prolog()).term
+
+
+class Run:
+    """One scenario run by the engine."""
+
+    def __init__(self, data, folder):
+        now = NOW if "Absolute" in str(data["rules"]) else BASE
+        self.clock = StreamClock(now)
+        self.engine = Engine(clock=self.clock)
+        self.events, self.memory_events, self.outputs, self.errors = [], [], [], []
+        self.engine.on_event(self._event)
+        self.engine.on_output(
+            lambda term, topic, name: self.outputs.append((normal(term), topic, normal(name)))
+        )
+        self.engine.rules.on_error = lambda error: self.errors.append(str(error))
+        self.engine.logic.define("sleep", 1, self._sleep)
+        self.engine.logic.define("current_datime", 1, lambda machine, term: machine.unify(term, to_term(NOW)))
+        with self.engine.rules.relative_to(folder):
+            self._run(data)
+
+    def _sleep(self, machine, seconds):
+        self.clock.move_to(self.clock.now() + int(deref(seconds) * SECOND))
+        return True
+
+    def _event(self, term, start, end):
+        name = term[0].name if term.__class__ is tuple else term.name
+        into = self.memory_events if name in MEMORY_EVENTS else self.events
+        into.append((normal(term), start, end))
+
+    def _run(self, data):
+        for goal in data["goals"]:
+            self.attempt(lambda goal=goal: self.engine.call(goal))
+        rules = data["rules"]
+        for text in rules if isinstance(rules, list) else [rules]:
+            if text:
+                self.attempt(lambda text=text: self.engine.load(rules=text))
+        for goal in data.get("goals_after_compile", ()):
+            self.attempt(lambda goal=goal: self.engine.call(goal))
+        for item in data["stream"]:
+            if isinstance(item, dict):
+                self.attempt(lambda item=item: self.engine.call(item["goal"]))
+            else:
+                term, (start, end) = item
+                self.clock.move_to(from_term(read(end)))
+                self.attempt(lambda t=term, s=start, e=end: self.engine.event(t, read(s), read(e)))
+            self.engine.advance()
+        self.answers = [self._solutions(goal) for goal in data.get("queries", ())]
+
+    def _solutions(self, goal):
+        try:
+            term = read_term(goal, self.engine.logic.operators).term
+            return [normal(term) for _ in self.engine.logic.solutions(term)]
+        except RetalisError as error:
+            return f"error: {error}"
+
+    def attempt(self, work):
+        try:
+            if work() is False:
+                self.errors.append("fails")
+        except RetalisError as error:
+            self.errors.append(str(error))
+
+
+def wanted_events(data, name):
+    found = data.get(name + "_sane", data[name])
+    return [(normal(read(term)), from_term(read(start)), from_term(read(end))) for term, start, end in found]
+
+
+def event_table(events):
+    """Return events with their stamps as terms: they keep the form that they came in."""
+    return [(term, write_term(to_term(start)), write_term(to_term(end))) for term, start, end in events]
+
+
+def short(events):
+    """Return events as ``term@start-end``, in seconds of the first minute (or of the epoch)."""
+
+    def seconds(instant):
+        return f"{(instant - BASE if instant >= BASE else instant) / SECOND:g}"
+
+    return " ".join(f"{term}@{seconds(int(start))}-{seconds(int(end))}" for term, start, end in events)
+
+
+@pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
+def test_scenario(path, tmp_path, monkeypatch):
+    data = json.loads(path.read_text())
+    for name, text in (data.get("files") or {}).items():
+        (tmp_path / name).write_text(text)
+    monkeypatch.chdir(tmp_path)
+    run = Run(data, tmp_path)
+    contradicted, events = CONTRADICTED.get(path.stem, (None, None))
+    if events is not None:
+        assert short(run.events) == events
+    else:
+        assert event_table(run.events) == event_table(wanted_events(data, "expected"))
+    if contradicted is None:
+        assert run.outputs == wanted_outputs(data)
+        assert [term for term, _, _ in run.memory_events] == wanted_memory_events(data)
+        assert run.answers == wanted_answers(data, run)
+        assert run.errors or "expected_sane" in data or not data.get("errors")
+
+
+def wanted_outputs(data):
+    outputs = data.get("outputs_sane", data["outputs"])
+    return [(normal(read(term)), topic, normal(read(name))) for term, topic, name in outputs]
+
+
+def wanted_memory_events(data):
+    return [term for term, _, _ in wanted_events(data, "memory_events")]
+
+
+def wanted_answers(data, run):
+    """Return the solutions of each query; any error will do where one was raised."""
+    sane = data.get("queries_sane")
+    wanted = []
+    for at, result in enumerate(data.get("query_results", ())):
+        solutions = sane[at] if sane is not None else result["solutions"]
+        if solutions and solutions[0].startswith("error: "):
+            wanted.append(run.answers[at] if str(run.answers[at]).startswith("error: ") else "an error")
+        else:
+            wanted.append([normal(read(text)) for text in solutions])
+    return wanted
+
+
+def test_contradictions_are_known():
+    assert set(CONTRADICTED) <= {path.stem for path in SCENARIOS}
