@@ -1,28 +1,20 @@
 """The façade: loading, events, queries, outputs, errors."""
 
 import logging
+import sys
 import threading
+from pathlib import Path
 
 import pytest
 
 from retalis import timestamps
 from retalis.clock import StreamClock
-from retalis.engine import Engine, Settings
+from retalis.engine import Engine
 from retalis.errors import ProgramErrors, RetalisError, SyntaxFault, UsageError
 from retalis.terms import deref
 
-
-class Watched(Engine):
-    """An engine whose outputs and events are kept as text."""
-
-    def __init__(self, rules="", goals="", **settings):
-        super().__init__(settings=Settings(**settings))
-        self.outputs, self.events = [], []
-        self.on_output(
-            lambda term, topic, name: self.outputs.append((self.show(term), topic, self.show(name)))
-        )
-        self.on_event(lambda term, start, end: self.events.append((self.show(term), int(start), int(end))))
-        self.load(rules=rules, goals=goals)
+sys.path.append(str(Path(__file__).resolve().parent))
+from watched import Watched  # noqa: E402
 
 
 def test_a_rule_fires_and_a_subscriber_gets_it():

@@ -146,8 +146,7 @@ class WaitingQueries:
         return self._ask(waiting.event, waiting.query, waiting.start, waiting.end, after)
 
     def _drop_oldest(self) -> None:
-        order = min(self._all)
-        waiting = self._all.pop(order)
+        waiting = self._all.pop(next(iter(self._all)))
         self._warn(
             f"more than {self._limit} queries wait; the oldest is dropped: {self._logic.show(waiting.event)}"
         )

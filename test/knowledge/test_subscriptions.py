@@ -1,0 +1,92 @@
+"""Subscriptions made and deleted by goals."""
+
+import logging
+import sys
+from pathlib import Path
+
+import pytest
+
+from retalis.logic import PrologError
+
+sys.path.append(str(Path(__file__).resolve().parents[1]))
+from watched import Watched  # noqa: E402
+
+
+def test_delivers_what_its_conditions_let_through_in_its_own_form():
+    engine = Watched(goals="subscribe(a(X), [X > 1, Y is X * 2], b(X, Y), topic, 1)")
+    for value in (1, 2, 3):
+        engine.event(f"a({value})", value)
+    assert engine.outputs == [("b(2,4)", "topic", "1"), ("b(3,6)", "topic", "1")]
+
+
+def test_several_are_served_in_the_order_they_were_made_and_before_rules():
+    rules = "a(2) <- a(1)."
+    engine = Watched(rules, "subscribe(a(X), [], one(X), t, 1)\nsubscribe(a(_), [], _, t, 2)")
+    engine.event("a(1)", 1)
+    assert [term for term, _, _ in engine.outputs] == ["one(1)", "a(1)", "one(2)", "a(2)"]
+
+
+def test_one_solution_of_the_conditions_counts():
+    engine = Watched(goals="subscribe(a, [member(X, [p, q])], b(X), t, 1)")
+    engine.event("a", 1)
+    assert engine.outputs == [("b(p)", "t", "1")]
+
+
+def test_topic_and_id_together_are_the_key():
+    engine = Watched(goals="subscribe(a, [], _, t, 1)\nsubscribe(a, [], _, u, 1)\nsubscribe(a, [], _, t, 2)")
+    with pytest.raises(PrologError):
+        engine.call("subscribe(b, [], _, t, 1)")
+    engine.event("b", 1)
+    assert engine.outputs == []
+    assert engine.call("delete_subscription(t, 1)")
+    engine.event("a", 2)
+    assert [(topic, name) for _, topic, name in engine.outputs] == [("u", "1"), ("t", "2")]
+
+
+def test_a_topic_with_a_slash_is_a_name_however_it_is_written():
+    engine = Watched(goals="subscribe(a, [], _, robot/marker, 1)")
+    engine.event("a", 1)
+    assert engine.outputs == [("a", "robot/marker", "1")]
+    engine.call("delete_subscription('robot/marker', 1)")
+    engine.event("a", 2)
+    assert len(engine.outputs) == 1
+
+
+def test_deleting_an_unknown_one_warns_and_succeeds(caplog):
+    with caplog.at_level(logging.WARNING, "retalis"):
+        assert Watched().call("delete_subscription(t, never)")
+    assert "never" in caplog.text
+
+
+@pytest.mark.parametrize(
+    "goal",
+    [
+        "subscribe(a, nothing, _, t, 1)",
+        "subscribe(a, [3], _, t, 1)",
+        "subscribe(3, [], _, t, 1)",
+        "subscribe(a, [], 3, t, 1)",
+        "subscribe(a, [], _, T, 1)",
+        "subscribe(a, [], _, t, I)",
+    ],
+)
+def test_what_is_no_subscription_is_an_error_and_nothing_is_half_made(goal):
+    engine = Watched()
+    with pytest.raises(PrologError):
+        engine.call(goal)
+    assert list(engine.knowledge.subscriptions) == []
+    engine.event("a", 1)
+    assert engine.outputs == []
+
+
+def test_a_condition_that_raises_is_reported_and_the_event_goes_on(caplog):
+    engine = Watched("b <- a(_).", "subscribe(a(X), [X > 1], _, t, s)")
+    with caplog.at_level(logging.WARNING, "retalis"):
+        engine.event("a(x)", 1)
+    assert "subscription s" in caplog.text
+    assert [event for event, _, _ in engine.events] == ["a(x)", "b"]
+
+
+def test_everything_may_be_subscribed():
+    engine = Watched("b <- a.", "subscribe(E, [], _, t, all)")
+    engine.event("a", 1)
+    assert [term for term, _, _ in engine.outputs] == ["a", "b"]

@@ -1,0 +1,144 @@
+"""A program over a bag: topics, types, times, what is published, what is reported."""
+
+import pytest
+
+from retalis.bags import BagReader, BagWriter
+from retalis.messages import Definitions
+from retalis.playback import Playback
+from retalis.program import TopicType
+from retalis.syntax import Operators, read_term, to_text
+from retalis.terms import deref
+
+SECOND = 10**9
+POINT = "float64 x\n"
+STAMPED = (
+    "Header header\nfloat64 x\n"
+    + "=" * 80
+    + "\nMSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n"
+)
+
+
+def term(text):
+    return read_term(text, Operators.prolog()).term
+
+
+@pytest.fixture
+def definitions():
+    known = Definitions()
+    known.add("my_msgs/Point", POINT)
+    known.add("my_msgs/Stamped", STAMPED)
+    return known
+
+
+@pytest.fixture
+def program(tmp_path):
+    folder = tmp_path / "program"
+    folder.mkdir()
+
+    def write(rules, goals="", topics=""):
+        (folder / "eventRules.txt").write_text(rules)
+        (folder / "goalPredicates.txt").write_text("compile_event_file('eventRules.txt')\n" + goals)
+        (folder / "pub_sub.xml").write_text(f"<publish_subscribe>{topics}</publish_subscribe>")
+        return folder
+
+    return write
+
+
+@pytest.fixture
+def bag(tmp_path, definitions):
+    def write(*messages):
+        path = tmp_path / "some.bag"
+        with BagWriter(path) as writer:
+            connections = {}
+            for time, topic, kind, text in messages:
+                if topic not in connections:
+                    connections[topic] = writer.add(topic, definitions.find(kind))
+                writer.write(connections[topic], time, definitions.encoder(kind).encode(term(text)))
+        return path
+
+    return write
+
+
+def run(program, path, **options):
+    problems = []
+    playback = Playback(program, problems.append, **options)
+    events = []
+    playback.engine.on_event(lambda event, start, end: events.append((to_text(event), start, end)))
+    with BagReader(path) as reader:
+        outputs = list(playback.run(reader))
+    return outputs, events, [str(problem) for problem in problems]
+
+
+IN = '<subscribe_to name="in" msg_type="my_msgs/Point"/>'
+OUT = '<publish_to name="out" msg_type="my_msgs/Point"/>'
+
+
+def test_messages_become_events_and_outputs_become_messages(program, bag, definitions):
+    path = bag((7 * SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(6.5)"))
+    goals = "subscribe(my_msgs__0__Point(X), [Y is X * 2], my_msgs__0__Point(Y), out, 1)"
+    outputs, events, problems = run(program("", goals, IN + OUT), path)
+    assert problems == []
+    assert events == [("my_msgs__0__Point(6.5)", 7 * SECOND, 7 * SECOND)]
+    (output,) = outputs
+    assert (output.topic, output.time, output.definition.name) == ("out", 7 * SECOND, "my_msgs/Point")
+    decoded = deref(definitions.decoder("my_msgs/Point").decode(output.data))
+    assert decoded == term("my_msgs__0__Point(13.0)")
+
+
+def test_a_header_stamps_its_event_and_a_zero_stamp_counts_as_none(program, bag):
+    text = "my_msgs__0__Stamped(std_msgs__0__Header(1,[{},{}],'\"f\"'),1.0)"
+    path = bag(
+        (7 * SECOND, "/in", "my_msgs/Stamped", text.format(3, 4)),
+        (8 * SECOND, "/in", "my_msgs/Stamped", text.format(0, 0)),
+    )
+    topics = '<subscribe_to name="/in" msg_type="my_msgs/Stamped"/>'
+    _, events, problems = run(program("", "", topics), path)
+    assert problems == []
+    assert [(start, end) for _, start, end in events] == [(3 * SECOND + 4,) * 2, (8 * SECOND,) * 2]
+
+
+def test_topics_that_are_not_named_are_left_alone_unless_asked_for(program, bag):
+    path = bag((SECOND, "/other", "my_msgs/Point", "my_msgs__0__Point(1.0)"))
+    folder = program("", "", IN)
+    assert run(folder, path)[1] == []
+    assert len(run(folder, path, topics=[TopicType("other", "my_msgs/Point")])[1]) == 1
+
+
+def test_a_type_goes_by_the_name_that_the_program_gives_it(program, bag):
+    path = bag((SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(1.0)"))
+    _, events, problems = run(program("", "", IN.replace("my_msgs/Point", "other_msgs/Dot")), path)
+    assert problems == []
+    assert [event for event, _, _ in events] == ["other_msgs__0__Dot(1.0)"]
+
+
+def test_what_does_not_fit_is_reported_and_the_rest_goes_on(program, bag):
+    path = bag(
+        *((second * SECOND, "/in", "my_msgs/Point", f"my_msgs__0__Point({second}.0)") for second in (1, 2))
+    )
+    goals = (
+        "subscribe(my_msgs__0__Point(X), [], my_msgs__0__Point(no), out, 1)\n"
+        "subscribe(my_msgs__0__Point(X), [], _, nowhere, 2)\n"
+        "subscribe(my_msgs__0__Point(X), [], _, out, 3)\n"
+        "fail\n"
+    )
+    outputs, events, problems = run(program("", goals, IN + OUT), path)
+    assert len(events) == 2
+    assert sum(output.data is not None for output in outputs) == 2
+    assert "goalPredicates.txt:5:1" in problems[0]
+    assert any("topic out" in problem and "x" in problem for problem in problems)
+    assert any("nowhere" in problem for problem in problems)
+
+
+def test_alarms_go_by_the_time_of_the_bag(program, bag):
+    path = bag(
+        *((second * SECOND, "/in", "my_msgs/Point", f"my_msgs__0__Point({second}.0)") for second in (1, 2, 9))
+    )
+    _, events, problems = run(program("exceptionAlarm(late(X), 3) <- my_msgs__0__Point(X).", "", IN), path)
+    assert problems == []
+    assert [event for event, _, _ in events] == [
+        "my_msgs__0__Point(1.0)",
+        "my_msgs__0__Point(2.0)",
+        "late(1.0)",
+        "late(2.0)",
+        "my_msgs__0__Point(9.0)",
+    ]
