@@ -10,6 +10,7 @@ Steps = Tuple[Any, ...]
 """What is left of a plan when all tests are made: pairs of matcher and action, in order."""
 
 NOBODY: Steps = ()
+_OTHER = object()
 _DEEPEST = 6
 """How many tests a plan makes at most; the matchers make the rest."""
 
@@ -60,14 +61,12 @@ class Choice:
             key = _key(value)
         else:
             key = _key(value)
-        try:
-            plan = self.table[key]
-        except KeyError:
+        plan = self.table.get(key, _OTHER)
+        if plan is _OTHER:
             plan = self.default
             if plan is None:
                 plan = self.default = self._among(None)
-            return plan
-        if plan is None:
+        elif plan is None:
             plan = self.table[key] = self._among(key)
         return plan
 

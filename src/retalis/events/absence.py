@@ -1,12 +1,57 @@
 """What must not have happened: negated matches, kept so that one look tells whether one is in the way."""
 
-from typing import Any, Callable, Optional, Sequence, Tuple
+from bisect import bisect_left, bisect_right
+from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 from ..terms import Term
-from .matches import Bucket, Match, Place, unify_sides
+from .matches import Match, Place, unify_sides
 from .policy import Frame
 
 Values = Tuple[Term, ...]
+
+
+class _Border:
+    """The matches of one key of which each is in the way of something that no other is in the way of.
+
+    They rise in start and in end together, so the first that starts after an instant ends first of all that do.
+    """
+
+    __slots__ = ("starts", "ends", "matches")
+
+    def __init__(self) -> None:
+        self.starts: List[int] = []
+        self.ends: List[int] = []
+        self.matches: List[Match] = []
+
+    def takes(self, match: Match) -> bool:
+        """Add a match and remove what it makes superfluous; returns False where it is superfluous itself."""
+        starts, ends, matches = self.starts, self.ends, self.matches
+        start, end = match.start, match.end
+        at = bisect_left(starts, start)
+        while at < len(ends) and ends[at] <= end:
+            if matches[at].bucket is not None:
+                return False
+            del starts[at], ends[at], matches[at]
+        last = at + 1 if at < len(starts) and starts[at] == start else at
+        first = at
+        while first and ends[first - 1] >= end:
+            first -= 1
+        superfluous = matches[first:last]
+        starts[first:last] = [start]
+        ends[first:last] = [end]
+        matches[first:last] = [match]
+        for other in superfluous:
+            other.leave()
+        return True
+
+    def between(self, after: int, before: int) -> Optional[Match]:
+        """Return a match that lies between two instants, or None."""
+        at = bisect_right(self.starts, after)
+        while at < len(self.ends) and self.ends[at] < before:
+            if self.matches[at].bucket is not None:
+                return self.matches[at]
+            del self.starts[at], self.ends[at], self.matches[at]  # it has left: too old, or one too many
+        return None
 
 
 class Absence:
@@ -21,7 +66,7 @@ class Absence:
             that are asked for.
         ever: whether any time before counts.
         condition: tests the two together, where the negated pattern has conditions about the others; it takes
-            the values asked for and those of the negated match.
+            the values asked for and the negated match.
     """
 
     def __init__(
@@ -37,52 +82,63 @@ class Absence:
         self.condition = condition
         self.place = Place(rule, tuple(one for one, _ in self.shared))
         self.asked = Place(rule, tuple(two for _, two in self.shared))
+        self._borders: Dict[Any, _Border] = {}
 
     def arrive(self, match: Match, after: Frame) -> Frame:
-        """Keep a negated match, unless an older one is in the way of all that it could be in the way of."""
+        """Keep a negated match, unless others are in the way of all that it could be in the way of."""
         key = self.place.key_of(match)
-        if key is not None and self.condition is None and not self.rule.network.mode.tracked:
-            bucket = self.place.buckets.get(key)
-            if bucket is not None and not self._makes_room(bucket, match):
-                return after
+        if key is not None and self._has_borders() and not self._needed(key, match):
+            return after
         self.place.add(match, key)
         return after
 
-    def _makes_room(self, bucket: Bucket, match: Match) -> bool:
-        """Remove what ``match`` makes superfluous; returns False where it is superfluous itself.
+    def _has_borders(self) -> bool:
+        """Tell whether only times matter: not where matches are tested one by one, or may be taken back."""
+        return self.condition is None and not self.rule.network.mode.tracked
 
-        What is kept rises in start and in end together.
-        """
-        start, end = match.start, match.end
+    def _needed(self, key: Any, match: Match) -> bool:
+        bucket = self.place.buckets.get(key)
         if self.ever:
+            if bucket is None:
+                return True
             older = bucket.items[bucket.head]
-            if older.end <= end:
+            if older.end <= match.end:
                 return False
             older.leave()
             return True
-        for other in bucket.newest_first():
-            if other.start >= start and other.end <= end:
-                return False
-            if other.start <= start and other.end >= end:
-                other.leave()
-            elif other.end < start:
-                break
-        return True
+        border = self._borders.get(key)
+        if border is None or bucket is None:
+            border = self._borders[key] = _Border()
+            for other in bucket.oldest_first() if bucket is not None else ():
+                border.takes(other)
+        return border.takes(match)
 
     def blocks(self, values: Values, after: int, before: int) -> bool:
         """Tell whether a negated match lies between two instants."""
         place = self.place
         if not place.buckets and not place.loose.live:
+            self._borders.clear()
             return False
+        try:
+            key = self.asked.key(values)
+        except ValueError:
+            key = None
+        if key is not None and not self.ever and not place.loose.live and self._has_borders():
+            if key not in place.buckets:
+                self._borders.pop(key, None)
+                return False
+            border = self._borders.get(key)
+            if border is not None:
+                return border.between(after, before) is not None
+        return self._search(key, values, after, before)
+
+    def _search(self, key: Any, values: Values, after: int, before: int) -> bool:
+        """Look at all negated matches that may share the values."""
         asked = Match(values, after, before, None, None, ())
-        key = self.asked.key_of(asked)
-        ever = self.ever
         condition = self.condition
-        for match in place.candidates(key):
-            if match.end < before and (ever or after < match.start):
-                if (key is None or match.bucket.key is None) and unify_sides(
-                    match, asked, self.shared
-                ) is None:
+        for match in self.place.candidates(key):
+            if match.end < before and (self.ever or after < match.start):
+                if (key is None or match.bucket.key is None) and unify_sides(match, asked, self.shared) is None:
                     continue
                 if condition is None or condition(values, match):
                     self.rule.network.tracker.blocker = match

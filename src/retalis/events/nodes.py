@@ -168,7 +168,7 @@ class Acting(Node):
                 return after
 
             def solved(values: Any, then: Frame) -> Frame:
-                parts = (match,)
+                parts = (match, Found(values[known:]))
                 return out(Match(values, match.start, match.end, match.event, None, parts), then)
 
             return act(match, solved, after)
