@@ -182,7 +182,7 @@ PIECES = st.sampled_from(
 )
 
 
-@settings(max_examples=2000, deadline=None)
+@settings(max_examples=700, deadline=None)
 @given(st.lists(st.one_of(PIECES, st.just(" ")), max_size=25).map("".join) | st.text(max_size=30))
 def test_any_text_reads_or_is_a_syntax_fault(text):
     for entry in read_program(text, OPERATORS):

@@ -162,7 +162,7 @@ def test_deep_nesting():
     assert to_text(reader.read(text)) == text
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=150, deadline=None)
 @given(st.lists(terms, min_size=1, max_size=3))
 def test_written_terms(found):
     reader = EventReader()

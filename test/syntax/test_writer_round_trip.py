@@ -25,7 +25,7 @@ def _table(entries):
     return operators
 
 
-@settings(max_examples=1500, deadline=None)
+@settings(max_examples=500, deadline=None)
 @given(terms, operator_tables())
 def test_write_then_read(term, operators):
     for text in (
