@@ -29,8 +29,10 @@ class Report(logging.Handler):
         print(f"{record.levelname.lower()}: {self.format(record)}", file=sys.stderr)
 
     def listen(self) -> "Report":
-        """Report what the package logs from now on."""
+        """Report what the package logs from now on, in place of an earlier report."""
         logger = logging.getLogger("retalis")
+        for handler in [one for one in logger.handlers if isinstance(one, Report)]:
+            logger.removeHandler(handler)
         logger.addHandler(self)
         logger.propagate = False
         return self

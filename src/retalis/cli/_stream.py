@@ -1,30 +1,60 @@
 """Streams of terms: events and goals, one after the other, from a file or a pipe."""
 
-from typing import IO, Iterator, Union
+from typing import IO, Iterator, NamedTuple, Optional, Sequence, Union
 
-from ..errors import SyntaxFault
-from ..syntax import Operators, ReadTerm, read_program
+from ..errors import Place, SyntaxFault
+from ..syntax import EventReader, Operators, ReadTerm, read_program
+from ..terms import Term
 
-Read = Union[ReadTerm, SyntaxFault]
+
+class ReadLine(NamedTuple):
+    """A term that was a line of its own, and the place of that."""
+
+    term: Term
+    place: Place
+
+
+Read = Union[ReadTerm, ReadLine, SyntaxFault]
 
 
 def read_stream(file: IO[str], operators: Operators, source: str) -> Iterator[Read]:
     """Yield the terms of a stream as soon as their lines have come, and a `SyntaxFault` for each error."""
     held = ""
     first = 1
+    reader = EventReader(operators)
     for line, text in enumerate(file, 1):
+        if not held and text.startswith("event("):
+            event = _event(reader, text.rstrip(), Place(source, line, 1, text.rstrip("\n")))
+            if event is not None:
+                yield event
+                first = line + 1
+                continue
         held += text
         if "." not in text:
             continue
         found = list(read_program(held, operators, source, first_line=first))
-        if not found or not _is_unfinished(found[-1], held, line):
+        if not found or not _is_unfinished(found, held, line):
             yield from found
             held, first = "", line + 1
     yield from read_program(held, operators, source, first_line=first)
 
 
-def _is_unfinished(last: Read, text: str, line: int) -> bool:
+def _event(reader: EventReader, text: str, place: Place) -> Optional[ReadLine]:
+    """Return the event of a line that holds nothing else: the usual case, and much faster than the full reader."""
+    if not text.endswith(")."):
+        return None
+    try:
+        return ReadLine(reader.read(text[:-1]), place)
+    except SyntaxFault:  # several terms, or an error: the full reader tells
+        return None
+
+
+def _is_unfinished(found: Sequence[Read], text: str, line: int) -> bool:
     """Tell whether the last clause was cut off by the end of the text, and may go on in the next line."""
+    for one in found:
+        if isinstance(one, SyntaxFault) and one.message.startswith("this comment is never closed"):
+            return True
+    last = found[-1]
     if not isinstance(last, SyntaxFault) or last.place is None or text.rstrip().endswith("."):
         return False
     return last.place.line >= line

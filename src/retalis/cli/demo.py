@@ -40,7 +40,10 @@ def run(options: argparse.Namespace) -> int:
         if bag is None:
             bag = Path(temporary) / "nao.bag"
             importlib.import_module("make_bag").make_bag(bag, options.seconds, options.seed)
-        truth = truth_module.load(bag)
+        try:
+            truth = truth_module.load(bag)
+        except OSError as error:
+            raise UsageError(f"cannot read {error.filename}, which make_bag.py writes beside a bag") from error
         located = locate(bag, folder.parent.parent / "application_source", report)
     comparisons = truth_module.compare(truth, located)
     print(truth_module.table(comparisons))

@@ -13,8 +13,9 @@ from .._inputs import event_of
 from ..clock import StreamClock
 from ..engine import Engine
 from ..errors import ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
+from ..explain import Explanation, Line, explain, prepare
 from ..program import read_text
-from ..syntax import Operators, ReadTerm, read_term, write_term
+from ..syntax import Operators, read_term, write_term
 from ..terms import Term, Var, atom, deref, functor, rebuild, variables
 from ._report import Report
 from ._stream import read_stream
@@ -29,14 +30,27 @@ MEMORY_EVENTS = frozenset(
 DESCRIPTION = """\
 Call the goals, load the rules, feed the stream, and print each event in the order in which it happened, as
 event(TERM,[T1,T2]). The stream is Prolog terms: event(TERM,[T1,T2])., event(TERM)., or any goal. The clock is the
-stream's: the stamp of an event moves it, the goal sleep(Seconds) moves it, alarms go by it.
+stream's: the stamp of an event moves it, the goal sleep(Seconds) moves it, alarms go by it. Errors go to standard
+error with their place; the exit status is 1 if there was one.
+"""
+JSON = """\
+with --json each line is one object; terms are strings that read back:
+  {"event": TERM, "start": T1, "end": T2}           an event
+  {"memory_event": TERM, "start": T1, "end": T2}    with --memory-events
+  {"output": TERM, "topic": TOPIC, "id": ID}        with --outputs, into that file
+  {"query": GOAL, "solutions": [GOAL, ...]}         for each goal of --queries
+  {"explain": TERM, "happened": true or false, "because": [{"text": LINE, "below": [...]}, ...]}
 """
 
 
 def add_parser(commands: Any) -> None:
     """Add the command."""
     parser = commands.add_parser(
-        "events", help="run a program over a stream of events", description=DESCRIPTION
+        "events",
+        help="run a program over a stream of events",
+        description=DESCRIPTION,
+        epilog=JSON,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
     add("--rules", type=Path, action="append", default=[], metavar="FILE", help="event rules and clauses")
@@ -52,7 +66,14 @@ def add_parser(commands: Any) -> None:
     add("--outputs", metavar="FILE", help="write what subscribers get, as output(TERM,TOPIC,ID); - prints it")
     add("--queries", type=Path, metavar="FILE", help="goals whose solutions are printed at the end")
     add("--memory-events", action="store_true", help="print memory events too, as memory_event(TERM,[T1,T2])")
-    add("--explain", metavar="TERM", help="print why such an event happened, or what was missing")
+    add(
+        "--explain",
+        metavar="TERM",
+        action="append",
+        default=[],
+        help="print at the end, in lines that start with %%, why such an event happened or what was missing; a term "
+        "with variables, or event(TERM,[T1,T2])",
+    )
     add("--clock", metavar="TERM", help="pin the clock to an instant: datime(2001,1,1,0,0,0,0) or seconds")
     add("--json", action="store_true", help="print one JSON object a line instead of terms")
     parser.set_defaults(run=run)
@@ -120,6 +141,17 @@ class Printer:
         for solution in found:
             print(f"{text(solution)}.", flush=True)
 
+    def explanation(self, asked: Term, answer: Explanation) -> None:
+        """Print why an event happened, or what was missing."""
+        if self._json:
+            because = [_as_json(line) for line in answer.lines]
+            self._line({"explain": text(asked), "happened": answer.happened, "because": because})
+            return
+        print(f"% {text(asked)} {'happened' if answer.happened else 'did not happen'}")
+        for line in answer.lines:
+            for part in line.indented(1):
+                print(f"% {part}")
+
     def _line(self, content: Dict[str, Any], file: Optional[IO[str]] = None) -> None:
         print(json.dumps(content, ensure_ascii=False), file=file or sys.stdout, flush=True)
 
@@ -136,6 +168,8 @@ class Session:
         self.engine.on_event(printer.event)
         self.engine.on_output(printer.output)
         self.engine.logic.define_control("sleep", 1, self._sleep)
+        if options.explain:
+            prepare(self.engine)
         if options.clock:
             stamp = read_term(options.clock, Operators.prolog(), "--clock").term
             self._clock.pin(timestamps.from_term(stamp))
@@ -163,8 +197,10 @@ class Session:
         try:
             with open(name, encoding="utf-8") as file:
                 self._feed(read_stream(file, operators, name))
-        except (OSError, UnicodeDecodeError) as error:
-            raise UsageError(f"cannot read {name}: {error}") from error
+        except OSError as error:
+            raise UsageError(f"cannot read {name}: {error.strerror}") from error
+        except UnicodeDecodeError as error:
+            raise UsageError(f"cannot read {name}: no UTF-8 text") from error
 
     def _feed(self, stream: Any) -> None:
         for item in stream:
@@ -173,7 +209,7 @@ class Session:
             else:
                 self._try(lambda item=item: self._step(item))
 
-    def _step(self, item: ReadTerm) -> None:
+    def _step(self, item: Any) -> None:
         try:
             self._do(item.term)
         except RetalisError as error:
@@ -198,8 +234,14 @@ class Session:
                     self._report(goal)
                 else:
                     self._try(lambda goal=goal: self._query(goal))
+        for asked in self._options.explain:
+            self._try(lambda asked=asked: self._explain(asked))
 
-    def _query(self, goal: ReadTerm) -> None:
+    def _explain(self, asked: str) -> None:
+        term = read_term(asked, self.engine.logic.operators, "--explain").term
+        self._printer.explanation(term, explain(self.engine, term))
+
+    def _query(self, goal: Any) -> None:
         found: List[Term] = []
         try:
             for answer in self.engine.query(goal.term):
@@ -230,6 +272,10 @@ class Session:
             self._report(error)
             return False
         return True
+
+
+def _as_json(line: Line) -> Dict[str, Any]:
+    return {"text": line.text, "below": [_as_json(one) for one in line.below]}
 
 
 def text(term: Term) -> str:

@@ -1,0 +1,257 @@
+"""How far the pattern of a rule got with the events that happened: for `retalis.explain`.
+
+Patterns are looked at as if no event were ever used up, over the events that were kept: a part with nothing found
+is what was missing.
+"""
+
+from contextlib import closing
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
+
+from . import timestamps
+from .errors import RetalisError
+from .events.operators import OPERATORS
+from .events.pattern import Absent, Action, Aggregate, Condition, Either, Occurs, Pair, Star, Within
+from .syntax import write_term
+from .terms import Term, Var, copy, functor, resolve, undo, unify, variables
+
+_MOST = 200
+"""How many occurrences of a part are looked at, the newest of them."""
+
+_VALUES = functor("values", 0)
+_EQUAL = functor("=", 2)
+_T1, _T2 = functor("t1", 1), functor("t2", 1)
+_WRONG = {
+    "seq": "none of the first ended before one of the second started",
+    "forall_seq": "none of the first ended before one of the second started",
+    "par": "no two of them overlap",
+    "equals": "no two of them have the same interval",
+    "meets": "none of the first ended when one of the second started",
+    "during": "none of the first lies within one of the second",
+    "starts": "none of the first starts with one of the second and ends before it",
+    "finishes": "none of the first ends with one of the second and starts after it",
+}
+
+
+class Found(NamedTuple):
+    """One way in which a part of a pattern was met.
+
+    Attributes:
+        values: the rule's variables, as a compound term.
+        start: where it starts.
+        end: where it ends.
+        event: the occurrence, where it is one single event.
+        gap: end of the first and start of the second side of a sequence.
+    """
+
+    values: Term
+    start: int
+    end: int
+    event: Any = None
+    gap: Optional[Tuple[int, int]] = None
+
+
+_NOWHERE = Found((_VALUES,), 0, 0)
+
+
+class Part(NamedTuple):
+    """A part of a pattern and how far it got.
+
+    Attributes:
+        text: what the part is and what became of it.
+        found: where it was met.
+        parts: the parts of it.
+        event: the event that it waits for, where it is one.
+    """
+
+    text: str
+    found: List[Found]
+    parts: List["Part"]
+    event: Optional[Term] = None
+
+
+class Shortfall:
+    """Looks how far one rule got.
+
+    Args:
+        engine: whose logic calls conditions.
+        kept: the events that happened.
+        rule: the rule; its head is bound to what was asked for.
+    """
+
+    def __init__(self, engine: Any, kept: Sequence[Any], rule: Any):
+        self._engine = engine
+        self._kept = kept
+        own = [var for part in (rule.definition.term, rule.definition.head) for var in variables(part)]
+        self._vars = (_VALUES, *dict.fromkeys(own))
+        self._look: Dict[Any, Callable[[Any], Part]] = {
+            Occurs: self._occurs,
+            Pair: self._pair,
+            Either: self._either,
+            Absent: self._absent,
+            Star: self._star,
+            Aggregate: self._aggregate,
+            Condition: self._condition,
+            Within: self._within,
+            Action: self._action,
+        }
+
+    def of(self, pattern: Any) -> Part:
+        """Return how far a pattern got."""
+        return self._look[type(pattern)](pattern)
+
+    # ---- one method for each kind of pattern -----------------------------------------------------------
+
+    def _occurs(self, pattern: Any) -> Part:
+        found = []
+        for one in self._kept:
+            trail: List[Any] = []
+            if unify(pattern.term, copy(one.term), trail):
+                found.append(Found(copy(self._vars), one.start, one.end, one))
+            undo(trail, 0)
+        event = copy(pattern.term)
+        return Part(f"{self._show(event)}: {self._seen(found, 'did not happen')}", found[-_MOST:], [], event)
+
+    def _pair(self, pattern: Any) -> Part:
+        left, right = self.of(pattern.left), self.of(pattern.right)
+        fits = compile(OPERATORS[pattern.operator].fits, pattern.operator, "eval")
+        operator = OPERATORS[pattern.operator]
+        spans = compile(f"({operator.start}), ({operator.end})", pattern.operator, "eval")
+        agree = False
+        found = []
+        for one in left.found:
+            for two in right.found:
+                values = self._joined(one, two)
+                if values is None or (one.event is not None and one.event is two.event):
+                    continue
+                agree = True
+                names = {"s1": int(one.start), "e1": int(one.end), "s2": int(two.start), "e2": int(two.end)}
+                if eval(fits, {}, names):  # the operator's own definition
+                    start, end = eval(spans, {"s1": one.start, "e1": one.end, "s2": two.start, "e2": two.end})
+                    found.append(Found(values, start, end, None, (one.end, two.start)))
+        reason = "a side of it is missing"
+        if left.found and right.found:
+            reason = (
+                _WRONG.get(pattern.operator, "no two of them fit") if agree else "no two with the same values"
+            )
+        return Part(f"{pattern.operator}: {self._seen(found, reason)}", found[-_MOST:], [left, right])
+
+    def _either(self, pattern: Any) -> Part:
+        parts = [self.of(branch) for branch in pattern.branches]
+        found = [one for part in parts for one in part.found]
+        return Part(f"or: {self._seen(found, 'none of them')}", found, parts)
+
+    def _absent(self, pattern: Any) -> Part:
+        part, negated = self.of(pattern.pattern), self.of(pattern.negated)
+        found = [one for one in part.found if not any(self._blocks(no, one) for no in negated.found)]
+        name = "cnot" if pattern.inside else "cnot or fnot"
+        reason = "ruled out by what must not happen" if part.found else "nothing that could be ruled out"
+        held = found if negated.found else [_NOWHERE]
+        noted = Part(f"must not happen: {negated.text}", held, [])
+        return Part(f"{name}: {self._seen(found, reason)}", found, [part, noted])
+
+    def _blocks(self, negated: Found, one: Found) -> bool:
+        if self._joined(one, negated) is None:
+            return False
+        if one.gap is None:
+            return negated.end < one.start
+        return one.gap[0] < negated.start and negated.end < one.gap[1]
+
+    def _star(self, pattern: Any) -> Part:
+        first, repeated = self.of(pattern.first), self.of(pattern.repeated)
+        found = first.found + self._later(first, repeated)
+        return Part(f"star_times: {self._seen(found, 'it did not begin')}", found, [first, repeated])
+
+    def _aggregate(self, pattern: Any) -> Part:
+        first, collected = self.of(pattern.first), self.of(pattern.collected)
+        found = self._later(first, collected)
+        if pattern.kind in ("count", "sum", "list"):
+            found = first.found + found
+        reason = "nothing was collected" if first.found else "it did not begin"
+        return Part(f"{pattern.kind}: {self._seen(found, reason)}", found, [first, collected])
+
+    def _later(self, first: Part, second: Part) -> List[Found]:
+        return [
+            Found(one.values, one.start, two.end)
+            for one in first.found
+            for two in second.found
+            if one.end < two.start and self._joined(one, two) is not None
+        ][-_MOST:]
+
+    def _condition(self, pattern: Any) -> Part:
+        part = self.of(pattern.pattern)
+        found = []
+        problem = ""
+        for one in part.found:
+            goal = _timed(pattern.goal, one) if pattern.timed else pattern.goal
+            try:
+                values = self._solved(goal, one)
+            except RetalisError as error:
+                problem = f", {error.message}"
+                continue
+            if values is not None:
+                found.append(one._replace(values=values))
+        reason = f"false for all{problem}" if part.found else "not asked"
+        name = "check" if pattern.timed else "where"
+        return Part(f"{name} {self._show(pattern.goal)}: {self._seen(found, reason)}", found, [part])
+
+    def _within(self, pattern: Any) -> Part:
+        part = self.of(pattern.pattern)
+        found = [one for one in part.found if one.end - one.start <= pattern.span]
+        seconds = timestamps.to_seconds(pattern.span + 1)
+        reason = "all took longer" if part.found else "not asked"
+        return Part(f"within {seconds:g}: {self._seen(found, reason)}", found, [part])
+
+    def _action(self, pattern: Any) -> Part:
+        part = self.of(pattern.pattern)
+        name = "event_multiply" if pattern.every else "do"
+        return Part(f"{name} {self._show(pattern.goal)}", part.found, [part])
+
+    # ---- values ----------------------------------------------------------------------------------------
+
+    def _joined(self, one: Found, two: Found) -> Optional[Term]:
+        trail: List[Any] = []
+        values = copy(one.values)
+        result = copy(values) if unify(values, copy(two.values), trail) else None
+        undo(trail, 0)
+        return result
+
+    def _solved(self, goal: Term, one: Found) -> Optional[Term]:
+        """Return the values with those of the first solution of a goal, or None."""
+        trail: List[Any] = []
+        try:
+            if unify(self._vars, copy(one.values), trail):
+                with closing(self._engine.logic.solutions(goal)) as solutions:
+                    for _ in solutions:
+                        return copy(self._vars)
+            return None
+        finally:
+            undo(trail, 0)
+
+    # ---- text ------------------------------------------------------------------------------------------
+
+    def _seen(self, found: List[Found], reason: str) -> str:
+        if not found:
+            return reason
+        shown = ", ".join(self._time(one) for one in found[-3:])
+        return shown if len(found) <= 3 else f"{len(found)} times, the last ones {shown}"
+
+    def _time(self, one: Found) -> str:
+        return self._show(timestamps.interval_term(one.start, one.end))
+
+    def _show(self, term: Term) -> str:
+        term = resolve(term)
+        names: Dict[Var, str] = {
+            var: f"{chr(65 + at % 26)}{at // 26 or ''}" for at, var in enumerate(variables(term))
+        }
+        return write_term(term, self._engine.logic.operators, quoted=True, variable_names=names)
+
+
+def _timed(goal: Term, one: Found) -> Term:
+    """Return a goal with ``t1(S)`` and ``t2(E)`` replaced by what they are."""
+    if goal.__class__ is not tuple:
+        return goal
+    if goal[0] is _T1:
+        return (_EQUAL, goal[1], timestamps.to_term(one.start))
+    if goal[0] is _T2:
+        return (_EQUAL, goal[1], timestamps.to_term(one.end))
+    return (goal[0], *[_timed(argument, one) for argument in goal[1:]])

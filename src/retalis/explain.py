@@ -1,0 +1,191 @@
+"""Why an event happened, or what was missing for it: trees of rules and events, to be read by people."""
+
+from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple
+
+from . import timestamps
+from ._shortfall import Part, Shortfall
+from .engine import Engine
+from .errors import UsageError
+from .syntax import write_term
+from .terms import Term, Var, atom, copy, deref, functor, list_items, undo, unify, variables
+
+EVENT = functor("event", 2)
+_SHOWN = 10
+_DEEPEST = 50
+
+
+class Line(NamedTuple):
+    """A line of an explanation, and the lines that belong below it."""
+
+    text: str
+    below: List["Line"]
+
+    def indented(self, depth: int = 0) -> Iterator[str]:
+        """Yield the line and all below it as text, two blanks more for each level."""
+        yield "  " * depth + self.text
+        for line in self.below:
+            yield from line.indented(depth + 1)
+
+
+class Explanation(NamedTuple):
+    """The answer to the question why.
+
+    Attributes:
+        happened: whether the event happened.
+        lines: why it did, one tree for each time; or what was missing, one for each rule that could have fired.
+    """
+
+    happened: bool
+    lines: List[Line]
+
+
+def prepare(engine: Engine) -> None:
+    """Have an engine keep what events come from; to be called before anything is loaded."""
+    engine.rules.flags.set("etalis_justification", atom("on"))
+
+
+def explain(engine: Engine, asked: Term) -> Explanation:
+    """Say why an event happened, or what was missing.
+
+    Args:
+        engine: has run with its flag ``etalis_justification`` on (`prepare`).
+        asked: the event, as far as it is known; or ``event(TERM,[T1,T2])`` to ask for an interval too.
+
+    Raises:
+        UsageError: where it is no event.
+    """
+    return engine.do(lambda: _Explainer(engine).explain(asked))  # type: ignore[no-any-return]
+
+
+class _Explainer:
+    def __init__(self, engine: Engine):
+        self._engine = engine
+        self._kept = engine.rules.tracker.all()
+        self._shown: Set[int] = set()
+
+    def explain(self, asked: Term) -> Explanation:
+        term, interval = _asked(asked)
+        found = [one for one in self._kept if _is_instance(one.term, term)]
+        if interval is not None:
+            found = [one for one in found if _is_interval(one, interval)]
+        if not found:
+            return Explanation(False, self._missing(term, interval, ()))
+        lines = [self._because(one, 0) for one in found[:_SHOWN]]
+        if len(found) > _SHOWN:
+            lines.append(Line(f"and {len(found) - _SHOWN} more times", []))
+        return Explanation(True, lines)
+
+    def _because(self, one: Any, depth: int) -> Line:
+        """Return why an event happened; what was said before is not said again."""
+        text = self._event(one)
+        if one.rule is None and one.match is None:
+            return Line(f"{text} came from outside", [])
+        if id(one) in self._shown or depth > _DEEPEST:
+            return Line(f"{text}, see above" if depth <= _DEEPEST else f"{text} ...", [])
+        self._shown.add(id(one))
+        sources = [self._because(source, depth + 1) for source in one.sources()]
+        if one.rule is None:
+            return Line(f"{text} was made by a goal", sources)
+        return Line(f"{text} by {self._rule(one.rule)}", sources)
+
+    def _missing(self, term: Term, interval: Optional[Tuple[int, int]], above: Tuple[Any, ...]) -> List[Line]:
+        """Return what was missing for each rule that could have fired the event."""
+        lines = []
+        for rule in self._engine.rules.rules:
+            head = rule.definition.head
+            if head is None or rule in above:
+                continue
+            trail: List[Any] = []
+            if unify(_fired(head), copy(term), trail):
+                shortfall = Shortfall(self._engine, self._kept, rule)
+                part = shortfall.of(rule.definition.pattern)
+                lines.append(Line(self._rule(rule), [self._part(part, (*above, rule))]))
+                if part.found:
+                    lines[-1].below.append(Line(self._why_not(part, interval), []))
+            undo(trail, 0)
+        if not lines and not above:
+            lines.append(Line("no rule has such a head, and no such event came from outside", []))
+        if not above:
+            lines += self._alike(term)
+        return lines
+
+    def _part(self, part: Part, above: Tuple[Any, ...]) -> Line:
+        below = [self._part(one, above) for one in part.parts]
+        if part.event is not None and not part.found:
+            below += self._missing(part.event, None, above)
+        return Line(f"{'+' if part.found else '-'} {part.text}", below)
+
+    def _why_not(self, part: Part, interval: Optional[Tuple[int, int]]) -> str:
+        if interval is not None and not any((one.start, one.end) == interval for one in part.found):
+            return "- but nowhere with that interval"
+        return (
+            "- but all of it was used up by other matches, came in another order, had ended its window, or a "
+            "goal after do failed"
+        )
+
+    def _alike(self, term: Term) -> List[Line]:
+        """Return events of the same name that did happen."""
+        name = _name(term)
+        found: Dict[str, None] = {}
+        for one in self._kept:
+            if _name(one.term) == name:
+                found.setdefault(self._event(one))
+        if not found:
+            return []
+        shown = list(found)[-_SHOWN:]
+        return [Line(f"of this name there were {len(found)}", [Line(text, []) for text in shown])]
+
+    def _rule(self, rule: Any) -> str:
+        place = "" if rule.place is None else f" ({rule.place.source}:{rule.place.line})"
+        label = "" if rule.label is None else f"{show(self._engine, rule.label)}: "
+        return f"rule {label}{show(self._engine, rule.definition.term)}{place}"
+
+    def _event(self, one: Any) -> str:
+        interval = timestamps.interval_term(one.start, one.end)
+        return f"{show(self._engine, one.term)} {show(self._engine, interval)}"
+
+
+def show(engine: Engine, term: Term) -> str:
+    """Return a term as text with variables A, B, ..."""
+    names = {
+        var: chr(65 + at % 26) + (str(at // 26) if at >= 26 else "") for at, var in enumerate(variables(term))
+    }
+    return write_term(term, engine.logic.operators, quoted=True, variable_names=names)
+
+
+def _asked(asked: Term) -> Tuple[Term, Optional[Tuple[int, int]]]:
+    asked = deref(asked)
+    if asked.__class__ is tuple and asked[0] is EVENT:
+        stamps = list_items(asked[2])
+        if stamps is not None and len(stamps) == 2:
+            return deref(asked[1]), (timestamps.from_term(stamps[0]), timestamps.from_term(stamps[1]))
+        raise UsageError("expected event(TERM,[T1,T2])")
+    if asked.__class__ is Var:
+        raise UsageError("expected an event to explain, not a variable")
+    return asked, None
+
+
+def _fired(head: Term) -> Term:
+    """Return the event that a head fires: an alarm's is its first argument."""
+    if head.__class__ is tuple and head[0] in _ALARMS:
+        return head[1]
+    return head
+
+
+_ALARMS = frozenset((functor("exceptionAlarm", 2), functor("exceptionAlarmAbsoluteDatime", 2)))
+
+
+def _is_instance(term: Term, pattern: Term) -> bool:
+    trail: List[Any] = []
+    fits = unify(copy(term), copy(pattern), trail)
+    undo(trail, 0)
+    return fits
+
+
+def _is_interval(one: Any, interval: Tuple[int, int]) -> bool:
+    return bool((one.start, one.end) == interval)
+
+
+def _name(term: Term) -> str:
+    term = deref(term)
+    return str(term[0].name if term.__class__ is tuple else term.name)
