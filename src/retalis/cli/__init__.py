@@ -5,9 +5,9 @@ import sys
 from typing import List, Optional
 
 from ..errors import RetalisError
-from . import bag, demo, events
+from . import bag, console, demo, events
 
-COMMANDS = (bag, demo, events)
+COMMANDS = (bag, console, demo, events)
 
 
 def main(arguments: Optional[List[str]] = None) -> int:

@@ -43,7 +43,9 @@ def run(options: argparse.Namespace) -> int:
         try:
             truth = truth_module.load(bag)
         except OSError as error:
-            raise UsageError(f"cannot read {error.filename}, which make_bag.py writes beside a bag") from error
+            raise UsageError(
+                f"cannot read {error.filename}, which make_bag.py writes beside a bag"
+            ) from error
         located = locate(bag, folder.parent.parent / "application_source", report)
     comparisons = truth_module.compare(truth, located)
     print(truth_module.table(comparisons))

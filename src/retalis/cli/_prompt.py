@@ -1,0 +1,153 @@
+"""Where a top level reads: a terminal with history and completion, or a pipe."""
+
+import atexit
+import re
+import sys
+from pathlib import Path
+from typing import IO, Callable, Iterable, List, Optional, Union
+
+from ..errors import SyntaxFault
+from ..logic import Logic
+from ..syntax import ReadFlags, ReadTerm, read_program
+
+HISTORY = Path.home() / ".retalis_history"
+
+_WORD = re.compile(r"[a-z]\w*\Z")
+
+Read = Union[ReadTerm, SyntaxFault]
+
+
+class Lines:
+    """Lines of a pipe or a file."""
+
+    is_terminal = False
+
+    def __init__(self, file: IO[str]):
+        self._file = file
+
+    def line(self, prompt: str) -> Optional[str]:
+        """Return the next line, or None at the end."""
+        return self._file.readline() or None
+
+    def wants_more(self) -> bool:
+        """Tell whether another solution is wanted: in a pipe all are."""
+        return True
+
+
+class Terminal:
+    """Lines of a terminal, edited with readline where Python has it."""
+
+    is_terminal = True
+
+    def __init__(self, names: Callable[[], Iterable[str]]):
+        self._names = names
+        self._found: List[str] = []
+        self._set_up()
+
+    def _set_up(self) -> None:
+        try:
+            import readline
+        except ImportError:  # a Python without it: plain lines
+            return
+        readline.set_completer(self._complete)
+        readline.set_completer_delims(" \t\n()[]{}|,;:.!&'\"`+-*/\\<>=")
+        readline.parse_and_bind("tab: complete")
+        try:
+            readline.read_history_file(str(HISTORY))
+        except OSError:  # none yet
+            pass
+        readline.set_history_length(2000)
+        atexit.register(_save_history)
+
+    def _complete(self, text: str, number: int) -> Optional[str]:
+        if number == 0:
+            self._found = completions(text, self._names())
+        return self._found[number] if number < len(self._found) else None
+
+    def line(self, prompt: str) -> Optional[str]:
+        """Return the next line, or None at the end (ctrl-D)."""
+        try:
+            return input(prompt) + "\n"
+        except EOFError:
+            print()
+            return None
+
+    def wants_more(self) -> bool:
+        """Wait for a key: ``;``, blank, tab or ``n`` ask for another solution, others do not."""
+        while True:
+            key = _key()
+            if key in ("h", "?"):
+                print("\n; or blank: more solutions, return or . : enough")
+            else:
+                return key in (";", " ", "\t", "n", "r")
+
+
+def _save_history() -> None:
+    import readline
+
+    try:
+        readline.write_history_file(str(HISTORY))
+    except OSError as error:
+        print(f"% the history is not kept: {error.strerror}", file=sys.stderr)
+
+
+def _key() -> str:
+    """Return the key that is pressed next."""
+    try:
+        import termios
+        import tty
+    except ImportError:  # no such terminals: a line
+        return input()[:1]
+    stdin = sys.stdin.fileno()
+    before = termios.tcgetattr(stdin)
+    try:
+        tty.setcbreak(stdin, termios.TCSADRAIN)  # keeps what was typed ahead
+        sys.stdout.flush()
+        return sys.stdin.read(1)
+    finally:
+        termios.tcsetattr(stdin, termios.TCSADRAIN, before)
+
+
+def completions(text: str, names: Iterable[str]) -> List[str]:
+    """Return the names that a text may become."""
+    if not _WORD.match(text):
+        return []
+    return sorted({name for name in names if name.startswith(text) and re.match(r"[a-z]\w*\Z", name)})
+
+
+def read_clause(lines: Union[Lines, Terminal], logic: Logic, prompt: str) -> Optional[Read]:
+    """Return the next term that is typed or piped, a `SyntaxFault`, or None at the end.
+
+    It ends with the line that holds its full stop; what follows in that line is left out.
+    """
+    held = ""
+    while True:
+        line = lines.line("|    " if held.strip() else prompt)
+        if line is None:
+            return next(iter(read_program(held, logic.operators, "user", _flags(logic))), None)
+        held += line
+        if "." not in line:
+            if not held.strip():
+                held = ""
+            continue
+        found = next(iter(read_program(held, logic.operators, "user", _flags(logic))), None)
+        if found is None:  # comments only
+            held = ""
+        elif not _goes_on(found, held):
+            return found
+
+
+def _goes_on(found: Read, text: str) -> bool:
+    """Tell whether a term was cut off by the end of the text."""
+    if not isinstance(found, SyntaxFault) or text.rstrip().endswith("."):
+        return False
+    return found.place is None or found.place.line > text.rstrip("\n").count("\n")
+
+
+def _flags(logic: Logic) -> ReadFlags:
+    flags = logic.flags
+    return ReadFlags(
+        double_quotes=flags["double_quotes"].name,
+        back_quotes=flags["back_quotes"].name,
+        iso=flags["iso"].name == "true",
+    )

@@ -1,0 +1,267 @@
+"""``console``: a top level as Prolog systems have it."""
+
+import argparse
+import sys
+import time
+from contextlib import closing, nullcontext
+from io import StringIO
+from pathlib import Path
+from typing import Any, Dict, List, Optional, Union, cast
+
+from .._inputs import event_of
+from ..clock import Clock
+from ..engine import Engine, Settings
+from ..errors import ProgramErrors, RetalisError, RuleError, SyntaxFault
+from ..logic import Limits
+from ..program import read_text
+from ..syntax import ReadTerm
+from ..terms import NIL, Atom, String, Term, Var, deref, functor, list_items
+from ._answers import bindings
+from ._prompt import Lines, Terminal, read_clause
+from ._report import Report
+from ._trace import Tracer
+
+_QUERY = frozenset((functor("?-", 1), functor(":-", 1)))
+_COMMA = functor(",", 2)
+_TRACE = functor("trace", 1)
+_CONSULT = functor("consult", 1)
+_LEAVE = ("halt", "end_of_file")
+
+DESCRIPTION = """\
+Load files and ask goals. Files hold event rules, clauses and directives; a folder is a program with
+goalPredicates.txt. A goal ends with a full stop; ";" asks for another solution, return for none. [FILE]. loads a file, [user]. reads
+clauses that are typed, trace(GOAL). (or trace, GOAL.) shows a goal's ports, ctrl-C ends a goal, halt. or ctrl-D the
+console. From a pipe, goals are read one after the other and all their solutions are printed.
+"""
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command."""
+    parser = commands.add_parser(
+        "console", help="ask goals, as at a Prolog top level", description=DESCRIPTION
+    )
+    add = parser.add_argument
+    add(
+        "files",
+        nargs="*",
+        type=Path,
+        metavar="FILE",
+        help="files of rules and clauses, or a program's folder",
+    )
+    add("--goal", "-g", action="append", default=[], metavar="GOAL", help="ask this and then end")
+    add("--seconds", type=float, help="seconds that a goal may take")
+    add("--inferences", type=int, help="inferences that a goal may make")
+    add("--most", type=int, default=1000, help="solutions shown of a goal that comes from a pipe (1000)")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command; from a pipe the status is 1 if there was an error."""
+    report = Report().listen()
+    limits = Limits(seconds=options.seconds, inferences=options.inferences)
+    console = Console(report, Settings(limits=limits), options.most)
+    for path in options.files:
+        console.load(path)
+    if options.goal:
+        for goal in options.goal:
+            console.goals(Lines(StringIO(goal if goal.rstrip().endswith(".") else f"{goal} .\n")))
+        return 1 if report.errors else 0
+    if sys.stdin.isatty():
+        console.goals(Terminal(console.names))
+        return 0
+    console.goals(Lines(sys.stdin))
+    return 1 if report.errors else 0
+
+
+class Console:
+    """A top level over an engine.
+
+    Args:
+        report: takes errors.
+        settings: of the engine.
+        most: solutions shown where nobody is there to ask for more.
+    """
+
+    def __init__(self, report: Report, settings: Optional[Settings] = None, most: int = 1000):
+        self.engine = Engine(Clock(time.time_ns), settings)
+        self.engine.rules.warn_singletons = True
+        self.engine.on_output(self._output)
+        self.logic = self.engine.logic
+        self._report = report
+        self._most = most
+        self._tracing = False
+        self._lines: Union[Lines, Terminal] = Lines(sys.stdin)
+
+    def names(self) -> List[str]:
+        """Return the names of all predicates, for completion."""
+        return [key.name for key in self.logic.names()]
+
+    def load(self, path: Path) -> bool:
+        """Load a file, or the program in a folder; report what is wrong. Return whether it was loaded."""
+        try:
+            if path.is_dir():
+                self.engine.load_program(path)
+            else:
+                self.engine.load_rules(read_text(_found(path)), str(path), path.parent)
+        except ProgramErrors as errors:
+            for error in errors.errors:
+                self._report(error)
+            return False
+        except RetalisError as error:
+            self._report(error)
+            return False
+        return True
+
+    def goals(self, lines: Union[Lines, Terminal]) -> None:
+        """Read goals and answer them until the end of the input or ``halt``."""
+        self._lines = lines
+        while True:
+            try:
+                read = read_clause(lines, self.logic, "?- ")
+                if read is None:
+                    return
+                if isinstance(read, SyntaxFault):
+                    self._report(read)
+                elif not self._goal(read):
+                    return
+            except KeyboardInterrupt:
+                print("\n% interrupted", flush=True)
+
+    def _goal(self, read: ReadTerm) -> bool:
+        """Answer a goal; False where it ends the console."""
+        goal = deref(read.term)
+        if goal.__class__ is tuple and goal[0] in _QUERY:
+            goal = deref(goal[1])
+        if goal.__class__ is Atom and goal.name in _LEAVE:
+            return False
+        self.engine.advance()
+        if self._is_command(goal) or self._is_event(goal):
+            return True
+        traced = self._tracing
+        if goal.__class__ is tuple and goal[0] is _TRACE:
+            goal, traced = deref(goal[1]), True
+        elif goal.__class__ is tuple and goal[0] is _COMMA and _is_atom(goal[1], "trace"):
+            goal, traced = deref(goal[2]), True
+        self.engine.do(lambda: self._answer(goal, read, traced))
+        return True
+
+    def _is_command(self, goal: Term) -> bool:
+        """Do what is for the console itself: lists of files, consult, trace and notrace."""
+        if goal.__class__ is Atom and goal.name in ("trace", "notrace", "nodebug"):
+            self._tracing = goal.name == "trace"
+            print("true.")
+            return True
+        files: Optional[List[Term]] = None
+        if goal.__class__ is tuple and goal is not NIL:
+            files = list_items(goal)
+            if files is None and goal[0] is _CONSULT:
+                files = list_items(goal[1]) or [deref(goal[1])]
+        names = [_text(name) for name in files] if files else []
+        if not names or None in names:
+            return False
+        loaded = [self._user() if name == "user" else self.load(Path(cast(str, name))) for name in names]
+        print("true." if all(loaded) else "false.")
+        return True
+
+    def _is_event(self, goal: Term) -> bool:
+        """Take ``event(E)`` and ``event(E,[T1,T2])`` as nodes do."""
+        try:
+            made = event_of(goal) if goal.__class__ is tuple and goal[0].name == "event" else None
+            if made is None:
+                return False
+            self.engine.event_at(*made)
+            print("true.")
+        except RetalisError as error:
+            self._report(error)
+        return True
+
+    def _user(self) -> bool:
+        """Read clauses up to the end of the input or ``end_of_file``, and add them."""
+        while True:
+            read = read_clause(self._lines, self.logic, "|: ")
+            if read is None or (not isinstance(read, SyntaxFault) and _is_atom(read.term, "end_of_file")):
+                return True
+            if isinstance(read, SyntaxFault):
+                self._report(read)
+                continue
+            try:
+                if read.singletons:
+                    self._warn(f"singleton variables: {', '.join(read.singletons)}", read)
+                self.engine.do(lambda: self.engine.rules.load_terms([(read.term, read.place)]))  # noqa: B023
+            except ProgramErrors as errors:
+                for error in errors.errors:
+                    self._report(error)
+            except RetalisError as error:
+                self._report(error)
+
+    def _warn(self, text: str, read: ReadTerm) -> None:
+        print(f"warning: {RuleError(text, read.place)}", file=sys.stderr)
+
+    def _answer(self, goal: Term, read: ReadTerm, traced: bool) -> None:
+        logic = self.logic
+        outputs = logic.output, logic.error_output
+        tracer = Tracer(logic, lambda line: print(line, file=sys.stderr))
+        try:
+            with tracer.on() if traced else nullcontext():
+                self._solutions(goal, read.names)
+        except RetalisError as error:
+            self._fresh_line()
+            self._report(error if error.place else RuleError(error.message))
+        finally:
+            logic.output, logic.error_output = outputs  # where it was interrupted inside with_output_to
+            sys.stdout.flush()
+
+    def _solutions(self, goal: Term, names: Dict[str, Var]) -> None:
+        choices = self.logic.machine.choices
+        height = len(choices) + 1
+        shown = 0
+        with closing(cast(Any, self.logic.solutions(goal))) as solutions:
+            for _ in solutions:
+                self._fresh_line()
+                text = bindings(names, self.logic.operators) or "true"
+                print(text, end="", flush=True)
+                shown += 1
+                if len(choices) == height:  # there is surely no other
+                    print(".")
+                    return
+                if shown == self._most and not self._lines.is_terminal:
+                    print(" .\n% there may be more (see --most)")
+                    return
+                if not self._lines.wants_more():
+                    print(" .")
+                    return
+                print(" ;", flush=True)
+                self.logic.column = 0
+        self._fresh_line()
+        print("false.")
+
+    def _fresh_line(self) -> None:
+        """Begin a new line if the goal left one unfinished."""
+        if self.logic.column:
+            print()
+            self.logic.column = 0
+
+    def _output(self, term: Term, topic: str, name: Term) -> None:
+        print(f"% {topic}: {self.engine.show(term)}", flush=True)
+
+
+def _is_atom(term: Term, name: str) -> bool:
+    term = deref(term)
+    return term.__class__ is Atom and term.name == name
+
+
+def _text(term: Term) -> Optional[str]:
+    term = deref(term)
+    if term.__class__ is Atom:
+        return str(term.name)
+    return str(term.text) if term.__class__ is String else None
+
+
+def _found(path: Path) -> Path:
+    """Return a path, with the usual ending where the file has it."""
+    if not path.exists():
+        for ending in (".pl", ".event", ".txt"):
+            longer = path.with_name(path.name + ending)
+            if longer.exists():
+                return longer
+    return path

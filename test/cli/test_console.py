@@ -1,0 +1,249 @@
+"""The console: answers, errors, files, tracing; from a pipe and at a terminal."""
+
+import io
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from retalis.cli._answers import bindings
+from retalis.cli._prompt import Lines, completions
+from retalis.cli._report import Report
+from retalis.cli.console import Console
+from retalis.syntax import Operators, read_term
+
+SOURCE = Path(__file__).resolve().parents[2] / "src"
+
+
+@pytest.fixture
+def ask(capsys):
+    """Return a function that pipes text into a console and returns what it printed: output and errors."""
+
+    def ask(text, console=None):
+        console = Console(Report()) if console is None else console
+        console.goals(Lines(io.StringIO(text)))
+        return capsys.readouterr()
+
+    return ask
+
+
+@pytest.mark.parametrize(
+    ("goal", "answer"),
+    [
+        ("true.", "true.\n"),
+        ("fail.", "false.\n"),
+        ("X = 1.", "X = 1.\n"),
+        ("?- X = 1.", "X = 1.\n"),
+        ("X = 1, Y = b.", "X = 1,\nY = b.\n"),
+        ("member(X, [1,2]).", "X = 1 ;\nX = 2.\n"),
+        ("(X = 1 ; X = 2 ; fail).", "X = 1 ;\nX = 2 ;\nfalse.\n"),
+        ("X = 1, Y = 1.", "X = Y, Y = 1.\n"),
+        ("X = Y.", "X = Y.\n"),
+        ("X = f(A, B, _, _), Y = X.", "X = Y, Y = f(A, B, _, _).\n"),
+        ("length(L, 2).", "L = [_, _].\n"),
+        ("length(L, 1), M = [L, L].", "L = [_A],\nM = [[_A], [_A]].\n"),
+        ("X = (a :- b, c).", "X = (a:-b, c).\n"),
+        ("X = 'a b', Y = \"s\".", "X = 'a b',\nY = \"s\".\n"),
+        ("_X = 1.", "true.\n"),
+        ("write(a).", "a\ntrue.\n"),
+        ("write(a), nl.", "a\ntrue.\n"),
+        ("X = f(X).", "% the answer is a cyclic term, or too large to be shown.\n"),
+        ("X = 1,\n  Y = 2.", "X = 1,\nY = 2.\n"),
+        ("X = 'a.b'.", "X = 'a.b'.\n"),
+        ("% a comment\nX = 1. % another", "X = 1.\n"),
+        ("halt.\nX = 1.", ""),
+    ],
+)
+def test_answer(ask, goal, answer):
+    found = ask(goal + "\n")
+    assert (found.out, found.err) == (answer, "")
+
+
+def test_error_keeps_the_console(ask):
+    found = ask("atom_length(X, Y).\nthrow(oops).\nX = 2.\n")
+    assert found.out == "X = 2.\n"
+    assert "Arguments are not sufficiently instantiated" in found.err
+    assert "Unhandled exception: oops" in found.err
+
+
+def test_error_after_output_begins_a_line(ask):
+    found = ask("write(a), atom_length(X, Y).\n")
+    assert found.out == "a\n"
+
+
+def test_syntax_error_has_place_and_caret(ask):
+    found = ask("X = .\nX = 1.\n")
+    assert found.out == "X = 1.\n"
+    assert "user:1:5" in found.err
+    assert found.err.splitlines()[-1] == "    ^"
+
+
+def test_undefined_predicate_names_what_was_meant(ask):
+    assert "did you mean atom_length/2" in ask("atom_lenth(a, X).\n").err
+
+
+def test_most(capsys):
+    Console(Report(), most=2).goals(Lines(io.StringIO("repeat.\n")))
+    assert capsys.readouterr().out == "true ;\ntrue .\n% there may be more (see --most)\n"
+
+
+def test_clauses_from_user(ask):
+    found = ask("[user].\np(1).\np(X) :- q(Y).\nend_of_file.\np(X).\n")
+    assert found.out.startswith("true.\nX = 1 ;\n")
+    assert "singleton variables: X, Y" in found.err
+    assert "called from p/1" in found.err
+
+
+def test_files(tmp_path, ask, caplog):
+    path = tmp_path / "facts.pl"
+    path.write_text("p(1).\np(2).\nout(X) <- in(X).\nq(A) :- p(1).\n")
+    found = ask(
+        f"['{path}'].\np(X).\nsubscribe(out(_), [], _, topic, s).\nevent(in(3)).\nconsult('{path}x').\n"
+    )
+    assert "X = 1 ;\nX = 2.\n" in found.out
+    assert "% topic: out(3)" in found.out
+    assert f"{path}:4:1: singleton variables: A" in caplog.text
+    assert "cannot read" in found.err
+
+
+def test_wrong_file_shows_all_errors(tmp_path, capsys):
+    path = tmp_path / "wrong.pl"
+    path.write_text("p(.\nq(1).\nr(]).\n")
+    report = Report()
+    assert not Console(report).load(path)
+    assert report.errors == 2
+    assert "wrong.pl:1:3" in capsys.readouterr().err
+
+
+def test_flags_and_operators_hold_for_the_next_goal(ask):
+    found = ask('op(700, xfx, ===>), set_prolog_flag(double_quotes, codes).\nX = (a ===> b).\nX = "a".\n')
+    assert found.out == "true.\nX = (a===>b).\nX = [97].\n"
+
+
+TRACED = """\
+     Call: (1) p(_, b)
+     Call: (2) q(_)
+     Exit: (2) q(1)
+     Exit: (1) p(1, b)
+     Call: (1) 1>1
+     Fail: (1) 1>1
+     Redo: (1) p(1, b)
+     Redo: (2) q(1)
+     Exit: (2) q(2)
+     Exit: (1) p(2, b)
+     Call: (1) 2>1
+     Exit: (1) 2>1
+"""
+
+
+def test_trace(ask):
+    console = Console(Report())
+    ask("[user].\np(X, b) :- q(X).\nq(1).\nq(2).\nend_of_file.\n", console)
+    found = ask("trace, p(X, b), X > 1.\np(X, b).\n", console)
+    assert found.out == "X = 2.\nX = 1 ;\nX = 2.\n"
+    assert _without_names(found.err) == TRACED
+
+
+def test_trace_of_exceptions_and_meta_calls(ask):
+    found = ask("trace(catch(atom_length(_, _), error(E, _), true)).\n")
+    assert found.out == "E = instantiation_error.\n"
+    ports = [line.split()[0] for line in found.err.splitlines()]
+    assert ports == ["Call:", "Call:", "Exception:", "Exit:"]
+
+
+def test_trace_respects_cuts(ask):
+    console = Console(Report())
+    ask("[user].\np(X) :- q(X), !.\nq(1).\nq(2).\nend_of_file.\n", console)
+    found = ask("trace(p(X)).\ntrace(\\+ p(3)).\ntrace((p(X) -> Y = X ; Y = none)).\n", console)
+    assert found.out == "X = 1.\ntrue.\nX = Y, Y = 1.\n"
+
+
+def test_trace_is_switched(ask):
+    found = ask("trace.\natom(a).\nnotrace.\natom(b).\n")
+    assert found.out == "true.\n" * 4
+    assert found.err == "     Call: (1) atom(a)\n     Exit: (1) atom(a)\n"
+
+
+def _without_names(text):
+    import re
+
+    return re.sub(r"_G\d+", "_", text)
+
+
+def test_completions():
+    names = ["append", "atom_length", "atom_chars", "=..", "Weird"]
+    assert completions("atom", names) == ["atom_chars", "atom_length"]
+    assert completions("", names) == []
+    assert completions("W", names) == []
+
+
+def test_bindings_of_equal_names():
+    read = read_term("f(_A, X)", Operators.prolog())
+    read.names["X"].ref = (read.term[0], read.names["_A"], 1)
+    assert bindings(read.names, Operators.prolog()) == "X = f(_, 1)"
+
+
+def run(arguments, text=""):
+    return subprocess.run(
+        [sys.executable, "-m", "retalis", "console", *arguments],
+        input=text,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        env={**os.environ, "PYTHONPATH": str(SOURCE)},
+    )
+
+
+def test_pipe(tmp_path):
+    path = tmp_path / "facts.pl"
+    path.write_text("p(1).\n")
+    done = run([str(path)], "p(X).\np(.\n")
+    assert (done.returncode, done.stdout) == (1, "X = 1.\n")
+    assert run(["-g", "X = 1"]).stdout == "X = 1.\n"
+    assert "resource" in run(["--inferences", "100000", "-g", "repeat, fail"]).stderr
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs a pseudo-terminal")
+def test_terminal(tmp_path):
+    import pty
+
+    pid, terminal = pty.fork()
+    if pid == 0:
+        environment = {**os.environ, "PYTHONPATH": str(SOURCE), "HOME": str(tmp_path), "TERM": "dumb"}
+        os.execve(sys.executable, [sys.executable, "-m", "retalis", "console"], environment)
+    screen = _Screen(terminal)
+    screen.until("?- ")
+    screen.type("member(X, [1,2,3]).\n")
+    screen.until("X = 1")
+    screen.type(";")
+    screen.until("X = 2")
+    screen.type("\n")
+    screen.until("?- ")
+    screen.type("write(start), repeat, fail.\n")
+    screen.until("fail.")
+    screen.until("start")
+    screen.type("\x03")
+    screen.until("% interrupted")
+    screen.until("?- ")
+    screen.type("atom_len\t(abc, N).\n")
+    screen.until("N = 3.")
+    screen.until("?- ")
+    screen.type("\x04")
+    assert os.waitpid(pid, 0)[1] == 0
+    assert "member(X, [1,2,3])." in (tmp_path / ".retalis_history").read_text()
+
+
+class _Screen:
+    def __init__(self, terminal):
+        self._terminal = terminal
+        self._text = ""
+
+    def type(self, text):
+        os.write(self._terminal, text.encode())
+
+    def until(self, text):
+        while text not in self._text:
+            self._text += os.read(self._terminal, 4096).decode()
+        self._text = self._text.split(text, 1)[1]
