@@ -25,6 +25,13 @@ def of_engine(case, texts=None, goals="", events=None):
     return engine_events(texts, case.goals() + goals, case.stream if events is None else events)
 
 
+def garbage_control(window):
+    return (
+        f"set_etalis_flag(garbage_control,general).\nset_etalis_flag(garbage_window,{window}).\n"
+        "set_etalis_flag(garbage_window_step,1).\n"
+    )
+
+
 @settings(quick, max_examples=500)
 @given(cases())
 def test_oracle(case):
@@ -46,9 +53,7 @@ def test_garbage_control_leaves_what_is_young(case, window):
     assume(defined_for(case.rules) and not case.has_limits())
     rule = case.rules[0]
     assume(not any(isinstance(node, (Cnot, Fnot)) for node in walk(rule.pattern)))
-    flags = f"set_etalis_flag(garbage_control,general).\nset_etalis_flag(garbage_window,{window}).\n"
-    flags += "set_etalis_flag(garbage_window_step,1).\n"
-    steps = engine_steps([case.text()], case.goals() + flags, case.stream)
+    steps = engine_steps([case.text()], case.goals() + garbage_control(window), case.stream)
     most = firings(rule, case.stream, case.out_of_order)
     least = firings(rule, case.stream, case.out_of_order, youngest=window)
     for got, maximum, minimum in zip(steps, most, least):
@@ -62,14 +67,11 @@ def test_garbage_control_leaves_what_is_young(case, window):
     ["a seq b", "a and b", "(a seq c) seq b", "a forall_seq b", "a seq b star_times", "(a or c) seq b"],
 )
 def test_garbage_control_drops_what_is_old(pattern):
-    flags = (
-        "set_etalis_flag(event_consumption_policy,unrestricted).\nset_etalis_flag(garbage_control,general).\n"
-    )
-    flags += "set_etalis_flag(garbage_window,5).\nset_etalis_flag(garbage_window_step,1).\n"
+    policy = "set_etalis_flag(event_consumption_policy,unrestricted).\n"
     events = stream("a@1 c@2 c@9 c@10 c@11 b@12")
     old = ("out", 10**9, 12 * 10**9)
-    assert old in engine_events([f"out <- {pattern}."], flags.split("set_etalis_flag(garbage")[0], events)
-    assert old not in engine_events([f"out <- {pattern}."], flags, events)
+    assert old in engine_events([f"out <- {pattern}."], policy, events)
+    assert old not in engine_events([f"out <- {pattern}."], policy + garbage_control(5), events)
 
 
 @settings(quick, max_examples=150)
@@ -121,8 +123,7 @@ def test_file_split(case):
         "set_etalis_flag(rule_sharing,on).\n",
         "set_etalis_flag(etalis_justification,on).\n",
         "set_etalis_flag(revision_flag,on).\n",
-        "set_etalis_flag(garbage_control,general).\nset_etalis_flag(garbage_window,100000).\n"
-        "set_etalis_flag(garbage_window_step,1).\n",
+        garbage_control(100_000),
     ],
     ids=["sharing", "justification", "revision", "garbage_control"],
 )
