@@ -7,7 +7,7 @@ from sample_terms import shape, terms
 
 from retalis.errors import SyntaxFault
 from retalis.syntax import EventReader, Operators, ReadFlags, read_term, to_text, write_term
-from retalis.terms import atom, list_items
+from retalis.terms import FALSE, TRUE, Var, atom, list_items
 
 OPERATORS = Operators.prolog()
 TF = (
@@ -229,3 +229,10 @@ def test_any_text(text):
     reader = SHARED  # what it learned from other texts must not matter
     for variant in (text, f"e({text})", re.sub(r"\d", "7", text), f"e({text},'x')", text):
         check(variant, reader)
+
+
+def test_the_originals_spelling_of_a_bool_is_read():
+    for _ in range(2):  # by the full reader, then by its shape
+        term = EventReader().read("event(p(True,False,Truth))")
+        assert term[1][1:3] == (TRUE, FALSE)
+        assert term[1][3].__class__ is Var

@@ -10,7 +10,7 @@ closes the operators before it, as far as their arguments allow; at a bracket th
 
 from typing import Any, Dict, List, Optional, Sequence, Tuple
 
-from ..terms import COMMA, CONS, NIL, Term, Var, atom, functor
+from ..terms import COMMA, CONS, FALSE, NIL, TRUE, Term, Var, atom, functor
 from . import faults
 from .operators import CANONICAL_IN_PATTERNS, Operator, Operators
 from .rules import ARROW, GOAL_RIGHT, NO_RULES, PATTERN_ARGUMENTS, Layout
@@ -93,7 +93,8 @@ class Parser:
             return
         if kind == VARIABLE:
             self.at = at + 1
-            self._have(self._variable(value), start)
+            truth = _TRUTHS.get(value) if self.flags.event_text else None
+            self._have(self._variable(value) if truth is None else truth, start)
         elif kind in (NUMBER, TEXT):
             self.at = at + 1
             self._have(value, start)
@@ -434,3 +435,5 @@ class Parser:
 
 
 _SPECIAL_FLOATS = {"inf": float("inf"), "nan": float("nan")}
+_TRUTHS = {"True": TRUE, "False": FALSE}
+"""How other people's nodes, written for the original, write a bool."""

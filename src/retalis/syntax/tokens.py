@@ -30,7 +30,8 @@ class ReadFlags(NamedTuple):
         iso: priorities as ISO 13211-1 has them: arguments at most 999, operators as operands in brackets,
             no special floats.
         event_text: text as events are written on the String topics: ``inf``, ``nan`` and ``-inf`` are
-            floats wherever they stand as arguments, and ``"text"`` is the atom ``'"text"'``.
+            floats wherever they stand as arguments, ``"text"`` is the atom ``'"text"'``, and ``True`` and
+            ``False`` are ``true`` and ``false``.
     """
 
     double_quotes: str = "string"
