@@ -1,0 +1,45 @@
+"""``examples/events``: each folder is run by the command in its README."""
+
+import re
+import shlex
+import shutil
+from pathlib import Path
+
+import pytest
+
+from retalis.cli import main
+from retalis.events.operators import OPERATORS
+from retalis.events.policy import Policy
+
+FOLDER = Path(__file__).resolve().parents[2] / "examples" / "events"
+EXAMPLES = sorted(path.parent for path in FOLDER.glob("*/rules.txt"))
+COMMAND = "    python3 -m retalis "
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.name)
+def test_prints_what_is_expected(example, tmp_path, monkeypatch, capsys):
+    place = tmp_path / example.name
+    shutil.copytree(str(example), str(place))
+    if (place / "outputs.txt").exists():
+        (place / "outputs.txt").unlink()
+    monkeypatch.chdir(place)
+    readme = (example / "README.md").read_text(encoding="utf-8")
+    (command,) = [line for line in readme.splitlines() if line.startswith(COMMAND)]
+    assert main(shlex.split(command)[3:]) == 0
+    shown = capsys.readouterr()
+    assert shown.err == ""
+    assert shown.out == (example / "expected.txt").read_text(encoding="utf-8")
+    if (example / "outputs.txt").exists():
+        assert (place / "outputs.txt").read_text() == (example / "outputs.txt").read_text()
+
+
+def test_every_operator_and_policy_has_one():
+    names = {path.name for path in EXAMPLES}
+    others = "or cnot fnot star_times ntimes aggregate where within check do event_multiply".split()
+    assert {*OPERATORS, *others} <= names
+    assert {f"policy_{policy.value}" for policy in Policy} <= names
+
+
+def test_the_index_names_all():
+    index = (FOLDER / "README.md").read_text(encoding="utf-8")
+    assert set(re.findall(r"\]\((\w+)/README.md\)", index)) == {path.name for path in EXAMPLES}
