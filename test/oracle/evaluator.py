@@ -130,7 +130,7 @@ class RuleState(Repetitions):
             return self.fit(node, p, q, tests, cnot)
 
         if node.kind in EITHER_ORDER:
-            return self._either_order(lefts, rights, p_waiting, q_waiting, fit)
+            return self._either_order(node, lefts, rights, p_waiting, q_waiting, fit)
         return self._in_order(node, lefts, rights, p_waiting, q_waiting, fit)
 
     def _in_order(
@@ -172,6 +172,7 @@ class RuleState(Repetitions):
 
     def _either_order(
         self,
+        node: Both,
         lefts: List[Match],
         rights: List[Match],
         p_waiting: List[Match],
@@ -180,10 +181,11 @@ class RuleState(Repetitions):
     ) -> List[Match]:
         """Take the sides in either order of arrival.
 
-        Composed sides come first, left before right, each completing or waiting; then the event itself where it
-        is a side.
+        Composed operands come first, left before right, each match completing or waiting; then the event itself
+        where it is an operand, or is both sides.
         """
         results: List[Match] = []
+        both = any(p.is_one_event() for p in lefts) and any(q.is_one_event() for q in rights)
 
         def as_left(p: Match) -> bool:
             found = self.complete(q_waiting, lambda q: fit(p, q))
@@ -195,22 +197,25 @@ class RuleState(Repetitions):
             results.extend(found)
             return bool(found)
 
+        def is_last(operand: Pattern, match: Match) -> bool:
+            return match.is_one_event() and (both or isinstance(strip(operand)[0], Leaf))
+
         # Policies: having matched, it does not wait for others, except under unrestricted.
         for p in lefts:
-            if not p.is_one_event() and (not as_left(p) or not self.consuming):
+            if not is_last(node.left, p) and (not as_left(p) or not self.consuming):
                 self._wait(p_waiting, p)
         for q in rights:
-            if not q.is_one_event() and (not as_right(q) or not self.consuming):
+            if not is_last(node.right, q) and (not as_right(q) or not self.consuming):
                 self._wait(q_waiting, q)
         # Policies: an event that fits both sides completes first (once: as the right side, else as the left one),
         # then waits.
-        single_rights = [(q, as_right(q)) for q in rights if q.is_one_event()]
-        completed = self.consuming and any(matched for _, matched in single_rights)
-        single_lefts = [(p, not completed and as_left(p)) for p in lefts if p.is_one_event()]
-        for q, matched in single_rights:
+        last_rights = [(q, as_right(q)) for q in rights if is_last(node.right, q)]
+        completed = self.consuming and any(matched for _, matched in last_rights)
+        last_lefts = [(p, not completed and as_left(p)) for p in lefts if is_last(node.left, p)]
+        for q, matched in last_rights:
             if not matched or not self.consuming:
                 self._wait(q_waiting, q)
-        for p, matched in single_lefts:
+        for p, matched in last_lefts:
             if not matched or not self.consuming:
                 self._wait(p_waiting, p)
         return results
