@@ -35,7 +35,19 @@ def test_prints_what_is_expected(example, tmp_path, monkeypatch, capsys):
 
 def test_every_operator_and_policy_has_one():
     names = {path.name for path in EXAMPLES}
-    others = "or cnot fnot star_times ntimes aggregate where within check do event_multiply".split()
+    others = [
+        "or",
+        "cnot",
+        "fnot",
+        "star_times",
+        "ntimes",
+        "aggregate",
+        "where",
+        "within",
+        "check",
+        "do",
+        "event_multiply",
+    ]
     assert {*OPERATORS, *others} <= names
     assert {f"policy_{policy.value}" for policy in Policy} <= names
 
