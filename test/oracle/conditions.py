@@ -162,6 +162,8 @@ class Conditions:
 
     def expired(self, node: Pattern, match: Match) -> bool:
         """Policies: a match that can no longer complete is removed; windows expire by the clock."""
+        if self.clock is None:
+            return False
         age = self.clock - match.start
         if self.rule.window is not None and age > self.rule.window:
             return True

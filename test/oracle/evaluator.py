@@ -38,9 +38,8 @@ class RuleState(Repetitions):
     """One rule and everything that waits in it."""
 
     def __init__(self, rule: Rule, policy: str, out_of_order: bool = False, expiry: bool = False):
-        super().__init__(rule, policy)
+        super().__init__(rule, policy, expiry)
         self.out_of_order = out_of_order
-        self.expiry = expiry
         self.waiting: Dict[Tuple[Pattern, str], List[Match]] = {}
 
     def fired_by(self, event: Event) -> List[Event]:
@@ -163,11 +162,11 @@ class RuleState(Repetitions):
             if not found or not (self.consuming or for_all):
                 left_over.append(p)
         for p in left_over:
-            self._wait(p_waiting, p, identical_too=for_all)
+            self._wait(node, p_waiting, p, identical_too=for_all)
         if self.out_of_order:
             # Policies: the second side of a seq also waits, for late first sides.
             for q in rights:
-                self._wait(q_waiting, q)
+                self._wait(node, q_waiting, q)
         return results
 
     def _either_order(
@@ -203,10 +202,10 @@ class RuleState(Repetitions):
         # Policies: having matched, it does not wait for others, except under unrestricted.
         for p in lefts:
             if not is_last(node.left, p) and (not as_left(p) or not self.consuming):
-                self._wait(p_waiting, p)
+                self._wait(node, p_waiting, p)
         for q in rights:
             if not is_last(node.right, q) and (not as_right(q) or not self.consuming):
-                self._wait(q_waiting, q)
+                self._wait(node, q_waiting, q)
         # Policies: an event that fits both sides completes first (once: as the right side, else as the left one),
         # then waits.
         last_rights = [(q, as_right(q)) for q in rights if is_last(node.right, q)]
@@ -214,10 +213,10 @@ class RuleState(Repetitions):
         last_lefts = [(p, not completed and as_left(p)) for p in lefts if is_last(node.left, p)]
         for q, matched in last_rights:
             if not matched or not self.consuming:
-                self._wait(q_waiting, q)
+                self._wait(node, q_waiting, q)
         for p, matched in last_lefts:
             if not matched or not self.consuming:
-                self._wait(p_waiting, p)
+                self._wait(node, p_waiting, p)
         return results
 
     def fit(self, node: Both, p: Match, q: Match, tests: List[Test], cnot: Optional[Cnot]) -> Optional[Match]:
@@ -267,7 +266,9 @@ class RuleState(Repetitions):
                 break  # Policies: the newest that fits, the oldest that fits; else all, oldest first.
         return results
 
-    def _wait(self, waiting: List[Match], match: Match, identical_too: bool = False) -> None:
+    def _wait(self, node: Pattern, waiting: List[Match], match: Match, identical_too: bool = False) -> None:
+        if self.expiry and self.expired(node, match):
+            return
         if self.policy == "recent" and not identical_too:
             # Policies: under recent an arrival replaces the same term at the same place, whatever the stamps.
             variant = match.variant()

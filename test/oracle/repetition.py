@@ -14,9 +14,10 @@ from .patterns import Aggregate, Pattern, Rule, Star, Within, pattern_variables
 class Repetitions(Conditions):
     """The runs of one rule."""
 
-    def __init__(self, rule: Rule, policy: str):
+    def __init__(self, rule: Rule, policy: str, expiry: bool = False):
         super().__init__(rule)
         self.policy = policy
+        self.expiry = expiry
         self.consuming = policy != "unrestricted"
         self.runs: Dict[Pattern, List[Run]] = {}
 
@@ -47,7 +48,8 @@ class Repetitions(Conditions):
             # Policies: under recent a newer start with the same term replaces the older.
             runs[:] = [run for run in runs if run not in same]
         run = Run(p, p)
-        runs.append(run)
+        if not (self.expiry and self.expired(node, p)):
+            runs.append(run)
         # Table: zero repetitions fire at the start; count, sum and list with 0, 0 and [].
         return self._result(node, run, conditions)
 
