@@ -28,7 +28,7 @@ def test_plays_a_bag_that_is_given(tmp_path, capsys):
 
 def test_a_bag_that_is_not_there_is_an_error(tmp_path, capsys):
     assert main(["demo", "--bag", str(tmp_path / "no.bag")]) == 1
-    assert "no.bag" in capsys.readouterr().err
+    assert "no.truth.json" in capsys.readouterr().err
 
 
 def test_finds_the_example_in_the_source_tree():

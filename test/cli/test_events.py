@@ -154,10 +154,10 @@ def test_a_clock_that_is_none_is_refused(run):
 # ---- errors ---------------------------------------------------------------------------------------------
 
 
-def test_all_errors_of_a_rule_file_are_told_and_nothing_is_fed(run):
+def test_all_errors_of_a_rule_file_are_told_and_nothing_of_it_is_active(run):
     rules = "a <- b ntimes zero.\nc <- (d.\ne <- f.\ng <- h cnott i.\n"
     status, lines, error = run(rules=rules, stream="event(f,[1,1]).")
-    assert (status, lines) == (1, [])
+    assert (status, lines) == (1, ["event(f,[1,1])."])
     assert error.count("error: ") == 3
     for line in (1, 2, 4):
         assert f"rules.txt:{line}:" in error

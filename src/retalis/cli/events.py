@@ -85,9 +85,9 @@ def run(options: argparse.Namespace) -> int:
     with ExitStack() as stack:
         printer = Printer(options.json, options.memory_events, _opened(options.outputs, stack))
         session = Session(options, report, printer)
-        if session.load():
-            session.feed()
-            session.ask()
+        session.load()
+        session.feed()
+        session.ask()
     sys.stdout.flush()
     return 1 if report.errors else 0
 
@@ -174,16 +174,12 @@ class Session:
             stamp = read_term(options.clock, Operators.prolog(), "--clock").term
             self._clock.pin(timestamps.from_term(stamp))
 
-    def load(self) -> bool:
-        """Call the goals and load the rules; False where a rule file cannot be used."""
+    def load(self) -> None:
+        """Call the goals and load the rules; of a file with an error nothing is active, all else goes on."""
         for path in self._options.goals:
             self._try(lambda path=path: self.engine.call_goals(read_text(path), str(path), path.parent))
-        loaded = True
         for path in self._options.rules:
-            loaded &= self._try(
-                lambda path=path: self.engine.load_rules(read_text(path), str(path), path.parent)
-            )
-        return loaded
+            self._try(lambda path=path: self.engine.load_rules(read_text(path), str(path), path.parent))
 
     def feed(self) -> None:
         """Feed the stream."""
@@ -261,17 +257,14 @@ class Session:
         self.engine.advance()
         return after
 
-    def _try(self, work: Any) -> bool:
+    def _try(self, work: Any) -> None:
         try:
             work()
         except ProgramErrors as errors:
             for error in errors.errors:
                 self._report(error)
-            return False
         except RetalisError as error:
             self._report(error)
-            return False
-        return True
 
 
 def _as_json(line: Line) -> Dict[str, Any]:
