@@ -6,7 +6,7 @@ from typing import Any
 # catkin puts the generated retalis.msg and retalis.srv into a folder of their own, in devel space: both are `retalis`
 __path__ = extend_path(__path__, __name__)
 
-__all__ = ["Engine"]
+__all__ = ["Compound", "Engine", "foreign"]
 
 
 def __getattr__(name: str) -> Any:
@@ -15,4 +15,8 @@ def __getattr__(name: str) -> Any:
         from .engine import Engine
 
         return Engine
+    if name in ("Compound", "foreign"):
+        from . import _foreign
+
+        return getattr(_foreign, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, Callable, Dict, Generator, List, NamedTuple, Optional, Sequence, Tuple, Union, cast
 
 from . import timestamps
+from ._foreign import define_foreign, load_module
 from ._goalfile import read_goals
 from ._inputs import READERS, event_of
 from ._reports import Reports
@@ -14,10 +15,10 @@ from .clock import Clock, StreamClock
 from .errors import Place, ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
 from .events import Dispatcher, Rules, Stage
 from .knowledge import Knowledge
-from .logic import DONE, Limits, Logic
+from .logic import DONE, Limits, Logic, instantiation_error, permission_error, type_error
 from .program import GOALS, read_text
 from .syntax import EventReader, read_term
-from .terms import Term, Var, copy, functor, variables
+from .terms import Atom, Functor, String, Term, Var, copy, deref, functor, variables
 
 log = logging.getLogger("retalis")
 
@@ -34,12 +35,18 @@ class Settings(NamedTuple):
         max_depth: how long a chain of events that lead to events may be.
         queue: how many events may wait for the one that is being worked on.
         allow_goals: whether any goal is taken as input, not only events.
+        allow_foreign: whether programs may load Python modules with ``use_foreign/1``.
+        folders: where goals of events, queries and services may open files; None means anywhere. A program
+            that is being loaded (`Engine.load` and its sisters) may name any file; the folders of
+            those are allowed from then on.
     """
 
     limits: Limits = Limits()
     max_depth: int = 1000
     queue: int = 5000
     allow_goals: bool = False
+    allow_foreign: bool = False
+    folders: Optional[Tuple[str, ...]] = None
 
 
 class Engine:
@@ -72,6 +79,7 @@ class Engine:
         self.rules = Rules(self.logic, self.dispatcher, self.clock)
         self.rules.on_error = self.reports.error
         self.rules.on_warning = self.reports.warning
+        self.rules.loader.allow_only(settings.folders)
         self.knowledge = Knowledge(
             self.logic, self.dispatcher, self.clock.stamp, self._deliver, self.reports.warning
         )
@@ -99,7 +107,7 @@ class Engine:
         Raises:
             ProgramErrors: all errors; nothing of the text is active then.
         """
-        self._runner.call(lambda: self.rules.load_text(text, source, folder))
+        self._trusted(folder, lambda: self.rules.load_text(text, source, folder))
 
     def load_program(self, folder: Union[str, Path]) -> None:
         """Call the goals of ``goalPredicates.txt`` in a program's folder; they name the rule files.
@@ -123,13 +131,25 @@ class Engine:
                 errors.append(goal)
                 continue
             try:
-                with self.rules.relative_to(folder):
-                    if not self.call(goal.term):
-                        errors.append(RuleError("this goal fails", goal.place))
+                if not self._trusted(folder, lambda: self.logic.once(goal.term)):  # noqa: B023
+                    errors.append(RuleError("this goal fails", goal.place))
             except RetalisError as error:
                 errors += _in_goal(error, goal.place)
         if errors:
             raise ProgramErrors(errors)
+
+    def add_foreign(self, *sources: Any) -> List[Functor]:
+        """Define Python functions that have the decorator `foreign`, and those of modules, as predicates.
+
+        Returns:
+            The functors of the predicates.
+
+        Raises:
+            UsageError: for a function without the decorator, or a module in which none has it.
+            PrologError: where a predicate of the system has that name.
+        """
+        found: List[Functor] = self._runner.call(lambda: define_foreign(self.logic, *sources))
+        return found
 
     # ---- events --------------------------------------------------------------------------------------
 
@@ -155,9 +175,14 @@ class Engine:
         """Take an event whose interval is given as instants in nanoseconds; see `event`."""
         self._runner.call(lambda: self._take(term, start, end))
 
-    def post(self, term: Term, start: Optional[int] = None, end: Optional[int] = None) -> None:
-        """Queue an event (a term of its own, instants in nanoseconds) and return without waiting for others."""
-        self._runner.post(self._take, term, start, start if end is None else end)
+    def post(self, term: Term, instant: Optional[int] = None) -> None:
+        """Queue a message and return without waiting for others.
+
+        Args:
+            term: the event, without variables.
+            instant: when it happened, in nanoseconds; by default now, by the clock.
+        """
+        self._runner.post(self._take, term, instant, instant, True)
 
     def post_text(self, text: str) -> None:
         """Queue an event as other nodes send it: ``event(E)``, ``event(E,[T1,T2])`` or ``new_event(...)``.
@@ -231,19 +256,30 @@ class Engine:
         """How many events were dropped because the queue was full."""
         return self._runner.dropped
 
+    def _trusted(self, folder: Optional[Path], work: Callable[[], Any]) -> Any:
+        """Do work of a program that is being loaded from a folder: it may name any file."""
+
+        def run() -> Any:
+            with self.rules.loader.trusted(), self.rules.relative_to(folder):
+                return work()
+
+        return self._runner.call(run)
+
     # ---- inside --------------------------------------------------------------------------------------
 
     def _read(self, term: Union[str, Term]) -> Term:
         return read_term(term, self.logic.operators, "text").term if isinstance(term, str) else term
 
-    def _take(self, term: Term, start: Optional[int], end: Optional[int]) -> None:
+    def _take(
+        self, term: Term, start: Optional[int], end: Optional[int], ground: Optional[bool] = None
+    ) -> None:
         """Dispatch an event; with no start it is stamped by the clock."""
         self._watch_clock()
         if start is None or end is None:
             start = end = self.clock.stamp()
         elif end < start:
             raise UsageError(f"{self.show(term)} ends before it starts")
-        self.logic.machine.run(self.dispatcher.dispatch(term, start, end, DONE))
+        self.logic.machine.run(self.dispatcher.dispatch(term, start, end, DONE, None, ground))
 
     def _take_text(self, text: str) -> None:
         try:
@@ -288,10 +324,24 @@ class Engine:
 
         def event(machine: Any, arguments: Sequence[Term], after: Any) -> Any:
             made = READERS[functor("new_event", len(arguments))](arguments)
-            return self.dispatcher.dispatch(copy(made.term), made.start, made.end, after)
+            return self.dispatcher.dispatch(made.term, made.start, made.end, after, own=False)
 
         for arity in (2, 3, 5):
             logic.define_control("new_event", arity, event)
+        logic.define("use_foreign", 1, self._use_foreign).locked = True
+
+    def _use_foreign(self, machine: Any, module: Term) -> bool:
+        """Load a Python module and define its predicates: ``use_foreign(Module)``."""
+        module = deref(module)
+        if module.__class__ is Var:
+            raise instantiation_error()
+        if module.__class__ not in (Atom, String):
+            raise type_error("atom", module)
+        if not self.settings.allow_foreign:
+            raise permission_error("load", "foreign_module", module)
+        name = module.name if module.__class__ is Atom else module.text
+        define_foreign(self.logic, load_module(name, self.rules.loader.resolve))
+        return True
 
 
 def _in_goal(error: RetalisError, place: Place) -> List[RetalisError]:

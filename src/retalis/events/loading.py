@@ -2,12 +2,12 @@
 
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Iterator, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Iterable, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
 from ..errors import Place, ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
-from ..logic import PrologError
+from ..logic import PrologError, permission_error
 from ..syntax import read_program
-from ..terms import Atom, String, Term, conjuncts, copy, deref, functor
+from ..terms import Atom, String, Term, atom, conjuncts, copy, deref, functor
 from .clauses import Checker, Definition, Step, clause_error
 from .rule import Rule
 
@@ -30,6 +30,27 @@ class Loader:
         self._rules = rules
         self._folder: Optional[Path] = None
         self._open: List[Path] = []
+        self._allowed: Optional[List[Path]] = None
+        self._trusted = False
+
+    def allow_only(self, folders: Optional[Iterable[Any]]) -> None:
+        """Have goals open files in these folders and below only; None allows all."""
+        self._allowed = None if folders is None else [Path(folder).resolve() for folder in folders]
+
+    @property
+    def allowed(self) -> Optional[List[Path]]:
+        """The folders in which goals may open files; None means all."""
+        return self._allowed
+
+    @contextmanager
+    def trusted(self) -> Iterator[None]:
+        """Allow all files meanwhile; the folders of those that are opened stay allowed."""
+        before = self._trusted
+        self._trusted = True
+        try:
+            yield
+        finally:
+            self._trusted = before
 
     @contextmanager
     def relative_to(self, folder: Optional[Path]) -> Iterator[None]:
@@ -43,9 +64,22 @@ class Loader:
             self._folder = before
 
     def resolve(self, path: Any) -> Path:
-        """Return a path, seen from the file that names it."""
-        path = Path(path)
-        return path if path.is_absolute() or self._folder is None else self._folder / path
+        """Return a path, seen from the file that names it.
+
+        Raises:
+            PrologError: a permission error where it leads out of the folders that are allowed.
+        """
+        found = Path(path)
+        if not found.is_absolute() and self._folder is not None:
+            found = self._folder / found
+        if self._allowed is not None:
+            real = found.resolve()
+            inside = any(folder in real.parents for folder in self._allowed)
+            if self._trusted and not inside:
+                self._allowed.append(real.parent)
+            elif not inside:
+                raise permission_error("open", "source_sink", atom(str(path)))
+        return found
 
     def load_text(self, text: str, source: str, folder: Optional[Path]) -> None:
         """Load a text; see `Rules.load_text`."""
@@ -149,12 +183,12 @@ class Loader:
         name = step.term
         if name.__class__ not in (Atom, String):
             return None  # library(...): there is one library, and it is always there
-        place = self.resolve(name.name if name.__class__ is Atom else name.text)
         try:
+            place = self.resolve(name.name if name.__class__ is Atom else name.text)
             text = _text_of(place)
             with self._inside(place), self.relative_to(place.parent):
                 return self._plan(text, str(place), errors)
-        except UsageError as error:
+        except (UsageError, PrologError) as error:
             errors.append(RuleError(error.message, step.place))
             return None
 

@@ -15,6 +15,12 @@ from ..program import Topics, TopicType
 DIRECT = (TopicType("tf", "tf/tfMessage"), TopicType("ar_pose_marker", "ar_pose/ARMarkers"))
 """The topics that node retalis subscribes by itself by default, as the original did."""
 
+LIMITS = (
+    ("seconds", "max_seconds", float),
+    ("inferences", "max_inferences", int),
+    ("megabytes", "max_megabytes", int),
+)
+
 
 class Parameters(NamedTuple):
     """What a node was told.
@@ -42,13 +48,18 @@ def read_parameters(arguments: Optional[List[str]] = None) -> Parameters:
     """
     argv = rospy.myargv(sys.argv if arguments is None else arguments)
     limits: Dict[str, Any] = {}
-    for field, name, kind in (("seconds", "max_seconds", float), ("inferences", "max_inferences", int)):
+    for field, name, kind in LIMITS:
         value = _number(f"~{name}", kind)
         if value is not None:
             limits[field] = value
     depth = _number("~max_depth", int)
     queue = _number("~queue", int)
-    settings = Settings(limits=Limits(**limits), allow_goals=_flag("~allow_goals"))
+    settings = Settings(
+        limits=Limits(**limits),
+        allow_goals=_flag("~allow_goals"),
+        allow_foreign=_flag("~allow_foreign"),
+        folders=_folders(),
+    )
     if depth is not None:
         settings = settings._replace(max_depth=depth)
     if queue is not None:
@@ -92,6 +103,14 @@ def _direct() -> Any:
     if len(flat) % 2 or not all(isinstance(item, str) for item in flat):
         raise wrong
     return tuple(TopicType(topic, kind) for topic, kind in zip(flat[::2], flat[1::2]))
+
+
+def _folders() -> Tuple[str, ...]:
+    """Return where goals of events, queries and services may open files, besides the program's folders."""
+    value = rospy.get_param("~folders", [])
+    if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
+        raise UsageError(f"parameter ~folders: expected a list of folders, found {value!r}")
+    return tuple(value)
 
 
 def _flag(name: str) -> bool:

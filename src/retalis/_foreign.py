@@ -1,0 +1,332 @@
+"""Foreign predicates: Python functions that a program calls as predicates.
+
+    from retalis import Engine, foreign
+
+    @foreign
+    def distance(x1: float, y1: float, x2: float, y2: float) -> float:
+        return math.hypot(x1 - x2, y1 - y2)      # distance(X1,Y1,X2,Y2,D)
+
+    @foreign
+    def near(name: str) -> Iterator[str]:        # near(Name,Other), a solution for each value
+        yield from NEIGHBOURS[name]
+
+    engine.add_foreign(distance, near)
+
+The parameters are the first arguments of the predicate; the result is unified with the last.
+"""
+
+import importlib
+import importlib.util
+import inspect
+import numbers
+from pathlib import Path
+from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple, get_type_hints
+
+from .errors import RetalisError, UsageError
+from .logic import Logic, PrologError, instantiation_error, permission_error, type_error
+from .terms import (
+    CONS,
+    FALSE,
+    MINUS,
+    NIL,
+    TRUE,
+    Atom,
+    Functor,
+    Lazy,
+    String,
+    Term,
+    Var,
+    atom,
+    deref,
+    functor,
+    list_items,
+    make_list,
+)
+
+_ERROR = functor("error", 2)
+_PYTHON_ERROR = functor("python_error", 2)
+_MARK = "__retalis_foreign__"
+
+
+class Compound(NamedTuple):
+    """A compound term for Python code: a name and arguments, which are Python values.
+
+    >>> to_term(Compound("point", [1, 2.5]))      # point(1,2.5)
+    """
+
+    name: str
+    args: Sequence[Any]
+
+
+class _Spec(NamedTuple):
+    """What the decorator was told; kept with the function."""
+
+    name: str
+    outputs: int
+    readers: List[Callable[[Term], Any]]
+    many: bool
+
+    @property
+    def arity(self) -> int:
+        return len(self.readers) + self.outputs
+
+
+def foreign(
+    function: Optional[Callable[..., Any]] = None,
+    *,
+    name: Optional[str] = None,
+    outputs: Optional[int] = None,
+) -> Any:
+    """Mark a function as a predicate; `Engine.add_foreign` or ``use_foreign/1`` defines it in a program.
+
+    A parameter with the annotation int, float, str, bool or list takes only that (float takes integers too);
+    with `Term` it gets the term itself, even if that is unbound; any other gets the term's Python value (see
+    `to_python`). The result becomes a term (see `to_term`); None means failure, except of a function without
+    outputs. A generator gives one solution with each value that it yields. What it raises is the error
+    ``python_error(Kind, Message)``, unless it is a `PrologError`.
+
+    Args:
+        function: the function, where the decorator is used without arguments.
+        name: of the predicate; by default the function's.
+        outputs: how many arguments come after the parameters: 1 by default, with more the function returns
+            a tuple, with 0 whether it succeeds. It is 0 by default where the function is said to return
+            bool or None.
+    """
+
+    def mark(function: Callable[..., Any]) -> Callable[..., Any]:
+        hints = get_type_hints(function)
+        count = outputs
+        if count is None:
+            count = 0 if hints.get("return", 1) in (bool, type(None)) else 1
+        readers = [_reader(hints.get(one.name)) for one in _parameters(function)]
+        spec = _Spec(name or function.__name__, count, readers, inspect.isgeneratorfunction(function))
+        setattr(function, _MARK, spec)
+        return function
+
+    return mark if function is None else mark(function)
+
+
+def _parameters(function: Callable[..., Any]) -> List[inspect.Parameter]:
+    found = list(inspect.signature(function).parameters.values())
+    for one in found:
+        if one.kind not in (one.POSITIONAL_ONLY, one.POSITIONAL_OR_KEYWORD):
+            raise UsageError(f"{function.__name__} takes *args or **kwargs: no predicate has such arguments")
+    return found
+
+
+def define_foreign(logic: Logic, *sources: Any) -> List[Functor]:
+    """Define marked functions, and those of modules, in a program; return their functors.
+
+    Raises:
+        UsageError: for a function that is not marked, or a module without any.
+        PrologError: where a predicate of the system has that name.
+    """
+    done = []
+    for source in sources:
+        functions = (
+            [source] if callable(source) else [one for one in vars(source).values() if _is_marked(one)]
+        )
+        if not functions or not all(_is_marked(one) for one in functions):
+            raise UsageError(
+                f"{getattr(source, '__name__', source)} has no function with the decorator foreign"
+            )
+        for function in functions:
+            done.append(_define(logic, function, getattr(function, _MARK)))
+    return done
+
+
+def _is_marked(value: Any) -> bool:
+    return isinstance(getattr(value, _MARK, None), _Spec)
+
+
+def _define(logic: Logic, function: Callable[..., Any], spec: _Spec) -> Functor:
+    key = functor(spec.name, spec.arity)
+    known = logic.database.predicates.get(key)
+    if known is not None and known.locked:
+        raise permission_error("modify", "static_procedure", _indicator(key))
+    if spec.many:
+        logic.define_nondeterministic(spec.name, spec.arity, _generator(function, spec, key))
+    else:
+        logic.define(spec.name, spec.arity, _function(function, spec, key))
+    return key
+
+
+def _function(function: Callable[..., Any], spec: _Spec, key: Functor) -> Callable[..., bool]:
+    count = len(spec.readers)
+
+    def run(machine: Any, *arguments: Term) -> bool:
+        values = [read(term) for read, term in zip(spec.readers, arguments)]
+        try:
+            result = function(*values)
+        except Exception as error:  # whatever it is, it is the goal's error and no reason to end the program
+            raise _raised(error, key) from error
+        if not spec.outputs:
+            return result is not False
+        return result is not None and _unify(machine, arguments[count:], result)
+
+    return run
+
+
+def _generator(function: Callable[..., Any], spec: _Spec, key: Functor) -> Callable[..., Iterator[None]]:
+    count = len(spec.readers)
+
+    def run(machine: Any, *arguments: Term) -> Iterator[None]:
+        values = [read(term) for read, term in zip(spec.readers, arguments)]
+        solutions = function(*values)
+        while True:
+            try:
+                result = next(solutions)
+            except StopIteration:
+                return
+            except Exception as error:  # as above
+                raise _raised(error, key) from error
+            if not spec.outputs or _unify(machine, arguments[count:], result):
+                yield None
+
+    return run
+
+
+def _unify(machine: Any, outputs: Sequence[Term], result: Any) -> bool:
+    if len(outputs) == 1:
+        return bool(machine.unify(outputs[0], to_term(result)))
+    if len(result) != len(outputs):
+        raise UsageError(f"a foreign predicate gave {len(result)} values for {len(outputs)} outputs")
+    return bool(machine.unify_all(*[(output, to_term(value)) for output, value in zip(outputs, result)]))
+
+
+def _raised(error: Exception, key: Functor) -> RetalisError:
+    if isinstance(error, RetalisError):
+        return error
+    context = (functor("context", 2), _indicator(key), Var())
+    formal = (_PYTHON_ERROR, atom(type(error).__name__), String(str(error)))
+    return PrologError((_ERROR, formal, context))
+
+
+def _indicator(key: Functor) -> Term:
+    return (functor("/", 2), atom(key.name), key.arity)
+
+
+# Conversion
+
+
+def to_python(term: Term) -> Any:
+    """Return a term as a Python value.
+
+    ========================  =============================
+    term                      value
+    ========================  =============================
+    integer, float            int, float
+    ``true``, ``false``       True, False
+    atom, string              str
+    list                      list
+    compound term             `Compound`
+    ========================  =============================
+
+    Raises:
+        PrologError: an instantiation error for an unbound variable in it.
+    """
+    term = deref(term)
+    kind = term.__class__
+    if kind is Var:
+        raise instantiation_error()
+    if term is TRUE or term is FALSE:
+        return term is TRUE
+    if kind is Atom:
+        return [] if term is NIL else term.name
+    if kind is String:
+        return term.text
+    if kind is tuple:
+        items = list_items(term) if term[0] is CONS else None
+        if items is not None:
+            return [to_python(item) for item in items]
+        return Compound(term[0].name, [to_python(item) for item in term[1:]])
+    return int(term) if isinstance(term, int) else term
+
+
+def to_term(value: Any) -> Term:
+    """Return a Python value as a term.
+
+    The other way of `to_python`; str becomes an atom (a `retalis.terms.String` stays a string), tuple and any
+    other iterable but str become a list, dict a list of ``Key-Value``. Terms stay what they are.
+
+    Raises:
+        UsageError: for a value that is none of these.
+    """
+    if value is None:
+        raise UsageError("None is no term")
+    if isinstance(value, bool):
+        return TRUE if value else FALSE
+    if isinstance(value, Compound):
+        if not value.args:
+            return atom(value.name)
+        return (functor(value.name, len(value.args)), *[to_term(item) for item in value.args])
+    if isinstance(value, (Atom, String, Var, Lazy)):
+        return value
+    if isinstance(value, tuple) and value and isinstance(value[0], Functor):
+        return value
+    if isinstance(value, str):
+        return atom(value)
+    if isinstance(value, numbers.Integral):
+        return int(value)
+    if isinstance(value, numbers.Real):
+        return float(value)
+    if isinstance(value, dict):
+        return make_list([(MINUS, to_term(key), to_term(item)) for key, item in value.items()])
+    try:
+        return make_list([to_term(item) for item in value])
+    except TypeError:
+        raise UsageError(f"a {type(value).__name__} is no term: {value!r}") from None
+
+
+def _reader(hint: Any) -> Callable[[Term], Any]:
+    """Return what makes the argument for a parameter with an annotation."""
+    if hint is Term or hint is Var:
+        return deref
+    return _READERS.get(hint, to_python)
+
+
+def _typed(accepts: Tuple[type, ...], name: str, convert: Callable[[Any], Any]) -> Callable[[Term], Any]:
+    def read(term: Term) -> Any:
+        value = to_python(term)
+        if isinstance(value, bool) and bool not in accepts:
+            value = "true" if value else "false"
+        if not isinstance(value, accepts) or isinstance(value, Compound):
+            raise type_error(name, deref(term))
+        return convert(value)
+
+    return read
+
+
+_READERS: Dict[Any, Callable[[Term], Any]] = {
+    int: _typed((int,), "integer", int),
+    float: _typed((int, float), "number", float),
+    str: _typed((str,), "atom", str),
+    bool: _typed((bool,), "bool", bool),
+    list: _typed((list,), "list", list),
+}
+
+
+# Loading
+
+
+def load_module(name: str, resolve: Callable[[Any], Path]) -> Any:
+    """Return a module by its name, or by the path of its file.
+
+    Args:
+        name: ``package.module``, ``file.py`` or ``folder/file.py``; a name without a dot is first looked for
+            as a file beside the file that names it.
+        resolve: makes relative paths absolute, and refuses those that are not allowed.
+
+    Raises:
+        UsageError: where there is no such module, or importing it fails.
+    """
+    path = resolve(name if name.endswith(".py") else f"{name}.py")
+    try:
+        if name.endswith(".py") or ("." not in name and path.exists()):
+            spec = importlib.util.spec_from_file_location(f"retalis_foreign_{path.stem}", str(path))
+            module = importlib.util.module_from_spec(spec)  # type: ignore[arg-type]
+            spec.loader.exec_module(module)  # type: ignore[union-attr]
+            return module
+        return importlib.import_module(name)
+    except Exception as error:  # a module may fail in any way while it is imported
+        raise UsageError(f"cannot load {name}: {type(error).__name__}: {error}") from error
