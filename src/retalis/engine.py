@@ -339,7 +339,7 @@ class Engine:
             raise type_error("atom", module)
         if not self.settings.allow_foreign:
             raise permission_error("load", "foreign_module", module)
-        name = module.name if module.__class__ is Atom else module.text
+        name: str = module.name if module.__class__ is Atom else module.text  # type: ignore[assignment]
         define_foreign(self.logic, load_module(name, self.rules.loader.resolve))
         return True
 
