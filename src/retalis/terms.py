@@ -272,8 +272,8 @@ def variables(term: Term) -> List[Var]:
     while stack:
         item = stack.pop()
         kind = item.__class__
-        if kind is Var or kind is Lazy:
-            item = deref(item)
+        if kind is Var:
+            item = _follow(item)
             kind = item.__class__
             if kind is Var:
                 seen.setdefault(item)
@@ -284,13 +284,13 @@ def variables(term: Term) -> List[Var]:
 
 
 def is_ground(term: Term) -> bool:
-    """Tell whether a term has no unbound variable."""
+    """Tell whether a term has no unbound variable (a lazy term has none, and is not looked into)."""
     stack = [term]
     while stack:
         item = stack.pop()
         kind = item.__class__
-        if kind is Var or kind is Lazy:
-            item = deref(item)
+        if kind is Var:
+            item = _follow(item)
             kind = item.__class__
             if kind is Var:
                 return False

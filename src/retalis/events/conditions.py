@@ -65,7 +65,7 @@ class Call:
         given = tuple([values[at] for at in self.positions])
         machine = self.rule.network.logic.machine
         on_error = self._reporter()
-        if _all_ground(given):
+        if self.rule.network.dispatcher.is_of_ground(match) or _all_ground(given):
             return machine.attempt(
                 self._plain, given, lambda found: solved(values + tuple(found), after), after, on_error
             )

@@ -9,7 +9,7 @@ from itertools import count
 from typing import Any, Callable, Dict, Iterator, Optional, Tuple
 
 from ..errors import UsageError
-from ..terms import Atom, Functor, Lazy, Term, Var, copy, deref
+from ..terms import Atom, Functor, Lazy, Term, Var, copy, deref, is_ground
 from ._keys import term_key
 from ._plans import Choice, make_plan
 from .matching import Matcher, Values, compile_matcher
@@ -57,9 +57,10 @@ class Event:
         token: what tells this event from all others, given by `Dispatcher.token`.
         depth: how many events it was derived through, itself included.
         cause: the rule and match whose goal made it, where that is tracked.
+        ground: whether it has no variables; None while nobody has looked.
     """
 
-    __slots__ = ("dispatcher", "steps", "term", "start", "end", "parent", "depth", "token", "cause")
+    __slots__ = ("dispatcher", "steps", "term", "start", "end", "parent", "depth", "token", "cause", "ground")
 
     dispatcher: "Dispatcher"
     steps: Iterator[Any]
@@ -70,6 +71,7 @@ class Event:
     depth: int
     token: Any
     cause: Any
+    ground: Optional[bool]
 
     def run(self, frame: Frame) -> Frame:
         """Serve listeners until one of them has something to do first, or none is left."""
@@ -152,17 +154,29 @@ class Dispatcher:
         """Tell whether anybody listens to events of this functor."""
         return functor in self._listeners or None in self._listeners
 
-    def dispatch(self, term: Term, start: int, end: int, after: Frame, token: Any = None) -> Frame:
+    def dispatch(
+        self,
+        term: Term,
+        start: int,
+        end: int,
+        after: Frame,
+        token: Any = None,
+        ground: Optional[bool] = None,
+        own: bool = True,
+    ) -> Frame:
         """Return the frame that serves an event and then goes on with ``after``.
 
         Where nobody listens that is ``after`` itself.
 
         Args:
-            term: the event, an atom or compound term without bound variables.
+            term: the event, an atom or compound term.
             start: the instant at which it began.
             end: the instant at which it ended.
             after: the frame to go on with.
             token: what tells the event from others, where its maker has one already.
+            ground: whether it has no variables, where its maker knows.
+            own: whether the term has no bound variables, and its unbound ones are its own; otherwise a copy
+                is served, which is made only where somebody listens.
 
         Raises:
             UsageError: where the term is no event or the interval is reversed.
@@ -186,7 +200,12 @@ class Dispatcher:
             plan = plan.branch(term)
         if not plan:
             return after
+        if not own:
+            fresh: Dict[Var, Term] = {}
+            term = copy(term, fresh)
+            ground = not fresh
         event = Event()
+        event.ground = ground
         event.dispatcher = self
         event.steps = iter(plan)
         event.term = term
@@ -197,6 +216,20 @@ class Dispatcher:
         event.parent = parent = self.current
         event.depth = 1 if parent is None else parent.depth + 1
         return (event, after)
+
+    def ground(self) -> bool:
+        """Tell whether the event that is being served has no variables."""
+        event = self.current
+        assert event is not None
+        known = event.ground
+        if known is None:
+            known = event.ground = is_ground(event.term)
+        return known
+
+    def is_of_ground(self, match: Any) -> bool:
+        """Tell whether a match is of the event alone that is being served, and that has no variables."""
+        event = self.current
+        return match.parts is None and event is not None and match.event == event.token and self.ground()
 
     def token(self) -> Any:
         """Return what tells the event that is being served from all others."""

@@ -238,7 +238,7 @@ class _Streams:
             start = end = self.rules.clock.stamp()
         else:
             start, end = _interval(interval)
-        return self.rules.dispatcher.dispatch(copy(term), start, end, after)
+        return self.rules.dispatcher.dispatch(term, start, end, after, own=False)
 
     def fire_list(self, machine: Any, arguments: Sequence[Term], after: Frame) -> Frame:
         goals = list_items(arguments[0])

@@ -1,9 +1,22 @@
 """What memories and subscriptions share: from an event that matches to what is kept or sent of it."""
 
-from typing import Any, Callable, Optional, Tuple
+from typing import Any, Callable, List, Optional, Tuple
 
+from ..events import Dispatcher, compile_builder
 from ..logic import Logic, PrologError, instantiation_error, type_error
-from ..terms import EMPTY_BLOCK, TRUE, Atom, Term, Var, conjunction, deref, freeze, list_items, variables
+from ..terms import (
+    EMPTY_BLOCK,
+    TRUE,
+    Atom,
+    Term,
+    Var,
+    compare,
+    conjunction,
+    deref,
+    freeze,
+    list_items,
+    variables,
+)
 
 Recording = Callable[[Term, Tuple[Term, ...], Callable[[str], None]], Optional[Term]]
 """Takes an event, the values of the pattern's variables, and where to report; gives the record or None."""
@@ -21,17 +34,23 @@ def key_of(name: Term) -> Any:
         raise instantiation_error() from None
 
 
-def recording(logic: Logic, pattern: Term, conditions: Term, form: Term, name: str) -> Recording:
+def recording(
+    logic: Logic, dispatcher: Dispatcher, pattern: Term, conditions: Term, form: Term, name: str
+) -> Tuple[Recording, bool]:
     """Compile ``conditions`` and ``form``, which share their variables with ``pattern``.
 
     The first solution of the conditions counts. A ``form`` that is a variable of its own stands for the event.
 
     Args:
         logic: where the conditions are compiled.
+        dispatcher: whose events come.
         pattern: the event pattern; values come in the order of its variables.
         conditions: a list of goals.
         form: what to make of the event.
         name: who asks, for reports.
+
+    Returns:
+        The function, and whether it makes a ground record of every ground event.
 
     Raises:
         PrologError: where pattern, conditions or form are not what they have to be.
@@ -43,9 +62,43 @@ def recording(logic: Logic, pattern: Term, conditions: Term, form: Term, name: s
     whole = form.__class__ is Var and form not in inputs and form not in variables(conditions)
     if not whole and form.__class__ not in (tuple, Atom, Var):
         raise type_error("callable", form)
-    if whole and not goals:
-        return _whole
-    test = logic.compile_goal(conjunction(goals), inputs, [] if whole else [form], name=name).test
+    if whole:
+        return (_tested(logic, goals, inputs, name) if goals else _whole), True
+    if goals:
+        return _solved(logic, goals, inputs, form, name), False
+    build = compile_builder(form, inputs, name)
+    if compare(form, pattern) == 0:
+        return _same(dispatcher, build), True
+    return lambda term, values, problem: build(values), set(variables(form)) <= set(inputs)
+
+
+def _whole(term: Term, values: Tuple[Term, ...], problem: Callable[[str], None]) -> Term:
+    return term
+
+
+def _same(dispatcher: Dispatcher, build: Callable[[Tuple[Term, ...]], Term]) -> Recording:
+    """Return the recording for a form that is the pattern: the event itself, where it has no variables."""
+    ground = dispatcher.ground
+
+    def record(term: Term, values: Tuple[Term, ...], problem: Callable[[str], None]) -> Term:
+        return term if ground() else build(values)
+
+    return record
+
+
+def _tested(logic: Logic, goals: List[Term], inputs: List[Var], name: str) -> Recording:
+    """Return the recording of the event itself, under conditions."""
+    solved = _solved(logic, goals, inputs, TRUE, name)
+
+    def record(term: Term, values: Tuple[Term, ...], problem: Callable[[str], None]) -> Optional[Term]:
+        return None if solved(term, values, problem) is None else term
+
+    return record
+
+
+def _solved(logic: Logic, goals: List[Term], inputs: List[Var], form: Term, name: str) -> Recording:
+    """Return the recording of a form under conditions, which may bind what is in it."""
+    test = logic.compile_goal(conjunction(goals), inputs, [form], name=name).test
 
     def record(term: Term, values: Tuple[Term, ...], problem: Callable[[str], None]) -> Optional[Term]:
         try:
@@ -53,18 +106,12 @@ def recording(logic: Logic, pattern: Term, conditions: Term, form: Term, name: s
         except PrologError as error:
             problem(f"{name}: event {logic.show(term)}: {error}")
             return None
-        if solution is None:
-            return None
-        return term if whole else solution[0]
+        return None if solution is None else solution[0]
 
     return record
 
 
-def _whole(term: Term, values: Tuple[Term, ...], problem: Callable[[str], None]) -> Term:
-    return term
-
-
-def _goals(conditions: Term) -> Any:
+def _goals(conditions: Term) -> List[Term]:
     items = list_items(conditions)
     if items is None:
         raise type_error("list", conditions)

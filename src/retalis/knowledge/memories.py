@@ -94,9 +94,11 @@ class Memories:
             raise type_error("integer", size)
         if size < 0:
             raise domain_error("not_less_than_zero", size)
-        take = recording(self._logic, pattern, conditions, form, f"memory {self._logic.show(name)}")
+        take, closed = recording(
+            self._logic, self._dispatcher, pattern, conditions, form, f"memory {self._logic.show(name)}"
+        )
         instance = Instance(name, size, active)
-        recorder = self._recorder(instance, take, pattern.__class__ is Var)
+        recorder = self._recorder(instance, take, closed, pattern.__class__ is Var)
         instance.listener = self._dispatcher.listen(Stage.MEMORIES, pattern, recorder)
         self._instances[key] = instance
         if not active:
@@ -124,14 +126,18 @@ class Memories:
         instant = self._stamp()
         return self._dispatcher.dispatch((DELETED, instance.id), instant, instant, after)
 
-    def _recorder(self, instance: Instance, take: Recording, everything: bool) -> Callable[..., Any]:
+    def _recorder(
+        self, instance: Instance, take: Recording, closed: bool, everything: bool
+    ) -> Callable[..., Any]:
         """Return the action that records matching events, releases queries and tells of the update.
 
-        With ``everything`` the pattern is a variable; the memory's own updates are left out then.
+        With ``closed`` the records of ground events are ground. With ``everything`` the pattern is a
+        variable; the memory's own updates are left out then.
         """
         memory = instance.memory
         waiting = instance.waiting
         wanted = self._dispatcher.wanted
+        ground = self._dispatcher.ground
         problem = self._problem
 
         def record(term: Term, values: Tuple[Term, ...], start: int, end: int, after: Any) -> Any:
@@ -140,7 +146,7 @@ class Memories:
             kept = take(term, values, problem)
             if kept is None or not memory.add(kept, start, end):
                 return after
-            if not is_ground(kept):
+            if not (closed and ground()) and not is_ground(kept):
                 instance.open = True
             if instance.active and wanted(UPDATED):
                 after = self._tell(instance, end, after)

@@ -44,7 +44,9 @@ class Subscriptions:
         key = (topic_text, key_of(name))
         if key in self._listeners:
             raise permission_error("create", "subscription", (MINUS, topic, name))
-        shape = recording(self._logic, pattern, conditions, form, f"subscription {self._logic.show(name)}")
+        shape, _ = recording(
+            self._logic, self._dispatcher, pattern, conditions, form, f"subscription {self._logic.show(name)}"
+        )
         deliver = self._deliver
         problem = self._problem
 
