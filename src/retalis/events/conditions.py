@@ -2,7 +2,7 @@
 
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
-from ..logic import PrologError
+from ..logic import PrologError, resource_error
 from ..terms import Atom, String, Term, Var, functor, is_ground, list_items, make_list, variables
 from .matches import Match
 from .policy import Frame, emit_each
@@ -12,6 +12,8 @@ Test = Callable[[Values, int, int], Optional[Values]]
 """Takes values and interval of a match; gives the values with what was found, or None where it fails."""
 
 _PLAIN = frozenset((Atom, int, float, String))
+_DEEPEST = 30
+"""How often a condition may make an event whose rules have a condition that makes an event, and so on."""
 _FINDALL = functor("findall", 3)
 
 
@@ -46,7 +48,10 @@ class Call:
         network = self.rule.network
         dispatcher = network.dispatcher
         current = dispatcher.current
+        network.nested += 1
         try:
+            if network.nested > _DEEPEST:
+                raise resource_error("conditions_that_make_events")
             given = tuple([values[at] for at in self.positions])
             if _all_ground(given):
                 found = self._plain.test(given)
@@ -58,6 +63,8 @@ class Call:
             dispatcher.current = current
             network.goal_failed(self.rule, self.goal, error)
             return None
+        finally:
+            network.nested -= 1
 
     def act(self, match: Match, solved: Callable[[Values, Frame], Frame], after: Frame) -> Frame:
         """Return the frame that calls the goal once and goes on with ``solved``; with ``after`` if it fails."""

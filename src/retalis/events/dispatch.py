@@ -95,7 +95,7 @@ class Dispatcher:
 
     Args:
         logic: the program's logic, whose machine runs the frames.
-        max_depth: how long a chain of derived events may be (the rules see to it).
+        max_depth: how long a chain of derived events may be.
 
     Attributes:
         current: the `Event` whose listeners are being served, or None.
@@ -179,7 +179,8 @@ class Dispatcher:
                 is served, which is made only where somebody listens.
 
         Raises:
-            UsageError: where the term is no event or the interval is reversed.
+            UsageError: where the term is no event, the interval is reversed, or the chain of derived events
+                is too long.
         """
         if start > end:
             raise UsageError(f"an event cannot end before it starts ({start} > {end} ns)")
@@ -214,7 +215,9 @@ class Dispatcher:
         event.token = token
         event.cause = self.cause
         event.parent = parent = self.current
-        event.depth = 1 if parent is None else parent.depth + 1
+        event.depth = depth = 1 if parent is None else parent.depth + 1
+        if depth > self.max_depth:
+            raise UsageError(f"more than {self.max_depth} events were derived one from the other")
         return (event, after)
 
     def ground(self) -> bool:

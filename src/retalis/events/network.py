@@ -65,6 +65,7 @@ class Rules:
         self.on_error: Callable[[RetalisError], None] = lambda error: log.error("%s", error)
         self.warn_singletons = False
         self.on_warning: Callable[[RetalisError], None] = lambda error: log.warning("%s", error)
+        self.nested = 0
         self.checked: Optional[Tuple[int, int]] = None
         self.rules: List[Rule] = []
         self.flags = Flags(self._flag_changed)
@@ -76,11 +77,6 @@ class Rules:
         self._properties: Dict[Any, List[Property]] = {}
         self._serial = 0
         define_predicates(self)
-
-    @property
-    def deepest(self) -> int:
-        """How long a chain of derived events may be."""
-        return self.dispatcher.max_depth
 
     # ---- loading -------------------------------------------------------------------------------------
 

@@ -227,12 +227,6 @@ class Rule:
         """Return the frame that dispatches the head and goes on with ``after``."""
         network = self.network
         dispatcher = network.dispatcher
-        current = dispatcher.current
-        if current is not None and current.depth >= network.deepest:
-            network.rule_failed(
-                self, RuleError(f"more than {network.deepest} events derived one from the other")
-            )
-            return after
         if head.__class__ not in (tuple, Atom):
             head = deref(head)
         if head.__class__ is tuple and head[0].name in _ALARMS:
