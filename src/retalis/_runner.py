@@ -57,10 +57,18 @@ class Runner:
         return len(self._queue)
 
     def post(self, work: Callable[..., Any], *arguments: Any) -> None:
-        """Queue a piece of work, and do what is queued if nobody is at it."""
-        self._queue.append((work, arguments))
-        if len(self._queue) > self._size:
-            self._drop()
+        """Do a piece of work now if nobody is at work, else queue it."""
+        if not self._queue and not self._calls and self._lock.acquire(False):
+            try:
+                self._running = threading.get_ident()
+                self._do(work, arguments)
+            finally:
+                self._running = None
+                self._lock.release()
+        else:
+            self._queue.append((work, arguments))
+            if len(self._queue) > self._size:
+                self._drop()
         self._drain()
 
     def call(self, work: Callable[[], Any]) -> Any:
@@ -100,11 +108,15 @@ class Runner:
         while True:
             if calls:
                 calls.popleft()()
-            elif queue:
+                continue
+            try:
                 work, arguments = queue.popleft()
-                try:
-                    work(*arguments)
-                except Exception as error:  # one bad event must not take the others with it
-                    self._on_error(error)
-            else:
+            except IndexError:
                 return
+            self._do(work, arguments)
+
+    def _do(self, work: Callable[..., Any], arguments: Tuple[Any, ...]) -> None:
+        try:
+            work(*arguments)
+        except Exception as error:  # one bad event must not take the others with it
+            self._on_error(error)

@@ -20,22 +20,25 @@ class Clock:
 
     Args:
         source: returns the present instant (ns since the epoch); the system's clock by default.
+
+    Attributes:
+        alarms: a heap of those that are set.
     """
 
     def __init__(self, source: Callable[[], int] = time.time_ns):
         self._source = source
         self._last_stamp = 0
         self._newest = 0
-        self._alarms: List[Tuple[int, int, Alarm]] = []
+        self.alarms: List[Tuple[int, int, Alarm]] = []
         self._order = count()
 
     def now(self) -> int:
         """Return the present instant."""
         return self._source()
 
-    def stamp(self) -> int:
+    def stamp(self, now: Optional[int] = None) -> int:
         """Return an instant for an event: now, but always after the last one given out."""
-        instant = self._source()
+        instant = self._source() if now is None else now
         if instant <= self._last_stamp:
             instant = self._last_stamp + 1
         self._last_stamp = instant
@@ -43,34 +46,37 @@ class Clock:
 
     def call_at(self, instant: int, alarm: Alarm) -> None:
         """Have ``alarm`` called with the instant when that has come."""
-        heapq.heappush(self._alarms, (instant, next(self._order), alarm))
+        heapq.heappush(self.alarms, (instant, next(self._order), alarm))
 
     def next_alarm(self) -> Optional[int]:
         """Return the instant of the next alarm, or None."""
-        return self._alarms[0][0] if self._alarms else None
+        return self.alarms[0][0] if self.alarms else None
 
     def due(self, until: Optional[int] = None) -> Optional[Tuple[int, Alarm]]:
         """Take and return the next alarm that is due now (or at ``until``); None where there is none."""
-        if not self._alarms:
+        if not self.alarms:
             return None
-        if self._alarms[0][0] > (self.now() if until is None else until):
+        if self.alarms[0][0] > (self.now() if until is None else until):
             return None
-        instant, _, alarm = heapq.heappop(self._alarms)
+        instant, _, alarm = heapq.heappop(self.alarms)
         return instant, alarm
 
-    def went_back(self) -> bool:
+    def went_back(self, now: Optional[int] = None) -> bool:
         """Tell whether time has gone back by more than `JUMP` since the last call; the clock starts anew then."""
-        now = self._source()
-        newest = self._newest
-        self._newest = now if now > newest or now < newest - JUMP else newest
-        if now >= newest - JUMP:
+        if now is None:
+            now = self._source()
+        if now >= self._newest:
+            self._newest = now
             return False
+        if now >= self._newest - JUMP:
+            return False
+        self._newest = now
         self.reset()
         return True
 
     def reset(self) -> None:
         """Drop the alarms and the memory of the last stamp."""
-        self._alarms.clear()
+        self.alarms.clear()
         self._last_stamp = 0
 
 

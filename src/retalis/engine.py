@@ -19,6 +19,7 @@ from .logic import DONE, Limits, Logic, instantiation_error, permission_error, t
 from .program import GOALS, read_text
 from .syntax import EventReader, read_term
 from .terms import Atom, Functor, String, Term, Var, copy, deref, functor, variables
+from .timestamps import SECOND
 
 log = logging.getLogger("retalis")
 
@@ -274,9 +275,13 @@ class Engine:
         self, term: Term, start: Optional[int], end: Optional[int], ground: Optional[bool] = None
     ) -> None:
         """Dispatch an event; with no start it is stamped by the clock."""
-        self._watch_clock()
+        now = self.clock.now()
+        if self.clock.went_back(now):
+            self._start_anew()
+        if self.clock.alarms:
+            self._watch_clock()
         if start is None or end is None:
-            start = end = self.clock.stamp()
+            start = end = self.clock.stamp(now)
         elif end < start:
             raise UsageError(f"{self.show(term)} ends before it starts")
         self.logic.machine.run(self.dispatcher.dispatch(term, start, end, DONE, None, ground))
@@ -297,17 +302,21 @@ class Engine:
             self.reports.warning(f"refused: {text} (only event/1,2 and new_event/2,3,5 are taken)", "refused")
 
     def _watch_clock(self) -> None:
+        """Start anew where time went back, and let alarms ring that are due."""
         clock = self.clock
         if clock.went_back():
-            log.warning("time went back: memories, waiting queries and partial matches are cleared")
-            self.knowledge.clear()
-            self.rules.clear()
+            self._start_anew()
         while True:
             due = clock.due()
             if due is None:
                 return
             instant, alarm = due
             alarm(instant)
+
+    def _start_anew(self) -> None:
+        log.warning("time went back: memories, waiting queries and partial matches are cleared")
+        self.knowledge.clear()
+        self.rules.clear()
 
     def _deliver(self, term: Term, topic: str, name: Term) -> None:
         for callback in self._outputs:
@@ -322,12 +331,20 @@ class Engine:
         """Define the goals that make events."""
         logic = self.logic
 
-        def event(machine: Any, arguments: Sequence[Term], after: Any) -> Any:
+        def at_instant(machine: Any, arguments: Sequence[Term], after: Any) -> Any:
+            event, seconds, nanoseconds = arguments
+            if seconds.__class__ is int and nanoseconds.__class__ is int:
+                instant = seconds * SECOND + nanoseconds
+                return self.dispatcher.dispatch(event, instant, instant, after, own=False)
+            return general(machine, arguments, after)
+
+        def general(machine: Any, arguments: Sequence[Term], after: Any) -> Any:
             made = READERS[functor("new_event", len(arguments))](arguments)
             return self.dispatcher.dispatch(made.term, made.start, made.end, after, own=False)
 
-        for arity in (2, 3, 5):
-            logic.define_control("new_event", arity, event)
+        logic.define_control("new_event", 2, general)
+        logic.define_control("new_event", 3, at_instant)
+        logic.define_control("new_event", 5, general)
         logic.define("use_foreign", 1, self._use_foreign).locked = True
 
     def _use_foreign(self, machine: Any, module: Term) -> bool:
