@@ -1,0 +1,201 @@
+"""What each operator means, as data: by hand from the language reference, for `test_table`.
+
+Times are seconds. Every pattern binds X; the streams that fire do so with X = 1.
+"""
+
+from typing import NamedTuple, Tuple
+
+Event = Tuple[str, float, float]
+
+
+class Row(NamedTuple):
+    """One operator.
+
+    Attributes:
+        pattern: the pattern, whose variable X joins its parts.
+        fires: a stream for which it fires.
+        results: the intervals with which it fires then, in order.
+        never: a stream for which it must not fire.
+        late: the events of `fires` with a late first side, where the pattern has two sides.
+        either: whether it takes the sides in either order of arrival.
+        waits: whether what the last event completes had to wait for it.
+        back: how many of the results come from the first event.
+        tick: an event that moves the rule's clock and fits nothing.
+        expires: whether what waits is of no use when that has come.
+    """
+
+    pattern: str
+    fires: Tuple[Event, ...]
+    results: Tuple[Tuple[float, float], ...]
+    never: Tuple[Event, ...]
+    late: Tuple[Event, ...] = ()
+    either: bool = True
+    waits: bool = True
+    back: int = -1
+    tick: str = "a(9)"
+    expires: bool = False
+
+    @property
+    def derived(self) -> int:
+        """How many results come from the first event: all, if nothing else is said."""
+        return len(self.results) if self.back < 0 else self.back
+
+
+def pair(operator, first, second, result, never, either=True):
+    """Return the row of an operator between a(X) and b(X)."""
+    left, right = ("a(1)", *first), ("b(1)", *second)
+    return Row(f"a(X) {operator} b(X)", (left, right), (result,), never, (right, left), either)
+
+
+ROWS = {
+    "seq": pair("seq", (1, 2), (3, 5), (1, 5), (("a(1)", 1, 3), ("b(1)", 3, 5)), either=False),
+    "forall_seq": pair("forall_seq", (1, 2), (3, 5), (1, 5), (("a(1)", 1, 3), ("b(1)", 3, 5)), either=False),
+    "and": pair("and", (4, 5), (1, 2), (1, 5), (("a(1)", 1, 2), ("b(2)", 1, 2))),
+    "par": pair("par", (1, 4), (3, 6), (1, 6), (("a(1)", 1, 3), ("b(1)", 3, 6))),
+    "equals": pair("equals", (1, 4), (1, 4), (1, 4), (("a(1)", 1, 4), ("b(1)", 1, 4.001))),
+    "meets": pair("meets", (1, 3), (3, 6), (1, 6), (("a(1)", 1, 3), ("b(1)", 3.001, 6))),
+    "during": pair("during", (1, 4), (1, 6), (1, 6), (("a(1)", 0.9, 4), ("b(1)", 1, 6))),
+    "starts": pair("starts", (1, 4), (1, 6), (1, 6), (("a(1)", 1, 6), ("b(1)", 1, 6))),
+    "finishes": pair("finishes", (3, 6), (1, 6), (1, 6), (("a(1)", 1, 6), ("b(1)", 1, 6))),
+    "or": Row(
+        "a(X) or b(X)",
+        (("a(1)", 1, 3), ("b(1)", 4, 6)),
+        ((1, 3), (4, 6)),
+        (("c(1)", 1, 3),),
+        waits=False,
+        back=1,
+    ),
+    "where": Row("a(X) where X < 5", (("a(1)", 1, 3),), ((1, 3),), (("a(7)", 1, 3),), waits=False),
+    "within": Row(
+        "(a(X) seq b(X)) within 4.5",
+        (("a(1)", 1, 2), ("b(1)", 3, 5)),
+        ((1, 5),),
+        (("a(1)", 1, 2), ("b(1)", 3, 5.5)),
+        (("b(1)", 3, 5), ("a(1)", 1, 2)),
+        False,
+        expires=True,
+    ),
+    "check": Row(
+        "a(X) check (t1(S), t2(E), E - S < 3)", (("a(1)", 1, 3),), ((1, 3),), (("a(1)", 1, 4),), waits=False
+    ),
+    "timestamp": Row("a(X) timestamp t1(1)", (("a(1)", 1, 3),), ((1, 3),), (("a(1)", 2, 3),), waits=False),
+    "event_multiply": Row(
+        "a(L) event_multiply member(X, L)",
+        (("a([1,1])", 1, 3),),
+        ((1, 3), (1, 3)),
+        (("a([])", 1, 3),),
+        waits=False,
+    ),
+    "do": Row("a(X) do X < 5", (("a(1)", 1, 3),), ((1, 3),), (("a(7)", 1, 3),), waits=False),
+    "seq prolog": Row("a(X) seq prolog(X < 5)", (("a(1)", 1, 3),), ((1, 3),), (("a(7)", 1, 3),), waits=False),
+    "prolog seq": Row("db(true) seq a(X)", (("a(1)", 1, 3),), ((1, 3),), (("b(1)", 1, 3),), waits=False),
+    "cnot": Row(
+        "(a(X) seq b(X)) cnot c(X)",
+        (("a(1)", 1, 2), ("c(2)", 2.5, 2.6), ("c(1)", 2, 2.5), ("b(1)", 3, 5)),
+        ((1, 5),),
+        (("a(1)", 1, 2), ("c(1)", 2.1, 2.9), ("b(1)", 3, 5)),
+        (("b(1)", 3, 5), ("a(1)", 1, 2)),
+        False,
+    ),
+    "cnot one": Row(
+        "a(X) cnot c(X)",
+        (("a(1)", 1, 3), ("c(1)", 4, 5)),
+        ((1, 3),),
+        (("c(1)", 0.5, 0.9), ("a(1)", 1, 3)),
+        waits=False,
+    ),
+    "fnot": Row(
+        "a(X) fnot c(X)",
+        (("a(1)", 1, 3), ("c(1)", 4, 5)),
+        ((1, 3),),
+        (("c(1)", 0.5, 0.9), ("a(1)", 1, 3)),
+        waits=False,
+    ),
+    "star_times": Row(
+        "a(X) seq (b(X) star_times)",
+        (("a(1)", 1, 2), ("b(1)", 3, 4), ("b(1)", 5, 6)),
+        ((1, 2), (1, 4), (1, 6)),
+        (("b(1)", 3, 4), ("b(1)", 5, 6)),
+    ),
+    "ntimes": Row(
+        "a(X) ntimes 2",
+        (("a(1)", 1, 2), ("a(1)", 3, 5)),
+        ((1, 5),),
+        (("a(1)", 1, 3), ("a(1)", 3, 5), ("a(2)", 6, 7)),
+    ),
+    "count": Row(
+        "a(X) seq aggregate(count, b(X), _)",
+        (("a(1)", 1, 2), ("b(1)", 3, 4), ("b(1)", 5, 6)),
+        ((1, 2), (1, 4), (1, 6)),
+        (("b(1)", 3, 4),),
+    ),
+    "sum": Row(
+        "a(X) seq aggregate(sum(V), b(X, V), _)",
+        (("a(1)", 1, 2), ("b(1,4)", 3, 4)),
+        ((1, 2), (1, 4)),
+        (("b(1,4)", 3, 4),),
+    ),
+    "list": Row(
+        "a(X) seq aggregate(list(V), b(X, V), _)",
+        (("a(1)", 1, 2), ("b(1,4)", 3, 4)),
+        ((1, 2), (1, 4)),
+        (("b(1,4)", 3, 4),),
+    ),
+    "max": Row(
+        "a(X) seq aggregate(max(V), b(X, V), _)",
+        (("a(1)", 1, 2), ("b(1,4)", 3, 4), ("b(1,3)", 5, 6)),
+        ((1, 4), (1, 6)),
+        (("a(1)", 1, 2), ("b(1,4)", 2, 4)),
+    ),
+    "min": Row(
+        "a(X) seq aggregate(min(V), b(X, V), _)",
+        (("a(1)", 1, 2), ("b(1,4)", 3, 4)),
+        ((1, 4),),
+        (("a(1)", 1, 2), ("b(2,4)", 3, 4)),
+    ),
+    "avg": Row(
+        "a(X) seq aggregate(avg(V), b(X, V), _)",
+        (("a(1)", 1, 2), ("b(1,4)", 3, 4)),
+        ((1, 4),),
+        (("a(1)", 1, 2), ("c(1,4)", 3, 4)),
+    ),
+    "subpattern": Row(
+        "(s(X) <- a(X) seq b(X)) seq c(X)",
+        (("a(1)", 1, 2), ("b(1)", 3, 4), ("c(1)", 5, 6)),
+        ((1, 6),),
+        (("a(1)", 1, 2), ("b(1)", 2, 4), ("c(1)", 5, 6)),
+        tick="c(9)",
+    ),
+}
+
+# ---- several partners at once -----------------------------------------------------------------------------
+
+CONTESTS = {
+    # operator: intervals of a(1), a(2), a(1) again; of b(1), b(2), b(3); whether the result begins with a
+    "seq": (((1, 2), (2, 3), (3, 4)), ((5, 6), (6, 7), (7, 8)), True),
+    "and": (((1, 2), (2, 3), (3, 4)), ((5, 6), (6, 7), (7, 8)), True),
+    "par": (((1, 10), (2, 11), (3, 12)), ((4, 13), (5, 14), (6, 15)), True),
+    "equals": (((1, 2), (1, 2), (1, 2)), ((1, 2), (1, 2), (1, 2)), True),
+    "meets": (((1, 5), (2, 5), (3, 5)), ((5, 7), (5, 8), (5, 9)), True),
+    "during": (((3, 4), (4, 5), (5, 6)), ((1, 9), (2, 10), (3, 11)), False),
+    "starts": (((1, 2), (1, 3), (1, 4)), ((1, 5), (1, 6), (1, 7)), False),
+    "finishes": (((5, 9), (6, 9), (7, 9)), ((1, 9), (2, 9), (3, 9)), False),
+}
+
+TAKEN = {
+    # policy: which a goes with which b
+    "recent": ((3, 1), (2, 2)),  # the third a took the place of the first
+    "recent_2": ((3, 1), (2, 2), (1, 3)),
+    "chronological": ((1, 1), (2, 2), (3, 3)),
+    "chronological_2": ((1, 1), (2, 2), (3, 3)),
+    "unrestricted": tuple((a, b) for b in (1, 2, 3) for a in (1, 2, 3)),
+}
+
+EXTENDED = {
+    # policy: which of the starts 1 and 2 (and 1 again) a repetition goes to
+    "recent": (3,),
+    "recent_2": (3,),
+    "chronological": (1,),
+    "chronological_2": (1,),
+    "unrestricted": (1, 2, 3),
+}

@@ -1,0 +1,232 @@
+"""Operator by policy by everything a rule may be in: a case that fires and one that must not in each cell."""
+
+import pytest
+from events import table
+
+from retalis.engine import Engine
+from retalis.explain import explain
+from retalis.syntax import Operators, read_term
+from retalis.terms import atom
+from retalis.timestamps import SECOND, from_seconds
+
+POLICIES = ("recent", "recent_2", "chronological", "chronological_2", "unrestricted")
+BEFORE = ("z", 0, 0.2)
+
+
+class Run:
+    """One program over one stream; ``seen`` is what was derived, as text with its interval in seconds."""
+
+    def __init__(self, rules, stream, policy="recent", watch=("out", "rev"), **flags):
+        self.engine = Engine()
+        self.seen = []
+        self._watch = watch
+        self.engine.on_event(self._see)
+        self._flag("event_consumption_policy", policy)
+        for name, value in flags.items():
+            self._flag(name, value)
+        self.engine.load(rules=rules)
+        for event in stream:
+            self.take(*event)
+
+    def _flag(self, name, value):
+        self.engine.rules.flags.set(name, atom(value) if isinstance(value, str) else value)
+
+    def take(self, text, start, end):
+        self.engine.clock.move_to(from_seconds(end))
+        self.engine.event(text, start, end)
+
+    def _see(self, term, start, end):
+        text = self.engine.show(term)
+        if text.startswith(self._watch):
+            self.seen.append((text, int(start) / SECOND, int(end) / SECOND))
+
+    @property
+    def intervals(self):
+        return [(start, end) for text, start, end in self.seen if text == "out(1)"]
+
+
+def cells():
+    for name in table.ROWS:
+        for policy in POLICIES:
+            yield pytest.param(table.ROWS[name], policy, id=f"{name}-{policy}")
+
+
+each_cell = pytest.mark.parametrize("row, policy", list(cells()))
+
+
+@each_cell
+def test_alone(row, policy):
+    rule = f"out(X) <- {row.pattern}."
+    assert Run(rule, row.fires, policy).intervals == list(row.results)
+    assert Run(rule, row.never, policy).intervals == []
+
+
+def nested(row, policy):
+    """The results when each needs z, which is used up by the first of them."""
+    results = [(BEFORE[1], end) for _, end in row.results]
+    return results if policy == "unrestricted" else results[:1]
+
+
+@each_cell
+def test_nested_left(row, policy):
+    rule = f"out(X) <- ({row.pattern}) and z."
+    assert Run(rule, (BEFORE, *row.fires), policy).intervals == nested(row, policy)
+    assert Run(rule, (BEFORE, *row.never), policy).intervals == []
+    assert Run(rule, row.fires, policy).intervals == []
+
+
+@each_cell
+def test_nested_right(row, policy):
+    rule = f"out(X) <- z seq ({row.pattern})."
+    assert Run(rule, (BEFORE, *row.fires), policy).intervals == nested(row, policy)
+    assert Run(rule, (BEFORE, *row.never), policy).intervals == []
+    assert Run(rule, row.fires, policy).intervals == []
+
+
+@each_cell
+def test_condition(row, policy):
+    assert Run(f"out(X) <- ({row.pattern}) where X =:= 1.", row.fires, policy).intervals == list(row.results)
+    assert Run(f"out(X) <- ({row.pattern}) where X =:= 1.", row.never, policy).intervals == []
+    assert Run(f"out(X) <- ({row.pattern}) where X =\\= 1.", row.fires, policy).intervals == []
+
+
+@each_cell
+def test_within(row, policy):
+    """Shorter than, not as long as."""
+    longest = max(end - start for start, end in row.results)
+    assert Run(f"out(X) <- ({row.pattern}) within {longest + 0.001}.", row.fires, policy).intervals == list(
+        row.results
+    )
+    shorter = [(start, end) for start, end in row.results if end - start < longest]
+    assert Run(f"out(X) <- ({row.pattern}) within {longest}.", row.fires, policy).intervals == shorter
+
+
+@each_cell
+@pytest.mark.parametrize("name", ["window", "event_rule_window"])
+def test_window(row, policy, name):
+    """As long as, not longer than."""
+    longest = max(end - start for start, end in row.results)
+    rule = "r([property({},{})]) : out(X) <- {}."
+    assert Run(rule.format(name, longest, row.pattern), row.fires, policy).intervals == list(row.results)
+    shorter = [(start, end) for start, end in row.results if end - start <= longest - 0.001]
+    assert Run(rule.format(name, longest - 0.001, row.pattern), row.fires, policy).intervals == shorter
+
+
+@each_cell
+def test_label(row, policy):
+    rule = f"r : out(X) <- {row.pattern}."
+    assert Run(rule, row.fires, policy).intervals == list(row.results)
+    assert Run(rule, row.never, policy).intervals == []
+    for label, left in (("other", list(row.results)), ("r", [])):
+        run = Run(rule, (), policy)
+        run.engine.call(f"del_event_rule({label})")
+        for event in row.fires:
+            run.take(*event)
+        assert run.intervals == left
+
+
+@each_cell
+def test_out_of_order(row, policy):
+    rule = f"out(X) <- {row.pattern}."
+    assert Run(rule, row.fires, policy, out_of_order="on").intervals == list(row.results)
+    assert Run(rule, row.never, policy, out_of_order="on").intervals == []
+    if row.late:
+        assert Run(rule, row.late, policy, out_of_order="on").intervals == list(row.results)
+        in_order = list(row.results) if row.either else []
+        assert Run(rule, row.late, policy, out_of_order="off").intervals == in_order
+
+
+@each_cell
+def test_revision(row, policy):
+    rule = f"out(X) <- {row.pattern}."
+    taken = row.fires[0]
+    all_back = [(f"rev({taken[0]})", 50, 50)] + [("rev(out(1))", 50, 50)] * row.derived
+    run = Run(rule, row.fires, policy, revision_flag="on")
+    assert run.intervals == list(row.results)
+    run.seen.clear()
+    run.take("rev(nothing)", 49, 49)
+    assert run.seen == [("rev(nothing)", 49, 49)]
+    run.take(f"rev({taken[0]})", 50, 50)
+    assert [one for one in run.seen[1:] if one[0] != "rev(s(1))"] == all_back
+    run.seen.clear()
+    run.take(f"rev({taken[0]})", 51, 51)
+    assert run.seen == [(f"rev({taken[0]})", 51, 51)]
+    assert Run(rule, row.never, policy, revision_flag="on").intervals == []
+    off = Run(rule, (*row.fires, (f"rev({taken[0]})", 50, 50)), policy)
+    assert ("rev(out(1))", 50, 50) not in off.seen
+
+
+@each_cell
+def test_justification(row, policy):
+    rule = f"out(X) <- {row.pattern}."
+    run = Run(rule, row.fires, policy, etalis_justification="on")
+    assert run.intervals == list(row.results)
+    asked = read_term("out(1)", Operators.prolog()).term
+    answer = explain(run.engine, asked)
+    assert answer.happened
+    assert len(answer.lines) == len(row.results)
+    said = "\n".join(answer.lines[0].indented())
+    assert row.fires[0][0] in said
+    never = Run(rule, row.never, policy, etalis_justification="on")
+    assert never.intervals == []
+    assert not explain(never.engine, asked).happened
+    assert not explain(Run(rule, row.fires, policy).engine, asked).happened
+
+
+@each_cell
+def test_garbage_control(row, policy):
+    """A stamp far later is seen by the rule before the last event of the stream arrives."""
+    rule = f"out(X) <- {row.pattern}."
+    stream = (*row.fires[:-1], (row.tick, 500, 501), row.fires[-1])
+    control = {"garbage_control": "general", "garbage_window": 100, "garbage_window_step": 1}
+    assert Run(rule, row.fires, policy, **control).intervals == list(row.results)
+    assert Run(rule, row.never, policy, **control).intervals == []
+    left = list(row.results[:-1]) if row.waits else list(row.results)
+    assert Run(rule, stream, policy).intervals == (left if row.expires else list(row.results))
+    assert Run(rule, stream, policy, **control).intervals == left
+    pattern = f"r([property(window,100),property(window_step,1)]) : {rule}"
+    assert Run(pattern, row.fires, policy, garbage_control="pattern").intervals == list(row.results)
+    assert Run(pattern, stream, policy, garbage_control="pattern").intervals == left
+
+
+# ---- several partners at once ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("policy", POLICIES)
+@pytest.mark.parametrize("operator", table.CONTESTS)
+def test_which_partners_a_policy_takes(operator, policy):
+    firsts, seconds, with_first = table.CONTESTS[operator]
+    stream = [(f"a({name})", *at) for name, at in zip((1, 2, 1), firsts)]
+    stream += [(f"b({name})", *at) for name, at in zip((1, 2, 3), seconds)]
+    wanted = []
+    for first, second in table.TAKEN[policy]:
+        start = firsts[first - 1][0] if with_first else seconds[second - 1][0]
+        wanted.append((f"out({(1, 2, 1)[first - 1]},{second})", start, seconds[second - 1][1]))
+    assert Run(f"out(X,Y) <- a(X) {operator} b(Y).", stream, policy).seen == wanted
+
+
+@pytest.mark.parametrize("policy", POLICIES)
+def test_forall_seq_takes_all_and_uses_them_up(policy):
+    stream = [("a(1)", 1, 1), ("a(2)", 2, 2), ("a(1)", 3, 3), ("b(1)", 4, 4), ("b(2)", 5, 5)]
+    seen = Run("out(X,Y) <- a(X) forall_seq b(Y).", stream, policy).seen
+    assert seen == [("out(1,1)", 1, 4), ("out(2,1)", 2, 4), ("out(1,1)", 3, 4)]
+
+
+@pytest.mark.parametrize("policy", POLICIES)
+@pytest.mark.parametrize("pattern", ["b star_times", "aggregate(list(Y), b(Y), _)"])
+def test_which_runs_a_policy_extends(pattern, policy):
+    event = "b" if pattern.startswith("b") else "b(7)"
+    starts = (("a(1)", 1, 2), ("a(2)", 2, 3), ("a(1)", 3, 4))
+    stream = [*starts, (event, 5, 6), (event, 7, 8)]
+    wanted = [(f"out({text[2]})", start, end) for text, start, end in starts]
+    for end in (6, 8):
+        for number in table.EXTENDED[policy]:
+            text, start, _ = starts[number - 1]
+            wanted.append((f"out({text[2]})", start, end))
+    assert Run(f"out(X) <- a(X) seq ({pattern}).", stream, policy).seen == wanted
+
+
+@pytest.mark.parametrize("policy", POLICIES)
+def test_one_negated_event_rules_out_all_that_wait(policy):
+    stream = [("a(1)", 1, 1), ("a(2)", 2, 2), ("c", 3, 3), ("a(3)", 4, 4), ("b", 5, 5)]
+    assert Run("out(X) <- (a(X) seq b) cnot c.", stream, policy).seen == [("out(3)", 4, 5)]
