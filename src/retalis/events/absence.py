@@ -138,7 +138,9 @@ class Absence:
         condition = self.condition
         for match in self.place.candidates(key):
             if match.end < before and (self.ever or after < match.start):
-                if (key is None or match.bucket.key is None) and unify_sides(match, asked, self.shared) is None:
+                if (key is None or match.bucket.key is None) and unify_sides(
+                    match, asked, self.shared
+                ) is None:
                     continue
                 if condition is None or condition(values, match):
                     self.rule.network.tracker.blocker = match

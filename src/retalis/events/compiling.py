@@ -67,11 +67,12 @@ class Built(NamedTuple):
     deferred: List[Deferred]
     joined: List[Leaf]
     single: List[Leaf]
+    branches: Optional[List[Leaf]] = None
 
     @property
     def leaves(self) -> List[Leaf]:
-        """All leaves, in the order in which they are served."""
-        return [*self.joined, *self.single]
+        """All leaves, in the order in which they are served: those of an ``or`` branch by branch."""
+        return [*self.joined, *self.single] if self.branches is None else self.branches
 
 
 class _Wrapping(NamedTuple):
@@ -110,7 +111,7 @@ class Compiler:
             raise RuleError(
                 "a condition looks at variables that no pattern to its left binds", self.rule.place
             )
-        for rank, leaf in enumerate([*built.joined, *built.single]):
+        for rank, leaf in enumerate(built.leaves):
             leaf.rank = rank
         node: Any = built.node
         root: Node = node
@@ -141,10 +142,11 @@ class Compiler:
         elif isinstance(core, Either):
             branches = [self._build(branch, context, inner) for branch in core.branches]
             node = Alternatives([branch.node for branch in branches], self.keep)
-            leaves = [leaf for branch in branches for leaf in branch.leaves]
-            joined, single = (leaves, []) if any(branch.joined for branch in branches) else ([], leaves)
             deferred = [one for branch in branches for one in branch.deferred]
-            built = Built(self._add(node, None, inner), deferred, joined, single)
+            joined = [leaf for branch in branches for leaf in branch.joined]
+            single = [leaf for branch in branches for leaf in branch.single]
+            in_order = [leaf for branch in branches for leaf in branch.leaves]
+            built = Built(self._add(node, None, inner), deferred, joined, single, in_order)
         elif isinstance(core, Absent):
             built = self._never(core, context, inner)
         else:
@@ -307,20 +309,22 @@ class Compiler:
         pattern = core.repeated if isinstance(core, Star) else core.collected
         repeated = self._build(pattern, here, limit)
         first = self._build(core.first, context, limit)
-        outside = self._outside(pattern, core.value if isinstance(core, Aggregate) else None)
-        collector, result = None, None
-        if isinstance(core, Aggregate):
-            collector, result = self._collector(core, repeated.node.vars), core.result
-        node = Running(self.rule, first.node, repeated.node, outside, collector, result)
+        node = Running(self.rule, first.node, repeated.node)
         self._add(node, wrapping.span, limit)
-        deferred = list(first.deferred)
         known = set(node.step_vars)
+        deferred = list(first.deferred)
         for one in repeated.deferred:
             if one.needs - known:
                 raise RuleError(
                     "a condition on what is repeated looks at a pattern further away", self.rule.place
                 )
             self._settle_step(node, one)
+            known = set(node.step_vars)
+        outside = self._outside(pattern, core.value if isinstance(core, Aggregate) else None)
+        if isinstance(core, Aggregate):
+            node.finish(outside, self._collector(core, node.step_vars), core.result)
+        else:
+            node.finish(outside, None, None)
         now, later = self._split(wrapping.conditions, wrapping.core, context)
         shown = set(node.result_new)
         early: List[Any] = []
@@ -350,7 +354,9 @@ class Compiler:
         names = node.step_vars
         at = (names.index(one.start), names.index(one.end))
         if one.absent is None:
-            node.step_tests.append(goal_test(Call(self.rule, one.goal, names), one.timed, at))
+            call = Call(self.rule, one.goal, names)
+            node.step_tests.append(goal_test(call, one.timed, at))
+            node.step_vars = call.result_vars
             return
         negated, conditions, ever = one.absent
         absence = self._absence(negated, names, ever, conditions)

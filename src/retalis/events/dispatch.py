@@ -232,7 +232,7 @@ class Dispatcher:
     def is_of_ground(self, match: Any) -> bool:
         """Tell whether a match is of the event alone that is being served, and that has no variables."""
         event = self.current
-        return match.parts is None and event is not None and match.event == event.token and self.ground()
+        return match.parts is None and event is not None and match.term is event.term and self.ground()
 
     def token(self) -> Any:
         """Return what tells the event that is being served from all others."""

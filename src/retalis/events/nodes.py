@@ -48,13 +48,18 @@ class Leaf(Node):
         self.vars = variables(term)
 
     def bind(self, out: Emit, mode: Mode) -> None:
+        """Listen; the token of an event is asked for only where something looks at it."""
         rule = self.rule
         token = rule.network.dispatcher.token
 
         def arrive(term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
-            return out(Match(values, start, end, token(), term, None), after)
+            return out(Match(values, start, end, None, term, None), after)
 
-        def arrive_prepared(term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
+        def arrive_timed(term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
+            rule.tick(end)
+            return out(Match(values, start, end, None, term, None), after)
+
+        def arrive_known(term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
             event = token()
             if rule.later:
                 rule.add_those_of_other_events(event)
@@ -62,7 +67,16 @@ class Leaf(Node):
                 rule.tick(end)
             return out(Match(values, start, end, event, term, None), after)
 
-        rule.listen(self, arrive_prepared if rule.timed or rule.double else arrive)
+        known = rule.double or mode.tracked
+        rule.listen(self, arrive_known if known else arrive_timed if rule.timed else arrive)
+
+    def bind_as_root(self, complete: Any) -> None:
+        """Listen for a rule whose pattern is one event: ``complete`` takes its values and interval."""
+
+        def arrive(term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
+            return complete(values, start, end, after)
+
+        self.rule.listen(self, arrive)
 
 
 class Filter(Node):
@@ -331,7 +345,7 @@ class Joining(Node):
             f"    if not ({operator.fits}):",
             "        return None",
         ]
-        if operator.alone:
+        if operator.alone and self.double:
             lines += ["    if l.event is not None and l.event == r.event:", "        return None"]
         lines += [f"    start = {operator.start}", f"    end = {operator.end}"]
         if self.span is not None:

@@ -11,6 +11,7 @@ from .building import compile_builder
 from .compiling import Compiler
 from .dispatch import Listener, Stage
 from .matches import Match
+from .nodes import Leaf
 from .policy import Frame, Mode
 
 _SPARE = 1000
@@ -86,7 +87,13 @@ class Rule:
             self.timed = self.timed or any(place.span is not None for place in node.places())
         self._resettle()
         self.unlisten()
-        self.root.bind(self._complete_tracked if mode.tracked else self._complete, mode)
+        root: Any = self.root
+        if mode.tracked:
+            root.bind(self._complete_tracked, mode)
+        elif isinstance(root, Leaf) and not self.timed and self.builder is not None:
+            root.bind_as_root(self._complete_values)
+        else:
+            root.bind(self._complete, mode)
 
     def _resettle(self) -> None:
         """File what waits already under the bounds that hold now."""
@@ -207,13 +214,15 @@ class Rule:
                 return
 
     def _complete(self, match: Match, after: Frame) -> Frame:
+        if self.builder is None:
+            return after
+        return self._complete_values(match.values, match.start, match.end, after)
+
+    def _complete_values(self, values: Any, start: int, end: int, after: Frame) -> Frame:
         window = self.window
-        if window is not None and match.end - match.start > window:
+        if window is not None and end - start > window:
             return after
-        builder = self.builder
-        if builder is None:
-            return after
-        return self.fire(builder(match.values), match.start, match.end, after)
+        return self.fire(self.builder(values), start, end, after)  # type: ignore[misc]
 
     def _complete_tracked(self, match: Match, after: Frame) -> Frame:
         window = self.window

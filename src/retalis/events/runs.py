@@ -22,9 +22,10 @@ class Run(Match):
         fixed: the values, set by the first repetition, of variables that stand elsewhere in the rule; or None.
         state: what an aggregate has collected.
         taken: the matches that extended it, where they are tracked.
+        steps: the values of each of them.
     """
 
-    __slots__ = ("last", "fixed", "state", "taken", "first")
+    __slots__ = ("last", "fixed", "state", "taken", "steps", "first")
 
     def __init__(self, first: Match):
         super().__init__(first.values, first.start, first.end, first.event, None, (first,))
@@ -33,6 +34,7 @@ class Run(Match):
         self.fixed: Optional[Values] = None
         self.state: Any = None
         self.taken: List[Match] = []
+        self.steps: List[Values] = []
 
 
 class Running(Node):
@@ -42,27 +44,16 @@ class Running(Node):
         rule: the rule it belongs to.
         first: the node of P.
         repeated: the node of Q.
-        outside: the variables that stand elsewhere in the rule: those of Q have one value in a run.
-        collector: what an aggregate does; None for ``star_times``.
-        result: the term of an aggregate's result.
+
+    Attributes:
+        step_vars: the variables that a repetition's own conditions know, and what they find.
+        fixed: those of them that have one value in a run, since they stand elsewhere in the rule.
     """
 
-    def __init__(
-        self,
-        rule: Any,
-        first: Node,
-        repeated: Node,
-        outside: Any,
-        collector: Optional[Collector],
-        result: Term,
-    ):
+    def __init__(self, rule: Any, first: Node, repeated: Node):
         self.rule = rule
         self.first = first
         self.repeated = repeated
-        self.collector = collector
-        self.fixed = [var for var in repeated.vars if var in outside and var not in first.vars]
-        self.fixed_at = [repeated.vars.index(var) for var in self.fixed]
-        self.vars = [*first.vars, *self.fixed]
         shared = [var for var in first.vars if var in repeated.vars]
         self.pairs = tuple((first.vars.index(var), repeated.vars.index(var)) for var in shared)
         self.place = Place(rule, tuple(one for one, _ in self.pairs))
@@ -75,16 +66,27 @@ class Running(Node):
         self.carried: List[Tuple[Any, Node]] = []
         self.step_vars = [*first.vars, *(var for var in repeated.vars if var not in first.vars)]
         self._step_at = [at for at, var in enumerate(repeated.vars) if var not in first.vars]
-        if collector is not None:
-            self._read_result(result)
 
-    def _read_result(self, result: Term) -> None:
-        known = list(self.vars)
-        self.result_is_open = result.__class__ is Var and result not in known
-        self.result_new = [var for var in variables(result) if var not in known]
-        self._result_at = len(known)
-        self.make_result = compile_builder(result, [*known, *self.result_new], f"result in {self.rule.name}")
-        self.vars = [*known, *self.result_new]
+    def finish(self, outside: Any, collector: Optional[Collector], result: Term) -> None:
+        """Say what the run gives on, when all conditions on repetitions are known.
+
+        Args:
+            outside: the variables that stand elsewhere in the rule.
+            collector: what an aggregate does; None for ``star_times``.
+            result: the term of an aggregate's result.
+        """
+        own = self.first.vars
+        self.collector = collector
+        self.fixed = [var for var in self.step_vars if var in outside and var not in own]
+        self.fixed_at = [self.step_vars.index(var) for var in self.fixed]
+        known = [*own, *self.fixed]
+        if collector is not None:
+            self.result_is_open = result.__class__ is Var and result not in known
+            self.result_new = [var for var in variables(result) if var not in known]
+            self._result_at = len(known)
+            known += self.result_new
+            self.make_result = compile_builder(result, known, f"result in {self.rule.name}")
+        self.vars = known
 
     def test(self, test: Test, names: Sequence[Var], late: bool) -> None:
         """Add a condition; ``names`` are the variables it leaves.
@@ -182,24 +184,23 @@ class Running(Node):
             if sides is None:
                 return False, None
             values, match = sides[0].values, sides[1]
-        fixed = tuple([match.values[at] for at in self.fixed_at])
+        step: Any = values + tuple([match.values[at] for at in self._step_at])
+        for test in self.step_tests:
+            step = test(step, match.start, match.end)
+            if step is None:
+                return False, None
+        fixed = tuple([step[at] for at in self.fixed_at])
         if run.fixed is not None:
             agreed = _agreed(run.fixed, fixed)
             if agreed is None:
                 return False, None
             fixed = agreed
-        if self.step_tests:
-            step: Any = values + tuple([match.values[at] for at in self._step_at])
-            for test in self.step_tests:
-                step = test(step, match.start, match.end)
-                if step is None:
-                    return False, None
         found = self._fit(values, fixed, run.start, last)
         if found is None:
             return False, None
         if self.collector is not None:
             try:
-                run.state = self.collector.add(run.state, match.values)
+                run.state = self.collector.add(run.state, step)
             except RuleError as error:
                 self.rule.network.rule_failed(self.rule, error)
                 return False, None
@@ -208,6 +209,7 @@ class Running(Node):
         run.values = values
         if self.tracked:
             run.taken.append(match)
+            run.steps.append(step)
             self.rule.network.tracker.hold_repetition(run, match, self)
         return True, self.result_of(run, found)
 
@@ -216,17 +218,18 @@ class Running(Node):
         if run.bucket is None or match not in run.taken:
             return None
         last = run.taken[-1] is match
-        run.taken.remove(match)
+        at = run.taken.index(match)
+        del run.taken[at], run.steps[at]
         collector = self.collector
         run.last = run.end
         run.state = None if collector is None else collector.start
         run.values = run.first.values
         run.fixed = None
-        for one in run.taken:
+        for one, step in zip(run.taken, run.steps):
             run.last = max(run.last, one.end)
-            run.fixed = tuple([one.values[at] for at in self.fixed_at])
+            run.fixed = tuple([step[at] for at in self.fixed_at])
             if collector is not None:
-                run.state = collector.add(run.state, one.values)
+                run.state = collector.add(run.state, step)
         return None if last or not run.taken else run  # type: ignore[no-any-return]
 
     def retry(self, run: Any, after: Frame) -> Frame:
