@@ -116,18 +116,11 @@ def _constant(item: Term, kind: type) -> Number:
     raise type_error("evaluable", item)
 
 
-def check(value: Number) -> Number:
-    """Return a result that is a finite number; called where ``value - value`` is not zero."""
-    if value != value:
-        raise evaluation_error("undefined")
-    raise evaluation_error("float_overflow")
-
-
-def checked(value: float, *operands: Number) -> float:
-    """Return a float result, unless it is infinite or nan and no operand was."""
-    if value - value == 0 or any(operand - operand != 0 for operand in operands):
+def checked(value: Number) -> Number:
+    """Return a result, unless it is infinite or nan."""
+    if value - value == 0:
         return value
-    return check(value)  # type: ignore[return-value]
+    raise evaluation_error("undefined" if value != value else "float_overflow")
 
 
 def integer(value: Number) -> int:
@@ -151,21 +144,21 @@ def add(left: Term, right: Term) -> Number:
     """Evaluate both sides and return their sum."""
     left, right = evaluate(left), evaluate(right)
     value = left + right
-    return value if value - value == 0 else checked(value, left, right)
+    return value if value - value == 0 else checked(value)
 
 
 def subtract(left: Term, right: Term) -> Number:
     """Evaluate both sides and return their difference."""
     left, right = evaluate(left), evaluate(right)
     value = left - right
-    return value if value - value == 0 else checked(value, left, right)
+    return value if value - value == 0 else checked(value)
 
 
 def multiply(left: Term, right: Term) -> Number:
     """Evaluate both sides and return their product."""
     left, right = evaluate(left), evaluate(right)
     value = left * right
-    return value if value - value == 0 else checked(value, left, right)
+    return value if value - value == 0 else checked(value)
 
 
 EVALUABLE[functor("+", 2)] = add
@@ -187,10 +180,8 @@ def divide(left: Number, right: Number) -> Number:
         except OverflowError:
             raise evaluation_error("float_overflow") from None
     if right == 0:
-        if right.__class__ is int or left == left:
-            raise evaluation_error("undefined" if left == 0 else "zero_divisor")
-        return math.nan
-    return checked(left / right, left, right)
+        raise evaluation_error("undefined" if left == 0 or left != left else "zero_divisor")
+    return checked(left / right)
 
 
 @evaluable("//", 2)
@@ -231,8 +222,6 @@ def floored_quotient(left: Number, right: Number) -> int:
     return left // right  # type: ignore[return-value]
 
 
-
-
 @evaluable("+", 1)
 def _plus(value: Number) -> Number:
     return value
@@ -253,23 +242,23 @@ def _abs(value: Number) -> Number:
 def _sign(value: Number) -> Number:
     if value.__class__ is int:
         return (value > 0) - (value < 0)
-    return math.copysign(1.0, value) if value else value
+    return math.copysign(1.0, value) if value else 0.0
 
 
 @evaluable("max", 2)
 def maximum(left: Number, right: Number) -> Number:
-    """Return the greater one; of equal ones the float, and nan wins."""
+    """Return the greater one; of equal ones the float."""
     if left == right:
         return right if right.__class__ is float else left
-    return left if left != left or left > right else right
+    return left if left > right or right != right else right
 
 
 @evaluable("min", 2)
 def minimum(left: Number, right: Number) -> Number:
-    """Return the lesser one; of equal ones the integer, and nan wins."""
+    """Return the lesser one; of equal ones the float."""
     if left == right:
-        return left if right.__class__ is float else right
-    return left if left != left or left < right else right
+        return right if right.__class__ is float else left
+    return left if left < right or right != right else right
 
 
 @evaluable("succ", 1)
@@ -360,10 +349,7 @@ def _rounded(function: Callable[[float], int]) -> Callable[[Number], int]:
     def apply(value: Number) -> int:
         if value.__class__ is int:
             return value  # type: ignore[return-value]
-        try:
-            return function(value)
-        except (OverflowError, ValueError):
-            raise evaluation_error("undefined") from None
+        return function(value) if value - value == 0 else value  # type: ignore[return-value]
 
     return apply
 

@@ -2,7 +2,23 @@
 
 from typing import Any, Callable, Dict, List, Optional, Tuple
 
-from ..terms import COMMA, FALSE, NIL, TRUE, Atom, Functor, Lazy, Term, Var, copy, deref, functor, is_ground, make_list
+from ..terms import (
+    COMMA,
+    CONS,
+    FALSE,
+    NIL,
+    TRUE,
+    Atom,
+    Functor,
+    Lazy,
+    Term,
+    Var,
+    copy,
+    deref,
+    functor,
+    is_ground,
+    make_list,
+)
 from .compiler.nodes import ARROW, BAR, CALL, IGNORE, NOT, ONCE, SEMICOLON, SOFT_ARROW
 from .database import Database
 from .faults import PrologError, instantiation_error, type_error
@@ -200,6 +216,19 @@ def check_body(goal: Term) -> None:
             raise type_error("callable", goal)
 
 
+def check_partial_list(term: Term) -> None:
+    """Raise a type error for what is neither a list nor may become one.
+
+    Raises:
+        PrologError: a type error.
+    """
+    tail = deref(term)
+    while tail.__class__ is tuple and tail[0] is CONS:
+        tail = deref(tail[2])
+    if tail.__class__ is not Var and tail is not NIL:
+        raise type_error("list", term)
+
+
 def add_arguments(goal: Term, extra: Tuple[Term, ...]) -> Term:
     """Return a goal with more arguments, as ``call/N`` makes it."""
     goal = deref(goal)
@@ -233,7 +262,7 @@ def control_predicates(control: Control) -> Dict[Tuple[str, int], Any]:
         return control.call(args[0] if len(args) == 1 else add_arguments(args[0], args[1:]), after)
 
     def catch(machine: Any, args: Tuple[Term, ...], after: Frame) -> Optional[Frame]:
-        return control.catch(*args, after)
+        return control.catch(args[0], args[1], args[2], after)
 
     def throw(machine: Any, args: Tuple[Term, ...], after: Frame) -> Optional[Frame]:
         raise thrown(args[0])
@@ -241,6 +270,7 @@ def control_predicates(control: Control) -> Dict[Tuple[str, int], Any]:
     def findall(machine: Any, args: Tuple[Term, ...], after: Frame) -> Optional[Frame]:
         template, goal, result = args[0], args[1], args[2]
         tail = args[3] if len(args) == 4 else NIL
+        check_partial_list(result)
 
         def then(found: List[Term]) -> Optional[Frame]:
             return after if machine.unify(result, make_list(found, tail)) else None
@@ -267,5 +297,3 @@ def control_predicates(control: Control) -> Dict[Tuple[str, int], Any]:
     for key in (*_STRUCTURES, ONCE, IGNORE):
         found[key.name, key.arity] = structure(key)
     return found
-
-

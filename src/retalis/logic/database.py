@@ -245,7 +245,9 @@ class Predicate:
     def _next(self, entry: Frame) -> Optional[Frame]:
         return self._advance(entry[1], entry[2], entry[3], entry[4], entry[5])
 
-    def _advance(self, frame: Frame, clauses: List[Clause], at: int, end: int, generation: int) -> Optional[Frame]:
+    def _advance(
+        self, frame: Frame, clauses: List[Clause], at: int, end: int, generation: int
+    ) -> Optional[Frame]:
         """Try the clauses from ``at`` on; push a choice point where another one may match."""
         machine = self.database.machine
         trail = machine.trail
@@ -374,7 +376,9 @@ class Database:
         found = self.predicates.get(key)
         return found is not None and found.kind == "builtin"
 
-    def define(self, key: Functor, function: Any, run: Callable[[Frame], Optional[Frame]], kind: str) -> Predicate:
+    def define(
+        self, key: Functor, function: Any, run: Callable[[Frame], Optional[Frame]], kind: str
+    ) -> Predicate:
         """Define a predicate in Python."""
         predicate = self.predicate(key)
         if predicate.kind != "undefined":

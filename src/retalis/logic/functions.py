@@ -24,18 +24,31 @@ def _real(name: str, function: Callable[[float], float]) -> None:
 
     def apply(value: Number) -> float:
         try:
-            return checked(function(_to_float(value)), value)
+            return checked(function(_to_float(value)))
         except OverflowError:
             raise evaluation_error("float_overflow") from None
         except ValueError:
-            if value != value:
-                return value
             raise evaluation_error("undefined") from None
 
     EVALUABLE[functor(name, 1)] = apply
 
 
-for _name in ("sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "exp", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh"):
+for _name in (
+    "sqrt",
+    "sin",
+    "cos",
+    "tan",
+    "asin",
+    "acos",
+    "atan",
+    "exp",
+    "sinh",
+    "cosh",
+    "tanh",
+    "asinh",
+    "acosh",
+    "atanh",
+):
     _real(_name, getattr(math, _name))
 for _name in ("erf", "erfc", "lgamma"):
     _real(_name, getattr(math, _name))
@@ -45,7 +58,7 @@ def _logarithm(name: str, function: Callable[[Number], float]) -> None:
     def apply(value: Number) -> float:
         if value <= 0:
             raise evaluation_error("undefined")
-        return function(value)
+        return checked(function(value))
 
     EVALUABLE[functor(name, 1)] = apply
 
@@ -67,13 +80,13 @@ def _log(base: Number, value: Number) -> float:
 @evaluable("atan2", 2)
 @evaluable("atan", 2)
 def _atan2(y: Number, x: Number) -> float:
-    if x.__class__ is int and y.__class__ is int and x == 0 == y:
-        raise evaluation_error("undefined")
     return math.atan2(y, x)
 
 
 @evaluable("copysign", 2)
-def _copysign(value: Number, sign: Number) -> float:
+def _copysign(value: Number, sign: Number) -> Number:
+    if value.__class__ is int:
+        return abs(value) * (-1 if math.copysign(1.0, sign) < 0 else 1)
     return math.copysign(value, sign)
 
 
@@ -93,22 +106,23 @@ def _nexttoward(value: Number, target: Number) -> float:
 
 @evaluable("hypot", 2)
 def _hypot(x: Number, y: Number) -> float:
-    return checked(math.hypot(x, y), x, y)
+    return checked(math.hypot(x, y))
 
 
 @evaluable("^", 2)
 def power(base: Number, exponent: Number) -> Number:
-    """Return the power; of integers it is an integer, or a type error where there is none."""
-    if base.__class__ is int and exponent.__class__ is int:
-        return _integer_power(base, exponent)  # type: ignore[arg-type]
+    """Return the power; of integers it is an integer, unless the exponent is negative."""
+    if exponent.__class__ is int:
+        if exponent == 0:
+            return 1
+        if base.__class__ is int and (exponent > 0 or base in (0, 1, -1)):
+            return _integer_power(base, exponent)  # type: ignore[arg-type]
     return _float_power(base, exponent)
 
 
 @evaluable("**", 2)
 def _power2(base: Number, exponent: Number) -> Number:
-    """Return the power; unlike with ``^``, an integer to a negative one is a float."""
-    if exponent < 0 and base.__class__ is int and base not in (1, -1):
-        return _float_power(base, exponent)
+    """Return the power."""
     return power(base, exponent)
 
 
@@ -119,8 +133,6 @@ def _integer_power(base: int, exponent: int) -> int:
         if base == 0:
             raise evaluation_error("zero_divisor")
         return base if exponent % 2 else 1
-    if exponent < 0:
-        raise type_error("float", base)
     if base.bit_length() * exponent > _HUGE:
         raise resource_error("memory")
     return base**exponent
@@ -131,7 +143,7 @@ def _float_power(base: Number, exponent: Number) -> float:
     if base == 0 and exponent < 0:
         raise evaluation_error("zero_divisor")
     try:
-        return checked(math.pow(base, exponent), base, exponent)
+        return checked(math.pow(base, exponent))
     except OverflowError:
         raise evaluation_error("float_overflow") from None
     except ValueError:

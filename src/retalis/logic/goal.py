@@ -3,12 +3,11 @@
 from typing import Any, List, Optional, Sequence, Tuple
 
 from ..errors import Place
-from ..terms import Term, Var, deref, functor, resolve, undo
+from ..terms import Term, Var, undo
 from .compiler.goals import GoalCode
 from .database import Database
 from .faults import from_python
 from .machine import DONE, Code, Frame
-
 
 
 class Goal:

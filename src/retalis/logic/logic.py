@@ -2,15 +2,15 @@
 
 import sys
 from time import time_ns
-from typing import Any, Callable, Dict, Iterator, List, NoReturn, Optional, Sequence, Tuple, Union
+from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Tuple
 
-from ..errors import Place, RuleError
+from ..errors import Place
 from ..syntax import Operators, write_term
 from ..terms import TRUE, Atom, Functor, Term, Var, copy, deref, functor
 from . import builtins
 from .control import Control, check_body, control_predicates
 from .database import COMPILE_AFTER, Clause, Database, Predicate
-from .faults import PrologError, instantiation_error, permission_error, type_error
+from .faults import PrologError, instantiation_error, type_error
 from .goal import Goal
 from .machine import DONE, LAST, Code, Frame, Limits, Machine
 from .unknown import undefined
@@ -297,5 +297,3 @@ def _print(text: str) -> None:
 
 def _print_error(text: str) -> None:
     sys.stderr.write(text)
-
-

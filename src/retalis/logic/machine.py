@@ -11,7 +11,7 @@ from time import monotonic
 from typing import Any, Callable, Iterator, List, NamedTuple, Optional, Tuple
 
 from ..errors import RetalisError
-from ..terms import Term, Var, atom, copy, undo, unify
+from ..terms import Term, Var, copy, undo, unify
 from .faults import CONTEXT, ERROR, PrologError, from_python, indicator, resource_error
 
 Frame = Any
@@ -194,7 +194,9 @@ class Machine:
                 height = len(choices)
                 yield None
                 if len(choices) != height or choices[base][0] is not STOP:
-                    raise RetalisError("solutions of an outer goal were asked for while an inner goal is open")
+                    raise RetalisError(
+                        "solutions of an outer goal were asked for while an inner goal is open"
+                    )
                 frame = None
         finally:
             del choices[base:]
@@ -350,7 +352,9 @@ class Machine:
             return otherwise if outputs is None else then(outputs)
         choices = self.choices
         height = len(choices)
-        choices.append((self._attempt_code, self._spent, otherwise, on_error, self._deadline, len(self.trail)))
+        choices.append(
+            (self._attempt_code, self._spent, otherwise, on_error, self._deadline, len(self.trail))
+        )
         self._spent = 0
         self._deadline = None
         return goal.enter(values, (self._exit_code, height, then))
@@ -388,5 +392,3 @@ def _resident_bytes() -> int:
             return int(file.read().split()[1]) * 4096
     except OSError:  # a system without /proc has no memory limit
         return 0
-
-

@@ -1,7 +1,7 @@
 """Calls of procedures that nobody defined: an error that names the caller and what may have been meant."""
 
 from difflib import get_close_matches
-from typing import TYPE_CHECKING, Any, List
+from typing import TYPE_CHECKING, Any, Dict, List
 
 from ..terms import FALSE, Atom, Functor, Term, atom, deref
 from .database import Predicate
@@ -59,7 +59,7 @@ def _mentions(term: Term, key: Functor) -> bool:
 
 def _similar(logic: "Logic", key: Functor) -> List[str]:
     """Return indicators of defined procedures whose name is the same or nearly so."""
-    names = {}
+    names: Dict[str, List[Functor]] = {}
     for other in logic.names():
         if other is not key:
             names.setdefault(other.name, []).append(other)

@@ -3,6 +3,7 @@
 from .. import functions  # noqa: F401  (registers evaluable functions)
 from . import (  # noqa: F401  (imported for what they register)
     atoms,
+    checking,
     clauses,
     comparing,
     datimes,
@@ -13,6 +14,7 @@ from . import (  # noqa: F401  (imported for what they register)
     reading,
     solutions,
     state,
+    strings,
     taking_apart,
 )
 from .dcg import translate_rule

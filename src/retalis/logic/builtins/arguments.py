@@ -108,5 +108,3 @@ def option_values(term: Term) -> List[Term]:
         if item.__class__ is Var:
             raise instantiation_error()
     return found
-
-

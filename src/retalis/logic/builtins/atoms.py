@@ -25,7 +25,7 @@ from .text import (
 def atom_length(machine: Any, text: Term, length: Term) -> bool:
     """Give the number of characters of an atom."""
     size = deref(length)
-    value = len(atomic_text(text))
+    value = len(text_of(text, "text"))
     if size.__class__ is not Var:
         if size.__class__ is not int:
             raise type_error("integer", size)
@@ -81,8 +81,8 @@ def _number_converter(to_list: Any) -> Any:
         text = list_text(given)
         if text is None:
             text = constant_text(given)
-            if text is None or given is NIL:
-                raise type_error("list", given) if text is None else syntax_error("illegal_number")
+            if text is None or given.__class__ is Atom:
+                raise syntax_error("illegal_number") if given is NIL else type_error("list", given)
         return unify(number, number_or_error(text, machine.logic.operators), machine.trail)
 
     return run
@@ -202,7 +202,9 @@ def sub_atom(machine: Any, text: Term, before: Term, length: Term, after: Term, 
 
 
 @nondeterministic("sub_string/5")
-def sub_string(machine: Any, text: Term, before: Term, length: Term, after: Term, part: Term) -> Iterator[Any]:
+def sub_string(
+    machine: Any, text: Term, before: Term, length: Term, after: Term, part: Term
+) -> Iterator[Any]:
     """Enumerate the parts of a string."""
     return sub_text(machine, text, before, length, after, part, String)
 
@@ -213,7 +215,7 @@ def sub_text(
     """Enumerate the parts of a text in order of their start, then of their length."""
     if deref(text).__class__ is Var:
         raise instantiation_error()
-    whole = text_of(text)
+    whole = text_of(text, "atom" if make is atom else "string")
     size = len(whole)
     b, count, a = integer_or_var(before), integer_or_var(length), integer_or_var(after)
     for value in (b, count, a):
@@ -262,9 +264,10 @@ def _occurrences(
     size = len(whole)
     if b is not None or a is not None:
         start = b if b is not None else size - a - len(wanted)
-        if start >= 0 and whole.startswith(wanted, start) and start + len(wanted) <= size:
-            if machine.unify_all((before, start), (length, len(wanted)), (after, size - start - len(wanted))):
-                yield LAST
+        there = start >= 0 and whole.startswith(wanted, start)
+        rest = size - start - len(wanted)
+        if there and machine.unify_all((before, start), (length, len(wanted)), (after, rest)):
+            yield LAST
         return
     start = whole.find(wanted)
     while start >= 0:

@@ -16,8 +16,8 @@ from ...terms import (
     copy,
     deref,
     functor,
-    unify,
     undo,
+    unify,
 )
 from ..compiler.nodes import CONTROL
 from ..database import _NEVER, Predicate, key_of, may_match
@@ -32,7 +32,9 @@ _NECK = functor(":-", 2)
 def _check_rights(machine: Any, key: Functor, action: str, kind: str) -> Predicate:
     """Return a predicate whose clauses may be changed or looked at."""
     predicate: Predicate = machine.logic.database.predicate(key)
-    if key in CONTROL or (predicate.library and (predicate.locked or action == "modify") and not predicate.dynamic):
+    if key in CONTROL or (
+        predicate.library and (predicate.locked or action == "modify") and not predicate.dynamic
+    ):
         raise permission_error(action, kind, indicator(key))
     return predicate
 
@@ -228,9 +230,9 @@ def current_predicate(machine: Any, term: Term) -> Iterator[Any]:
             yield LAST
         return
     for key, predicate in list(database.predicates.items()):
-        if predicate.kind == "user" and not predicate.library and len(predicate):
-            if machine.unify_all((name, atom(key.name)), (arity, key.arity)):
-                yield None
+        there = predicate.kind == "user" and not predicate.library and len(predicate)
+        if there and machine.unify_all((name, atom(key.name)), (arity, key.arity)):
+            yield None
 
 
 @control("garbage_collect/0", "prompt/2")

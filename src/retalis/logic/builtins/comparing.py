@@ -1,6 +1,6 @@
 """Unification, comparison, arithmetic and type tests as predicates (clauses have most of them in line)."""
 
-from typing import Any
+from typing import Any, Dict
 
 from ...terms import (
     CONS,
@@ -47,7 +47,9 @@ def unify_with_occurs_check(machine: Any, left: Term, right: Term) -> bool:
     """Unify, unless that would make an infinite term."""
     trail = machine.trail
     mark = len(trail)
-    return unify(left, right, trail) and not any(_is_cyclic(var) for var in trail[mark:] if var.__class__ is Var)
+    return unify(left, right, trail) and not any(
+        _is_cyclic(var) for var in trail[mark:] if var.__class__ is Var
+    )
 
 
 def _is_cyclic(var: Var) -> bool:
@@ -85,7 +87,9 @@ def _order(test: str) -> Any:
 
 
 def _arithmetic(operator: str) -> Any:
-    code = compile(f"lambda machine, left, right: evaluate(left) {operator} evaluate(right)", f"<{operator}>", "eval")
+    code = compile(
+        f"lambda machine, left, right: evaluate(left) {operator} evaluate(right)", f"<{operator}>", "eval"
+    )
     return eval(code, {"evaluate": evaluate})
 
 
@@ -167,7 +171,9 @@ def ground(machine: Any, term: Term) -> bool:
 def is_assoc(machine: Any, term: Term) -> bool:
     """Test for an association tree, by its functor."""
     term = deref(term)
-    return (term.__class__ is Atom and term.name == "t") or (term.__class__ is tuple and str(term[0]) == "t/5")
+    return (term.__class__ is Atom and term.name == "t") or (
+        term.__class__ is tuple and str(term[0]) == "t/5"
+    )
 
 
 @deterministic("term_variables/2")
@@ -212,7 +218,8 @@ def no_variant(machine: Any, left: Term, right: Term) -> bool:
 
 def is_variant(left: Term, right: Term) -> bool:
     """Tell whether two terms are equal up to the names of their variables."""
-    forth, back = {}, {}
+    forth: Dict[Var, Var] = {}
+    back: Dict[Var, Var] = {}
     stack = [(left, right)]
     while stack:
         left, right = stack.pop()
@@ -230,4 +237,3 @@ def is_variant(left: Term, right: Term) -> bool:
         elif compare(left, right):
             return False
     return True
-

@@ -37,5 +37,3 @@ def _free(parameters: Term) -> Term:
     if parameters.__class__ is tuple and parameters[0] is SLASH:
         return parameters[1]
     return make_list([])
-
-

@@ -51,5 +51,3 @@ def load_library(logic: "Logic", part: str) -> None:
                 predicate = database.library.kept[key] = Predicate(database, key)
             predicate.library = True
         predicate.add(Clause(predicate, head, body, read.place))
-
-

@@ -3,7 +3,21 @@
 from functools import cmp_to_key
 from typing import Any, Callable, Iterator, Optional
 
-from ...terms import CONS, MINUS, NIL, Atom, Term, Var, compare, deref, functor, make_list, undo, unify
+from ...terms import (
+    CONS,
+    MINUS,
+    NIL,
+    Atom,
+    Term,
+    Var,
+    compare,
+    deref,
+    functor,
+    list_items,
+    make_list,
+    undo,
+    unify,
+)
 from ..arithmetic import EVALUABLE, add, evaluate
 from ..faults import domain_error, instantiation_error, resource_error, type_error
 from ..machine import LAST, Code, Frame
@@ -13,6 +27,7 @@ from .solutions import sort_unique
 
 _KEY = cmp_to_key(compare)
 _MAX, _MIN = EVALUABLE[functor("max", 2)], EVALUABLE[functor("min", 2)]
+_REVERSE, _LAST_ITEM = functor("$reverse", 2), functor("$last", 2)
 _MOST = 50_000_000
 
 
@@ -38,7 +53,7 @@ def length(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
             raise resource_error("memory")
         return after if size >= count and unify(tail, _open_list(size - count), machine.trail) else None
     if size is tail:
-        raise resource_error("infinite")
+        return None
     return _longer(machine, tail, size, count, count, after)
 
 
@@ -110,10 +125,13 @@ def keysort(machine: Any, pairs: Term, result: Term) -> bool:
     return unify(result, make_list(found), machine.trail)
 
 
-@deterministic("reverse/2", locked=False)
-def reverse(machine: Any, given: Term, result: Term) -> bool:
+@control("reverse/2", locked=False)
+def reverse(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
     """Reverse a list."""
-    return unify(result, make_list(items(given)[::-1]), machine.trail)
+    found = list_items(args[0])
+    if found is None:
+        return (machine.logic.database.predicate(_REVERSE), *args, after)
+    return after if unify(args[1], make_list(found[::-1]), machine.trail) else None
 
 
 @deterministic("memberchk/2", locked=False)
@@ -165,11 +183,13 @@ def numlist(machine: Any, low: Term, high: Term, result: Term) -> bool:
     return first <= last and unify(result, make_list(range(first, last + 1)), machine.trail)
 
 
-@deterministic("last/2", locked=False)
-def last(machine: Any, given: Term, result: Term) -> bool:
+@control("last/2", locked=False)
+def last(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
     """Give the last item of a list."""
-    found = items(given)
-    return bool(found) and unify(result, found[-1], machine.trail)
+    found = list_items(args[0])
+    if found is None:
+        return (machine.logic.database.predicate(_LAST_ITEM), *args, after)
+    return after if found and unify(args[1], found[-1], machine.trail) else None
 
 
 @deterministic("list_to_set/2", locked=False)
@@ -192,9 +212,9 @@ def _nth(base: int) -> Any:
     def run(machine: Any, index: Term, given: Term, item: Term) -> Iterator[Any]:
         index = deref(index)
         if index.__class__ is not Var:
-            at = integer(index)
-            if at < 0:
-                raise type_error("not_less_than_zero", at)
+            if index.__class__ is not int or index < 0:
+                raise type_error("integer" if index.__class__ is not int else "not_less_than_zero", index)
+            at = index
             tail = deref(given)
             while at > base and tail.__class__ is tuple and tail[0] is CONS:
                 at -= 1
@@ -252,43 +272,3 @@ def between(machine: Any, low: Term, high: Term, value: Term) -> Iterator[Any]:
         trail.append(value)
         yield LAST if at == limit else None
         at += 1
-
-
-@deterministic("pairs_keys_values/3", locked=False)
-def pairs_keys_values(machine: Any, pairs: Term, keys: Term, values: Term) -> bool:
-    """Relate a list of pairs with the lists of keys and of values."""
-    size = _known_length(pairs, keys, values)
-    if size is None:
-        raise instantiation_error()
-    made = [(Var(), Var()) for _ in range(size)]
-    return machine.unify_all(  # type: ignore[no-any-return]
-        (pairs, make_list([(MINUS, key, value) for key, value in made])),
-        (keys, make_list([key for key, _ in made])),
-        (values, make_list([value for _, value in made])),
-    )
-
-
-def _known_length(*lists: Term) -> Optional[int]:
-    """Return the length of the first proper list."""
-    for given in lists:
-        count = 0
-        tail = deref(given)
-        while tail.__class__ is tuple and tail[0] is CONS:
-            count += 1
-            tail = deref(tail[2])
-        if tail is NIL:
-            return count
-    return None
-
-
-@deterministic("pairs_keys/2", locked=False)
-def pairs_keys(machine: Any, pairs: Term, keys: Term) -> bool:
-    """Relate pairs with their keys."""
-    return pairs_keys_values(machine, pairs, keys, Var())
-
-
-@deterministic("pairs_values/2", locked=False)
-def pairs_values(machine: Any, pairs: Term, values: Term) -> bool:
-    """Relate pairs with their values."""
-    return pairs_keys_values(machine, pairs, Var(), values)
-

@@ -223,6 +223,7 @@ def format_3(machine: Any, sink: Term, form: Term, arguments: Term) -> bool:
     if sink.__class__ is tuple and len(sink) == 2 and sink[0].name in _SINKS:
         text = formatted(machine, form, arguments, 0)
         return unify(sink[1], make_text(sink[0].name, text), machine.trail)
+    write_to(machine, sink, "")
     write_to(machine, sink, formatted(machine, form, arguments, 0))
     return True
 

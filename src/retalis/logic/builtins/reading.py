@@ -92,5 +92,3 @@ def _unify_options(machine: Any, found: Any, options: Term) -> bool:
         if not unify(option[1], value, machine.trail):
             return False
     return True
-
-

@@ -18,7 +18,7 @@ from ...terms import (
     variables,
 )
 from ..arithmetic import EVALUABLE, add, evaluate
-from ..faults import domain_error, instantiation_error, type_error
+from ..faults import domain_error, instantiation_error
 from ..machine import Code, Frame
 from .arguments import callable_of
 from .comparing import is_variant
@@ -55,8 +55,6 @@ def _grouped(sort: bool) -> Any:
         inner, bound = _strip(goal)
         if inner.__class__ is Var:
             raise instantiation_error()
-        if deref(result).__class__ not in (Var, tuple) and deref(result) is not atom("[]"):
-            raise type_error("list", result)
         local = set(variables((COMMA, template, *bound)))
         free = [var for var in variables(inner) if var not in local]
         witness = make_list(free)
@@ -73,7 +71,9 @@ def _grouped(sort: bool) -> Any:
 
         def done_grouped(found: List[Term]) -> Optional[Frame]:
             groups = _groups(found)
-            return _enumerate(machine, witness, result, [(key, finish(items)) for key, items in groups], 0, after)
+            return _enumerate(
+                machine, witness, result, [(key, finish(items)) for key, items in groups], 0, after
+            )
 
         return machine.logic.control.collect(inner, (MINUS, witness, template), done_grouped)
 
@@ -98,7 +98,9 @@ def _groups(found: List[Term]) -> List[Any]:
     return groups
 
 
-def _enumerate(machine: Any, witness: Term, result: Term, groups: List[Any], at: int, after: Frame) -> Optional[Frame]:
+def _enumerate(
+    machine: Any, witness: Term, result: Term, groups: List[Any], at: int, after: Frame
+) -> Optional[Frame]:
     while at < len(groups):
         mark = len(machine.trail)
         key, items = groups[at]

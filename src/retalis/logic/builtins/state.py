@@ -89,6 +89,9 @@ def current_prolog_flag(machine: Any, flag: Term, value: Term) -> Iterator[Any]:
 # Operators
 
 
+_SPECIFIERS = ("xfx", "xfy", "yfx", "fy", "fx", "xf", "yf")
+
+
 @deterministic("op/3")
 def op(machine: Any, priority: Term, kind: Term, names: Term) -> bool:
     """Define operators."""
@@ -96,7 +99,7 @@ def op(machine: Any, priority: Term, kind: Term, names: Term) -> bool:
     name_of_kind = atom_of(kind).name
     if not 0 <= value <= 1200:
         raise domain_error("operator_priority", value)
-    if name_of_kind not in ("xfx", "xfy", "yfx", "fy", "fx", "xf", "yf"):
+    if name_of_kind not in _SPECIFIERS:
         raise domain_error("operator_specifier", atom(name_of_kind))
     names = deref(names)
     found = list_items(names) if names.__class__ is tuple and names[0] is CONS else [names]
@@ -137,9 +140,8 @@ def current_op(machine: Any, priority: Term, kind: Term, name: Term) -> Iterator
     priority, kind, name = deref(priority), deref(kind), deref(name)
     if priority.__class__ is not Var and (priority.__class__ is not int or not 0 <= priority <= 1200):
         raise domain_error("operator_priority", priority)
-    if kind.__class__ is not Var:
-        if kind.__class__ is not Atom or kind.name not in ("xfx", "xfy", "yfx", "fy", "fx", "xf", "yf"):
-            raise domain_error("operator_specifier", kind)
+    if kind.__class__ is not Var and (kind.__class__ is not Atom or kind.name not in _SPECIFIERS):
+        raise domain_error("operator_specifier", kind)
     if name.__class__ not in (Var, Atom):
         raise type_error("atom", name)
     for found_priority, found_kind, found_name in list(machine.logic.operators):

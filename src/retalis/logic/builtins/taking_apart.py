@@ -87,6 +87,8 @@ def known_arg(machine: Any, number: Term, term: Term, value: Term) -> bool:
 def univ(machine: Any, term: Term, parts: Term) -> bool:
     """Relate a term with the list of its name and arguments."""
     term = deref(term)
+    if term.__class__ is not Var:
+        partial_items(parts)
     if term.__class__ is tuple:
         return unify(parts, make_list([atom(term[0].name), *term[1:]]), machine.trail)
     if term.__class__ is not Var:
@@ -154,4 +156,3 @@ def compound_name_arguments(machine: Any, term: Term, name: Term, arguments: Ter
 def setarg(machine: Any, number: Term, term: Term, value: Term) -> bool:
     """Refuse: terms do not change here."""
     raise permission_error("modify", "term", resolve(term))
-

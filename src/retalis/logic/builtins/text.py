@@ -44,7 +44,7 @@ def text_of(term: Term, kind: str = "atomic") -> str:
         if found is None:
             raise type_error(kind, term)
     elif term is NIL:
-        return "" if kind in ("list", "string", "codes") else "[]"
+        return "" if kind in ("list", "codes") else "[]"
     return found
 
 
@@ -132,5 +132,3 @@ def make_text(like: str, text: str) -> Term:
     if like == "string":
         return String(text)
     return codes(text) if like == "codes" else chars(text)
-
-

@@ -249,4 +249,3 @@ class Bodies:
         if self.entry in needed_by(nodes) and self.entry not in scope.names:
             scope.line(f"{self.entry.name} = len(choices)")
             scope.names[self.entry] = self.entry.name
-

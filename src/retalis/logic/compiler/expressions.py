@@ -9,7 +9,14 @@ from .scope import Scope
 _PLUS, _MINUS, _TIMES = functor("+", 2), functor("-", 2), functor("*", 2)
 _DIRECT = {_PLUS: ("+", "add"), _MINUS: ("-", "subtract"), _TIMES: ("*", "multiply")}
 _BITS = {functor("/\\", 2): "&", functor("\\/", 2): "|", functor("xor", 2): "^"}
-_INTEGRAL = {functor("//", 2), functor("mod", 2), functor("rem", 2), functor("div", 2), functor(">>", 2), functor("<<", 2)}
+_INTEGRAL = {
+    functor("//", 2),
+    functor("mod", 2),
+    functor("rem", 2),
+    functor("div", 2),
+    functor(">>", 2),
+    functor("<<", 2),
+}
 _FLOORED = {functor("mod", 2): "%", functor("div", 2): "//"}
 _FUNCTIONS_OF_INTEGERS = {*_INTEGRAL, *_BITS, functor("\\", 1), functor("gcd", 2), functor("msb", 1)}
 _TO_INTEGER = {functor(name, 1) for name in ("integer", "truncate", "round", "floor", "ceiling")}
@@ -87,11 +94,15 @@ def _direct(scope: Scope, key: Functor, expression: Term, depth: int) -> Value:
     unknown = _unknown_variable(scope, left_term), _unknown_variable(scope, right_term)
     if unknown[0] is not None and right_term.__class__ is int:
         left, right = unknown[0], scope.unit.constant(right_term)
-        scope.line(f"{target} = {left} {symbol} {right} if {left}.__class__ is int else {slow}({left}, {right})")
+        scope.line(
+            f"{target} = {left} {symbol} {right} if {left}.__class__ is int else {slow}({left}, {right})"
+        )
         return target, "num"
     if unknown[1] is not None and left_term.__class__ is int:
         left, right = scope.unit.constant(left_term), unknown[1]
-        scope.line(f"{target} = {left} {symbol} {right} if {right}.__class__ is int else {slow}({left}, {right})")
+        scope.line(
+            f"{target} = {left} {symbol} {right} if {right}.__class__ is int else {slow}({left}, {right})"
+        )
         return target, "num"
     left, left_kind = number(scope, left_term, depth + 1)
     right, right_kind = number(scope, right_term, depth + 1)
@@ -99,7 +110,7 @@ def _direct(scope: Scope, key: Functor, expression: Term, depth: int) -> Value:
     if left_kind == right_kind == "int":
         return target, "int"
     scope.line(f"if {target} - {target}:")  # not zero for infinities and nan
-    scope.line(f"    {target} = checked({target}, {left}, {right})")
+    scope.line(f"    checked({target})")
     return target, "float" if "float" in (left_kind, right_kind) else "num"
 
 

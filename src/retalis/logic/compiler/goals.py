@@ -105,7 +105,9 @@ class GoalCode:
         if self._entry in needed_by(nodes):
             scope.line("height = len(choices)")
             scope.names[self._entry] = "height"
-        bodies = Bodies(unit, scope.clause, self._entry, self._database.interpret, self._name, None, HAND_OVER)
+        bodies = Bodies(
+            unit, scope.clause, self._entry, self._database.interpret, self._name, None, HAND_OVER
+        )
         bodies.write(scope, nodes)
         unit.add(["def main(frame):", f"    {', '.join(['_', *locals_, 'after'])} = frame", *scope.lines])
         return self._finish(unit)

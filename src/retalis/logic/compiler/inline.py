@@ -90,8 +90,11 @@ def _is(scope: Scope, node: Goal) -> None:
     scope.line("if k is Var:")
     scope.line(f"    {name}.ref = {value}")
     scope.line(f"    push({name})")
-    scope.line(f"elif k is not {value}.__class__ or not same({name}, {value}):" if value[0] in "tn" else
-               f"elif {differs(deref(node.args[1]), name, value)}:")
+    scope.line(
+        f"elif k is not {value}.__class__ or not same({name}, {value}):"
+        if value[0] in "tn"
+        else f"elif {differs(deref(node.args[1]), name, value)}:"
+    )
     scope.line(f"    {scope.fail}")
 
 
@@ -149,7 +152,8 @@ def _order(scope: Scope, node: Goal) -> str:
         if left.__class__ is Atom:
             left, right = right, left
         if right.__class__ is Atom:
-            return f"{_dereferenced(scope, left)} {'is' if operator == '== 0' else 'is not'} {scope.unit.constant(right)}"
+            name, word = _dereferenced(scope, left), "is" if operator == "== 0" else "is not"
+            return f"{name} {word} {scope.unit.constant(right)}"
     return f"compare({scope.build(left)}, {scope.build(right)}) {operator}"
 
 
@@ -169,13 +173,13 @@ def _cut(scope: Scope, node: Cut) -> None:
         height = scope.names[node.height]
         scope.line(f"choices[{height}] = (DEAD, choices[{height}][-1])")
         return
-    height = scope.names.get(node.height)
-    if height is None or (scope.pending is not None and node.cuts):
+    known = scope.names.get(node.height)
+    if known is None or (scope.pending is not None and node.cuts):
         # Nothing has been pushed since the clause was entered: only the clauses that follow are given up.
         scope.pending = None
         scope.fail = "return None"
         return
-    scope.line(f"del choices[{height}:]")
+    scope.line(f"del choices[{known}:]")
 
 
 def _condition(scope: Scope, node: Condition) -> None:
@@ -269,6 +273,13 @@ def write_test(scope: Scope, test: List[Node]) -> Missed:
     flag, mark = scope.temp("ok"), scope.temp("m")
     fail, scope.fail = scope.fail, "break"
     scope.line(f"{flag} = False")
+    # The test works on copies: what it finds by following its own bindings must not outlive them.
+    outer = scope.names
+    scope.names = dict(outer)
+    for var in sorted(needed_by(test), key=scope.clause.number):
+        if var.__class__ is Var and var in outer:
+            scope.names[var] = scope.temp("w")
+            scope.line(f"{scope.names[var]} = {outer[var]}")
     at = len(scope.lines)
     binds, scope.binds = scope.binds, False
     scope.line("while True:")
@@ -283,8 +294,11 @@ def write_test(scope: Scope, test: List[Node]) -> Missed:
         scope.line(f"    undo(trail, {mark})")
     scope.binds |= binds
     scope.fail = fail
+    scope.names.update(outer)
     scope.line(f"if {flag}:")
-    return set(scope.names) - known, {var for var, value in scope.numbers.items() if numbers.get(var) != value}
+    return set(scope.names) - known, {
+        var for var, value in scope.numbers.items() if numbers.get(var) != value
+    }
 
 
 _WRITERS = {

@@ -122,7 +122,12 @@ class Condition(Node):
     __slots__ = ("test", "then", "otherwise", "soft", "inner")
 
     def __init__(
-        self, test: List[Node], then: List[Node], otherwise: List[Node], inner: Optional[Height], soft: bool = False
+        self,
+        test: List[Node],
+        then: List[Node],
+        otherwise: List[Node],
+        inner: Optional[Height],
+        soft: bool = False,
     ):
         everything = (*test, *then, *otherwise)
         cuts = any(node.cuts for node in (*then, *otherwise))
@@ -265,7 +270,9 @@ class Parser:
         inner = self.height()
         test = self.parse(arrow[1], inner, depth)
         then = self.parse(arrow[2], cut, depth)
-        rest: List[Node] = [Fail(frozenset(), True)] if otherwise is None else self.parse(otherwise, cut, depth)
+        rest: List[Node] = (
+            [Fail(frozenset(), True)] if otherwise is None else self.parse(otherwise, cut, depth)
+        )
         return Condition(test, then, rest, _used(inner, test), arrow[0] is SOFT_ARROW)
 
 

@@ -69,7 +69,9 @@ class Generator:
     def _finish(self, unit: Unit, name: str, part: str) -> Callable[[Any], Any]:
         source = unit.source()
         place = next((rule.place for rule in self.rules if rule.place is not None), None)
-        function: Callable[[Any], Any] = unit.finish(source, register(source, place, f"{self.key}{part}"))[name]
+        function: Callable[[Any], Any] = unit.finish(source, register(source, place, f"{self.key}{part}"))[
+            name
+        ]
         return function
 
     def _unpack(self, last: str) -> str:
@@ -141,7 +143,9 @@ class Generator:
                 out.depth -= 1
         out.depth -= 1
 
-    def _atomic_case(self, out: Scope, groups: Dict[Any, List[int]], local: str, kind: type, test: str) -> None:
+    def _atomic_case(
+        self, out: Scope, groups: Dict[Any, List[int]], local: str, kind: type, test: str
+    ) -> None:
         keys = [key for key in groups if key.__class__ is kind]
         if not keys:
             return
@@ -194,19 +198,20 @@ class Generator:
 
     def _retry(self, chain: Tuple[int, ...]) -> Code:
         """Return the code of a choice point for a chain; its function is generated when it is first run."""
-        code = self._retries.get(chain)
-        if code is None:
+        known = self._retries.get(chain)
+        if known is not None:
+            return known
 
-            def first(frame: Any) -> Any:
-                unit = Unit(self.database.machine, self.database)
-                out = Scope(unit, Clause(()))
-                self._chain(out, chain, None, retried=True)
-                unit.add(["def main(frame):", self._unpack(", mark"), *out.lines])
-                code.run = self._finish(unit, "main", f" from clause {chain[0] + 1}")
-                return code.run(frame)
+        def first(frame: Any) -> Any:
+            unit = Unit(self.database.machine, self.database)
+            out = Scope(unit, Clause(()))
+            self._chain(out, chain, None, retried=True)
+            unit.add(["def main(frame):", self._unpack(", mark"), *out.lines])
+            code.run = self._finish(unit, "main", f" from clause {chain[0] + 1}")
+            return code.run(frame)
 
-            code = self._retries[chain] = Code(str(self.key), first)
-            code.functor = self.key
+        code = self._retries[chain] = Code(str(self.key), first)
+        code.functor = self.key
         return code
 
     def _clause(
@@ -234,21 +239,46 @@ class Generator:
             scope.loop = (self.key, self.locals, "" if rest else "continue")
         if height is not None:
             scope.names[entry] = height
-        self._head(scope, rule, key)
+        self._head(scope, rule, key, self._own_locals(scope, rule, key) if rest else self.locals)
         bodies = Bodies(unit, clause, entry, self.database.interpret, str(self.key), self.key)
         nodes = Parser(self.database.is_inline, entry).parse(rule.body)
         bodies.write(scope, nodes)
         if rest:
             indent = "    " * depth
             if scope.looped:
-                scope.lines = [f"{indent}for _ in ONE:", *scope.lines, f"{indent}else:", f"{indent}    continue"]
+                scope.lines = [
+                    f"{indent}for _ in ONE:",
+                    *scope.lines,
+                    f"{indent}else:",
+                    f"{indent}    continue",
+                ]
             else:
                 scope.lines = [f"{indent}while True:", *scope.lines]
         return scope
 
-    def _head(self, scope: Scope, rule: Rule, key: Any) -> None:
+    def _own_locals(self, scope: Scope, rule: Rule, key: Any) -> List[str]:
+        """Copy the arguments for a clause that others follow, and return the names of the copies.
+
+        Dereferencing exchanges a local for what it is bound to; where the clause itself has bound it, the
+        clauses that follow must not see that.
+        """
+        found = []
+        for at, (local, arg) in enumerate(zip(self.locals, rule.args)):
+            arg = deref(arg)
+            is_known = key is not None and at == self.position
+            if is_known or (arg.__class__ is Var and scope.clause.is_void(arg)):
+                found.append(local)
+            else:
+                found.append(f"b{at + 1}")
+        copies = [(own, local) for own, local in zip(found, self.locals) if own != local]
+        if copies:
+            owns, locals_ = zip(*copies)
+            scope.line(f"{', '.join(owns)} = {', '.join(locals_)}")
+        return found
+
+    def _head(self, scope: Scope, rule: Rule, key: Any, locals_: Sequence[str]) -> None:
         """Write the unification of the head: variables, then constants, then compound terms."""
-        patterns = [(local, deref(arg), at) for at, (local, arg) in enumerate(zip(self.locals, rule.args))]
+        patterns = [(local, deref(arg), at) for at, (local, arg) in enumerate(zip(locals_, rule.args))]
         for local, arg, _ in patterns:
             if arg.__class__ is Var and arg not in scope.names:
                 scope.names[arg] = local

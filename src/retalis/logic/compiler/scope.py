@@ -189,7 +189,15 @@ class Scope:
 
     def branch(self) -> Tuple[Any, ...]:
         """Return the knowledge at this point, to come back to with `restore`."""
-        return dict(self.names), set(self.fresh), dict(self.numbers), self.fail, self.pending, self.after, self.entry
+        return (
+            dict(self.names),
+            set(self.fresh),
+            dict(self.numbers),
+            self.fail,
+            self.pending,
+            self.after,
+            self.entry,
+        )
 
     def restore(self, state: Tuple[Any, ...]) -> None:
         """Go back to the knowledge that `branch` returned."""

@@ -6,13 +6,14 @@
 % defines: max_member/2 min_member/2 flatten/2 nextto/3 same_length/2 prefix/2 nth0/4 nth1/4 is_set/1
 % defines: ord_union/3 ord_union/2 ord_subtract/3 ord_memberchk/2 ord_insert/3 ord_intersection/3 ord_subset/2
 % defines: ord_add_element/3 ord_del_element/3 transpose_pairs/2 map_list_to_pairs/3 clumped/2 subseq/3
-% defines: proper_length/2
+% defines: proper_length/2 pairs_keys_values/3 pairs_keys/2 pairs_values/2 $last/2 $reverse/2
 
 append([], L, L).
 append([H|T], L, [H|R]) :-
     append(T, L, R).
 
 append(Lists, List) :-
+    must_be(list, Lists),
     append_(Lists, List).
 
 append_([], []).
@@ -406,7 +407,35 @@ ord_add_element(S, E, S2) :-
 ord_del_element(S, E, S2) :-
     ord_subtract_(S, [E], S2).
 
+% Partial lists; proper ones are done in Python.
+
+'$last'([X|Xs], Last) :-
+    last_(Xs, X, Last).
+
+last_([], Last, Last).
+last_([X|Xs], _, Last) :-
+    last_(Xs, X, Last).
+
+'$reverse'(Xs, Ys) :-
+    reverse_(Xs, [], Ys, Ys).
+
+reverse_([], Ys, Ys, []).
+reverse_([X|Xs], Rs, Ys, [_|Bound]) :-
+    reverse_(Xs, [X|Rs], Ys, Bound).
+
 % Pairs
+
+pairs_keys_values([], [], []).
+pairs_keys_values([K-V|T], [K|Ks], [V|Vs]) :-
+    pairs_keys_values(T, Ks, Vs).
+
+pairs_keys([], []).
+pairs_keys([K-_|T], [K|Ks]) :-
+    pairs_keys(T, Ks).
+
+pairs_values([], []).
+pairs_values([_-V|T], [V|Vs]) :-
+    pairs_values(T, Vs).
 
 transpose_pairs(Pairs, Transposed) :-
     flip_(Pairs, Flipped),

@@ -1,0 +1,217 @@
+"""Strings: conversions and parts."""
+
+from typing import Any, Iterator, Optional
+
+from ...terms import Atom, String, Term, Var, atom, deref, functor, make_list, unify
+from ..faults import instantiation_error, type_error
+from ..machine import LAST
+from .registry import deterministic, nondeterministic
+from .text import chars, codes, constant_text, make_text, number_text, parse_number, text_of
+
+
+@deterministic("string_length/2")
+def string_length(machine: Any, text: Term, length: Term) -> bool:
+    """Give the number of characters of a text."""
+    return unify(length, len(text_of(text)), machine.trail)
+
+
+def _converter(to_parts: Any) -> Any:
+    def run(machine: Any, text: Term, parts: Term) -> bool:
+        if deref(text).__class__ is not Var:
+            return unify(parts, to_parts(text_of(text)), machine.trail)
+        return unify(text, String(text_of(parts, "codes")), machine.trail)
+
+    return run
+
+
+deterministic("string_chars/2")(_converter(chars))
+deterministic("string_codes/2")(_converter(codes))
+deterministic("string_to_atom/2")(_converter(atom))
+
+
+@deterministic("atom_string/2")
+def atom_string(machine: Any, constant: Term, text: Term) -> bool:
+    """Relate an atom with its string."""
+    found = deref(constant)
+    if found.__class__ is not Var:
+        return unify(text, String(text_of(found)), machine.trail)
+    return unify(found, atom(text_of(text)), machine.trail)
+
+
+@deterministic("number_string/2")
+def number_string(machine: Any, number: Term, text: Term) -> bool:
+    """Relate a number with its string; fails where the text is no number."""
+    given = deref(text)
+    if given.__class__ is not Var:
+        found = parse_number(text_of(given).strip(), machine.logic.operators)
+        return found is not None and unify(number, found, machine.trail)
+    number = deref(number)
+    if number.__class__ is Var:
+        raise instantiation_error()
+    if number.__class__ not in (int, float):
+        raise type_error("number", number)
+    return unify(given, String(number_text(number)), machine.trail)
+
+
+@deterministic("text_to_string/2")
+def text_to_string(machine: Any, text: Term, result: Term) -> bool:
+    """Give the string of an atom, string, or list of codes or characters."""
+    return unify(result, String(text_of(text, "list")), machine.trail)
+
+
+@deterministic("string_code/3")
+def string_code(machine: Any, index: Term, text: Term, code: Term) -> bool:
+    """Give the code of a character by its position from 1."""
+    at = deref(index)
+    if at.__class__ is Var:
+        raise instantiation_error()
+    if at.__class__ is not int:
+        raise type_error("integer", at)
+    whole = text_of(text)
+    if at < 0:
+        raise type_error("not_less_than_zero", at)
+    return 0 < at <= len(whole) and unify(code, ord(whole[at - 1]), machine.trail)
+
+
+@nondeterministic("text_concat/3")
+def text_concat(machine: Any, left: Term, right: Term, whole: Term) -> Iterator[Any]:
+    """Relate two texts with the text that they make together: a string where one of them is."""
+    given = [deref(term) for term in (left, right, whole)]
+    make: Any = String if any(term.__class__ is String for term in given) else atom
+    start, end, text = (None if term.__class__ is Var else text_of(term) for term in given)
+    if start is not None and end is not None:
+        if machine.unify(whole, make(start + end)) if text is None else text == start + end:
+            yield LAST
+    elif text is None:
+        raise instantiation_error()
+    else:
+        for at in range(len(text) + 1):
+            if start is not None and at != len(start) or end is not None and len(text) - at != len(end):
+                continue
+            if machine.unify_all(
+                (left, _same(given[0], text[:at], make)), (right, _same(given[1], text[at:], make))
+            ):
+                yield None
+
+
+def _same(given: Term, text: str, make: Any) -> Term:
+    """Return the term of a text: the given one where it has that text."""
+    return given if given.__class__ is not Var and text_of(given) == text else make(text)
+
+
+@deterministic("split_string/4")
+def split_string(machine: Any, text: Term, separators: Term, pad: Term, parts: Term) -> bool:
+    """Split a text at any of the separators and strip the pad characters from each part."""
+    whole, between, strip = text_of(text, "string"), text_of(separators, "string"), text_of(pad, "string")
+    found = []
+    start = 0
+    for at, char in enumerate(whole):
+        if char in between:
+            found.append(whole[start:at])
+            start = at + 1
+    found.append(whole[start:])
+    return unify(
+        parts, make_list([String(part.strip(strip) if strip else part) for part in found]), machine.trail
+    )
+
+
+@deterministic("read_term/2")
+def read_term(machine: Any, term: Term, options: Term) -> bool:
+    """Find the end of input: a program has none."""
+    return unify(term, atom("end_of_file"), machine.trail)
+
+
+@deterministic("read/1")
+def read(machine: Any, term: Term) -> bool:
+    """Find the end of input: a program has none."""
+    return unify(term, atom("end_of_file"), machine.trail)
+
+
+@deterministic("normalize_space/2")
+def normalize_space(machine: Any, sink: Term, text: Term) -> bool:
+    """Unify a text with runs of white space made one blank."""
+    sink = deref(sink)
+    if sink.__class__ is not tuple or sink[0].name not in ("atom", "string", "codes", "chars"):
+        raise type_error("output_sink", sink)
+    return unify(sink[1], make_text(sink[0].name, " ".join(text_of(text).split())), machine.trail)
+
+
+# Characters
+
+_CLASSES = {
+    "alpha": lambda char: char.isalpha() or char == "_",
+    "alnum": str.isalnum,
+    "csym": lambda char: char.isalnum() or char == "_",
+    "csymf": lambda char: char.isalpha() or char == "_",
+    "ascii": lambda char: ord(char) < 128,
+    "white": lambda char: char in " \t",
+    "cntrl": lambda char: ord(char) < 32 or 127 <= ord(char) < 160,
+    "space": str.isspace,
+    "end_of_line": lambda char: char in "\n\v\f\r",
+    "lower": str.islower,
+    "upper": str.isupper,
+    "punct": lambda char: char > " " and char != "\x7f" and not char.isalnum() and not char.isspace(),
+    "graph": lambda char: char > " " and char != "\x7f" and not char.isspace(),
+    "print": lambda char: char >= " " and char != "\x7f",
+    "period": lambda char: char in ".?!",
+    "quote": lambda char: char in "'\"`",
+    "paren": lambda char: char in "()[]{}",
+    "digit": lambda char: char.isdigit(),
+    "newline": lambda char: char == "\n",
+}
+
+
+def _of_code(term: Term) -> Optional[str]:
+    term = deref(term)
+    if term.__class__ is Var:
+        return None
+    if term.__class__ is int and 0 <= term <= 0x10FFFF:
+        return chr(term)
+    text = constant_text(term)
+    if text is None or len(text) != 1 or term.__class__ is not Atom:
+        raise type_error("character", term)
+    return text
+
+
+def _char_type(as_code: bool) -> Any:
+    def wrap(char: str) -> Term:
+        return ord(char) if as_code else atom(char)
+
+    def run(machine: Any, char: Term, kind: Term) -> Iterator[Any]:
+        given = _of_code(char)
+        kind = deref(kind)
+        for each in [given] if given is not None else map(chr, range(256)):
+            for found in _types(each, kind, wrap):
+                pairs = [(kind, found)]
+                if given is None:
+                    pairs.append((char, wrap(each)))
+                if machine.unify_all(*pairs):
+                    yield None
+
+    return run
+
+
+def _types(char: str, kind: Term, wrap: Any) -> Iterator[Term]:
+    """Yield the types of a character that may be the one asked for."""
+    name = kind.name if kind.__class__ is Atom else kind[0].name if kind.__class__ is tuple else None
+    for plain, test in _CLASSES.items():
+        if (name is None or (plain == name and kind.__class__ is Atom)) and test(char):
+            yield atom(plain)
+    if kind.__class__ is Atom:
+        return
+    if name in (None, "digit") and char.isdigit() and char.isascii():
+        yield (functor("digit", 1), ord(char) - 48)
+    if name in (None, "xdigit") and char in "0123456789abcdefABCDEF":
+        yield (functor("xdigit", 1), int(char, 16))
+    if name in (None, "to_lower"):
+        yield (functor("to_lower", 1), wrap(char.lower()[0]))
+    if name in (None, "to_upper"):
+        yield (functor("to_upper", 1), wrap(char.upper()[0]))
+    if name in (None, "upper") and char.isupper():
+        yield (functor("upper", 1), wrap(char.lower()[0]))
+    if name in (None, "lower") and char.islower():
+        yield (functor("lower", 1), wrap(char.upper()[0]))
+
+
+nondeterministic("char_type/2")(_char_type(False))
+nondeterministic("code_type/2")(_char_type(True))
