@@ -1,6 +1,7 @@
 """Problems while events flow: logged, counted, and never a flood."""
 
 import logging
+import traceback
 from typing import Any, Dict
 
 from .errors import RetalisError
@@ -28,8 +29,9 @@ class Reports:
         self.errors += 1
         if isinstance(error, RetalisError):
             self._log(logging.ERROR, error.place or error.message, str(error))
-        else:
-            log.exception("internal error", exc_info=error)
+            return
+        trace = "".join(traceback.format_exception(type(error), error, error.__traceback__))
+        self._log(logging.ERROR, repr(error), f"internal error\n{trace}")
 
     def warning(self, problem: Any, kind: Any = None) -> None:
         """Log a warning; those of one ``kind`` (its place or text by default) count together."""

@@ -1,0 +1,42 @@
+import logging
+
+import pytest
+
+from retalis._reports import Reports
+from retalis.errors import RuleError, place_at
+
+
+@pytest.fixture
+def logged(caplog):
+    caplog.set_level(logging.WARNING, "retalis")
+    return caplog
+
+
+def test_what_comes_again_is_logged_ever_more_seldom_and_counted(logged):
+    reports = Reports()
+    place = place_at("rules", "a\nb", 2)
+    for number in range(100):
+        reports.error(RuleError(f"event {number}", place))
+    assert len(logged.records) == 7
+    assert "the 64th time" in logged.records[-1].message
+    assert reports.errors == 100
+
+
+def test_different_places_are_told_apart(logged):
+    reports = Reports()
+    for offset in (0, 2):
+        reports.warning(RuleError("wrong", place_at("rules", "a\nb", offset)))
+    reports.warning("text")
+    assert len(logged.records) == 3
+    assert reports.warnings == 3
+
+
+def test_an_internal_error_is_shown_with_its_traceback_and_is_no_flood(logged):
+    reports = Reports()
+    for _ in range(10):
+        try:
+            {}["key"]
+        except KeyError as error:
+            reports.error(error)
+    assert len(logged.records) == 4
+    assert "Traceback" in logged.records[0].message
