@@ -9,12 +9,13 @@ from xml.etree import ElementTree
 
 import pytest
 
-from retalis import Engine
+from retalis import Engine, timestamps
 from retalis.syntax import Operators, read_program
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 SNIPPET = re.compile(r"(?:<!-- (?P<name>[\w.]+) -->\n)?```(?P<kind>\w*)\n(?P<text>.*?)```", re.DOTALL)
+EVENT = re.compile(r"(\S.*?) \[([\d.]+),([\d.]+|datime\([^)]*\))\](?:, |$)")
 LINK = re.compile(r"\]\((?!https?:)([^)#]+)")
 
 
@@ -55,6 +56,34 @@ def test_rules_and_goals_in_the_pages_load(text):
     else:
         assert list(read_program(text, Operators.prolog(), "snippet"))
         engine.load(rules=text)
+
+
+def claims():
+    """Yield a snippet and a line of it that says which events it makes of others."""
+    for page in PAGES:
+        for found in snippets(page):
+            for line in found["text"].splitlines():
+                if found["kind"] == "prolog" and line.startswith("% ") and "=>" in line:
+                    yield pytest.param(found["text"], line, id=re.sub(r"\W+", "_", line[:60]))
+
+
+@pytest.mark.parametrize("text, line", claims())
+def test_rules_make_the_events_that_the_pages_say(text, line):
+    before, after = (part.strip() for part in line[2:].split("=>"))
+    given, wanted = EVENT.findall(before), EVENT.findall(after)
+    assert given and (wanted or after == "nothing")
+    engine = Engine()
+    seen = []
+    engine.load(rules=text)
+    engine.on_event(lambda term, *interval: seen.append((engine.show(term), *map(shown, interval))))
+    for term, start, end in given:
+        engine.clock.move_to(timestamps.from_seconds(float(end)))
+        engine.event(term, *(float(stamp) if "." in stamp else int(stamp) for stamp in (start, end)))
+    assert [event for event in seen if event not in given] == wanted
+
+
+def shown(instant):
+    return Engine().show(timestamps.to_term(instant))
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
