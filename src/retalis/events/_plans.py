@@ -3,7 +3,7 @@
 from collections import Counter
 from typing import Any, Dict, List, Optional, Tuple
 
-from ..terms import Atom, Functor, Lazy, String, Term, Var, deref, freeze
+from ..terms import Atom, Lazy, String, Term, Var, deref, freeze
 
 Path = Tuple[int, ...]
 Steps = Tuple[Any, ...]
@@ -87,7 +87,7 @@ def _plan(listeners: List[Any], tested: Tuple[Path, ...], depth: int) -> Any:
 
 def _best_path(listeners: List[Any], tested: Tuple[Path, ...]) -> Optional[Path]:
     """Return the argument where most of the patterns have a constant; None where no test is worth its cost."""
-    found: "Counter[Path]" = Counter()
+    found: Counter[Path] = Counter()
     for listener in listeners:
         found.update(path for path in _constant_paths(listener.pattern) if path not in tested)
     if not found:

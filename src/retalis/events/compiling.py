@@ -141,7 +141,7 @@ class Compiler:
             built = Built(leaf, [], [], [leaf])
         elif isinstance(core, Either):
             branches = [self._build(branch, context, inner) for branch in core.branches]
-            node = Alternatives([branch.node for branch in branches], self.keep)
+            node: Any = Alternatives([branch.node for branch in branches], self.keep)
             deferred = [one for branch in branches for one in branch.deferred]
             joined = [leaf for branch in branches for leaf in branch.joined]
             single = [leaf for branch in branches for leaf in branch.single]
@@ -216,7 +216,9 @@ class Compiler:
                 ready.append(one)
                 reached |= set() if one.goal is None else set(variables(one.goal))
         absent = wrapping.absent
-        negated, needs, conditions = None, set(), []
+        negated: Optional[Built] = None
+        needs: Set[Var] = set()
+        conditions: List[Deferred] = []
         if absent is not None:
             inner = here | frozenset(bound_by(core.right))
             negated, needs, conditions = self._negated(absent.negated, known, inner, limit)

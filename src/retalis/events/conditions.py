@@ -1,6 +1,6 @@
 """Goals of rules: conditions that are part of a match, and actions."""
 
-from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, Optional, Sequence, Tuple
 
 from ..logic import PrologError, resource_error
 from ..terms import Atom, String, Term, Var, functor, is_ground, list_items, make_list, variables

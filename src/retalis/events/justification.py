@@ -124,7 +124,7 @@ def describe(pattern: Any, match: Match, show: Any) -> Term:
         while match.parts is not None:
             match = match.parts[0]
         return show(match.event) if isinstance(match.event, Occurrence) else match.term
-    parts = match.parts or ()
+    parts: Sequence[Any] = match.parts or ()
     if isinstance(pattern, Absent):
         return describe(pattern.pattern, match, show)
     if isinstance(pattern, Action):

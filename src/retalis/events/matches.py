@@ -25,6 +25,9 @@ class Match:
 
     __slots__ = ("values", "start", "end", "event", "term", "parts", "bucket", "order", "identity", "used")
 
+    order: int
+    identity: Any
+
     def __init__(self, values: Values, start: int, end: int, event: Any, term: Term, parts: Any):
         self.values = values
         self.start = start

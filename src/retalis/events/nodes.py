@@ -90,9 +90,11 @@ class Filter(Node):
         self.span: Optional[int] = None
 
     def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
+        """Set the bounds; see `Node.set_span`."""
         self.span = span
 
     def bind(self, out: Emit, mode: Mode) -> None:
+        """Connect the node; see `Node.bind`."""
         tests = self.tests
         span = self.span
         known = len(self.child.vars)
@@ -122,6 +124,8 @@ class Capture(Node):
         self.vars = [*child.vars, start, end]
 
     def bind(self, out: Emit, mode: Mode) -> None:
+        """Connect the node; see `Node.bind`."""
+
         def arrive(match: Match, after: Frame) -> Frame:
             values = (*match.values, match.start, match.end)
             return out(Match(values, match.start, match.end, match.event, None, (match,)), after)
@@ -142,6 +146,7 @@ class Alternatives(Node):
         self.vars = list(found)
 
     def bind(self, out: Emit, mode: Mode) -> None:
+        """Connect the node; see `Node.bind`."""
         for index, child in enumerate(self.children):
             child.bind(self._branch(index, child, out), mode)
 
@@ -168,9 +173,11 @@ class Acting(Node):
         self.span: Optional[int] = None
 
     def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
+        """Set the bounds; see `Node.set_span`."""
         self.span = span
 
     def bind(self, out: Emit, mode: Mode) -> None:
+        """Connect the node; see `Node.bind`."""
         act = self.call.act_on_all if self.every else self.call.act
         if mode.tracked:
             act = self.call.noting_cause(act)
@@ -200,6 +207,7 @@ class Never(Node):
         self.vars = child.vars
 
     def bind(self, out: Emit, mode: Mode) -> None:
+        """Connect the node; see `Node.bind`."""
         absence = self.absence
         tracker = absence.rule.network.tracker
         tracked = mode.tracked
@@ -216,6 +224,7 @@ class Never(Node):
         self.negated.bind(absence.arrive, mode)
 
     def places(self) -> Sequence[Place]:
+        """Return where matches wait."""
         return (self.absence.place,)
 
 
@@ -279,15 +288,18 @@ class Joining(Node):
         self.negated.append(negated)
 
     def places(self) -> Sequence[Place]:
+        """Return where matches wait."""
         absences = [*self.absences, *(absence for absence, _ in self.carried)]
         return (self.left_place, self.right_place, *(absence.place for absence in absences))
 
     def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
+        """Set the bounds; see `Node.set_span`."""
         self.span = span
         for place in (self.left_place, self.right_place, *(absence.place for absence in self.absences)):
             place.span = limit
 
     def bind(self, out: Emit, mode: Mode) -> None:
+        """Connect the node; see `Node.bind`."""
         policy = mode.policy
         operator = self.operator
         self.out = out

@@ -1,6 +1,6 @@
 """Patterns of rules as trees: read from terms, checked on the way."""
 
-from typing import Any, Callable, Dict, FrozenSet, List, NamedTuple, Optional, Set, Tuple, Union
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Set, Tuple, Union
 
 from ..errors import Place, RuleError
 from ..terms import Atom, String, Term, Var, deref, functor, variables

@@ -166,7 +166,7 @@ def _waiting_after_completion(arrive: Emit, own: Place, completed: Dict[Any, Non
 
 def taking_all(side: Side, emit: Emit) -> Emit:
     """Return what a match does that takes all partners and uses up none."""
-    own, other, join, waits, stays = side.own, side.other, side.join, side.waits, side.stays
+    own, other, waits = side.own, side.other, side.waits
     key_of = own.key_of
 
     def arrive(match: Match, after: Frame) -> Frame:
@@ -191,7 +191,7 @@ def taking_all(side: Side, emit: Emit) -> Emit:
 
 def taking_all_at_once(side: Side, uses: bool, emit: Emit) -> Emit:
     """Return what a match does that takes all partners there are, using them up or itself."""
-    own, other, join, waits, stays = side.own, side.other, side.join, side.waits, side.stays
+    own, other, waits, stays = side.own, side.other, side.waits, side.stays
 
     def arrive(match: Match, after: Frame) -> Frame:
         key = own.key_of(match)
@@ -217,7 +217,7 @@ def join_any(side: Side, match: Match, key: Any, partner: Match) -> Any:
     return None if sides is None else side.join(*sides)
 
 
-def emit_each(results: Any, emit: Emit, after: Frame) -> Frame:
+def emit_each(results: Any, emit: Callable[[Any, Frame], Frame], after: Frame) -> Frame:
     """Return the frame that emits one result after the other, each with all that it leads to."""
     burst = _Burst(results, emit)
     return burst.run((burst, after))
@@ -228,7 +228,7 @@ class _Burst:
 
     __slots__ = ("results", "emit")
 
-    def __init__(self, results: Any, emit: Emit):
+    def __init__(self, results: Any, emit: Callable[[Any, Frame], Frame]):
         self.results = results
         self.emit = emit
 

@@ -54,7 +54,7 @@ def _path(term: Term) -> str:
         raise instantiation_error()
     if term.__class__ not in (Atom, String):
         raise type_error("atom", term)
-    return term.name if term.__class__ is Atom else term.text  # type: ignore[no-any-return]
+    return str(term.name if term.__class__ is Atom else term.text)
 
 
 def _items(term: Term) -> List[Term]:
@@ -271,7 +271,7 @@ class _Streams:
         return self._each(goals, after)
 
     def _each(self, goals: List[Term], after: Frame) -> Frame:
-        """Return the frame that calls one goal after the other; what fails or raises is reported, and the rest goes on."""
+        """Return the frame that calls the goals in order; what fails or raises is reported, and the rest goes on."""
         stream = _Stream(self.rules, goals)
         return stream.run((stream, after))
 

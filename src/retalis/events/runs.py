@@ -97,13 +97,16 @@ class Running(Node):
         self.vars = list(names)
 
     def places(self) -> Sequence[Place]:
+        """Return where matches wait."""
         return (self.place, *(absence.place for absence, _ in self.carried))
 
     def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
+        """Set the bounds; see `Node.set_span`."""
         self.span = span
         self.place.span = limit
 
     def bind(self, out: Emit, mode: Mode) -> None:
+        """Connect the node; see `Node.bind`."""
         policy = mode.policy
         self.tracked = mode.tracked
         self.place.identify(_by_term if policy.replacing else _by_occurrence)
@@ -122,7 +125,7 @@ class Running(Node):
 
         def arrive(match: Match, after: Frame) -> Frame:
             run = Run(match)
-            older = place.same.get(place.name(run))  # type: ignore[union-attr, misc]
+            older: Any = place.same.get(place.name(run))  # type: ignore[union-attr, misc]
             if older is not None and older.start == run.start and older.first.end == run.end:
                 return after
             if collector is not None:

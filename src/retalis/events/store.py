@@ -1,4 +1,4 @@
-"""What is kept or written of all events: ``store_fired_events``, ``persistent_event``, ``spy_event``, ``external_trigger``."""
+"""What is kept, written or shown of all events, where flags or facts ask for it."""
 
 import logging
 from collections import deque

@@ -50,10 +50,10 @@ class Occurrence:
         self.end = end
         self.rule = rule
         self.match = match
-        self.derived: List["Occurrence"] = []
+        self.derived: List[Occurrence] = []
         self.held: List[Any] = []
         self.gone = False
-        self.takes_back: Optional[List["Occurrence"]] = None
+        self.takes_back: Optional[List[Occurrence]] = None
         self.suppressed: List[Tuple[Any, Any]] = []
 
     def sources(self) -> List["Occurrence"]:
@@ -136,8 +136,7 @@ class Tracker:
         occurrence = Occurrence(head, match.start, match.end, rule, match)
         for source in occurrence.sources():
             source.derived.append(occurrence)
-        frame = rule.fire(head, match.start, match.end, after, occurrence)
-        return frame
+        return rule.fire(head, match.start, match.end, after, occurrence)
 
     def hold(self, match: Match) -> None:
         """Remember that a partial match holds its events."""
