@@ -92,8 +92,12 @@ class StreamClock(Clock):
         super().__init__(lambda: self._time if self._pinned is None else self._pinned)
 
     def pin(self, instant: int) -> None:
-        """Have the clock say an instant from now on, whatever moves the stream's time."""
+        """Have the clock say an instant from now on, whatever moves the stream's time.
+
+        Events that it stamps come after that instant, 1 ns apart.
+        """
         self._pinned = int(instant)
+        self._last_stamp = max(self._last_stamp, self._pinned)
         self._time = max(self._time, self._pinned)
 
     def move_to(self, instant: int, back: bool = False) -> None:

@@ -141,8 +141,8 @@ def test_a_stamp_lets_alarms_fire_before_its_event(run):
 def test_a_pinned_clock_stands_still(run):
     stream = "event(a).\nevent(x,[datime(2005,1,1,0,0,0,0),datime(2005,1,1,0,0,0,0)]).\nevent(b).\n"
     lines = run("--clock", "datime(2001,1,1,0,0,0,0)", stream=stream)[1]
-    assert lines[0] == "event(a,[datime(2001,1,1,0,0,0,0),datime(2001,1,1,0,0,0,0)])."
-    assert lines[2] == "event(b,[datime(2001,1,1,0,0,0,1),datime(2001,1,1,0,0,0,1)])."
+    assert lines[0] == "event(a,[datime(2001,1,1,0,0,0,1),datime(2001,1,1,0,0,0,1)])."
+    assert lines[2] == "event(b,[datime(2001,1,1,0,0,0,2),datime(2001,1,1,0,0,0,2)])."
 
 
 def test_a_clock_that_is_none_is_refused(run):
