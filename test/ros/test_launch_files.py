@@ -1,6 +1,7 @@
 """Each rostest of this folder, run against a master of its own."""
 
 import shutil
+import signal
 import subprocess
 from pathlib import Path
 
@@ -23,7 +24,15 @@ def package_is_built():
 def test_rostest(path, tmp_path, monkeypatch):
     monkeypatch.setenv("ROS_HOSTNAME", "localhost")
     monkeypatch.setenv("ROS_HOME", str(tmp_path))
-    run = subprocess.run(
-        ["rostest", str(path)], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=SECONDS
-    )
-    assert run.returncode == 0, run.stdout
+    log = tmp_path / "rostest.log"
+    with log.open("wb") as output:
+        process = subprocess.Popen(["rostest", str(path)], stdout=output, stderr=subprocess.STDOUT)
+    try:
+        code = process.wait(SECONDS)
+    finally:
+        if (
+            process.poll() is None
+        ):  # rostest ends its master and its nodes when it is asked, not when it is killed
+            process.send_signal(signal.SIGINT)
+            process.wait(60)
+    assert code == 0, log.read_text(errors="replace")
