@@ -1,0 +1,118 @@
+"""The recorded programs of ``test/data/scenarios`` through the command line, as its help says."""
+
+import json
+
+import pytest
+from events.contradictions import CONTRADICTED
+from events.test_scenarios import BASE, SCENARIOS, normal, read, short, wanted_events
+
+from retalis.cli import main
+from retalis.errors import SyntaxFault
+from retalis.syntax import Operators, read_program
+from retalis.terms import deref, list_items
+from retalis.timestamps import from_term
+
+CLOCK = "datime(2001,1,1,1,0,0)"
+STAMPED = ("event1_same_second",)
+"""Where the clock, which is another here, gave the stamps."""
+
+
+class Run:
+    """One scenario; what was printed, as terms."""
+
+    def __init__(self, data, capsys):
+        rules = data["rules"] if isinstance(data["rules"], list) else [data["rules"]]
+        stream = [f"{goal}." for goal in data.get("goals_after_compile") or ()]
+        for item in data["stream"]:
+            if isinstance(item, dict):
+                stream.append(f"{item['goal']}.")
+            else:
+                stream.append(f"event({item[0]},[{item[1][0]},{item[1][1]}]).")
+        arguments = ["events", "--memory-events", "--clock", CLOCK, "--outputs", "outputs.out"]
+        arguments += written("goals", [f"{goal}." for goal in data["goals"]])
+        for number, text in enumerate(rules):
+            arguments += written(f"rules{number}", [text] if text else [])
+        arguments += written("stream", stream)
+        arguments += written("queries", [f"{goal}." for goal in data.get("queries") or ()])
+        self.status = main(arguments)
+        self.events, self.memory_events, self.printed = [], [], []
+        shown = capsys.readouterr()
+        self.error = shown.err
+        for term in terms(shown.out):
+            self._sort(term)
+        with open("outputs.out", encoding="utf-8") as file:
+            self.outputs = [normal(term) for term in terms(file.read())]
+
+    def _sort(self, term):
+        kind = term[0].name if term.__class__ is tuple else ""
+        if kind not in ("event", "memory_event"):
+            self.printed.append(normal(term))
+            return
+        start, end = (from_term(stamp) for stamp in list_items(term[2]))
+        into = self.events if kind == "event" else self.memory_events
+        into.append((normal(deref(term[1])), start, end))
+
+
+def written(name, lines):
+    """Write a file; return the option for it, nothing where there is nothing to write."""
+    if not lines:
+        return []
+    with open(f"{name}.in", "w", encoding="utf-8") as file:
+        file.write("\n".join(lines) + "\n")
+    return [f"--{name.rstrip('0123456789')}", f"{name}.in"]
+
+
+def terms(text):
+    """Return the terms that were printed; other lines (what a program writes) are none."""
+    found = []
+    for line in text.splitlines():
+        for read_back in read_program(line, Operators.prolog(), "printed"):
+            if not isinstance(read_back, SyntaxFault):
+                found.append(deref(read_back.term))
+    return found
+
+
+def agree(events, wanted):
+    """Tell whether events are those wanted; the stamps that the clock gave may be later."""
+    if len(events) != len(wanted):
+        return False
+    return all(
+        one == other
+        or (one[0] == other[0] and BASE <= other[1] <= min(BASE + 2, one[1]) and other[2] <= one[2])
+        for one, other in zip(events, wanted)
+    )
+
+
+@pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
+def test_scenario(path, tmp_path, monkeypatch, capsys):
+    data = json.loads(path.read_text(encoding="utf-8"))
+    monkeypatch.chdir(tmp_path)
+    for name, text in (data.get("files") or {}).items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    run = Run(data, capsys)
+    contradicted, events = CONTRADICTED.get(path.stem, (None, None))
+    if events is None or path.stem in STAMPED:
+        assert agree(run.events, wanted_events(data, "expected"))
+    else:
+        assert short(run.events) == events
+    assert (run.status == 1) == bool(run.error.count("error: "))
+    if contradicted is not None:
+        return
+    outputs = data.get("outputs_sane", data["outputs"])
+    assert run.outputs == [normal(read(f"output({one},{topic},{name})")) for one, topic, name in outputs]
+    assert [term for term, _, _ in run.memory_events] == [
+        term for term, _, _ in wanted_events(data, "memory_events")
+    ]
+    answers = wanted_answers(data)
+    assert not answers or run.printed[-len(answers) :] == answers
+    assert run.status == 1 or "expected_sane" in data or not data.get("errors")
+
+
+def wanted_answers(data):
+    sane = data.get("queries_sane")
+    wanted = []
+    for at, result in enumerate(data.get("query_results") or ()):
+        for solution in sane[at] if sane is not None else result["solutions"]:
+            if not solution.startswith("error: "):
+                wanted.append(normal(read(solution)))
+    return wanted
