@@ -19,12 +19,13 @@ _PLAIN = {
 }  # fmt: skip
 
 
-def unquote(body: str, quote: str) -> str:
+def unquote(body: str, quote: str, strict: bool = False) -> str:
     """Return what the text between quotes stands for.
 
     Args:
         body: the text without its outer quotes.
         quote: the quote around it; doubled inside, it stands for itself.
+        strict: take the escapes of ISO 13211-1 only, codes closed by a backslash.
 
     Raises:
         ValueError: with a message and the offset of the escape that is none.
@@ -34,6 +35,8 @@ def unquote(body: str, quote: str) -> str:
         hexadecimal, octal, short, long, newline, nothing, other, doubled = found.groups()
         if doubled is not None:
             return doubled if doubled == quote else doubled + doubled
+        if strict and not _is_standard(found):
+            raise ValueError(f"{found.group(0)} is no escape sequence of ISO Prolog", found.start())
         if newline or nothing:
             return ""
         if other is not None:
@@ -46,6 +49,13 @@ def unquote(body: str, quote: str) -> str:
         return chr(code)
 
     return _ESCAPE.sub(value, body)
+
+
+def _is_standard(found: "Match[str]") -> bool:
+    hexadecimal, octal, _, _, newline, _, other, _ = found.groups()
+    if hexadecimal or octal:
+        return found.group(0).endswith("\\")
+    return bool(newline) or (other is not None and other not in ("e", "s"))
 
 
 def _unknown(escape: str) -> str:

@@ -162,7 +162,7 @@ def _number_value(text: str, flags: ReadFlags) -> Term:
         return numerals.integer(text)
     second = text[1]
     if second == "'" and text[0] == "0":
-        return ord("'" if text == "0'''" else unquote(text[2:], "")[0])
+        return ord("'" if text == "0'''" else unquote(text[2:], "", flags.iso)[0])
     if second in "xob" or "'" in text:
         try:
             return numerals.radix_integer(text)
@@ -183,7 +183,7 @@ def _quoted(found: Token, start: int, end: int, flags: ReadFlags) -> AnyToken:
     body = str(found[1:-1])
     if "\\" in body or quote in body:
         try:
-            body = unquote(body, quote)
+            body = unquote(body, quote, flags.iso)
         except ValueError as error:
             message, at = error.args
             return "bad", message, start + 1 + at, end
