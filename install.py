@@ -210,8 +210,11 @@ class Shell:
                     return process.wait(1)
                 except subprocess.TimeoutExpired:
                     tick()
-        except BaseException:
-            stop(process)
+        except KeyboardInterrupt:
+            try:
+                process.wait(5)  # the terminal has told the command as well
+            except subprocess.TimeoutExpired:
+                stop(process)
             raise
 
 

@@ -166,9 +166,14 @@ def test_interrupt_ends_the_command(install, tmp_path, monkeypatch):
     monkeypatch.setattr(install, "stop", stop)
 
     class Interrupted(subprocess.Popen):
+        asked = 0
+
         def wait(self, timeout=None):
-            if not ended:
+            self.asked += 1
+            if self.asked == 1:
                 raise KeyboardInterrupt
+            if self.asked == 2:
+                raise subprocess.TimeoutExpired(self.args, timeout)
             return super().wait(timeout)
 
     monkeypatch.setattr(install.subprocess, "Popen", Interrupted)
