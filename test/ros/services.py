@@ -83,6 +83,14 @@ class Services(unittest.TestCase):
         self.assertFalse(self.has_output("event(got(7),somewhere,s1)"))
         self.assertEqual(self.delete_subscription("somewhere", "s2").result, "ok")
 
+    def test_a_full_stop_and_comments_do_no_harm(self):
+        added = self.add_subscription("c(X).", "X > 1 % large", "_.", "t", "stop")
+        self.assertEqual(added.result, "ok")
+        self.send("event(c(1))", "event(c(2))")
+        self.wait_for_output("event(c(2),t,stop)")
+        self.assertFalse(self.has_output("event(c(1),t,stop)"))
+        self.assertEqual(self.delete_subscription("t", "stop").result, "ok")
+
     def test_topics_may_have_slashes(self):
         self.assertEqual(self.add_subscription("slash(X)", "", "_", "/robot/out", "1").result, "ok")
         self.send("event(slash(1))")
@@ -102,7 +110,8 @@ class Services(unittest.TestCase):
     def test_errors_say_which_field_and_where(self):
         self.assert_error(self.add_subscription("a(X", "", "_", "t", "e1"), "event", "column")
         self.assert_error(self.add_subscription("a(X)", "X >", "_", "t", "e1"), "conditions", "column")
-        self.assert_error(self.add_subscription("a(X)", "", "f(]", "t", "e1"), "format", "column 3")
+        self.assert_error(self.add_subscription("a(X)", "", "f(]", "t", "e1"), "format", "line 1, column 3")
+        self.assert_error(self.add_subscription("a(X)", "X > 1, X >", "_", "t", "e1"), "line 1, column 11")
         self.assert_error(self.add_subscription("", "", "_", "t", "e1"), "event")
         self.assert_error(self.add_subscription("3", "", "_", "t", "e1"))
         self.assert_error(self.add_subscription("a),b(X)", "", "_", "t", "e1"), "event")

@@ -75,6 +75,14 @@ class Node:
             self._subscribe(topic, kind)
         EngineServices(self.engine)
         rospy.Subscriber(INPUT, String, self._take_text, queue_size=parameters.queue, buff_size=1 << 20)
+        rospy.loginfo("%s: %s", parameters.program, self._summary())
+
+    def _summary(self) -> str:
+        knowledge = self.engine.knowledge
+        return (
+            f"{len(self.engine.rules.rules)} event rules, {len(list(knowledge.memories))} memories, "
+            f"{len(list(knowledge.subscriptions))} subscriptions"
+        )
 
     def _load(self) -> None:
         try:

@@ -7,7 +7,7 @@ import rospy
 from ..engine import Engine
 from ..errors import RetalisError, SyntaxFault, UsageError
 from ..syntax import Operators, read_term
-from ..terms import Atom, Term, atom, functor
+from ..terms import TRUE, Atom, Term, atom, conjuncts, functor, make_list
 from .interface import Interface
 
 OK = "ok"
@@ -64,9 +64,10 @@ class EngineServices:
         return answer(work)
 
     def _add(self, request: Any, goal: str, fourth: Term, fifth: Term) -> None:
-        fields = {"event": request.event, "conditions": f"[{request.conditions}\n]", "format": request.format}
-        event, conditions, form = self._read_together(fields)
-        self._call((functor(goal, 5), event, conditions, form, fourth, fifth))
+        fields = {"event": request.event, "conditions": request.conditions.strip() or "true"}
+        event, conditions, form = self._read_together({**fields, "format": request.format})
+        goals = make_list(() if conditions is TRUE else conjuncts(conditions))
+        self._call((functor(goal, 5), event, goals, form, fourth, fifth))
 
     def _read_together(self, fields: Dict[str, str]) -> List[Term]:
         """Read fields that share their variables.
@@ -78,10 +79,10 @@ class EngineServices:
             if not text.strip():
                 raise UsageError(f"{field} is empty")
             try:
-                read_term(f"({text}\n)", operators, field)
+                read_term(text, operators, field)
             except SyntaxFault as fault:
-                raise _moved(fault, field) from fault
-        whole = ",".join(f"(\n{text}\n)" for text in fields.values())
+                raise UsageError(f"{field}: {fault.brief()}") from fault
+        whole = ",".join(f"(\n{_without_stop(text)}\n)" for text in fields.values())
         return list(read_term(f"request({whole})", operators, "request").term[1:])
 
     def _size(self, text: str) -> int:
@@ -130,11 +131,6 @@ def name(text: str, field: str) -> Term:
     return term if isinstance(term, (Atom, int)) else atom(text)
 
 
-def _moved(fault: SyntaxFault, field: str) -> RetalisError:
-    """Return the fault with its place counted in the field as the caller wrote it."""
-    place = fault.place
-    if place is None:
-        return fault
-    # The field was read behind one character: its bracket.
-    column = max(1, place.column - (1 if field != "conditions" else 2)) if place.line == 1 else place.column
-    return UsageError(f"{field}: {fault.message} (line {place.line}, column {column})")
+def _without_stop(text: str) -> str:
+    text = text.strip()
+    return text[:-1] if text.endswith(".") else text
