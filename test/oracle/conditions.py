@@ -12,6 +12,8 @@ from .goals import Bindings, GoalError, first, instance, merge, show, solve, unb
 from .matches import Event, Match, Pending
 from .patterns import (
     Check,
+    Cnot,
+    Fnot,
     Leaf,
     Pattern,
     Rule,
@@ -58,7 +60,9 @@ class Conditions:
             limits = [*limits, node.seconds]
         self.limits[node] = limits
         for child in children(node):
-            self._note_limits(child, limits)
+            # What must not happen is no part of the match that a within is about.
+            own = isinstance(node, (Cnot, Fnot)) and child is node.absent
+            self._note_limits(child, [] if own else limits)
 
     def outside(self, node: Pattern) -> Set[Var]:
         """Return the variables that stand in the rule outside of a pattern."""

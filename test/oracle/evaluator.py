@@ -37,7 +37,7 @@ Fit = Callable[[Match, Match], Optional[Match]]
 class RuleState(Repetitions):
     """One rule and everything that waits in it."""
 
-    def __init__(self, rule: Rule, policy: str, out_of_order: bool = False, expiry: bool = False):
+    def __init__(self, rule: Rule, policy: str, out_of_order: bool = False, expiry: bool = True):
         super().__init__(rule, policy, expiry)
         self.out_of_order = out_of_order
         self.waiting: Dict[Tuple[Pattern, str], List[Match]] = {}
@@ -180,11 +180,10 @@ class RuleState(Repetitions):
     ) -> List[Match]:
         """Take the sides in either order of arrival.
 
-        Composed operands come first, left before right, each match completing or waiting; then the event itself
-        where it is an operand, or is both sides.
+        Composed sides come first, left before right, each completing or waiting; then the event itself where it
+        is a side.
         """
         results: List[Match] = []
-        both = any(p.is_one_event() for p in lefts) and any(q.is_one_event() for q in rights)
 
         def as_left(p: Match) -> bool:
             found = self.complete(q_waiting, lambda q: fit(p, q))
@@ -196,21 +195,18 @@ class RuleState(Repetitions):
             results.extend(found)
             return bool(found)
 
-        def is_last(operand: Pattern, match: Match) -> bool:
-            return match.is_one_event() and (both or isinstance(strip(operand)[0], Leaf))
-
         # Policies: having matched, it does not wait for others, except under unrestricted.
         for p in lefts:
-            if not is_last(node.left, p) and (not as_left(p) or not self.consuming):
+            if not p.is_one_event() and (not as_left(p) or not self.consuming):
                 self._wait(node, p_waiting, p)
         for q in rights:
-            if not is_last(node.right, q) and (not as_right(q) or not self.consuming):
+            if not q.is_one_event() and (not as_right(q) or not self.consuming):
                 self._wait(node, q_waiting, q)
         # Policies: an event that fits both sides completes first (once: as the right side, else as the left one),
         # then waits.
-        last_rights = [(q, as_right(q)) for q in rights if is_last(node.right, q)]
+        last_rights = [(q, as_right(q)) for q in rights if q.is_one_event()]
         completed = self.consuming and any(matched for _, matched in last_rights)
-        last_lefts = [(p, not completed and as_left(p)) for p in lefts if is_last(node.left, p)]
+        last_lefts = [(p, not completed and as_left(p)) for p in lefts if p.is_one_event()]
         for q, matched in last_rights:
             if not matched or not self.consuming:
                 self._wait(node, q_waiting, q)
@@ -267,13 +263,12 @@ class RuleState(Repetitions):
         return results
 
     def _wait(self, node: Pattern, waiting: List[Match], match: Match, identical_too: bool = False) -> None:
-        if self.expiry and self.expired(node, match):
-            return
         if self.policy == "recent" and not identical_too:
             # Policies: under recent an arrival replaces the same term at the same place, whatever the stamps.
             variant = match.variant()
             waiting[:] = [other for other in waiting if other.variant() != variant]
-        waiting.append(match)
+        if not (self.expiry and self.expired(node, match)):
+            waiting.append(match)
 
     def _expire(self) -> None:
         """Drop what can no longer complete by the rule's clock."""
@@ -294,7 +289,7 @@ class Program:
         rules: Sequence[Rule],
         policy: str = "recent",
         out_of_order: bool = False,
-        expiry: bool = False,
+        expiry: bool = True,
         depth: int = 50,
     ):
         assert policy in POLICIES

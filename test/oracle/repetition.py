@@ -14,7 +14,7 @@ from .patterns import Aggregate, Pattern, Rule, Star, Within, pattern_variables
 class Repetitions(Conditions):
     """The runs of one rule."""
 
-    def __init__(self, rule: Rule, policy: str, expiry: bool = False):
+    def __init__(self, rule: Rule, policy: str, expiry: bool = True):
         super().__init__(rule)
         self.policy = policy
         self.expiry = expiry

@@ -1,6 +1,7 @@
 """The two evaluators of the oracle against each other, where both are defined."""
 
 from collections import Counter
+from dataclasses import replace
 
 from hypothesis import HealthCheck, assume, given, settings
 from oracle.declarative import defined_for, firings
@@ -13,9 +14,17 @@ from oracle.strategies import cases
 @given(cases())
 def test_unrestricted_is_every_combination_once(case):
     assume(defined_for(case.rules))
-    program = Program(case.rules, "unrestricted", case.out_of_order)
+    program = Program(case.rules, "unrestricted", case.out_of_order, expiry=False)
     fired = []
     for term, start, end in case.stream:
         derived = program.event(term, start, end)[1:]
         fired.append(Counter((show(event.term), event.start, event.end) for event in derived))
     assert fired == firings(case.rules[0], case.stream, case.out_of_order)
+
+
+@settings(max_examples=300, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))
+@given(cases())
+def test_without_late_events_expiry_changes_nothing(case):
+    assume(case.has_limits())
+    in_order = replace(case, stream=tuple(sorted(case.stream, key=lambda event: event[2])))
+    assert in_order.expected(expiry=True) == in_order.expected(expiry=False)

@@ -9,7 +9,7 @@ from oracle.matches import POLICIES
 from oracle.text import brief, rule, stream
 
 
-def fired(pattern, events, head="out", policy="recent", out_of_order=False, expiry=False, **options):
+def fired(pattern, events, head="out", policy="recent", out_of_order=False, expiry=True, **options):
     derived = run(
         [rule(head, pattern, **options)],
         stream(events),
