@@ -6,7 +6,7 @@ from .. import timestamps
 from ..errors import UsageError
 from ..events import Dispatcher, Stage
 from ..logic import Logic, Machine, domain_error, permission_error, type_error
-from ..terms import Atom, Functor, Term, Var, copy, deref, freeze, functor, is_ground
+from ..terms import Atom, Functor, Term, Var, copy, deref, freeze, functor, is_ground, unify
 from ._recording import Recording, key_of, recording
 from .memory import Memory
 
@@ -66,9 +66,9 @@ class Memories:
 
     def find(self, name: Term) -> Optional[Instance]:
         """Return the instance of this name, or None."""
-        name = deref(name)
         if name.__class__ is Atom:
             return self._instances.get(name)
+        name = deref(name)
         try:
             return self._instances.get(freeze(name))
         except ValueError:
@@ -169,16 +169,15 @@ def _is_update_of(instance: Instance, term: Term) -> bool:
 
 def read_access(memories: Memories) -> Dict[Tuple[str, int], Callable[..., bool]]:
     """Return the deterministic predicates that read memories, by name and arity."""
-    shown = timestamps.shown
-
     def bind(machine: Machine, instance: Instance, found: Any, record: Term, start: Term, end: Term) -> bool:
         if found is None:
             return False
-        kept = copy(found[0]) if instance.open else found[0]
+        term, first, last = found
+        trail = machine.trail
         return (
-            machine.unify(record, kept)
-            and machine.unify(start, shown(found[1]))
-            and machine.unify(end, shown(found[2]))
+            unify(record, copy(term) if instance.open else term, trail)
+            and _unify_instant(start, first, trail)
+            and _unify_instant(end, last, trail)
         )
 
     def prev(machine: Machine, name: Term, record: Term, start: Term, end: Term, at: Term) -> bool:
@@ -212,6 +211,15 @@ def read_access(memories: Memories) -> Dict[Tuple[str, int], Callable[..., bool]
         ("next", 6): following,
         ("next_binary", 6): following,
     }
+
+
+def _unify_instant(term: Term, instant: int, trail: List[Any]) -> bool:
+    """Unify a term with an instant; most often it is a variable that is unbound."""
+    if term.__class__ is Var and term.ref is None:
+        term.ref = timestamps.shown(instant)
+        trail.append(term)
+        return True
+    return unify(term, timestamps.shown(instant), trail)
 
 
 def instant_of(term: Term) -> int:

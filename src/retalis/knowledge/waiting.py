@@ -91,6 +91,8 @@ class WaitingQueries:
         self._all[waiting.order] = waiting
         for instance, instant in behind:
             heapq.heappush(instance.waiting, (instant, waiting.order, waiting))
+            if len(instance.waiting) > 2 * self._limit:
+                self._forget_dropped(instance)
         return after
 
     def _conditions(self, conditions: Term) -> Iterable[Tuple[Instance, int]]:
@@ -102,7 +104,7 @@ class WaitingQueries:
         pairs = list_items(conditions)
         if pairs is None:
             raise UsageError("expected a list of [MemoryId, Time]")
-        found = []
+        found: Dict[Instance, int] = {}
         for pair in pairs:
             parts = list_items(pair)
             if parts is None or len(parts) != 2:
@@ -110,8 +112,9 @@ class WaitingQueries:
             instance = self._memories.find(parts[0])
             if instance is None:
                 raise UsageError(f"there is no memory {self._logic.show(parts[0])}")
-            found.append((instance, _reach(parts[1])))
-        return found
+            instant = _reach(parts[1])
+            found[instance] = max(instant, found.get(instance, instant))
+        return found.items()
 
     def _ask(self, event: Term, query: Term, start: int, end: int, after: Any) -> Any:
         """Return the frame that calls the query and triggers the event where it has a solution."""
@@ -150,6 +153,11 @@ class WaitingQueries:
         self._warn(
             f"more than {self._limit} queries wait; the oldest is dropped: {self._logic.show(waiting.event)}"
         )
+
+    def _forget_dropped(self, instance: Instance) -> None:
+        """Take out of a memory's heap what no longer waits: a memory that gets no event never does."""
+        instance.waiting[:] = [entry for entry in instance.waiting if entry[1] in self._all]
+        heapq.heapify(instance.waiting)
 
     def _drop_waiting_for(self, instance: Instance) -> None:
         for _, order, waiting in instance.waiting:
