@@ -3,24 +3,34 @@
 import pytest
 from events import table
 
+from retalis.clock import StreamClock
 from retalis.engine import Engine
 from retalis.explain import explain
 from retalis.syntax import Operators, read_term
 from retalis.terms import atom
-from retalis.timestamps import SECOND, from_seconds
+from retalis.timestamps import SECOND
 
 POLICIES = ("recent", "recent_2", "chronological", "chronological_2", "unrestricted")
 BEFORE = ("z", 0, 0.2)
 
 
+ENGINE = Engine(clock=StreamClock(1000 * SECOND))
+WATCHING = []
+ENGINE.on_event(lambda *event: WATCHING[0](*event))
+
+
 class Run:
-    """One program over one stream; ``seen`` is what was derived, as text with its interval in seconds."""
+    """One program over one stream, by an engine that forgets the one before.
+
+    ``seen`` is what was derived, as text with its interval in seconds.
+    """
 
     def __init__(self, rules, stream, policy="recent", watch=("out", "rev"), **flags):
-        self.engine = Engine()
+        self.engine = ENGINE
+        self.engine.rules.reset()
         self.seen = []
         self._watch = watch
-        self.engine.on_event(self._see)
+        WATCHING[:] = [self._see]
         self._flag("event_consumption_policy", policy)
         for name, value in flags.items():
             self._flag(name, value)
@@ -32,7 +42,6 @@ class Run:
         self.engine.rules.flags.set(name, atom(value) if isinstance(value, str) else value)
 
     def take(self, text, start, end):
-        self.engine.clock.move_to(from_seconds(end))
         self.engine.event(text, start, end)
 
     def _see(self, term, start, end):
