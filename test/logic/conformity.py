@@ -9,7 +9,18 @@ from typing import Any, Iterator, List, NamedTuple, Tuple
 from retalis.errors import SyntaxFault
 from retalis.logic import Limits, Logic, PrologError
 from retalis.syntax import ReadFlags, read_program, read_term, write_term
-from retalis.terms import Term, atom, copy, deref, functor, make_list, variables
+from retalis.terms import (
+    Term,
+    atom,
+    conjuncts,
+    copy,
+    deref,
+    functor,
+    list_items,
+    make_list,
+    rebuild,
+    variables,
+)
 
 DATA = Path(__file__).resolve().parents[1] / "data" / "conformity"
 ISO = ReadFlags(double_quotes="codes", iso=True)
@@ -34,13 +45,17 @@ class Case(NamedTuple):
 
 def cases(file: str) -> Iterator[Case]:
     """Yield the cases of a file."""
-    section = ""
-    for number, line in enumerate((DATA / file).read_text(encoding="utf-8").replace("\\\n", "\0").split("\n"), 1):
+    section = held = ""
+    for number, line in enumerate((DATA / file).read_text(encoding="utf-8").split("\n"), 1):
+        if line.endswith("\\") and "==>" not in line:  # a continuation inside quotes
+            held += line + "\n"
+            continue
+        line, held = held + line, ""
         if line.startswith("% "):
             section = line[2:]
         elif "==>" in line and not line.startswith(("%", "|")):
             goal, _, answer = line.rpartition(" ==>")
-            yield Case(file, number, section, goal.replace("\0", "\\\n"), answer.strip())
+            yield Case(file, number, section, goal, answer.strip())
 
 
 def clauses(file: str) -> str:
@@ -124,36 +139,14 @@ def _binds(logic: Logic, goal: Any, answer: str) -> Tuple[bool, str]:
     if len(found) != len(solutions):
         return False, shown
     for one, solution in zip(found, solutions):
-        values = dict(zip(names, _items(one[1])))
-        for equation in _equations(solution):
-            name = next(name for name, var in expected.names.items() if var is equation[1])
-            values.setdefault(name, None)
-        pattern = copy((functor("s", 2), make_list([v for v in expected.names.values()]), solution))
-        ours = make_list([values[_name(expected, eq[1])] for eq in _equations(solution)])
-        theirs = copy(make_list([_filled(eq[2], expected, values, goal, one) for eq in _equations(solution)]))
-        del pattern
+        values = dict(zip(goal.names, list_items(deref(one[2])[1]) or []))
+        known = {var: values[name] for name, var in expected.names.items() if name in values}
+        equations = [deref(equation) for equation in conjuncts(solution)]
+        ours = make_list([known[equation[1]] for equation in equations])
+        theirs = make_list([rebuild(equation[2], lambda var: known.get(var, var)) for equation in equations])
         if not _same(ours, theirs):
             return False, shown
     return True, shown
-
-
-def _name(read: Any, var: Any) -> str:
-    return next(name for name, one in read.names.items() if one is var)
-
-
-def _filled(term: Term, expected: Any, values: Any, goal: Any, one: Term) -> Term:
-    """Return the expected value with the goal's other variables in it replaced by what they became."""
-    from retalis.terms import rebuild
-
-    became = dict(zip(goal.names, _items(deref(deref(one[2])[1]))))
-    known = {var: became[name] for name, var in expected.names.items() if name in became}
-    return rebuild(term, lambda var: known.get(var, var))
-
-
-def _items(term: Term) -> List[Term]:
-    from retalis.terms import list_items
-
-    return list_items(term) or []
 
 
 def _alternatives(term: Term) -> List[Term]:
@@ -162,12 +155,6 @@ def _alternatives(term: Term) -> List[Term]:
         found.append(term[1])
         term = deref(term[2])
     return [*found, term]
-
-
-def _equations(term: Term) -> List[Any]:
-    from retalis.terms import conjuncts
-
-    return [deref(one) for one in conjuncts(term)]
 
 
 def _same(left: Term, right: Term) -> bool:

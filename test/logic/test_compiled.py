@@ -151,6 +151,53 @@ def test_random_programs(part):
         check(seed)
 
 
+BUILDERS = """
+app([], L, L).
+app([H|T], L, [H|R]) :- app(T, L, R).
+inc([], []).
+inc([X|Xs], [Y|Ys]) :- Y is X + 1, inc(Xs, Ys).
+strike(_, [], []).
+strike(P, [I|Is], Ns) :- 0 is I mod P, !, strike(P, Is, Ns).
+strike(P, [I|Is], [I|Ns]) :- strike(P, Is, Ns).
+pairs([], _, []).
+pairs([X|Xs], Y, [X-Y|Zs]) :- pairs(Xs, Y, Zs).
+add(z, Y, Y).
+add(s(X), Y, s(Z)) :- add(X, Y, Z).
+tag([], _, end).
+tag([X|Xs], a, node(X, Rest, _, Y)) :- X > 0, Y is -X, tag(Xs, a, Rest).
+"""
+
+BUILT = [
+    "app([a,b,c], [d], X)",
+    "app([a|T], [d], X)",
+    "app(X, Y, [1,2])",
+    "app([1,2|T], [3], [1,2,9,3])",
+    "app([1,2], X, [1,2,3])",
+    "app([1,2], X, [2|_])",
+    "app(L, L, X)",
+    "inc([1,2,3], X)",
+    "inc([1,a], X)",
+    "inc([1,2|T], [A,3|B])",
+    "strike(2, [1,2,3,4,5], X)",
+    "pairs([1,2], k, X)",
+    "pairs([1,2], Y, [1-k|Z])",
+    "add(s(s(z)), s(z), X)",
+    "add(X, Y, s(s(z)))",
+    "tag([1,2], a, X)",
+    "tag([1,0], a, X)",
+    "tag([1,2], B, X)",
+    "tag([1,2], b, X)",
+    "numlist(1, 1000, L), app(L, [x], R), last(R, Z), length(R, N)",
+    "numlist(1, 600, L), inc(L, R), last(R, Z), app(R, [], S), R == S",
+]
+
+
+@pytest.mark.parametrize("goal", BUILT)
+def test_clauses_that_build_lists(goal):
+    wanted = answers(prolog(BUILDERS, NEVER), goal, 4)
+    assert answers(prolog(BUILDERS), goal, 4) == wanted
+
+
 def look(low, high):
     """Check seeds; those whose programs make cyclic terms take too long and are left out."""
     import signal

@@ -95,7 +95,7 @@ class Control:
         """Return the frame of ``call/1``: cuts in the goal are local to it."""
         goal = deref(goal)
         if goal.__class__ is tuple and goal[0] in _STRUCTURES:
-            check_body(goal)
+            goal = check_body(goal)
         return self.solve(goal, len(self._choices), after)
 
     def once(self, goal: Term, after: Frame) -> Optional[Frame]:
@@ -199,21 +199,41 @@ class Control:
         return self.solve(goal, 0, after)
 
 
-def check_body(goal: Term) -> None:
-    """Raise a type error where part of a control construct can be no goal.
+def check_body(goal: Term) -> Term:
+    """Return a goal as a body: variables that stand as goals in it are called (cuts in them are local).
 
     Raises:
-        PrologError: type_error(callable, whole goal).
+        PrologError: type_error(callable, whole goal) where part of a control construct can be no goal.
     """
     stack = [goal]
+    open_goals = False
     while stack:
         item = deref(stack.pop())
         kind = item.__class__
         if kind is tuple:
             if item[0] in _STRUCTURES:
                 stack.extend(item[1:])
-        elif kind is not Var and kind is not Atom:
+        elif kind is Var:
+            open_goals = True
+        elif kind is not Atom:
             raise type_error("callable", goal)
+    return _called(goal) if open_goals else goal
+
+
+def _called(goal: Term) -> Term:
+    """Return a body with its variables called; no recursion along conjunctions."""
+    before = []
+    goal = deref(goal)
+    while goal.__class__ is tuple and goal[0] in _STRUCTURES and len(goal) == 3:
+        before.append((goal[0], _called(goal[1])))
+        goal = deref(goal[2])
+    if goal.__class__ is Var:
+        goal = (CALL, goal)
+    elif goal.__class__ is tuple and goal[0] is NOT:
+        goal = (NOT, _called(goal[1]))
+    for key, left in reversed(before):
+        goal = (key, left, goal)
+    return goal
 
 
 def check_partial_list(term: Term) -> None:

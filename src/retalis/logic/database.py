@@ -9,6 +9,7 @@ from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple
 
 from ..terms import TRUE, Atom, Functor, Lazy, Term, Var, copy, deref, is_ground, undo, unify
 from .compiler import Generator, Rule
+from .compiler.facts import fact_search
 from .faults import indicator, permission_error
 from .machine import Code, Frame, Machine
 
@@ -93,6 +94,8 @@ class Predicate:
         self.library = False
         self.compiled = False
         self.tabled = False
+        self.ground = False
+        self._searches: Dict[Optional[int], Callable[..., Optional[Frame]]] = {}
         self.clauses: List[Clause] = []
         self.dead = 0
         self.calls = 0
@@ -123,6 +126,7 @@ class Predicate:
     def add(self, clause: Clause, first: bool = False) -> None:
         """Add a clause as the last or the first one."""
         self.kind = "user"
+        self.ground = clause.ground and self.functor.arity > 0 and (self.ground or not self.clauses)
         self.changed()
         if first:
             self.clauses = [clause, *[old for old in self.clauses if old.died == _NEVER]]
@@ -131,17 +135,7 @@ class Predicate:
             return
         self.clauses.append(clause)
         for position, (index, others) in self.indexes.items():
-            key = clause.keys[position]
-            if key is None:
-                for found in index.values():
-                    found.append(clause)
-                others.append(clause)
-            else:
-                found = index.get(key)  # type: ignore[assignment]
-                if found is None:
-                    index[key] = [*others, clause]
-                else:
-                    found.append(clause)
+            _enter(index, others, clause.keys[position], clause)
 
     def remove(self, clause: Clause) -> bool:
         """Remove a clause; calls that are under way still see it. Return whether it was there."""
@@ -187,16 +181,30 @@ class Predicate:
         self.calls += 1
         if (self.calls > self.compile_after or self.library) and self._compile():
             return self.run(frame)
-        clauses = self._select(frame)
-        return self._advance(frame, clauses, 0, len(clauses), self.database.generation)
+        clauses, position = self.select(frame)
+        generation = self.database.generation
+        keys = None
+        for at in range(1, len(frame) - 1):
+            if at - 1 != position and key_of(frame[at]) is not None:
+                keys = [key_of(arg) for arg in frame[1:-1]]
+                break
+        if self.ground:
+            search = self._searches.get(position) or self._search(position)
+            return search(frame, clauses, 0, len(clauses), generation, keys)
+        return self._advance(frame, clauses, 0, len(clauses), generation, keys)
 
-    def _select(self, frame: Frame) -> List[Clause]:
-        """Return a list that holds all clauses that the arguments of a call may match."""
+    def _search(self, position: Optional[int]) -> Callable[..., Optional[Frame]]:
+        names = fact_names(self.database.machine)
+        search = self._searches[position] = fact_search(self.functor.arity, position, names)
+        return search
+
+    def select(self, frame: Frame) -> Tuple[List[Clause], Optional[int]]:
+        """Return a list that holds all clauses that a call may match, and the argument that it is indexed by."""
         clauses = self.clauses
         size = len(clauses)
         if size < _INDEX_FROM:
-            return clauses
-        best = clauses
+            return clauses, None
+        best, by = clauses, None
         for position in range(min(self.functor.arity, 4)):
             key = key_of(frame[position + 1])
             if key is None:
@@ -211,92 +219,75 @@ class Predicate:
             index, others = found
             candidates = index.get(key, others)
             if len(candidates) < len(best):
-                best = candidates
+                best, by = candidates, position
                 if len(best) <= 2:
                     break
-        return best
+        return best, by
 
     def _index(self, position: int) -> Optional[Tuple[Dict[Any, List[Clause]], List[Clause]]]:
         index: Dict[Any, List[Clause]] = {}
         others: List[Clause] = []
-        variables = 0
         clauses = [clause for clause in self.clauses if clause.died == _NEVER]
-        for clause in clauses:
-            key = clause.keys[position]
-            if key is None:
-                variables += 1
-                for found in index.values():
-                    found.append(clause)
-                others.append(clause)
-                if variables * 2 > len(clauses):
-                    break
-            else:
-                found = index.get(key)  # type: ignore[assignment]
-                if found is None:
-                    index[key] = [*others, clause]
-                else:
-                    found.append(clause)
-        if variables * 2 > len(clauses) or len(index) < 2:
+        variables = sum(clause.keys[position] is None for clause in clauses)
+        if variables * 2 <= len(clauses):
+            for clause in clauses:
+                _enter(index, others, clause.keys[position], clause)
+        if len(index) < 2:
             self.poor[position] = len(clauses)
             return None
         self.indexes[position] = index, others
         return index, others
 
     def _next(self, entry: Frame) -> Optional[Frame]:
-        return self._advance(entry[1], entry[2], entry[3], entry[4], entry[5])
+        return self._advance(*entry[1:7])
 
     def _advance(
-        self, frame: Frame, clauses: List[Clause], at: int, end: int, generation: int
+        self,
+        frame: Frame,
+        clauses: List[Clause],
+        at: int,
+        end: int,
+        generation: int,
+        keys: Optional[List[Any]],
     ) -> Optional[Frame]:
         """Try the clauses from ``at`` on; push a choice point where another one may match."""
         machine = self.database.machine
         trail = machine.trail
-        after = frame[-1]
-        keys = None
         while at < end:
             clause = clauses[at]
             at += 1
-            if clause.died <= generation:
+            if clause.died <= generation or keys is not None and not may_match(keys, clause.keys):
                 continue
-            if at < end:
-                # Look for the next clause that may match, so as not to leave a choice point for nothing.
-                if keys is None:
-                    keys = [key_of(arg) for arg in frame[1:-1]]
-                while at < end:
-                    other = clauses[at]
-                    if other.died > generation and may_match(keys, other.keys):
-                        break
-                    at += 1
+            while at < end:  # look for the next clause that may match, to leave no choice point for nothing
+                other = clauses[at]
+                if other.died > generation and (keys is None or may_match(keys, other.keys)):
+                    break
+                at += 1
+            height = len(machine.choices)
             mark = len(trail)
             if clause.fact:
                 if self._match(frame, clause, trail):
                     if at < end:
-                        machine.choices.append((self._retry, frame, clauses, at, end, generation, mark))
-                    return after
+                        machine.choices.append((self._retry, frame, clauses, at, end, generation, keys, mark))
+                    return frame[-1]  # type: ignore[no-any-return]
                 undo(trail, mark)
                 continue
-            height = len(machine.choices)
             if at < end:
-                machine.choices.append((self._retry, frame, clauses, at, end, generation, mark))
+                machine.choices.append((self._retry, frame, clauses, at, end, generation, keys, mark))
             code = clause.code
             if code is None:
                 clause.uses += 1
-                if clause.uses > self.database.compile_after or self.library:
-                    code = self._compile_clause(clause)
-                else:
+                if clause.uses <= self.database.compile_after and not self.library:
                     return self._interpret(frame, clause, height, trail)
+                code = self._compile_clause(clause)
             return code((*frame, height))
         return None
 
     @staticmethod
     def _match(frame: Frame, clause: Clause, trail: List[Any]) -> bool:
-        head = clause.head
-        if not clause.ground:
-            head = copy(head)
+        head = clause.head if clause.ground else copy(clause.head)
         for at in range(1, len(frame) - 1):
-            left = frame[at]
-            right = head[at]
-            if left is not right and not unify(left, right, trail):
+            if not unify(frame[at], head[at], trail):
                 return False
         return True
 
@@ -331,6 +322,35 @@ class Predicate:
 
     def _view(self) -> Any:
         return self.database.library if self.library else self.database
+
+
+def _enter(index: Dict[Any, List[Clause]], others: List[Clause], key: Any, clause: Clause) -> None:
+    """Add a clause to an index: ``others`` holds those that any key may match."""
+    if key is None:
+        for found in index.values():
+            found.append(clause)
+        others.append(clause)
+    elif key in index:
+        index[key].append(clause)
+    else:
+        index[key] = [*others, clause]
+
+
+def fact_names(machine: Machine) -> Dict[str, Any]:
+    """Return what the code for facts names."""
+    return {
+        "Var": Var,
+        "unify": unify,
+        "undo": undo,
+        "trail": machine.trail,
+        "push": machine.trail.append,
+        "choose": machine.choices.append,
+        "retry": _NEXT_FACT,
+        "may_match": may_match,
+    }
+
+
+_NEXT_FACT = Code("facts", lambda entry: entry[1](*entry[2:8]))
 
 
 def may_match(keys: List[Any], others: Tuple[Any, ...]) -> bool:

@@ -210,7 +210,7 @@ class Logic:
         """
         goal = deref(goal)
         if goal.__class__ is not Var:
-            check_body(goal)
+            goal = check_body(goal)
         return Goal(self.database, goal, inputs, outputs, place, name)
 
     def once(self, goal: Term) -> bool:
@@ -287,7 +287,7 @@ def split_clause(term: Term) -> Tuple[Term, Term]:
     if body.__class__ is Var:
         body = (_CALL, body)
     else:
-        check_body(body)
+        body = check_body(body)
     return head, body
 
 

@@ -17,7 +17,7 @@ from .faults import CONTEXT, ERROR, PrologError, from_python, indicator, resourc
 Frame = Any
 """A tuple ``(code, argument..., next)``."""
 
-SLICE = (None,) * 4096
+SLICE = (None,) * 1024
 """Steps between two looks at the limits."""
 
 LOOP = (None,) * 256

@@ -2,8 +2,13 @@
 
 from typing import Any, List, Optional
 
-from ...terms import CONS, NIL, SLASH, Atom, Term, Var, deref, functor
+from ...terms import CONS, NIL, SLASH, TRUE, Atom, Term, Var, deref, functor
 from ..faults import domain_error, instantiation_error, type_error
+
+
+def is_iso(machine: Any) -> bool:
+    """Tell whether the flag ``iso`` asks for the standard's checks."""
+    return machine.logic.flags["iso"] is TRUE
 
 
 def integer(term: Term) -> int:

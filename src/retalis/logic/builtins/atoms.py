@@ -3,9 +3,9 @@
 from typing import Any, Iterator, List
 
 from ...terms import NIL, Atom, String, Term, Var, atom, deref, list_items, make_list, unify
-from ..faults import domain_error, instantiation_error, representation_error, syntax_error, type_error
+from ..faults import domain_error, instantiation_error, representation_error, type_error
 from ..machine import LAST
-from .arguments import integer_or_var, items, partial_items
+from .arguments import atom_of, integer_or_var, is_iso, items, partial_items
 from .registry import deterministic, nondeterministic
 from .text import (
     LARGEST_CODE,
@@ -13,10 +13,10 @@ from .text import (
     chars,
     codes,
     constant_text,
-    list_text,
     number_or_error,
     number_text,
     parse_number,
+    parts_text,
     text_of,
 )
 
@@ -25,6 +25,8 @@ from .text import (
 def atom_length(machine: Any, text: Term, length: Term) -> bool:
     """Give the number of characters of an atom."""
     size = deref(length)
+    if is_iso(machine):
+        atom_of(text)
     value = len(text_of(text, "text"))
     if size.__class__ is not Var:
         if size.__class__ is not int:
@@ -40,12 +42,8 @@ def _converter(to_list: Any, from_text: Any) -> Any:
         if found is not None:
             return unify(parts, to_list(found), machine.trail)
         if deref(constant).__class__ is not Var:
-            raise type_error("atomic", deref(constant))
-        text = list_text(parts)
-        if text is None:
-            text = constant_text(deref(parts))
-            if text is None:
-                raise type_error("list", deref(parts))
+            raise type_error("atom", deref(constant))
+        text = parts_text(parts, to_list is codes)
         return unify(constant, from_text(machine, text), machine.trail)
 
     return run
@@ -78,11 +76,7 @@ def _number_converter(to_list: Any) -> Any:
         given = deref(parts)
         if number.__class__ is not Var and not _is_whole_list(given):
             return unify(parts, to_list(number_text(number)), machine.trail)
-        text = list_text(given)
-        if text is None:
-            text = constant_text(given)
-            if text is None or given.__class__ is Atom:
-                raise syntax_error("illegal_number") if given is NIL else type_error("list", given)
+        text = parts_text(given, to_list is codes)
         return unify(number, number_or_error(text, machine.logic.operators), machine.trail)
 
     return run
@@ -220,9 +214,11 @@ def sub_text(
     b, count, a = integer_or_var(before), integer_or_var(length), integer_or_var(after)
     for value in (b, count, a):
         if value is not None and value < 0:
-            return
+            raise domain_error("not_less_than_zero", value)
     given = deref(part)
     if given.__class__ is not Var:
+        if is_iso(machine):
+            atom_of(given)
         wanted = constant_text(given)
         if wanted is None:
             raise type_error("atomic", given)

@@ -85,7 +85,7 @@ def _candidates(predicate: Predicate, head: Term) -> Iterator[Any]:
     frame = (None, *head[1:], None) if head.__class__ is tuple else (None, None)
     keys = [key_of(arg) for arg in frame[1:-1]]
     generation = predicate.database.generation
-    clauses = predicate._select(frame)
+    clauses, _ = predicate.select(frame)
     for at in range(len(clauses)):
         clause = clauses[at]
         if clause.died > generation and may_match(keys, clause.keys):

@@ -21,7 +21,7 @@ from ...terms import (
 from ..arithmetic import evaluate
 from ..compiler.nodes import COMPARISONS, ORDERS
 from ..faults import domain_error, instantiation_error, type_error
-from .arguments import integer, natural
+from .arguments import integer, is_iso, natural, partial_items
 from .registry import deterministic
 
 _ORDERS = {-1: atom("<"), 0: atom("="), 1: atom(">")}
@@ -179,6 +179,8 @@ def is_assoc(machine: Any, term: Term) -> bool:
 @deterministic("term_variables/2")
 def term_variables(machine: Any, term: Term, result: Term) -> bool:
     """Give the variables of a term."""
+    if is_iso(machine):
+        partial_items(result)
     return unify(result, make_list(variables(term)), machine.trail)
 
 

@@ -21,7 +21,7 @@ from ...terms import (
 from ..arithmetic import EVALUABLE, add, evaluate
 from ..faults import domain_error, instantiation_error, resource_error, type_error
 from ..machine import LAST, Code, Frame
-from .arguments import integer, items, natural
+from .arguments import integer, is_iso, items, natural, partial_items
 from .registry import control, deterministic, nondeterministic
 from .solutions import sort_unique
 
@@ -78,7 +78,10 @@ def msort(machine: Any, unsorted: Term, result: Term) -> bool:
 @deterministic("sort/2")
 def sort(machine: Any, unsorted: Term, result: Term) -> bool:
     """Sort in the standard order without duplicates."""
-    return unify(result, make_list(sort_unique(items(unsorted))), machine.trail)
+    found = sort_unique(items(unsorted))
+    if is_iso(machine):
+        partial_items(result)
+    return unify(result, make_list(found), machine.trail)
 
 
 @deterministic("sort/4")
@@ -122,6 +125,10 @@ def keysort(machine: Any, pairs: Term, result: Term) -> bool:
         if pair.__class__ is not tuple or pair[0] is not MINUS:
             raise type_error("pair", pair)
     found.sort(key=lambda pair: _KEY(pair[1]))
+    if is_iso(machine):
+        for pair in map(deref, partial_items(result)):
+            if pair.__class__ is not Var and (pair.__class__ is not tuple or pair[0] is not MINUS):
+                raise type_error("pair", pair)
     return unify(result, make_list(found), machine.trail)
 
 

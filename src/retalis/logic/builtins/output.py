@@ -7,10 +7,10 @@ from ...terms import CONS, NIL, Atom, Term, Var, deref, list_items, unify
 from ..arithmetic import evaluate
 from ..faults import domain_error, existence_error, instantiation_error, permission_error, type_error
 from ..machine import Code, Frame, Guard
-from .arguments import atom_of, integer, option_values
+from .arguments import integer, is_iso, option_values
 from .formatting import Formatter
 from .registry import control, deterministic
-from .text import make_text, text_of
+from .text import LARGEST_CODE, make_text, text_of
 
 _SINKS = ("atom", "string", "codes", "chars")
 
@@ -99,20 +99,33 @@ def tab_to(machine: Any, stream: Term, count: Term) -> bool:
     return True
 
 
+def character_of(machine: Any, char: Term) -> str:
+    """Return the character that an argument is; a code is taken too unless the flag ``iso`` is set.
+
+    Raises:
+        PrologError: instantiation and type errors.
+    """
+    found = deref(char)
+    if found.__class__ is Var:
+        raise instantiation_error()
+    if found.__class__ is int and not is_iso(machine) and 0 <= found <= LARGEST_CODE:
+        return chr(found)
+    if found.__class__ is not Atom or len(found.name) != 1:
+        raise type_error("character", found)
+    return str(found.name)
+
+
 @deterministic("put_char/1")
 def put_char(machine: Any, char: Term) -> bool:
     """Write a character."""
-    found = atom_of(char)
-    if len(found.name) != 1:
-        raise type_error("character", found)
-    machine.logic.write(found.name)
+    machine.logic.write(character_of(machine, char))
     return True
 
 
 @deterministic("put_char/2")
 def put_char_to(machine: Any, stream: Term, char: Term) -> bool:
     """Write a character to a stream."""
-    write_to(machine, stream, atom_of(char).name)
+    write_to(machine, stream, character_of(machine, char))
     return True
 
 

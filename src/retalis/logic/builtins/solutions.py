@@ -14,13 +14,14 @@ from ...terms import (
     deref,
     functor,
     make_list,
+    serial,
     unify,
     variables,
 )
 from ..arithmetic import EVALUABLE, add, evaluate
 from ..faults import domain_error, instantiation_error
 from ..machine import Code, Frame
-from .arguments import callable_of
+from .arguments import callable_of, is_iso, partial_items
 from .comparing import is_variant
 from .registry import control
 
@@ -52,6 +53,8 @@ def _strip(goal: Term) -> Any:
 def _grouped(sort: bool) -> Any:
     def run(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
         template, goal, result = args
+        if is_iso(machine):
+            partial_items(result)
         inner, bound = _strip(goal)
         if inner.__class__ is Var:
             raise instantiation_error()
@@ -82,6 +85,9 @@ def _grouped(sort: bool) -> Any:
 
 def _groups(found: List[Term]) -> List[Any]:
     """Group ``Witness-Template`` pairs by variants of the witness, in the standard order of witnesses."""
+    for pair in found:  # so that variants keep the order in which they were found
+        for var in variables(pair[1]):
+            serial(var)
     pairs = sorted(found, key=lambda pair: _KEY(pair[1]))
     groups: List[Any] = []
     for pair in pairs:

@@ -3,10 +3,10 @@
 from typing import Any, Dict, Iterator
 
 from ...errors import UsageError
-from ...terms import CONS, FALSE, NIL, TRUE, Atom, Term, Var, atom, copy, deref, functor, list_items, unify
+from ...terms import CONS, FALSE, NIL, TRUE, Atom, Term, Var, atom, copy, deref, functor, unify
 from ..faults import domain_error, existence_error, instantiation_error, permission_error, type_error
 from ..machine import LAST
-from .arguments import atom_of, integer
+from .arguments import atom_of, integer, is_iso, items
 from .registry import control, deterministic, nondeterministic
 
 
@@ -76,6 +76,8 @@ def current_prolog_flag(machine: Any, flag: Term, value: Term) -> Iterator[Any]:
     flag = deref(flag)
     flags = machine.logic.flags
     if flag.__class__ is Atom:
+        if flag.name not in flags and is_iso(machine):
+            raise domain_error("prolog_flag", flag)
         if flag.name in flags and machine.unify(value, flags[flag.name]):
             yield LAST
         return
@@ -102,14 +104,15 @@ def op(machine: Any, priority: Term, kind: Term, names: Term) -> bool:
     if name_of_kind not in _SPECIFIERS:
         raise domain_error("operator_specifier", atom(name_of_kind))
     names = deref(names)
-    found = list_items(names) if names.__class__ is tuple and names[0] is CONS else [names]
-    if found is None:
-        raise instantiation_error()
+    found = [] if names is NIL else items(names) if names.__class__ is tuple and names[0] is CONS else [names]
+    in_list = found != [names]
     for item in found:
         item = deref(item)
         if item.__class__ is tuple and item[0].name == ":":
             item = deref(item[2])
-        name = _operator_name(item, value, name_of_kind, machine.logic.operators)
+        name = _operator_name(item, value, name_of_kind, machine.logic.operators, in_list)
+        if len(name_of_kind) == 3 and is_iso(machine) and name in machine.logic.operators.postfix:
+            raise permission_error("create", "operator", item)
         try:
             machine.logic.operators.add(value, name_of_kind, name)
         except UsageError as fault:
@@ -117,11 +120,11 @@ def op(machine: Any, priority: Term, kind: Term, names: Term) -> bool:
     return True
 
 
-def _operator_name(term: Term, priority: int, kind: str, operators: Any) -> str:
+def _operator_name(term: Term, priority: int, kind: str, operators: Any, in_list: bool) -> str:
     if term.__class__ is Var:
         raise instantiation_error()
     if term.__class__ is not Atom:
-        raise type_error("list", term)
+        raise type_error("atom" if in_list else "list", term)
     name: str = term.name
     if name == ",":
         raise permission_error("modify", "operator", term)
@@ -251,4 +254,6 @@ def get_flag(machine: Any, name: Term, value: Term) -> bool:
 @control("halt/0", "halt/1")
 def halt(machine: Any, args: Any, after: Any) -> Any:
     """Refuse: a program may not end the process it runs in."""
+    if args:
+        integer(args[0])
     raise permission_error("halt", "process", TRUE)

@@ -47,7 +47,7 @@ def _blank(name: Term, arity: Term) -> Term:
     if name.__class__ is tuple:
         raise type_error("atomic", name)
     if name.__class__ is not Atom:
-        raise type_error("callable", name)
+        raise type_error("atom", name)
     if count > _MOST_ARGUMENTS:
         raise resource_error("memory")
     return (functor(name.name, count), *[Var() for _ in range(count)])
@@ -67,7 +67,7 @@ def arg(machine: Any, number: Term, term: Term, value: Term) -> Iterator[Any]:
             if machine.unify_all((number, at), (value, term[at])):
                 yield LAST if at == last else None
     else:
-        at = integer(number)
+        at = natural(number)
         if 0 < at < len(term) and machine.unify(value, term[at]):
             yield LAST
 
@@ -108,7 +108,7 @@ def univ(machine: Any, term: Term, parts: Term) -> bool:
     if head.__class__ is not Atom:
         if head.__class__ is Var:
             raise instantiation_error()
-        raise type_error("atom" if head.__class__ is tuple else "callable", head)
+        raise type_error("atom", head)
     return unify(term, (functor(head.name, len(args)), *args), machine.trail)
 
 

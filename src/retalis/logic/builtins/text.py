@@ -75,6 +75,27 @@ def list_text(term: Term) -> Optional[str]:
     return "".join(out) if term is NIL else None
 
 
+def parts_text(term: Term, as_codes: bool) -> str:
+    """Return the text of an argument that has to be a list of codes or characters; strings are taken too.
+
+    Raises:
+        PrologError: an instantiation error for a list that is not wholly bound; type errors.
+    """
+    term = deref(term)
+    if term.__class__ is String:
+        return term.text  # type: ignore[no-any-return]
+    found = list_text(term)
+    if found is not None:
+        return found
+    rest = term
+    while rest.__class__ is tuple and rest[0] is CONS:
+        item = deref(rest[1])
+        if item.__class__ is not int and (item.__class__ is not Atom or len(item.name) != 1):
+            raise type_error("character_code" if as_codes else "character", item)
+        rest = deref(rest[2])
+    raise type_error("list", term)
+
+
 def atomic_text(term: Term) -> str:
     """Return the text of an argument that has to be a constant."""
     term = deref(term)

@@ -7,6 +7,7 @@ from ...errors import Place
 from ...terms import Atom, Functor, Term, Var, deref
 from ..machine import Code
 from .bodies import Bodies
+from .building import shape_of, write_building
 from .nodes import Height, Parser
 from .scope import Clause, Scope, Unit
 from .unification import match, take_apart
@@ -185,7 +186,7 @@ class Generator:
             out.line("mark = len(trail)")
         for at, index in enumerate(chain[:_TOGETHER]):
             rest = chain[at + 1 :]
-            scope = self._clause(unit, index, rest, key=key, depth=out.depth, loops=not retried)
+            scope = self._clause(unit, index, rest, key, out.depth, not retried, len(chain) == 1)
             out.looped |= scope.looped
             out.lines += scope.lines
             if rest and scope.binds:
@@ -222,6 +223,7 @@ class Generator:
         key: Any = None,
         depth: int = 1,
         loops: bool = False,
+        alone: bool = False,
         height: Optional[str] = None,
     ) -> Scope:
         """Return the code of a clause: head, then body; where others follow, as a block that breaks to fail."""
@@ -239,9 +241,11 @@ class Generator:
             scope.loop = (self.key, self.locals, "" if rest else "continue")
         if height is not None:
             scope.names[entry] = height
+        if loops and alone and key.__class__ is Functor:
+            self._build(scope, rule, entry)
         self._head(scope, rule, key, self._own_locals(scope, rule, key) if rest else self.locals)
-        bodies = Bodies(unit, clause, entry, self.database.interpret, str(self.key), self.key)
         nodes = Parser(self.database.is_inline, entry).parse(rule.body)
+        bodies = Bodies(unit, clause, entry, self.database.interpret, str(self.key), self.key)
         bodies.write(scope, nodes)
         if rest:
             indent = "    " * depth
@@ -255,6 +259,14 @@ class Generator:
             else:
                 scope.lines = [f"{indent}while True:", *scope.lines]
         return scope
+
+    def _build(self, scope: Scope, rule: Rule, entry: Height) -> None:
+        """Write a loop of its own for a clause that builds a list as it recurses."""
+        assert self.position is not None
+        nodes = Parser(self.database.is_inline, entry).parse(rule.body)
+        shape = shape_of(scope.clause, rule.args, nodes, self.key, self.position)
+        if shape is not None:
+            write_building(scope, self.locals, rule.args, nodes, shape, self.position)
 
     def _own_locals(self, scope: Scope, rule: Rule, key: Any) -> List[str]:
         """Copy the arguments for a clause that others follow, and return the names of the copies.
