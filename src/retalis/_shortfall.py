@@ -12,7 +12,7 @@ from .errors import RetalisError
 from .events.operators import OPERATORS
 from .events.pattern import Absent, Action, Aggregate, Condition, Either, Occurs, Pair, Star, Within
 from .syntax import write_term
-from .terms import Term, Var, copy, functor, resolve, undo, unify, variables
+from .terms import Term, Var, copy, functor, undo, unify, variables
 
 _MOST = 200
 """How many occurrences of a part are looked at, the newest of them."""
@@ -83,6 +83,7 @@ class Shortfall:
         self._kept = kept
         own = [var for part in (rule.definition.term, rule.definition.head) for var in variables(part)]
         self._vars = (_VALUES, *dict.fromkeys(own))
+        self._names = names_of(self._vars)
         self._look: Dict[Any, Callable[[Any], Part]] = {
             Occurs: self._occurs,
             Pair: self._pair,
@@ -108,8 +109,8 @@ class Shortfall:
             if unify(pattern.term, copy(one.term), trail):
                 found.append(Found(copy(self._vars), one.start, one.end, one))
             undo(trail, 0)
-        event = copy(pattern.term)
-        return Part(f"{self._show(event)}: {self._seen(found, 'did not happen')}", found[-_MOST:], [], event)
+        text = f"{self._show(pattern.term)}: {self._seen(found, 'did not happen')}"
+        return Part(text, found[-_MOST:], [], copy(pattern.term))
 
     def _pair(self, pattern: Any) -> Part:
         left, right = self.of(pattern.left), self.of(pattern.right)
@@ -239,11 +240,13 @@ class Shortfall:
         return self._show(timestamps.interval_term(one.start, one.end))
 
     def _show(self, term: Term) -> str:
-        term = resolve(term)
-        names: Dict[Var, str] = {
-            var: f"{chr(65 + at % 26)}{at // 26 or ''}" for at, var in enumerate(variables(term))
-        }
+        names = {**names_of(term), **self._names}
         return write_term(term, self._engine.logic.operators, quoted=True, variable_names=names)
+
+
+def names_of(term: Term) -> Dict[Var, str]:
+    """Return names A, B, ... for the variables of a term, in their order."""
+    return {var: f"{chr(65 + at % 26)}{at // 26 or ''}" for at, var in enumerate(variables(term))}
 
 
 def _timed(goal: Term, one: Found) -> Term:

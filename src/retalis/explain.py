@@ -3,11 +3,11 @@
 from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple
 
 from . import timestamps
-from ._shortfall import Part, Shortfall
+from ._shortfall import Part, Shortfall, names_of
 from .engine import Engine
 from .errors import UsageError
 from .syntax import write_term
-from .terms import Term, Var, atom, copy, deref, functor, list_items, undo, unify, variables
+from .terms import Atom, Term, Var, atom, copy, deref, functor, list_items, undo, unify
 
 EVENT = functor("event", 2)
 _SHOWN = 10
@@ -62,6 +62,10 @@ class _Explainer:
         self._engine = engine
         self._kept = engine.rules.tracker.all()
         self._shown: Set[int] = set()
+        self._made_by: Dict[int, List[Any]] = {}
+        for one in self._kept:
+            for derived in one.derived:
+                self._made_by.setdefault(id(derived), []).append(one)
 
     def explain(self, asked: Term) -> Explanation:
         term, interval = _asked(asked)
@@ -78,14 +82,17 @@ class _Explainer:
     def _because(self, one: Any, depth: int) -> Line:
         """Return why an event happened; what was said before is not said again."""
         text = self._event(one)
-        if one.rule is None and one.match is None:
+        if one.takes_back is not None:
+            return Line(f"{text} takes back", [Line(self._event(it), []) for it in one.takes_back])
+        made_by = self._made_by.get(id(one), [])
+        if one.match is None and not made_by:
             return Line(f"{text} came from outside", [])
         if id(one) in self._shown or depth > _DEEPEST:
             return Line(f"{text}, see above" if depth <= _DEEPEST else f"{text} ...", [])
         self._shown.add(id(one))
-        sources = [self._because(source, depth + 1) for source in one.sources()]
+        sources = [self._because(source, depth + 1) for source in one.sources() or made_by]
         if one.rule is None:
-            return Line(f"{text} was made by a goal", sources)
+            return Line(f"{text} was set free by", sources)
         return Line(f"{text} by {self._rule(one.rule)}", sources)
 
     def _missing(self, term: Term, interval: Optional[Tuple[int, int]], above: Tuple[Any, ...]) -> List[Line]:
@@ -106,7 +113,7 @@ class _Explainer:
         if not lines and not above:
             lines.append(Line("no rule has such a head, and no such event came from outside", []))
         if not above:
-            lines += self._alike(term)
+            lines += self._taken_back(term) + self._alike(term)
         return lines
 
     def _part(self, part: Part, above: Tuple[Any, ...]) -> Line:
@@ -122,6 +129,11 @@ class _Explainer:
             "- but all of it was used up by other matches, came in another order, had ended its window, or a "
             "goal after do failed"
         )
+
+    def _taken_back(self, term: Term) -> List[Line]:
+        """Return such events that did happen and were taken back."""
+        gone = [one for rev in self._kept for one in rev.takes_back or () if _is_instance(one.term, term)]
+        return [Line(f"{self._event(one)} was taken back", []) for one in gone[-_SHOWN:]]
 
     def _alike(self, term: Term) -> List[Line]:
         """Return events of the same name that did happen."""
@@ -147,10 +159,7 @@ class _Explainer:
 
 def show(engine: Engine, term: Term) -> str:
     """Return a term as text with variables A, B, ..."""
-    names = {
-        var: chr(65 + at % 26) + (str(at // 26) if at >= 26 else "") for at, var in enumerate(variables(term))
-    }
-    return write_term(term, engine.logic.operators, quoted=True, variable_names=names)
+    return write_term(term, engine.logic.operators, quoted=True, variable_names=names_of(term))
 
 
 def _asked(asked: Term) -> Tuple[Term, Optional[Tuple[int, int]]]:
@@ -160,8 +169,9 @@ def _asked(asked: Term) -> Tuple[Term, Optional[Tuple[int, int]]]:
         if stamps is not None and len(stamps) == 2:
             return deref(asked[1]), (timestamps.from_term(stamps[0]), timestamps.from_term(stamps[1]))
         raise UsageError("expected event(TERM,[T1,T2])")
-    if asked.__class__ is Var:
-        raise UsageError("expected an event to explain, not a variable")
+    if asked.__class__ not in (Atom, tuple):
+        kind = "a variable" if asked.__class__ is Var else "a number or string"
+        raise UsageError(f"expected an event to explain, not {kind}")
     return asked, None
 
 

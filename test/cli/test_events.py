@@ -314,10 +314,42 @@ def test_an_explanation_changes_no_event(run):
     assert [line for line in told if not line.startswith("%")] == plain
 
 
-def test_a_variable_cannot_be_explained(run):
-    status, _, error = run("--explain", "X", stream=STREAM)
-    assert status == 1
-    assert "not a variable" in error
+@pytest.mark.parametrize("asked", ["X", "3", "event(a,[1])", "event(a,[1,b])", "a(b"])
+def test_what_is_no_event_cannot_be_explained(run, asked):
+    status, lines, error = run("--explain", asked, stream=STREAM)
+    assert (status, len(lines)) == (1, 4)
+    assert error.startswith("error: ")
+
+
+def test_explains_what_was_taken_back(run):
+    rules = ":- set_etalis_flag(revision_flag, on).\n" + RULES
+    stream = STREAM + "event(rev(smoke(hall)),[9,9]).\n"
+    lines = explained(run, "alarm(hall)", rules, stream)
+    assert lines[0].endswith("did not happen")
+    assert "  alarm(hall) [1,2] was taken back" in lines
+    assert explained(run, "rev(alarm(_))", rules, stream)[1:] == [
+        "  rev(alarm(hall)) [9,9] takes back",
+        "    alarm(hall) [1,2]",
+    ]
+
+
+def test_explains_what_a_query_and_a_goal_have_made(run):
+    rules = "synchronized(pose(X), true, []) <- b(X).\nnull do new_event(made(X), [1,1]) <- pose(X).\n"
+    lines = explained(run, "made(3)", rules, "event(b(3),[2,2]).\n")
+    texts = [line.split(" by")[0].strip() for line in lines[1:]]
+    assert texts[:2] == ["made(3) [1,1]", "pose(3) [2,2] was set free"]
+    assert texts[-1] == "b(3) [2,2] came from outside"
+
+
+def test_names_of_variables_are_those_of_the_rule(run):
+    lines = explained(run, "x(_)", "x(Y) <- z(X) seq smoke(Y) where Y = X.\n", STREAM)
+    assert lines[1].startswith("  rule x(A)<-z(B)seq smoke(A)where A=B (")
+    assert [line.strip().split(":")[0] for line in lines[2:]] == [
+        "- where A=B",
+        "- seq",
+        "- z(B)",
+        "+ smoke(A)",
+    ]
 
 
 # ---- standard input -------------------------------------------------------------------------------------
