@@ -1,0 +1,79 @@
+"""The nodes' parameters: defaults, forms, and what is refused by name. Needs rospy, no master."""
+
+from pathlib import Path
+
+import pytest
+
+rospy = pytest.importorskip("rospy", reason="ROS is not installed")
+
+from retalis.engine import Settings  # noqa: E402
+from retalis.errors import UsageError  # noqa: E402
+from retalis.program import Topics, TopicType  # noqa: E402
+from retalis.ros.parameters import DIRECT, direct_topics, read_parameters  # noqa: E402
+
+TF, MARKERS = DIRECT
+
+
+@pytest.fixture
+def read(monkeypatch):
+    def read(*arguments, **values):
+        monkeypatch.setattr(rospy, "get_param", lambda name, default: values.get(name.lstrip("~"), default))
+        return read_parameters(["node", *(arguments or ("/some/package",)), "__name:=x"])
+
+    return read
+
+
+def test_defaults_keep_the_originals_behaviour(read):
+    found = read()
+    assert found.program == Path("/some/package/application_source")
+    assert (found.direct, found.embedded, found.queue) == ("auto", False, 5000)
+    assert not found.settings.allow_goals
+    assert found.settings.max_depth == Settings().max_depth
+
+
+def test_the_first_argument_is_the_package_and_a_program_wins(read):
+    assert read("/here").program == Path("/here/application_source")
+    assert read("/here", program="/there").program == Path("/there")
+
+
+def test_numbers_and_flags(read):
+    found = read(queue=7, max_depth=5, max_seconds=2, max_inferences=1000, allow_goals=True, embedded=True)
+    assert (found.queue, found.settings.queue, found.settings.max_depth) == (7, 7, 5)
+    assert (found.settings.limits.seconds, found.settings.limits.inferences) == (2.0, 1000)
+    assert found.settings.allow_goals
+    assert found.embedded
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("program", 3),
+        ("direct", "sometimes"),
+        ("direct", ["tf"]),
+        ("direct", [["tf", 1]]),
+        ("embedded", "yes"),
+        ("allow_goals", 1),
+        ("queue", 0),
+        ("queue", "many"),
+        ("queue", 2.5),
+        ("max_depth", -1),
+        ("max_seconds", True),
+        ("max_inferences", "x"),
+    ],
+)
+def test_what_is_wrong_is_named(read, name, value):
+    with pytest.raises(UsageError, match=name):
+        read(**{name: value})
+
+
+def test_auto_subscribes_what_the_file_does_not_name():
+    named = Topics(subscribed=(TopicType("/tf", "tf/tfMessage"),))
+    assert direct_topics("auto", Topics()) == DIRECT
+    assert direct_topics("auto", named) == (MARKERS,)
+    assert direct_topics(True, named) == DIRECT
+    assert direct_topics(False, Topics()) == ()
+
+
+@pytest.mark.parametrize("value", [["scan", "sensor_msgs/LaserScan"], [["scan", "sensor_msgs/LaserScan"]]])
+def test_a_list_of_topics_and_types(read, value):
+    assert direct_topics(read(direct=value).direct, Topics()) == (TopicType("scan", "sensor_msgs/LaserScan"),)
