@@ -164,7 +164,7 @@ class Parser:
         if following[0] == OPEN_CT:
             self._open_arguments(name, start)
             return
-        if kind == NAME and name == "-" and following[2] == start + 1:
+        if name == "-" and (self.flags.iso or (kind == NAME and following[2] == start + 1)):
             number = self._signed(following)
             if number is not None:
                 self.at += 1
@@ -182,7 +182,7 @@ class Parser:
             self._bare_operator(name, start)
 
     def _signed(self, following: AnyToken) -> Term:
-        """Return the number directly behind a minus, or None."""
+        """Return the number behind a minus, or None (ISO Prolog allows layout between the two)."""
         if following[0] == NUMBER:
             return following[1]
         if following[0] == NAME and self.flags.event_text and self.tokens[self.at + 1][0] != OPEN_CT:

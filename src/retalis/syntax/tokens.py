@@ -161,6 +161,8 @@ def _number_value(text: str, flags: ReadFlags) -> Term:
     if text.isdigit():
         return numerals.integer(text)
     second = text[1]
+    if flags.iso and (text == "0''" or (second == "'" and text[0] != "0")):
+        raise ValueError(f"{text} is no number in ISO Prolog")
     if second == "'" and text[0] == "0":
         return ord("'" if text == "0'''" else unquote(text[2:], "", flags.iso)[0])
     if second in "xob" or "'" in text:

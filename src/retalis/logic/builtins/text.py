@@ -84,16 +84,20 @@ def parts_text(term: Term, as_codes: bool) -> str:
     term = deref(term)
     if term.__class__ is String:
         return term.text  # type: ignore[no-any-return]
-    found = list_text(term)
-    if found is not None:
-        return found
+    first = deref(term[1]) if term.__class__ is tuple and term[0] is CONS else None
+    are_codes = as_codes if first is None else first.__class__ is int
     rest = term
     while rest.__class__ is tuple and rest[0] is CONS:
         item = deref(rest[1])
-        if item.__class__ is not int and (item.__class__ is not Atom or len(item.name) != 1):
-            raise type_error("character_code" if as_codes else "character", item)
+        if item.__class__ is not Var:
+            is_part = item.__class__ is int if are_codes else item.__class__ is Atom and len(item.name) == 1
+            if not is_part:
+                raise type_error("character_code" if as_codes else "character", item)
         rest = deref(rest[2])
-    raise type_error("list", term)
+    found = list_text(term)
+    if found is None:
+        raise type_error("list", term)
+    return found
 
 
 def atomic_text(term: Term) -> str:
