@@ -205,6 +205,13 @@ def test_files_that_are_not_there(run, tmp_path, capsys):
     assert capsys.readouterr().err.count("no.txt") == 3
 
 
+def test_a_stream_that_is_no_text(tmp_path, capsys):
+    stream = tmp_path / "stream.txt"
+    stream.write_bytes(b"event(a,[1,1]).\n\xff\xfe\n")
+    assert main(["events", "--stream", str(stream)]) == 1
+    assert "UTF-8" in capsys.readouterr().err
+
+
 # ---- JSON -----------------------------------------------------------------------------------------------
 
 
@@ -382,3 +389,23 @@ def test_prints_each_event_as_soon_as_its_line_has_come(tmp_path):
         child.kill()
         child.wait()
         child.stdout.close()
+
+
+def test_ends_without_a_word_when_nobody_reads_on(tmp_path):
+    stream = tmp_path / "stream.txt"
+    stream.write_text("".join(f"event(a({number}),[{number},{number}]).\n" for number in range(20000)))
+    child = subprocess.Popen(
+        [sys.executable, "-m", "retalis", "events", "--stream", str(stream)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env={"PYTHONPATH": str(ROOT / "src"), "PATH": "/usr/bin:/bin"},
+    )
+    try:
+        assert child.stdout.readline() == b"event(a(0),[0,0]).\n"
+        child.stdout.close()
+        assert child.stderr.read() == b""
+        assert child.wait(30) == 1
+    finally:
+        child.kill()
+        child.wait()
+        child.stderr.close()

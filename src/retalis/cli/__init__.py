@@ -1,6 +1,7 @@
 """The command line: ``python3 -m retalis COMMAND``. Each command is a module with ``add_parser`` and ``run``."""
 
 import argparse
+import os
 import sys
 from typing import List, Optional
 
@@ -27,5 +28,5 @@ def main(arguments: Optional[List[str]] = None) -> int:
     except KeyboardInterrupt:
         return 130
     except BrokenPipeError:  # whoever read our output has had enough
-        sys.stderr.close()
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python complains at its end
         return 1

@@ -190,20 +190,22 @@ class Session:
         if name == "-":
             self._feed(read_stream(sys.stdin, operators, "standard input"))
             return
-        try:
-            with open(name, encoding="utf-8") as file:
-                self._feed(read_stream(file, operators, name))
-        except OSError as error:
-            raise UsageError(f"cannot read {name}: {error.strerror}") from error
-        except UnicodeDecodeError as error:
-            raise UsageError(f"cannot read {name}: no UTF-8 text") from error
+        with ExitStack() as stack:
+            try:
+                file = stack.enter_context(open(name, encoding="utf-8"))
+            except OSError as error:
+                raise UsageError(f"cannot read {name}: {error.strerror}") from error
+            self._feed(read_stream(file, operators, name))
 
     def _feed(self, stream: Any) -> None:
-        for item in stream:
-            if isinstance(item, SyntaxFault):
-                self._report(item)
-            else:
-                self._try(lambda item=item: self._step(item))
+        try:
+            for item in stream:
+                if isinstance(item, SyntaxFault):
+                    self._report(item)
+                else:
+                    self._try(lambda item=item: self._step(item))
+        except UnicodeDecodeError as error:
+            raise UsageError(f"the stream is no UTF-8 text: {error}") from error
 
     def _step(self, item: Any) -> None:
         try:
