@@ -18,7 +18,7 @@ def test_what_comes_again_is_logged_ever_more_seldom_and_counted(logged):
     for number in range(100):
         reports.error(RuleError(f"event {number}", place))
     assert len(logged.records) == 7
-    assert "the 64th time" in logged.records[-1].message
+    assert "64 times so far" in logged.records[-1].message
     assert reports.errors == 100
 
 

@@ -45,4 +45,4 @@ class Reports:
         if times == 1:
             log.log(level, "%s", text)
         elif times & (times - 1) == 0:
-            log.log(level, "%s\n(the %dth time)", text, times)
+            log.log(level, "%s\n(%d times so far)", text, times)

@@ -176,3 +176,24 @@ def test_those_that_wait_are_bounded(caplog):
     assert "more than 3 queries wait" in caplog.text
     engine.event("v(1)", 10)
     assert names(engine) == ["done(2)", "done(3)", "done(4)"]
+
+
+def test_a_memory_without_events_does_not_pile_up_what_was_dropped():
+    engine = Watched("syncronized(done(X), true, [[m, 10], [m, 11]]) <- ask(X).", MEMORY)
+    engine.knowledge.waiting._limit = 3
+    for number in range(50):
+        engine.event(f"ask({number})", 1)
+    (memory,) = engine.knowledge.memories
+    assert len(memory.waiting) <= 2 * 3
+    engine.event("v(1)", 10)
+    assert names(engine) == []
+    engine.event("v(1)", 11)
+    assert names(engine) == ["done(47)", "done(48)", "done(49)"]
+
+
+def test_what_is_dropped_again_and_again_is_no_flood(caplog):
+    engine = Watched("syncronized(done(X), true, [[nothing, 1]]) <- ask(X).", MEMORY)
+    with caplog.at_level(logging.WARNING, "retalis"):
+        for number in range(100):
+            engine.event(f"ask({number})", 1)
+    assert len(caplog.records) == 7

@@ -18,7 +18,10 @@ from ..terms import (
     variables,
 )
 
-Recording = Callable[[Term, Tuple[Term, ...], Callable[[str], None]], Optional[Term]]
+Warn = Callable[..., None]
+"""Takes a warning as text and what kind it is: those of one kind are shown ever more seldom."""
+
+Recording = Callable[[Term, Tuple[Term, ...], Warn], Optional[Term]]
 """Takes an event, the values of the pattern's variables, and where to report; gives the record or None."""
 
 
@@ -72,7 +75,7 @@ def recording(
     return lambda term, values, problem: build(values), set(variables(form)) <= set(inputs)
 
 
-def _whole(term: Term, values: Tuple[Term, ...], problem: Callable[[str], None]) -> Term:
+def _whole(term: Term, values: Tuple[Term, ...], problem: Warn) -> Term:
     return term
 
 
@@ -80,7 +83,7 @@ def _same(dispatcher: Dispatcher, build: Callable[[Tuple[Term, ...]], Term]) -> 
     """Return the recording for a form that is the pattern: the event itself, where it has no variables."""
     ground = dispatcher.ground
 
-    def record(term: Term, values: Tuple[Term, ...], problem: Callable[[str], None]) -> Term:
+    def record(term: Term, values: Tuple[Term, ...], problem: Warn) -> Term:
         return term if ground() else build(values)
 
     return record
@@ -90,7 +93,7 @@ def _tested(logic: Logic, goals: List[Term], inputs: List[Var], name: str) -> Re
     """Return the recording of the event itself, under conditions."""
     solved = _solved(logic, goals, inputs, TRUE, name)
 
-    def record(term: Term, values: Tuple[Term, ...], problem: Callable[[str], None]) -> Optional[Term]:
+    def record(term: Term, values: Tuple[Term, ...], problem: Warn) -> Optional[Term]:
         return None if solved(term, values, problem) is None else term
 
     return record
@@ -100,11 +103,11 @@ def _solved(logic: Logic, goals: List[Term], inputs: List[Var], form: Term, name
     """Return the recording of a form under conditions, which may bind what is in it."""
     test = logic.compile_goal(conjunction(goals), inputs, [form], name=name).test
 
-    def record(term: Term, values: Tuple[Term, ...], problem: Callable[[str], None]) -> Optional[Term]:
+    def record(term: Term, values: Tuple[Term, ...], problem: Warn) -> Optional[Term]:
         try:
             solution = test(values)
         except PrologError as error:
-            problem(f"{name}: event {logic.show(term)}: {error}")
+            problem(f"{name}: event {logic.show(term)}: {error}", name)
             return None
         return None if solution is None else solution[0]
 

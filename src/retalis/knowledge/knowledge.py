@@ -6,6 +6,7 @@ from ..errors import UsageError
 from ..events import Dispatcher
 from ..logic import Logic, Machine, instantiation_error, type_error
 from ..terms import Term, Var, deref, functor
+from ._recording import Warn
 from .memories import Instance, Memories, enumerate_records, read_access
 from .subscriptions import Deliver, Subscriptions
 from .waiting import WaitingQueries
@@ -31,7 +32,7 @@ class Knowledge:
         dispatcher: Dispatcher,
         stamp: Callable[[], int],
         deliver: Deliver,
-        warn: Callable[[str], None],
+        warn: Warn,
     ):
         self._logic = logic
         self._warn = warn

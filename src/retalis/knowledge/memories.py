@@ -7,7 +7,7 @@ from ..errors import UsageError
 from ..events import Dispatcher, Stage
 from ..logic import Logic, Machine, domain_error, permission_error, type_error
 from ..terms import Atom, Functor, Term, Var, copy, deref, freeze, functor, is_ground, unify
-from ._recording import Recording, key_of, recording
+from ._recording import Recording, Warn, key_of, recording
 from .memory import Memory
 
 CREATED: Functor = functor("memory_created", 5)
@@ -51,7 +51,7 @@ class Memories:
         logic: Logic,
         dispatcher: Dispatcher,
         stamp: Callable[[], int],
-        problem: Callable[[str], None],
+        problem: Warn,
     ):
         self._logic = logic
         self._dispatcher = dispatcher
@@ -169,6 +169,7 @@ def _is_update_of(instance: Instance, term: Term) -> bool:
 
 def read_access(memories: Memories) -> Dict[Tuple[str, int], Callable[..., bool]]:
     """Return the deterministic predicates that read memories, by name and arity."""
+
     def bind(machine: Machine, instance: Instance, found: Any, record: Term, start: Term, end: Term) -> bool:
         if found is None:
             return False

@@ -5,7 +5,7 @@ from typing import Any, Callable, Dict, Iterator, Tuple
 from ..events import Dispatcher, Stage
 from ..logic import Logic, permission_error
 from ..terms import MINUS, Atom, Term, copy, deref
-from ._recording import key_of, recording
+from ._recording import Warn, key_of, recording
 
 Deliver = Callable[[Term, str, Term], None]
 
@@ -20,9 +20,7 @@ class Subscriptions:
         problem: takes a report about a condition that raised an error.
     """
 
-    def __init__(
-        self, logic: Logic, dispatcher: Dispatcher, deliver: Deliver, problem: Callable[[str], None]
-    ):
+    def __init__(self, logic: Logic, dispatcher: Dispatcher, deliver: Deliver, problem: Warn):
         self._logic = logic
         self._dispatcher = dispatcher
         self._deliver = deliver

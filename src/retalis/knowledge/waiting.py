@@ -2,13 +2,14 @@
 
 import heapq
 from itertools import count
-from typing import Any, Callable, Dict, Iterable, List, Tuple
+from typing import Any, Dict, Iterable, List, Tuple
 
 from .. import timestamps
 from ..errors import UsageError
 from ..events import Dispatcher, Stage
 from ..logic import Logic, PrologError
 from ..terms import CONS, Term, Var, deref, functor, list_items
+from ._recording import Warn
 from .memories import Instance, Memories
 
 LIMIT = 200_000
@@ -44,7 +45,7 @@ class WaitingQueries:
         logic: Logic,
         dispatcher: Dispatcher,
         memories: Memories,
-        warn: Callable[[str], None],
+        warn: Warn,
         limit: int = LIMIT,
     ):
         self._logic = logic
@@ -81,7 +82,7 @@ class WaitingQueries:
                 if instance.memory.latest is None or instance.memory.latest < instant
             ]
         except UsageError as error:
-            self._warn(f"{self._logic.show(event)} is dropped: {error}")
+            self._warn(f"{self._logic.show(event)} is dropped: {error}", ("dropped", _kind(event)))
             return after
         if not behind:
             return self._ask(event, query, start, end, after)
@@ -124,7 +125,9 @@ class WaitingQueries:
             return dispatch(outputs[0], start, end, after)
 
         def failed(error: PrologError) -> None:
-            self._warn(f"{self._logic.show(event)} is dropped, its query raised: {error}")
+            self._warn(
+                f"{self._logic.show(event)} is dropped, its query raised: {error}", ("raised", _kind(event))
+            )
 
         return self._logic.machine.attempt(self._goal, (event, query), solved, after, failed)
 
@@ -151,7 +154,8 @@ class WaitingQueries:
     def _drop_oldest(self) -> None:
         waiting = self._all.pop(next(iter(self._all)))
         self._warn(
-            f"more than {self._limit} queries wait; the oldest is dropped: {self._logic.show(waiting.event)}"
+            f"more than {self._limit} queries wait; the oldest is dropped: {self._logic.show(waiting.event)}",
+            "waiting",
         )
 
     def _forget_dropped(self, instance: Instance) -> None:
@@ -167,6 +171,12 @@ class WaitingQueries:
                     f"the memory {self._logic.show(instance.id)} it waits for is deleted"
                 )
         instance.waiting.clear()
+
+
+def _kind(event: Term) -> Any:
+    """Return what events of one kind share: the functor, or the atom."""
+    event = deref(event)
+    return event[0] if event.__class__ is tuple else event
 
 
 def _reach(time: Term) -> int:
