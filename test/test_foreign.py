@@ -9,7 +9,7 @@ import pytest
 from retalis import Compound, Engine, foreign
 from retalis._foreign import to_python, to_term
 from retalis.engine import Settings
-from retalis.errors import ProgramErrors, UsageError
+from retalis.errors import ProgramErrors, RetalisError, UsageError
 from retalis.logic import PrologError
 from retalis.syntax import Operators, read_term, writeq
 from retalis.terms import String, Term, atom
@@ -242,3 +242,20 @@ def test_bad_module(tmp_path, text):
     engine = Engine(settings=Settings(allow_foreign=True))
     with pytest.raises(PrologError):
         engine.call(f"use_foreign('{tmp_path / 'bad.py'}')")
+
+
+def test_a_result_that_does_not_fit_is_the_goals_error():
+    @foreign(outputs=2)
+    def pair(number: int) -> int:
+        return number
+
+    @foreign
+    def objects(number: int) -> Iterator[object]:
+        yield object()
+
+    engine = Engine()
+    engine.add_foreign(pair, objects)
+    for goal in ("pair(1, _, _)", "objects(1, _)"):
+        with pytest.raises(RetalisError):
+            engine.call(goal)
+        assert engine.call(f"catch({goal}, _, true)")

@@ -85,3 +85,20 @@ def test_many_threads_lose_nothing():
         thread.join(30)
     runner.call(lambda: None)
     assert total[0] == 8000
+
+
+def test_an_interrupt_is_no_result():
+    runner, _, errors = make()
+
+    def interrupted():
+        raise KeyboardInterrupt
+
+    call = Call(interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        call()
+    with pytest.raises(KeyboardInterrupt):  # for the caller that waits, who may be another
+        call.result()
+    with pytest.raises(KeyboardInterrupt):
+        runner.call(interrupted)
+    assert runner.call(lambda: 1) == 1
+    assert errors == []

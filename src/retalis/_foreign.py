@@ -158,11 +158,11 @@ def _function(function: Callable[..., Any], spec: _Spec, key: Functor) -> Callab
         values = [read(term) for read, term in zip(spec.readers, arguments)]
         try:
             result = function(*values)
+            if not spec.outputs:
+                return result is not False
+            return result is not None and _unify(machine, arguments[count:], result)
         except Exception as error:  # whatever it is, it is the goal's error and no reason to end the program
             raise _raised(error, key) from error
-        if not spec.outputs:
-            return result is not False
-        return result is not None and _unify(machine, arguments[count:], result)
 
     return run
 
@@ -176,11 +176,12 @@ def _generator(function: Callable[..., Any], spec: _Spec, key: Functor) -> Calla
         while True:
             try:
                 result = next(solutions)
+                solved = not spec.outputs or _unify(machine, arguments[count:], result)
             except StopIteration:
                 return
             except Exception as error:  # as above
                 raise _raised(error, key) from error
-            if not spec.outputs or _unify(machine, arguments[count:], result):
+            if solved:
                 yield None
 
     return run

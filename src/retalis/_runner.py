@@ -23,6 +23,9 @@ class Call:
             self._result = self._work()
         except Exception as error:  # handed over to the caller that waits, in `result`
             self._error = error
+        except BaseException as error:  # an interrupt, which the one who waits must not take for a result
+            self._error = error
+            raise
         finally:
             self._done.set()
 
