@@ -11,6 +11,7 @@ from retalis import timestamps
 from retalis.clock import StreamClock
 from retalis.engine import Engine
 from retalis.errors import ProgramErrors, RetalisError, SyntaxFault, UsageError
+from retalis.logic import PrologError
 from retalis.terms import deref
 
 sys.path.append(str(Path(__file__).resolve().parent))
@@ -212,3 +213,17 @@ def test_a_goal_that_runs_for_ever_is_stopped():
 
 def test_the_default_clock_stands_still():
     assert isinstance(Engine().clock, StreamClock)
+
+
+@pytest.mark.parametrize(
+    "text", ["new_event(a,99999999999999,0)", "event(a,[1.0e20,1.0e20])", "new_event(a,1,0,99999999999999,0)"]
+)
+def test_an_instant_that_has_no_date_is_refused(text, caplog):
+    engine = Engine()
+    engine.load(goals="memorize(a, [], _, m, 5)")
+    engine.post_text(text)
+    assert "refused" in caplog.text
+    assert not engine.call("access_mem(m, _, _)")
+    if text.startswith("new_event"):
+        with pytest.raises(PrologError):
+            engine.call(text)

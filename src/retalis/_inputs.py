@@ -42,7 +42,7 @@ def _with_interval(arguments: Sequence[Term]) -> Input:
 
 def _with_instant(arguments: Sequence[Term]) -> Input:
     instant = timestamps.from_parts(_integer(arguments[1]), _integer(arguments[2]))
-    return Input(_event(arguments[0]), instant, instant)
+    return _checked(arguments, instant, instant)
 
 
 def _with_instants(arguments: Sequence[Term]) -> Input:
@@ -61,7 +61,7 @@ READERS: Dict[Functor, Callable[[Sequence[Term]], Input]] = {
 
 
 def _checked(arguments: Sequence[Term], start: int, end: int) -> Input:
-    if end < start:
+    if end < start or not (timestamps.in_range(start) and timestamps.in_range(end)):
         raise type_error("interval", arguments[1])
     return Input(_event(arguments[0]), start, end)
 

@@ -335,7 +335,8 @@ class Engine:
             event, seconds, nanoseconds = arguments
             if seconds.__class__ is int and nanoseconds.__class__ is int:
                 instant = seconds * SECOND + nanoseconds
-                return self.dispatcher.dispatch(event, instant, instant, after, own=False)
+                if timestamps.in_range(instant):
+                    return self.dispatcher.dispatch(event, instant, instant, after, own=False)
             return general(machine, arguments, after)
 
         def general(machine: Any, arguments: Sequence[Term], after: Any) -> Any:

@@ -121,13 +121,18 @@ def fields(instant: int) -> Tuple[int, int, int, int, int, int, int]:
         UsageError: outside the years 1 to 9999.
     """
     instant = int(instant)
-    if not _FIRST <= instant < _LAST:
+    if not in_range(instant):
         raise UsageError(f"{instant} ns since the epoch is outside the years 1 to 9999")
     seconds, nanoseconds = divmod(instant, SECOND)
     day, rest = divmod(seconds, _DAY)
     minutes, second = divmod(rest, 60)
     hour, minute = divmod(minutes, 60)
     return (*_day_fields(day), hour, minute, second, nanoseconds)
+
+
+def in_range(instant: int) -> bool:
+    """Tell whether an instant lies in the years 1 to 9999, which alone have a datime."""
+    return _FIRST <= instant < _LAST
 
 
 def datime(instant: int) -> Term:
