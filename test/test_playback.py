@@ -27,6 +27,7 @@ def definitions():
     known = Definitions()
     known.add("my_msgs/Point", POINT)
     known.add("my_msgs/Stamped", STAMPED)
+    known.add("my_msgs/Empty", "")
     return known
 
 
@@ -109,6 +110,20 @@ def test_a_type_goes_by_the_name_that_the_program_gives_it(program, bag):
     _, events, problems = run(program("", "", IN.replace("my_msgs/Point", "other_msgs/Dot")), path)
     assert problems == []
     assert [event for event, _, _ in events] == ["other_msgs__0__Dot(1.0)"]
+
+
+def test_a_type_without_slots_has_events_too(program, bag):
+    path = bag((SECOND, "/in", "my_msgs/Empty", "my_msgs__0__Empty"))
+    _, events, problems = run(program("", "", IN.replace("Point", "Empty")), path)
+    assert problems == []
+    assert [event for event, _, _ in events] == ["my_msgs__0__Empty"]
+
+
+def test_another_type_than_the_program_says_is_reported(program, bag):
+    path = bag((SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(1.0)"))
+    _, events, problems = run(program("", "", IN.replace("my_msgs/Point", "std_msgs/Float32")), path)
+    assert events == []
+    assert "topic /in: expected std_msgs/Float32, found my_msgs/Point" in problems[0]
 
 
 def test_what_does_not_fit_is_reported_and_the_rest_goes_on(program, bag):

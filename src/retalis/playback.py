@@ -78,7 +78,7 @@ class Playback:
         """
         clock, outputs = self.clock, self._outputs
         for topic in bag.topics:
-            if _plain(topic.name) in self._types and topic.definition:
+            if _plain(topic.name) in self._types:
                 self._learn(topic)
         wanted = {topic.name for topic in bag.topics if _plain(topic.name) in self._types}
         for done, record in enumerate(bag.records(wanted), 1):
@@ -105,15 +105,11 @@ class Playback:
         """Note the decoder for a connection, under the type that the program gives the topic."""
         kind = self._types[_plain(topic.name)]
         try:
-            definition = self.definitions.add(topic.type, topic.definition, topic.md5sum)
-            if definition.name != kind:
-                if kind in self.definitions and self.definitions.find(kind).md5sum != definition.md5sum:
-                    raise MessageError(f"topic {topic.name} is read as {kind}, but the bag has {topic.type}")
-                definition = definition.renamed(kind)
+            definition = self.definitions.received(kind, topic.type, topic.definition, topic.md5sum)
             self._decoders[topic] = self.definitions.decoder(definition)
         except MessageError as error:
             self._decoders[topic] = None
-            self._report(error)
+            self._report(MessageError(f"topic {topic.name}: {error.message}", error.place))
 
     def _collect(self, term: Term, topic: str, name: Term) -> None:
         kind = self._published.get(_plain(topic))

@@ -143,3 +143,16 @@ def test_added_types_come_before_installed_ones_and_those_before_nested_ones(tmp
 def test_names_that_are_paths_are_not_looked_up(tmp_path):
     package(tmp_path, "pkg", Type="int8 x\n")
     assert Installed([str(tmp_path / "other")], [], rosbags=False).text("../pkg/Type") is None
+
+
+def test_received_messages_are_read_by_the_definition_that_fits():
+    registry = nothing_installed()
+    known = registry.add("pkg/A", "int8 x\n")
+    assert registry.received("pkg/A", "pkg/A", "", known.md5sum) is known
+    assert registry.received("pkg/A", "other/B", "", known.md5sum) is known
+    newer = registry.received("pkg/A", "pkg/A", "int8 x\nint8 y\n", "*")
+    assert [slot.name for slot in newer.fields] == ["x", "y"]
+    renamed = registry.received("new/C", "other/C", "int8 z\n", "*")
+    assert (renamed.name, renamed.fields[0].name) == ("new/C", "z")
+    with pytest.raises(MessageError, match="expected pkg/A, found other/D"):
+        registry.received("pkg/A", "other/D", "int16 x\n", "*")

@@ -75,3 +75,8 @@ def test_other_terms_for_texts(term, data):
 def test_broken_base64(broken):
     with pytest.raises(MessageError, match="base64"):
         text_bytes(atom(f'"{broken}"'))
+
+
+def test_half_a_surrogate_pair_is_no_text():
+    with pytest.raises(MessageError, match="code point 0xd800"):
+        text_bytes(atom("a\ud800"))

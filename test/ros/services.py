@@ -115,6 +115,7 @@ class Services(unittest.TestCase):
         self.assert_error(self.add_subscription("", "", "_", "t", "e1"), "event")
         self.assert_error(self.add_subscription("3", "", "_", "t", "e1"))
         self.assert_error(self.add_subscription("a),b(X)", "", "_", "t", "e1"), "event")
+        self.assert_error(self.add_subscription("a),(b", "", "_", "t", "e1"), "event", "column 2")
         self.assert_error(self.delete_subscription("t", "e1"), "e1")
 
     def test_a_memory_is_added_used_and_deleted(self):
@@ -151,6 +152,8 @@ class Services(unittest.TestCase):
         self.assert_error(self.delete_input("number"), "number")
         self.assert_error(self.add_input("number", "Float64"), "package/Type")
         self.assert_error(self.add_input("a b", "std_msgs/Float64"), "a b")
+        self.assert_error(self.add_input("a?b", "std_msgs/Float64"), "a?b")
+        self.assert_error(self.add_input("tf", "tf/tfMessage"), "tf")  # node retalis subscribes it by itself
         self.assert_error(self.add_input("", "std_msgs/Float64"))
         self.assertEqual(self.delete_subscription("t", "n").result, "ok")
 

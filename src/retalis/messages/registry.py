@@ -65,6 +65,28 @@ class Definitions:
             self._nested.setdefault(nested.name, nested)
         return definition
 
+    def received(self, name: str, sent: str, text: str, md5sum: str) -> Definition:
+        """Return the definition by which to read messages as a type: the known one, or what came with them.
+
+        Args:
+            name: the type that is wanted.
+            sent: the type as which they are sent; the wanted one may be another name of it.
+            text: the definition that came with them.
+            md5sum: the checksum that came with them.
+
+        Raises:
+            MessageError: where they are of another type, or what came with them is wrong.
+        """
+        known = self.find(name) if name in self else None
+        if known is not None and known.md5sum == md5sum:
+            return known
+        definition = self.add(sent, text, md5sum)
+        if sent == name:
+            return definition
+        if known is not None and known.md5sum != definition.md5sum:
+            raise MessageError(f"expected {name}, found {sent}")
+        return definition.renamed(name)
+
     def find(self, name: str) -> Definition:
         """Return the definition of ``pkg/Type``.
 

@@ -42,7 +42,7 @@ def text_bytes(term: Term) -> Optional[bytes]:
     dereferenced.
 
     Raises:
-        MessageError: for a base64 form that is broken.
+        MessageError: for a base64 form that is broken, and for a text that is none (half a surrogate pair).
     """
     kind = term.__class__
     if kind is Atom:
@@ -57,7 +57,12 @@ def text_bytes(term: Term) -> Optional[bytes]:
         return None
     if name.startswith(MARK):
         return _decode_base64(name[len(MARK) :])
-    return name.encode("utf-8", "surrogateescape")
+    try:
+        return name.encode("utf-8", "surrogateescape")
+    except UnicodeEncodeError as error:
+        raise MessageError(
+            f"expected a text, got one with the code point {ord(name[error.start]):#x}"
+        ) from None
 
 
 def _encode_base64(data: bytes) -> str:

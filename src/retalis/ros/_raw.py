@@ -1,5 +1,6 @@
 """Messages as bytes: subscribing to any type, publishing any type, without generated classes."""
 
+from io import BytesIO
 from typing import Any, Type
 
 import rospy
@@ -19,6 +20,19 @@ def raw_class(definition: Definition) -> Type[rospy.AnyMsg]:
         "_slot_types": [],
     }
     return type(definition.functor_name, (rospy.AnyMsg,), members)
+
+
+def raw_bytes(message: Any) -> bytes:
+    """Return the bytes of a message that rospy received.
+
+    It is no `rospy.AnyMsg` where the node had subscribed the topic by its class before (``/clock``, by rospy itself).
+    """
+    if isinstance(message, rospy.AnyMsg):
+        data: bytes = message._buff
+        return data
+    buffer = BytesIO()
+    message.serialize(buffer)
+    return buffer.getvalue()
 
 
 def raw_message(kind: Type[rospy.AnyMsg], data: bytes) -> Any:

@@ -11,7 +11,7 @@ from ..syntax import EventReader, to_text
 from ..terms import CONS, NIL, Term, deref, functor
 from ..timestamps import datime
 from ._log import shown
-from .interface import Interface
+from .interface import Interface, send
 from .node import INPUT, OUTPUT, OUTPUT_EVENT, connect
 from .parameters import Parameters, direct_topics
 from .running import run_node
@@ -33,7 +33,9 @@ class Converter:
             for line in shown(error):
                 rospy.logerr("%s", line)
             topics = Topics()
-        connect(self._interface, topics, direct_topics(parameters.direct, topics))
+        direct = direct_topics(parameters.direct, topics)
+        self._interface.leave(direct)
+        connect(self._interface, topics, direct)
         InterfaceServices(self._interface)
         rospy.Subscriber(OUTPUT, String, self._receive, queue_size=parameters.queue, buff_size=1 << 20)
 
@@ -42,7 +44,7 @@ class Converter:
             instant = rospy.get_rostime().to_nsec()
         stamp = datime(instant)
         interval = (CONS, stamp, (CONS, stamp, NIL))
-        self._texts.publish(String(to_text((EVENT, term, interval))))
+        send(self._texts, String(to_text((EVENT, term, interval))))
 
     def _receive(self, message: String) -> None:
         try:

@@ -1,15 +1,17 @@
 """Between ROS topics and events: messages become terms, terms become messages."""
 
 import threading
-from typing import Any, Callable, Dict, Optional, Tuple
+from typing import Any, Callable, Dict, Iterable, Optional, Set, Tuple
 
 import rospy
+from rosgraph.names import is_legal_name
 
 from .._reports import Reports
 from ..errors import MessageError, RetalisError, UsageError
 from ..messages import Decoder, Definitions, Encoder
+from ..program import TopicType
 from ..terms import Term
-from ._raw import raw_class, raw_message
+from ._raw import raw_bytes, raw_class, raw_message
 
 Sink = Callable[[Term, Optional[int]], None]
 """Takes an event term and the instant of its header (None without one)."""
@@ -33,6 +35,7 @@ class Interface:
         self._definitions = Definitions() if definitions is None else definitions
         self._inputs: Dict[str, Input] = {}
         self._outputs: Dict[str, Tuple[Any, Any, Encoder]] = {}
+        self._elsewhere: Set[str] = set()
         self._lock = threading.Lock()
         self._reports = Reports()
 
@@ -45,10 +48,16 @@ class Interface:
         name = resolve(topic)
         if kind.count("/") != 1 or not all(kind.split("/")):
             raise UsageError(f'expected a message type "package/Type", found "{kind}"')
+        if name in self._elsewhere:
+            raise UsageError(f"topic {topic} is subscribed by node retalis itself (its parameter ~direct)")
         with self._lock:
             if name in self._inputs:
                 raise UsageError(f"topic {topic} is subscribed already (as {self._inputs[name].kind})")
             self._inputs[name] = Input(self._definitions, name, kind, self._sink, self._queue)
+
+    def leave(self, topics: Iterable[TopicType]) -> None:
+        """Refuse topics that node retalis subscribes by itself, so that none enters twice."""
+        self._elsewhere = {rospy.resolve_name(topic) for topic, _ in topics}
 
     def unsubscribe(self, topic: str) -> None:
         """Stop a subscription.
@@ -83,17 +92,15 @@ class Interface:
     def publish(self, term: Term, topic: str) -> None:
         """Publish a term as a message; what does not fit the topic's type is logged and not published."""
         try:
-            found = self._outputs.get(topic) or self._outputs.get(resolve(topic))
+            found = self._outputs.get(resolve(topic))
             if found is None:
                 raise MessageError(
                     f"nothing is published on {topic}: pub_sub.xml has no <publish_to> that gives its type"
                 )
             publisher, message, encoder = found
-            publisher.publish(raw_message(message, encoder.encode(term, topic)))
+            send(publisher, raw_message(message, encoder.encode(term, topic)))
         except RetalisError as error:
             self._reports.error(error)
-        except rospy.ROSException as error:  # the node is being shut down
-            rospy.logdebug("not published: %s", error)
 
 
 class Input:
@@ -127,29 +134,22 @@ class Input:
         if decoder is None:
             self._refuse(header)
             return
-        data = message._buff
         try:
+            data = raw_bytes(message)
             self._sink(decoder.decode(data), decoder.stamp(data))
         except MessageError as error:
             rospy.logerr_throttle(PERIOD, f"a message on {self._name} is dropped: {error}")
 
     def _learn(self, header: Dict[str, str]) -> Optional[Decoder]:
         """Return the decoder for a publisher's messages, None where they are of another type."""
-        kind, checksum = header.get("type", "*"), header["md5sum"]
         try:
-            if self.kind in self._definitions:
-                definition = self._definitions.find(self.kind)
-                if definition.md5sum == checksum:
-                    return self._definitions.decoder(definition)
-            definition = self._definitions.add(kind, header.get("message_definition", ""), checksum)
+            definition = self._definitions.received(
+                self.kind, header.get("type", "*"), header.get("message_definition", ""), header["md5sum"]
+            )
         except MessageError as error:
             rospy.logerr("topic %s: %s", self._name, error)
             return None
-        if kind == self.kind:
-            return self._definitions.decoder(definition)
-        if self.kind not in self._definitions and definition.md5sum == checksum:
-            return self._definitions.decoder(definition.renamed(self.kind))
-        return None
+        return self._definitions.decoder(definition)
 
     def _refuse(self, header: Dict[str, str]) -> None:
         self.refused += 1
@@ -158,6 +158,15 @@ class Input:
             f"topic {self._name} is subscribed as {self.kind}, but {header.get('callerid', 'somebody')} publishes "
             f"{header.get('type', 'another type')}: {self.refused} messages dropped",
         )
+
+
+def send(publisher: rospy.Publisher, message: Any) -> None:
+    """Publish a message; while the node is being shut down its topics are closed, and nothing is published."""
+    try:
+        publisher.publish(message)
+    except rospy.ROSException:
+        if not rospy.core.is_shutdown_requested():
+            raise
 
 
 def resolve(topic: str) -> str:
@@ -170,6 +179,6 @@ def resolve(topic: str) -> str:
         name = rospy.resolve_name(topic.strip())
     except (ValueError, rospy.ROSException) as error:
         raise UsageError(f'"{topic}" is no topic name: {error}') from error
-    if not topic.strip() or any(char in name for char in " \t\n,()[]'\""):
+    if not topic.strip(" /") or not is_legal_name(name):
         raise UsageError(f'"{topic}" is no topic name')
     return name

@@ -1,6 +1,6 @@
 """Node ``retalis``: the engine behind its services and topics."""
 
-from typing import Any, Optional
+from typing import Any, Optional, Tuple
 
 import rospy
 from std_msgs.msg import String
@@ -12,7 +12,7 @@ from ..program import TOPICS, Topics, read_topics
 from ..syntax import to_text
 from ..terms import Term, atom, functor
 from ._log import shown
-from .interface import Interface
+from .interface import Interface, send
 from .parameters import Parameters, direct_topics
 from .running import run_node
 from .services import EngineServices, InterfaceServices
@@ -36,13 +36,25 @@ class RosClock(Clock):
         super().call_at(instant, alarm)
         self._set_timer()
 
+    def due(self, until: Optional[int] = None) -> Optional[Tuple[int, Alarm]]:
+        """Take and return the next alarm that is due; where there is none, a timer waits for the next one.
+
+        The timer is set here, where the engine works, and not when it rings: an engine that is busy then would
+        be woken again and again for the same alarm.
+        """
+        found = super().due(until)
+        if found is None:
+            self._set_timer()
+        return found
+
     def _set_timer(self) -> None:
         """Have one timer, for the earliest alarm."""
         instant = self.next_alarm()
-        if instant is None or (self._timer_for is not None and self._timer_for <= instant):
+        timer, timer_for = self._timer, self._timer_for  # another thread may be just in `_wake`
+        if instant is None or (timer_for is not None and timer_for <= instant):
             return
-        if self._timer is not None:
-            self._timer.shutdown()
+        if timer is not None:
+            timer.shutdown()
         self._timer_for = instant
         wait = max(1_000_000, instant - self.now())
         self._timer = rospy.Timer(rospy.Duration.from_sec(wait / 1e9), self._wake, oneshot=True, reset=True)
@@ -51,7 +63,6 @@ class RosClock(Clock):
         self._timer = self._timer_for = None
         if self.engine is not None:
             self.engine.advance()
-        self._set_timer()
 
 
 class Node:
@@ -110,7 +121,7 @@ class Node:
 
     def _send_text(self, term: Term, topic: str, name: Term) -> None:
         if not self._parameters.embedded or self._texts.get_num_connections():
-            self._texts.publish(String(to_text((OUTPUT_EVENT, term, atom(topic), name))))
+            send(self._texts, String(to_text((OUTPUT_EVENT, term, atom(topic), name))))
 
 
 def connect(interface: Interface, topics: Topics, direct: Any = ()) -> None:

@@ -91,7 +91,7 @@ def _program(argv: List[str]) -> Path:
 
 def _direct() -> Any:
     value = rospy.get_param("~direct", "auto")
-    if value in (True, False, "auto"):
+    if isinstance(value, bool) or value == "auto":
         return value
     wrong = UsageError(
         "parameter ~direct: expected auto, true, false, or a list of topics and types "
@@ -124,6 +124,6 @@ def _number(name: str, kind: Any) -> Any:
     value = rospy.get_param(name, None)
     if value is None:
         return None
-    if isinstance(value, bool) or not isinstance(value, (int, kind)) or value <= 0:
+    if isinstance(value, bool) or not isinstance(value, (int, kind)) or not value > 0:
         raise UsageError(f"parameter {name}: expected a positive number, found {value!r}")
     return kind(value)

@@ -7,7 +7,7 @@ import rospy
 from ..engine import Engine
 from ..errors import RetalisError, SyntaxFault, UsageError
 from ..syntax import Operators, read_term
-from ..terms import TRUE, Atom, Term, atom, conjuncts, functor, make_list
+from ..terms import TRUE, Atom, Term, Var, atom, conjuncts, functor, make_list
 from .interface import Interface
 
 OK = "ok"
@@ -61,7 +61,7 @@ class EngineServices:
                 raise UsageError(f"there is no memory {request.id.strip()}")
             self._call((functor("delete_memory", 1), key))
 
-        return answer(work)
+        return answer(lambda: self._engine.do(work))  # nobody deletes it in between
 
     def _add(self, request: Any, goal: str, fourth: Term, fifth: Term) -> None:
         fields = {"event": request.event, "conditions": request.conditions.strip() or "true"}
@@ -70,20 +70,22 @@ class EngineServices:
         self._call((functor(goal, 5), event, goals, form, fourth, fifth))
 
     def _read_together(self, fields: Dict[str, str]) -> List[Term]:
-        """Read fields that share their variables.
-
-        Each is read alone first, so that an error says which field it is in and where.
-        """
-        operators = self._engine.logic.operators
+        """Read fields each by itself, and have variables of one name be the same in all of them."""
+        shared: Dict[str, Var] = {}
+        terms: List[Term] = []
         for field, text in fields.items():
             if not text.strip():
                 raise UsageError(f"{field} is empty")
             try:
-                read_term(text, operators, field)
+                read = read_term(text, self._engine.logic.operators, field)
             except SyntaxFault as fault:
                 raise UsageError(f"{field}: {fault.brief()}") from fault
-        whole = ",".join(f"(\n{_without_stop(text)}\n)" for text in fields.values())
-        return list(read_term(f"request({whole})", operators, "request").term[1:])
+            for name, var in read.names.items():
+                known = shared.setdefault(name, var)
+                if known is not var:
+                    var.ref = known
+            terms.append(read.term)
+        return terms
 
     def _size(self, text: str) -> int:
         try:
@@ -129,8 +131,3 @@ def name(text: str, field: str) -> Term:
     except SyntaxFault:
         return atom(text)
     return term if isinstance(term, (Atom, int)) else atom(text)
-
-
-def _without_stop(text: str) -> str:
-    text = text.strip()
-    return text[:-1] if text.endswith(".") else text
