@@ -198,6 +198,24 @@ def test_garbage_control(row, policy):
     assert Run(pattern, stream, policy, garbage_control="pattern").intervals == left
 
 
+@each_cell
+def test_all_at_once(row, policy):
+    """Flags, label, window and condition together change nothing that each alone does not."""
+    longest = max(end - start for start, end in row.results)
+    rule = f"r([property(window,{longest})]) : out(X) <- ({row.pattern}) where X =:= 1."
+    flags = {
+        "out_of_order": "on",
+        "revision_flag": "on",
+        "etalis_justification": "on",
+        "rule_sharing": "on",
+        "garbage_control": "general",
+        "garbage_window": 1000,
+        "garbage_window_step": 1,
+    }
+    assert Run(rule, row.fires, policy, **flags).intervals == list(row.results)
+    assert Run(rule, row.never, policy, **flags).intervals == []
+
+
 # ---- several partners at once ---------------------------------------------------------------------------
 
 
