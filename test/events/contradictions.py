@@ -7,15 +7,18 @@ None where the events agree and only answers or outputs differ).
 CHECK = "`P check G` | as where, with `t1(S)` and `t2(E)` true inside G for this event only"
 EITHER = "Every two-sided pattern but `seq` takes its sides in either order of arrival"
 EXACT = "All comparisons are exact, on integer nanoseconds"
-ERROR = "a goal that raises an error stops that firing, is logged with rule, event and goal, and everything else goes on"
+ERROR = (
+    "a goal that raises an error stops that firing, is logged with rule, event and goal, "
+    "and everything else goes on"
+)
 KEPT = "`unrestricted` | all that fit, oldest first | nothing is used up, by any operator"
 CLOCK = "remove partial matches older than the window by the rule's clock"
 STARTS = "`P starts Q` | s1 = s2 and e1 < e2; `P finishes Q` | e1 = e2 and s2 < s1"
 DATIME = "Month lengths, leap years, midnight and UTC are right in every datime predicate"
 
 _OPS = (
-    "a@1-1 o@1-1 sg@1-1 ag(0)@1-1 b@2-2 s@1-2 w@1-2 an@1-2 o@2-2 cn@1-2 fn@2-2 ch@2-2 mu(1)@2-2 mu(2)@2-2 d@2-2 sg@1-2 "
-    "ag(1)@1-2 fa@1-2 pr@2-2 ia@3-5 ib@3-5 p@3-5 eq@3-5 du@3-5"
+    "a@1-1 o@1-1 sg@1-1 ag(0)@1-1 b@2-2 s@1-2 w@1-2 an@1-2 o@2-2 cn@1-2 fn@2-2 ch@2-2 mu(1)@2-2 mu(2)@2-2 "
+    "d@2-2 sg@1-2 ag(1)@1-2 fa@1-2 pr@2-2 ia@3-5 ib@3-5 p@3-5 eq@3-5 du@3-5"
 )
 
 CONTRADICTED = {
@@ -35,7 +38,8 @@ CONTRADICTED = {
     "during_reversed": (EITHER, "b@1-6 a@3-4 c@1-6"),
     "during_unrestricted": (
         KEPT,
-        "a(1)@3-4 a(2)@2-5 b(3)@1-6 c(1,3)@1-6 c(2,3)@1-6 b(4)@2-5 c(1,4)@2-5 c(2,4)@2-5 a(5)@3-4 c(5,3)@1-6 c(5,4)@2-5",
+        "a(1)@3-4 a(2)@2-5 b(3)@1-6 c(1,3)@1-6 c(2,3)@1-6 b(4)@2-5 c(1,4)@2-5 c(2,4)@2-5 "
+        "a(5)@3-4 c(5,3)@1-6 c(5,4)@2-5",
     ),
     "event1_same_second": ("the later is at least 1 ns after the earlier", "a@0-0 b@1e-09-1e-09 c@0-1e-09"),
     "fnot_seq": (

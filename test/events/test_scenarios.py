@@ -7,8 +7,8 @@ import json
 from pathlib import Path
 
 import pytest
-
 from events.contradictions import CONTRADICTED
+
 from retalis.clock import StreamClock
 from retalis.engine import Engine
 from retalis.errors import RetalisError

@@ -1,0 +1,143 @@
+"""Dispatch: order, constants, depth, errors that stop one firing only."""
+
+import pytest
+from events.running import Program, fired
+
+from retalis.errors import UsageError
+from retalis.events import Dispatcher, Stage
+from retalis.terms import NIL, Lazy, Var, atom, functor, make_list
+
+A, B, F = functor("a", 1), functor("b", 2), functor("f", 1)
+
+
+class Done:
+    @staticmethod
+    def run(frame):
+        raise AssertionError
+
+
+DONE = (Done(),)
+
+
+class Recorder:
+    def __init__(self):
+        self.dispatcher = Dispatcher()
+        self.got = []
+
+    def listen(self, name, pattern, stage=Stage.RULES):
+        def action(term, values, start, end, after):
+            self.got.append((name, values))
+            return after
+
+        return self.dispatcher.listen(stage, pattern, action)
+
+    def send(self, term):
+        self.got = []
+        frame = self.dispatcher.dispatch(term, 1, 1, DONE)
+        while frame is not DONE:
+            frame = frame[0].run(frame)
+        return self.got
+
+
+def test_stages_come_in_order_and_the_oldest_first():
+    recorder = Recorder()
+    recorder.listen("rule", (A, Var()))
+    recorder.listen("memory", (A, Var()), Stage.MEMORIES)
+    recorder.listen("subscription 1", (A, Var()), Stage.SUBSCRIPTIONS)
+    recorder.listen("any", Var(), Stage.SUBSCRIPTIONS)
+    assert [name for name, _ in recorder.send((A, 1))] == ["subscription 1", "any", "memory", "rule"]
+
+
+def test_constants_choose_the_listeners():
+    recorder = Recorder()
+    x, y = atom("x"), atom("y")
+    patterns = {
+        "x": (B, x, Var()),
+        "y": (B, y, Var()),
+        "x1": (B, x, 1),
+        "nested": (B, (F, x), Var()),
+        "open": (B, Var(), Var()),
+        "float": (B, 1.0, Var()),
+    }
+    for name, pattern in patterns.items():
+        recorder.listen(name, pattern)
+
+    def names(term):
+        return [name for name, _ in recorder.send(term)]
+
+    assert names((B, x, 1)) == ["x", "x1", "open"]
+    assert names((B, x, 1.0)) == ["x", "open"]
+    assert names((B, 1, 1)) == ["open"]
+    assert names((B, 1.0, 1)) == ["open", "float"]
+    assert names((B, (F, x), 1)) == ["nested", "open"]
+    assert names((B, (F, y), 1)) == ["open"]
+    assert names((B, Lazy(F, lambda source: (F, x), None), 1)) == ["nested", "open"]
+    assert set(names((B, Var(), 1))) == set(patterns)
+
+
+def test_what_is_lazy_and_not_looked_at_is_not_made():
+    recorder = Recorder()
+    recorder.listen("all", (B, Var(), 1))
+    lazy = Lazy(F, lambda source: pytest.fail("made"), None)
+    assert recorder.send((B, lazy, 1)) == [("all", (lazy,))]
+
+
+def test_lists_take_apart():
+    recorder = Recorder()
+    first, rest = Var(), Var()
+    recorder.listen("list", (A, make_list([first], rest)))
+    assert recorder.send((A, make_list([1]))) == [("list", (1, NIL))]
+    assert recorder.send((A, NIL)) == []
+
+
+def test_removed_listeners_are_not_served():
+    recorder = Recorder()
+    listener = recorder.listen("a", (A, Var()))
+    other = recorder.listen("other", (A, Var()))
+    recorder.dispatcher.remove(listener)
+    recorder.dispatcher.remove(listener)
+    assert [name for name, _ in recorder.send((A, 1))] == ["other"]
+    recorder.dispatcher.remove(other)
+    assert not recorder.dispatcher.wanted(A)
+    assert recorder.send((A, 1)) == []
+
+
+@pytest.mark.parametrize("term", [1, 2.5, Var()])
+def test_what_is_no_event(term):
+    with pytest.raises(UsageError):
+        Dispatcher().dispatch(term, 1, 1, DONE)
+
+
+def test_an_event_does_not_end_before_it_starts():
+    with pytest.raises(UsageError, match="end before"):
+        Dispatcher().dispatch(atom("a"), 2, 1, DONE)
+
+
+def test_depth_first():
+    rules = "b <- a. c <- b. d <- a."
+    assert fired(rules, "a@1") == "b@1-1 c@1-1 d@1-1"
+
+
+def test_a_goal_that_raises_stops_one_firing():
+    program = Program("b <- a where no_such_goal. c do no_such_goal <- a. d <- a.")
+    assert program.feed("a@1") == "d@1-1"
+    assert len(program.errors) == 2
+    assert "no_such_goal" in str(program.errors[0])
+    assert "at event a" in str(program.errors[0])
+    assert program.errors[0].place is not None
+
+
+@pytest.mark.parametrize(
+    "rule", ["a <- a.", "null do new_event(a,[1,1]) <- a.", "n <- a where new_event(a,[1,1])."]
+)
+def test_a_chain_without_end_is_an_error_of_its_rule(rule):
+    program = Program(f"{rule} b <- c.")
+    program.feed("a@1")
+    assert program.errors
+    assert program.feed("c@1") == "b@1-1"
+
+
+def test_events_with_variables_match_what_they_unify_with():
+    assert fired("c(X,Y) <- a(f(X), Y).", "a(Z,Z)@1") == "c(A,f(A))@1-1"
+    assert fired("c(X) <- a(X) where X = 3.", "a(Z)@1 a(4)@2") == "c(3)@1-1"
+    assert fired("c(X) do X = 3 <- a(X).", "a(Z)@1 a(4)@2") == "c(3)@1-1"

@@ -1,0 +1,154 @@
+"""Event files: forms, errors with their places, directives, what is left when a file is refused."""
+
+import pytest
+from events.running import Program, fired
+
+from retalis.errors import ProgramErrors
+
+
+def errors_of(rules):
+    program = Program()
+    with pytest.raises(ProgramErrors) as caught:
+        program.engine.load(rules=rules)
+    assert program.engine.rules.rules == []
+    return [(error.place.line, error.place.column, error.message) for error in caught.value.errors]
+
+
+@pytest.mark.parametrize(
+    ("rule", "column", "part"),
+    [
+        ("c <- a not b.", 8, "no operator not"),
+        ("c <- a ntimes 0.", 8, "positive integer"),
+        ("c <- a ntimes X.", 8, "positive integer"),
+        ("c <- a star_times.", 8, "right side of a seq"),
+        ("c <- a and aggregate(count,b,_).", 12, "right side of a seq"),
+        ("c <- a seq aggregate(median(X),b(X),_).", 22, "no such aggregate"),
+        ("c <- a and prolog(true).", 12, "beside seq"),
+        ("c <- prolog(true) seq prolog(true).", 19, "waits for no event"),
+        ("c <- 5 seq a.", 6, "not a number"),
+        ('c <- a seq "b".', 8, "not a string"),
+        ("c <- a within 0.", 8, "positive number"),
+        ("c <- a where 5.", 8, "needs a goal"),
+        ("5 <- a.", 1, "head of a rule"),
+        ("X <- a.", 1, "head a value"),
+        ("exceptionAlarm(e,-1) <- a.", 1, "positive number"),
+        ("r([property(window,x)]) : c <- a.", 4, "number of seconds"),
+        ("atom(x).", 1, "permission"),
+    ],
+)
+def test_refused(rule, column, part):
+    ((line, at, message),) = errors_of(f"% first\n{rule}")
+    assert line == 2
+    assert part.lower() in message.lower()
+    if column > 1 and "property" not in rule:
+        assert abs(at - column) <= 8
+
+
+def test_all_errors_at_once():
+    found = errors_of("ok <- a.\nx <- a not b.\ny <- (.\nz <- b ntimes 0.\n")
+    assert [line for line, _, _ in sorted(found)] == [2, 3, 4]
+
+
+@pytest.mark.parametrize(
+    ("rule", "part"),
+    [
+        ("c(X) <- a.", "bind"),
+        ("c <- (a, b).", "comma"),
+        ("r([property(color,red)]) : c <- a.", "no property color"),
+        ("r1 'rule:' r2 'rule:' c <- a.", "kept as a fact"),
+        (":- fail.", "directive fails"),
+    ],
+)
+def test_warned_of(rule, part):
+    program = Program(rule)
+    assert any(part in str(warning) for warning in program.warnings)
+
+
+def test_forms():
+    rules = """
+        c1 <- a. c2 iff a. c3 'IFF' a. c4 do true <- a. r1 : c5 <- a. r2 'rule:' c6 <- a.
+        a do assertz(called). db(f(1)). prolog(f(2)). static(f(3)). g(X) :- f(X).
+        event_rule_property(r1, window, 5).
+        :- assertz(f(4)).
+        ?- assertz(f(5)).
+    """
+    program = Program(rules)
+    assert program.feed("a@1") == "c1@1-1 c2@1-1 c3@1-1 c4@1-1 c5@1-1 c6@1-1"
+    assert program.engine.call("called")
+    assert [one["X"] for one in program.engine.query("g(X)")] == [1, 2, 3, 4, 5]
+    assert program.engine.call("event_rule_property(r1, window, 5)")
+
+
+def test_a_directive_that_raises_undoes_the_file():
+    program = Program()
+    with pytest.raises(ProgramErrors):
+        program.engine.load(rules="f(1). :- assertz(g(2)). c <- a. :- no_such_goal.")
+    assert program.feed("a@1") == ""
+    assert not program.engine.query("catch(f(_),_,fail)")
+    assert not program.engine.query("catch(g(_),_,fail)")
+
+
+def test_use_module(tmp_path):
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "main.txt").write_text("use_module('sub/one.txt'). d <- c.")
+    (tmp_path / "sub" / "one.txt").write_text("use_module('two.txt').")
+    (tmp_path / "sub" / "two.txt").write_text("c <- a.")
+    program = Program()
+    program.engine.rules.load_file(tmp_path / "main.txt")
+    assert program.feed("a@1") == "c@1-1 d@1-1"
+
+
+def test_rules_come_and_go():
+    program = Program("c1(X) <- a(X). l : c2 <- a(_). c3 <- a(1) seq b.")
+    call = program.engine.call
+    assert call("ins_event_rule(c4 <- a(_))")
+    assert not call("ins_event_rule(some_fact)")
+    assert call("some_fact")
+    assert program.feed("a(1)@1") == "c1(1)@1-1 c2@1-1 c4@1-1"
+    assert call("del_event_rule(c1(Z) <- a(Z))")
+    assert call("del_event_rule(l)")
+    assert call("del_all_event_rules(c4)")
+    assert program.feed("a(1)@2 b@3") == "c3@2-3"
+    assert call("del_event_rule(unlabeled)")
+    assert program.engine.rules.rules == []
+
+
+def test_a_rule_that_was_added_sees_later_events_only():
+    rules = "null do ins_event_rule(late(X) <- a(X)) <- a(1). c(X) <- a(X)."
+    assert fired(rules, "a(1)@1 a(2)@2") == "null@1-1 c(1)@1-1 c(2)@2-2 late(2)@2-2"
+
+
+def test_compile_event_rules():
+    program = Program()
+    assert program.engine.call("compile_event_rules([(c <- a), (f(X) :- X = 1), g(2)])")
+    assert program.feed("a@1") == "c@1-1"
+    assert program.engine.call("f(1), g(2)")
+
+
+def test_reset():
+    program = Program("c <- a seq b.", policy="chronological")
+    program.feed("a@1")
+    program.engine.call("reset_etalis_state")
+    assert program.feed("b@2") == ""
+    program.engine.call("reset_etalis")
+    assert program.engine.rules.rules == []
+    assert program.engine.call("get_etalis_flag(event_consumption_policy,recent)")
+
+
+def test_streams(tmp_path):
+    program = Program("c <- a.")
+    with program.engine.rules.relative_to(tmp_path):
+        (tmp_path / "s.txt").write_text("event(a,[1,1]). fail. no_such_goal. event(a,[2,2]).")
+        assert program.engine.call("execute_event_stream_file('s.txt')")
+    assert len(program.errors) == 2
+    assert len(program.seen) == 4
+    assert program.engine.call("fire_event_list([event(a,[3,3]), event(a)])")
+    assert program.engine.call("fire_event_list(event(a,[3,3]))")
+    assert len(program.seen) == 10
+
+
+def test_stored_events():
+    program = Program("c <- a.", ["store_fired_events"])
+    program.feed("a@1")
+    assert len(program.engine.query("fired_event(E,I)")) == 2
+    assert program.engine.call("stored_event(event(c,[1,1]))")

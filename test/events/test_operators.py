@@ -1,0 +1,132 @@
+"""Each operator: when it fires, with which interval, and when it does not."""
+
+import pytest
+from events.running import fired
+
+CASES = [
+    # pattern, stream, what c fires
+    ("a seq b", "a@1 b@2", "c@1-2"),
+    ("a seq b", "a@1-2 b@2-3", ""),
+    ("a seq b", "b@2 a@1", ""),
+    ("a and b", "b@5-6 a@1-2", "c@1-6"),
+    ("a par b", "a@1-3 b@2-4", "c@1-4"),
+    ("a par b", "b@2-4 a@1-3", "c@1-4"),
+    ("a par b", "a@1-2 b@2-4", ""),
+    ("a or b", "b@2 a@1-4", "c@2-2 c@1-4"),
+    ("a equals b", "b@1-2 a@1-2", "c@1-2"),
+    ("a equals b", "b@1-2 a@1-3", ""),
+    ("a meets b", "b@2-3 a@1-2", "c@1-3"),
+    ("a meets b", "a@1-2 b@2.5-3", ""),
+    ("a during b", "b@1-4 a@2-3", "c@1-4"),
+    ("a during b", "a@1-4 b@1-4", "c@1-4"),
+    ("a during b", "a@1-5 b@1-4", ""),
+    ("a starts b", "a@1-2 b@1-4", "c@1-4"),
+    ("a starts b", "a@1-4 b@1-4", ""),
+    ("a finishes b", "b@1-4 a@2-4", "c@1-4"),
+    ("a finishes b", "a@1-4 b@1-4", ""),
+    ("a where true", "a@1-2", "c@1-2"),
+    ("a where fail", "a@1-2", ""),
+    ("a do true", "a@1-2", "c@1-2"),
+    ("a do fail", "a@1-2", ""),
+    ("a check (t1(S), t2(E), S < E)", "a@1-1 a@1-2", "c@1-2"),
+    ("a timestamp (t1(S), t2(E), S < E)", "a@1-1 a@1-2", "c@1-2"),
+    ("a event_multiply member(_, [x,y])", "a@1", "c@1-1 c@1-1"),
+    ("a seq prolog(true)", "a@1-2", "c@1-2"),
+    ("prolog(fail) seq a", "a@1-2", ""),
+    ("query(true) seq a", "a@1", "c@1-1"),
+    ("(a seq b) cnot d", "a@1 b@3", "c@1-3"),
+    ("(a seq b) cnot d", "a@1 d@2 b@3", ""),
+    ("(a seq b) cnot d", "a@1 d@1-2 b@3", "c@1-3"),
+    ("(a seq b) cnot d", "a@1 d@2-3 b@3", "c@1-3"),
+    ("(a seq b) cnot d", "d@2 a@1 b@3", ""),
+    ("(a seq b where true) cnot d", "a@1 d@2 b@3", ""),
+    ("a cnot d", "d@1 a@2 a@0.5", "c@0.5-0.5"),
+    ("a fnot d", "a@1 d@1 a@1 a@2", "c@1-1 c@1-1"),
+    ("a seq b star_times", "a@1 b@2 b@3 b@2.5", "c@1-1 c@1-2 c@1-3"),
+    ("(a seq b star_times) seq d", "a@1 b@2 d@3", "c@1-3"),
+    ("a ntimes 2", "a@1 a@2 a@3", "c@1-2 c@2-3"),
+    ("a ntimes 1", "a@1", "c@1-1"),
+    ("a seq (b ntimes 2)", "a@1 b@2 b@3", "c@1-3"),
+    ("a forall_seq b", "a@1 a@2 b@3 b@4", "c@1-3 c@2-3"),
+    ("a seq b within 2", "a@1 b@2.5 a@3 b@5", "c@1-2.5"),
+    ("(a and b) within 2", "b@1 a@2.9", "c@1-2.9"),
+    ("a within 1", "a@1-2 a@1-1.9", "c@1-1.9"),
+    ("(a seq b within 5) seq d", "a@1 b@2 d@9", "c@1-9"),
+    ("a and a", "a@1 a@2 a@3", "c@1-2 c@2-3"),
+    ("a equals a", "a@1 a@1", "c@1-1"),
+    ("(a seq b) and b", "a@1 b@2", "c@1-2"),
+    ("a seq (b seq d)", "a@1 b@2 d@3", "c@1-3"),
+    ("a seq (b or d)", "a@1 d@2", "c@1-2"),
+]
+
+
+@pytest.mark.parametrize(("pattern", "stream", "wanted"), CASES)
+def test_operator(pattern, stream, wanted):
+    assert fired(f"c <- {pattern}.", stream) == wanted
+
+
+@pytest.mark.parametrize(
+    ("kind", "wanted"),
+    [
+        ("count", "r(0)@1-1 r(1)@1-2 r(2)@1-3"),
+        ("sum(X)", "r(0)@1-1 r(4)@1-2 r(6)@1-3"),
+        ("min(X)", "r(4)@1-2 r(2)@1-3"),
+        ("max(X)", "r(4)@1-2 r(4)@1-3"),
+        ("avg(X)", "r(4)@1-2 r(3)@1-3"),
+        ("list(X)", "r([])@1-1 r([4])@1-2 r([4,2])@1-3"),
+    ],
+)
+def test_aggregates(kind, wanted):
+    assert fired(f"r(N) <- s seq aggregate({kind}, a(X), N).", "a(9)@0 s@1 a(4)@2 a(2)@3") == wanted
+
+
+def test_average_that_is_no_integer():
+    assert fired("r(N) <- s seq aggregate(avg(X), a(X), N).", "s@1 a(1)@2 a(2)@3") == "r(1)@1-2 r(1.5)@1-3"
+
+
+def test_a_condition_on_the_result_decides_what_fires():
+    assert (
+        fired("r(N) <- s seq aggregate(count, a, N) where N > 1.", "s@1 a@2 a@3 a@4") == "r(2)@1-3 r(3)@1-4"
+    )
+
+
+def test_an_aggregate_of_what_is_no_number_is_reported():
+    from events.running import Program
+
+    program = Program("r(N) <- s seq aggregate(sum(X), a(X), N).")
+    assert program.feed("s@1 a(x)@2 a(3)@3") == "r(0)@1-1 r(3)@1-3"
+    assert "needs numbers" in str(program.errors[0])
+
+
+@pytest.mark.parametrize(
+    ("rule", "stream", "wanted"),
+    [
+        ("c(X,Y) <- a(X) seq b(Y) where X < Y", "a(1)@1 a(5)@2 b(3)@3", "c(1,3)@1-3"),
+        ("c(X) <- a(X) seq (b(Y) where Y > X)", "a(2)@1 b(1)@2 b(3)@3", "c(2)@1-3"),
+        ("c(X,Z) <- a(X) where Z is X * 2", "a(3)@1", "c(3,6)@1-1"),
+        ("c(X) <- a(X, _) and b(_, X)", "a(1,2)@1 b(2,3)@2 b(9,1)@3", "c(1)@1-3"),
+        ('c(X) <- a(f(X, 1.5, "s"))', 'a(f(1,1.5,"s"))@1 a(f(1,1,"s"))@2', "c(1)@1-1"),
+        ("c(X) <- a(X, X)", "a(1,2)@1 a(2,2)@2 a(2,2.0)@3", "c(2)@2-2"),
+        ("c(X) <- a(X) or b(_)", "b(1)@1 a(2)@2", "c(A)@1-1 c(2)@2-2"),
+        ("c(X,Y) <- (a(X) or b(Y)) seq d(X)", "b(1)@1 d(2)@2", "c(2,1)@1-2"),
+        ("c(X) <- a(X) seq b(X)", "a(Z)@1 b(7)@2", "c(7)@1-2"),
+        ("c(X) <- a(X) seq b(X)", "a(f(Z))@1 b(f(7))@2 b(8)@3", "c(f(7))@1-2"),
+        ("c(X,Y) <- a(X) seq b(Y) star_times", "a(1)@1 b(2)@2 b(3)@3", "c(1,A)@1-1 c(1,2)@1-2"),
+        ("c(X) <- a(X) seq b(_) star_times", "a(1)@1 b(2)@2 b(3)@3", "c(1)@1-1 c(1)@1-2 c(1)@1-3"),
+        ("c(K) <- (a(K) seq b(K)) cnot d(K)", "a(1)@1 a(2)@1 d(1)@2 b(1)@3 b(2)@3", "c(2)@1-3"),
+        ("c(K) <- (a(K) seq b) cnot (d(X) where X > K)", "a(1)@1 d(1)@2 b@3 a(2)@4 d(3)@5 b@6", "c(1)@1-3"),
+        ("c(K) <- a(K) seq (b fnot d(K))", "d(1)@1 a(1)@2 a(2)@2 b@3 b@4", "c(2)@2-3"),
+        ("c(X) do Y is X + 1, c2(Y) <- a(X). c2(_)", "a(1)@1", "c(1)@1-1"),
+    ],
+)
+def test_variables(rule, stream, wanted):
+    assert fired(f"{rule}.", stream) == wanted
+
+
+def test_a_pattern_inside_a_pattern_is_a_rule_of_its_own():
+    assert fired("c <- a seq (s(X) <- b(X) seq d).", "a@1 b(5)@2 d@3") == "s(5)@2-3 c@1-3"
+
+
+@pytest.mark.parametrize("spelling", ["seq", "'seq'", "'Seq'", "'SEQ'", "*"])
+def test_spellings(spelling):
+    assert fired(f"c <- a {spelling} b.", "a@1 b@2") == "c@1-2"

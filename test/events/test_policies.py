@@ -1,0 +1,126 @@
+"""Consumption policies, windows, labels and flags."""
+
+import pytest
+from events.running import Program, fired
+
+STREAM = "a(1)@1 a(2)@2 b@3 b@4"
+TWICE = "a@1 a@2 b@3 b@4"
+
+
+@pytest.mark.parametrize(
+    ("policy", "different", "identical"),
+    [
+        ("recent", "c(2)@2-3 c(1)@1-4", "d@2-3"),
+        ("recent_2", "c(2)@2-3 c(1)@1-4", "d@2-3 d@1-4"),
+        ("chronological", "c(1)@1-3 c(2)@2-4", "d@1-3 d@2-4"),
+        ("chronological_2", "c(1)@1-3 c(2)@2-4", "d@1-3 d@2-4"),
+        ("unrestricted", "c(1)@1-3 c(2)@2-3 c(1)@1-4 c(2)@2-4", "d@1-3 d@2-3 d@1-4 d@2-4"),
+    ],
+)
+@pytest.mark.parametrize("operator", ["seq", "and"])
+def test_policy(policy, operator, different, identical):
+    assert fired(f"c(X) <- a(X) {operator} b.", STREAM, policy) == different
+    assert fired(f"d <- a {operator} b.", TWICE, policy) == identical
+
+
+@pytest.mark.parametrize(
+    ("policy", "wanted"),
+    [
+        ("recent", "c(1)@1-1 c(2)@2-2 c(2)@2-3"),
+        ("chronological", "c(1)@1-1 c(2)@2-2 c(1)@1-3"),
+        ("unrestricted", "c(1)@1-1 c(2)@2-2 c(1)@1-3 c(2)@2-3"),
+    ],
+)
+def test_policy_of_runs(policy, wanted):
+    assert fired("c(X) <- a(X) seq b star_times.", "a(1)@1 a(2)@2 b@3", policy) == wanted
+
+
+def test_a_policy_holds_at_once_for_what_waits_already():
+    program = Program("c(X) <- a(X) seq b.")
+    program.feed("a(1)@1 a(2)@2")
+    program.set("event_consumption_policy", "unrestricted")
+    assert program.feed("b@3 b@4") == "c(1)@1-3 c(2)@2-3 c(1)@1-4 c(2)@2-4"
+
+
+def test_rejected_partners_stay():
+    assert fired("c(X) <- a(X) seq b(Y) where X < Y.", "a(1)@1 a(9)@2 b(5)@3 b(10)@4") == "c(1)@1-3 c(9)@2-4"
+
+
+def test_identical_rules_each_fire():
+    assert fired("c <- a seq b. c <- a seq b.", "a@1 b@2") == "c@1-2 c@1-2"
+
+
+@pytest.mark.parametrize("name", ["window", "event_rule_window"])
+def test_window(name):
+    rules = f"r([property({name},2)]) : c <- a seq b."
+    assert fired(rules, "a@1 b@3 a@4 b@6.000000001") == "c@1-3"
+
+
+def test_window_as_a_fact_and_of_rules_without_label():
+    assert fired("event_rule_property(unlabeled,window,2). c <- a and b.", "a@1 b@9 a@10") == "c@9-10"
+
+
+def test_a_window_removes_what_is_too_old_by_the_clock_of_the_rule():
+    program = Program("r([property(window,2)]) : c(X) <- a(X) seq b(X).")
+    program.feed(" ".join(f"a({i})@{i}" for i in range(100)))
+    assert program.engine.rules.waiting == 3
+
+
+def test_within_removes_below_it_too():
+    program = Program("c <- ((a(X) and b(X)) seq d) within 5.")
+    program.feed(" ".join(f"a({i})@{i}" for i in range(100)))
+    assert program.engine.rules.waiting == 5
+
+
+def test_stamps_far_ahead_do_not_move_the_clock_of_a_rule():
+    program = Program("r([property(window,2)]) : c(X) <- a(X) seq b.")
+    assert program.feed("a(1)@1 a(2)@9000000 b@2") == "c(1)@1-2"
+
+
+def test_cap():
+    program = Program("c(X) <- a(X) seq b.", policy="chronological")
+    program.engine.rules.cap = 3
+    program.feed(" ".join(f"a({i})@{i}" for i in range(10)))
+    assert program.engine.rules.waiting == 3
+    assert program.feed("b@20") == "c(7)@7-20"
+    assert "partial matches" in str(program.warnings[0])
+
+
+def test_out_of_order():
+    rules, stream = "c <- a seq b.", "b@2 a@1"
+    assert fired(rules, stream) == ""
+    assert fired(rules, stream, flags=["out_of_order"]) == "c@1-2"
+    assert fired("c <- (a seq b) cnot d.", "d@2 b@3 a@1", flags=["out_of_order"]) == ""
+    assert fired("c(X) <- a(X) forall_seq b.", "b@3 a(1)@1", flags=["out_of_order"]) == "c(1)@1-3"
+    assert fired("c <- a seq b seq d.", "d@3 b@2 a@1", flags=["out_of_order"]) == "c@1-3"
+
+
+def test_garbage_control_general():
+    flags = [("garbage_window", 2), ("garbage_window_step", 1), ("garbage_control", "general")]
+    rules = "c(X) <- a(X) seq b(X). f(X) <- e fnot g(X). s(N) <- i(X) seq aggregate(count, j(X), N)."
+    stream = " ".join(f"a({i})@{i} g({i})@{i} i({i})@{i}" for i in range(50))
+    kept, collected = Program(rules), Program(rules, flags)
+    kept.feed(stream)
+    collected.feed(stream)
+    assert kept.engine.rules.waiting == 101
+    assert collected.engine.rules.waiting < 10
+
+
+def test_garbage_control_pattern():
+    rules = (
+        "r([property(window,50), property(window_step,1)]) : c(X) <- a(X) seq b(X). d(X) <- a(X) seq e(X)."
+    )
+    program = Program(rules, [("garbage_control", "pattern")])
+    program.feed(" ".join(f"a({i})@{i}" for i in range(200)))
+    assert [rule.waiting for rule in program.engine.rules.rules] == [51, 200]
+
+
+@pytest.mark.parametrize("goal", ["set_etalis_flag(foo,on)", "set_etalis_flag(out_of_order,maybe)"])
+def test_flags_are_checked(goal):
+    with pytest.raises(Exception, match="etalis_flag"):
+        Program().engine.call(goal)
+
+
+def test_rule_sharing_changes_nothing():
+    rules = "p <- a seq b. p <- z. q <- a seq b seq d."
+    assert fired(rules, "z@0 a@1 b@2 d@3", flags=["rule_sharing"]) == fired(rules, "z@0 a@1 b@2 d@3")

@@ -1,0 +1,116 @@
+"""Revision, justification, alarms."""
+
+import pytest
+from events.running import Program, fired, show
+
+from retalis.clock import StreamClock
+from retalis.timestamps import SECOND
+
+
+def revised(rules, stream, policy=None):
+    return fired(rules, stream, policy, ["revision_flag"])
+
+
+@pytest.mark.parametrize(
+    ("rules", "stream", "wanted"),
+    [
+        ("c <- a.", "a@1 rev(a)@2 rev(a)@3", "c@1-1 rev(c)@2-2"),
+        ("c <- a. d <- c.", "a@1 rev(a)@2", "c@1-1 d@1-1 rev(c)@2-2 rev(d)@2-2"),
+        ("c <- a and b.", "a@1 b@2 rev(b)@3 b@4", "c@1-2 rev(c)@3-3"),
+        ("c <- a seq b.", "a@1 rev(a)@2 b@3", ""),
+        ("c(X) <- a(X) seq b.", "a(1)@1 a(2)@2 rev(a(2))@3 b@4", "c(1)@1-4"),
+        ("c <- (a seq b) cnot d.", "a@1 d@2 b@3 rev(d)@4 b@5", "c@1-3"),
+        ("c <- a fnot d.", "d@1 a@2 rev(d)@3", "c@2-2"),
+        (
+            "c(N) <- s seq aggregate(count, a(_), N).",
+            "s@1 a(1)@2 a(2)@3 rev(a(1))@4",
+            "c(0)@1-1 c(1)@1-2 c(2)@1-3 rev(c(1))@4-4 rev(c(2))@4-4 c(1)@1-3",
+        ),
+        ("c <- a seq b star_times.", "a@1 b@2 rev(a)@3 b@4", "c@1-1 c@1-2 rev(c)@3-3 rev(c)@3-3"),
+        ("c do new_event(m,[5,5]) <- a.", "a@1 rev(a)@2", "m@5-5 c@1-1 rev(m)@2-2 rev(c)@2-2"),
+        ("c(X) <- a(X) or b(X).", "a(1)@1 b(1)@2 rev(b(1))@3", "c(1)@1-1 c(1)@2-2 rev(c(1))@3-3"),
+    ],
+)
+def test_revision(rules, stream, wanted):
+    assert revised(rules, stream) == wanted
+
+
+def test_rev_is_an_event_like_others_without_the_flag():
+    assert fired("c <- a. d <- rev(a).", "a@1 rev(a)@2") == "c@1-1 d@2-2"
+
+
+@pytest.mark.parametrize("policy", ["recent", "chronological", "unrestricted"])
+@pytest.mark.parametrize("flag", ["revision_flag", "etalis_justification"])
+def test_keeping_where_events_came_from_changes_nothing(policy, flag):
+    rules = (
+        "c(X) <- (a(X) and b) seq d. n(N) <- c(_) seq aggregate(count, a(_), N). x <- (a(1) seq d) cnot b."
+    )
+    stream = "a(1)@1 b@2 a(2)@3 d@4 b@5 a(1)@6 d@7 d@8"
+    assert fired(rules, stream, policy, [flag]) == fired(rules, stream, policy)
+
+
+def explained(program, event):
+    found = program.engine.query(f"justify_event({event},_,J)")
+    return [program.engine.show(one["J"]) for one in found]
+
+
+def test_why():
+    program = Program("m <- a seq b. r : c <- m.", ["etalis_justification"])
+    program.feed("a@1 b@2")
+    (why,) = explained(program, "c")
+    assert why == (
+        "justification(r,head(c,[1,2]),justification(unlabeled,head(m,[1,2]),seqf("
+        "justification(unlabeled,head(a,[1,1]),default),justification(unlabeled,head(b,[2,2]),default))))"
+    )
+
+
+def test_why_not():
+    program = Program("c <- a seq b where (1 < 2).", ["etalis_justification"])
+    program.feed("a@1")
+    (why,) = explained(program, "c")
+    assert "wheref" in why
+    assert "head(a,[1,1]),default" in why
+    assert "head(b," in why
+    assert why.count("),failed)") == 1
+
+
+def test_why_of_what_no_rule_fires():
+    program = Program("c <- c seq c.", ["etalis_justification"])
+    (why,) = explained(program, "zzz")
+    assert why.startswith("[justification(unlabeled,head(zzz,")
+    assert why.endswith("),failed)]")
+    assert len(explained(program, "c")) == 1
+
+
+def test_justification_can_be_switched_on_later():
+    program = Program("c <- a seq b.")
+    program.feed("a@1")
+    program.set("etalis_justification", "on")
+    assert program.feed("b@2 a@3 b@4") == "c@1-2 c@3-4"
+    assert len(program.engine.query("justification_edge(_,_)")) == 2
+
+
+def alarming(rules, stream, until):
+    clock = StreamClock(0)
+    program = Program(rules, clock=clock)
+    program.feed(stream)
+    del program.seen[:]
+    clock.move_to(until * SECOND)
+    program.engine.advance()
+    return show(program.seen), program
+
+
+def test_alarm():
+    rules = "exceptionAlarm(ding(X),5) <- a(X). c(X) <- ding(X)."
+    assert alarming(rules, "a(1)@1-2", 6)[0] == ""
+    assert alarming(rules, "a(1)@1-2", 7)[0] == "ding(1)@1-7 c(1)@1-7"
+
+
+def test_alarm_at_an_instant():
+    assert alarming("exceptionAlarmAbsoluteDatime(ding,7) <- a.", "a@1", 8)[0] == "ding@1-7"
+
+
+def test_alarm_in_no_time_is_reported():
+    program = Program("exceptionAlarm(ding,N) <- a(N).")
+    assert program.feed("a(0)@1") == ""
+    assert "positive number" in str(program.errors[0])
