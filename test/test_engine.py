@@ -227,3 +227,8 @@ def test_an_instant_that_has_no_date_is_refused(text, caplog):
     if text.startswith("new_event"):
         with pytest.raises(PrologError):
             engine.call(text)
+
+
+def test_a_variable_in_two_values_of_an_answer_stays_one_variable():
+    (answer,) = Engine().query("X = f(A), Y = g(A)")
+    assert answer["X"][1] is answer["Y"][1] is answer["A"]

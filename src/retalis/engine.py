@@ -224,7 +224,8 @@ class Engine:
         found: List[Dict[str, Term]] = []
         with closing(cast(Generator[None, None, None], self.logic.solutions(term))) as solutions:
             for _ in solutions:
-                found.append({name: copy(value) for name, value in names.items()})
+                shared: Dict[Var, Term] = {}  # a variable in two values stays one variable
+                found.append({name: copy(value, shared) for name, value in names.items()})
                 if most is not None and len(found) >= most:
                     break
         return found
