@@ -10,6 +10,7 @@ from .alarms import duration
 from .pattern import ARROWS, SPELLINGS, Action, Reader, bound_by
 from .rule import Definition
 
+_SYNCHRONIZED = frozenset((functor("syncronized", 3), functor("synchronized", 3)))
 _RULE = functor("rule:", 2)
 _COLON = functor(":", 2)
 _CLAUSE = functor(":-", 2)
@@ -153,7 +154,7 @@ class Checker:
                 raise RuleError(error.message, place) from None
 
     def _unbound(self, head: Term, pattern: Any, place: Optional[Place]) -> None:
-        bound = set(bound_by(pattern))
+        bound = {*bound_by(pattern), *_bound_later(head)}
         free = [var for var in variables(head) if var not in bound]
         if head.__class__ is Var and free:
             raise RuleError("nothing in the pattern gives the head a value", place)
@@ -161,6 +162,12 @@ class Checker:
             self.warnings.append(
                 RuleError(f"nothing in the pattern can bind {len(free)} variable(s) of the head", place)
             )
+
+
+def _bound_later(head: Term) -> List[Var]:
+    """Return the variables of a synchronized event that its query will bind."""
+    synchronized = head.__class__ is tuple and head[0] in _SYNCHRONIZED
+    return variables(head[2]) if synchronized else []
 
 
 def is_rule(term: Term) -> bool:
