@@ -1,9 +1,10 @@
 """Why an event happened, as a term; or what was missing for one that did not."""
 
-from typing import Any, Iterator, List, Sequence, Tuple
+from typing import Any, Iterator, List, Sequence, Set, Tuple
 
 from ..terms import Term, Var, atom, copy, functor, make_list, resolve, undo, unify
 from ..timestamps import interval_term
+from ._keys import variant_key
 from .matches import Found, Held, Match
 from .pattern import Absent, Action, Aggregate, Condition, Either, Occurs, Pair, Star, Within
 from .tracking import Occurrence
@@ -16,8 +17,8 @@ _DEFAULT = atom("default")
 _FAILED = atom("failed")
 _FAILED_BODY = functor("failed", 1)
 _UNLABELED = atom("unlabeled")
-_DEEPEST = 20
-"""How deep an explanation of what did not happen goes."""
+_LARGEST = 500
+"""How many rules an explanation of what did not happen goes through."""
 
 
 class Justifier:
@@ -44,7 +45,7 @@ class Justifier:
                 found = True
                 yield one.term, shown, self._why(one)
         if not found:
-            yield event, interval, make_list(self._why_not(event, interval, 0))
+            yield event, interval, make_list(_Missing(self._rules).why_not(event, interval))
 
     def _why(self, root: Occurrence) -> Term:
         """Return the tree of an occurrence, the newest first; done without recursion along the rules."""
@@ -66,38 +67,48 @@ class Justifier:
             done[id(one)] = (_JUSTIFICATION, label, head, body)
         return done[id(root)]
 
-    # ---- what did not happen -------------------------------------------------------------------------
 
-    def _why_not(self, event: Term, interval: Term, depth: int) -> List[Term]:
+class _Missing:
+    """What was missing for an event that did not happen, each rule on the way looked at once."""
+
+    def __init__(self, rules: Any):
+        self._rules = rules
+        self._open: Set[Any] = set()
+        self._left = _LARGEST
+
+    def why_not(self, event: Term, interval: Term) -> List[Term]:
         """Return one explanation for each rule that could have fired an event."""
+        key = variant_key(event)
         found = []
-        for rule in self._rules.rules:
-            head = rule.definition.head
-            if head is None or depth > _DEEPEST:
-                continue
-            explained = self._for_rule(rule, event, interval, depth)
-            if explained is not None:
-                found.append(explained)
-        if found:
-            return found
-        return [(_JUSTIFICATION, _UNLABELED, (_HEAD, event, interval), _FAILED)]
+        if key not in self._open:
+            self._open.add(key)
+            for rule in self._rules.rules:
+                explained = self._for_rule(rule, event, interval)
+                if explained is not None:
+                    found.append(explained)
+            self._open.discard(key)
+        return found or [(_JUSTIFICATION, _UNLABELED, (_HEAD, event, interval), _FAILED)]
 
-    def _for_rule(self, rule: Any, event: Term, interval: Term, depth: int) -> Any:
+    def _for_rule(self, rule: Any, event: Term, interval: Term) -> Any:
+        head = rule.definition.head
+        if head is None or not self._left:
+            return None
         trail: List[Any] = []
         try:
-            if not unify(rule.definition.head, event, trail):
+            if not unify(head, event, trail):
                 return None
-            body = self._missing(rule.definition.pattern, depth + 1)
-            head = (_HEAD, resolve(event), interval)
-            return (_JUSTIFICATION, _label(rule), head, copy((_FAILED_BODY, body)))
+            self._left -= 1
+            body = self._pattern(rule.definition.pattern)
+            shown = (_HEAD, resolve(event), interval)
+            return (_JUSTIFICATION, _label(rule), shown, copy((_FAILED_BODY, body)))
         finally:
             undo(trail, 0)
 
-    def _missing(self, pattern: Any, depth: int) -> Term:
+    def _pattern(self, pattern: Any) -> Term:
         if isinstance(pattern, Occurs):
-            return self._event_missing(pattern.term, depth)
+            return self._event(pattern.term)
         name, parts = _parts(pattern)
-        operands = [part.term if isinstance(part, _Quoted) else self._missing(part, depth) for part in parts]
+        operands = [part.term if isinstance(part, _Quoted) else self._pattern(part) for part in parts]
         shown = functor(name, len(parts))(*[_as_term(part) for part in parts])
         return (
             _JUSTIFICATION,
@@ -106,14 +117,13 @@ class Justifier:
             functor(name, len(operands))(*operands),
         )
 
-    def _event_missing(self, term: Term, depth: int) -> Term:
+    def _event(self, term: Term) -> Term:
         term = resolve(term)
-        interval = make_list([Var(), Var()])
         for one in self._rules.tracker.all():
             if _unifies((term, one.term)):
                 shown = interval_term(one.start, one.end)
                 return (_JUSTIFICATION, _UNLABELED, (_HEAD, one.term, shown), _DEFAULT)
-        return self._why_not(term, interval, depth)[0]
+        return self.why_not(term, make_list([Var(), Var()]))[0]
 
 
 def describe(pattern: Any, match: Match, show: Any) -> Term:
