@@ -21,7 +21,7 @@ from ..terms import (
     resolve,
     undo,
 )
-from ..timestamps import from_any, shown
+from ..timestamps import from_any, interval_term, shown
 from .flags import FLAGS
 from .store import solutions
 
@@ -354,11 +354,9 @@ class _Looking:
         return solutions(self.rules.store.stored(), machine, event, interval)
 
     def stored(self, machine: Any, event: Term) -> Iterator[bool]:
-        term, first, last = Var(), Var(), Var()
-        interval = make_list([first, last])
-        if not machine.unify(event, (_EVENT2, term, interval)):
-            return
-        yield from solutions(self.rules.store.stored(), machine, term, interval)
+        found = self.rules.store.stored()
+        stored = [((_EVENT2, term, interval_term(start, end)),) for term, start, end in found]
+        return _each(machine, (event,), iter(stored))
 
     def justify(self, machine: Any, event: Term, interval: Term, why: Term) -> Iterator[bool]:
         found = self.rules.justifier.explanations(resolve(event), resolve(interval))
