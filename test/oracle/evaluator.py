@@ -91,7 +91,8 @@ class RuleState(Repetitions):
         if isinstance(node, Leaf):
             return self.leaf(node, event)
         if isinstance(node, Or):  # Table, or: either happens, the interval is its own.
-            return self.arrive(node.left, event) + self.arrive(node.right, event)
+            matches = self.arrive(node.left, event) + self.arrive(node.right, event)
+            return sorted(matches, key=Match.is_one_event)  # composed sides before the event itself
         if isinstance(node, Do):
             # Table, do: called once before the result fires; if it fails nothing fires.
             below = self.arrive(node.pattern, event)
