@@ -4,8 +4,9 @@ from typing import Any, Callable, List, NamedTuple, Optional, Tuple
 
 from ..errors import Place, RetalisError, RuleError, UsageError
 from ..logic import PrologError
+from ..logic.logic import split_clause
 from ..syntax import ReadTerm
-from ..terms import Atom, Term, Var, copy, deref, functor, list_items, variables
+from ..terms import Atom, Term, Var, atom, copy, deref, functor, list_items, variables
 from .alarms import duration
 from .pattern import ARROWS, SPELLINGS, Action, Reader, bound_by
 from .rule import Definition
@@ -107,12 +108,9 @@ class Checker:
             self.steps.append(Step("property", one, place))
 
     def _rule(self, term: Term, spot: Spot, place: Optional[Place]) -> None:
-        term = copy_keeping_places(term)
         label, rule = _labelled(term)
         if label is not None and label.__class__ is tuple:
             name = label[0].name
-            from ..terms import atom
-
             for item in list_items(label[1]) or ():
                 part = deref(item)
                 self._property(Property(atom(name), _name(part[1]), deref(part[2])), spot(part) or place)
@@ -212,15 +210,8 @@ def _name(term: Term) -> str:
     return term.name if term.__class__ is Atom else "(not an atom)"
 
 
-def copy_keeping_places(term: Term) -> Term:
-    """Return the term itself: the variables of a rule that was read are its own."""
-    return term
-
-
 def clause_error(logic: Any, term: Term) -> Optional[str]:
     """Return why a term cannot be added as a clause, or None."""
-    from ..logic.logic import split_clause
-
     try:
         if term.__class__ is tuple and term[0] is _GRAMMAR:
             return None

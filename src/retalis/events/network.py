@@ -5,9 +5,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Tuple
 
-from ..errors import Place, ProgramErrors, RetalisError, RuleError, UsageError
+from ..errors import Place, RetalisError, RuleError
 from ..logic import DONE, Logic
-from ..terms import Atom, Term, Var, atom, copy, deref, functor, unify
+from ..terms import Term, atom, copy, deref, unify
 from ..timestamps import SECOND, from_seconds
 from ._keys import term_key
 from .clauses import Checker, Property, is_rule
@@ -305,6 +305,3 @@ class Rules:
 
 def _label_of(rule: Rule) -> Term:
     return _UNLABELED if rule.label is None else rule.label
-
-
-__all__ = ["Rules", "ProgramErrors", "UsageError", "Atom", "Var", "functor"]
