@@ -12,7 +12,7 @@ from retalis.clock import StreamClock
 from retalis.engine import Engine
 from retalis.errors import ProgramErrors, RetalisError, SyntaxFault, UsageError
 from retalis.logic import PrologError
-from retalis.terms import deref
+from retalis.terms import atom, deref
 
 sys.path.append(str(Path(__file__).resolve().parent))
 from watched import Watched  # noqa: E402
@@ -232,3 +232,16 @@ def test_an_instant_that_has_no_date_is_refused(text, caplog):
 def test_a_variable_in_two_values_of_an_answer_stays_one_variable():
     (answer,) = Engine().query("X = f(A), Y = g(A)")
     assert answer["X"][1] is answer["Y"][1] is answer["A"]
+
+
+def test_a_message_and_its_text_have_the_same_stamp():
+    shown = []
+    for post in (
+        lambda engine: engine.post(atom("a"), 10**9 + 5),
+        lambda engine: engine.post_text("event(a,[datime(1970,1,1,0,0,1,5),datime(1970,1,1,0,0,1,5)])"),
+    ):
+        engine = Engine()
+        engine.load(goals="memorize(a, [], _, m, 5)")
+        post(engine)
+        shown.append(engine.show(engine.query("access_mem(m, _, I)")[0]["I"]))
+    assert shown[0] == shown[1]

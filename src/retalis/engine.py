@@ -19,7 +19,7 @@ from .logic import DONE, Limits, Logic, instantiation_error, permission_error, t
 from .program import GOALS, read_text
 from .syntax import EventReader, read_term
 from .terms import Atom, Functor, String, Term, Var, copy, deref, functor, variables
-from .timestamps import SECOND
+from .timestamps import SECOND, WholeSeconds
 
 log = logging.getLogger("retalis")
 
@@ -183,6 +183,8 @@ class Engine:
             term: the event, without variables.
             instant: when it happened, in nanoseconds; by default now, by the clock.
         """
+        if instant is not None:
+            instant = WholeSeconds(instant)  # the form in which the converter writes it
         self._runner.post(self._take, term, instant, instant, True)
 
     def post_text(self, text: str) -> None:

@@ -7,6 +7,7 @@ from typing import List, Optional
 
 from ..errors import RetalisError
 from . import bag, console, demo, events
+from ._report import leave
 
 COMMANDS = (bag, console, demo, events)
 
@@ -30,3 +31,5 @@ def main(arguments: Optional[List[str]] = None) -> int:
     except BrokenPipeError:  # whoever read our output has had enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python complains at its end
         return 1
+    finally:
+        leave()

@@ -5,6 +5,8 @@ import sys
 
 from ..errors import RetalisError
 
+_log = logging.getLogger("retalis")
+
 
 class Report(logging.Handler):
     """Prints errors and warnings to standard error and counts the errors.
@@ -29,10 +31,14 @@ class Report(logging.Handler):
         print(f"{record.levelname.lower()}: {self.format(record)}", file=sys.stderr)
 
     def listen(self) -> "Report":
-        """Report what the package logs from now on, in place of an earlier report."""
-        logger = logging.getLogger("retalis")
-        for handler in [one for one in logger.handlers if isinstance(one, Report)]:
-            logger.removeHandler(handler)
-        logger.addHandler(self)
-        logger.propagate = False
+        """Report what the package logs from now on, until `leave`."""
+        _log.addHandler(self)
+        _log.propagate = False
         return self
+
+
+def leave() -> None:
+    """End all reports: what the package logs goes where it went before."""
+    for handler in [one for one in _log.handlers if isinstance(one, Report)]:
+        _log.removeHandler(handler)
+    _log.propagate = True
