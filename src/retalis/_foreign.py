@@ -29,6 +29,7 @@ from .terms import (
     FALSE,
     MINUS,
     NIL,
+    SLASH,
     TRUE,
     Atom,
     Functor,
@@ -204,7 +205,7 @@ def _raised(error: Exception, key: Functor) -> RetalisError:
 
 
 def _indicator(key: Functor) -> Term:
-    return (functor("/", 2), atom(key.name), key.arity)
+    return (SLASH, atom(key.name), key.arity)
 
 
 # Conversion

@@ -1,8 +1,7 @@
 """ROS 1 bags, read and written message by message as raw bytes; the ``rosbags`` package does the work."""
 
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Collection, Dict, Iterator, NamedTuple, Optional, Tuple, Type, Union
+from typing import Any, Collection, Dict, Iterator, NamedTuple, Optional, Tuple, Union
 
 from .errors import RetalisError
 from .messages import Definition
@@ -101,12 +100,7 @@ class BagReader:
     def __enter__(self) -> "BagReader":
         return self
 
-    def __exit__(
-        self,
-        kind: Optional[Type[BaseException]],
-        error: Optional[BaseException],
-        trace: Optional[TracebackType],
-    ) -> None:
+    def __exit__(self, *raised: Any) -> None:
         self.close()
 
 
@@ -150,12 +144,7 @@ class BagWriter:
     def __enter__(self) -> "BagWriter":
         return self
 
-    def __exit__(
-        self,
-        kind: Optional[Type[BaseException]],
-        error: Optional[BaseException],
-        trace: Optional[TracebackType],
-    ) -> None:
+    def __exit__(self, *raised: Any) -> None:
         self.close()
 
 

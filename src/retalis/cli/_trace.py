@@ -6,9 +6,8 @@ from typing import Any, Callable, Iterator, Optional
 from ..logic import Code, Logic
 from ..logic.machine import Frame, Guard
 from ..syntax import write_term
-from ..terms import COMMA, Atom, Functor, Term, copy, deref, functor, undo, unify
+from ..terms import COLON, COMMA, Atom, Functor, Term, copy, deref, functor, undo, unify
 
-_COLON = functor(":", 2)
 _SILENT = frozenset(functor(name, 0) for name in ("true", "!", "fail", "false", "otherwise"))
 _CONTROL = frozenset(
     (
@@ -72,7 +71,7 @@ class Tracer:
         while goal.__class__ is tuple and goal[0] is COMMA:
             after = (self._control.code, goal[2], height, after)
             goal = deref(goal[1])
-        if goal.__class__ is tuple and goal[0] is _COLON:
+        if goal.__class__ is tuple and goal[0] is COLON:
             return self._solve(goal[2], height, after)
         key = _key(goal)
         if key is None or key in _SILENT or key in _CONTROL:

@@ -15,14 +15,13 @@ from ..errors import ProgramErrors, RetalisError, RuleError, SyntaxFault
 from ..logic import Limits
 from ..program import read_text
 from ..syntax import ReadTerm
-from ..terms import NIL, Atom, String, Term, Var, deref, functor, list_items
+from ..terms import COMMA, NIL, Atom, String, Term, Var, deref, functor, list_items
 from ._answers import bindings
 from ._prompt import Lines, Terminal, read_clause
 from ._report import Report
 from ._trace import Tracer
 
 _QUERY = frozenset((functor("?-", 1), functor(":-", 1)))
-_COMMA = functor(",", 2)
 _TRACE = functor("trace", 1)
 _CONSULT = functor("consult", 1)
 _LEAVE = ("halt", "end_of_file")
@@ -140,7 +139,7 @@ class Console:
         traced = self._tracing
         if goal.__class__ is tuple and goal[0] is _TRACE:
             goal, traced = deref(goal[1]), True
-        elif goal.__class__ is tuple and goal[0] is _COMMA and _is_atom(goal[1], "trace"):
+        elif goal.__class__ is tuple and goal[0] is COMMA and _is_atom(goal[1], "trace"):
             goal, traced = deref(goal[2]), True
         self.engine.do(lambda: self._answer(goal, read, traced))
         return True
