@@ -1,5 +1,6 @@
 """Node ``retalis_ros_interface``: between ROS topics and events as text."""
 
+import threading
 from typing import Optional
 
 import rospy
@@ -26,6 +27,7 @@ class Converter:
     def __init__(self, parameters: Parameters):
         self._texts = rospy.Publisher(INPUT, String, queue_size=parameters.queue)
         self._reader = EventReader()
+        self._reading = threading.Lock()  # rospy has a thread for each publisher
         self._interface = Interface(self._send, parameters.queue)
         try:
             topics = read_topics(parameters.program / TOPICS)
@@ -48,7 +50,8 @@ class Converter:
 
     def _receive(self, message: String) -> None:
         try:
-            event = self._reader.read(message.data)
+            with self._reading:
+                event = self._reader.read(message.data)
         except RetalisError as error:
             rospy.logerr("an output is not published: %s", error)
             return
