@@ -245,3 +245,12 @@ def test_a_message_and_its_text_have_the_same_stamp():
         post(engine)
         shown.append(engine.show(engine.query("access_mem(m, _, I)")[0]["I"]))
     assert shown[0] == shown[1]
+
+
+def test_a_subscriber_that_fails_cuts_nothing_off(caplog):
+    engine = Watched("b <- a.", "subscribe(a, [], _, t, 1)")
+    engine.on_output(lambda term, topic, name: 1 / 0)
+    with caplog.at_level(logging.ERROR, "retalis"):
+        engine.event("a", 1)
+    assert [event for event, _, _ in engine.events] == ["a", "b"]
+    assert "ZeroDivisionError" in caplog.text

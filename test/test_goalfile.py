@@ -36,3 +36,7 @@ def test_an_error_takes_one_line_and_the_rest_is_read():
 
 def test_a_quoted_percent_sign_is_no_comment():
     assert [goal for goal, _ in read("a('50%')\nb('1.%')")] == ["a('50%')", "b('1.%')"]
+
+
+def test_lines_of_a_goal_with_an_error_are_no_goals():
+    assert read("x(3\nshell(a)\n, b).\nc") == [("error", 2), ("c", 4)]

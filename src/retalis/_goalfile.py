@@ -1,6 +1,6 @@
 """Goal files (``goalPredicates.txt``): one goal a line, the full stop left out more often than not."""
 
-from typing import Iterator, List, Union
+from typing import Iterator, List, Optional, Union
 
 from .errors import SyntaxFault
 from .syntax import Operators, ReadTerm, read_term
@@ -22,12 +22,12 @@ def read_goals(text: str, operators: Operators, source: str) -> Iterator[Read]:
             continue
         goal = _read(lines, at, at + 1, operators, source)
         end = at + 1
-        if isinstance(goal, SyntaxFault):
-            for stop in _full_stops(lines, end):
-                longer = _read(lines, at, stop, operators, source)
-                if not isinstance(longer, SyntaxFault):
-                    goal, end = longer, stop
-                    break
+        stop = _full_stop(lines, end) if isinstance(goal, SyntaxFault) else None
+        if stop is not None:
+            longer = _read(lines, at, stop, operators, source)
+            # Where the longer one fails behind the first line, its lines belong together: none is a goal.
+            if not isinstance(longer, SyntaxFault) or longer.place.line > at + 1:
+                goal, end = longer, stop
         yield goal
         at = end
 
@@ -37,12 +37,12 @@ def _is_blank(line: str) -> bool:
     return not code or code.startswith("%")
 
 
-def _full_stops(lines: List[str], start: int) -> Iterator[int]:
-    """Yield where a goal that began before ``start`` may end: behind the next line with a full stop."""
+def _full_stop(lines: List[str], start: int) -> Optional[int]:
+    """Return where a goal that began before ``start`` may end: behind the next line with a full stop."""
     for index in range(start, len(lines)):
         if lines[index].rstrip().endswith(".") or lines[index].split("%")[0].rstrip().endswith("."):
-            yield index + 1
-            return
+            return index + 1
+    return None
 
 
 def _read(lines: List[str], start: int, end: int, operators: Operators, source: str) -> Read:

@@ -3,8 +3,7 @@
 from typing import Any, Callable, Dict, NamedTuple, Optional, Sequence
 
 from . import timestamps
-from .errors import UsageError
-from .logic import instantiation_error, type_error
+from .logic import instant_of, instantiation_error, type_error
 from .terms import Atom, Functor, Term, Var, deref, functor, list_items
 
 
@@ -37,7 +36,7 @@ def _with_interval(arguments: Sequence[Term]) -> Input:
     stamps = list_items(arguments[1])
     if stamps is None or len(stamps) != 2:
         raise type_error("interval", arguments[1])
-    return _checked(arguments, _instant(stamps[0]), _instant(stamps[1]))
+    return _checked(arguments, instant_of(stamps[0]), instant_of(stamps[1]))
 
 
 def _with_instant(arguments: Sequence[Term]) -> Input:
@@ -82,12 +81,3 @@ def _integer(term: Term) -> int:
     if term.__class__ is not int:
         raise type_error("integer", term)
     return term
-
-
-def _instant(term: Term) -> int:
-    try:
-        return timestamps.from_term(term)
-    except UsageError:
-        if deref(term).__class__ is Var:
-            raise instantiation_error() from None
-        raise type_error("datime", term) from None

@@ -323,7 +323,12 @@ class Engine:
 
     def _deliver(self, term: Term, topic: str, name: Term) -> None:
         for callback in self._outputs:
-            callback(term, topic, name)
+            try:
+                callback(term, topic, name)
+            except OSError:  # a pipe that nobody reads ends the run
+                raise
+            except Exception as error:  # a subscriber's own fault must not cut off what follows of the event
+                self.reports.error(error)
 
     def _report_drop(self, dropped: int) -> None:
         self.reports.warning(

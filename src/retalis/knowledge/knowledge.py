@@ -6,7 +6,7 @@ from ..errors import UsageError
 from ..events import Dispatcher
 from ..logic import Logic, Machine, instantiation_error, type_error
 from ..terms import Term, Var, deref, functor
-from ._recording import Warn
+from ._recording import Warn, key_of
 from .memories import Instance, Memories, enumerate_records, read_access
 from .subscriptions import Deliver, Subscriptions
 from .waiting import WaitingQueries
@@ -77,6 +77,7 @@ class Knowledge:
         return self.memories.create((MEMORIZE, *arguments[:5]), active == 1, after)
 
     def _delete_memory(self, machine: Machine, arguments: Any, after: Any) -> Any:
+        key_of(arguments[0])
         try:
             return self.memories.delete(arguments[0], after)
         except UsageError as error:  # a goal of a program goes on, as it always did

@@ -5,7 +5,7 @@ from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple
 from .. import timestamps
 from ..errors import UsageError
 from ..events import Dispatcher, Stage
-from ..logic import Logic, Machine, domain_error, permission_error, type_error
+from ..logic import Logic, Machine, domain_error, instant_of, permission_error, type_error
 from ..terms import Atom, Functor, Term, Var, copy, deref, freeze, functor, is_ground, unify
 from ._recording import Recording, Warn, key_of, recording
 from .memory import Memory
@@ -200,8 +200,9 @@ def read_access(memories: Memories) -> Dict[Tuple[str, int], Callable[..., bool]
         instance = memories.find(name)
         if instance is None:
             return False
-        found = instance.memory.at_or_after(instant_of(low))
-        if found is not None and found[2] > instant_of(high):
+        first, last = instant_of(low), instant_of(high)
+        found = instance.memory.at_or_after(first)
+        if found is not None and found[2] > last:
             return False
         return bind(machine, instance, found, record, start, end)
 
@@ -221,18 +222,6 @@ def _unify_instant(term: Term, instant: int, trail: List[Any]) -> bool:
         trail.append(term)
         return True
     return unify(term, timestamps.shown(instant), trail)
-
-
-def instant_of(term: Term) -> int:
-    """Return the instant of a goal's argument.
-
-    Raises:
-        PrologError: a type error where the term is no instant.
-    """
-    try:
-        return timestamps.from_term(term)
-    except UsageError:
-        raise type_error("datime", term) from None
 
 
 def enumerate_records(memories: Memories) -> Callable[..., Iterator[bool]]:

@@ -16,6 +16,10 @@ LIMIT = 200_000
 """How many queries may wait at once; past that the oldest is dropped with a warning."""
 
 
+NAMED = 20
+"""How many dropped queries one warning names."""
+
+
 class Waiting:
     """A query that waits: the event to trigger, the goal, the interval, and how many memories it waits for."""
 
@@ -164,13 +168,21 @@ class WaitingQueries:
         heapq.heapify(instance.waiting)
 
     def _drop_waiting_for(self, instance: Instance) -> None:
-        for _, order, waiting in instance.waiting:
-            if self._all.pop(order, None) is not None:
-                self._warn(
-                    f"{self._logic.show(waiting.event)} is dropped: "
-                    f"the memory {self._logic.show(instance.id)} it waits for is deleted"
-                )
+        """Drop the queries that wait for a memory that is deleted, with one warning that names them."""
+        show = self._logic.show
+        dropped = [
+            waiting.event
+            for _, order, waiting in sorted(instance.waiting, key=lambda entry: entry[1])
+            if self._all.pop(order, None) is not None
+        ]
         instance.waiting.clear()
+        if dropped:
+            named = ", ".join(show(event) for event in dropped[:NAMED])
+            more = f" and {len(dropped) - NAMED} more" if len(dropped) > NAMED else ""
+            self._warn(
+                f"the memory {show(instance.id)} is deleted; dropped is what waits for it: {named}{more}",
+                ("deleted", instance),
+            )
 
 
 def _kind(event: Term) -> Any:

@@ -3,6 +3,7 @@
 `Logic` is the façade. `Machine` runs frames; `Goal` is a goal compiled for Python code.
 """
 
+from .builtins.datimes import instant_of
 from .faults import (
     PrologError,
     domain_error,
@@ -27,6 +28,7 @@ __all__ = [
     "PrologError",
     "domain_error",
     "existence_error",
+    "instant_of",
     "instantiation_error",
     "permission_error",
     "resource_error",

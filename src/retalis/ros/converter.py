@@ -12,8 +12,8 @@ from ..syntax import EventReader, to_text
 from ..terms import CONS, NIL, Term, deref, functor
 from ..timestamps import datime
 from ._log import shown
-from .interface import Interface, send
-from .node import INPUT, OUTPUT, OUTPUT_EVENT, connect
+from .interface import INPUT, OUTPUT, Interface, send
+from .node import OUTPUT_EVENT, connect
 from .parameters import Parameters, direct_topics
 from .running import run_node
 from .services import InterfaceServices

@@ -16,6 +16,10 @@ from ._raw import raw_bytes, raw_class, raw_message
 Sink = Callable[[Term, Optional[int]], None]
 """Takes an event term and the instant of its header (None without one)."""
 
+INPUT = "retalisInputEvents"
+OUTPUT = "retalisOutputEvents"
+"""The topics on which events go between the nodes as text."""
+
 PERIOD = 5.0
 """Seconds between two warnings of the same kind."""
 
@@ -36,6 +40,7 @@ class Interface:
         self._inputs: Dict[str, Input] = {}
         self._outputs: Dict[str, Tuple[Any, Any, Encoder]] = {}
         self._elsewhere: Set[str] = set()
+        self._reserved = {rospy.resolve_name(topic) for topic in (INPUT, OUTPUT)}
         self._lock = threading.Lock()
         self._reports = Reports()
 
@@ -48,6 +53,8 @@ class Interface:
         name = resolve(topic)
         if kind.count("/") != 1 or not all(kind.split("/")):
             raise UsageError(f'expected a message type "package/Type", found "{kind}"')
+        if name in self._reserved:
+            raise UsageError(f"topic {topic} is for events as text, between the nodes")
         if name in self._elsewhere:
             raise UsageError(f"topic {topic} is subscribed by node retalis itself (its parameter ~direct)")
         with self._lock:
@@ -114,7 +121,7 @@ class Input:
         self._definitions = definitions
         self._name = name
         self._sink = sink
-        self._decoders: Dict[str, Optional[Decoder]] = {}
+        self._decoders: Dict[Tuple[str, str], Optional[Decoder]] = {}
         self.refused = 0
         self._subscriber = rospy.Subscriber(
             name, rospy.AnyMsg, self._receive, queue_size=queue, buff_size=1 << 20, tcp_nodelay=True
@@ -126,11 +133,11 @@ class Input:
 
     def _receive(self, message: Any) -> None:
         header = message._connection_header
-        checksum = header["md5sum"]
+        key = (header["md5sum"], header.get("type", "*"))
         try:
-            decoder = self._decoders[checksum]
+            decoder = self._decoders[key]
         except KeyError:
-            decoder = self._decoders[checksum] = self._learn(header)
+            decoder = self._decoders[key] = self._learn(header)
         if decoder is None:
             self._refuse(header)
             return

@@ -12,13 +12,11 @@ from ..program import TOPICS, Topics, read_topics
 from ..syntax import to_text
 from ..terms import Term, atom, functor
 from ._log import shown
-from .interface import Interface, send
+from .interface import INPUT, OUTPUT, Interface, send
 from .parameters import Parameters, direct_topics
 from .running import run_node
 from .services import EngineServices, InterfaceServices
 
-INPUT = "retalisInputEvents"
-OUTPUT = "retalisOutputEvents"
 OUTPUT_EVENT = functor("event", 3)
 
 
@@ -126,11 +124,11 @@ class Node:
 
 def connect(interface: Interface, topics: Topics, direct: Any = ()) -> None:
     """Subscribe and advertise what ``pub_sub.xml`` names, but for what node retalis subscribes by itself."""
-    apart = {topic.topic.lstrip("/") for topic in direct}
+    apart = {rospy.resolve_name(topic) for topic, _ in direct}
     for topic, kind in topics.published:
         _try(lambda topic=topic, kind=kind: interface.advertise(topic, kind))  # type: ignore[misc]
     for topic, kind in topics.subscribed:
-        if topic.lstrip("/") not in apart:
+        if rospy.resolve_name(topic) not in apart:
             _try(lambda topic=topic, kind=kind: interface.subscribe(topic, kind))  # type: ignore[misc]
 
 

@@ -74,8 +74,8 @@ def direct_topics(direct: Any, topics: Topics) -> Tuple[TopicType, ...]:
     if direct is True:
         return DIRECT
     if direct == "auto":
-        named = {topic.topic.lstrip("/") for topic in topics.subscribed}
-        return tuple(topic for topic in DIRECT if topic.topic not in named)
+        named = {rospy.resolve_name(topic) for topic, _ in topics.subscribed}
+        return tuple(topic for topic in DIRECT if rospy.resolve_name(topic.topic) not in named)
     return tuple(direct)
 
 
