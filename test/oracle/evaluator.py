@@ -80,7 +80,8 @@ class RuleState(Repetitions):
         if isinstance(operator, Both):
             return self.two_sided(operator, event, tests, None)
         if isinstance(operator, (Star, Aggregate)):
-            starts, repetitions = self.arrive(operator.first, event), self.arrive(operator.repeated, event)
+            starts = composed_first(self.arrive(operator.first, event))
+            repetitions = composed_first(self.arrive(operator.repeated, event))
             return self.repetition(operator, starts, repetitions, conditions)
         settled = [self.settle(match, operator) for match in self.single(operator, event)]
         passed = [self.passes(match, tests) for match in settled if match is not None]
@@ -91,8 +92,7 @@ class RuleState(Repetitions):
         if isinstance(node, Leaf):
             return self.leaf(node, event)
         if isinstance(node, Or):  # Table, or: either happens, the interval is its own.
-            matches = self.arrive(node.left, event) + self.arrive(node.right, event)
-            return sorted(matches, key=Match.is_one_event)  # composed sides before the event itself
+            return self.arrive(node.left, event) + self.arrive(node.right, event)
         if isinstance(node, Do):
             # Table, do: called once before the result fires; if it fails nothing fires.
             below = self.arrive(node.pattern, event)
@@ -280,6 +280,11 @@ class RuleState(Repetitions):
                 waiting[:] = [match for match in waiting if not self.expired(node, match)]
         for node, runs in self.runs.items():
             runs[:] = [run for run in runs if not self.expired(node, run.start)]
+
+
+def composed_first(matches: List[Match]) -> List[Match]:
+    """Return new matches of one side in the order in which they are served: the event itself last."""
+    return sorted(matches, key=Match.is_one_event)
 
 
 class Program:
