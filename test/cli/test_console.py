@@ -211,7 +211,13 @@ def test_terminal(tmp_path):
 
     pid, terminal = pty.fork()
     if pid == 0:
-        environment = {**os.environ, "PYTHONPATH": str(SOURCE), "HOME": str(tmp_path), "TERM": "dumb"}
+        environment = {
+            **os.environ,
+            "PYTHONPATH": str(SOURCE),
+            "HOME": str(tmp_path),
+            "TERM": "dumb",
+            "PYTHONUNBUFFERED": "",
+        }
         os.execve(sys.executable, [sys.executable, "-m", "retalis", "console"], environment)
     screen = _Screen(terminal)
     screen.until("?- ")

@@ -72,6 +72,11 @@ def run(options: argparse.Namespace) -> int:
     return 1 if report.errors else 0
 
 
+def _show(text: str) -> None:
+    """Print what a goal writes at once: it may run for long after."""
+    print(text, end="", flush=True)
+
+
 class Console:
     """A top level over an engine.
 
@@ -86,6 +91,7 @@ class Console:
         self.engine.rules.warn_singletons = True
         self.engine.on_output(self._output)
         self.logic = self.engine.logic
+        self.logic.output = _show
         self._report = report
         self._most = most
         self._tracing = False
