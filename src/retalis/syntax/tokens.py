@@ -164,7 +164,10 @@ def _number_value(text: str, flags: ReadFlags) -> Term:
     if flags.iso and (text == "0''" or (second == "'" and text[0] != "0")):
         raise ValueError(f"{text} is no number in ISO Prolog")
     if second == "'" and text[0] == "0":
-        return ord("'" if text == "0'''" else unquote(text[2:], "", flags.iso)[0])
+        char = "'" if text == "0'''" else unquote(text[2:], "", flags.iso)
+        if not char:
+            raise ValueError(f"{text} names no character")
+        return ord(char[0])
     if second in "xob" or "'" in text:
         try:
             return numerals.radix_integer(text)

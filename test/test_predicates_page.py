@@ -1,0 +1,86 @@
+"""The page of predicates against the code: all are there, no other is, and the examples answer as shown."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from retalis.cli._answers import bindings
+from retalis.logic import Limits, Logic, PrologError
+from retalis.syntax import read_term, write_term
+from retalis.terms import Var, functor
+
+PAGE = Path(__file__).resolve().parent.parent / "docs" / "predicates.md"
+CODE = re.compile(r"`` (.+?) ``")
+MOST = 3
+
+
+def rows():
+    for line in PAGE.read_text(encoding="utf-8").split("\n"):
+        if line.startswith("| ``"):
+            keys, _, _, errors, example, answer = re.split(r"(?<!\\) (?<!\\)\| ", line[2:-2])
+            yield (
+                [key.replace("\\|", "|") for key in CODE.findall(keys)],
+                re.findall(r"`(\w+)(?:\(([^`]*)\))?`", errors),
+                *[CODE.findall(cell)[0].replace("\\|", "|") for cell in (example, answer)],
+            )
+
+
+ROWS = list(rows())
+
+
+def test_every_predicate_is_on_the_page_and_no_other():
+    defined = {str(key) for key in Logic().names() if not key.name.startswith("$")}
+    named = [key for keys, *_ in ROWS for key in keys]
+    assert sorted(defined - set(named)) == []
+    assert sorted(set(named) - defined) == []
+    assert len(named) == len(set(named))
+
+
+@pytest.fixture
+def logic():
+    made = Logic()
+    made.limits = Limits(inferences=500_000)
+    return made
+
+
+@pytest.mark.parametrize(("keys", "errors", "example", "answer"), ROWS, ids=[row[0][0] for row in ROWS])
+def test_example(logic, keys, errors, example, answer):
+    assert keys[0].rpartition("/")[0] in example or keys[0][:2] in (",/", ">>"), (
+        "the example shows another predicate"
+    )
+    written = []
+    logic.output = logic.error_output = written.append
+    read = read_term(example, logic.operators)
+    answers = []
+    for _ in logic.solutions(read.term):
+        answers.append(bindings(read.names, logic.operators).replace(",\n", ", ") or "true")
+        if len(answers) == MOST:
+            break
+    shown = " ; ".join(answers) or "false"
+    text = "".join(written)
+    assert (f"writes {text!r}; " if text else "") + shown == answer
+
+
+WRONG = [Var, lambda: (functor("foo", 1), 1), lambda: 1]
+
+
+def test_errors_of_wrong_arguments_are_listed():
+    logic = Logic()
+    logic.limits = Limits(inferences=20_000)
+    logic.output = logic.error_output = lambda text: None
+    for keys, errors, _, _ in ROWS:
+        name, _, arity = keys[0].rpartition("/")
+        listed = {f"{kind}({first})" if first else kind for kind, first in errors}
+        for wrong in WRONG if int(arity) else []:
+            try:
+                logic.once((functor(name, int(arity)), *[wrong() for _ in range(int(arity))]))
+            except PrologError as error:
+                kind = _kind(error.term)
+                if not kind.startswith(("existence", "resource", "syntax")):
+                    assert kind in listed, keys
+
+
+def _kind(ball):
+    formal = ball[1] if ball.__class__ is tuple and ball[0] is functor("error", 2) else functor("", 0)
+    return f"{formal[0].name}({write_term(formal[1])})" if formal.__class__ is tuple else formal.name
