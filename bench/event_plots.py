@@ -1,0 +1,132 @@
+"""Draws what ``bench/events.py`` measured: growth of each operator, and memory."""
+
+import math
+from typing import Any, Dict, List, Sequence, Tuple
+
+import matplotlib
+
+matplotlib.use("Agg")
+from matplotlib import pyplot  # noqa: E402
+
+STYLES = {
+    "recent": ("#0072b2", "o", "-"),
+    "recent_2": ("#56b4e9", "s", "--"),
+    "chronological": ("#d55e00", "^", "-"),
+    "chronological_2": ("#e69f00", "v", "--"),
+    "unrestricted": ("#009e73", "D", "-"),
+}
+TITLES = {
+    "values": "partners told apart by a shared variable: the event fits one",
+    "alike": "partners alike: the event fits all",
+    "times": "partners told apart by their times only: the event fits one",
+}
+BOUNDS = ("#555555", "#0072b2", "#d55e00", "#009e73", "#e69f00")
+
+
+def draw(figures: Dict[str, Any], prefix: str) -> List[str]:
+    """Draw all plots; return the names of the files."""
+    files = []
+    for setting in TITLES:
+        rows = [row for row in figures["rows"] if row["setting"] == setting]
+        if rows:
+            files.append(f"{prefix}-{setting}.png")
+            draw_growth(rows, TITLES[setting], files[-1])
+    if figures["memory"]:
+        files.append(f"{prefix}-memory.png")
+        draw_memory(figures["memory"], files[-1])
+    return files
+
+
+def exponent(points: Sequence[Tuple[float, float]]) -> float:
+    """Return b of the power law y = a * x**b that fits best, from 100 on; nan with fewer than two points there."""
+    logs = [(math.log(x), math.log(y)) for x, y in points if x >= 100]
+    if len(logs) < 2:
+        return math.nan
+    middle_x = sum(x for x, _ in logs) / len(logs)
+    middle_y = sum(y for _, y in logs) / len(logs)
+    over = sum((x - middle_x) ** 2 for x, _ in logs)
+    return sum((x - middle_x) * (y - middle_y) for x, y in logs) / over
+
+
+def exponents(rows: Sequence[Dict[str, Any]]) -> Dict[str, float]:
+    """Return the fitted exponent of each policy."""
+    return {policy: exponent(points(rows, policy)) for policy in dict.fromkeys(row["policy"] for row in rows)}
+
+
+def points(rows: Sequence[Dict[str, Any]], policy: str) -> List[Tuple[float, float]]:
+    """Return the sizes and the microseconds for each result."""
+    return [(row["waiting"], row["us"] / max(1, row["results"])) for row in rows if row["policy"] == policy]
+
+
+def draw_growth(rows: Sequence[Dict[str, Any]], title: str, file: str) -> None:
+    """Draw one small plot for each operator, all to the same scale."""
+    names = list(dict.fromkeys(row["operator"] for row in rows))
+    columns = min(5, len(names))
+    lines = math.ceil(len(names) / columns)
+    figure, axes = pyplot.subplots(
+        lines, columns, figsize=(2.3 * columns, 2.0 * lines + 1.0), sharex=True, sharey=True, squeeze=False
+    )
+    flat = [one for line in axes for one in line]
+    for axis, name in zip(flat, names):
+        mine = [row for row in rows if row["operator"] == name]
+        _draw_operator(axis, name, mine)
+    for axis in flat[len(names) :]:
+        axis.set_visible(False)
+    for at, axis in enumerate(flat[: len(names)]):
+        if at + columns >= len(names):
+            axis.tick_params(labelbottom=True)
+    handles, labels = flat[0].get_legend_handles_labels()
+    figure.suptitle(title, fontsize=11)
+    figure.supxlabel("partial matches that wait", fontsize=9)
+    figure.supylabel("\u00b5s of CPU for each result", fontsize=9)
+    figure.legend(
+        handles, labels, loc="upper center", ncol=5, fontsize=8, frameon=False, bbox_to_anchor=(0.5, 0.965)
+    )
+    figure.tight_layout(rect=(0.01, 0.0, 1.0, 0.955))
+    figure.savefig(file, dpi=90)
+    pyplot.close(figure)
+
+
+def _draw_operator(axis: Any, name: str, rows: Sequence[Dict[str, Any]]) -> None:
+    for policy in dict.fromkeys(row["policy"] for row in rows):
+        colour, marker, line = STYLES[policy]
+        axis.loglog(
+            *zip(*points(rows, policy)),
+            line,
+            color=colour,
+            marker=marker,
+            markersize=3,
+            linewidth=1,
+            label=policy,
+        )
+    found = sorted(value for value in exponents(rows).values() if not math.isnan(value))
+    fitted = ""
+    if found:
+        low, high = f"{found[0]:.2f}", f"{found[-1]:.2f}"
+        fitted = f"  N^{low}" if low == high else f"  N^{low} .. {high}"
+    axis.set_title(f"{name}{fitted}", fontsize=8)
+    axis.grid(True, which="major", linewidth=0.4, color="#dddddd")
+    axis.tick_params(labelsize=7)
+    axis.set_xticks([10, 10**3, 10**5])
+    axis.minorticks_off()
+
+
+def draw_memory(memory: Dict[str, Any], file: str) -> None:
+    """Draw what processes hold over the number of half matches."""
+    figure, axis = pyplot.subplots(figsize=(6.5, 3.6))
+    for (name, samples), colour in zip(memory.items(), BOUNDS):
+        first = samples[0][1]
+        events = [sample[0] for sample in samples]
+        axis.plot(
+            events, [(sample[1] - first) / 1e6 for sample in samples], color=colour, label=name, linewidth=1.4
+        )
+    axis.set_xlabel("half matches so far", fontsize=9)
+    axis.set_ylabel("MB more than at the start", fontsize=9)
+    axis.set_title("memory with nothing ever completed", fontsize=10)
+    axis.xaxis.set_major_formatter(lambda value, at: f"{value:,.0f}")
+    axis.grid(True, linewidth=0.4, color="#dddddd")
+    axis.tick_params(labelsize=8)
+    axis.legend(fontsize=8, frameon=False)
+    figure.tight_layout()
+    figure.savefig(file, dpi=90)
+    pyplot.close(figure)

@@ -1,0 +1,88 @@
+"""The benchmark of waiting matches runs and gives figures; what they are is not tested."""
+
+import importlib
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+BENCH = Path(__file__).resolve().parents[2] / "bench"
+
+
+@pytest.fixture
+def events(monkeypatch):
+    monkeypatch.syspath_prepend(str(BENCH))
+    monkeypatch.delitem(sys.modules, "events", raising=False)
+    yield importlib.import_module("events")
+    sys.modules.pop("events", None)
+
+
+def test_every_cell_gives_figures(events, tmp_path, capsys):
+    file = tmp_path / "figures.json"
+    assert events.main(["--most", "100", "--half", "0", "--json", str(file)]) == 0
+    rows = json.loads(file.read_text())["rows"]
+    assert {row["operator"] for row in rows} == {*events.CASES, *events.MORE}
+    assert {row["policy"] for row in rows} == set(events.POLICIES)
+    assert {row["waiting"] for row in rows} == {10, 100}
+    assert all(row["us"] > 0 for row in rows)
+    table = capsys.readouterr().out.splitlines()
+    assert len(table) == 1 + len({events.keys(row) for row in rows})
+
+
+@pytest.mark.parametrize("setting", ["values", "alike", "times"])
+def test_completing_events_complete(events, setting):
+    for name, policy, _ in events.cells(arguments(setting)):
+        if name in events.CASES:
+            (row,) = events.measure(name, policy, setting, 10, 1.0)
+            every = setting == "alike" and (policy == "unrestricted" or events.CASES[name].takes_all)
+            # Of ntimes, what completes one match is the beginning of the next where nothing is used up.
+            least = 10 if every else 1
+            assert row["results"] >= least if name == "ntimes" else row["results"] == least, (name, policy)
+
+
+def arguments(setting):
+    class Options:
+        operator = policy = None
+
+    Options.setting = [setting]
+    return Options
+
+
+def test_partners_wait_again_after_a_batch(events):
+    bench = events.Bench("seq", "recent", "values")
+    bench.grow(10)
+    bench.batch(5)
+    assert bench.engine.rules.waiting == 10
+
+
+def test_bounds_hold_memory(events):
+    memory = importlib.import_module("event_memory")
+    number = memory.SECONDS + 200
+    waiting = {name: memory.feed(name, number)[-1][2] for name in ("no bound", "window")}
+    assert waiting["no bound"] == number
+    assert waiting["window"] <= memory.SECONDS + 1
+
+
+def test_a_row_for_each_bound(events):
+    memory = importlib.import_module("event_memory")
+    figures = {"window": [[0, 10**6, 0], [100, 3 * 10**6, 50]]}
+    assert list(memory.lines(figures))[1].split() == ["window", "100", "50", "2.0"]
+
+
+def test_fitted_exponents(events):
+    pytest.importorskip("matplotlib")
+    plots = importlib.import_module("event_plots")
+    assert plots.exponent([(10, 50.0), (100, 10.0), (1000, 100.0), (10000, 1000.0)]) == pytest.approx(1.0)
+
+
+def test_plots_are_drawn(events, tmp_path):
+    pytest.importorskip("matplotlib")
+    plots = importlib.import_module("event_plots")
+    rows = [
+        row for size in ("recent", "unrestricted") for row in events.measure("seq", size, "values", 100, 1.0)
+    ]
+    memory = {"no bound": [[0, 0, 0], [10, 1000, 10]]}
+    files = plots.draw({"rows": rows, "memory": memory}, str(tmp_path / "plot"))
+    assert len(files) == 2
+    assert all(Path(file).stat().st_size for file in files)
