@@ -77,6 +77,7 @@ def feed(engine: Engine, items: List[work.Item], messages: bool) -> Tuple[float,
 def nao_definitions() -> Any:
     """Return the message types of the NAO's streams."""
     import nao_messages
+
     from retalis.messages import Definitions
 
     definitions = Definitions()
@@ -168,7 +169,8 @@ def look_ups_beside(rate: int, memories: int) -> Callable[[str, bool], Result]:
         engine.load(
             rules=f"null do look({each}, S, NS) <- ar_marker(_, _, _, S, NS).\n"
             "look(N, S, NS) :- convert_to_datime([S,NS], D), looks(N, D).\n"
-            "looks(0, _) :- !.\nlooks(N, D) :- ( prev(head_cam, _, _, _, D) -> true ; true ), N1 is N-1, looks(N1, D).",
+            "looks(0, _) :- !.\n"
+            "looks(N, D) :- ( prev(head_cam, _, _, _, D) -> true ; true ), N1 is N-1, looks(N1, D).",
             goals=work.extra_memories(memories, PAIR, "tf(V,Q)", 2500),
         )
         items = work.nao_stream(10)

@@ -65,6 +65,7 @@ class Started:
         self.processes: List[subprocess.Popen] = []
 
     def __call__(self, command: List[str]) -> subprocess.Popen:
+        """Start a process without output."""
         quiet = subprocess.DEVNULL
         process = subprocess.Popen(command, stdout=quiet, stderr=quiet, start_new_session=True)
         self.processes.append(process)
@@ -104,9 +105,10 @@ class Bench:
 
     def _completing(self) -> Dict[Any, int]:
         """Return for each observation the index of the message that completes its data."""
+        from nao_robot import CHAIN
+
         from retalis.messages import Definitions
         from retalis.terms import deref, list_items
-        from nao_robot import CHAIN
 
         definitions = Definitions()
         chain: Dict[Any, List[Any]] = {(f'"{one[0]}"', f'"{one[1]}"'): [] for one in CHAIN}
@@ -200,7 +202,9 @@ class Bench:
         took = time.monotonic() - began
         percent = {name: 100 * (cpu(pid) - before[name]) / took for name, pid in nodes.items()}
         deadline = time.monotonic() + 10
-        while "/retalis" in nodes and len(self.received) < len(self.completing) and time.monotonic() < deadline:
+        while (
+            "/retalis" in nodes and len(self.received) < len(self.completing) and time.monotonic() < deadline
+        ):
             time.sleep(0.05)
         delays = sorted(
             1000 * (self.received[key] - sent[index])
@@ -233,7 +237,9 @@ def line(figures: Dict[str, Any]) -> str:
 
 def main() -> int:
     """Run what the command line asks for."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seconds", type=float, default=20.0, help="length of the bag")
     parser.add_argument("--speed", type=float, nargs="+", default=[1.0, 5.0, 10.0])
     parser.add_argument("--way", nargs="+", choices=WAYS, default=list(WAYS))

@@ -26,7 +26,7 @@ def read_goals(text: str, operators: Operators, source: str) -> Iterator[Read]:
         if stop is not None:
             longer = _read(lines, at, stop, operators, source)
             # Where the longer one fails behind the first line, its lines belong together: none is a goal.
-            if not isinstance(longer, SyntaxFault) or longer.place.line > at + 1:
+            if not isinstance(longer, SyntaxFault) or _line(longer) > at + 1:
                 goal, end = longer, stop
         yield goal
         at = end
@@ -43,6 +43,10 @@ def _full_stop(lines: List[str], start: int) -> Optional[int]:
         if lines[index].rstrip().endswith(".") or lines[index].split("%")[0].rstrip().endswith("."):
             return index + 1
     return None
+
+
+def _line(fault: SyntaxFault) -> int:
+    return 0 if fault.place is None else fault.place.line
 
 
 def _read(lines: List[str], start: int, end: int, operators: Operators, source: str) -> Read:

@@ -143,7 +143,7 @@ def _binds(logic: Logic, goal: Any, answer: str) -> Tuple[bool, str]:
         known = {var: values[name] for name, var in expected.names.items() if name in values}
         equations = [deref(equation) for equation in conjuncts(solution)]
         ours = make_list([known[equation[1]] for equation in equations])
-        theirs = make_list([rebuild(equation[2], lambda var: known.get(var, var)) for equation in equations])
+        theirs = make_list([rebuild(equation[2], lambda var, known=known: known.get(var, var)) for equation in equations])
         if not _same(ours, theirs):
             return False, shown
     return True, shown
