@@ -3,6 +3,7 @@
 Usage: python conformity.py       print what does not agree
 """
 
+import functools
 from pathlib import Path
 from typing import Any, Iterator, List, NamedTuple, Tuple
 
@@ -143,10 +144,15 @@ def _binds(logic: Logic, goal: Any, answer: str) -> Tuple[bool, str]:
         known = {var: values[name] for name, var in expected.names.items() if name in values}
         equations = [deref(equation) for equation in conjuncts(solution)]
         ours = make_list([known[equation[1]] for equation in equations])
-        theirs = make_list([rebuild(equation[2], lambda var, known=known: known.get(var, var)) for equation in equations])
+        renamed = functools.partial(_renamed, known)
+        theirs = make_list([rebuild(equation[2], renamed) for equation in equations])
         if not _same(ours, theirs):
             return False, shown
     return True, shown
+
+
+def _renamed(known: Any, var: Any) -> Term:
+    return known.get(var, var)
 
 
 def _alternatives(term: Term) -> List[Term]:

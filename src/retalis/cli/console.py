@@ -29,8 +29,9 @@ _LEAVE = ("halt", "end_of_file")
 DESCRIPTION = """\
 Load files and ask goals. Files hold event rules, clauses and directives; a folder is a program with
 goalPredicates.txt. A goal ends with a full stop; ";" asks for another solution, return for none. [FILE]. loads
-a file, [user]. reads clauses that are typed, trace(GOAL). (or trace, GOAL.) shows a goal's ports, ctrl-C ends a goal, halt. or ctrl-D the
-console. From a pipe, goals are read one after the other and all their solutions are printed.
+a file, [user]. reads clauses that are typed, trace(GOAL). (or trace, GOAL.) shows a goal's ports, ctrl-C ends a
+goal, halt. or ctrl-D the console. From a pipe, goals are read one after the other and all their solutions are
+printed.
 """
 
 
