@@ -128,6 +128,7 @@ class Machine:
         self.inferences = 0
         self._spent = 0
         self._deadline: Optional[float] = None
+        self._exceeded = False
         self._memory: Optional[int] = None
         self._compact_at = _COMPACT_AT
         self._attempt_code = Code("attempt", self._attempt_failed)
@@ -177,6 +178,7 @@ class Machine:
             if not base:
                 self._spent = 0
                 self._deadline = None
+                self._exceeded = False
                 self._memory = None
 
     def solutions(self, frame: Optional[Frame]) -> Iterator[None]:
@@ -204,6 +206,7 @@ class Machine:
             if not base:
                 self._spent = 0
                 self._deadline = None
+                self._exceeded = False
 
     def _loop(self, frame: Optional[Frame], base: int) -> bool:
         choices = self.choices
@@ -263,11 +266,14 @@ class Machine:
                 self._exceed("memory", frame)
 
     def _exceed(self, what: str, frame: Frame) -> None:
-        # A handler of the program gets a tenth more, so that it can clean up but not go on for ever.
+        # A handler of the program gets a tenth more, so that it can clean up, and no second time.
         self._spent -= (self.limits.inferences or 0) // 10
         self._deadline = None
         self._memory = None
-        raise resource_error(what)
+        error = resource_error(what)
+        error.final = self._exceeded  # type: ignore[attr-defined]
+        self._exceeded = True
+        raise error
 
     def _compact(self) -> None:
         """Drop trail entries above the newest choice point that nothing else can see any more.
@@ -294,12 +300,13 @@ class Machine:
         trail = self.trail
         ball = error.term = copy(error.term)
         self._add_context(ball, frame)
+        is_final = getattr(error, "final", False)
         while len(choices) > base + 1:
             entry = choices.pop()
             code = entry[0]
             if code is self.catch_code:
                 _, mark, catcher, recover, height = entry
-                if mark.ref is None:
+                if mark.ref is None and not is_final:
                     undo(trail, height)
                     if unify(catcher, ball, trail):
                         return recover
@@ -357,6 +364,7 @@ class Machine:
         )
         self._spent = 0
         self._deadline = None
+        self._exceeded = False
         return goal.enter(values, (self._exit_code, height, then))
 
     def _restore(self, entry: Frame) -> None:

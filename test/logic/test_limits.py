@@ -1,0 +1,194 @@
+"""What runs away ends with a resource error, and the engine goes on."""
+
+import time
+
+import pytest
+
+from retalis.engine import Engine, Settings
+from retalis.errors import ProgramErrors
+from retalis.logic import Limits, PrologError
+from retalis.syntax import writeq
+
+PROGRAM = """
+loop :- loop.
+ping(X) :- pong(X).
+pong(X) :- ping(X).
+count(N) :- M is N + 1, count(M).
+deep(N, s(R)) :- M is N + 1, deep(M, R).
+left(X) :- left(Y), X = f(Y).
+grow(L) :- grow([1,2,3|L]).
+double(L) :- append(L, L, M), double(M).
+store(N) :- assertz(kept(N)), M is N + 1, store(M).
+choose :- choose.
+choose :- true.
+branch(N) :- M is N + 1, ( branch(M) ; true ).
+all :- findall(X, repeat, _), write(X).
+again :- catch(loop, _, again).
+"""
+
+RUNAWAY = [
+    "loop",
+    "ping(1)",
+    "count(0)",
+    "repeat, fail",
+    "between(1, inf, X), fail",
+    "choose",
+    "branch(0)",
+    "left(X)",
+    "deep(0, X)",
+    "grow([])",
+    "all",
+    "forall(repeat, true)",
+    "\\+ (repeat, fail)",
+    "again",
+    "catch(loop, _, loop)",
+    "maplist([X]>>loop, [1])",
+    "aggregate_all(count, repeat, N)",
+]
+
+
+def formal(error):
+    return writeq(error.term[1])
+
+
+@pytest.fixture
+def engine():
+    made = Engine(settings=Settings(limits=Limits(seconds=0.3, inferences=400_000, megabytes=300)))
+    made.load(rules=PROGRAM)
+    return made
+
+
+@pytest.mark.parametrize("goal", RUNAWAY)
+def test_runaway_goal_ends(engine, goal):
+    start = time.monotonic()
+    with pytest.raises(PrologError) as caught:
+        engine.query(goal)
+    assert formal(caught.value).startswith("resource_error")
+    assert time.monotonic() - start < 5
+    assert engine.call("X = 1")
+
+
+def test_steps_that_grow_end(engine):
+    with pytest.raises(PrologError) as caught:
+        engine.query("double([1])")
+    assert formal(caught.value).startswith("resource_error")
+    assert engine.call("X = 1")
+
+
+@pytest.mark.parametrize(
+    "goal",
+    [
+        "numlist(1, 100000000000, L)",
+        "length(L, 100000000000)",
+        "functor(T, f, 100000000000)",
+        "format('~*c', [100000000000, 0'x])",
+        "tab(100000000000)",
+        "X is 2 ** (2 ** 60)",
+        "X is 1 << (1 << 60)",
+        "X is 7 ^ (7 ^ (7 ^ 7))",
+    ],
+)
+def test_one_large_step_is_refused(engine, goal):
+    start = time.monotonic()
+    with pytest.raises(PrologError) as caught:
+        engine.query(goal)
+    assert formal(caught.value).startswith("resource_error")
+    assert time.monotonic() - start < 5
+
+
+@pytest.mark.parametrize(
+    ("limits", "what", "goal"),
+    [
+        (Limits(seconds=0.2), "seconds", "loop"),
+        (Limits(inferences=100_000), "inferences", "loop"),
+        (Limits(megabytes=20), "memory", "grow([])"),
+    ],
+)
+def test_each_limit_alone(limits, what, goal):
+    engine = Engine(settings=Settings(limits=limits))
+    engine.load(rules=PROGRAM)
+    with pytest.raises(PrologError) as caught:
+        engine.query(goal)
+    assert formal(caught.value) == f"resource_error({what})"
+
+
+def test_a_program_may_catch_its_limit(engine):
+    assert engine.query("catch(loop, error(resource_error(R), _), true), X = R")
+
+
+def test_an_event_whose_goal_runs_away_is_reported_and_the_next_is_taken(caplog):
+    engine = Engine(settings=Settings(limits=Limits(inferences=100_000)))
+    engine.load(rules="loop :- loop.\nout(X) <- in(X) where (X > 1 ; loop).\nseen(X) <- in(X).")
+    seen = []
+    engine.on_event(lambda term, start, end: seen.append(engine.show(term)))
+    engine.event("in(1)", 1)
+    engine.event("in(2)", 2)
+    assert seen == ["in(1)", "seen(1)", "in(2)", "out(2)", "seen(2)"]
+    assert "Not enough resources" in caplog.text
+
+
+def test_a_chain_of_events_without_end_is_cut(caplog):
+    engine = Engine(settings=Settings(max_depth=100))
+    engine.load(rules="tick(N) <- tick(M) where N is M + 1.")
+    seen = []
+    engine.on_event(lambda term, start, end: seen.append(term))
+    engine.event("tick(0)", 1)
+    assert len(seen) <= 102
+    engine.event("other", 2)
+    assert engine.show(seen[-1]) == "other"
+
+
+@pytest.mark.parametrize(
+    "goal",
+    [
+        "shell(ls)",
+        "shell('ls', S)",
+        "system(ls)",
+        "open('/etc/passwd', read, S)",
+        "see('/etc/passwd')",
+        "tell('/tmp/x')",
+        "consult('/etc/passwd')",
+        "exec(ls)",
+        "process_create(path(ls), [], [])",
+        "tcp_socket(S)",
+        "http_open('http://localhost', S, [])",
+        "delete_file('/tmp/x')",
+        "getenv('HOME', X)",
+        "python_call(os, system)",
+        "use_foreign(os)",
+        "load_foreign_library(x)",
+        "halt",
+    ],
+)
+def test_what_reaches_outside_is_not_there(engine, goal):
+    with pytest.raises(PrologError) as caught:
+        engine.query(goal)
+    assert formal(caught.value).startswith(("existence_error(procedure", "permission_error"))
+
+
+def test_files_only_in_allowed_folders(tmp_path):
+    inside, outside = tmp_path / "inside", tmp_path / "outside"
+    for folder in (inside, outside):
+        folder.mkdir()
+        (folder / "rules.txt").write_text("p(1).\n")
+        (folder / "stream.txt").write_text("event(a).\n")
+    (outside / "goalPredicates.txt").write_text("compile_event_file('rules.txt')\n")
+    engine = Engine(settings=Settings(folders=(str(inside),)))
+    assert engine.call(f"compile_event_file('{inside}/rules.txt')")
+    for goal in ("compile_event_file('{}/rules.txt')", "execute_event_stream_file('{}/stream.txt')"):
+        assert engine.call(goal.format(inside))
+        for path in (outside, inside / ".." / "outside"):
+            with pytest.raises(PrologError, match="No permission to open"):
+                engine.call(goal.format(path))
+    engine.load_program(outside)  # what the operator names is allowed, and its folder from then on
+    assert engine.call(f"compile_event_file('{outside}/rules.txt')")
+
+
+def test_rules_loaded_at_run_time_cannot_name_files_outside(tmp_path):
+    (tmp_path / "inside").mkdir()
+    (tmp_path / "secret.txt").write_text("p(1).\n")
+    (tmp_path / "inside" / "rules.txt").write_text("use_module('../secret.txt').\n")
+    engine = Engine(settings=Settings(folders=(str(tmp_path / "inside"),)))
+    with pytest.raises((PrologError, ProgramErrors)):
+        engine.call(f"compile_event_file('{tmp_path}/inside/rules.txt')")
+    assert not engine.query("catch(p(X), _, fail)")
