@@ -2,6 +2,7 @@
 
 import math
 import sys
+from pathlib import Path
 from typing import Any, Iterator, List
 
 import pytest
@@ -259,3 +260,14 @@ def test_a_result_that_does_not_fit_is_the_goals_error():
         with pytest.raises(RetalisError):
             engine.call(goal)
         assert engine.call(f"catch({goal}, _, true)")
+
+
+def test_the_example_of_the_documentation(tmp_path):
+    page = Path(__file__).resolve().parent.parent / "docs" / "foreign.md"
+    code = page.read_text(encoding="utf-8").split("```python\n")[1].split("```")[0]
+    (tmp_path / "helpers.py").write_text(code)
+    engine = Engine(settings=Settings(allow_foreign=True))
+    engine.load_rules(":- use_foreign(helpers).", "rules.txt", tmp_path)
+    assert answers(engine, "distance(0, 0, 3, 4, D)") == [{"D": "5.0"}]
+    assert [answer["X"] for answer in answers(engine, "upto(3, X)")] == ["1", "2", "3"]
+    assert engine.call("is_even(4)")
