@@ -78,3 +78,10 @@ class MessageError(RetalisError):
 
 class UsageError(RetalisError):
     """A call of the package that asks for what cannot be (an id that is taken, an unknown memory)."""
+
+
+class TermTooLarge(RetalisError):
+    """A term that contains itself, or is so large that nothing can be done with it in reasonable time."""
+
+    def __init__(self) -> None:
+        super().__init__("the term contains itself or is too large")

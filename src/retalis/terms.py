@@ -12,16 +12,24 @@ A term is one of
 Plain tuples, because nothing else in Python is built and taken apart as fast, and most of an engine's
 time goes there. Compound terms are immutable; ground ones are shared and never copied.
 
-Everything here works without recursion: a list of a million elements is as safe as one of three.
+Everything here works without recursion: a list of a million elements is as safe as one of three. Unification
+does not look for cycles, so a program can make a term that contains itself; walking one raises `TermTooLarge`
+after `MOST` steps, instead of going on for ever.
 """
 
 from _weakref import _remove_dead_weakref  # type: ignore[attr-defined]
-from itertools import count
+from itertools import count, repeat
 from typing import Any, Callable, Dict, Iterable, Iterator, List, Optional, Tuple
 from weakref import ref
 
+from .errors import TermTooLarge
+
 Term = Any
 """The union above; Python's type system has no cheap name for it."""
+
+
+MOST = 5_000_000
+"""Steps after which walking a term is given up."""
 
 
 class Atom:
@@ -235,23 +243,36 @@ def make_list(items: Iterable[Term], tail: Term = NIL) -> Term:
 
 def list_items(term: Term) -> Optional[List[Term]]:
     """Return the items of a proper list, or None where ``term`` is none (partial lists included)."""
-    items = []
+    items, tail = list_parts(term)
+    return items if tail is NIL else None
+
+
+def list_parts(term: Term) -> Tuple[List[Term], Term]:
+    """Return the items of a list, proper or partial, and its tail."""
+    items: List[Term] = []
     term = deref(term)
-    while term.__class__ is tuple and term[0] is CONS:
+    for _ in repeat(None, MOST):
+        if term.__class__ is not tuple or term[0] is not CONS:
+            return items, term
         items.append(term[1])
-        term = deref(term[2])
-    return items if term is NIL else None
+        term = term[2]
+        if term.__class__ is not tuple:
+            term = deref(term)
+    raise TermTooLarge
 
 
 def conjuncts(term: Term) -> Iterator[Term]:
     """Yield the goals of a conjunction from left to right."""
     stack = [term]
-    while stack:
+    for _ in repeat(None, MOST):
+        if not stack:
+            return
         goal = deref(stack.pop())
         if goal.__class__ is tuple and goal[0] is COMMA:
             stack += (goal[2], goal[1])
         else:
             yield goal
+    raise TermTooLarge
 
 
 def conjunction(goals: Iterable[Term]) -> Term:
@@ -269,7 +290,9 @@ def variables(term: Term) -> List[Var]:
     """Return the unbound variables of a term, each once, in the order they are met from left to right."""
     seen: Dict[Var, None] = {}
     stack = [term]
-    while stack:
+    for _ in repeat(None, MOST):
+        if not stack:
+            return list(seen)
         item = stack.pop()
         kind = item.__class__
         if kind is Var:
@@ -280,13 +303,15 @@ def variables(term: Term) -> List[Var]:
                 continue
         if kind is tuple:
             stack.extend(item[:0:-1])
-    return list(seen)
+    raise TermTooLarge
 
 
 def is_ground(term: Term) -> bool:
     """Tell whether a term has no unbound variable (a lazy term has none, and is not looked into)."""
     stack = [term]
-    while stack:
+    for _ in repeat(None, MOST):
+        if not stack:
+            return True
         item = stack.pop()
         kind = item.__class__
         if kind is Var:
@@ -296,7 +321,7 @@ def is_ground(term: Term) -> bool:
                 return False
         if kind is tuple:
             stack.extend(item[1:])
-    return True
+    raise TermTooLarge
 
 
 def rebuild(term: Term, leaf: Callable[[Var], Term]) -> Term:
@@ -315,6 +340,7 @@ def rebuild(term: Term, leaf: Callable[[Var], Term]) -> Term:
         return term
     # One entry for each compound term on the way down: the term, its arguments so far, changed or not.
     stack: List[List[Any]] = [[term, [term[0]], False]]
+    steps = 0
     while True:
         entry = stack[-1]
         source, done, changed = entry
@@ -333,6 +359,9 @@ def rebuild(term: Term, leaf: Callable[[Var], Term]) -> Term:
             if kind is tuple:
                 entry[2] = changed
                 stack.append([item, [item[0]], False])
+                steps += 1
+                if steps & 0xFFFF == 0:
+                    _check_path(stack, steps)
                 break
             done.append(item)
             at += 1
@@ -345,6 +374,13 @@ def rebuild(term: Term, leaf: Callable[[Var], Term]) -> Term:
             if result is not parent[0][len(parent[1])]:
                 parent[2] = True
             parent[1].append(result)
+
+
+def _check_path(stack: List[List[Any]], steps: int) -> None:
+    """Raise an error where a term on the way down stands in itself, or there have been too many steps."""
+    depth = len(stack)
+    if steps > MOST or (steps & (steps - 1) == 0 and len({id(entry[0]) for entry in stack}) < depth):
+        raise TermTooLarge
 
 
 def _follow(term: Term) -> Term:
@@ -381,6 +417,7 @@ def unify(left: Term, right: Term, trail: List[Any]) -> bool:
     Returns False where they do not unify; then some variables may be bound, and the caller undoes the trail.
     """
     stack: List[Term] = []
+    steps = 0
     while True:
         if left is not right:
             kind = left.__class__
@@ -419,6 +456,9 @@ def unify(left: Term, right: Term, trail: List[Any]) -> bool:
                         return False
                     size = len(left)
                     if size > 1:
+                        steps += 1
+                        if steps > MOST:
+                            raise TermTooLarge
                         for at in range(size - 1, 1, -1):
                             stack.append(right[at])
                             stack.append(left[at])
@@ -457,7 +497,9 @@ def freeze(term: Term) -> Any:
         return term
     flat: List[Any] = []
     stack = [term]
-    while stack:
+    for _ in repeat(None, MOST):
+        if not stack:
+            return flat[0] if len(flat) == 1 else tuple(flat)
         item = stack.pop()
         kind = item.__class__
         if kind is Var or kind is Lazy:
@@ -472,7 +514,7 @@ def freeze(term: Term) -> Any:
             raise ValueError("a key of a term with variables")
         else:
             flat.append(item)
-    return flat[0] if len(flat) == 1 else tuple(flat)
+    raise TermTooLarge
 
 
 _RANK = {Var: 0, float: 1, int: 1, Atom: 3, String: 4, tuple: 5}
@@ -485,7 +527,9 @@ def compare(left: Term, right: Term) -> int:
     strings alphabetically, compound terms by arity, name and arguments.
     """
     stack = [right, left]
-    while stack:
+    for _ in repeat(None, MOST):
+        if not stack:
+            return 0
         left = stack.pop()
         right = stack.pop()
         if left is right:
@@ -510,7 +554,7 @@ def compare(left: Term, right: Term) -> int:
         result = _compare_constants(left, right)
         if result:
             return result
-    return 0
+    raise TermTooLarge
 
 
 def _compare_constants(left: Term, right: Term) -> int:

@@ -7,7 +7,8 @@ on floats whose result is no finite number raises, as SWI-Prolog does with its d
 import math
 from typing import Any, Callable, Dict, List, Union
 
-from ..terms import CONS, NIL, Atom, Functor, Lazy, String, Term, Var, deref, functor
+from ..errors import TermTooLarge
+from ..terms import CONS, MOST, NIL, Atom, Functor, Lazy, String, Term, Var, deref, functor
 from .faults import evaluation_error, indicator, instantiation_error, resource_error, type_error
 
 Number = Union[int, float]
@@ -15,8 +16,8 @@ Number = Union[int, float]
 EVALUABLE: Dict[Functor, Callable[..., Number]] = {}
 """Functions of numbers, by name and arity."""
 
-_HUGE = 1 << 27
-"""Bits of the largest integer that an operation may make (16 megabytes)."""
+_HUGE = 1 << 24
+"""Bits of the largest integer that an operation may make (2 megabytes)."""
 
 
 def evaluable(name: str, arity: int) -> Callable[[Any], Any]:
@@ -81,6 +82,8 @@ def _evaluate_deep(term: Term) -> Number:
                     continue
                 raise type_error("evaluable", indicator(item[0]))
             stack.append(_Apply(function, len(item) - 1))
+            if len(stack) > MOST:
+                raise TermTooLarge
             stack.extend(item[:0:-1])
         else:
             values.append(_constant(item, kind))

@@ -1,11 +1,13 @@
 """Control on the machine: running a goal from its term, and the built-ins that decide what runs next."""
 
+from itertools import repeat
 from typing import Any, Callable, Dict, List, Optional, Tuple
 
+from ..errors import TermTooLarge
 from ..terms import (
     COMMA,
-    CONS,
     FALSE,
+    MOST,
     NIL,
     TRUE,
     Atom,
@@ -17,6 +19,7 @@ from ..terms import (
     deref,
     functor,
     is_ground,
+    list_parts,
     make_list,
 )
 from .compiler.nodes import ARROW, BAR, CALL, IGNORE, NOT, ONCE, SEMICOLON, SOFT_ARROW
@@ -207,7 +210,9 @@ def check_body(goal: Term) -> Term:
     """
     stack = [goal]
     open_goals = False
-    while stack:
+    for _ in repeat(None, MOST):
+        if not stack:
+            return _called(goal) if open_goals else goal
         item = deref(stack.pop())
         kind = item.__class__
         if kind is tuple:
@@ -217,7 +222,7 @@ def check_body(goal: Term) -> Term:
             open_goals = True
         elif kind is not Atom:
             raise type_error("callable", goal)
-    return _called(goal) if open_goals else goal
+    raise TermTooLarge
 
 
 def _called(goal: Term) -> Term:
@@ -242,9 +247,7 @@ def check_partial_list(term: Term) -> None:
     Raises:
         PrologError: a type error.
     """
-    tail = deref(term)
-    while tail.__class__ is tuple and tail[0] is CONS:
-        tail = deref(tail[2])
+    _, tail = list_parts(term)
     if tail.__class__ is not Var and tail is not NIL:
         raise type_error("list", term)
 

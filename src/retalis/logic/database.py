@@ -286,10 +286,7 @@ class Predicate:
     @staticmethod
     def _match(frame: Frame, clause: Clause, trail: List[Any]) -> bool:
         head = clause.head if clause.ground else copy(clause.head)
-        for at in range(1, len(frame) - 1):
-            if not unify(frame[at], head[at], trail):
-                return False
-        return True
+        return all(unify(frame[at], head[at], trail) for at in range(1, len(frame) - 1))
 
     def _interpret(self, frame: Frame, clause: Clause, height: int, trail: List[Any]) -> Optional[Frame]:
         fresh: Dict[Var, Term] = {}

@@ -2,7 +2,7 @@
 
 from typing import Any, Optional
 
-from ..errors import RetalisError
+from ..errors import RetalisError, TermTooLarge
 from ..terms import SLASH, Functor, Term, Var, atom, functor
 
 ERROR = functor("error", 2)
@@ -120,6 +120,8 @@ def from_python(exc: BaseException) -> Optional[PrologError]:
         found = evaluation_error("float_overflow")
     elif isinstance(exc, MemoryError):
         found = resource_error("memory")
+    elif isinstance(exc, TermTooLarge):
+        found = resource_error("term_size")
     elif isinstance(exc, RetalisError) and not isinstance(exc, Halt):
         found = system_error(exc.message)
     if found is not None:

@@ -10,7 +10,7 @@ from sys import getrefcount
 from time import monotonic
 from typing import Any, Callable, Iterator, List, NamedTuple, Optional, Tuple
 
-from ..errors import RetalisError
+from ..errors import RetalisError, TermTooLarge
 from ..terms import Term, Var, copy, undo, unify
 from .faults import CONTEXT, ERROR, PrologError, from_python, indicator, resource_error
 
@@ -298,7 +298,10 @@ class Machine:
         """Return the frame that handles an error, or raise it where nothing above ``base`` does."""
         choices = self.choices
         trail = self.trail
-        ball = error.term = copy(error.term)
+        try:
+            ball = error.term = copy(error.term)
+        except TermTooLarge:
+            ball = error.term = resource_error("term_size").term
         self._add_context(ball, frame)
         is_final = getattr(error, "final", False)
         while len(choices) > base + 1:

@@ -6,13 +6,14 @@ parted by a blank, and nothing else is, as SWI-Prolog 9 does it.
 
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
 
-from ..terms import CONS, NIL, Atom, Functor, String, Term, Var, deref, functor, serial
+from ..terms import CONS, NIL, Atom, Functor, String, Term, Var, deref, functor, list_parts, resolve, serial
 from .atoms import atom_text, quote
 from .numerals import float_text, integer_text
 from .operators import Operator, Operators
 
 _CURLY = functor("{}", 1)
 _NUMBERED = functor("$VAR", 1)
+_LONG = 100_000
 _SYMBOLS = frozenset("-+*/\\^<>=~:.?@#&$")
 
 
@@ -56,7 +57,11 @@ class _Writer:
         """
         stack = self.stack
         stack.append((term, self.options.priority))
+        steps = 0
         while stack:
+            steps += 1
+            if steps == _LONG:
+                resolve(term)  # raises for a term that contains itself
             entry = stack.pop()
             kind = entry.__class__
             if kind is str:
@@ -140,10 +145,9 @@ class _Writer:
 
     def _list(self, term: Tuple[Any, ...]) -> None:
         entries: List[Any] = ["["]
-        rest: Term = term
-        while rest.__class__ is tuple and rest[0] is CONS:
-            entries += ((rest[1], 999), self.comma)
-            rest = deref(rest[2])
+        items, rest = list_parts(term)
+        for item in items:
+            entries += ((item, 999), self.comma)
         entries.pop()
         if rest is not NIL:
             entries += ("|", (rest, 999))

@@ -2,7 +2,7 @@
 
 from typing import Any, List, Optional
 
-from ...terms import CONS, NIL, SLASH, TRUE, Atom, Term, Var, deref, functor
+from ...terms import NIL, SLASH, TRUE, Atom, Term, Var, deref, functor, list_parts
 from ..faults import domain_error, instantiation_error, type_error
 
 
@@ -61,11 +61,7 @@ def items(term: Term) -> List[Term]:
     Raises:
         PrologError: an instantiation error for a partial list, a type error for what is none.
     """
-    found = []
-    tail = deref(term)
-    while tail.__class__ is tuple and tail[0] is CONS:
-        found.append(tail[1])
-        tail = deref(tail[2])
+    found, tail = list_parts(term)
     if tail is NIL:
         return found
     if tail.__class__ is Var:
@@ -79,11 +75,7 @@ def partial_items(term: Term) -> List[Term]:
     Raises:
         PrologError: a type error for what is no list.
     """
-    found = []
-    tail = deref(term)
-    while tail.__class__ is tuple and tail[0] is CONS:
-        found.append(tail[1])
-        tail = deref(tail[2])
+    found, tail = list_parts(term)
     if tail is NIL or tail.__class__ is Var:
         return found
     raise type_error("list", term)

@@ -2,7 +2,7 @@
 
 from typing import Any, Callable, Dict, Optional
 
-from ...terms import CONS, NIL, Atom, String, Term, Var, atom, deref, is_ground, list_items
+from ...terms import NIL, Atom, String, Term, Var, atom, deref, is_ground, list_items, list_parts
 from ..faults import PrologError, domain_error, existence_error, instantiation_error, type_error
 from .registry import deterministic
 from .text import list_text
@@ -47,9 +47,8 @@ def _each(term: Term, test: Callable[[Term], bool]) -> bool:
 
 
 def _is_partial_list(term: Term) -> bool:
-    while term.__class__ is tuple and term[0] is CONS:
-        term = deref(term[2])
-    return term.__class__ is Var or term is NIL
+    _, tail = list_parts(term)
+    return tail.__class__ is Var or tail is NIL
 
 
 def check(kind: Term, term: Term) -> Optional[PrologError]:

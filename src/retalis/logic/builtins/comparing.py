@@ -13,6 +13,7 @@ from ...terms import (
     compare,
     deref,
     is_ground,
+    list_parts,
     make_list,
     undo,
     unify,
@@ -155,10 +156,7 @@ deterministic("blob/2", "is_stream/1")(lambda machine, *args: False)
 @deterministic("is_list/1")
 def is_list(machine: Any, term: Term) -> bool:
     """Test for a proper list."""
-    term = deref(term)
-    while term.__class__ is tuple and term[0] is CONS:
-        term = deref(term[2])
-    return term is NIL
+    return list_parts(term)[1] is NIL
 
 
 @deterministic("ground/1")

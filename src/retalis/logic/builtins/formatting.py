@@ -4,11 +4,12 @@ from typing import Any, Callable, Dict, List, Optional, Tuple
 
 from ...terms import Term, Var, atom, deref, functor
 from ..arithmetic import evaluate
-from ..faults import domain_error, error, instantiation_error, type_error
+from ..faults import domain_error, error, instantiation_error, resource_error, type_error
 from .arguments import integer
-from .text import text_of
+from .text import number_text, text_of
 
 _FORMAT = functor("format", 1)
+_WIDEST = 10_000_000
 
 
 def format_error(message: str) -> Exception:
@@ -132,6 +133,8 @@ class Formatter:
             if at > start:
                 number = int(text[start:at])
         letter = text[at : at + 1]
+        if number is not None and number > _WIDEST:
+            raise resource_error("memory")
         if not letter:
             raise format_error("truncated format specification")
         line = self.line
@@ -192,7 +195,7 @@ def _decimal(mark: str) -> Callable[..., str]:
             value = evaluate(value) if value.__class__ is tuple else value
             if value.__class__ is not int:
                 raise type_error("integer", value)
-        digits = str(abs(value))
+        digits = number_text(abs(value))
         fraction = ""
         if number:
             digits = digits.rjust(number + 1, "0")
@@ -209,7 +212,7 @@ def _float(letter: str) -> Callable[..., str]:
         value = evaluate(term)
         places = 6 if number is None else number
         if letter == "f" and value.__class__ is int:
-            return f"{value}.{'0' * places}" if places else str(value)
+            return number_text(value) + ("." + "0" * places if places else "")
         return f"%.{places}{letter}" % value
 
     return convert

@@ -1,11 +1,13 @@
 """Lists: what wants speed; the rest is in the library (library/lists.pl)."""
 
 from functools import cmp_to_key
+from itertools import repeat
 from typing import Any, Callable, Iterator, Optional
 
 from ...terms import (
     CONS,
     MINUS,
+    MOST,
     NIL,
     Atom,
     Term,
@@ -14,6 +16,7 @@ from ...terms import (
     deref,
     functor,
     list_items,
+    list_parts,
     make_list,
     undo,
     unify,
@@ -28,17 +31,13 @@ from .solutions import sort_unique
 _KEY = cmp_to_key(compare)
 _MAX, _MIN = EVALUABLE[functor("max", 2)], EVALUABLE[functor("min", 2)]
 _REVERSE, _LAST_ITEM = functor("$reverse", 2), functor("$last", 2)
-_MOST = 50_000_000
 
 
 @control("length/2")
 def length(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
     """Relate a list with its length."""
-    count = 0
-    tail = deref(args[0])
-    while tail.__class__ is tuple and tail[0] is CONS:
-        count += 1
-        tail = deref(tail[2])
+    found, tail = list_parts(args[0])
+    count = len(found)
     size = deref(args[1])
     if size.__class__ is not Var:
         integer(size)
@@ -49,7 +48,7 @@ def length(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
     if tail.__class__ is not Var:
         raise type_error("list", args[0])
     if size.__class__ is int:
-        if size - count > _MOST:
+        if size - count > MOST:
             raise resource_error("memory")
         return after if size >= count and unify(tail, _open_list(size - count), machine.trail) else None
     if size is tail:
@@ -146,7 +145,9 @@ def memberchk(machine: Any, item: Term, given: Term) -> bool:
     """Find the first item of a list that unifies; a partial list is extended."""
     trail = machine.trail
     tail = deref(given)
-    while tail.__class__ is tuple and tail[0] is CONS:
+    for _ in repeat(None, MOST):
+        if tail.__class__ is not tuple or tail[0] is not CONS:
+            break
         mark = len(trail)
         if unify(item, tail[1], trail):
             return True
@@ -185,7 +186,7 @@ deterministic("min_list/2", locked=False)(_best(_MIN))
 def numlist(machine: Any, low: Term, high: Term, result: Term) -> bool:
     """Give the list of integers between two."""
     first, last = integer(low), integer(high)
-    if last - first > _MOST:
+    if last - first > MOST:
         raise resource_error("memory")
     return first <= last and unify(result, make_list(range(first, last + 1)), machine.trail)
 
@@ -221,6 +222,8 @@ def _nth(base: int) -> Any:
         if index.__class__ is not Var:
             if index.__class__ is not int or index < 0:
                 raise type_error("integer" if index.__class__ is not int else "not_less_than_zero", index)
+            if index > MOST:
+                raise resource_error("term_size")
             at = index
             tail = deref(given)
             while at > base and tail.__class__ is tuple and tail[0] is CONS:
@@ -237,7 +240,9 @@ def _nth(base: int) -> Any:
             return
         tail = deref(given)
         at = base
-        while tail.__class__ is tuple and tail[0] is CONS:
+        for _ in repeat(None, MOST):
+            if tail.__class__ is not tuple or tail[0] is not CONS:
+                break
             rest = deref(tail[2])
             if machine.unify_all((item, tail[1]), (index, at)):
                 yield LAST if rest is NIL else None

@@ -5,13 +5,21 @@ from typing import Any, Dict, Optional
 from ...syntax import write_term
 from ...terms import CONS, NIL, Atom, Term, Var, deref, list_items, unify
 from ..arithmetic import evaluate
-from ..faults import domain_error, existence_error, instantiation_error, permission_error, type_error
+from ..faults import (
+    domain_error,
+    existence_error,
+    instantiation_error,
+    permission_error,
+    resource_error,
+    type_error,
+)
 from ..machine import Code, Frame, Guard
 from .arguments import integer, is_iso, option_values
 from .formatting import Formatter
 from .registry import control, deterministic
 from .text import LARGEST_CODE, make_text, text_of
 
+_WIDEST = 10_000_000
 _SINKS = ("atom", "string", "codes", "chars")
 
 
@@ -85,17 +93,24 @@ def nl_to(machine: Any, stream: Term) -> bool:
     return True
 
 
+def _blanks(count: Term) -> str:
+    number = integer(evaluate(count))
+    if number > _WIDEST:
+        raise resource_error("memory")
+    return " " * number
+
+
 @deterministic("tab/1")
 def tab(machine: Any, count: Term) -> bool:
     """Write blanks."""
-    machine.logic.write(" " * integer(evaluate(count)))
+    machine.logic.write(_blanks(count))
     return True
 
 
 @deterministic("tab/2")
 def tab_to(machine: Any, stream: Term, count: Term) -> bool:
     """Write blanks to a stream."""
-    write_to(machine, stream, " " * integer(evaluate(count)))
+    write_to(machine, stream, _blanks(count))
     return True
 
 

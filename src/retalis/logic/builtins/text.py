@@ -4,10 +4,11 @@ from typing import Any, Optional
 
 from ...errors import SyntaxFault
 from ...syntax import read_term, write_term
-from ...terms import CONS, NIL, Atom, String, Term, Var, atom, deref, make_list
+from ...terms import CONS, NIL, Atom, String, Term, Var, atom, deref, list_parts, make_list
 from ..faults import instantiation_error, representation_error, syntax_error, type_error
 
 LARGEST_CODE = 0x10FFFF
+_LONG = 10**300
 
 
 def number_text(value: Any) -> str:
@@ -23,7 +24,7 @@ def constant_text(term: Term) -> Optional[str]:
     if kind is String:
         return term.text  # type: ignore[no-any-return]
     if kind is int:
-        return str(term)
+        return str(term) if -_LONG < term < _LONG else number_text(term)
     if kind is float:
         return number_text(term)
     return None
@@ -55,10 +56,10 @@ def list_text(term: Term) -> Optional[str]:
         PrologError: an instantiation error for a list that is not wholly bound.
     """
     out = []
-    term = deref(term)
     partial = False
-    while term.__class__ is tuple and term[0] is CONS:
-        item = deref(term[1])
+    found, tail = list_parts(term)
+    for item in found:
+        item = deref(item)
         if item.__class__ is int:
             if not 0 <= item <= LARGEST_CODE:
                 raise representation_error("character_code")
@@ -69,10 +70,9 @@ def list_text(term: Term) -> Optional[str]:
             partial = True
         else:
             return None
-        term = deref(term[2])
-    if term.__class__ is Var or (partial and term is NIL):
+    if tail.__class__ is Var or (partial and tail is NIL):
         raise instantiation_error()
-    return "".join(out) if term is NIL else None
+    return "".join(out) if tail is NIL else None
 
 
 def parts_text(term: Term, as_codes: bool) -> str:
@@ -86,14 +86,12 @@ def parts_text(term: Term, as_codes: bool) -> str:
         return term.text  # type: ignore[no-any-return]
     first = deref(term[1]) if term.__class__ is tuple and term[0] is CONS else None
     are_codes = as_codes if first is None else first.__class__ is int
-    rest = term
-    while rest.__class__ is tuple and rest[0] is CONS:
-        item = deref(rest[1])
+    for item in list_parts(term)[0]:
+        item = deref(item)
         if item.__class__ is not Var:
             is_part = item.__class__ is int if are_codes else item.__class__ is Atom and len(item.name) == 1
             if not is_part:
                 raise type_error("character_code" if as_codes else "character", item)
-        rest = deref(rest[2])
     found = list_text(term)
     if found is None:
         raise type_error("list", term)

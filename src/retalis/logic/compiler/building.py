@@ -76,7 +76,7 @@ def write_building(
             scope.names.setdefault(deref(arg), locals_[at])
     take_apart(scope, source, pattern, 0, check=False)
     for at, arg in enumerate(args):
-        if at not in (switch, shape.position) and not scope.clause.counts.get(deref(arg)) == 1:
+        if at not in (switch, shape.position) and scope.clause.counts.get(deref(arg)) != 1:
             match(scope, locals_[at], arg)
     for at, node in enumerate(nodes[:-1]):
         scope.later = needed_by(nodes[at + 1 :])
