@@ -95,7 +95,7 @@ def test_links_lead_somewhere(page):
 def test_commands_of_the_readme_are_commands():
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     commands = [shlex.split(line, comments=True) for line in re.findall(r"^    (\S.*)$", text, re.MULTILINE)]
-    known = {"./install.py", "roslaunch", "rosservice", "PYTHONPATH=src"}
+    known = {"./install.py", "source", "roslaunch", "rosservice", "PYTHONPATH=src"}
     assert {command[0] for command in commands} <= known
     for command in commands:
         if command[0] == "./install.py":

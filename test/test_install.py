@@ -243,3 +243,9 @@ def test_without_system_the_missing_packages_are_named(install, noetic):
     with pytest.raises(install.Problem, match=r"system packages are missing: cmake .*ros-noetic-rospy"):
         noetic.system_packages()
     assert noetic.shell.commands == []
+
+
+def test_an_option_behind_the_command_is_refused_before_anything_is_done(install, capsys):
+    with pytest.raises(SystemExit):
+        install.arguments(["demo", "--workspace=/somewhere"])
+    assert "--workspace stands before the command" in capsys.readouterr().err
