@@ -54,11 +54,33 @@ class Occurrence:
         self.held: List[Any] = []
         self.gone = False
         self.takes_back: Optional[List[Occurrence]] = None
-        self.suppressed: List[Tuple[Any, Any]] = []
+        self.suppressed: List[Suppressed] = []
 
     def sources(self) -> List["Occurrence"]:
         """Return the occurrences that it came from."""
         return [] if self.match is None else occurrences_in(self.match)
+
+
+class Suppressed:
+    """A match, or two that were to be joined, which a negated match has kept from firing.
+
+    Several occurrences may make up the negated match: taking back any of them sets it free, once.
+    """
+
+    __slots__ = ("node", "what", "freed")
+
+    def __init__(self, node: Any, what: Any):
+        self.node = node
+        self.what = what
+        self.freed = False
+
+    def free(self) -> bool:
+        """Tell whether it can be tried again now: not yet set free, and none of its own events taken back."""
+        if self.freed:
+            return False
+        self.freed = True
+        matches = self.what if self.what.__class__ is tuple else (self.what,)
+        return not any(occurrence.gone for match in matches for occurrence in occurrences_in(match))
 
 
 def occurrences_in(match: Match) -> List[Occurrence]:
@@ -157,8 +179,9 @@ class Tracker:
     def suppressed(self, node: Any, what: Any) -> None:
         """Remember what the last negated match has kept from firing."""
         if self.blocker is not None:
+            kept = Suppressed(node, what)
             for occurrence in occurrences_in(self.blocker):
-                occurrence.suppressed.append((node, what))
+                occurrence.suppressed.append(kept)
 
     # ---- taking back ---------------------------------------------------------------------------------
 
@@ -187,7 +210,7 @@ class Tracker:
                         retries.append((one[0], again))
                 else:
                     one.leave()
-            retries += [(node, what) for node, what in occurrence.suppressed]
+            retries += [(kept.node, kept.what) for kept in occurrence.suppressed if kept.free()]
             occurrence.suppressed = []
         for occurrence in found:
             for one in occurrence.derived:
