@@ -1,7 +1,7 @@
 """Draws what ``bench/events.py`` measured: growth of each operator, and memory."""
 
 import math
-from typing import Any, Dict, List, Sequence, Tuple
+from typing import Any, Dict, Iterable, List, Sequence, Tuple
 
 import matplotlib
 
@@ -20,7 +20,7 @@ TITLES = {
     "alike": "partners alike: the event fits all",
     "times": "partners told apart by their times only: the event fits one",
 }
-BOUNDS = ("#555555", "#0072b2", "#d55e00", "#009e73", "#e69f00")
+BOUNDS = (("#555555", "-"), ("#0072b2", "-"), ("#d55e00", "--"), ("#009e73", "-."), ("#e69f00", ":"))
 
 
 def draw(figures: Dict[str, Any], prefix: str) -> List[str]:
@@ -61,10 +61,10 @@ def points(rows: Sequence[Dict[str, Any]], policy: str) -> List[Tuple[float, flo
 def draw_growth(rows: Sequence[Dict[str, Any]], title: str, file: str) -> None:
     """Draw one small plot for each operator, all to the same scale."""
     names = list(dict.fromkeys(row["operator"] for row in rows))
-    columns = min(5, len(names))
+    columns = min(len(names), 5 if len(names) % 5 in (0, 4) else 4)
     lines = math.ceil(len(names) / columns)
     figure, axes = pyplot.subplots(
-        lines, columns, figsize=(2.3 * columns, 2.0 * lines + 1.0), sharex=True, sharey=True, squeeze=False
+        lines, columns, figsize=(2.2 * columns, 1.9 * lines + 0.9), sharex=True, sharey=True, squeeze=False
     )
     flat = [one for line in axes for one in line]
     for axis, name in zip(flat, names):
@@ -76,13 +76,13 @@ def draw_growth(rows: Sequence[Dict[str, Any]], title: str, file: str) -> None:
         if at + columns >= len(names):
             axis.tick_params(labelbottom=True)
     handles, labels = flat[0].get_legend_handles_labels()
-    figure.suptitle(title, fontsize=11)
-    figure.supxlabel("partial matches that wait", fontsize=9)
+    height = 1.9 * lines + 0.9
+    figure.suptitle(title, fontsize=11, y=1 - 0.12 / height)
+    figure.supxlabel("N: partial matches that wait", fontsize=9, y=0.1 / height)
     figure.supylabel("\u00b5s of CPU for each result", fontsize=9)
-    figure.legend(
-        handles, labels, loc="upper center", ncol=5, fontsize=8, frameon=False, bbox_to_anchor=(0.5, 0.965)
-    )
-    figure.tight_layout(rect=(0.01, 0.0, 1.0, 0.955))
+    place: Dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, 1 - 0.3 / height)}
+    figure.legend(handles, labels, ncol=5, fontsize=8, frameon=False, **place)
+    figure.tight_layout(rect=(0.01, 0.12 / height, 1.0, 1 - 0.5 / height), h_pad=0.8)
     figure.savefig(file, dpi=90)
     pyplot.close(figure)
 
@@ -99,26 +99,27 @@ def _draw_operator(axis: Any, name: str, rows: Sequence[Dict[str, Any]]) -> None
             linewidth=1,
             label=policy,
         )
-    found = sorted(value for value in exponents(rows).values() if not math.isnan(value))
-    fitted = ""
-    if found:
-        low, high = f"{found[0]:.2f}", f"{found[-1]:.2f}"
-        fitted = f"  N^{low}" if low == high else f"  N^{low} .. {high}"
-    axis.set_title(f"{name}{fitted}", fontsize=8)
+    axis.set_title(f"{name}   {_powers(exponents(rows).values())}", fontsize=8)
     axis.grid(True, which="major", linewidth=0.4, color="#dddddd")
     axis.tick_params(labelsize=7)
     axis.set_xticks([10, 10**3, 10**5])
     axis.minorticks_off()
 
 
+def _powers(found: Iterable[float]) -> str:
+    """Return fitted exponents, the least and the largest, as a formula."""
+    texts = [f"N^{{{max(0.0, round(value, 2)):.2f}}}" for value in sorted(found) if not math.isnan(value)]
+    return " to ".join(f"${text}$" for text in dict.fromkeys(texts[:1] + texts[-1:]))
+
+
 def draw_memory(memory: Dict[str, Any], file: str) -> None:
     """Draw what processes hold over the number of half matches."""
     figure, axis = pyplot.subplots(figsize=(6.5, 3.6))
-    for (name, samples), colour in zip(memory.items(), BOUNDS):
-        first = samples[0][1]
+    for (name, samples), (colour, line) in zip(memory.items(), BOUNDS):
+        more = [(sample[1] - samples[0][1]) / 1e6 for sample in samples]
         events = [sample[0] for sample in samples]
         axis.plot(
-            events, [(sample[1] - first) / 1e6 for sample in samples], color=colour, label=name, linewidth=1.4
+            events, more, line, color=colour, label=f"{name}: {more[-1]:.0f} MB at the end", linewidth=1.6
         )
     axis.set_xlabel("half matches so far", fontsize=9)
     axis.set_ylabel("MB more than at the start", fontsize=9)

@@ -185,6 +185,7 @@ class ManyRules:
         self.engine = engine_with(policy)
         self.results = Counter(self.engine)
         self._first = first
+        self._pair = 0
         self._random = random.Random(1)
         self._size = 0
 
@@ -210,7 +211,9 @@ class ManyRules:
     def _pairs(self, numbers: Sequence[int]) -> float:
         events: List[Event] = []
         for number in numbers:
-            events += [((P, number, 0), SECOND, SECOND), ((Q, number, 0), 2 * SECOND, 2 * SECOND)]
+            self._pair += 1
+            events.append(((P, number, self._pair), SECOND, SECOND))
+            events.append(((Q, number, self._pair), 2 * SECOND, 2 * SECOND))
         return dispatch(self.engine, events)
 
 
@@ -291,6 +294,7 @@ def bench_for(name: str, policy: str, setting: str) -> Any:
 
 def measure(name: str, policy: str, setting: str, most: int, seconds: float) -> Iterator[Dict[str, Any]]:
     """Yield what a cell of the table takes, for 10, 100, ... that wait."""
+    gc.collect()  # what is left of the cell before
     bench = bench_for(name, policy, setting)
     size = 10
     while size <= most:
@@ -376,8 +380,8 @@ def main(arguments: Optional[List[str]] = None) -> int:
     add("--operator", action="append", choices=[*CASES, *MORE])
     add("--policy", action="append", choices=POLICIES)
     add("--setting", action="append", choices=SETTINGS)
-    add("--most", type=int, default=10**6, help="the largest number that waits")
-    add("--seconds", type=float, default=6.0, help="how long the next size of a cell may take")
+    add("--most", type=int, default=10**5, help="the largest number that waits")
+    add("--seconds", type=float, default=2.0, help="how long the next size of a cell may take")
     add("--half", type=int, default=10**6, help="how many half matches the memory is measured with")
     add("--json", type=Path, help="write the figures there")
     add("--from", dest="source", type=Path, help="take the figures from there instead of measuring")
