@@ -189,7 +189,8 @@ class _Writer:
             text = "|"
         else:
             text = _Name(self.atom(name), False)
-        return [(term[1], infix.left, True), text, (term[2], self._right(infix, term[2]), True)]
+        left = 0 if name in _AFTER_A_LABEL and _is_labelled(term[1]) else infix.left
+        return [(term[1], left, True), text, (term[2], self._right(infix, term[2]), True)]
 
     def _right(self, found: Operator, argument: Term) -> int:
         """Return the priority that the right argument may have.
@@ -210,6 +211,15 @@ class _Writer:
         if inner is not None and inner.priority == inner.left == found.priority:
             return found.right - 1
         return found.right
+
+
+_AFTER_A_LABEL = frozenset(("do", "<-"))
+
+
+def _is_labelled(term: Term) -> bool:
+    """Tell whether a term would read as the label of a rule where it stands before ``do`` or ``<-``."""
+    term = deref(term)
+    return term.__class__ is tuple and term[0].arity == 2 and term[0].name == ":"
 
 
 class _Name:

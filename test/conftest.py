@@ -1,0 +1,12 @@
+"""What all tests share: hypothesis tries the same examples in every run, so that a failure can be repeated.
+
+The commands for long runs (``test/oracle``, ``test/syntax/fuzz.py``) take seeds and try others.
+"""
+
+try:
+    from hypothesis import settings
+except ImportError:  # the tests that need it are skipped, or say so themselves
+    pass
+else:
+    settings.register_profile("repeatable", derandomize=True)
+    settings.load_profile("repeatable")
