@@ -340,7 +340,9 @@ def arguments(argv: Sequence[str]) -> argparse.Namespace:
     commands.add_parser("lint", help="... and check the style: ruff, mypy, catkin_lint")
     options, rest = parser.parse_known_args(argv)
     options.rest = rest
-    for misplaced in {"--workspace", "--no-system", "--install", "--dry-run"} & {one.split("=")[0] for one in rest}:
+    for misplaced in {"--workspace", "--no-system", "--install", "--dry-run"} & {
+        one.split("=")[0] for one in rest
+    }:
         parser.error(f"{misplaced} stands before the command")
     if options.rest and options.command not in ("demo", "test"):
         parser.error("unknown argument: " + options.rest[0])
