@@ -93,7 +93,7 @@ class Predicate:
         self.locked = False
         self.library = False
         self.compiled = False
-        self.tabled = False
+        self.tabled: Any = None
         self.ground = False
         self._searches: Dict[Optional[int], Callable[..., Optional[Frame]]] = {}
         self.clauses: List[Clause] = []
@@ -163,6 +163,14 @@ class Predicate:
             self.run = self._call
             self.compile_after *= 2
         self.calls = 0
+
+    def table(self, hidden: "Predicate", run: Callable[[Frame], Optional[Frame]]) -> None:
+        """Let tables answer the calls; clauses belong to the ``hidden`` predicate from now on."""
+        self.tabled = hidden
+        self.kind = "control"
+        self.clauses = []
+        self.indexes.clear()
+        self.run = run
 
     def forget(self) -> None:
         """Drop compiled code whose references to other predicates are out of date."""
@@ -423,7 +431,7 @@ class Database:
         """
         predicate = self.predicate(key)
         if not predicate.library:
-            return predicate
+            return predicate if predicate.tabled is None else predicate.tabled  # type: ignore[no-any-return]
         if predicate.locked:
             raise permission_error(action, "static_procedure", indicator(key))
         self.library.kept[key] = predicate

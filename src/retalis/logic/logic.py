@@ -38,6 +38,7 @@ class Logic:
         output: called with text that the program prints.
         column: where that stands in its line.
         now: gives the present in nanoseconds.
+        message: called with kind (error, warning, informational, ...) and text of ``print_message/2``.
         error_output: called with text printed to ``user_error``, and with warnings.
     """
 
@@ -53,6 +54,7 @@ class Logic:
         self.column = 0
         self.output: Callable[[str], None] = _print
         self.error_output: Callable[[str], None] = _print_error
+        self.message: Callable[[str, str], None] = self._to_error_output
         self.state: Dict[str, Any] = {}
         self.now: Callable[[], int] = time_ns
         for (name, arity), function in control_predicates(self.control).items():
@@ -230,6 +232,9 @@ class Logic:
         newline = text.rfind("\n")
         self.column = self.column + len(text) if newline < 0 else len(text) - newline - 1
         self.output(text)
+
+    def _to_error_output(self, kind: str, text: str) -> None:
+        self.error_output(text)
 
     def show(self, term: Term, quoted: bool = True) -> str:
         """Return a term as text that reads back with the program's operators."""

@@ -117,6 +117,7 @@ class Machine:
         trail: variables bound since choice points were pushed; the list object never changes.
         choices: choice points; the list object never changes.
         limits: what each outermost run and each attempt may use.
+        alarms: times (of the monotonic clock) with what is to be thrown then.
         loops: turns of loops inside steps, in units of `LOOP`.
     """
 
@@ -126,6 +127,7 @@ class Machine:
         self.limits = NO_LIMITS
         self.loops = 0
         self.inferences = 0
+        self.alarms: List[Tuple[float, PrologError]] = []
         self._spent = 0
         self._deadline: Optional[float] = None
         self._exceeded = False
@@ -247,6 +249,11 @@ class Machine:
         self._spent += steps
         if len(self.trail) > self._compact_at:
             self._compact()
+        if self.alarms:
+            now = monotonic()
+            for at, error in self.alarms:
+                if now > at:
+                    raise error
         limits = self.limits
         if limits is NO_LIMITS:
             return

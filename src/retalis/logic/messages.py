@@ -39,6 +39,8 @@ _TEMPLATES = {
     "evaluation_error": "Arithmetic: evaluation error: {}",
     "resource_error": "Not enough resources: {}",
     "syntax_error": "Syntax error: {}",
+    "assertion_failed": "Assertion failed: {}",
+    "format": "Format error: {}",
     "system_error": "{}",
     "uninstantiation_error": "Cannot unify `{}': it has to be unbound",
 }

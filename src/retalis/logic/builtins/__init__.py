@@ -3,19 +3,25 @@
 from .. import functions  # noqa: F401  (registers evaluable functions)
 from . import (  # noqa: F401  (imported for what they register)
     atoms,
+    calling,
+    chance,
     checking,
     clauses,
     comparing,
     datimes,
     lambdas,
     lists,
+    numbering,
     output,
     poses,
     reading,
+    reports,
     solutions,
     state,
     strings,
+    tabling,
     taking_apart,
+    timing,
 )
 from .dcg import translate_rule
 from .library import library_index, load_library

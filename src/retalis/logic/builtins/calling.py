@@ -1,0 +1,208 @@
+"""Calls with conditions: grammars, cleanup, limits, the n-th solution."""
+
+from time import monotonic
+from typing import Any, Optional
+
+from ...terms import CONS, NIL, Var, atom, deref, unify
+from ..arithmetic import evaluate
+from ..compiler.nodes import IGNORE, NOT
+from ..control import add_arguments, check_body
+from ..faults import PrologError, domain_error, instantiation_error, type_error
+from ..machine import Code, Frame, Guard
+from .arguments import callable_of, integer, items
+from .dcg import translate_body
+from .registry import control, deterministic
+
+
+@deterministic("true/0", "otherwise/0", "trim_stacks/0")
+def true(machine: Any) -> bool:
+    """Succeed."""
+    return True
+
+
+@deterministic("fail/0", "false/0")
+def fail(machine: Any) -> bool:
+    """Fail."""
+    return False
+
+
+@control("not/1")
+def not_provable(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+    """Succeed if a goal has no solution."""
+    return machine.logic.control.call((NOT, args[0]), after)  # type: ignore[no-any-return]
+
+
+@control("apply/2")
+def apply(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+    """Call a goal with the items of a list as further arguments."""
+    extra = tuple(items(args[1]))
+    goal = add_arguments(args[0], extra) if extra else args[0]
+    return machine.logic.control.call(goal, after)  # type: ignore[no-any-return]
+
+
+# Grammars
+
+
+@control("phrase/2", "phrase/3")
+def phrase(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+    """Parse a list by a grammar body."""
+    body = callable_of(args[0])
+    rest = args[2] if len(args) == 3 else NIL
+    for term in (args[1], rest):
+        kind = deref(term)
+        if (
+            kind.__class__ is not Var
+            and kind is not NIL
+            and (kind.__class__ is not tuple or kind[0] is not CONS)
+        ):
+            raise type_error("list", kind)
+    goal = translate_body(body, args[1], rest)
+    check_body(goal)
+    return machine.logic.control.call(goal, after)  # type: ignore[no-any-return]
+
+
+# Cleanup
+
+
+@control("setup_call_cleanup/3")
+def setup_call_cleanup(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+    """Run a goal, and a cleanup once it has failed, thrown, or exited without choice points."""
+    setup, goal, cleanup = args
+    if deref(cleanup).__class__ is Var:
+        raise instantiation_error()
+    return machine.logic.control.once(setup, (_GUARDED, machine, goal, cleanup, after))  # type: ignore[no-any-return]
+
+
+@control("call_cleanup/2")
+def call_cleanup(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+    """Run a goal, and a cleanup once it has failed, thrown, or exited without choice points."""
+    return setup_call_cleanup(machine, (atom("true"), *args), after)
+
+
+def _guarded(frame: Frame) -> Optional[Frame]:
+    _, machine, goal, cleanup, after = frame
+    height = len(machine.choices)
+    machine.choices.append((_CLEANUP, machine, cleanup, len(machine.trail)))
+    return machine.logic.control.call(goal, (_LEFT, machine, height, cleanup, after))  # type: ignore[no-any-return]
+
+
+def _left(frame: Frame) -> Optional[Frame]:
+    _, machine, height, cleanup, after = frame
+    if len(machine.choices) > height + 1:
+        return after  # type: ignore[no-any-return]
+    machine.choices.pop()
+    return machine.logic.control.once((IGNORE, cleanup), after)  # type: ignore[no-any-return]
+
+
+def _clean_up(entry: Frame) -> None:
+    """Run the cleanup at once; its failure does not count, its error is reported."""
+    _, machine, cleanup, _ = entry
+    try:
+        machine.logic.once(cleanup)
+    except PrologError as error:
+        machine.logic.error_output(f"Warning: cleanup: {error.message}\n")
+
+
+_GUARDED = Code("setup_call_cleanup", _guarded)
+_LEFT = Code("setup_call_cleanup", _left)
+_CLEANUP = Guard("setup_call_cleanup", _clean_up)
+
+
+# Limits
+
+
+@control("call_with_time_limit/2")
+def call_with_time_limit(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+    """Run a goal once, for some seconds at most; then ``time_limit_exceeded`` is thrown."""
+    seconds = evaluate(args[0])
+    if seconds <= 0:
+        raise PrologError(_TIME_LIMIT)
+    height = len(machine.choices)
+    machine.choices.append((_LIMITED, machine, len(machine.alarms), len(machine.trail)))
+    machine.alarms.append((monotonic() + seconds, PrologError(_TIME_LIMIT)))
+    return machine.logic.control.once(args[1], (_IN_TIME, machine, height, after))  # type: ignore[no-any-return]
+
+
+def _take_off(entry: Frame) -> None:
+    _, machine, count, _ = entry
+    del machine.alarms[count:]
+
+
+def _in_time(frame: Frame) -> Frame:
+    _, machine, height, after = frame
+    _take_off(machine.choices[height])
+    del machine.choices[height:]
+    return after
+
+
+_TIME_LIMIT = atom("time_limit_exceeded")
+_LIMITED = Guard("call_with_time_limit", _take_off)
+_IN_TIME = Code("call_with_time_limit", _in_time)
+
+
+# Solutions by number
+
+
+@control("limit/2")
+def limit(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+    """Give the first solutions of a goal only."""
+    count = integer(args[0])
+    if count <= 0:
+        return None
+    height = len(machine.choices)
+    return machine.logic.control.call(args[1], (_COUNTED, machine, height, [count], after))  # type: ignore[no-any-return]
+
+
+def _counted(frame: Frame) -> Frame:
+    _, machine, height, left, after = frame
+    left[0] -= 1
+    if left[0] <= 0:
+        del machine.choices[height:]
+    return after
+
+
+_COUNTED = Code("limit", _counted)
+
+
+@control("offset/2")
+def offset(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+    """Leave out the first solutions of a goal."""
+    return machine.logic.control.call(args[1], (_SKIPPED, [integer(args[0])], after))  # type: ignore[no-any-return]
+
+
+def _skipped(frame: Frame) -> Optional[Frame]:
+    left = frame[1]
+    if left[0] > 0:
+        left[0] -= 1
+        return None
+    return frame[2]  # type: ignore[no-any-return]
+
+
+_SKIPPED = Code("offset", _skipped)
+
+
+@control("call_nth/2")
+def call_nth(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+    """Give the solutions of a goal with their numbers, or the one of a number."""
+    number = deref(args[1])
+    if number.__class__ is not Var:
+        if integer(number) < 0:
+            raise domain_error("not_less_than_zero", number)
+        if number == 0:
+            return None
+    height = len(machine.choices)
+    return machine.logic.control.call(args[0], (_NTH, machine, height, [0], number, after))  # type: ignore[no-any-return]
+
+
+def _nth(frame: Frame) -> Optional[Frame]:
+    _, machine, height, count, number, after = frame
+    count[0] += 1
+    if number.__class__ is Var:
+        return after if unify(number, count[0], machine.trail) else None
+    if count[0] < number:
+        return None
+    del machine.choices[height:]
+    return after  # type: ignore[no-any-return]
+
+
+_NTH = Code("call_nth", _nth)

@@ -1,0 +1,239 @@
+"""Built-ins that the recorded answers of SWI-Prolog do not cover: grammars, tables, stamps, poses, reports."""
+
+import math
+import random
+
+import pytest
+from logic.support import answers, first, prolog
+
+PROGRAM = r"""
+:- table path/2, conn/2, fib/2.
+edge(a,b). edge(b,c). edge(c,a). edge(c,d).
+path(X,Y) :- path(X,Z), edge(Z,Y).
+path(X,Y) :- edge(X,Y).
+conn(X,Y) :- conn(Y,X).
+conn(X,Y) :- edge(X,Y).
+fib(0,0). fib(1,1).
+fib(N,F) :- N > 1, A is N-1, B is N-2, fib(A,X), fib(B,Y), F is X+Y.
+:- table even/1, odd/1.
+even(0). even(N) :- odd(M), M < 10, N is M+1.
+odd(N) :- even(M), M < 10, N is M+1.
+:- table broken/1.
+broken(X) :- broken(Y), X is Y + foo.
+broken(1).
+greeting --> [hello], name_of(_), !, {true}.
+name_of(world) --> [world].
+anbn --> [].
+anbn --> [a], anbn, [b].
+digits([D|T]) --> digit(D), digits(T).
+digits([D]) --> digit(D).
+digit(D) --> [D], { code_type(D, digit) }.
+laid(X) :- ( X > 1 -> foo, bar ; X = 2, \+ baz -> true ; qux ).
+"""
+
+
+def test_tables():
+    logic = prolog(PROGRAM)
+    assert sorted(each["X"] for each in answers(logic, "path(a, X)")) == ["a", "b", "c", "d"]
+    assert sorted(each["X"] for each in answers(logic, "path(X, d)")) == ["a", "b", "c"]
+    assert sorted(each["X"] for each in answers(logic, "conn(b, X)")) == ["a", "c"]
+    assert first(logic, "fib(100, F)") == "354224848179261915075"
+    assert [each["X"] for each in answers(logic, "even(X)")] == ["0", "2", "4", "6", "8", "10"]
+    assert answers(logic, "broken(X)") == ["type_error(evaluable,foo/0)"]
+    assert answers(logic, "broken(X)") == ["type_error(evaluable,foo/0)"]
+    assert logic.state["tables"].active == []
+    assert answers(logic, "assertz(edge(d, e)), path(a, X), X == e") == []
+    assert answers(logic, "abolish_all_tables, path(a, X), X == e") == [{"X": "e"}]
+
+
+def test_grammars():
+    logic = prolog(PROGRAM)
+    assert answers(logic, "phrase(greeting, [hello,world])") == [{}]
+    assert answers(logic, "phrase(greeting, [hello,moon])") == []
+    assert answers(logic, "phrase(anbn, [a,a,b,b])") == [{}]
+    assert first(logic, "phrase(digits(_), `12a`, R)") == "[97]"
+    assert answers(logic, "phrase(anbn, x)") == ["type_error(list,x)"]
+    assert answers(logic, "phrase(_, [])") == ["instantiation_error"]
+    assert answers(logic, 'phrase(("ab", \\+ [0\'d], [X]), `abc`)') == [{"X": "99"}]
+
+
+def test_cleanup_and_limits():
+    logic = prolog()
+    assert answers(
+        logic, "setup_call_cleanup(true, member(X, [1,2]), nb_setval(c, X)), X = 2, nb_getval(c, V)"
+    )
+    assert (
+        first(logic, "catch(setup_call_cleanup(true, throw(x), nb_setval(d, 1)), x, true), nb_getval(d, V)")
+        == "1"
+    )
+    assert answers(logic, "\\+ call_cleanup(fail, nb_setval(e, 1)), nb_getval(e, V)") == [{"V": "1"}]
+    assert answers(logic, "call_with_time_limit(0.02, (repeat, fail))") == ["time_limit_exceeded"]
+    assert answers(logic, "call_with_time_limit(5, member(X, [1,2]))") == [{"X": "1"}]
+    assert logic.machine.alarms == [] == logic.machine.choices
+    assert [each["X"] for each in answers(logic, "limit(2, member(X, [a,b,c]))")] == ["a", "b"]
+    assert [each["X"] for each in answers(logic, "offset(1, member(X, [a,b,c]))")] == ["b", "c"]
+    assert answers(logic, "call_nth(member(X, [a,b,c]), 2)") == [{"X": "b"}]
+
+
+def test_output_is_caught_and_given_back():
+    logic = prolog()
+    written = []
+    logic.output = written.append
+    assert first(logic, "with_output_to(string(S), (write(a), print('B c')))") == "\"a'B c'\""
+    assert answers(logic, "catch(with_output_to(string(_), throw(x)), x, true), write(hi)") == [{}]
+    assert answers(logic, "with_output_to(atom(_), fail)") == []
+    assert answers(logic, "write(ho)") == [{}]
+    assert "".join(written) == "hiho"
+
+
+FORMATS = [
+    (
+        "~w and ~q: ~d ~2f ~e ~a",
+        "[f(x),'A b',12,3.14159,2.5,abc]",
+        "f(x) and 'A b': 12 3.14 2.500000e+00 abc",
+    ),
+    ("~t~w~10||~w~t~10+|", "[right,left]", "     right|left     |"),
+    ("~`-t~30|", "[]", "-" * 30),
+    ("~t~d~6|~t~d~12|", "[1,22]", "     1    22"),
+    ("~t~s~t~11|", "[[0'a,0'b,0'c]]", "    abc    "),
+    ("~D ~2d ~8r ~16R ~c~c", "[1234567,314,64,255,104,105]", "1,234,567 3.14 100 FF hi"),
+    ("~*c~i~w~~", "[3,0'x,skipped,y]", "xxxy~"),
+]
+
+
+@pytest.mark.parametrize(("form", "arguments", "text"), FORMATS)
+def test_format(form, arguments, text):
+    found = first(prolog(), f'format(atom(A), "{form}", {arguments})')
+    assert found.strip("'").replace("\\'", "'") == text
+
+
+def test_listing():
+    logic = prolog(PROGRAM)
+    written = []
+    logic.output = written.append
+    assert answers(logic, "listing(laid/1), portray_clause(foo(_, X, X))")
+    assert "".join(written) == (
+        "laid(A) :-\n    (   A>1\n    ->  foo,\n        bar\n    ;   A=2,\n        \\+ baz\n    ->  true\n"
+        "    ;   qux\n    ).\n\nfoo(_, A, A).\n"
+    )
+
+
+def test_messages():
+    logic = prolog()
+    seen = []
+    logic.message = lambda kind, text: seen.append((kind, text))
+    assert answers(logic, 'print_message(warning, format("low: ~w", [3])), print_message(silent, x)') == [{}]
+    assert seen == [("warning", "Warning: low: 3\n")]
+    assert answers(logic, "assertion(1 > 2)") == ["assertion_failed(1>2)"]
+
+
+STAMPS = [
+    ("convert_to_datime([10,5], X)", "datime(1970,1,1,0,0,10.0,5)"),
+    (
+        "datime_interpolate(datime(2001,1,1,23,59,58,0),datime(2001,1,2,0,0,2,0),datime(2001,1,2,0,0,0,0),X)",
+        "0.5",
+    ),
+    ("datime_interpolate(3, 3, 3, X)", "1"),
+    ("datime_minus_datime(datime(2001,1,1,0,0,10),datime(2001,1,1,0,0,4),X)", "6"),
+    ("datime_minus_datime(datime(2001,1,2,1,0,0,0),datime(2001,1,1,0,0,0,0),X)", "90000.0"),
+    ("datime_minus_datime(datime(2001,3,1,0,0,0),datime(2001,2,28,0,0,0),X)", "86400"),
+    ("datime_minus_datime(7,2.5,X)", "4.5"),
+    ("datime_minus_datime(datime(2001,1,1,0,0,10),datime(2001,1,1,0,0,4,0),X)", None),
+    ("datime_plus_sec(datime(2001,2,28,23,59,59),1,X)", "datime(2001,3,1,0,0,0)"),
+    ("datime_plus_sec(datime(2001,1,1,0,0,59),0.5,X)", "datime(2001,1,1,0,0,59.5)"),
+    ("datime_plus_sec(datime(2001,1,1,0,0,10),-15,X)", "datime(2000,12,31,23,59,55)"),
+    ("datime_minus_sec(datime(2001,3,1,0,0,0),1,X)", "datime(2001,2,28,23,59,59)"),
+    ("addSec_Datime(5,datime(2001,1,1,0,0,10),X)", "datime(2001,1,1,0,0,15)"),
+    ("month_days(2, 2000, X)", "29"),
+    ("absoluteTime(datime(2001,1,1,1,0,5,0), X)", "3605"),
+    ("stamp_date_time(0, X, 'UTC')", "date(1970,1,1,0,0,0.0,0,'UTC',-)"),
+    ("date_time_stamp(date(2001,2,3,4,5,6.5,0,-,-), X)", "981173106.5"),
+    ("parse_time('2001-02-03T04:05:06+01:00', X)", "981169506.0"),
+    ("format_time(atom(X), '%Y-%m-%d %H:%M:%S.%3f', 1.5)", "'1970-01-01 00:00:01.500'"),
+    ("convert_to_datime(x, X)", "type_error('[Sec,NSec]',x)"),
+    ("datime_interpolate(a, 1, 2, X)", "type_error(datime,a)"),
+]
+
+
+@pytest.mark.parametrize(("goal", "value"), STAMPS)
+def test_stamps(goal, value):
+    assert first(prolog(), goal) == value
+
+
+def test_stamps_compare_by_their_instant():
+    logic = prolog()
+    assert answers(logic, "less_datime(datime(2001,1,1,0,0,1), datime(2001,1,1,0,0,2,0))") == [{}]
+    assert answers(logic, "equal_datime(datime(1970,1,1,0,0,1.5,0), 1.5)") == [{}]
+    assert answers(logic, "between_datime(datime(2001,1,1,0,0,1,0),datime(2001,1,1,0,0,1,0),3)") == []
+    assert answers(logic, "between_datime(1, 1, 3)") == [{}]
+
+
+def turn(axis, angle):
+    size = math.sqrt(sum(value * value for value in axis))
+    return [value / size * math.sin(angle / 2) for value in axis] + [math.cos(angle / 2)]
+
+
+def rotation(q):
+    x, y, z, w = q
+    return [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+
+
+def numbers(text):
+    return eval(text)  # a list of lists of floats, as Python writes it too
+
+
+def test_products_of_poses_turn_the_second_translation():
+    rng = random.Random(1)
+    logic = prolog()
+    for _ in range(20):
+        v1, v2 = ([rng.uniform(-1, 1) for _ in range(3)] for _ in range(2))
+        q1, q2 = (turn([rng.uniform(-1, 1) for _ in range(3)], rng.uniform(0, 6)) for _ in range(2))
+        position, quaternion = numbers(first(logic, f"mul_quaternion({v1},{q1},{v2},{q2},X)"))
+        wanted = [a + sum(r * b for r, b in zip(row, v2)) for a, row in zip(v1, rotation(q1))]
+        assert position == pytest.approx(wanted)
+        chained = numbers(first(logic, f"transform_quaternion([[{v1},{q1}],[{v2},{q2}]],X)"))
+        assert chained == [position, quaternion]
+        tag, matrix = numbers(
+            first(logic, f"transform([['Q',[{v1},{q1}]],[{v2},{q2}]],X)").replace("'M'", "0")
+        )
+        assert tag == 0
+        assert [row[3] for row in matrix[:3]] == pytest.approx(position)
+        moved = numbers(first(logic, f"tf_point({v1},['Q',[{position},{quaternion}]],X)"))
+        assert moved == pytest.approx(numbers(first(logic, f"transform_point({v1},{matrix},X)")))
+
+
+def test_interpolation_is_spherical_and_one_is_the_first():
+    logic = prolog()
+    axis = [1, 2, 3]
+    for fraction in (0, 0.25, 0.5, 1):
+        q1, q2 = turn(axis, 0.2), [-value for value in turn(axis, 1.2)]
+        position, quaternion = numbers(
+            first(logic, f"interpolate_quaternion([0,0,0],{q1},[4,8,12],{q2},[{fraction}],X)")
+        )
+        assert position == pytest.approx([4 * (1 - fraction), 8 * (1 - fraction), 12 * (1 - fraction)])
+        assert quaternion == pytest.approx(turn(axis, 0.2 + (1 - fraction)))
+    q = turn(axis, 0.3)
+    assert numbers(first(logic, f"interpolate_quaternion([1,1,1],{q},[1,1,1],{q},[0.3],X)"))[1] == q
+
+
+@pytest.mark.parametrize(
+    ("goal", "error"),
+    [
+        ("transform_quaternion([[a]], X)", "type_error(pose,[a])"),
+        ("transform_quaternion(_, X)", "instantiation_error"),
+        ("mul_quaternion([1,2], [0,0,0,1], [0,0,0], [0,0,0,1], X)", "type_error(position,[1,2])"),
+        ("mul_quaternion([1,2,a], [0,0,0,1], [0,0,0], [0,0,0,1], X)", "type_error(number,a)"),
+        ("mul_quaternion([1,2,3], [0,0,0,0], [0,0,0], [0,0,0,1], X)", "domain_error(quaternion,[0,0,0,0])"),
+        ("tf_point([0,0,0], ['X',1], X)", "domain_error(transform,['X',1])"),
+    ],
+)
+def test_malformed_poses(goal, error):
+    assert answers(prolog(), goal) == [error]
+
+
+def test_the_empty_product_is_the_identity():
+    assert first(prolog(), "transform_quaternion([], X)") == "[[0.0,0.0,0.0],[0.0,0.0,0.0,1.0]]"
