@@ -1,6 +1,7 @@
 """Decision trees of the dispatcher: which listeners an event can concern, by the constants in their patterns."""
 
 from collections import Counter
+from itertools import chain
 from typing import Any, Dict, List, Optional, Tuple
 
 from ..terms import Atom, Lazy, String, Term, Var, deref, freeze
@@ -26,19 +27,18 @@ class Choice:
     The branches are planned when an event first goes there.
     """
 
-    __slots__ = ("path", "at", "table", "default", "all", "listeners", "tested", "depth")
+    __slots__ = ("path", "at", "table", "default", "all", "groups", "any", "tested", "depth")
 
     def __init__(self, path: Path, listeners: List[Any], tested: Tuple[Path, ...], depth: int):
         self.path = path
         self.at = path[0] if len(path) == 1 else 0
-        self.listeners = listeners
         self.tested = (*tested, path)
         self.depth = depth
-        self.table: Dict[Any, Any] = {}
+        self.groups: Dict[Any, List[Any]] = {}
         for listener in listeners:
-            key = _key_at(listener.pattern, path)
-            if key is not None:
-                self.table.setdefault(key, None)
+            self.groups.setdefault(_key_at(listener.pattern, path), []).append(listener)
+        self.any = self.groups.pop(None, [])
+        self.table: Dict[Any, Any] = dict.fromkeys(self.groups)
         self.default: Any = None
         self.all: Any = None
 
@@ -56,7 +56,7 @@ class Choice:
             value = deref(value)
             if value.__class__ is Var:
                 if self.all is None:
-                    self.all = _plan(self.listeners, self.tested, self.depth - 1)
+                    self.all = self._among(*self.groups.values())
                 return self.all
             key = _key(value)
         else:
@@ -65,15 +65,19 @@ class Choice:
         if plan is _OTHER:
             plan = self.default
             if plan is None:
-                plan = self.default = self._among(None)
+                plan = self.default = self._among()
         elif plan is None:
-            plan = self.table[key] = self._among(key)
+            plan = self.table[key] = self._among(self.groups[key])
         return plan
 
-    def _among(self, key: Any) -> Any:
-        path = self.path
-        listeners = [one for one in self.listeners if _key_at(one.pattern, path) in (None, key)]
+    def _among(self, *groups: List[Any]) -> Any:
+        """Return the plan of those in some groups and of those who take any value here."""
+        listeners = sorted(chain(self.any, *groups), key=_order)
         return _plan(listeners, self.tested, self.depth - 1)
+
+
+def _order(listener: Any) -> Any:
+    return listener.order
 
 
 def _plan(listeners: List[Any], tested: Tuple[Path, ...], depth: int) -> Any:

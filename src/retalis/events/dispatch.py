@@ -7,6 +7,7 @@ dictionaries, so an event costs nothing for listeners whose constants differ.
 from enum import IntEnum
 from itertools import count
 from typing import Any, Callable, Dict, Iterator, Optional, Tuple
+from weakref import WeakValueDictionary
 
 from ..errors import UsageError
 from ..terms import Atom, Functor, Lazy, Term, Var, copy, deref, is_ground
@@ -107,7 +108,7 @@ class Dispatcher:
         self.max_depth = max_depth
         self._listeners: Dict[Optional[Functor], Dict[Listener, None]] = {}
         self._plans: Dict[Functor, Any] = {}
-        self._matchers: Dict[Any, Matcher] = {}
+        self._matchers: "WeakValueDictionary[Any, Matcher]" = WeakValueDictionary()
         self._order = count()
         self._tokens = count(1)
         self.current: Optional[Event] = None
@@ -144,8 +145,6 @@ class Dispatcher:
         """Take a listener away; removing it twice is no error."""
         group = self._listeners.get(listener.functor, {})
         if group.pop(listener, 0) is None:
-            if not any(other.matcher is listener.matcher for other in group):
-                self._matchers.pop(term_key(listener.pattern), None)
             if not group:
                 del self._listeners[listener.functor]
             self._changed(listener.functor)

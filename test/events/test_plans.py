@@ -1,0 +1,46 @@
+"""Decision trees: who is served, in which order, and who is not even looked at."""
+
+from retalis.events._plans import make_plan
+from retalis.terms import Var, functor
+
+P = functor("p", 2)
+
+
+class Listener:
+    """A listener that counts how often its pattern is looked at."""
+
+    def __init__(self, order, pattern):
+        self.order = order
+        self.matcher = self.action = order
+        self.looks = 0
+        self._pattern = pattern
+
+    @property
+    def pattern(self):
+        self.looks += 1
+        return self._pattern
+
+
+def served(plan, term):
+    """Return the orders of the listeners that a plan leaves for an event."""
+    while hasattr(plan, "branch"):
+        plan = plan.branch(term)
+    return [order for order, _ in plan]
+
+
+def test_branches_hold_those_with_the_constant_and_those_with_a_variable_in_order():
+    patterns = [(P, 1, 2), (P, Var(), 2), (P, 1, Var()), (P, 2, 2), (P, Var(), Var()), (P, 1, 2)]
+    plan = make_plan([Listener(at, pattern) for at, pattern in enumerate(patterns)])
+    assert served(plan, (P, 1, 2)) == [0, 1, 2, 4, 5]
+    assert served(plan, (P, 2, 2)) == [1, 3, 4]
+    assert served(plan, (P, 3, 2)) == [1, 4]
+    assert served(plan, (P, 1, 9)) == [2, 4]
+    assert served(plan, (P, Var(), 2)) == [0, 1, 2, 3, 4, 5]
+
+
+def test_a_new_constant_looks_at_its_own_listeners_only():
+    listeners = [Listener(at, (P, at, Var())) for at in range(100)]
+    plan = make_plan(listeners)
+    before = [listener.looks for listener in listeners]
+    assert served(plan, (P, 7, 1)) == [7]
+    assert [at for at, listener in enumerate(listeners) if listener.looks > before[at]] == [7]
