@@ -108,7 +108,7 @@ class Dispatcher:
         self.max_depth = max_depth
         self._listeners: Dict[Optional[Functor], Dict[Listener, None]] = {}
         self._plans: Dict[Functor, Any] = {}
-        self._matchers: "WeakValueDictionary[Any, Matcher]" = WeakValueDictionary()
+        self._matchers: WeakValueDictionary[Any, Matcher] = WeakValueDictionary()
         self._order = count()
         self._tokens = count(1)
         self.current: Optional[Event] = None
