@@ -35,7 +35,6 @@ import event_memory  # noqa: E402
 from retalis.clock import StreamClock  # noqa: E402
 from retalis.engine import Engine  # noqa: E402
 from retalis.events import Stage  # noqa: E402
-from retalis.logic import DONE  # noqa: E402
 from retalis.terms import Term, atom, functor  # noqa: E402
 from retalis.timestamps import SECOND  # noqa: E402
 
@@ -274,12 +273,13 @@ def engine_with(policy: str, clock: Optional[StreamClock] = None) -> Engine:
 
 def dispatch(engine: Engine, events: Sequence[Event]) -> float:
     """Dispatch events; return the CPU seconds of each."""
-    enter, run = engine.dispatcher.dispatch, engine.logic.machine.run
+    machine = engine.logic.machine
+    enter, run, done = engine.dispatcher.dispatch, machine.run, machine.done
 
     def all_of_them() -> float:
         began = time.thread_time()
         for term, start, end in events:
-            run(enter(term, start, end, DONE, None, True))
+            run(enter(term, start, end, done, None, True))
         return time.thread_time() - began
 
     return float(engine.do(all_of_them)) / max(1, len(events))

@@ -15,7 +15,7 @@ from .clock import Clock, StreamClock
 from .errors import Place, ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
 from .events import Dispatcher, Rules, Stage
 from .knowledge import Knowledge
-from .logic import DONE, Limits, Logic, instantiation_error, permission_error, type_error
+from .logic import Limits, Logic, instantiation_error, permission_error, type_error
 from .program import GOALS, read_text
 from .syntax import EventReader, read_term
 from .terms import Atom, Functor, String, Term, Var, copy, deref, functor, variables
@@ -287,7 +287,8 @@ class Engine:
             start = end = self.clock.stamp(now)
         elif end < start:
             raise UsageError(f"{self.show(term)} ends before it starts")
-        self.logic.machine.run(self.dispatcher.dispatch(term, start, end, DONE, None, ground))
+        machine = self.logic.machine
+        machine.run(self.dispatcher.dispatch(term, start, end, machine.done, None, ground))
 
     def _take_text(self, text: str) -> None:
         try:

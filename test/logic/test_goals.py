@@ -5,7 +5,7 @@ import traceback
 import pytest
 from logic.support import answers, first, prolog
 
-from retalis.logic import DONE, LAST, Code, Limits, Logic, PrologError, type_error
+from retalis.logic import LAST, Code, Limits, Logic, PrologError, type_error
 from retalis.syntax import read_term
 from retalis.terms import Var, atom, deref, functor
 
@@ -69,19 +69,22 @@ def test_attempts():
 
     def then(outputs):
         seen.append(outputs)
-        return DONE
+        return machine.done
 
     find = goal(logic, "q(X, Y), Y > A", ["A"], ["X", "Y"])
-    assert run(logic, lambda: machine.attempt(find, (2,), then, DONE, seen.append))
+    assert run(logic, lambda: machine.attempt(find, (2,), then, machine.done, seen.append))
     assert seen == [(2, 4)]
-    assert run(logic, lambda: machine.attempt(find, (9,), then, DONE, seen.append))
+    assert run(logic, lambda: machine.attempt(find, (9,), then, machine.done, seen.append))
     assert seen == [(2, 4)]
     fails = goal(logic, "q(X, Y), Y > A, throw(ball(X))", ["A"], [])
-    assert run(logic, lambda: machine.attempt(fails, (2,), then, DONE, lambda error: seen.append(error.term)))
+    assert run(
+        logic, lambda: machine.attempt(fails, (2,), then, machine.done, lambda error: seen.append(error.term))
+    )
     assert seen[1:] == [(functor("ball", 1), 2)]
     inline = goal(logic, "Y is X / 0", ["X"], ["Y"])
     assert run(
-        logic, lambda: machine.attempt(inline, (2,), then, DONE, lambda error: seen.append(error.message))
+        logic,
+        lambda: machine.attempt(inline, (2,), then, machine.done, lambda error: seen.append(error.message)),
     )
     assert "zero_divisor" in seen[2]
     assert machine.trail == [] == machine.choices
@@ -96,7 +99,7 @@ def test_attempts_in_attempts_without_recursion():
     def again(outputs):
         nonlocal depth
         depth += 1
-        return DONE if depth == 5000 else machine.attempt(find, (), again, None, print)
+        return machine.done if depth == 5000 else machine.attempt(find, (), again, None, print)
 
     assert run(logic, lambda: machine.attempt(find, (), again, None, print))
     assert depth == 5000

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Tuple
 
 from ..errors import Place, RetalisError, RuleError
-from ..logic import DONE, Logic
+from ..logic import Logic
 from ..terms import Term, atom, copy, deref, unify
 from ..timestamps import SECOND, from_seconds
 from ._keys import term_key
@@ -277,7 +277,8 @@ class Rules:
                 if token.gone:
                     return
                 token.term, token.start, token.end = term, start, instant
-            self.logic.machine.run(rule.fire(term, start, instant, DONE, token))
+            machine = self.logic.machine
+            machine.run(rule.fire(term, start, instant, machine.done, token))
 
         self.clock.call_at(instant, fire)
 

@@ -15,10 +15,9 @@ from .faults import (
 )
 from .goal import Goal
 from .logic import Logic
-from .machine import DONE, LAST, Code, Limits, Machine
+from .machine import LAST, Code, Limits, Machine
 
 __all__ = [
-    "DONE",
     "LAST",
     "Code",
     "Goal",

@@ -7,7 +7,7 @@ from ..terms import Term, Var, undo
 from .compiler.goals import GoalCode
 from .database import Database
 from .faults import from_python
-from .machine import DONE, Code, Frame
+from .machine import Code, Frame
 
 
 class Goal:
@@ -100,7 +100,7 @@ class Goal:
                     raise
                 raise error from exc
         found: List[Tuple[Term, ...]] = []
-        if not machine.run((self._code, *values, (_STORE, found))):
+        if not machine.run((self._code, *values, (_STORE, found, machine.done))):
             return None
         undo(machine.trail, mark)
         return found[0]
@@ -119,11 +119,11 @@ class Goal:
 
 
 class _Store:
-    """Continuation that keeps the outputs and ends the run."""
+    """Continuation that keeps the outputs and goes on."""
 
     def take(self, frame: Frame, outputs: Tuple[Term, ...]) -> Frame:
         frame[1].append(outputs)
-        return DONE
+        return frame[2]
 
 
 class _StoreAll:

@@ -12,7 +12,7 @@ from .control import Control, check_body, control_predicates
 from .database import COMPILE_AFTER, Clause, Database, Predicate
 from .faults import PrologError, instantiation_error, type_error
 from .goal import Goal
-from .machine import DONE, LAST, Code, Frame, Limits, Machine
+from .machine import LAST, Code, Frame, Limits, Machine
 from .unknown import undefined
 
 _NECK = functor(":-", 2)
@@ -221,11 +221,11 @@ class Logic:
         Raises:
             PrologError: what the goal threw.
         """
-        return self.machine.run((self.control.code, (_CALL, goal), 0, DONE))
+        return self.machine.run((self.control.code, (_CALL, goal), 0, self.machine.done))
 
     def solutions(self, goal: Term) -> Iterator[None]:
         """Run a goal; yield at each solution, with its bindings in place. Closing drops what is left."""
-        return self.machine.solutions((self.control.code, (_CALL, goal), 0, DONE))
+        return self.machine.solutions((self.control.code, (_CALL, goal), 0, self.machine.done))
 
     def write(self, text: str) -> None:
         """Write to the current output."""

@@ -23,6 +23,9 @@ SLICE = (None,) * 1024
 LOOP = (None,) * 256
 """Turns of a loop inside one step."""
 
+_FEW = (None,) * 16
+"""Steps that a run begins with: most events and goals are done with sooner, without setting up the loop."""
+
 _COMPACT_AT = 20_000
 
 
@@ -45,10 +48,6 @@ class Limits(NamedTuple):
 
 
 NO_LIMITS = Limits()
-
-
-class Finished(Exception):  # noqa: N818  (no error: the end of a run)
-    """Leaves the machine's loop when a run has its solution."""
 
 
 class Code:
@@ -80,19 +79,15 @@ class Guard(Code):
         self.unwind = unwind
 
 
-def _finish(frame: Frame) -> Frame:
-    raise Finished
-
-
 def _fail(frame: Frame) -> None:
     return None
 
 
-DONE: Frame = (Code("done", _finish),)
-"""The frame that ends a run: the continuation of the first frame of each `Machine.run`."""
-
 STOP = Code("stop", _fail)
 """Choice point below a run: reached when the run has no (more) solution."""
+
+_FINISHED: Frame = (STOP, 1 << 62)
+"""What `Machine.done` pushes before it fails: leaving the loop that way costs its steps no test."""
 
 DEAD = Code("dead", _fail)
 """Choice point that was taken back where the stack could not be cut."""
@@ -116,6 +111,7 @@ class Machine:
     Attributes:
         trail: variables bound since choice points were pushed; the list object never changes.
         choices: choice points; the list object never changes.
+        done: the frame that ends a run: the continuation of the first frame of each `run`.
         limits: what each outermost run and each attempt may use.
         alarms: times (of the monotonic clock) with what is to be thrown then.
         loops: turns of loops inside steps, in units of `LOOP`.
@@ -124,6 +120,8 @@ class Machine:
     def __init__(self) -> None:
         self.trail: List[Any] = []
         self.choices: List[Frame] = []
+        finish = self.choices.append
+        self.done: Frame = (Code("done", lambda frame: finish(_FINISHED)),)
         self.limits = NO_LIMITS
         self.loops = 0
         self.inferences = 0
@@ -158,7 +156,7 @@ class Machine:
         return True
 
     def run(self, frame: Frame) -> bool:
-        """Run a frame that ends in `DONE` to its first solution; choice points left are dropped.
+        """Run a frame that ends in `done` to its first solution; choice points left are dropped.
 
         Returns:
             Whether there was a solution; its bindings stay.
@@ -166,25 +164,35 @@ class Machine:
         Raises:
             PrologError: what the program threw and did not catch; then all bindings are undone.
         """
+        done = self.done
+        if frame is done:
+            return True
         choices = self.choices
         base = len(choices)
         mark = len(self.trail)
         choices.append((STOP, mark))
         try:
-            return self._loop(frame, base)
+            try:
+                for _ in _FEW:
+                    frame = frame[0].run(frame)
+                    if frame is done or frame is None:
+                        break
+            except Exception as exc:
+                frame = self._handle(exc, frame, base)
+            return frame is done or self._loop(frame, base)
         except BaseException:
             undo(self.trail, mark)
             raise
         finally:
-            del choices[base:]
-            if not base:
-                self._spent = 0
-                self._deadline = None
-                self._exceeded = False
-                self._memory = None
+            if len(choices) == base + 1:
+                choices.pop()
+            else:
+                del choices[base:]
+            if not base and (self._spent or self._exceeded):
+                self._start_anew()
 
     def solutions(self, frame: Optional[Frame]) -> Iterator[None]:
-        """Run a frame that ends in `DONE`; yield at each solution, with its bindings in place.
+        """Run a frame that ends in `done`; yield at each solution, with its bindings in place.
 
         Closing the iterator drops what is left and undoes the bindings. Other runs may take place
         between solutions as long as they are over before the next one is asked for.
@@ -206,9 +214,7 @@ class Machine:
             del choices[base:]
             undo(self.trail, mark)
             if not base:
-                self._spent = 0
-                self._deadline = None
-                self._exceeded = False
+                self._start_anew()
 
     def _loop(self, frame: Optional[Frame], base: int) -> bool:
         choices = self.choices
@@ -228,18 +234,22 @@ class Machine:
                             while len(trail) > mark:
                                 pop_trail().ref = None
                             if frame[0] is STOP:
+                                if frame is _FINISHED:
+                                    return True
                                 choices.append(frame)
                                 return False
                     self._tick(frame)
-            except Finished:
-                return True
             except Exception as exc:
-                error = from_python(exc)
-                if error is None:
-                    raise
-                frame = self._recover(error, frame, base)
+                frame = self._handle(exc, frame, base)
 
     # Limits
+
+    def _start_anew(self) -> None:
+        """Forget what an outermost run has used."""
+        self._spent = 0
+        self._deadline = None
+        self._exceeded = False
+        self._memory = None
 
     def _tick(self, frame: Frame) -> None:
         """Count a slice and enforce the limits."""
@@ -300,6 +310,13 @@ class Machine:
         self._compact_at = max(_COMPACT_AT, 2 * len(trail))
 
     # Exceptions
+
+    def _handle(self, exc: Exception, frame: Frame, base: int) -> Frame:
+        """Return the frame that handles an exception, or raise it where nothing above ``base`` does."""
+        error = from_python(exc)
+        if error is None:
+            raise exc
+        return self._recover(error, frame, base)
 
     def _recover(self, error: PrologError, frame: Frame, base: int) -> Frame:
         """Return the frame that handles an error, or raise it where nothing above ``base`` does."""
