@@ -111,6 +111,31 @@ def test_an_aggregate_of_what_is_no_number_is_reported():
         ("c(X,Y) <- (a(X) or b(Y)) seq d(X)", "b(1)@1 d(2)@2", "c(2,1)@1-2"),
         ("c(X) <- a(X) seq b(X)", "a(Z)@1 b(7)@2", "c(7)@1-2"),
         ("c(X) <- a(X) seq b(X)", "a(f(Z))@1 b(f(7))@2 b(8)@3", "c(f(7))@1-2"),
+        (
+            "c(X,L) <- a(X) seq (s seq aggregate(list(Y), b(Y) where Y > X, L))",
+            "a(1)@1 a(4)@1 s@2 b(2)@3 b(5)@4",
+            "c(4,[])@1-2 c(1,[2])@1-3",
+        ),
+        (
+            "c(X,W) <- a(X) seq (s seq (b(Y) where W is Y - X) star_times)",
+            "a(1)@1 a(2)@1 a(3)@1 a(4)@1 s@2 b(5)@3 b(5)@4 b(6)@5",
+            "c(4,A)@1-2 c(3,2)@1-3 c(2,3)@1-4",
+        ),
+        (
+            "c(X) <- a(X) seq (s seq (p seq aggregate(max(Y), b(Y) where Y > X, _)) star_times)",
+            "a(1)@1 a(2)@1 a(3)@1 a(4)@1 s@2 p@3 b(5)@4 p@5 b(2)@6 p@7 b(0)@8",
+            "c(4)@1-2 c(3)@1-4 c(1)@1-6",
+        ),
+        (
+            "c(X) <- a(X) seq (s seq ((b(Y) where Z is Y - X) where Z > X) star_times)",
+            "a(1)@1 a(2)@1 a(3)@1 s@2 b(5)@3 b(4)@4",
+            "c(3)@1-2 c(2)@1-3 c(1)@1-4",
+        ),
+        (
+            "c(X,N) <- a(X) seq (s seq aggregate(count, b cnot d(X), N))",
+            "a(1)@1 a(2)@1 s@2 d(2)@3 b@4 b@5",
+            "c(2,0)@1-2 c(1,1)@1-4",
+        ),
         ("c(X,Y) <- a(X) seq b(Y) star_times", "a(1)@1 b(2)@2 b(3)@3", "c(1,A)@1-1 c(1,2)@1-2"),
         ("c(X) <- a(X) seq b(_) star_times", "a(1)@1 b(2)@2 b(3)@3", "c(1)@1-1 c(1)@1-2 c(1)@1-3"),
         ("c(K) <- (a(K) seq b(K)) cnot d(K)", "a(1)@1 a(2)@1 d(1)@2 b(1)@3 b(2)@3", "c(2)@1-3"),

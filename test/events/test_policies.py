@@ -93,6 +93,22 @@ def test_out_of_order():
     assert fired("c <- (a seq b) cnot d.", "d@2 b@3 a@1", flags=["out_of_order"]) == ""
     assert fired("c(X) <- a(X) forall_seq b.", "b@3 a(1)@1", flags=["out_of_order"]) == "c(1)@1-3"
     assert fired("c <- a seq b seq d.", "d@3 b@2 a@1", flags=["out_of_order"]) == "c@1-3"
+    assert fired("c <- a forall_seq a.", "a@33 a@29-31", flags=["out_of_order"]) == "c@29-33"
+
+
+@pytest.mark.parametrize(
+    ("policy", "wanted"),
+    [
+        ("recent", "n(0)@3-3 n(1)@3-4 n(2)@3-6 n(0)@1-1 n(1)@1-6 n(2)@1-8"),
+        ("recent_2", "n(0)@3-3 n(1)@3-4 n(2)@3-6 n(0)@1-1 n(1)@1-2 n(2)@1-6 n(3)@1-8"),
+        ("chronological", "n(0)@3-3 n(1)@3-4 n(2)@3-6 n(0)@1-1 n(1)@1-2 n(2)@1-6 n(3)@3-8"),
+        ("unrestricted", "n(0)@3-3 n(1)@3-4 n(2)@3-6 n(0)@1-1 n(1)@1-2 n(2)@1-4 n(3)@1-6 n(3)@3-8 n(4)@1-8"),
+    ],
+)
+def test_a_late_start_takes_earlier_repetitions(policy, wanted):
+    rules, stream = "n(N) <- a seq aggregate(count, b, N).", "b@2 b@4 a@3 b@6 a@1 b@8"
+    assert fired(rules, stream, policy, ["out_of_order"]) == wanted
+    assert "n(1)@3-4" not in fired(rules, stream, policy)
 
 
 def test_garbage_control_general():

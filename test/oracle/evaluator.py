@@ -5,7 +5,7 @@ operand place. Comments name the sentence of the language's definition that the 
 """
 
 from dataclasses import replace
-from typing import Any, Callable, Dict, Iterable, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Iterable, List, Optional, Sequence, Tuple
 
 from retalis.terms import Term, copy
 
@@ -38,9 +38,7 @@ class RuleState(Repetitions):
     """One rule and everything that waits in it."""
 
     def __init__(self, rule: Rule, policy: str, out_of_order: bool = False, expiry: bool = True):
-        super().__init__(rule, policy, expiry)
-        self.out_of_order = out_of_order
-        self.waiting: Dict[Tuple[Pattern, str], List[Match]] = {}
+        super().__init__(rule, policy, out_of_order, expiry)
 
     def fired_by(self, event: Event) -> List[Event]:
         """Take an event and return the events that the rule derives from it, in order."""
@@ -163,11 +161,11 @@ class RuleState(Repetitions):
             if not found or not (self.consuming or for_all):
                 left_over.append(p)
         for p in left_over:
-            self._wait(node, p_waiting, p, identical_too=for_all)
+            self.wait(node, p_waiting, p, identical_too=for_all)
         if self.out_of_order:
             # Policies: the second side of a seq also waits, for late first sides.
             for q in rights:
-                self._wait(node, q_waiting, q)
+                self.wait(node, q_waiting, q)
         return results
 
     def _either_order(
@@ -199,10 +197,10 @@ class RuleState(Repetitions):
         # Policies: having matched, it does not wait for others, except under unrestricted.
         for p in lefts:
             if not p.is_one_event() and (not as_left(p) or not self.consuming):
-                self._wait(node, p_waiting, p)
+                self.wait(node, p_waiting, p)
         for q in rights:
             if not q.is_one_event() and (not as_right(q) or not self.consuming):
-                self._wait(node, q_waiting, q)
+                self.wait(node, q_waiting, q)
         # Policies: an event that fits both sides completes first (once: as the right side, else as the left one),
         # then waits.
         last_rights = [(q, as_right(q)) for q in rights if q.is_one_event()]
@@ -210,10 +208,10 @@ class RuleState(Repetitions):
         last_lefts = [(p, not completed and as_left(p)) for p in lefts if p.is_one_event()]
         for q, matched in last_rights:
             if not matched or not self.consuming:
-                self._wait(node, q_waiting, q)
+                self.wait(node, q_waiting, q)
         for p, matched in last_lefts:
             if not matched or not self.consuming:
-                self._wait(node, p_waiting, p)
+                self.wait(node, p_waiting, p)
         return results
 
     def fit(self, node: Both, p: Match, q: Match, tests: List[Test], cnot: Optional[Cnot]) -> Optional[Match]:
@@ -262,14 +260,6 @@ class RuleState(Repetitions):
             if policy.startswith(("recent", "chronological")):
                 break  # Policies: the newest that fits, the oldest that fits; else all, oldest first.
         return results
-
-    def _wait(self, node: Pattern, waiting: List[Match], match: Match, identical_too: bool = False) -> None:
-        if self.policy == "recent" and not identical_too:
-            # Policies: under recent an arrival replaces the same term at the same place, whatever the stamps.
-            variant = match.variant()
-            waiting[:] = [other for other in waiting if other.variant() != variant]
-        if not (self.expiry and self.expired(node, match)):
-            waiting.append(match)
 
     def _expire(self) -> None:
         """Drop what can no longer complete by the rule's clock."""

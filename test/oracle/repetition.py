@@ -1,12 +1,12 @@
 """Star_times and aggregates: runs that a start begins and repetitions extend in place."""
 
 from dataclasses import replace
-from typing import Any, Dict, List, Optional, Set
+from typing import Any, Dict, List, Optional, Set, Tuple
 
 from retalis.terms import Var, variables
 
 from .conditions import Conditions
-from .goals import GoalError, instance, number, unbound, unify
+from .goals import Bindings, GoalError, instance, number, unbound, unify
 from .matches import AGGREGATES, Match, Run
 from .patterns import Aggregate, Pattern, Rule, Star, Within, pattern_variables
 
@@ -14,8 +14,10 @@ from .patterns import Aggregate, Pattern, Rule, Star, Within, pattern_variables
 class Repetitions(Conditions):
     """The runs of one rule."""
 
-    def __init__(self, rule: Rule, policy: str, expiry: bool = True):
+    def __init__(self, rule: Rule, policy: str, out_of_order: bool = False, expiry: bool = True):
         super().__init__(rule)
+        self.out_of_order = out_of_order
+        self.waiting: Dict[Tuple[Pattern, str], List[Match]] = {}
         self.policy = policy
         self.expiry = expiry
         self.consuming = policy != "unrestricted"
@@ -26,6 +28,7 @@ class Repetitions(Conditions):
     ) -> List[Match]:
         """Take new starts and repetitions of a star_times or aggregate; return what fires."""
         runs = self.runs.setdefault(node, [])
+        waiting = self.waiting.setdefault((node, "repeated"), [])
         results: List[Match] = []
         for q in repetitions:
             for run in reversed(runs) if self.policy.startswith("recent") else list(runs):
@@ -36,10 +39,14 @@ class Repetitions(Conditions):
                 if self.consuming:
                     break  # Policies: the newest or the oldest that fits; unrestricted all.
         for p in starts:
-            results += self._started(node, p, conditions)
+            results += self._started(node, p, conditions, waiting)
+        if self.out_of_order:
+            # Policies: the second side of a seq also waits, for late first sides.
+            for q in repetitions:
+                self.wait(node, waiting, q)
         return results
 
-    def _started(self, node: Any, p: Match, conditions: List[Pattern]) -> List[Match]:
+    def _started(self, node: Any, p: Match, conditions: List[Pattern], waiting: List[Match]) -> List[Match]:
         runs = self.runs[node]
         same = [run for run in runs if run.start.variant() == p.variant()]
         if any((run.start.start, run.start.end) == (p.start, p.end) for run in same):
@@ -51,7 +58,25 @@ class Repetitions(Conditions):
         if not (self.expiry and self.expired(node, p)):
             runs.append(run)
         # Table: zero repetitions fire at the start; count, sum and list with 0, 0 and [].
-        return self._result(node, run, conditions)
+        results = self._result(node, run, conditions)
+        # Patterns: seq takes a late first side under out_of_order; each Q that came before it is a later one of
+        # its run.
+        for q in list(waiting):
+            fired = self._extended(node, run, q, conditions)
+            if fired is not None:
+                results += fired
+                if self.consuming:
+                    waiting.remove(q)
+        return results
+
+    def wait(self, node: Pattern, waiting: List[Match], match: Match, identical_too: bool = False) -> None:
+        """Have a match wait at its place."""
+        if self.policy == "recent" and not identical_too:
+            # Policies: under recent an arrival replaces the same term at the same place, whatever the stamps.
+            variant = match.variant()
+            waiting[:] = [other for other in waiting if other.variant() != variant]
+        if not (self.expiry and self.expired(node, match)):
+            waiting.append(match)
 
     def _extended(self, node: Any, run: Run, q: Match, conditions: List[Pattern]) -> Optional[List[Match]]:
         """Extend a run in place and return what fires, or None where the repetition does not fit."""
@@ -77,7 +102,9 @@ class Repetitions(Conditions):
         # first repetition; any other is fresh each time.
         fresh = self._only_inside(node)
         kept = {var: instance(var, joined.bindings) for var in joined.bindings if var not in fresh}
-        run.now = replace(joined, bindings=kept, terms=run.start.terms)
+        renamed: Bindings = {var: Var() for var in fresh}
+        pending = tuple(replace(item, goal=instance(item.goal, renamed)) for item in joined.pending)
+        run.now = replace(joined, bindings=kept, terms=run.start.terms, pending=pending)
         return self._result(node, run, conditions)
 
     @staticmethod

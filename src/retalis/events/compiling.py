@@ -5,11 +5,10 @@ from typing import Any, Dict, FrozenSet, List, NamedTuple, Optional, Set, Tuple
 from ..errors import RuleError
 from ..logic import PrologError
 from ..terms import Term, Var, functor, variables
-from .absence import Absence
 from .aggregates import Collector
 from .building import compile_builder
 from .conditions import Call, Test, goal_test
-from .matches import Match
+from .deferred import Deferred, Items, absence_of, deferred_test
 from .nodes import Acting, Alternatives, Capture, Filter, Joining, Leaf, Never, Node
 from .operators import OPERATORS
 from .pattern import (
@@ -31,26 +30,6 @@ from .runs import Running
 
 _IS = functor("is", 2)
 Names = FrozenSet[Var]
-
-
-class Deferred(NamedTuple):
-    """A condition that looks at variables of patterns further left, so that it is tested where those are known.
-
-    Attributes:
-        needs: the variables it waits for.
-        goal: the goal, or None for an absence.
-        timed: whether the goal sees ``t1/1`` and ``t2/1``.
-        absent: the negated node with the terms it shares, for an absence.
-        start: the variable under which the start of its pattern is carried on.
-        end: the variable of its end.
-    """
-
-    needs: Set[Var]
-    goal: Any
-    timed: bool
-    absent: Any
-    start: Var
-    end: Var
 
 
 class Built(NamedTuple):
@@ -232,7 +211,7 @@ class Compiler:
         if gap is not None:
             deferred.append(Deferred(needs, None, False, (negated, conditions, False), *gap))
         elif negated is not None:
-            node.absent(self._absence(negated, node.vars, False, conditions), negated.node)
+            node.absent(absence_of(self.rule, negated, node.vars, False, conditions), negated.node)
         for one in ready:
             self._settle(node, one)
         now, later = self._split(wrapping.conditions, wrapping.core, context)
@@ -250,15 +229,7 @@ class Compiler:
 
     def _settle(self, node: Any, one: Deferred) -> None:
         """Test a deferred condition at a node that knows all it looks at."""
-        at = (node.vars.index(one.start), node.vars.index(one.end))
-        if one.absent is None:
-            call = Call(self.rule, one.goal, node.vars)
-            node.test(goal_test(call, one.timed, at), call.result_vars)
-            return
-        negated, conditions, ever = one.absent
-        absence = self._absence(negated, node.vars, ever, conditions)
-        node.carried.append((absence, negated.node))
-        node.test(_absence_test(absence, at, ever), node.vars)
+        node.test(*deferred_test(self.rule, node, one, node.vars))
 
     def _negated(
         self, pattern: Any, known: Set[Var], context: Names, limit: Optional[int]
@@ -270,30 +241,6 @@ class Compiler:
             mentioned |= one.needs
         return built, (mentioned & context) - known, built.deferred
 
-    def _absence(self, negated: Built, names: List[Var], ever: bool, conditions: List[Deferred]) -> Absence:
-        own = negated.node.vars
-        shared = [(own.index(var), names.index(var)) for var in own if var in names]
-        if not conditions:
-            return Absence(self.rule, shared, ever)
-        new = [var for var in own if var not in names]
-        at = [own.index(var) for var in new]
-        known = [*names, *new]
-        tests = []
-        for one in conditions:
-            call = Call(self.rule, one.goal, known)
-            tests.append(goal_test(call, one.timed, (known.index(one.start), known.index(one.end))))
-
-        def condition(values: Tuple[Term, ...], match: Match) -> bool:
-            both: Any = values + tuple([match.values[index] for index in at])
-            width = len(both)
-            for test in tests:
-                found = test(both[:width], match.start, match.end)
-                if found is None:
-                    return False
-            return True
-
-        return Absence(self.rule, shared, ever, condition)
-
     def _never(self, core: Absent, context: Names, limit: Optional[int]) -> Built:
         below = self._build(core.pattern, context, limit)
         here = context | frozenset(bound_by(core.pattern))
@@ -302,7 +249,7 @@ class Compiler:
             node, one = self._defer(below.node, None, False, (negated, conditions, True), needs)
             deferred = [*below.deferred, one]
             return Built(node, deferred, [*below.joined, *negated.leaves], below.single)
-        absence = self._absence(negated, below.node.vars, True, conditions)
+        absence = absence_of(self.rule, negated, below.node.vars, True, conditions)
         node = self._add(Never(below.node, negated.node, absence), None, None)
         return Built(node, below.deferred, [*below.joined, *negated.leaves], below.single)
 
@@ -311,22 +258,25 @@ class Compiler:
         pattern = core.repeated if isinstance(core, Star) else core.collected
         repeated = self._build(pattern, here, limit)
         first = self._build(core.first, context, limit)
-        node = Running(self.rule, first.node, repeated.node)
+        node = Running(self.rule, first.node, repeated.node, _meet(first, repeated))
         self._add(node, wrapping.span, limit)
-        known = set(node.step_vars)
+        outside = self._outside(pattern, core.value if isinstance(core, Aggregate) else None)
+        items = Items(outside)
         deferred = list(first.deferred)
+        known = set(node.step_vars)
         for one in repeated.deferred:
             if one.needs - known:
-                raise RuleError(
-                    "a condition on what is repeated looks at a pattern further away", self.rule.place
-                )
-            self._settle_step(node, one)
-            known = set(node.step_vars)
-        outside = self._outside(pattern, core.value if isinstance(core, Aggregate) else None)
+                deferred.append(one.of_each(items))
+            else:
+                test, node.step_vars = deferred_test(self.rule, node, one, node.step_vars)
+                node.step_tests.append(test)
+                known = set(node.step_vars)
+        carried = items if len(deferred) > len(first.deferred) else None
+        self.keep.add(items.var)
         if isinstance(core, Aggregate):
-            node.finish(outside, self._collector(core, node.step_vars), core.result)
+            node.finish(outside, self._collector(core, node.step_vars), core.result, carried)
         else:
-            node.finish(outside, None, None)
+            node.finish(outside, None, None, carried)
         now, later = self._split(wrapping.conditions, wrapping.core, context)
         shown = set(node.result_new)
         early: List[Any] = []
@@ -350,20 +300,6 @@ class Compiler:
             built, one = self._defer(built, condition.goal, condition.timed, None, needs)
             deferred.append(one)
         return Built(built, deferred, [*repeated.leaves, *first.joined], first.single)
-
-    def _settle_step(self, node: Running, one: Deferred) -> None:
-        """Test a deferred condition on each repetition."""
-        names = node.step_vars
-        at = (names.index(one.start), names.index(one.end))
-        if one.absent is None:
-            call = Call(self.rule, one.goal, names)
-            node.step_tests.append(goal_test(call, one.timed, at))
-            node.step_vars = call.result_vars
-            return
-        negated, conditions, ever = one.absent
-        absence = self._absence(negated, names, ever, conditions)
-        node.carried.append((absence, negated.node))
-        node.step_tests.append(_absence_test(absence, at, ever))
 
     def _outside(self, pattern: Any, value: Any = None) -> Set[Var]:
         """Return the variables that stand in the rule elsewhere than in a pattern (and what an aggregate takes)."""
@@ -413,20 +349,6 @@ def _meet(left: Built, right: Built) -> bool:
 
     ours, theirs = kinds(left), kinds(right)
     return bool(ours & theirs) or any(kind.__class__ is Var for kind in ours | theirs)
-
-
-def _absence_test(absence: Absence, at: Tuple[int, int], ever: bool) -> Test:
-    """Return the test of an absence whose gap is carried among the values."""
-
-    def test(values: Tuple[Term, ...], start: int, end: int) -> Optional[Tuple[Term, ...]]:
-        low, high = values[at[0]], values[at[1]]
-        if low.__class__ is Var:
-            return values
-        if absence.blocks(values, low, low if ever else high):
-            return None
-        return values
-
-    return test
 
 
 def _unwrap(pattern: Any) -> _Wrapping:

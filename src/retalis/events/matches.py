@@ -87,6 +87,11 @@ def leaves(match: Match) -> Iterator[Any]:
                     stack.extend(reversed(inner.matches))
 
 
+def taken_back(match: Match) -> bool:
+    """Tell whether an event of a match was taken back."""
+    return any(getattr(token, "gone", False) for token in leaves(match))
+
+
 class Bucket:
     """Waiting matches with the same values of the shared variables, oldest first."""
 

@@ -9,7 +9,7 @@ from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 from ..terms import Term, Var, variables
 from ._source import compile_function
 from .conditions import Test
-from .matches import Found, Match, Place, identity, leaves
+from .matches import Found, Match, Place, identity, taken_back
 from .operators import Operator
 from .policy import Emit, Frame, Mode, Side, taking_all, taking_all_at_once, taking_one, waiting_only
 
@@ -312,6 +312,8 @@ class Joining(Node):
         left = Side(self.left_place, self.right_place, self.joined, self.pairs, True, True, False)
         flipped = tuple((two, one) for one, two in self.pairs)
         right = Side(self.right_place, self.left_place, self._join(False), flipped, False, both or late, late)
+        if self.double and policy.replacing and (both or late):
+            right = right._replace(wait=self._wait_later)
         if operator.everything:
             self.right.bind(taking_all_at_once(right, True, out), mode)
             if not late:
@@ -325,8 +327,6 @@ class Joining(Node):
             self.left.bind(taking_all(left, out) if both or late else waiting_only(left), mode)
         else:
             once = self.completed if self.double and both and operator.alone else None
-            if self.double and policy.replacing and (both or late):
-                right = right._replace(wait=self._wait_later)
             self.right.bind(taking_one(right, policy.newest, True, out, once), mode)
             if both or late:
                 self.left.bind(taking_one(left, policy.newest, True, out, once), mode)
@@ -405,7 +405,7 @@ class Joining(Node):
         mode = self.rule.network.mode
         if left.bucket is None or right.used or (right.bucket is None and self._right_waits(mode)):
             return after
-        if any(token.gone for match in pair for token in leaves(match) if hasattr(token, "gone")):
+        if taken_back(left) or taken_back(right):
             return after
         result = self.joined(left, right)
         if result is None:

@@ -192,6 +192,7 @@ def taking_all(side: Side, emit: Emit) -> Emit:
 def taking_all_at_once(side: Side, uses: bool, emit: Emit) -> Emit:
     """Return what a match does that takes all partners there are, using them up or itself."""
     own, other, waits, stays = side.own, side.other, side.waits, side.stays
+    wait = own.add if side.wait is None else side.wait
 
     def arrive(match: Match, after: Frame) -> Frame:
         key = own.key_of(match)
@@ -203,7 +204,7 @@ def taking_all_at_once(side: Side, uses: bool, emit: Emit) -> Emit:
                     partner.bucket.remove(partner)
                 results.append(result)
         if stays or (waits and not results):
-            own.add(match, key)
+            wait(match, key)
         return emit_each(iter(results), emit, after)
 
     return arrive

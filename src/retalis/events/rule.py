@@ -108,6 +108,11 @@ class Rule:
         dispatcher = self.network.dispatcher
         self._listeners.append(dispatcher.listen(Stage.RULES, leaf.term, action, (self.serial, leaf.rank)))
 
+    @property
+    def active(self) -> bool:
+        """Whether it takes events."""
+        return bool(self._listeners)
+
     def unlisten(self) -> None:
         """Stop taking events."""
         for listener in self._listeners:

@@ -7,7 +7,8 @@ from ..terms import Term, Var, resolve, undo, unify, variables
 from .aggregates import Collector
 from .building import compile_builder
 from .conditions import Test
-from .matches import Found, Held, Match, Place, identity, unify_sides
+from .deferred import NO_ITEMS, Items, with_item
+from .matches import Found, Held, Match, Place, identity, taken_back, unify_sides
 from .nodes import Node
 from .policy import Emit, Frame, Mode, emit_each
 
@@ -21,20 +22,29 @@ class Run(Match):
         last: the largest end so far.
         fixed: the values, set by the first repetition, of variables that stand elsewhere in the rule; or None.
         state: what an aggregate has collected.
+        items: what conditions further up look at in each repetition.
         taken: the matches that extended it, where they are tracked.
-        steps: the values of each of them.
+        steps: the values of the start and of the repetition, for each of them.
+        sound: how many of them are still those that its results were made of.
     """
 
-    __slots__ = ("last", "fixed", "state", "taken", "steps", "first")
+    __slots__ = ("last", "fixed", "state", "items", "taken", "steps", "sound", "first")
 
-    def __init__(self, first: Match):
+    def __init__(self, first: Match, state: Any):
         super().__init__(first.values, first.start, first.end, first.event, None, (first,))
         self.first = first
-        self.last = first.end
+        self.restart(state)
+
+    def restart(self, state: Any) -> None:
+        """Have no repetitions, with the state of an aggregate that has no values."""
+        self.values = self.first.values
+        self.last = self.first.end
         self.fixed: Optional[Values] = None
-        self.state: Any = None
+        self.state = state
+        self.items: Term = NO_ITEMS
         self.taken: List[Match] = []
-        self.steps: List[Values] = []
+        self.steps: List[Tuple[Values, Values]] = []
+        self.sound = 0
 
 
 class Running(Node):
@@ -44,20 +54,23 @@ class Running(Node):
         rule: the rule it belongs to.
         first: the node of P.
         repeated: the node of Q.
+        double: whether one event may be in both.
 
     Attributes:
         step_vars: the variables that a repetition's own conditions know, and what they find.
         fixed: those of them that have one value in a run, since they stand elsewhere in the rule.
     """
 
-    def __init__(self, rule: Any, first: Node, repeated: Node):
+    def __init__(self, rule: Any, first: Node, repeated: Node, double: bool):
         self.rule = rule
+        self.double = double
         self.first = first
         self.repeated = repeated
         shared = [var for var in first.vars if var in repeated.vars]
         self.pairs = tuple((first.vars.index(var), repeated.vars.index(var)) for var in shared)
         self.place = Place(rule, tuple(one for one, _ in self.pairs))
         self.incoming = Place(rule, tuple(two for _, two in self.pairs))
+        self.operands = (self.incoming,)
         self.span: Optional[int] = None
         self.result_new: List[Var] = []
         self.tests: List[Test] = []
@@ -67,19 +80,30 @@ class Running(Node):
         self.step_vars = [*first.vars, *(var for var in repeated.vars if var not in first.vars)]
         self._step_at = [at for at, var in enumerate(repeated.vars) if var not in first.vars]
 
-    def finish(self, outside: Any, collector: Optional[Collector], result: Term) -> None:
+    def finish(
+        self, outside: Any, collector: Optional[Collector], result: Term, items: Optional[Items]
+    ) -> None:
         """Say what the run gives on, when all conditions on repetitions are known.
 
         Args:
             outside: the variables that stand elsewhere in the rule.
             collector: what an aggregate does; None for ``star_times``.
             result: the term of an aggregate's result.
+            items: where conditions on each repetition are tested further up, what they get.
         """
         own = self.first.vars
         self.collector = collector
+        self.empty = None if collector is None else collector.start
         self.fixed = [var for var in self.step_vars if var in outside and var not in own]
         self.fixed_at = [self.step_vars.index(var) for var in self.fixed]
+        self.items = items
+        self._same_at = len(own)
         known = [*own, *self.fixed]
+        if items is not None:
+            items.names = [var for var in self.step_vars if var not in known]
+            self._items_at = [self.step_vars.index(var) for var in items.names]
+            known.insert(self._same_at, items.var)
+            self._same_at += 1
         if collector is not None:
             self.result_is_open = result.__class__ is Var and result not in known
             self.result_new = [var for var in variables(result) if var not in known]
@@ -98,18 +122,23 @@ class Running(Node):
 
     def places(self) -> Sequence[Place]:
         """Return where matches wait."""
-        return (self.place, *(absence.place for absence, _ in self.carried))
+        return (self.place, self.incoming, *(absence.place for absence, _ in self.carried))
 
     def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
         """Set the bounds; see `Node.set_span`."""
         self.span = span
         self.place.span = limit
+        self.incoming.span = limit
 
     def bind(self, out: Emit, mode: Mode) -> None:
         """Connect the node; see `Node.bind`."""
         policy = mode.policy
         self.tracked = mode.tracked
+        self.consuming = policy.consuming
+        self.late = mode.out_of_order
+        self.waits_later = self.double and policy.replacing
         self.place.identify(_by_term if policy.replacing else _by_occurrence)
+        self.incoming.identify(identity if policy.replacing else None)
         self.out = out
         if policy.consuming:
             self.repeated.bind(self._extend_one(out, policy.newest), mode)
@@ -122,25 +151,49 @@ class Running(Node):
     def _start(self, out: Emit) -> Emit:
         place = self.place
         collector = self.collector
+        fires = collector is None or collector.initial is not None
 
         def arrive(match: Match, after: Frame) -> Frame:
-            run = Run(match)
+            run = Run(match, self.empty)
             older: Any = place.same.get(place.name(run))  # type: ignore[union-attr, misc]
             if older is not None and older.start == run.start and older.first.end == run.end:
                 return after
-            if collector is not None:
-                run.state = collector.start
-            place.add(run, place.key_of(run))
-            span = self.span
-            if collector is not None and collector.initial is None:
-                return after
-            if span is not None and match.end - match.start > span:
-                return after
-            values = self._fit(run.values, None, run.start, run.end)
-            result = None if values is None else self.result_of(run, values)
+            key = place.key_of(run)
+            place.add(run, key)
+            result = self._result_without(run) if fires else None
+            if self.late:
+                results = [] if result is None else [result]
+                results += self._results_of_earlier(run, key)
+                return emit_each(iter(results), out, after)
             return after if result is None else out(result, after)
 
         return arrive
+
+    def _result_without(self, run: Run) -> Optional[Match]:
+        """Return the result of a run that has no repetitions yet."""
+        span = self.span
+        if span is not None and run.end - run.start > span:
+            return None
+        values = self._fit(run.values, NO_ITEMS, None, run.start, run.end)
+        return None if values is None else self.result_of(run, values)
+
+    def _results_of_earlier(self, run: Run, key: Any) -> List[Match]:
+        """Return the results of a late start with the repetitions that came before it, in their order."""
+        results = []
+        for match in self.incoming.candidates(key):
+            extended, result = self.extend(run, match, key is not None and match.bucket.key is not None)
+            if extended and self.consuming:
+                match.leave()
+            if result is not None:
+                results.append(result)
+        return results
+
+    def _wait(self, match: Match, key: Any) -> None:
+        """Have a repetition wait for late starts; where its event may be one, only after it was tried as that."""
+        if self.waits_later:
+            self.rule.add_later(self.incoming, match, key)
+        else:
+            self.incoming.add(match, key)
 
     def _extend_one(self, out: Emit, newest: bool) -> Emit:
         def arrive(match: Match, after: Frame) -> Frame:
@@ -148,11 +201,14 @@ class Running(Node):
             runs = self.place.candidates(key)
             if newest:
                 runs.reverse()
+            extended, result = False, None
             for run in runs:
-                extended, result = self.extend(run, match, key)
+                extended, result = self.extend(run, match, key is not None and run.bucket.key is not None)
                 if extended:
-                    return after if result is None else out(result, after)
-            return after
+                    break
+            if self.late:
+                self._wait(match, key)
+            return after if result is None else out(result, after)
 
         return arrive
 
@@ -160,21 +216,26 @@ class Running(Node):
         def arrive(match: Match, after: Frame) -> Frame:
             key = self.incoming.key_of(match)
             runs = self.place.candidates(key)
+            if self.late:
+                self._wait(match, key)
             if not runs:
                 return after
             results = (
                 result
                 for run in runs
                 if run.bucket is not None
-                for result in (self.extend(run, match, key)[1],)
+                for result in (self.extend(run, match, key is not None and run.bucket.key is not None)[1],)
                 if result is not None
             )
             return emit_each(results, out, after)
 
         return arrive
 
-    def extend(self, run: Any, match: Match, key: Any) -> Tuple[bool, Optional[Match]]:
-        """Extend a run if the match fits; returns whether it did, and the result to emit."""
+    def extend(self, run: Any, match: Match, keyed: bool) -> Tuple[bool, Optional[Match]]:
+        """Extend a run if the match fits; returns whether it did, and the result to emit.
+
+        ``keyed`` tells that the shared variables are known to have the same values.
+        """
         if match.start <= (run.last if self.collector is None else run.end):
             return False, None
         last = run.last if run.last >= match.end else match.end
@@ -182,7 +243,7 @@ class Running(Node):
         if span is not None and last - run.start > span:
             return False, None
         values: Any = run.values
-        if key is None or run.bucket.key is None:
+        if not keyed:
             sides = unify_sides(run, match, self.pairs)
             if sides is None:
                 return False, None
@@ -192,60 +253,89 @@ class Running(Node):
             step = test(step, match.start, match.end)
             if step is None:
                 return False, None
-        fixed = tuple([step[at] for at in self.fixed_at])
-        if run.fixed is not None:
-            agreed = _agreed(run.fixed, fixed)
-            if agreed is None:
-                return False, None
-            fixed = agreed
-        found = self._fit(values, fixed, run.start, last)
+        fixed = self._fixed_with(run, step)
+        if fixed is None:
+            return False, None
+        items = self._items_with(run, step)
+        found = self._fit(values, items, fixed, run.start, last)
         if found is None:
             return False, None
-        if self.collector is not None:
-            try:
-                run.state = self.collector.add(run.state, step)
-            except RuleError as error:
-                self.rule.network.rule_failed(self.rule, error)
-                return False, None
-        run.last = last
-        run.fixed = fixed
-        run.values = values
+        try:
+            self._take(run, match, values, step, fixed, items)
+        except RuleError as error:
+            self.rule.network.rule_failed(self.rule, error)
+            return False, None
         if self.tracked:
-            run.taken.append(match)
-            run.steps.append(step)
             self.rule.network.tracker.hold_repetition(run, match, self)
         return True, self.result_of(run, found)
 
-    def take_back(self, run: Any, match: Match) -> Optional[Run]:
-        """Take a repetition out of a run; return the run where its result is to be fired anew."""
-        if run.bucket is None or match not in run.taken:
-            return None
-        last = run.taken[-1] is match
+    def _fixed_with(self, run: Run, step: Values) -> Optional[Values]:
+        """Return the values of a run's fixed variables with a repetition; None where they differ from before."""
+        fixed = tuple([step[at] for at in self.fixed_at])
+        return fixed if run.fixed is None else _agreed(run.fixed, fixed)
+
+    def _items_with(self, run: Run, step: Values) -> Term:
+        if self.items is None:
+            return NO_ITEMS
+        return with_item(run.items, tuple([step[at] for at in self._items_at]))
+
+    def _take(self, run: Run, match: Match, values: Values, step: Values, fixed: Values, items: Term) -> None:
+        """Add a repetition to a run.
+
+        Raises:
+            RuleError: where an aggregate needs a number and gets none.
+        """
+        if self.collector is not None:
+            run.state = self.collector.add(run.state, step)
+        run.last = max(run.last, match.end)
+        run.fixed = fixed
+        run.items = items
+        run.values = values
+        if self.tracked:
+            run.taken.append(match)
+            run.steps.append((values, step))
+            run.sound += 1
+
+    def forget(self, run: Run, match: Match) -> bool:
+        """Take a repetition out of a run whose events were taken back; tell whether later results hold without it."""
+        if match not in run.taken or taken_back(run.first):
+            return False
         at = run.taken.index(match)
         del run.taken[at], run.steps[at]
-        collector = self.collector
-        run.last = run.end
-        run.state = None if collector is None else collector.start
-        run.values = run.first.values
-        run.fixed = None
-        for one, step in zip(run.taken, run.steps):
-            run.last = max(run.last, one.end)
-            run.fixed = tuple([step[at] for at in self.fixed_at])
-            if collector is not None:
-                run.state = collector.add(run.state, step)
-        return None if last or not run.taken else run  # type: ignore[no-any-return]
+        run.sound = min(run.sound, at)
+        return True
 
-    def retry(self, run: Any, after: Frame) -> Frame:
-        """Fire the result of a run as it is after something was taken back."""
-        if run.bucket is None:
-            return after
-        values = self._fit(run.values, run.fixed, run.start, run.last)
-        result = None if values is None else self.result_of(run, values)
-        return after if result is None else self.out(result, after)
+    def results_again(self, run: Run) -> List[Match]:
+        """Return the results, computed again, that held a repetition which the run has forgotten."""
+        repetitions, sound = list(zip(run.taken, run.steps)), run.sound
+        run.restart(self.empty)
+        results = []
+        for number, (match, (values, step)) in enumerate(repetitions):
+            fixed = self._fixed_with(run, step)
+            if fixed is None:
+                continue
+            try:
+                self._take(run, match, values, step, fixed, self._items_with(run, step))
+            except RuleError as error:
+                self.rule.network.rule_failed(self.rule, error)
+                continue
+            found = self._fit(values, run.items, fixed, run.start, run.last)
+            result = None if found is None else self.result_of(run, found)
+            if number >= sound and result is not None:
+                results.append(result)
+        return results if self.rule.active else []
 
-    def _fit(self, first: Values, fixed: Optional[Values], start: int, end: int) -> Optional[Values]:
+    def retry(self, result: Match, after: Frame) -> Frame:
+        """Fire a result that was computed again."""
+        return after if taken_back(result) else self.out(result, after)
+
+    def _fit(
+        self, first: Values, items: Term, fixed: Optional[Values], start: int, end: int
+    ) -> Optional[Values]:
         """Return the values of a run with those of its conditions, the result still open; None where one fails."""
         values: Any = first
+        if self.items is not None:
+            values += (items,)
         if self.fixed:
             values += tuple([Var() for _ in self.fixed]) if fixed is None else fixed
         if self.result_new:
@@ -269,7 +359,7 @@ class Running(Node):
                 found = test(found, start, end)
             if found is None:
                 return None
-        own = Found(found[len(run.values) :])
+        own = Found(found[self._same_at :])
         # Without what is held the start would look like a condition around a match.
         held = (Held(tuple(run.taken)),)
         event = run.event if run.fixed is None else None

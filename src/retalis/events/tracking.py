@@ -6,7 +6,7 @@ from typing import Any, Deque, Dict, Iterator, List, Optional, Tuple
 from ..terms import Term, Var, functor
 from ._keys import term_key
 from .dispatch import Event, Listener, Stage
-from .matches import Match, leaves
+from .matches import Match, leaves, taken_back
 from .policy import Frame
 from .runs import Run
 
@@ -27,6 +27,7 @@ class Occurrence:
         derived: the events that came from it.
         held: partial matches that hold it.
         gone: whether it was taken back.
+        reported: whether that has been said: by the ``rev`` that named it, or by one that was derived for it.
         takes_back: the occurrences that it takes back, for an event ``rev(E)`` that was derived.
         suppressed: what it has kept from firing, with the node to try again.
     """
@@ -40,6 +41,7 @@ class Occurrence:
         "derived",
         "held",
         "gone",
+        "reported",
         "takes_back",
         "suppressed",
     )
@@ -53,6 +55,7 @@ class Occurrence:
         self.derived: List[Occurrence] = []
         self.held: List[Any] = []
         self.gone = False
+        self.reported = False
         self.takes_back: Optional[List[Occurrence]] = None
         self.suppressed: List[Suppressed] = []
 
@@ -80,7 +83,7 @@ class Suppressed:
             return False
         self.freed = True
         matches = self.what if self.what.__class__ is tuple else (self.what,)
-        return not any(occurrence.gone for match in matches for occurrence in occurrences_in(match))
+        return not any(taken_back(match) for match in matches)
 
 
 def occurrences_in(match: Match) -> List[Occurrence]:
@@ -187,37 +190,56 @@ class Tracker:
 
     def _take_back(self, term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
         """Take back what an event ``rev(E)`` names: all occurrences of E, or the one it was derived for."""
-        token = self._rules.dispatcher.token()
-        found = token.takes_back
+        found = self._rules.dispatcher.token().takes_back
+        again: List[Tuple[Any, Any]] = []
         if found is None:
             found = [one for one in self._by_term.get(term_key(values[0]), ()) if not one.gone]
-            for one in found:
-                one.gone = True
-        if not found:
-            return after
-        work = _TakingBack(self, found, start, end)
+            if not found:
+                return after
+            again = self._forget(found)
+        work = _TakingBack(self._steps(found, again, start, end))
         return work.run((work, after))
 
-    def steps(self, found: List[Occurrence], start: int, end: int) -> Iterator[Any]:
+    def _forget(self, found: List[Occurrence]) -> List[Tuple[Any, Any]]:
+        """Take events and all that came from them out of what is kept, before anything follows from that.
+
+        Returns what fires without them, each with its node: what they kept from firing, and the later results
+        of runs that they were part of.
+        """
+        gone: List[Occurrence] = []
+        stack = found[::-1]
+        for one in found:
+            one.reported = True
+        while stack:
+            one = stack.pop()
+            if not one.gone:
+                one.gone = True
+                gone.append(one)
+                stack += reversed(one.derived)
+        runs: Dict[Run, Any] = {}
+        kept: List[Suppressed] = []
+        for one in gone:
+            held, one.held = one.held, []
+            for match in held:
+                if match.__class__ is not tuple:
+                    match.leave()
+                elif match[0].forget(*match[1:]):
+                    runs[match[1]] = match[0]
+            kept += one.suppressed
+            one.suppressed = []
+        again = [(node, result) for run, node in runs.items() for result in node.results_again(run)]
+        return again + [(one.node, one.what) for one in kept if one.free()]
+
+    def _steps(
+        self, found: List[Occurrence], again: List[Tuple[Any, Any]], start: int, end: int
+    ) -> Iterator[Any]:
         """Yield functions from a frame to a frame: what is to be done one after the other."""
-        retries: List[Tuple[Any, Any]] = []
-        for occurrence in found:
-            held, occurrence.held = occurrence.held, []
-            for one in held:
-                if one.__class__ is tuple:
-                    again = one[0].take_back(one[1], one[2])
-                    if again is not None:
-                        retries.append((one[0], again))
-                else:
-                    one.leave()
-            retries += [(kept.node, kept.what) for kept in occurrence.suppressed if kept.free()]
-            occurrence.suppressed = []
         for occurrence in found:
             for one in occurrence.derived:
-                if not one.gone:
-                    one.gone = True
+                if not one.reported:
+                    one.reported = True
                     yield self._dispatch_rev(one, start, end)
-        for node, what in retries:
+        for node, what in again:
             yield lambda after, node=node, what=what: node.retry(what, after)
 
     def _dispatch_rev(self, occurrence: Occurrence, start: int, end: int) -> Any:
@@ -242,8 +264,8 @@ class _TakingBack:
 
     __slots__ = ("steps",)
 
-    def __init__(self, tracker: Tracker, found: List[Occurrence], start: int, end: int):
-        self.steps = tracker.steps(found, start, end)
+    def __init__(self, steps: Iterator[Any]):
+        self.steps = steps
 
     def run(self, frame: Frame) -> Frame:
         for step in self.steps:

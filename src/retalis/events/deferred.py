@@ -1,0 +1,160 @@
+"""Conditions that look at patterns further left: what they need is carried with a match until it meets those."""
+
+from typing import Any, List, NamedTuple, Optional, Set, Tuple
+
+from ..terms import NIL, Term, Var, functor, variables
+from .absence import Absence
+from .conditions import Call, Test, goal_test
+from .matches import Match
+
+Values = Tuple[Term, ...]
+NO_ITEMS = NIL
+_ITEMS = functor("items", 2)
+_ITEM = functor("item", 1)
+
+
+class Items:
+    """What conditions on each repetition of a run look at, where they are tested further up.
+
+    Attributes:
+        var: the variable under which it is carried on, newest repetition first.
+        names: the variables that each repetition has values of its own for.
+        same: the variables that have one value in the whole match, since they stand elsewhere in the rule.
+    """
+
+    def __init__(self, same: Set[Var]):
+        self.var = Var()
+        self.names: List[Var] = []
+        self.same = same
+
+
+class Deferred(NamedTuple):
+    """A condition that looks at variables of patterns further left, so that it is tested where those are known.
+
+    Attributes:
+        needs: the variables it waits for.
+        goal: the goal, or None for an absence.
+        timed: whether the goal sees ``t1/1`` and ``t2/1``.
+        absent: the negated node with the conditions it shares, and whether any time before counts, for an absence.
+        start: the variable under which the start of its pattern is carried on.
+        end: the variable of its end.
+        items: for a condition on each repetition of a run, what is carried on of those.
+        each: what is tested on each of them.
+    """
+
+    needs: Set[Var]
+    goal: Any
+    timed: bool
+    absent: Any
+    start: Var
+    end: Var
+    items: Optional[Items] = None
+    each: Any = None
+
+    def of_each(self, items: Items) -> "Deferred":
+        """Return the same condition on each repetition of a run."""
+        return self._replace(items=items, each=self)
+
+
+def with_item(items: Term, values: Values) -> Term:
+    """Return what is carried of repetitions with one more."""
+    return (_ITEMS, (_ITEM, *values), items)
+
+
+def deferred_test(rule: Any, node: Any, one: Deferred, names: List[Var]) -> Tuple[Test, List[Var]]:
+    """Return the test of a condition at a node that knows all it looks at, and the names that it leaves.
+
+    Args:
+        rule: whose condition it is.
+        node: where it is tested; it keeps the absences that are looked at.
+        one: the condition.
+        names: the variables that are known there.
+    """
+    if one.items is not None:
+        return _test_of_each(rule, node, one, names)
+    at = (names.index(one.start), names.index(one.end))
+    if one.absent is None:
+        call = Call(rule, one.goal, names)
+        return goal_test(call, one.timed, at), call.result_vars
+    negated, conditions, ever = one.absent
+    absence = absence_of(rule, negated, names, ever, conditions)
+    node.carried.append((absence, negated.node))
+    return _absence_test(absence, at, ever), names
+
+
+def _test_of_each(rule: Any, node: Any, one: Deferred, names: List[Var]) -> Tuple[Test, List[Var]]:
+    items: Any = one.items
+    at = names.index(items.var)
+    mentioned = [] if one.goal is None else variables(one.goal)
+    known = [*names, *(var for var in mentioned if var in items.same and var not in names)]
+    width = len(known)
+    test_one, left = deferred_test(rule, node, one.each, [*known, *items.names])
+    items.names = left[width:]
+
+    def test(values: Values, start: int, end: int) -> Optional[Values]:
+        rest = values[at]
+        base: Any = values + tuple([Var() for _ in known[len(values) :]])
+        if rest.__class__ is Var:
+            return base  # type: ignore[no-any-return]
+        oldest_first = []
+        while rest is not NO_ITEMS:
+            oldest_first.append(rest[1][1:])
+            rest = rest[2]
+        tested = NO_ITEMS
+        for item in reversed(oldest_first):
+            found: Any = test_one((*base, *item), start, end)
+            if found is None:
+                return None
+            base = found[:width]
+            tested = with_item(tested, found[width:])
+        return (*base[:at], tested, *base[at + 1 :])
+
+    return test, known
+
+
+def absence_of(rule: Any, negated: Any, names: List[Var], ever: bool, conditions: List[Deferred]) -> Absence:
+    """Return what looks for matches of a negated node.
+
+    Args:
+        rule: whose it is.
+        negated: what was built for the negated pattern.
+        names: the variables of what is asked for.
+        ever: whether any time before counts.
+        conditions: those of the negated pattern that look at the variables asked for.
+    """
+    own = negated.node.vars
+    shared = [(own.index(var), names.index(var)) for var in own if var in names]
+    if not conditions:
+        return Absence(rule, shared, ever)
+    new = [var for var in own if var not in names]
+    at = [own.index(var) for var in new]
+    known = [*names, *new]
+    tests = []
+    for one in conditions:
+        call = Call(rule, one.goal, known)
+        tests.append(goal_test(call, one.timed, (known.index(one.start), known.index(one.end))))
+
+    def condition(values: Values, match: Match) -> bool:
+        both: Any = values + tuple([match.values[index] for index in at])
+        width = len(both)
+        for test in tests:
+            found = test(both[:width], match.start, match.end)
+            if found is None:
+                return False
+        return True
+
+    return Absence(rule, shared, ever, condition)
+
+
+def _absence_test(absence: Absence, at: Tuple[int, int], ever: bool) -> Test:
+    """Return the test of an absence whose gap is carried among the values."""
+
+    def test(values: Values, start: int, end: int) -> Optional[Values]:
+        low, high = values[at[0]], values[at[1]]
+        if low.__class__ is Var:
+            return values
+        if absence.blocks(values, low, low if ever else high):
+            return None
+        return values
+
+    return test
