@@ -9,6 +9,9 @@ from collections import deque
 from typing import Any, Callable, Deque, Optional, Tuple
 
 
+_this_thread = threading.get_ident
+
+
 class Call:
     """A piece of work whose caller waits for the result."""
 
@@ -63,8 +66,10 @@ class Runner:
         """Do a piece of work now if nobody is at work, else queue it."""
         if not self._queue and not self._calls and self._lock.acquire(False):
             try:
-                self._running = threading.get_ident()
-                self._do(work, arguments)
+                self._running = _this_thread()
+                work(*arguments)
+            except Exception as error:  # one bad event must not take the others with it
+                self._on_error(error)
             finally:
                 self._running = None
                 self._lock.release()
@@ -72,14 +77,15 @@ class Runner:
             self._queue.append((work, arguments))
             if len(self._queue) > self._size:
                 self._drop()
-        self._drain()
+        if self._queue or self._calls:
+            self._drain()
 
     def call(self, work: Callable[[], Any]) -> Any:
         """Do a piece of work, after the one that runs and before those that wait; return its result.
 
         From inside a piece of work (a subscriber that calls back) it is done at once.
         """
-        if self._running == threading.get_ident():
+        if self._running == _this_thread():
             return work()
         call = Call(work)
         self._calls.append(call)
@@ -100,7 +106,7 @@ class Runner:
             if not self._lock.acquire(False):
                 return
             try:
-                self._running = threading.get_ident()
+                self._running = _this_thread()
                 self._work_off()
             finally:
                 self._running = None

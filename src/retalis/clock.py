@@ -23,22 +23,30 @@ class Clock:
 
     Attributes:
         alarms: a heap of those that are set.
+        behind: whether time was seen to go back, and nobody has asked `went_back` since.
     """
 
     def __init__(self, source: Callable[[], int] = time.time_ns):
         self._source = source
         self._last_stamp = 0
         self._newest = 0
+        self.behind = False
         self.alarms: List[Tuple[int, int, Alarm]] = []
         self._order = count()
 
     def now(self) -> int:
-        """Return the present instant."""
-        return self._source()
+        """Return the present instant, and notice where time went back by more than `JUMP`."""
+        instant = self._source()
+        if instant >= self._newest:
+            self._newest = instant
+        elif instant < self._newest - JUMP:
+            self._newest = instant
+            self.behind = True
+        return instant
 
     def stamp(self, now: Optional[int] = None) -> int:
         """Return an instant for an event: now, but always after the last one given out."""
-        instant = self._source() if now is None else now
+        instant = self.now() if now is None else now
         if instant <= self._last_stamp:
             instant = self._last_stamp + 1
         self._last_stamp = instant
@@ -61,16 +69,11 @@ class Clock:
         instant, _, alarm = heapq.heappop(self.alarms)
         return instant, alarm
 
-    def went_back(self, now: Optional[int] = None) -> bool:
+    def went_back(self) -> bool:
         """Tell whether time has gone back by more than `JUMP` since the last call; the clock starts anew then."""
-        if now is None:
-            now = self._source()
-        if now >= self._newest:
-            self._newest = now
+        self.now()
+        if not self.behind:
             return False
-        if now >= self._newest - JUMP:
-            return False
-        self._newest = now
         self.reset()
         return True
 
@@ -78,6 +81,7 @@ class Clock:
         """Drop the alarms and the memory of the last stamp."""
         self.alarms.clear()
         self._last_stamp = 0
+        self.behind = False
 
 
 class StreamClock(Clock):

@@ -278,17 +278,24 @@ class Engine:
         self, term: Term, start: Optional[int], end: Optional[int], ground: Optional[bool] = None
     ) -> None:
         """Dispatch an event; with no start it is stamped by the clock."""
-        now = self.clock.now()
-        if self.clock.went_back(now):
-            self._start_anew()
-        if self.clock.alarms:
+        clock = self.clock
+        now = clock.now()
+        if clock.behind or clock.alarms:
             self._watch_clock()
         if start is None or end is None:
-            start = end = self.clock.stamp(now)
+            start = end = clock.stamp(now)
         elif end < start:
             raise UsageError(f"{self.show(term)} ends before it starts")
         machine = self.logic.machine
-        machine.run(self.dispatcher.dispatch(term, start, end, machine.done, None, ground))
+        dispatcher = self.dispatcher
+        within = dispatcher.current
+        try:
+            frame = dispatcher.dispatch(term, start, end, machine.done, None, ground)
+            if frame is not machine.done:
+                machine.run(frame)
+        except BaseException:
+            dispatcher.current = within
+            raise
 
     def _take_text(self, text: str) -> None:
         try:

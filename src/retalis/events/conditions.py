@@ -11,6 +11,9 @@ Values = Tuple[Term, ...]
 Test = Callable[[Values, int, int], Optional[Values]]
 """Takes values and interval of a match; gives the values with what was found, or None where it fails."""
 
+Solved = Callable[[Term, Values, int, int, Frame], Frame]
+"""Takes the event, values, start, end and the next frame; gives the frame to go on with."""
+
 _PLAIN = frozenset((Atom, int, float, String))
 _DEEPEST = 30
 """How often a condition may make an event whose rules have a condition that makes an event, and so on."""
@@ -66,52 +69,77 @@ class Call:
         finally:
             network.nested -= 1
 
-    def act(self, match: Match, solved: Callable[[Values, Frame], Frame], after: Frame) -> Frame:
-        """Return the frame that calls the goal once and goes on with ``solved``; with ``after`` if it fails."""
-        values = match.values
-        given = tuple([values[at] for at in self.positions])
-        machine = self.rule.network.logic.machine
-        on_error = self._reporter()
-        if self.rule.network.dispatcher.is_of_ground(match) or _all_ground(given):
-            return machine.attempt(
-                self._plain, given, lambda found: solved(values + tuple(found), after), after, on_error
-            )
-        return machine.attempt(
-            self._open(), values, lambda found: solved(tuple(found), after), after, on_error
-        )
+    def act(
+        self, term: Term, values: Values, start: int, end: int, ground: bool, solved: Solved, after: Frame
+    ) -> Frame:
+        """Return the frame that calls the goal once and goes on with ``solved``; with ``after`` if it fails.
 
-    def act_on_all(self, match: Match, solved: Callable[[Values, Frame], Frame], after: Frame) -> Frame:
-        """Return the frame that goes on with ``solved`` for every solution of the goal, in order."""
-        values = match.values
+        Args:
+            term: the event, where the match is of one; handed on.
+            values: those of the match that it is called for.
+            start: where the match starts; handed on.
+            end: where it ends; handed on.
+            ground: whether it is known that no value has variables.
+            solved: takes what was handed on, with the values that were found behind the others.
+            after: the frame to go on with.
+        """
+        given = tuple([values[at] for at in self.positions])
+        if ground or _all_ground(given):
+            goal, kept = self._plain, values
+        else:
+            goal, given, kept = self._open(), values, ()
+        if goal.straight is None:
+            return self.rule.network.logic.machine.attempt(
+                goal,
+                given,
+                lambda found: solved(term, kept + found, start, end, after),
+                after,
+                self._reporter(),
+            )
+        dispatcher = self.rule.network.dispatcher
+        current = dispatcher.current
+        try:
+            found = goal.test(given)
+        except PrologError as error:
+            dispatcher.current = current
+            self.rule.network.goal_failed(self.rule, self.goal, error)
+            return after
+        return after if found is None else solved(term, kept + found, start, end, after)
+
+    def act_on_all(
+        self, term: Term, values: Values, start: int, end: int, ground: bool, solved: Solved, after: Frame
+    ) -> Frame:
+        """Return the frame that goes on with ``solved`` for every solution of the goal, in order; see `act`."""
         machine = self.rule.network.logic.machine
         given = tuple([values[at] for at in self.positions])
-        ground = _all_ground(given)
+        ground = ground or _all_ground(given)
         goal = self._compile(self._inputs, self.outputs, True) if ground else self._open(True)
 
         def each(found: Any) -> Frame:
             solutions = [tuple(list_items(item) or ()) for item in list_items(found[0]) or ()]
             if ground:
                 solutions = [values + solution for solution in solutions]
-            return emit_each(iter(solutions), solved, after)
+            return emit_each(
+                iter(solutions), lambda solution, then: solved(term, solution, start, end, then), after
+            )
 
         return machine.attempt(goal, given if ground else values, each, after, self._reporter())
 
-    def noting_cause(self, act: Any) -> Any:
-        """Return ``act`` so that events made by the goal know what the goal was called for."""
-        rule = self.rule
-        dispatcher = rule.network.dispatcher
+    def noting_cause(self, match: Match, solved: Solved, after: Frame) -> Tuple[Solved, Frame]:
+        """Have events that the goal makes know what it was called for, until it is over.
 
-        def noting(match: Match, solved: Callable[[Values, Frame], Frame], after: Frame) -> Frame:
-            before = dispatcher.cause
+        Returns:
+            What to hand to `act` instead of ``solved`` and ``after``.
+        """
+        dispatcher = self.rule.network.dispatcher
+        before = dispatcher.cause
 
-            def over(values: Values, then: Frame) -> Frame:
-                dispatcher.cause = before
-                return solved(values, then)
+        def over(term: Term, values: Values, start: int, end: int, then: Frame) -> Frame:
+            dispatcher.cause = before
+            return solved(term, values, start, end, then)
 
-            dispatcher.cause = (rule, match)
-            return act(match, over, (_RESTORE, dispatcher, before, after))
-
-        return noting
+        dispatcher.cause = (self.rule, match)
+        return over, (_RESTORE, dispatcher, before, after)
 
     def _open(self, every: bool = False) -> Any:
         """Return the goal for values with variables: it gives all values anew, as its solution leaves them."""

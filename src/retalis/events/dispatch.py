@@ -51,6 +51,10 @@ class Listener:
         self.action = action
 
 
+_AT_ONCE = 5
+"""To this depth derived events are served inside the call that makes them; deeper ones by the machine's loop."""
+
+
 class Event:
     """The dispatch of one event; as ``code`` of a frame it serves the listeners that are left.
 
@@ -165,7 +169,8 @@ class Dispatcher:
     ) -> Frame:
         """Return the frame that serves an event and then goes on with ``after``.
 
-        Where nobody listens that is ``after`` itself.
+        Where nobody listens, or all is done already, that is ``after`` itself. Callers have nothing left to do
+        but to return the frame: listeners may have been served when it is returned.
 
         Args:
             term: the event, an atom or compound term.
@@ -217,7 +222,8 @@ class Dispatcher:
         event.depth = depth = 1 if parent is None else parent.depth + 1
         if depth > self.max_depth:
             raise UsageError(f"more than {self.max_depth} events were derived one from the other")
-        return (event, after)
+        frame = (event, after)
+        return event.run(frame) if depth <= _AT_ONCE else frame
 
     def ground(self) -> bool:
         """Tell whether the event that is being served has no variables."""

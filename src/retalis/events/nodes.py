@@ -9,6 +9,7 @@ from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 from ..terms import Term, Var, variables
 from ._source import compile_function
 from .conditions import Test
+from .dispatch import Action
 from .matches import Found, Match, Place, identity, taken_back
 from .operators import Operator
 from .policy import Emit, Frame, Mode, Side, taking_all, taking_all_at_once, taking_one, waiting_only
@@ -25,9 +26,15 @@ class Node:
     vars: List[Var]
     windowed = True
     """Whether the window of a label is tested here."""
+    alone = False
+    """Whether the pattern is one event, with conditions and goals: it needs no matches, only values."""
 
     def bind(self, out: Emit, mode: Mode) -> None:
         """Send matches to ``out`` from now on, by the policy and flags of ``mode``; what waits stays."""
+        raise NotImplementedError
+
+    def bind_alone(self, complete: Action) -> None:
+        """Send values to ``complete`` from now on, without making matches; for nodes that are `alone`."""
         raise NotImplementedError
 
     def places(self) -> Sequence[Place]:
@@ -44,6 +51,7 @@ class Leaf(Node):
     def __init__(self, rule: Any, term: Term):
         self.rule = rule
         self.term = term
+        self.alone = True
         self.rank = 0
         self.vars = variables(term)
 
@@ -70,13 +78,9 @@ class Leaf(Node):
         known = rule.double or mode.tracked
         rule.listen(self, arrive_known if known else arrive_timed if rule.timed else arrive)
 
-    def bind_as_root(self, complete: Any) -> None:
-        """Listen for a rule whose pattern is one event: ``complete`` takes its values and interval."""
-
-        def arrive(term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
-            return complete(values, start, end, after)
-
-        self.rule.listen(self, arrive)
+    def bind_alone(self, complete: Action) -> None:
+        """Listen for a rule whose pattern is one event; see `Node.alone`."""
+        self.rule.listen(self, complete)
 
 
 class Filter(Node):
@@ -84,6 +88,7 @@ class Filter(Node):
 
     def __init__(self, child: Node, names: Sequence[Var], tests: Sequence[Test]):
         self.child = child
+        self.alone = child.alone
         self.windowed = False
         self.vars = list(names)
         self.tests = list(tests)
@@ -114,6 +119,22 @@ class Filter(Node):
             return out(match, after)
 
         self.child.bind(arrive, mode)
+
+    def bind_alone(self, complete: Action) -> None:
+        """Connect the node; see `Node.bind_alone`."""
+        tests = self.tests
+        span = self.span
+
+        def arrive(term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
+            if span is not None and end - start > span:
+                return after
+            for test in tests:
+                values = test(values, start, end)
+                if values is None:
+                    return after
+            return complete(term, values, start, end, after)
+
+        self.child.bind_alone(arrive)
 
 
 class Capture(Node):
@@ -166,6 +187,7 @@ class Acting(Node):
 
     def __init__(self, child: Node, call: Any, every: bool):
         self.child = child
+        self.alone = child.alone
         self.windowed = False
         self.call = call
         self.every = every
@@ -178,23 +200,39 @@ class Acting(Node):
 
     def bind(self, out: Emit, mode: Mode) -> None:
         """Connect the node; see `Node.bind`."""
-        act = self.call.act_on_all if self.every else self.call.act
-        if mode.tracked:
-            act = self.call.noting_cause(act)
+        call = self.call
+        act = call.act_on_all if self.every else call.act
+        tracked = mode.tracked
         span = self.span
         known = len(self.child.vars)
+        is_of_ground = call.rule.network.dispatcher.is_of_ground
 
         def arrive(match: Match, after: Frame) -> Frame:
             if span is not None and match.end - match.start > span:
                 return after
 
-            def solved(values: Any, then: Frame) -> Frame:
-                parts = (match, Found(values[known:]))
-                return out(Match(values, match.start, match.end, match.event, None, parts), then)
+            def solved(term: Term, values: Any, start: int, end: int, then: Frame) -> Frame:
+                return out(Match(values, start, end, match.event, None, (match, Found(values[known:]))), then)
 
-            return act(match, solved, after)
+            done = call.noting_cause(match, solved, after) if tracked else (solved, after)
+            return act(match.term, match.values, match.start, match.end, is_of_ground(match), *done)
 
         self.child.bind(arrive, mode)
+
+    def bind_alone(self, complete: Action) -> None:
+        """Connect the node; see `Node.bind_alone`."""
+        act = self.call.act_on_all if self.every else self.call.act
+        span = self.span
+        # Values of conditions and goals below may have variables where the event has none.
+        only_of_event = isinstance(self.child, Leaf)
+        is_ground = self.call.rule.network.dispatcher.ground
+
+        def arrive(term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
+            if span is not None and end - start > span:
+                return after
+            return act(term, values, start, end, only_of_event and is_ground(), complete, after)
+
+        self.child.bind_alone(arrive)
 
 
 class Never(Node):

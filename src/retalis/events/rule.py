@@ -9,9 +9,8 @@ from ..terms import Atom, Term, deref
 from .alarms import alarm_of
 from .building import compile_builder
 from .compiling import Compiler
-from .dispatch import Listener, Stage
+from .dispatch import Action, Listener, Stage
 from .matches import Match
-from .nodes import Leaf
 from .policy import Frame, Mode
 
 _SPARE = 1000
@@ -90,8 +89,8 @@ class Rule:
         root: Any = self.root
         if mode.tracked:
             root.bind(self._complete_tracked, mode)
-        elif isinstance(root, Leaf) and not self.timed and self.builder is not None:
-            root.bind_as_root(self._complete_values)
+        elif root.alone and not self.timed:
+            root.bind_alone(self._complete_alone())
         else:
             root.bind(self._complete, mode)
 
@@ -221,13 +220,33 @@ class Rule:
     def _complete(self, match: Match, after: Frame) -> Frame:
         if self.builder is None:
             return after
-        return self._complete_values(match.values, match.start, match.end, after)
+        return self._complete_values(match.term, match.values, match.start, match.end, after)
 
-    def _complete_values(self, values: Any, start: int, end: int, after: Frame) -> Frame:
+    def _complete_values(self, term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
         window = self.window
         if window is not None and end - start > window:
             return after
         return self.fire(self.builder(values), start, end, after)  # type: ignore[misc]
+
+    def _complete_alone(self) -> Action:
+        """Return what takes the values of a pattern that is one event; with nothing to test it fires at once."""
+        build = self.builder
+        if build is None:
+            return lambda term, values, start, end, after: after
+        head = self.definition.head
+        plain = head.__class__ is Atom or (head.__class__ is tuple and head[0].name not in _ALARMS)
+        if self.window is not None or not plain:
+            return self._complete_values
+        dispatch = self.network.dispatcher.dispatch
+
+        def complete(term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
+            try:
+                return dispatch(build(values), start, end, after)
+            except UsageError as error:
+                self.network.rule_failed(self, RuleError(error.message))
+                return after
+
+        return complete
 
     def _complete_tracked(self, match: Match, after: Frame) -> Frame:
         window = self.window

@@ -131,6 +131,7 @@ class Machine:
         self._exceeded = False
         self._memory: Optional[int] = None
         self._compact_at = _COMPACT_AT
+        self._enter_code = Code("attempt", self._enter_attempt)
         self._attempt_code = Code("attempt", self._attempt_failed)
         self._exit_code = _AttemptExit(self)
         self.catch_code = Code("catch", _fail)
@@ -384,6 +385,11 @@ class Machine:
                 on_error(error)
                 return otherwise
             return otherwise if outputs is None else then(outputs)
+        # A frame of its own: an attempt may be asked for before the loop runs that its choice point belongs to.
+        return (self._enter_code, goal, values, then, on_error, otherwise)
+
+    def _enter_attempt(self, frame: Frame) -> Frame:
+        _, goal, values, then, on_error, otherwise = frame
         choices = self.choices
         height = len(choices)
         choices.append(
