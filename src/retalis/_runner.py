@@ -8,7 +8,6 @@ import threading
 from collections import deque
 from typing import Any, Callable, Deque, Optional, Tuple
 
-
 _this_thread = threading.get_ident
 
 

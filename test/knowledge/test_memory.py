@@ -27,7 +27,7 @@ class Model:
 def filled(size, ends):
     memory, model = Memory(size), Model(size)
     for name, end in enumerate(ends):
-        assert memory.add(name, end - 1, end) == model.add(name, end)
+        assert memory.add((name, end - 1, end)) == model.add(name, end)
     return memory, model
 
 
@@ -52,8 +52,8 @@ def test_look_ups_by_time(size, ends, instant):
 def test_latest_is_the_newest_end_even_where_nothing_is_kept():
     memory = Memory(0)
     assert memory.latest is None
-    assert memory.add("a", 1, 5)
-    assert memory.add("b", 1, 3)
+    assert memory.add(("a", 1, 5))
+    assert memory.add(("b", 1, 3))
     assert memory.latest == 5
     assert len(memory) == 0
 
@@ -61,32 +61,32 @@ def test_latest_is_the_newest_end_even_where_nothing_is_kept():
 def test_counts_what_came_and_what_was_too_late():
     memory = Memory(2)
     for end in (10, 20, 5):
-        memory.add("x", end, end)
+        memory.add(("x", end, end))
     assert (memory.added, memory.late) == (2, 1)
 
 
 def test_a_reader_is_not_disturbed_by_what_is_added_meanwhile():
     memory = Memory(3)
     for end in range(3):
-        memory.add(end, end, end)
+        memory.add((end, end, end))
     reader = memory.newest_first()
     assert next(reader)[0] == 2
     for end in (1, 5, 6, 7):
-        memory.add("late", end, end)
+        memory.add(("late", end, end))
     assert [term for term, _, _ in reader] == [1, 0]
 
 
 def test_holds_at_most_twice_its_size():
     memory = Memory(10)
     for end in range(1000):
-        memory.add(end, end, end)
-    assert len(memory._records) <= 2 * 10 + 16
+        memory.add((end, end, end))
+    assert len(memory.records) <= 2 * 10 + 16
     assert [term for term, _, _ in memory.newest_first()] == list(range(999, 989, -1))
 
 
 def test_clear_forgets_records():
     memory = Memory(3)
-    memory.add("x", 1, 1)
+    memory.add(("x", 1, 1))
     memory.clear()
     assert len(memory) == 0
     assert memory.latest is None

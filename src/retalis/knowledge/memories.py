@@ -4,31 +4,14 @@ from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple
 
 from .. import timestamps
 from ..errors import UsageError
-from ..events import Dispatcher, Stage
+from ..events import Dispatcher, term_key
 from ..logic import Logic, Machine, domain_error, instant_of, permission_error, type_error
-from ..terms import Atom, Functor, Term, Var, copy, deref, freeze, functor, is_ground, unify
-from ._recording import Recording, Warn, key_of, recording
-from .memory import Memory
+from ..terms import MINUS, NIL, Atom, Functor, Term, Var, copy, deref, freeze, functor, unify
+from ._recording import Warn, key_of, recording
+from .recorder import UPDATED, Instance, Recorder
 
 CREATED: Functor = functor("memory_created", 5)
-UPDATED: Functor = functor("memory_updated", 2)
 DELETED: Functor = functor("memory_deleted", 1)
-
-
-class Instance:
-    """A memory with its name, its pattern, and the queries that wait for it."""
-
-    __slots__ = ("id", "active", "memory", "listener", "waiting", "open")
-
-    def __init__(self, name: Term, size: int, active: bool):
-        self.id = name
-        self.memory = Memory(size)
-        self.active = active
-        self.listener: Any = None
-        self.waiting: List[Tuple[int, int, Any]] = []
-        """A heap of those who wait: the instant to reach, their order, and the query."""
-        self.open = False
-        """Whether a record may have variables, so that a reader needs a copy."""
 
 
 class Memories:
@@ -58,6 +41,7 @@ class Memories:
         self._stamp = stamp
         self._problem = problem
         self._instances: Dict[Any, Instance] = {}
+        self._newest: Optional[Recorder] = None
         self.on_update: Callable[[Instance, int, Any], Any] = lambda instance, end, after: after
         self.on_delete: Callable[[Instance], None] = lambda instance: None
 
@@ -94,12 +78,8 @@ class Memories:
             raise type_error("integer", size)
         if size < 0:
             raise domain_error("not_less_than_zero", size)
-        take, closed = recording(
-            self._logic, self._dispatcher, pattern, conditions, form, f"memory {self._logic.show(name)}"
-        )
         instance = Instance(name, size, active)
-        recorder = self._recorder(instance, take, closed, pattern.__class__ is Var)
-        instance.listener = self._dispatcher.listen(Stage.MEMORIES, pattern, recorder)
+        self._recorder(pattern, conditions, form, name).add(instance)
         self._instances[key] = instance
         if not active:
             return after
@@ -119,52 +99,40 @@ class Memories:
         if instance is None:
             raise UsageError(f"there is no memory {self._logic.show(name)}")
         del self._instances[key_of(instance.id)]
-        self._dispatcher.remove(instance.listener)
+        instance.recorder.remove(instance)
         self.on_delete(instance)
         if not instance.active:
             return after
         instant = self._stamp()
         return self._dispatcher.dispatch((DELETED, instance.id), instant, instant, after)
 
-    def _recorder(
-        self, instance: Instance, take: Recording, closed: bool, everything: bool
-    ) -> Callable[..., Any]:
-        """Return the action that records matching events, releases queries and tells of the update.
+    def _recorder(self, pattern: Term, conditions: Term, form: Term, name: Term) -> Recorder:
+        """Return the recorder of the memory made last where that keeps the same of the same events, else a new one.
 
-        With ``closed`` the records of ground events are ground. With ``everything`` the pattern is a
-        variable; the memory's own updates are left out then.
+        Of the last one only, because memories take an event in the order in which they were made; and not
+        while an event is served, which a memory that is made meanwhile must not see.
         """
-        memory = instance.memory
+        alike = conditions is NIL and pattern.__class__ is not Var
+        key = term_key((MINUS, pattern, form)) if alike else None
+        last = self._newest
+        joinable = last is not None and last.instances and self._dispatcher.current is None
+        if last is not None and joinable and key is not None and key == last.key:
+            return last
+        title = f"memory {self._logic.show(name)}"
+        take = recording(self._logic, self._dispatcher, pattern, conditions, form, title)
+        self._newest = Recorder(self._dispatcher, pattern, take, self._problem, self._follow, key)
+        return self._newest
+
+    def _follow(self, instance: Instance, end: int, after: Any) -> Any:
+        """Return the frame for what an update leads to: queries that waited for it, then who is told of it."""
+        if instance.active and self._dispatcher.wanted(UPDATED):
+            instant = self._stamp()
+            update = (UPDATED, instance.id, timestamps.to_term(end))
+            after = self._dispatcher.later(update, instant, instant, after)
         waiting = instance.waiting
-        wanted = self._dispatcher.wanted
-        ground = self._dispatcher.ground
-        problem = self._problem
-
-        def record(term: Term, values: Tuple[Term, ...], start: int, end: int, after: Any) -> Any:
-            if everything and _is_update_of(instance, term):
-                return after
-            kept = take(term, values, problem)
-            if kept is None or not memory.add(kept, start, end):
-                return after
-            if not (closed and ground()) and not is_ground(kept):
-                instance.open = True
-            if instance.active and wanted(UPDATED):
-                after = self._tell(instance, end, after)
-            if waiting and waiting[0][0] <= end:
-                return self.on_update(instance, end, after)
-            return after
-
-        return record
-
-    def _tell(self, instance: Instance, end: int, after: Any) -> Any:
-        """Return the frame that dispatches ``memory_updated`` when it is its turn."""
-        instant = self._stamp()
-        update = (UPDATED, instance.id, timestamps.to_term(end))
-        return self._dispatcher.later(update, instant, instant, after)
-
-
-def _is_update_of(instance: Instance, term: Term) -> bool:
-    return term.__class__ is tuple and term[0] is UPDATED and deref(term[1]) is instance.id
+        if waiting and waiting[0][0] <= end:
+            return self.on_update(instance, end, after)
+        return after
 
 
 def read_access(memories: Memories) -> Dict[Tuple[str, int], Callable[..., bool]]:

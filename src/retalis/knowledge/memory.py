@@ -1,17 +1,12 @@
 """One memory instance: the newest N records of a kind of event, in order of their end times."""
 
 from bisect import bisect_left, bisect_right
-from typing import Iterator, List, NamedTuple, Optional
+from typing import Iterator, List, Optional, Tuple
 
 from ..terms import Term
 
-
-class Record(NamedTuple):
-    """What a memory keeps of an event: the record and the event's interval (instants)."""
-
-    term: Term
-    start: int
-    end: int
+Record = Tuple[Term, int, int]
+"""What a memory keeps of an event: the record and the event's interval, start and end as instants."""
 
 
 class Memory:
@@ -24,73 +19,88 @@ class Memory:
 
     Attributes:
         size: how many records are kept at most.
-        added: how many records were ever taken.
+        room: how long the lists may become.
         late: how many events were refused because they were older than all records of a full memory.
-        latest: the newest end of all events taken, None before the first.
+        ends: the ends of the records; read-only outside of this package.
+        records: the records, at the same places.
     """
 
-    __slots__ = ("size", "added", "late", "latest", "_ends", "_records", "_room")
+    __slots__ = ("size", "room", "late", "ends", "records", "_gone")
 
     def __init__(self, size: int):
         self.size = size
-        self._room = 2 * size + 16
-        self.added = 0
+        self.room = 2 * size + 16
         self.late = 0
-        self.clear()
+        self._gone = 0
+        self.ends: List[int] = []
+        self.records: List[Record] = []
 
     def clear(self) -> None:
         """Forget all records; the counts stay."""
-        self.latest: Optional[int] = None
-        self._ends: List[int] = []
-        self._records: List[Record] = []
+        self._gone += len(self.ends)
+        self.ends = []
+        self.records = []
 
     def __len__(self) -> int:
-        return min(len(self._ends), self.size)
+        return min(len(self.ends), self.size)
 
-    def add(self, term: Term, start: int, end: int) -> bool:
+    @property
+    def added(self) -> int:
+        """How many records were ever taken."""
+        return self._gone + len(self.ends)
+
+    @property
+    def latest(self) -> Optional[int]:
+        """The newest end of all events taken, None before the first."""
+        return self.ends[-1] if self.ends else None
+
+    def add(self, record: Record) -> bool:
         """Take a record; returns False where it is older than all records of a full memory."""
-        ends = self._ends
-        latest = self.latest
-        if latest is None or end >= latest:
-            self.latest = end
-            ends.append(end)
-            self._records.append((term, start, end))  # type: ignore[arg-type]  # a plain tuple is twice as fast
-            self.added += 1
-            if len(ends) >= self._room:
-                self._cut()
-            return True
+        ends = self.ends
+        end = record[2]
+        if ends and end < ends[-1]:
+            return self._insert(record, end)
+        ends.append(end)
+        self.records.append(record)
+        if len(ends) >= self.room:
+            self.cut()
+        return True
+
+    def _insert(self, record: Record, end: int) -> bool:
+        ends, records = self.ends, self.records
         at = bisect_right(ends, end)
         if self.size and at <= len(ends) - self.size:
             self.late += 1
             return False
-        self._ends = [*ends[:at], end, *ends[at:]]
-        self._records = [*self._records[:at], Record(term, start, end), *self._records[at:]]
-        self.added += 1
-        self._cut()
+        self.ends = [*ends[:at], end, *ends[at:]]
+        self.records = [*records[:at], record, *records[at:]]
+        self.cut()
         return True
 
-    def _cut(self) -> None:
-        first = max(0, len(self._ends) - self.size)
-        self._ends = self._ends[first:]
-        self._records = self._records[first:]
+    def cut(self) -> None:
+        """Drop what is over the size; the newest stays, whatever the size, for what is `latest`."""
+        first = max(0, len(self.ends) - max(self.size, 1))
+        self._gone += first
+        self.ends = self.ends[first:]
+        self.records = self.records[first:]
 
     def at_or_before(self, instant: int) -> Optional[Record]:
         """Return the last record whose end is not after ``instant``."""
-        at = bisect_right(self._ends, instant) - 1
-        if at < 0 or at < len(self._ends) - self.size:
+        at = bisect_right(self.ends, instant) - 1
+        if at < 0 or at < len(self.ends) - self.size:
             return None
-        return self._records[at]
+        return self.records[at]
 
     def at_or_after(self, instant: int) -> Optional[Record]:
         """Return the first record whose end is not before ``instant``."""
-        ends = self._ends
+        ends = self.ends
         size = self.size
         first = len(ends) - size
         at = bisect_left(ends, instant, first if first > 0 else 0)
-        return self._records[at] if at < len(ends) else None
+        return self.records[at] if at < len(ends) else None
 
     def newest_first(self) -> Iterator[Record]:
         """Yield the records there are at this moment, newest first."""
-        records = self._records
+        records = self.records
         for at in range(len(records) - 1, max(0, len(records) - self.size) - 1, -1):
             yield records[at]

@@ -1,0 +1,112 @@
+"""Recording: from an event to the memories that take it."""
+
+from typing import Any, Callable, Iterator, List, Tuple
+
+from ..events import Dispatcher, Stage
+from ..terms import Term, Var, deref, functor, is_ground
+from ._recording import Recording, Warn
+from .memory import Memory, Record
+
+UPDATED = functor("memory_updated", 2)
+
+
+class Instance:
+    """A memory with its name, its recorder, and the queries that wait for it."""
+
+    __slots__ = ("id", "active", "memory", "recorder", "waiting", "open")
+
+    recorder: "Recorder"
+
+    def __init__(self, name: Term, size: int, active: bool):
+        self.id = name
+        self.memory = Memory(size)
+        self.active = active
+        self.waiting: List[Tuple[int, int, Any]] = []
+        """A heap of those who wait: the instant to reach, their order, and the query."""
+        self.open = False
+        """Whether a record may have variables, so that a reader needs a copy."""
+
+
+class Recorder:
+    """Takes the events of one pattern into the memories that record them alike, in the order of these.
+
+    As code of a frame it goes on with the memories that are left.
+
+    Args:
+        dispatcher: whose events come.
+        pattern: which events.
+        take: what is kept of one, and whether that of a ground event is ground.
+        problem: takes a report about a condition that raised an error.
+        follow: returns the frame for what a memory's update leads to: takes instance, end and next frame.
+        key: equal for recorders that keep the same of the same events; None where that cannot be known.
+    """
+
+    def __init__(
+        self,
+        dispatcher: Dispatcher,
+        pattern: Term,
+        take: Tuple[Recording, bool],
+        problem: Warn,
+        follow: Callable[[Instance, int, Any], Any],
+        key: Any,
+    ):
+        self.key = key
+        self.instances: Tuple[Instance, ...] = ()
+        self._dispatcher = dispatcher
+        self._take, self._closed = take
+        self._problem = problem
+        self._follow = follow
+        self._everything = pattern.__class__ is Var
+        self._listener = dispatcher.listen(Stage.MEMORIES, pattern, self._arrive)
+
+    def add(self, instance: Instance) -> None:
+        """Record into one more memory."""
+        instance.recorder = self
+        self.instances = (*self.instances, instance)
+
+    def remove(self, instance: Instance) -> None:
+        """Record into a memory no more; without any the recorder is done."""
+        self.instances = tuple(one for one in self.instances if one is not instance)
+        if not self.instances:
+            self._dispatcher.remove(self._listener)
+
+    def _arrive(self, term: Term, values: Tuple[Term, ...], start: int, end: int, after: Any) -> Any:
+        if self._everything and self._is_own_update(term):
+            return after
+        kept = self._take(term, values, self._problem)
+        if kept is None:
+            return after
+        opens = not (self._closed and self._dispatcher.ground()) and not is_ground(kept)
+        return self._record((kept, start, end), opens, iter(self.instances), after)
+
+    def run(self, frame: Any) -> Any:
+        """Go on with the memories that are left."""
+        return self._record(*frame[1:])
+
+    def _record(self, record: Record, opens: bool, instances: Iterator[Instance], after: Any) -> Any:
+        end = record[2]
+        telling = self._dispatcher.wanted(UPDATED)
+        for instance in instances:
+            memory = instance.memory
+            ends = memory.ends
+            if ends and end < ends[-1]:
+                if not memory.add(record):
+                    continue
+            else:  # `Memory.add` written out: dozens of memories may take every event
+                ends.append(end)
+                memory.records.append(record)
+                if len(ends) >= memory.room:
+                    memory.cut()
+            if opens:
+                instance.open = True
+            waiting = instance.waiting
+            if (telling and instance.active) or (waiting and waiting[0][0] <= end):
+                return self._follow(instance, end, (self, record, opens, instances, after))
+        return after
+
+    def _is_own_update(self, term: Term) -> bool:
+        """Tell whether an event is the update of a memory that takes all events."""
+        if term.__class__ is not tuple or term[0] is not UPDATED:
+            return False
+        name = deref(term[1])
+        return any(name is instance.id for instance in self.instances)
