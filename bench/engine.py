@@ -9,6 +9,7 @@
 """
 
 import argparse
+import gc
 import json
 import os
 import re
@@ -61,6 +62,9 @@ def feed(engine: Engine, items: List[work.Item], messages: bool) -> Tuple[float,
     """Feed a stream; return the CPU seconds and the number of outputs."""
     outputs = Outputs(engine)
     post = engine.post
+    # The stream was made beforehand: walking it again and again is no cost of the engine's.
+    gc.collect()
+    gc.freeze()
     if messages:
         definitions = nao_definitions()
         data = [(definitions.decoder(kind), raw) for raw, kind in work.as_bytes(items, definitions)]
