@@ -49,3 +49,13 @@ def test_a_jump_back_of_more_than_a_second_is_noticed_once():
     assert not clock.went_back()
     assert clock.next_alarm() is None
     assert clock.stamp() == 8 * SECOND
+
+
+def test_the_first_stamp_is_the_present_and_not_later():
+    clock = StreamClock()
+    assert [clock.stamp(), clock.stamp()] == [0, 1]
+    clock.move_to(5 * SECOND)
+    assert not clock.went_back()
+    clock.move_to(0, back=True)
+    assert clock.went_back()
+    assert clock.stamp() == 0

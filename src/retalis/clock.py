@@ -28,7 +28,7 @@ class Clock:
 
     def __init__(self, source: Callable[[], int] = time.time_ns):
         self._source = source
-        self._last_stamp = 0
+        self._last_stamp = -1
         self._newest = 0
         self.behind = False
         self.alarms: List[Tuple[int, int, Alarm]] = []
@@ -80,7 +80,7 @@ class Clock:
     def reset(self) -> None:
         """Drop the alarms and the memory of the last stamp."""
         self.alarms.clear()
-        self._last_stamp = 0
+        self._last_stamp = -1
         self.behind = False
 
 
