@@ -52,6 +52,13 @@ def test_what_is_printed_reads_back(run):
     assert run(stream="\n".join(lines)) == (0, lines, "")
 
 
+def test_an_event_is_read_like_a_program_whatever_its_line_looks_like(run):
+    rules = 'yes(1) <- a("text",inf) . yes(2) <- a("text",X) where var(X).\n'
+    for stream in ('event(a("text",inf),[1,1]).\n', 'event(a("text",inf),[1,1]). true.\n'):
+        assert run(rules=rules, stream=stream)[1] == ['event(a("text",inf),[1,1]).', "event(yes(1),[1,1])."]
+    assert run(rules=rules, stream='event(a("text",True),[1,1]).')[1][0] == 'event(a("text",A),[1,1]).'
+
+
 def test_stamps_are_printed_in_the_form_in_which_they_came(run):
     stream = "event(a,[datime(2001,1,1,0,0,0,5),datime(2001,1,1,0,0,1.0,0)]).\nevent(b,[datime(2001,1,1,0,0,2),3e9])."
     assert run(stream=stream)[1] == [

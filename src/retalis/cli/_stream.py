@@ -1,5 +1,6 @@
 """Streams of terms: events and goals, one after the other, from a file or a pipe."""
 
+import re
 from typing import IO, Iterator, NamedTuple, Optional, Sequence, Union
 
 from ..errors import Place, SyntaxFault
@@ -15,6 +16,8 @@ class ReadLine(NamedTuple):
 
 
 Read = Union[ReadTerm, ReadLine, SyntaxFault]
+
+_DIFFERENT = re.compile(r"[\"`]|\b(?:inf|nan|True|False)\b")
 
 
 def read_stream(file: IO[str], operators: Operators, source: str) -> Iterator[Read]:
@@ -40,8 +43,11 @@ def read_stream(file: IO[str], operators: Operators, source: str) -> Iterator[Re
 
 
 def _event(reader: EventReader, text: str, place: Place) -> Optional[ReadLine]:
-    """Return the event of a line that holds nothing else: the usual case, and much faster than the full reader."""
-    if not text.endswith(")."):
+    """Return the event of a line that holds nothing else: the usual case, and much faster than the full reader.
+
+    What event text and a program read differently is left to the full reader.
+    """
+    if not text.endswith(").") or _DIFFERENT.search(text):
         return None
     try:
         return ReadLine(reader.read(text[:-1]), place)
