@@ -122,6 +122,20 @@ def test_an_active_memory_tells_and_another_does_not():
     assert names(engine)[2:] == ["memory_updated(m,5)", "memory_deleted(m)"]
 
 
+@pytest.mark.parametrize(
+    ("definition", "told"),
+    [
+        ("v(X), [], _, m, 3", "v(X), [], v(X)"),
+        ("v(X), [], R, m, 3", "v(X), [], v(X)"),
+        ("v(X), [], X, m, 3", "v(X), [], X"),
+        ("v(X), [Y = X], Y, m, 3", "v(X), [Y = X], Y"),
+    ],
+)
+def test_the_event_of_a_new_memory_tells_what_is_kept(definition, told):
+    engine = Watched(goals=f"memorize({definition})")
+    assert engine.call(f"{names(engine)[0]} =@= memory_created({told}, m, 3)")
+
+
 def test_a_rule_may_wait_for_an_update():
     engine = Watched("seen(Id) <- memory_updated(Id, _).", "memorize(v(_), [], _, m, 3)")
     engine.event("v(1)", 5)

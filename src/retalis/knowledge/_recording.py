@@ -5,6 +5,7 @@ from typing import Any, Callable, List, Optional, Tuple
 from ..events import Dispatcher, compile_builder
 from ..logic import Logic, PrologError, instantiation_error, type_error
 from ..terms import (
+    COMMA,
     EMPTY_BLOCK,
     TRUE,
     Atom,
@@ -37,6 +38,11 @@ def key_of(name: Term) -> Any:
         raise instantiation_error() from None
 
 
+def is_whole(pattern: Term, conditions: Term, form: Term) -> bool:
+    """Tell whether a form is a variable of its own, which stands for the event."""
+    return form.__class__ is Var and form not in variables((COMMA, pattern, conditions))
+
+
 def recording(
     logic: Logic, dispatcher: Dispatcher, pattern: Term, conditions: Term, form: Term, name: str
 ) -> Tuple[Recording, bool]:
@@ -62,7 +68,7 @@ def recording(
         raise type_error("callable", pattern)
     goals = _goals(conditions)
     inputs = variables(pattern)
-    whole = form.__class__ is Var and form not in inputs and form not in variables(conditions)
+    whole = is_whole(pattern, conditions, form)
     if not whole and form.__class__ not in (tuple, Atom, Var):
         raise type_error("callable", form)
     if whole:

@@ -7,7 +7,7 @@ from ..errors import UsageError
 from ..events import Dispatcher, term_key
 from ..logic import Logic, Machine, domain_error, instant_of, permission_error, type_error
 from ..terms import MINUS, NIL, Atom, Functor, Term, Var, copy, deref, freeze, functor, unify
-from ._recording import Warn, key_of, recording
+from ._recording import Warn, is_whole, key_of, recording
 from .recorder import UPDATED, Instance, Recorder
 
 CREATED: Functor = functor("memory_created", 5)
@@ -83,7 +83,7 @@ class Memories:
         self._instances[key] = instance
         if not active:
             return after
-        kept = pattern if form.__class__ is Var else form
+        kept = pattern if is_whole(pattern, conditions, form) else form
         instant = self._stamp()
         return self._dispatcher.dispatch(
             (CREATED, pattern, conditions, kept, name, size), instant, instant, after
