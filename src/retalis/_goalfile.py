@@ -1,11 +1,62 @@
 """Goal files (``goalPredicates.txt``): one goal a line, the full stop left out more often than not."""
 
-from typing import Iterator, List, Optional, Union
+from pathlib import Path
+from typing import Any, Iterator, List, NamedTuple, Optional, Union
 
-from .errors import SyntaxFault
+from .errors import Place, RetalisError, RuleError, SyntaxFault
+from .program import read_text
 from .syntax import Operators, ReadTerm, read_term
+from .terms import Term, deref, functor
 
 Read = Union[ReadTerm, SyntaxFault]
+
+_DIRECTIVES = (functor(":-", 1), functor("?-", 1))
+_INCLUDE = functor("include", 1)
+
+
+class Goal(NamedTuple):
+    """A goal, where it stands, and the folder of the file in which it stands."""
+
+    term: Term
+    place: Place
+    folder: Optional[Path]
+
+
+def goals_of(
+    text: str, source: str, folder: Optional[Path], operators: Operators, files: Any
+) -> Iterator[Union[Goal, RetalisError]]:
+    """Yield the goals of a goal file and, in their places, those of the files that it includes.
+
+    ``:- Goal`` is Goal; ``include(File)`` stands for the goals of another goal file. An error is yielded where
+    something does not read.
+    """
+    if folder is None:
+        yield from _goals(text, source, None, operators, files)
+        return
+    with files.inside(folder / Path(source).name):
+        yield from _goals(text, source, folder, operators, files)
+
+
+def _goals(
+    text: str, source: str, folder: Optional[Path], operators: Operators, files: Any
+) -> Iterator[Union[Goal, RetalisError]]:
+    for read in read_goals(text, operators, source):
+        if isinstance(read, SyntaxFault):
+            yield read
+            continue
+        term = deref(read.term)
+        if term.__class__ is tuple and term[0] in _DIRECTIVES:
+            term = deref(term[1])
+        if term.__class__ is not tuple or term[0] is not _INCLUDE:
+            yield Goal(term, read.place, folder)
+            continue
+        try:
+            with files.trusted(), files.relative_to(folder):
+                path = files.find(term[1])
+            inner = read_text(path)
+            yield from goals_of(inner, str(path), path.parent, operators, files)
+        except RetalisError as error:
+            yield RuleError(error.message, read.place)
 
 
 def read_goals(text: str, operators: Operators, source: str) -> Iterator[Read]:

@@ -7,12 +7,12 @@ from typing import Any, Callable, Dict, Generator, List, NamedTuple, Optional, S
 
 from . import timestamps
 from ._foreign import define_foreign, load_module
-from ._goalfile import read_goals
+from ._goalfile import goals_of
 from ._inputs import READERS, event_of
 from ._reports import Reports
 from ._runner import Runner
 from .clock import Clock, StreamClock
-from .errors import Place, ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
+from .errors import Place, ProgramErrors, RetalisError, RuleError, UsageError
 from .events import Dispatcher, Rules, Stage
 from .knowledge import Knowledge
 from .logic import Limits, Logic, instantiation_error, permission_error, type_error
@@ -80,7 +80,7 @@ class Engine:
         self.rules = Rules(self.logic, self.dispatcher, self.clock)
         self.rules.on_error = self.reports.error
         self.rules.on_warning = self.reports.warning
-        self.rules.loader.allow_only(settings.folders)
+        self.rules.files.allow_only(settings.folders)
         self.knowledge = Knowledge(
             self.logic, self.dispatcher, self.clock.stamp, self._deliver, self.reports.warning
         )
@@ -127,12 +127,12 @@ class Engine:
             ProgramErrors: all that did not read, failed or raised; the others have been called.
         """
         errors: List[RetalisError] = []
-        for goal in read_goals(text, self.logic.operators, source):
-            if isinstance(goal, SyntaxFault):
+        for goal in goals_of(text, source, folder, self.logic.operators, self.rules.files):
+            if isinstance(goal, RetalisError):
                 errors.append(goal)
                 continue
             try:
-                if not self._trusted(folder, lambda: self.logic.once(goal.term)):  # noqa: B023
+                if not self._trusted(goal.folder, lambda: self.logic.once(goal.term)):  # noqa: B023
                     errors.append(RuleError("this goal fails", goal.place))
             except RetalisError as error:
                 errors += _in_goal(error, goal.place)
@@ -264,7 +264,7 @@ class Engine:
         """Do work of a program that is being loaded from a folder: it may name any file."""
 
         def run() -> Any:
-            with self.rules.loader.trusted(), self.rules.relative_to(folder):
+            with self.rules.files.trusted(), self.rules.relative_to(folder):
                 return work()
 
         return self._runner.call(run)
@@ -374,7 +374,7 @@ class Engine:
         if not self.settings.allow_foreign:
             raise permission_error("load", "foreign_module", module)
         name: str = module.name if module.__class__ is Atom else module.text  # type: ignore[assignment]
-        define_foreign(self.logic, load_module(name, self.rules.loader.resolve))
+        define_foreign(self.logic, load_module(name, self.rules.files.resolve))
         return True
 
 

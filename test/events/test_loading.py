@@ -88,16 +88,6 @@ def test_a_directive_that_raises_undoes_the_file():
     assert not program.engine.query("catch(g(_),_,fail)")
 
 
-def test_use_module(tmp_path):
-    (tmp_path / "sub").mkdir()
-    (tmp_path / "main.txt").write_text("use_module('sub/one.txt'). d <- c.")
-    (tmp_path / "sub" / "one.txt").write_text("use_module('two.txt').")
-    (tmp_path / "sub" / "two.txt").write_text("c <- a.")
-    program = Program()
-    program.engine.rules.load_file(tmp_path / "main.txt")
-    assert program.feed("a@1") == "c@1-1 d@1-1"
-
-
 def test_rules_come_and_go():
     program = Program("c1(X) <- a(X). l : c2 <- a(_). c3 <- a(1) seq b.")
     call = program.engine.call

@@ -16,7 +16,7 @@ _RULE = functor("rule:", 2)
 _COLON = functor(":", 2)
 _CLAUSE = functor(":-", 2)
 _GRAMMAR = functor("-->", 2)
-_DIRECTIVES = frozenset((functor(":-", 1), functor("?-", 1)))
+DIRECTIVES = frozenset((functor(":-", 1), functor("?-", 1)))
 _PROPERTY = functor("property", 2)
 _PROPERTY_FACT = functor("event_rule_property", 3)
 _ALARM = functor("exceptionAlarm", 2)
@@ -26,7 +26,11 @@ _RENAMED = {
     functor("module", 2): functor("etalis_module", 2),
 }
 _UNWRAPPED = frozenset(functor(name, 1) for name in ("db", "prolog", "static"))
-_USE = functor("use_module", 1)
+_USING = {
+    functor("use_module", 1): "use",
+    functor("use_module", 2): "use",
+    functor("ensure_loaded", 1): "ensure",
+}
 KNOWN_PROPERTIES = ("event_rule_window", "window", "window_step")
 
 Spot = Callable[[Term], Optional[Place]]
@@ -41,7 +45,7 @@ class Property(NamedTuple):
 
 
 class Step(NamedTuple):
-    """Something to do when the file is accepted: ``kind`` is clause, directive, property or use."""
+    """Something to do when the file is accepted: ``kind`` is clause, directive, property, use or ensure."""
 
     kind: str
     term: Term
@@ -82,10 +86,13 @@ class Checker:
         head = term[0] if term.__class__ is tuple else None
         if is_rule(term):
             self._rule(term, spot, place)
-        elif head in _DIRECTIVES:
-            self.steps.append(Step("directive", deref(term[1]), place))
-        elif head is _USE:
-            self.steps.append(Step("use", deref(term[1]), place))
+        elif head in DIRECTIVES:
+            goal = deref(term[1])
+            kind = _USING.get(goal[0]) if goal.__class__ is tuple else None
+            named = Step("directive", goal, place) if kind is None else Step(kind, deref(goal[1]), place)
+            self.steps.append(named)
+        elif head in _USING:
+            self.steps.append(Step(_USING[head], deref(term[1]), place))
         elif head is _PROPERTY_FACT:
             self._property(Property(deref(term[1]), _name(term[2]), deref(term[3])), place)
             self.steps.append(Step("clause", term, place))
@@ -216,7 +223,7 @@ def clause_error(logic: Any, term: Term) -> Optional[str]:
         if term.__class__ is tuple and term[0] is _GRAMMAR:
             return None
         head, _ = split_clause(copy(term))
-        logic.database.writable(head.functor if head.__class__ is Atom else head[0], "modify")
+        logic.database.require_writable(head.functor if head.__class__ is Atom else head[0], "modify")
     except PrologError as error:
         return error.message
     return None

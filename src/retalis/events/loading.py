@@ -1,17 +1,18 @@
 """Loading event files: read, check all of it, then act; what is refused leaves nothing behind."""
 
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Iterable, Iterator, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 from ..errors import Place, ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
-from ..logic import PrologError, permission_error
-from ..syntax import read_program
-from ..terms import Atom, String, Term, atom, conjuncts, copy, deref, functor
-from .clauses import Checker, Definition, Step, clause_error
+from ..logic import PrologError
+from ..syntax import Operators, read_program
+from ..terms import Atom, Term, conjuncts, copy, deref, functor
+from .clauses import DIRECTIVES, Checker, Definition, Step, clause_error
+from .files import Files, text_of
+from .libraries import LIBRARY, require_library
 from .rule import Rule
 
-_DIRECTIVES = frozenset((functor(":-", 1), functor("?-", 1)))
+_INCLUDE = functor("include", 1)
 _OP = functor("op", 3)
 _SET_FLAG = functor("set_prolog_flag", 2)
 
@@ -23,114 +24,109 @@ class Plan(NamedTuple):
     rules: List[Rule]
 
 
+class _Reading(NamedTuple):
+    """A file that is being read: its terms so far, how the next ones read, and the errors."""
+
+    checker: Checker
+    operators: Operators
+    errors: List[RetalisError]
+
+
 class Loader:
     """Loads event files into `Rules`."""
 
     def __init__(self, rules: Any):
         self._rules = rules
-        self._folder: Optional[Path] = None
-        self._open: List[Path] = []
-        self._allowed: Optional[List[Path]] = None
-        self._trusted = False
-
-    def allow_only(self, folders: Optional[Iterable[Any]]) -> None:
-        """Have goals open files in these folders and below only; None allows all."""
-        self._allowed = None if folders is None else [Path(folder).resolve() for folder in folders]
-
-    @property
-    def allowed(self) -> Optional[List[Path]]:
-        """The folders in which goals may open files; None means all."""
-        return self._allowed
-
-    @contextmanager
-    def trusted(self) -> Iterator[None]:
-        """Allow all files meanwhile; the folders of those that are opened stay allowed."""
-        before = self._trusted
-        self._trusted = True
-        try:
-            yield
-        finally:
-            self._trusted = before
-
-    @contextmanager
-    def relative_to(self, folder: Optional[Path]) -> Iterator[None]:
-        """Have relative paths be relative to a folder."""
-        before = self._folder
-        if folder is not None:
-            self._folder = Path(folder)
-        try:
-            yield
-        finally:
-            self._folder = before
-
-    def resolve(self, path: Any) -> Path:
-        """Return a path, seen from the file that names it.
-
-        Raises:
-            PrologError: a permission error where it leads out of the folders that are allowed.
-        """
-        found = Path(path)
-        if not found.is_absolute() and self._folder is not None:
-            found = self._folder / found
-        if self._allowed is not None:
-            real = found.resolve()
-            inside = any(folder in real.parents for folder in self._allowed)
-            if self._trusted and not inside:
-                self._allowed.append(real.parent)
-            elif not inside:
-                raise permission_error("open", "source_sink", atom(str(path)))
-        return found
+        self._files: Files = rules.files
 
     def load_text(self, text: str, source: str, folder: Optional[Path]) -> None:
         """Load a text; see `Rules.load_text`."""
-        errors: List[RetalisError] = []
-        with self.relative_to(folder):
-            plan = self._plan(text, source, errors)
-            self._finish(plan, errors)
+        if folder is None:
+            self._load(text, source)
+            return
+        with self._files.inside(folder / Path(source).name), self._files.relative_to(folder):
+            self._load(text, source)
 
     def load_file(self, path: Any) -> None:
         """Load a file; see `Rules.load_file`."""
-        place = self.resolve(path)
-        text = _text_of(place)
-        with self._inside(place):
-            self.load_text(text, str(path), place.parent)
+        self._load_file(self._files.resolve(path))
+
+    def use(self, name: Term, once: bool) -> None:
+        """Load the file that a term names, or do nothing for a library that is always there.
+
+        Args:
+            name: the file, or ``library(Name)``.
+            once: leave it at that where the file has been loaded before.
+
+        Raises:
+            ProgramErrors: all errors; nothing of the file is active then.
+            PrologError: for an unknown library, or a term that names no file.
+            UsageError: where the file cannot be read.
+        """
+        name = deref(name)
+        if name.__class__ is tuple and name[0] is LIBRARY:
+            require_library(name)
+            return
+        path = self._files.find(name)
+        if not once or path.resolve() not in self._files.loaded:
+            self._load_file(path)
 
     def load_terms(self, terms: Sequence[Tuple[Term, Optional[Place]]]) -> None:
         """Load terms; see `Rules.load_terms`."""
-        checker = Checker()
+        reading = _Reading(Checker(), self._rules.logic.operators.copy(), [])
         for term, place in terms:
-            checker.term(copy(term), lambda part: None, place)
-        errors: List[RetalisError] = []
-        plan = self._checked(checker, errors)
-        self._finish(plan, errors)
+            included = _included(term)
+            if included is None:
+                reading.checker.term(copy(term), lambda part: None, place)
+            else:
+                self._include(included, place, reading)
+        self._finish(lambda errors: self._checked(reading.checker, errors), reading.errors)
 
-    @contextmanager
-    def _inside(self, place: Path) -> Iterator[None]:
-        place = place.resolve()
-        if place in self._open:
-            raise UsageError(f"{place.name} loads itself")
-        self._open.append(place)
-        try:
-            yield
-        finally:
-            self._open.pop()
+    def _load_file(self, path: Path) -> None:
+        text = text_of(path)
+        with self._files.inside(path), self._files.relative_to(path.parent):
+            self._load(text, str(path))
+
+    def _load(self, text: str, source: str) -> None:
+        self._finish(lambda errors: self._plan(text, source, errors), [])
 
     def _plan(self, text: str, source: str, errors: List[RetalisError]) -> Plan:
-        operators = self._rules.logic.operators.copy()
-        program = read_program(text, operators, source)
-        checker = Checker()
+        reading = _Reading(Checker(), self._rules.logic.operators.copy(), errors)
+        self._read(read_program(text, reading.operators, source), reading)
+        return self._checked(reading.checker, errors)
+
+    def _read(self, program: Any, reading: _Reading) -> None:
+        """Read the terms of a text, and in their places those of files that it includes."""
         for read in program:
             if isinstance(read, SyntaxFault):
-                errors.append(read)
+                reading.errors.append(read)
                 continue
-            checker.read(read)
+            included = _included(read.term)
+            if included is not None:
+                self._include(included, read.place, reading, program)
+                continue
+            reading.checker.read(read)
             if read.singletons and self._rules.warn_singletons:
                 names = ", ".join(read.singletons)
                 self._rules.on_warning(RuleError(f"singleton variables: {names}", read.place))
             term = deref(read.term)
-            if term.__class__ is tuple and term[0] in _DIRECTIVES:
+            if term.__class__ is tuple and term[0] in DIRECTIVES:
                 self._change_reading(term[1], program)
-        return self._checked(checker, errors)
+
+    def _include(self, name: Term, place: Optional[Place], reading: _Reading, outer: Any = None) -> None:
+        """Read the terms of another file as if they stood here."""
+        try:
+            path = self._files.find(name)
+            text = text_of(path)
+            with self._files.inside(path), self._files.relative_to(path.parent):
+                program = read_program(text, reading.operators, str(path))
+                if outer is not None:
+                    program.flags = outer.flags
+                self._read(program, reading)
+                if outer is not None:
+                    outer.flags = program.flags
+        except (UsageError, PrologError) as error:
+            reading.errors.append(RuleError(error.message, place))
 
     def _change_reading(self, goal: Term, program: Any) -> None:
         """Have operators and flags that a directive sets hold for the rest of the file."""
@@ -159,7 +155,7 @@ class Loader:
                 problem = clause_error(logic, step.term)
                 if problem is not None:
                     errors.append(RuleError(problem, step.place))
-            if step.kind == "use":
+            if step.kind in ("use", "ensure"):
                 plan = self._used(step, errors)
                 if plan is not None:
                     steps.append(plan)
@@ -180,26 +176,34 @@ class Loader:
         return rules
 
     def _used(self, step: Step, errors: List[RetalisError]) -> Optional[Plan]:
-        name = step.term
-        if name.__class__ not in (Atom, String):
-            return None  # library(...): there is one library, and it is always there
+        """Return the plan of a file that is used; None for a library, or what need not be loaded again."""
+        name = deref(step.term)
         try:
-            place = self.resolve(name.name if name.__class__ is Atom else name.text)
-            text = _text_of(place)
-            with self._inside(place), self.relative_to(place.parent):
-                return self._plan(text, str(place), errors)
+            if name.__class__ is tuple and name[0] is LIBRARY:
+                require_library(name)
+                return None
+            path = self._files.find(name)
+            if step.kind == "ensure" and path.resolve() in self._files.loaded:
+                return None
+            text = text_of(path)
+            with self._files.inside(path), self._files.relative_to(path.parent):
+                return self._plan(text, str(path), errors)
         except (UsageError, PrologError) as error:
             errors.append(RuleError(error.message, step.place))
             return None
 
-    def _finish(self, plan: Plan, errors: List[RetalisError]) -> None:
-        if errors:
-            raise ProgramErrors(errors)
+    def _finish(self, plan: Callable[[List[RetalisError]], Plan], errors: List[RetalisError]) -> None:
+        """Check all of a program, then have it act; what is refused leaves nothing behind."""
         before = _Snapshot(self._rules)
+        loaded = set(self._files.loaded)
         try:
-            self._act(plan)
+            steps = plan(errors)
+            if errors:
+                raise ProgramErrors(_in_order(errors))
+            self._act(steps)
         except RetalisError as error:
             before.restore()
+            self._files.loaded = loaded
             if isinstance(error, ProgramErrors):
                 raise
             raise ProgramErrors([error]) from error
@@ -238,11 +242,9 @@ class _Snapshot:
     def __init__(self, rules: Any):
         self._rules = rules
         self._active = list(rules.rules)
-        self._clauses = {
-            predicate: list(predicate.live())
-            for predicate in rules.logic.database.predicates.values()
-            if predicate.kind == "user"
-        }
+        found = list(rules.logic.database.predicates.values())
+        self._library = [predicate for predicate in found if predicate.library]
+        self._clauses = {predicate: list(predicate.live()) for predicate in found if predicate.kind == "user"}
         self._properties = {key: list(found) for key, found in rules._properties.items()}
 
     def restore(self) -> None:
@@ -251,6 +253,8 @@ class _Snapshot:
         for rule in list(rules.rules):
             if not any(rule is one for one in self._active):
                 rules.remove(rule)
+        for predicate in self._library:
+            rules.logic.database.give_back(predicate)
         for predicate in list(rules.logic.database.predicates.values()):
             if predicate.kind == "user":
                 kept = self._clauses.get(predicate, [])
@@ -270,9 +274,23 @@ def _names(term: Term) -> List[str]:
     return [item.name for item in found if item.__class__ is Atom]
 
 
-def _text_of(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "no UTF-8 text"
-        raise UsageError(f"cannot read {path}: {reason}") from error
+def _in_order(errors: List[RetalisError]) -> List[RetalisError]:
+    """Return errors by file, in the order in which the files came up, and there by line and column."""
+    files: Dict[Optional[str], int] = {}
+    for error in errors:
+        files.setdefault(error.place.source if error.place else None, len(files))
+
+    def where(error: RetalisError) -> Tuple[int, int, int]:
+        place = error.place
+        return (files[None], 0, 0) if place is None else (files[place.source], place.line, place.column)
+
+    return sorted(errors, key=where)
+
+
+def _included(term: Term) -> Optional[Term]:
+    """Return the name of the file in ``:- include(File)``, None for another term."""
+    term = deref(term)
+    if term.__class__ is not tuple or term[0] not in DIRECTIVES:
+        return None
+    goal = deref(term[1])
+    return deref(goal[1]) if goal.__class__ is tuple and goal[0] is _INCLUDE else None

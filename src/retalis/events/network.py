@@ -12,6 +12,7 @@ from ..timestamps import SECOND, from_seconds
 from ._keys import term_key
 from .clauses import Checker, Property, is_rule
 from .dispatch import Dispatcher
+from .files import Files
 from .flags import Flags
 from .justification import Justifier
 from .loading import Loader
@@ -73,6 +74,7 @@ class Rules:
         self.tracker = Tracker(self)
         self.justifier = Justifier(self)
         self.store = Store(self)
+        self.files = Files()
         self.loader = Loader(self)
         self._properties: Dict[Any, List[Property]] = {}
         self._serial = 0
@@ -108,7 +110,7 @@ class Rules:
     @contextmanager
     def relative_to(self, folder: Optional[Path]) -> Iterator[None]:
         """Have relative paths of files be relative to a folder, while the context lasts."""
-        with self.loader.relative_to(folder):
+        with self.files.relative_to(folder):
             yield
 
     # ---- rules ---------------------------------------------------------------------------------------
@@ -260,6 +262,7 @@ class Rules:
         self.store.clear()
         self.tracker.clear()
         self.flags.reset()
+        self.files.loaded.clear()
 
     @property
     def waiting(self) -> int:

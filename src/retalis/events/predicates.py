@@ -22,6 +22,7 @@ from ..terms import (
     undo,
 )
 from ..timestamps import from_any, interval_term, shown
+from .files import text_of
 from .flags import FLAGS
 from .store import solutions
 
@@ -103,6 +104,9 @@ class _Editing:
         logic.define("del_all_event_rules", 1, self.delete_by_head)
         for name in ("compile_event_file", "compile_events"):
             logic.define(name, 1, self.load_file)
+        logic.define("use_module", 1, self.use)
+        logic.define("use_module", 2, lambda machine, name, imports: self.use(machine, name))
+        logic.define("ensure_loaded", 1, self.ensure_loaded)
         logic.define("compile_event_rules", 1, self.load_terms)
         logic.define("compile_event_rules", 2, lambda machine, module, terms: self.load_terms(machine, terms))
         logic.define("reset_db", 0, self.reset_db)
@@ -123,6 +127,14 @@ class _Editing:
 
     def load_file(self, machine: Any, path: Term) -> bool:
         self.rules.load_file(_path(path))
+        return True
+
+    def use(self, machine: Any, name: Term) -> bool:
+        self.rules.loader.use(name, once=False)
+        return True
+
+    def ensure_loaded(self, machine: Any, name: Term) -> bool:
+        self.rules.loader.use(name, once=True)
         return True
 
     def load_terms(self, machine: Any, terms: Term) -> bool:
@@ -227,6 +239,7 @@ class _Streams:
         logic.define_control("fire_event_list", 1, self.fire_list)
         logic.define_control("fire_event_list_return_external_events", 2, self.fire_and_return)
         logic.define_control("execute_event_stream_file", 1, self.execute_file)
+        logic.define("exists_file", 1, self.exists)
 
     def event(self, machine: Any, arguments: Sequence[Term], after: Frame) -> Frame:
         """Dispatch an event, with the interval given or stamped by the clock."""
@@ -253,11 +266,15 @@ class _Streams:
             return None
         return self._each(goals, after)
 
+    def exists(self, machine: Any, name: Term) -> bool:
+        path: Path = self.rules.files.resolve(_path(name))
+        return path.is_file()
+
     def execute_file(self, machine: Any, arguments: Sequence[Term], after: Frame) -> Frame:
-        path: Path = self.rules.loader.resolve(_path(arguments[0]))
+        path: Path = self.rules.files.resolve(_path(arguments[0]))
         try:
-            text = path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
+            text = text_of(path)
+        except UsageError as error:
             raise existence_error("source_sink", arguments[0]) from error
         goals: List[Term] = []
         errors: List[RetalisError] = []
@@ -337,14 +354,11 @@ class _Looking:
         logic.define("t2", 1, lambda machine, instant: self.checked(machine, instant, 1))
         logic.define_nondeterministic("fired_event", 2, self.fired)
         logic.define_nondeterministic("stored_event", 1, self.stored)
-        for name in ("spy_event", "print_trigger", "external_trigger", "persistent_event"):
-            predicate = logic.database.predicate(functor(name, 1))
-            predicate.dynamic = True
+        self.rules.store.define()
         logic.define("see_db", 0, self.see)
         logic.define_nondeterministic("justify_event", 3, self.justify)
         logic.define_nondeterministic("justification_edge", 2, self.edges)
-        for name in ("event_rule_property",):
-            logic.database.predicate(functor(name, 3)).dynamic = True
+        logic.database.predicate(functor("event_rule_property", 3)).dynamic = True
 
     def checked(self, machine: Any, instant: Term, at: int) -> bool:
         interval = self.rules.checked

@@ -2,10 +2,11 @@
 
 import logging
 from collections import deque
-from pathlib import Path
 from typing import Any, Deque, Iterator, List, Optional, Tuple
 
-from ..terms import SLASH, Atom, Term, Var, copy, deref, functor, undo, unify
+from ..errors import UsageError
+from ..logic import Predicate
+from ..terms import SLASH, Atom, Functor, Term, Var, copy, deref, functor, undo, unify
 from ..timestamps import interval_term
 from .dispatch import Listener, Stage
 
@@ -13,23 +14,34 @@ log = logging.getLogger("retalis.events")
 
 _EVENT2 = functor("event", 2)
 _KEPT = 100_000
+_FILE = "persistent.txt"
 _PERSISTENT = functor("persistent_event", 1)
-_SHOWN = (functor("external_trigger", 1), functor("spy_event", 1))
+_SHOWN = tuple(functor(name, 1) for name in ("external_trigger", "print_trigger", "spy_event"))
+
+
+class Watched(Predicate):
+    """A predicate whose facts name events: as soon as it has one, all events are looked at."""
+
+    def __init__(self, rules: Any, key: Functor):
+        super().__init__(rules.logic.database, key)
+        self.dynamic = True
+        self._rules = rules
+
+    def changed(self) -> None:
+        """Do what has to be done when a clause comes or goes."""
+        super().changed()
+        self._rules.store.watch()
 
 
 class Store:
-    """Looks on at all events; what is not asked for costs nothing.
-
-    Attributes:
-        file: where persistent events are written.
-    """
+    """Looks on at all events; what is not asked for costs nothing."""
 
     def __init__(self, rules: Any):
         self._rules = rules
         self._events: Deque[Tuple[Term, int, int]] = deque(maxlen=_KEPT)
         self._storing: Optional[Listener] = None
         self._watching: Optional[Listener] = None
-        self.file = Path("persistent.txt")
+        self._unwritten = 0
 
     def keep_all(self, on: bool) -> None:
         """Store events from now on, or no more."""
@@ -52,6 +64,11 @@ class Store:
         """Forget what was stored."""
         self._events.clear()
 
+    def define(self) -> None:
+        """Have the facts that name events be noticed."""
+        for key in (_PERSISTENT, *_SHOWN):
+            self._rules.logic.database.predicates[key] = Watched(self._rules, key)
+
     def watch(self) -> None:
         """Write and log the events that facts of the program name, from now on."""
         if self._watching is None:
@@ -59,13 +76,24 @@ class Store:
 
     def _look(self, term: Term, values: Any, start: int, end: int, after: Any) -> Any:
         if self._is_named(_PERSISTENT, term):
-            event = (_EVENT2, term, interval_term(start, end))
-            with self.file.open("a", encoding="utf-8") as file:
-                file.write(f"{self._rules.logic.show(event)}.\n")
+            self._write((_EVENT2, term, interval_term(start, end)))
         if any(self._is_named(key, term) for key in _SHOWN):
             shown = (_EVENT2, term, interval_term(start, end))
             log.info("%s", self._rules.logic.show(shown))
         return after
+
+    def _write(self, event: Term) -> None:
+        """Write a persistent event; what cannot be written is counted and reported at 1, 2, 4, 8 ... of them."""
+        rules = self._rules
+        try:
+            with rules.files.own_file(_FILE).open("a", encoding="utf-8") as file:
+                file.write(f"{rules.logic.show(event)}.\n")
+        except (OSError, UsageError) as error:
+            self._unwritten += 1
+            if self._unwritten & (self._unwritten - 1) == 0:
+                rules.on_warning(
+                    UsageError(f"{self._unwritten} persistent events could not be written: {error}")
+                )
 
     def _is_named(self, key: Any, term: Term) -> bool:
         predicate = self._rules.logic.database.predicates.get(key)

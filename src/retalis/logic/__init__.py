@@ -4,6 +4,7 @@
 """
 
 from .builtins.datimes import instant_of
+from .database import Predicate
 from .faults import (
     PrologError,
     domain_error,
@@ -24,6 +25,7 @@ __all__ = [
     "Limits",
     "Logic",
     "Machine",
+    "Predicate",
     "PrologError",
     "domain_error",
     "existence_error",

@@ -421,6 +421,24 @@ class Database:
         for predicate in self.predicates.values():
             predicate.forget()
 
+    def require_writable(self, key: Functor, action: str) -> None:
+        """Check that the program may change the clauses of a predicate.
+
+        Raises:
+            PrologError: a permission error for the system's predicates.
+        """
+        predicate = self.predicate(key)
+        if predicate.library and predicate.locked:
+            raise permission_error(action, "static_procedure", indicator(key))
+
+    def give_back(self, predicate: Predicate) -> None:
+        """Have the library's predicate be the program's again, in place of one of the program's own."""
+        key = predicate.functor
+        if self.predicates.get(key) is not predicate:
+            self.predicates[key] = predicate
+            self.library.kept.pop(key, None)
+            self.forget()
+
     def writable(self, key: Functor, action: str) -> Predicate:
         """Return a predicate whose clauses the program may change.
 
@@ -429,11 +447,10 @@ class Database:
         Raises:
             PrologError: a permission error for the system's predicates.
         """
+        self.require_writable(key, action)
         predicate = self.predicate(key)
         if not predicate.library:
             return predicate if predicate.tabled is None else predicate.tabled  # type: ignore[no-any-return]
-        if predicate.locked:
-            raise permission_error(action, "static_procedure", indicator(key))
         self.library.kept[key] = predicate
         own = self.predicates[key] = Predicate(self, key)
         self.forget()

@@ -24,6 +24,8 @@ def _formal(formal: Term) -> str:
     name, args = formal[0].name, [deref(arg) for arg in formal[1:]]
     if name == "existence_error" and _name(args[0]) == "procedure":
         return f"Unknown procedure: {writeq(args[1])}"
+    if name == "system_error":
+        return _name(args[0])  # a sentence
     template = _TEMPLATES.get(name)
     if template is None or template.count("{}") != len(args):
         return f"Unknown error: {writeq(formal)}"
@@ -41,7 +43,6 @@ _TEMPLATES = {
     "syntax_error": "Syntax error: {}",
     "assertion_failed": "Assertion failed: {}",
     "format": "Format error: {}",
-    "system_error": "{}",
     "uninstantiation_error": "Cannot unify `{}': it has to be unbound",
 }
 

@@ -202,7 +202,7 @@ def _declaration(attribute: Optional[str]) -> Any:
 deterministic("dynamic/1")(_declaration("dynamic"))
 deterministic("discontiguous/1")(_declaration("discontiguous"))
 deterministic("multifile/1")(_declaration("multifile"))
-deterministic("module_transparent/1", "meta_predicate/1", "volatile/1", "public/1", "ensure_loaded/1")(
+deterministic("module_transparent/1", "meta_predicate/1", "volatile/1", "public/1")(
     lambda machine, term: True
 )
 

@@ -85,6 +85,20 @@ def between_datime(machine: Any, at: Term, low: Term, high: Term) -> bool:
     return first <= instant <= last
 
 
+def _one_of(earlier: bool) -> Any:
+    def run(machine: Any, left: Term, right: Term, result: Term) -> bool:
+        left, right = deref(left), deref(right)
+        numbers = left.__class__ in (int, float) and right.__class__ in (int, float)
+        first = left <= right if numbers else instant_of(left) <= instant_of(right)
+        return unify(result, left if first is earlier else right, machine.trail)
+
+    return run
+
+
+deterministic("min/3", locked=False)(_one_of(True))
+deterministic("max/3", locked=False)(_one_of(False))
+
+
 @deterministic("is_datime/1")
 def is_datime(machine: Any, term: Term) -> bool:
     """Test for a datime."""

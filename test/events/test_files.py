@@ -1,0 +1,246 @@
+"""Files that a program names: modules, files loaded once, included files, libraries, which may be opened."""
+
+import pytest
+from events.running import Program, show
+
+from retalis.clock import StreamClock
+from retalis.engine import Engine, Settings
+from retalis.errors import ProgramErrors
+
+
+@pytest.fixture
+def program(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return Program()
+
+
+def write(folder, **texts):
+    for name, text in texts.items():
+        path = folder / name.replace("__", "/")
+        path.parent.mkdir(exist_ok=True)
+        path.with_suffix(".pl").write_text(text, encoding="utf-8")
+
+
+def errors_of(work):
+    with pytest.raises(ProgramErrors) as caught:
+        work()
+    return [
+        f"{error.place.source}:{error.place.line}:{error.place.column}: {error.message}"
+        for error in caught.value.errors
+    ]
+
+
+@pytest.mark.parametrize("form", [":- use_module({})", "use_module({})", ":- ensure_loaded({})"])
+@pytest.mark.parametrize("name", ["'sub/one.pl'", '"sub/one.pl"', "sub/one", "'sub/one'"])
+def test_a_file_is_loaded_before_the_rules(program, tmp_path, form, name):
+    write(tmp_path, main=f"d <- c.\n{form.format(name)}.", sub__one=":- use_module(two).", sub__two="c <- a.")
+    program.engine.rules.load_file(tmp_path / "main.pl")
+    assert program.feed("a@1") == "c@1-1 d@1-1"
+
+
+def test_a_file_is_ensured_once_and_used_each_time(program, tmp_path):
+    write(
+        tmp_path,
+        one="c <- a.",
+        main=":- ensure_loaded(one). :- ensure_loaded('./one.pl').",
+        more="use_module(one).",
+    )
+    program.engine.rules.load_file("main.pl")
+    assert program.engine.call("ensure_loaded(one)")
+    assert program.feed("a@1") == "c@1-1"
+    program.engine.rules.load_file("more.pl")
+    assert program.feed("a@2") == "c@2-2 c@2-2"
+
+
+def test_files_that_ensure_each_other_are_loaded_once(program, tmp_path):
+    write(tmp_path, one=":- ensure_loaded(two). c <- a.", two=":- ensure_loaded(one). d <- a.")
+    program.engine.rules.load_file("one.pl")
+    assert program.feed("a@1") == "d@1-1 c@1-1"
+
+
+def test_a_refused_file_may_be_ensured_again(program, tmp_path):
+    write(tmp_path, one="c <- a. :- no_such_goal.")
+    errors_of(lambda: program.engine.load(rules=":- ensure_loaded(one)."))
+    write(tmp_path, one="c <- a.")
+    program.engine.load(rules=":- ensure_loaded(one).")
+    assert program.feed("a@1") == "c@1-1"
+
+
+def test_after_a_reset_a_file_may_be_ensured_again(program, tmp_path):
+    write(tmp_path, one="c <- a.")
+    assert program.engine.call("ensure_loaded(one), reset_etalis, ensure_loaded(one)")
+    assert program.feed("a@1") == "c@1-1"
+
+
+def test_an_included_file_stands_in_its_place(program, tmp_path):
+    write(tmp_path, sub__more=":- op(700, xfx, ===>). :- include(yet). f(a ===> b).", sub__yet="d <- a.")
+    program.engine.load(rules="c <- a. :- include(sub/more). e <- a. g(x ===> y).")
+    assert program.feed("a@1") == "c@1-1 d@1-1 e@1-1"
+    assert program.engine.call("f(===>(a,b)), g(===>(x,y))")
+
+
+def test_terms_that_are_loaded_may_include_files(program, tmp_path):
+    write(tmp_path, one="c <- a.")
+    assert program.engine.call("compile_event_rules([(:- include(one)), (d <- a)])")
+    assert program.feed("a@1") == "c@1-1 d@1-1"
+
+
+def test_errors_have_their_own_files_place_and_come_in_order(program, tmp_path):
+    write(tmp_path, one="x <- (.\ny <- a ntimes z.", two="ok <- a.\nz <- a not b.")
+    rules = "v <- b ntimes q.\n:- include(one).\n:- use_module(two).\n:- include(none).\nw <- .\n"
+    found = errors_of(lambda: program.engine.load(rules=rules, source="r"))
+    assert [text.split(": ")[0] for text in found] == [
+        "one.pl:1:7",
+        "one.pl:2:8",
+        "r:1:8",
+        "r:4:1",
+        "r:5:6",
+        "two.pl:2:8",
+    ]
+    assert found[3] == "r:4:1: cannot read none: No such file or directory"
+    assert program.engine.rules.rules == []
+
+
+@pytest.mark.parametrize("form", ["include", "use_module"])
+def test_a_cycle_is_one_error(program, tmp_path, form):
+    write(tmp_path, one=f"c <- a.\n:- {form}(two).", two=f":- {form}(one).\nd <- a.")
+    found = errors_of(lambda: program.engine.rules.load_file("one.pl"))
+    assert found == ["two.pl:1:1: one.pl loads itself"]
+    text = (tmp_path / "one.pl").read_text()
+    assert errors_of(lambda: program.engine.load_rules(text, "one.pl", tmp_path)) == [
+        f"{tmp_path}/two.pl:1:1: one.pl loads itself"
+    ]
+
+
+@pytest.mark.parametrize(
+    "name", ["lists", "apply", "assoc", "pairs", "ordsets", "aggregate", "random", "yall"]
+)
+def test_libraries_are_there(program, name):
+    program.engine.load(rules=f":- use_module(library({name})). use_module(library({name})). c <- a.")
+    program.engine.load(
+        goals=f"use_module(library({name}))\nuse_module(library({name}), [])\nensure_loaded(library({name}))"
+    )
+    assert program.warnings == []
+    assert program.feed("a@1") == "c@1-1"
+
+
+@pytest.mark.parametrize("form", [":- use_module", "use_module", ":- ensure_loaded", ":- true, use_module"])
+def test_an_unknown_library_is_an_error(program, form):
+    (found,) = errors_of(lambda: program.engine.load(rules=f"c <- a.\n{form}(library(clpfd)).", source="r"))
+    assert found.startswith("r:2:1: ")
+    assert "Unknown library: clpfd" in found
+
+
+@pytest.mark.parametrize("name", ["X", "17", "f(x)", "library(X)", "''", "'a\\\\0\\\\b'"])
+@pytest.mark.parametrize("form", ["include", "use_module", "ensure_loaded"])
+def test_what_names_no_file_is_one_error(program, form, name):
+    (found,) = errors_of(lambda: program.engine.load(rules=f":- {form}({name}).", source="r"))
+    assert found.startswith("r:1:1: ")
+
+
+# ---- goal files ------------------------------------------------------------------------------------------
+
+
+def test_goal_files_include_and_load_relative_to_themselves(program, tmp_path):
+    write(
+        tmp_path,
+        sub__rules="c <- a.",
+        sub__goals="ensure_loaded(rules)\n:- ensure_loaded(rules).\nassert(f(1))\n",
+    )
+    program.engine.call_goals("include(sub/goals)\n:- include('sub/goals.pl').\n", "goals.txt", tmp_path)
+    assert program.feed("a@1") == "c@1-1"
+    assert len(program.engine.query("f(1)")) == 2
+
+
+def test_errors_of_goal_files_have_their_places(program, tmp_path):
+    write(
+        tmp_path,
+        sub__more="true\nfail\ninclude('../goals.pl')\ncompile_event_file(none)\n",
+        sub__bad="x <- (.",
+    )
+    write(tmp_path, goals="include(sub/more)")
+    goals = "include(nothing)\ninclude(sub/more)\nensure_loaded(sub/bad)"
+    found = errors_of(lambda: program.engine.call_goals(goals, str(tmp_path / "goals.pl"), tmp_path))
+    assert [text.replace(f"{tmp_path}/", "") for text in found] == [
+        "goals.pl:1:1: cannot read nothing: No such file or directory",
+        "sub/more.pl:2:1: this goal fails",
+        "sub/more.pl:3:1: goals.pl loads itself",
+        "sub/more.pl:4:1: cannot read sub/none: No such file or directory (in compile_event_file/1)",
+        "sub/bad.pl:1:7: expected a term before the end of the clause",
+    ]
+
+
+# ---- which files ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "goal", ["ensure_loaded({})", "use_module({})", "compile_event_rules([(:- include({}))])"]
+)
+def test_a_goal_opens_files_in_allowed_folders_only(tmp_path, goal):
+    write(tmp_path, inside__one="c <- a.", outside__one="c <- a.")
+    engine = Engine(settings=Settings(folders=(str(tmp_path / "inside"),)))
+    with pytest.raises(Exception, match="No permission to open source_sink"):
+        engine.call(goal.format(f"'{tmp_path}/outside/one.pl'"))
+    assert engine.rules.rules == []
+    assert engine.call(goal.format(f"'{tmp_path}/inside/one.pl'"))
+    assert len(engine.rules.rules) == 1
+
+
+def _persistent(folders):
+    engine = Engine(clock=StreamClock(), settings=Settings(folders=folders))
+    warnings = []
+    engine.rules.on_warning = lambda warning: warnings.append(str(warning))
+    engine.load(rules="persistent_event(b(_)). b(X) <- a(X).")
+    for number in range(4):
+        engine.event(f"a({number})", number, number)
+    return warnings
+
+
+WRITTEN = "".join(f"event(b({number}),[{number},{number}]).\n" for number in range(4))
+
+
+def test_persistent_events_are_written_to_the_working_directory(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert _persistent(None) == []
+    assert (tmp_path / "persistent.txt").read_text() == WRITTEN
+
+
+def test_persistent_events_are_written_to_allowed_folders_only(tmp_path, monkeypatch):
+    (tmp_path / "here").mkdir()
+    (tmp_path / "program").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    assert _persistent((str(tmp_path / "program"),)) == []
+    assert (tmp_path / "program" / "persistent.txt").read_text() == WRITTEN
+    reported = _persistent(())
+    assert [text.partition(" ")[0] for text in reported] == ["1", "2", "4"]
+    assert "no folder" in reported[0]
+    assert list((tmp_path / "here").iterdir()) == []
+
+
+@pytest.mark.parametrize("fact", ["print_trigger", "external_trigger", "spy_event", "persistent_event"])
+def test_events_that_facts_name_are_logged_or_written(program, tmp_path, caplog, fact):
+    caplog.set_level("INFO", "retalis")
+    program.engine.load(rules=f"{fact}(b(1)). b(X) <- a(X).")
+    assert program.engine.call(f"assertz({fact}(c/0))")
+    program.feed("a(1)@1 a(2)@2 c@3")
+    written = tmp_path / "persistent.txt"
+    found = written.read_text() if written.exists() else caplog.text
+    assert "event(b(1),[1,1])" in found
+    assert "event(c,[3,3])" in found
+    assert "b(2)" not in found
+    assert program.engine.call("exists_file('persistent.txt')") == (fact == "persistent_event")
+
+
+def test_persistent_events_that_cannot_be_written_stop_nothing(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "persistent.txt").mkdir()
+    assert "Is a directory" in _persistent(None)[0]
+
+
+def test_a_refused_file_leaves_the_librarys_predicates(program):
+    for rules in ("memberchk(zz, _). c <- a ntimes z.", "memberchk(zz, _). min(1, 2, 3). :- no_such_goal."):
+        errors_of(lambda rules=rules: program.engine.load(rules=rules))
+        assert program.engine.call("memberchk(1, [1]), min(1, 2, 1)")
+    program.engine.load(rules="memberchk(zz, _).")
+    assert not program.engine.call("memberchk(1, [1])")
+    assert show(program.seen) == ""
