@@ -324,6 +324,23 @@ def is_ground(term: Term) -> bool:
     raise TermTooLarge
 
 
+def is_plain(term: Term) -> bool:
+    """Tell whether there is no variable in a term, bound or not: then it is as it is shown."""
+    if term.__class__ is not tuple:
+        return term.__class__ is not Var
+    pending = [term]
+    for _, compound in zip(repeat(None, MOST), pending):
+        for item in compound:
+            kind = item.__class__
+            if kind is tuple:
+                pending.append(item)
+            elif kind is Var:
+                return False
+    if len(pending) > MOST:
+        raise TermTooLarge
+    return True
+
+
 def rebuild(term: Term, leaf: Callable[[Var], Term]) -> Term:
     """Return ``term`` with bound variables followed and each unbound one replaced by ``leaf`` of it.
 
@@ -391,7 +408,7 @@ def _follow(term: Term) -> Term:
 
 def resolve(term: Term) -> Term:
     """Return ``term`` with all bound variables replaced by what they stand for."""
-    return rebuild(term, _same)
+    return term if is_plain(term) else rebuild(term, _same)
 
 
 def _same(var: Var) -> Term:

@@ -10,7 +10,7 @@ from typing import Any, Callable, Dict, Iterator, Optional, Tuple
 from weakref import WeakValueDictionary
 
 from ..errors import UsageError
-from ..terms import Atom, Functor, Lazy, Term, Var, copy, deref, is_ground
+from ..terms import Atom, Functor, Lazy, Term, Var, copy, deref, is_ground, is_plain
 from ._keys import term_key
 from ._plans import Choice, make_plan
 from .matching import Matcher, Values, compile_matcher
@@ -202,13 +202,19 @@ class Dispatcher:
         if plan is None:
             plan = self._plan(functor)
         while plan.__class__ is Choice:
-            plan = plan.branch(term)
+            at = plan.at
+            value = term[at] if at else None
+            known = plan.table.get(value, plan.default) if value.__class__ is Atom else None
+            plan = plan.branch(term) if known is None else known
         if not plan:
             return after
         if not own:
-            fresh: Dict[Var, Term] = {}
-            term = copy(term, fresh)
-            ground = not fresh
+            if is_plain(term):
+                ground = True
+            else:
+                fresh: Dict[Var, Term] = {}
+                term = copy(term, fresh)
+                ground = not fresh
         event = Event()
         event.ground = ground
         event.dispatcher = self
