@@ -45,6 +45,7 @@ class Call:
         self._compiled: Dict[Any, Any] = {}
         self._inputs = inputs
         self._plain = self._compile(inputs, self.outputs, False)
+        self._dispatcher = rule.network.dispatcher
 
     def test(self, values: Values) -> Optional[Values]:
         """Return the values with those of the first solution, or None; an error counts as failure and is reported."""
@@ -88,29 +89,18 @@ class Call:
             goal, kept = self._plain, values
         else:
             goal, given, kept = self._open(), values, ()
-        if goal.straight is None:
-            return self.rule.network.logic.machine.attempt(
-                goal,
-                given,
-                lambda found: solved(term, kept + found, start, end, after),
-                after,
-                self._reporter(),
-            )
-        dispatcher = self.rule.network.dispatcher
-        current = dispatcher.current
-        try:
-            found = goal.test(given)
-        except PrologError as error:
-            dispatcher.current = current
-            self.rule.network.goal_failed(self.rule, self.goal, error)
-            return after
-        return after if found is None else solved(term, kept + found, start, end, after)
+        return self._dispatcher.call(
+            goal,
+            given,
+            lambda found: solved(term, kept + found, start, end, after),
+            after,
+            self._failed,
+        )
 
     def act_on_all(
         self, term: Term, values: Values, start: int, end: int, ground: bool, solved: Solved, after: Frame
     ) -> Frame:
         """Return the frame that goes on with ``solved`` for every solution of the goal, in order; see `act`."""
-        machine = self.rule.network.logic.machine
         given = tuple([values[at] for at in self.positions])
         ground = ground or _all_ground(given)
         goal = self._compile(self._inputs, self.outputs, True) if ground else self._open(True)
@@ -123,7 +113,7 @@ class Call:
                 iter(solutions), lambda solution, then: solved(term, solution, start, end, then), after
             )
 
-        return machine.attempt(goal, given if ground else values, each, after, self._reporter())
+        return self._dispatcher.call(goal, given if ground else values, each, after, self._failed)
 
     def noting_cause(self, match: Match, solved: Solved, after: Frame) -> Tuple[Solved, Frame]:
         """Have events that the goal makes know what it was called for, until it is over.
@@ -160,15 +150,8 @@ class Call:
             )
         return found
 
-    def _reporter(self) -> Callable[[Exception], None]:
-        network = self.rule.network
-        current = network.dispatcher.current
-
-        def report(error: Any) -> None:
-            network.dispatcher.current = current
-            network.goal_failed(self.rule, self.goal, error)
-
-        return report
+    def _failed(self, error: PrologError) -> None:
+        self.rule.network.goal_failed(self.rule, self.goal, error)
 
 
 class _Restore:

@@ -10,6 +10,7 @@ from typing import Any, Callable, Dict, Iterator, Optional, Tuple
 from weakref import WeakValueDictionary
 
 from ..errors import UsageError
+from ..logic import Goal, PrologError
 from ..terms import Atom, Functor, Lazy, Term, Var, copy, deref, is_ground, is_plain
 from ._keys import term_key
 from ._plans import Choice, make_plan
@@ -110,6 +111,7 @@ class Dispatcher:
 
     def __init__(self, logic: Any = None, max_depth: int = 1000) -> None:
         self.max_depth = max_depth
+        self._machine: Any = None if logic is None else logic.machine
         self._listeners: Dict[Optional[Functor], Dict[Listener, None]] = {}
         self._plans: Dict[Functor, Any] = {}
         self._matchers: WeakValueDictionary[Any, Matcher] = WeakValueDictionary()
@@ -230,6 +232,38 @@ class Dispatcher:
             raise UsageError(f"more than {self.max_depth} events were derived one from the other")
         frame = (event, after)
         return event.run(frame) if depth <= _AT_ONCE else frame
+
+    def call(
+        self,
+        goal: Goal,
+        values: Values,
+        then: Callable[[Values], Frame],
+        otherwise: Frame,
+        on_error: Callable[[PrologError], None],
+    ) -> Frame:
+        """Return the frame to go on with when a goal was called once for the event that is being served.
+
+        Args:
+            goal: what to call.
+            values: its inputs.
+            then: takes the outputs of the first solution; returns the frame to go on with.
+            otherwise: the frame to go on with where there is none, or the goal raised an error.
+            on_error: is told of that error.
+        """
+        event = self.current
+
+        def failed(error: PrologError) -> None:
+            self.current = event
+            on_error(error)
+
+        if event is not None and event.depth > _AT_ONCE:
+            return self._machine.attempt(goal, values, then, otherwise, failed)
+        try:
+            found = goal.test(values)
+        except PrologError as error:
+            failed(error)
+            return otherwise
+        return otherwise if found is None else then(found)
 
     def ground(self) -> bool:
         """Tell whether the event that is being served has no variables."""

@@ -133,7 +133,7 @@ class WaitingQueries:
                 f"{self._logic.show(event)} is dropped, its query raised: {error}", ("raised", _kind(event))
             )
 
-        return self._logic.machine.attempt(self._goal, (event, query), solved, after, failed)
+        return self._dispatcher.call(self._goal, (event, query), solved, after, failed)
 
     def _release(self, instance: Instance, end: int, after: Any) -> Any:
         """Return the frame that asks what has waited for this memory alone, in order of registration."""
