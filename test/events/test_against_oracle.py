@@ -5,6 +5,7 @@ The oracle (``test/oracle``) is an evaluator of its own; its README has the comm
 
 from collections import Counter
 from dataclasses import replace
+from unittest.mock import patch
 
 import pytest
 from hypothesis import HealthCheck, assume, given, settings
@@ -15,6 +16,7 @@ from oracle.patterns import Check, Cnot, Fnot, walk
 from oracle.strategies import cases, drawn_cases
 from oracle.text import stream, write_rule
 
+from retalis.events import places, timeindex
 from retalis.terms import atom, functor
 
 quick = settings(max_examples=60, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))
@@ -37,6 +39,13 @@ def garbage_control(window):
 def test_oracle(case):
     if difference(case) is not None:
         pytest.fail(report(shrink(case, lambda smaller: difference(smaller) is not None)), pytrace=False)
+
+
+@settings(quick, max_examples=150)
+@given(cases())
+def test_oracle_with_every_partner_looked_up_by_time(case):
+    with patch.multiple(places, _FEW=0, _FEWER=0), patch.object(timeindex, "_FULL", 4):
+        assert difference(case) is None
 
 
 @quick

@@ -4,8 +4,10 @@ from bisect import bisect_left, bisect_right
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 from ..terms import Term
-from .matches import Match, Place, unify_sides
+from .matches import Match, unify_sides
+from .places import Place, surely_same
 from .policy import Frame
+from .reach import BEFORE, BETWEEN
 
 Values = Tuple[Term, ...]
 
@@ -81,6 +83,7 @@ class Absence:
         self.ever = ever
         self.condition = condition
         self.place = Place(rule, tuple(one for one, _ in self.shared))
+        self.place.reach = BEFORE if ever else BETWEEN
         self.asked = Place(rule, tuple(two for _, two in self.shared))
         self._borders: Dict[Any, _Border] = {}
 
@@ -101,7 +104,7 @@ class Absence:
         if self.ever:
             if bucket is None:
                 return True
-            older = bucket.items[bucket.head]
+            older: Any = bucket.first
             if older.end <= match.end:
                 return False
             older.leave()
@@ -116,14 +119,15 @@ class Absence:
     def blocks(self, values: Values, after: int, before: int) -> bool:
         """Tell whether a negated match lies between two instants."""
         place = self.place
-        if not place.buckets and not place.loose.live:
+        loose = place.loose.first is not None
+        if not place.buckets and not loose:
             self._borders.clear()
             return False
         try:
             key = self.asked.key(values)
         except ValueError:
             key = None
-        if key is not None and not self.ever and not place.loose.live and self._has_borders():
+        if key is not None and not self.ever and not loose and self._has_borders():
             if key not in place.buckets:
                 self._borders.pop(key, None)
                 return False
@@ -136,11 +140,9 @@ class Absence:
         """Look at all negated matches that may share the values."""
         asked = Match(values, after, before, None, None, ())
         condition = self.condition
-        for match in self.place.candidates(key):
+        for match in self.place.partners(key, after, before, False):
             if match.end < before and (self.ever or after < match.start):
-                if (key is None or match.bucket.key is None) and unify_sides(
-                    match, asked, self.shared
-                ) is None:
+                if not surely_same(key, match) and unify_sides(match, asked, self.shared) is None:
                     continue
                 if condition is None or condition(values, match):
                     self.rule.network.tracker.blocker = match

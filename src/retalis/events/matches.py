@@ -1,8 +1,8 @@
-"""Partial matches and the lists in which they wait for partners."""
+"""Partial matches, and what can be asked about them."""
 
-from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Tuple
+from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Tuple
 
-from ..terms import Term, Var, copy, freeze, resolve, undo, unify
+from ..terms import Term, Var, copy, resolve, undo, unify
 from ._keys import term_key
 
 Values = Tuple[Term, ...]
@@ -19,12 +19,29 @@ class Match:
         term: the event, where it is the match of an event pattern.
         parts: what else it was put together from: matches, `Held` and `Found`, and the number of a branch.
         bucket: where it waits; None while it does not wait (any more).
+        older: the one that began to wait there before it; None for the oldest, or while it does not wait.
+        newer: the one that began to wait there after it.
         order: the larger, the later it began to wait.
         used: whether it completed something and was used up by that.
     """
 
-    __slots__ = ("values", "start", "end", "event", "term", "parts", "bucket", "order", "identity", "used")
+    __slots__ = (
+        "values",
+        "start",
+        "end",
+        "event",
+        "term",
+        "parts",
+        "bucket",
+        "older",
+        "newer",
+        "order",
+        "identity",
+        "used",
+    )
 
+    older: Optional["Match"]
+    newer: Optional["Match"]
     order: int
     identity: Any
 
@@ -90,164 +107,6 @@ def leaves(match: Match) -> Iterator[Any]:
 def taken_back(match: Match) -> bool:
     """Tell whether an event of a match was taken back."""
     return any(getattr(token, "gone", False) for token in leaves(match))
-
-
-class Bucket:
-    """Waiting matches with the same values of the shared variables, oldest first."""
-
-    __slots__ = ("place", "key", "items", "head", "live")
-
-    def __init__(self, place: "Place", key: Any):
-        self.place = place
-        self.key = key
-        self.items: List[Any] = []
-        self.head = 0
-        self.live = 0
-
-    def remove(self, match: Match) -> None:
-        """Take a match out."""
-        match.bucket = None
-        self.live -= 1
-        place = self.place
-        place.rule.waiting -= 1
-        same = place.same
-        if same is not None and same.get(match.identity) is match:
-            del same[match.identity]
-        if not self.live:
-            self.items = []
-            self.head = 0
-            if self.key is not None:
-                del place.buckets[self.key]
-            return
-        items = self.items
-        if items[-1] is match:
-            items.pop()
-            while items[-1].bucket is not self:
-                items.pop()
-        elif items[self.head] is match:
-            items[self.head] = None
-            self.head += 1
-            while items[self.head].bucket is not self:
-                items[self.head] = None
-                self.head += 1
-        if len(items) > 2 * self.live + 32:
-            self.items = [item for item in items[self.head :] if item.bucket is self]
-            self.head = 0
-
-    def oldest_first(self) -> List[Match]:
-        """Return all that wait, oldest first."""
-        return [item for item in self.items[self.head :] if item.bucket is self]
-
-    def newest_first(self) -> List[Match]:
-        """Return all that wait, newest first."""
-        found = self.oldest_first()
-        found.reverse()
-        return found
-
-
-class Place:
-    """Where the matches of one operand wait for partners, found by the values of the variables they share.
-
-    Attributes:
-        rule: the rule that owns it; it counts and bounds what waits.
-        shared: where the shared variables stand among the values.
-        buckets: by key, those whose shared values have no variables.
-        loose: the others; they are unified with every partner.
-        span: how many nanoseconds a match that waits here can be a part of; None for no bound.
-        same: where a match replaces one of the same name: those that wait by name; else None.
-    """
-
-    def __init__(self, rule: Any, shared: Tuple[int, ...]):
-        self.rule = rule
-        self.shared = shared
-        self.key = key_function(shared)
-        self.buckets: Dict[Any, Bucket] = {}
-        self.loose = Bucket(self, None)
-        self.span: Optional[int] = None
-        self.same: Optional[Dict[Any, Match]] = None
-        self.name: Callable[[Match], Any] = identity
-
-    def key_of(self, match: Match) -> Any:
-        """Return the key of a match; None where a shared value has variables."""
-        try:
-            return self.key(match.values)
-        except ValueError:
-            return None
-
-    def add(self, match: Match, key: Any) -> None:
-        """Let a match wait."""
-        rule = self.rule
-        same = self.same
-        if same is not None:
-            match.identity = name = self.name(match)
-            older = same.get(name)
-            if older is not None:
-                older.bucket.remove(older)
-            same[name] = match
-        if key is None:
-            bucket = self.loose
-        else:
-            found = self.buckets.get(key)
-            if found is None:
-                bucket = self.buckets[key] = Bucket(self, key)
-            else:
-                bucket = found
-        match.bucket = bucket
-        bucket.items.append(match)
-        bucket.live += 1
-        rule.keep(match, self.span)
-
-    def all(self) -> List[Match]:
-        """Return all that wait, oldest first."""
-        found = self.loose.oldest_first()
-        for bucket in self.buckets.values():
-            found += bucket.oldest_first()
-        found.sort(key=_order)
-        return found
-
-    def candidates(self, key: Any) -> List[Match]:
-        """Return those whose shared values may be those of ``key``, oldest first."""
-        if key is None:
-            return self.all()
-        bucket = self.buckets.get(key)
-        if not self.loose.live:
-            return bucket.oldest_first() if bucket is not None else []
-        found = self.loose.oldest_first()
-        if bucket is not None:
-            found += bucket.oldest_first()
-            found.sort(key=_order)
-        return found
-
-    def identify(self, name: Optional[Callable[[Match], Any]]) -> None:
-        """Have a match replace a waiting one of the same ``name``, or none with None.
-
-        Of those that wait already under one name, the newest can be replaced.
-        """
-        if name is None:
-            self.same = None
-            return
-        self.same = {}
-        self.name = name
-        for match in self.all():
-            match.identity = name(match)
-            self.same[match.identity] = match
-
-
-def _order(match: Match) -> int:
-    return match.order  # type: ignore[no-any-return]
-
-
-def key_function(positions: Tuple[int, ...]) -> Callable[[Values], Any]:
-    """Return a function from values to the key of those at ``positions``; it raises ValueError for variables.
-
-    The key is never None.
-    """
-    if not positions:
-        return lambda values: ()
-    if len(positions) == 1:
-        at = positions[0]
-        return lambda values: freeze(values[at])
-    return lambda values: tuple([freeze(values[at]) for at in positions])
 
 
 def unify_sides(

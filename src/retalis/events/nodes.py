@@ -10,9 +10,11 @@ from ..terms import Term, Var, variables
 from ._source import compile_function
 from .conditions import Test
 from .dispatch import Action
-from .matches import Found, Match, Place, identity, taken_back
+from .matches import Found, Match, identity, taken_back
 from .operators import Operator
+from .places import Place
 from .policy import Emit, Frame, Mode, Side, taking_all, taking_all_at_once, taking_one, waiting_only
+from .reach import reach_of
 
 
 class Node:
@@ -342,6 +344,8 @@ class Joining(Node):
         operator = self.operator
         self.out = out
         self.joined = self._join(True)
+        self.left_place.reach = reach_of(operator.name, self.span, False)
+        self.right_place.reach = reach_of(operator.name, self.span, True)
         name = identity if policy.replacing else None
         self.left_place.identify(None if operator.everything else name)
         self.right_place.identify(name)

@@ -1,10 +1,10 @@
 """The operators between two patterns: one line each says when a pair fits and which interval it has.
 
 ``s1, e1`` is the interval of the left operand, ``s2, e2`` that of the right one. The expressions are put into
-the code that is compiled for each node.
+the code that is compiled for each node, and into that which says where in time partners are to be looked for.
 """
 
-from typing import Dict, NamedTuple
+from typing import Dict, NamedTuple, Tuple
 
 
 class Operator(NamedTuple):
@@ -12,7 +12,7 @@ class Operator(NamedTuple):
 
     Attributes:
         name: how rules spell it.
-        fits: when the intervals of a pair fit.
+        comparisons: when the intervals of a pair fit; all of them have to hold.
         start: where the result starts.
         end: where the result ends.
         either: whether the sides may arrive in either order; else only the right side completes a pair (a
@@ -22,12 +22,17 @@ class Operator(NamedTuple):
     """
 
     name: str
-    fits: str
+    comparisons: Tuple[str, ...]
     start: str
     end: str
     either: bool = True
     alone: bool = True
     everything: bool = False
+
+    @property
+    def fits(self) -> str:
+        """When the intervals of a pair fit, as an expression."""
+        return " and ".join(self.comparisons) or "True"
 
 
 _LOW, _HIGH = "s1 if s1 <= s2 else s2", "e1 if e1 >= e2 else e2"
@@ -35,14 +40,14 @@ _LOW, _HIGH = "s1 if s1 <= s2 else s2", "e1 if e1 >= e2 else e2"
 OPERATORS: Dict[str, Operator] = {
     operator.name: operator
     for operator in (
-        Operator("seq", "e1 < s2", "s1", "e2", either=False, alone=False),
-        Operator("forall_seq", "e1 < s2", "s1", "e2", either=False, alone=False, everything=True),
-        Operator("and", "True", _LOW, _HIGH),
-        Operator("par", "(s1 if s1 >= s2 else s2) < (e1 if e1 <= e2 else e2)", _LOW, _HIGH),
-        Operator("equals", "s1 == s2 and e1 == e2", "s1", "e1"),
-        Operator("meets", "e1 == s2", "s1", "e2"),
-        Operator("during", "s2 <= s1 and e1 <= e2", "s2", "e2"),
-        Operator("starts", "s1 == s2 and e1 < e2", "s2", "e2", alone=False),
-        Operator("finishes", "e1 == e2 and s2 < s1", "s2", "e2", alone=False),
+        Operator("seq", ("e1 < s2",), "s1", "e2", either=False, alone=False),
+        Operator("forall_seq", ("e1 < s2",), "s1", "e2", either=False, alone=False, everything=True),
+        Operator("and", (), _LOW, _HIGH),
+        Operator("par", ("s1 < e2", "s2 < e1", "s1 < e1", "s2 < e2"), _LOW, _HIGH),
+        Operator("equals", ("s1 == s2", "e1 == e2"), "s1", "e1"),
+        Operator("meets", ("e1 == s2",), "s1", "e2"),
+        Operator("during", ("s2 <= s1", "e1 <= e2"), "s2", "e2"),
+        Operator("starts", ("s1 == s2", "e1 < e2"), "s2", "e2", alone=False),
+        Operator("finishes", ("e1 == e2", "s2 < s1"), "s2", "e2", alone=False),
     )
 }

@@ -1,9 +1,10 @@
 """Consumption policies: which waiting partners an event takes, and what becomes of them."""
 
 from enum import Enum
-from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
+from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Tuple
 
-from .matches import Match, Place, unify_sides
+from .matches import Match, unify_sides
+from .places import Place, surely_same
 
 Frame = Any
 Emit = Callable[[Match, Frame], Frame]
@@ -105,28 +106,23 @@ def taking_one(
         try:
             key = key_of(match.values)
         except ValueError:
-            return slowly(match, None, after)
-        if other.loose.live:
-            return slowly(match, key, after)
+            return among(match, None, other.partners(None, match.start, match.end, newest), after)
+        if other.loose.first is not None:
+            return among(match, key, other.partners(key, match.start, match.end, newest), after)
         bucket = other.buckets.get(key)
         if bucket is not None:
-            partner = bucket.items[-1] if newest else bucket.items[bucket.head]
+            partner: Any = bucket.last if newest else bucket.first
             result = join(match, partner)
             if result is not None and partner.bucket is not None:
                 return matched(match, key, partner, result, after)
-            if bucket.live > 1:
-                for partner in bucket.newest_first() if newest else bucket.oldest_first():
-                    result = join(match, partner)
-                    if result is not None and partner.bucket is not None:
-                        return matched(match, key, partner, result, after)
+            if bucket.first is not bucket.last:
+                others = other.partners(key, match.start, match.end, newest)
+                return among(match, key, (one for one in others if one is not partner), after)
         if waits:
             wait(match, key)
         return after
 
-    def slowly(match: Match, key: Any, after: Frame) -> Frame:
-        partners = other.candidates(key)
-        if newest:
-            partners.reverse()
+    def among(match: Match, key: Any, partners: Iterator[Match], after: Frame) -> Frame:
         for partner in partners:
             result = join_any(side, match, key, partner)
             if result is not None and partner.bucket is not None:
@@ -171,7 +167,7 @@ def taking_all(side: Side, emit: Emit) -> Emit:
 
     def arrive(match: Match, after: Frame) -> Frame:
         key = key_of(match)
-        partners = other.candidates(key)
+        partners = list(other.partners(key, match.start, match.end, False))
         # It waits before results go out: what they lead to may be a partner, and each pair is seen once.
         if waits:
             own.add(match, key)
@@ -197,7 +193,7 @@ def taking_all_at_once(side: Side, uses: bool, emit: Emit) -> Emit:
     def arrive(match: Match, after: Frame) -> Frame:
         key = own.key_of(match)
         results: List[Match] = []
-        for partner in other.candidates(key):
+        for partner in list(other.partners(key, match.start, match.end, False)):
             result = join_any(side, match, key, partner)
             if result is not None and partner.bucket is not None:
                 if uses:
@@ -212,7 +208,7 @@ def taking_all_at_once(side: Side, uses: bool, emit: Emit) -> Emit:
 
 def join_any(side: Side, match: Match, key: Any, partner: Match) -> Any:
     """Join two matches whose shared values may have variables."""
-    if key is not None and partner.bucket is not None and partner.bucket.key is not None:
+    if surely_same(key, partner):
         return side.join(match, partner)
     sides = unify_sides(match, partner, side.shared)
     return None if sides is None else side.join(*sides)

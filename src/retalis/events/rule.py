@@ -42,6 +42,7 @@ class Rule:
         serial: the place among the rules: older ones are served first.
         window: the longest interval that its label allows, in ns; None for no bound.
         waiting: how many partial matches it has.
+        order: how many have begun to wait so far.
         timed: whether its clock has to be kept.
         clock: the newest end among the events that its patterns matched.
     """
@@ -58,7 +59,7 @@ class Rule:
         self.dropped = 0
         self.timed = False
         self.clock: int = -(1 << 63)
-        self._order = 0
+        self.order = 0
         self._arrivals: Deque[Match] = deque()
         self._expiries: List[Tuple[int, int, Match]] = []
         self._collected_at: Optional[int] = None
@@ -178,8 +179,6 @@ class Rule:
 
     def keep(self, match: Match, span: Optional[int]) -> None:
         """Count a match that begins to wait; with too many the oldest goes."""
-        self._order += 1
-        match.order = self._order
         self.waiting += 1
         arrivals = self._arrivals
         arrivals.append(match)

@@ -8,9 +8,11 @@ from .aggregates import Collector
 from .building import compile_builder
 from .conditions import Test
 from .deferred import NO_ITEMS, Items, with_item
-from .matches import Found, Held, Match, Place, identity, taken_back, unify_sides
+from .matches import Found, Held, Match, identity, taken_back, unify_sides
 from .nodes import Node
+from .places import Place, surely_same
 from .policy import Emit, Frame, Mode, emit_each
+from .reach import reach_of
 
 Values = Tuple[Term, ...]
 
@@ -137,6 +139,8 @@ class Running(Node):
         self.consuming = policy.consuming
         self.late = mode.out_of_order
         self.waits_later = self.double and policy.replacing
+        self.place.reach = reach_of("seq", self.span, False)
+        self.incoming.reach = reach_of("seq", self.span, True)
         self.place.identify(_by_term if policy.replacing else _by_occurrence)
         self.incoming.identify(identity if policy.replacing else None)
         self.out = out
@@ -180,8 +184,8 @@ class Running(Node):
     def _results_of_earlier(self, run: Run, key: Any) -> List[Match]:
         """Return the results of a late start with the repetitions that came before it, in their order."""
         results = []
-        for match in self.incoming.candidates(key):
-            extended, result = self.extend(run, match, key is not None and match.bucket.key is not None)
+        for match in list(self.incoming.partners(key, run.start, run.end, False)):
+            extended, result = self.extend(run, match, surely_same(key, match))
             if extended and self.consuming:
                 match.leave()
             if result is not None:
@@ -198,12 +202,9 @@ class Running(Node):
     def _extend_one(self, out: Emit, newest: bool) -> Emit:
         def arrive(match: Match, after: Frame) -> Frame:
             key = self.incoming.key_of(match)
-            runs = self.place.candidates(key)
-            if newest:
-                runs.reverse()
             extended, result = False, None
-            for run in runs:
-                extended, result = self.extend(run, match, key is not None and run.bucket.key is not None)
+            for run in self.place.partners(key, match.start, match.end, newest):
+                extended, result = self.extend(run, match, surely_same(key, run))
                 if extended:
                     break
             if self.late:
@@ -215,7 +216,7 @@ class Running(Node):
     def _extend_all(self, out: Emit) -> Emit:
         def arrive(match: Match, after: Frame) -> Frame:
             key = self.incoming.key_of(match)
-            runs = self.place.candidates(key)
+            runs = list(self.place.partners(key, match.start, match.end, False))
             if self.late:
                 self._wait(match, key)
             if not runs:
@@ -224,7 +225,7 @@ class Running(Node):
                 result
                 for run in runs
                 if run.bucket is not None
-                for result in (self.extend(run, match, key is not None and run.bucket.key is not None)[1],)
+                for result in (self.extend(run, match, surely_same(key, run))[1],)
                 if result is not None
             )
             return emit_each(results, out, after)
