@@ -99,6 +99,11 @@ class Goal:
                 if error is None or error is exc:
                     raise
                 raise error from exc
+        if not self._outputs:
+            succeeded = machine.run((self._plain_code, *values, machine.done))
+            if len(machine.trail) > mark:
+                undo(machine.trail, mark)
+            return () if succeeded else None
         found: List[Tuple[Term, ...]] = []
         if not machine.run((self._code, *values, (_STORE, found, machine.done))):
             return None
