@@ -359,9 +359,9 @@ class Engine:
             made = READERS[functor("new_event", len(arguments))](arguments)
             return self.dispatcher.dispatch(made.term, made.start, made.end, after, own=False)
 
-        logic.define_control("new_event", 2, general)
-        logic.define_control("new_event", 3, at_instant)
-        logic.define_control("new_event", 5, general)
+        logic.define_control("new_event", 2, general, at_once=True)
+        logic.define_control("new_event", 3, at_instant, at_once=True)
+        logic.define_control("new_event", 5, general, at_once=True)
         logic.define("use_foreign", 1, self._use_foreign).locked = True
 
     def _use_foreign(self, machine: Any, module: Term) -> bool:

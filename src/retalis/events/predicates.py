@@ -234,8 +234,8 @@ class _Streams:
         self.rules = rules
 
     def define(self, logic: Any) -> None:
-        logic.define_control("event", 1, self.event)
-        logic.define_control("event", 2, self.event)
+        logic.define_control("event", 1, self.event, at_once=True)
+        logic.define_control("event", 2, self.event, at_once=True)
         logic.define_control("fire_event_list", 1, self.fire_list)
         logic.define_control("fire_event_list_return_external_events", 2, self.fire_and_return)
         logic.define_control("execute_event_stream_file", 1, self.execute_file)

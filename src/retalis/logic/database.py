@@ -77,7 +77,7 @@ class Predicate:
     Attributes:
         run: the function that does a call; exchanged as the predicate changes.
         kind: "user", "builtin" (deterministic Python), "control" (anything else in Python), or "undefined".
-        function: the Python function of a deterministic built-in.
+        function: the Python function of a built-in that compiled clauses call in line.
         dynamic: clauses may be asserted and retracted by the program.
         library: belongs to the system; programs may redefine it unless it is ``locked``.
     """

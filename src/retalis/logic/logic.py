@@ -123,14 +123,19 @@ class Logic:
 
         return self.database.define(key, None, run, "control")
 
-    def define_control(self, name: str, arity: int, function: Callable[..., Optional[Frame]]) -> Predicate:
-        """Define a predicate that decides what runs next: ``function(machine, args, next)`` returns a frame."""
+    def define_control(
+        self, name: str, arity: int, function: Callable[..., Optional[Frame]], at_once: bool = False
+    ) -> Predicate:
+        """Define a predicate that decides what runs next: ``function(machine, args, next)`` returns a frame.
+
+        One that most often does all ``at_once`` and returns ``next`` is called in line by compiled clauses.
+        """
         machine = self.machine
 
         def run(frame: Frame) -> Optional[Frame]:
             return function(machine, frame[1:-1], frame[-1])
 
-        return self.database.define(functor(name, arity), None, run, "control")
+        return self.database.define(functor(name, arity), function if at_once else None, run, "control")
 
     # Clauses
 

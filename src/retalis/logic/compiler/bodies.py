@@ -95,9 +95,35 @@ class Bodies:
                 if var.__class__ is Var and var not in scope.names and not self.clause.is_void(var):
                     scope.create(var)
         frame = self._continuation(scope, rest, scope.after) if rest else scope.after
+        if self._at_once(calls[0]):
+            self._control(scope, calls, frame, not rest)
+            return
         for call in reversed(calls):
             frame = self._frame(scope, call, frame)
         scope.line(f"return {frame}")
+
+    def _at_once(self, call: Node) -> bool:
+        """Tell whether a call is of a control predicate that most often does all at once."""
+        return isinstance(call, Goal) and call.key is not _OUTPUTS and self.unit.at_once(call.key)
+
+    def _control(self, scope: Scope, calls: Sequence[Node], frame: str, last: bool) -> None:
+        """Write the first call in line; where it has done all at once, what follows goes on without a frame."""
+        first, others = calls[0], calls[1:]
+        assert isinstance(first, Goal)
+        for other in reversed(others):
+            frame = self._frame(scope, other, frame)
+        args = "".join(f"{scope.build(arg)}, " for arg in first.args)
+        call = f"{self.unit.builtin(first.key)}(M, ({args}), "
+        if not others:
+            scope.line(f"return {call}{frame})")
+            return
+        then, found = scope.temp("then"), scope.temp("r")
+        scope.line(f"{then} = {frame}")
+        scope.line(f"{found} = {call}{then})")
+        scope.line(f"if {found} is not {then}:")
+        scope.line(f"    return {found}")
+        if not (last and len(others) == 1 and self._loops(scope, others[0])):
+            scope.line(f"return {then}")
 
     def _frame(self, scope: Scope, call: Node, after: str) -> str:
         if isinstance(call, Interpret):

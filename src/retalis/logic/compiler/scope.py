@@ -82,8 +82,13 @@ class Unit:
         """Return the name of a predicate."""
         return self.constant(self.database.predicate(key))
 
+    def at_once(self, key: Functor) -> bool:
+        """Tell whether a predicate is called in line though it may return a frame."""
+        predicate = self.database.predicate(key)
+        return predicate.kind == "control" and predicate.function is not None
+
     def builtin(self, key: Functor) -> str:
-        """Return the name of the Python function of a deterministic built-in."""
+        """Return the name of the Python function of a built-in that is called in line."""
         return self.constant(self.database.predicate(key).function)
 
     def code(self, name: str, function: str) -> Code:
