@@ -19,7 +19,7 @@ from .logic import Limits, Logic, instantiation_error, permission_error, type_er
 from .program import GOALS, read_text
 from .syntax import EventReader, read_term
 from .terms import Atom, Functor, String, Term, Var, copy, deref, functor, variables
-from .timestamps import SECOND, WholeSeconds
+from .timestamps import FIRST, LAST, SECOND, WholeSeconds
 
 log = logging.getLogger("retalis")
 
@@ -347,17 +347,19 @@ class Engine:
         """Define the goals that make events."""
         logic = self.logic
 
+        dispatch = self.dispatcher.dispatch
+
         def at_instant(machine: Any, arguments: Sequence[Term], after: Any) -> Any:
             event, seconds, nanoseconds = arguments
             if seconds.__class__ is int and nanoseconds.__class__ is int:
                 instant = seconds * SECOND + nanoseconds
-                if timestamps.in_range(instant):
-                    return self.dispatcher.dispatch(event, instant, instant, after, own=False)
+                if FIRST <= instant < LAST:
+                    return dispatch(event, instant, instant, after, None, None, False)
             return general(machine, arguments, after)
 
         def general(machine: Any, arguments: Sequence[Term], after: Any) -> Any:
             made = READERS[functor("new_event", len(arguments))](arguments)
-            return self.dispatcher.dispatch(made.term, made.start, made.end, after, own=False)
+            return dispatch(made.term, made.start, made.end, after, own=False)
 
         logic.define_control("new_event", 2, general, at_once=True)
         logic.define_control("new_event", 3, at_instant, at_once=True)

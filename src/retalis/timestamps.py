@@ -26,7 +26,9 @@ DATIME6: Functor = functor("datime", 6)
 
 _DAY = 86_400
 _EPOCH_DAY = date(1970, 1, 1).toordinal()
-_FIRST, _LAST = (1 - _EPOCH_DAY) * _DAY * SECOND, (date.max.toordinal() + 1 - _EPOCH_DAY) * _DAY * SECOND
+FIRST, LAST = (1 - _EPOCH_DAY) * _DAY * SECOND, (date.max.toordinal() + 1 - _EPOCH_DAY) * _DAY * SECOND
+"""The first instant of those that have a datime, and the first behind them."""
+
 _FIELD_LIMITS = ((1, 9999), (1, 12), (1, 31), (0, 23), (0, 59))
 
 
@@ -132,7 +134,7 @@ def fields(instant: int) -> Tuple[int, int, int, int, int, int, int]:
 
 def in_range(instant: int) -> bool:
     """Tell whether an instant lies in the years 1 to 9999, which alone have a datime."""
-    return _FIRST <= instant < _LAST
+    return FIRST <= instant < LAST
 
 
 def datime(instant: int) -> Term:

@@ -4,6 +4,7 @@ from typing import Any, Callable, Dict, Optional, Sequence, Tuple
 
 from ..logic import PrologError, resource_error
 from ..terms import Atom, String, Term, Var, functor, is_ground, list_items, make_list, variables
+from .dispatch import AT_ONCE
 from .matches import Match
 from .policy import Frame, emit_each
 
@@ -89,13 +90,19 @@ class Call:
             goal, kept = self._plain, values
         else:
             goal, given, kept = self._open(), values, ()
-        return self._dispatcher.call(
-            goal,
-            given,
-            lambda found: solved(term, kept + found, start, end, after),
-            after,
-            self._failed,
-        )
+        dispatcher = self._dispatcher
+        event = dispatcher.current
+        if event is None or event.depth > AT_ONCE:
+            return dispatcher.call(
+                goal, given, lambda found: solved(term, kept + found, start, end, after), after, self._failed
+            )
+        try:  # as `Dispatcher.call`, without functions made for each event
+            found = goal.test(given)
+        except PrologError as error:
+            dispatcher.current = event
+            self._failed(error)
+            return after
+        return after if found is None else solved(term, kept + found, start, end, after)
 
     def act_on_all(
         self, term: Term, values: Values, start: int, end: int, ground: bool, solved: Solved, after: Frame

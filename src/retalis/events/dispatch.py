@@ -52,7 +52,7 @@ class Listener:
         self.action = action
 
 
-_AT_ONCE = 5
+AT_ONCE = 5
 """To this depth derived events are served inside the call that makes them; deeper ones by the machine's loop."""
 
 
@@ -231,7 +231,7 @@ class Dispatcher:
         if depth > self.max_depth:
             raise UsageError(f"more than {self.max_depth} events were derived one from the other")
         frame = (event, after)
-        return event.run(frame) if depth <= _AT_ONCE else frame
+        return event.run(frame) if depth <= AT_ONCE else frame
 
     def call(
         self,
@@ -256,7 +256,7 @@ class Dispatcher:
             self.current = event
             on_error(error)
 
-        if event is not None and event.depth > _AT_ONCE:
+        if event is not None and event.depth > AT_ONCE:
             return self._machine.attempt(goal, values, then, otherwise, failed)
         try:
             found = goal.test(values)

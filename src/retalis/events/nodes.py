@@ -230,11 +230,12 @@ class Acting(Node):
         is_ground = self.call.rule.network.dispatcher.ground
 
         def arrive(term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
-            if span is not None and end - start > span:
-                return after
             return act(term, values, start, end, only_of_event and is_ground(), complete, after)
 
-        self.child.bind_alone(arrive)
+        def arrive_in_span(term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
+            return after if end - start > span else arrive(term, values, start, end, after)
+
+        self.child.bind_alone(arrive if span is None else arrive_in_span)
 
 
 class Never(Node):
