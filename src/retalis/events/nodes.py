@@ -233,7 +233,9 @@ class Acting(Node):
             return act(term, values, start, end, only_of_event and is_ground(), complete, after)
 
         def arrive_in_span(term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
-            return after if end - start > span else arrive(term, values, start, end, after)
+            if span is not None and end - start > span:
+                return after
+            return arrive(term, values, start, end, after)
 
         self.child.bind_alone(arrive if span is None else arrive_in_span)
 
