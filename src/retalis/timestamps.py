@@ -13,6 +13,7 @@ All three are integers: they compare and subtract by the instant they name, what
 
 from datetime import date
 from functools import lru_cache
+from math import frexp, ldexp
 from typing import Optional, Tuple
 
 from .errors import UsageError
@@ -88,13 +89,15 @@ def first_reaching(seconds: float) -> int:
     A double near the present is coarse (2.4e-7 s), so an instant and its float seconds do not name the
     same nanosecond; this is the bound that makes ``Z is Sec + NSec * 1e-9`` equal to the instant itself.
     """
-    guess = from_seconds(seconds)
-    reach = max(1, abs(guess) >> 50)
-    low, high = guess - reach, guess + reach
+    # What rounds to it begins half of the last binary place below; the search is for what rounding leaves open.
+    guess = from_seconds(seconds) - int(ldexp(SECOND, frexp(seconds)[1] - 54))
+    low, high, reach = guess - 1, guess + 1, 1
     while to_seconds(low) >= seconds:
         low -= reach
+        reach *= 2
     while to_seconds(high) < seconds:
         high += reach
+        reach *= 2
     while high - low > 1:
         middle = (low + high) // 2
         if to_seconds(middle) >= seconds:
