@@ -7,7 +7,7 @@ from ..events import Dispatcher
 from ..logic import Logic, Machine, instantiation_error, type_error
 from ..terms import Term, Var, deref, functor
 from ._recording import Warn, key_of
-from .memories import Instance, Memories, enumerate_records, read_access
+from .memories import Instance, Memories, define_read_access, enumerate_records
 from .subscriptions import Deliver, Subscriptions
 from .waiting import WaitingQueries
 
@@ -48,8 +48,7 @@ class Knowledge:
 
     def _define(self) -> None:
         logic = self._logic
-        for (name, arity), predicate in read_access(self.memories).items():
-            logic.define(name, arity, predicate)
+        define_read_access(logic, self.memories)
         logic.define_nondeterministic("access_mem", 3, enumerate_records(self.memories))
         logic.define_nondeterministic("memory_size", 2, self._sizes(lambda instance: instance.memory.size))
         logic.define_nondeterministic(

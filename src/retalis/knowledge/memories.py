@@ -1,17 +1,20 @@
 """Memory instances by name: made and deleted by goals and services, fed by events, read by goals."""
 
-from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple
+from typing import Any, Callable, Dict, Iterator, Optional, Tuple
 
 from .. import timestamps
 from ..errors import UsageError
 from ..events import Dispatcher, term_key
 from ..logic import Logic, Machine, domain_error, instant_of, permission_error, type_error
-from ..terms import MINUS, NIL, Atom, Functor, Term, Var, copy, deref, freeze, functor, unify
+from ..terms import MINUS, NIL, Atom, Functor, Term, Var, copy, deref, freeze, functor
 from ._recording import Warn, is_whole, key_of, recording
 from .recorder import UPDATED, Instance, Recorder
 
 CREATED: Functor = functor("memory_created", 5)
 DELETED: Functor = functor("memory_deleted", 1)
+
+Found = Tuple[Term, int, int]
+"""A record with its interval."""
 
 
 class Memories:
@@ -135,61 +138,48 @@ class Memories:
         return after
 
 
-def read_access(memories: Memories) -> Dict[Tuple[str, int], Callable[..., bool]]:
-    """Return the deterministic predicates that read memories, by name and arity."""
+def define_read_access(logic: Logic, memories: Memories) -> None:
+    """Define the deterministic predicates that read memories."""
 
-    def bind(machine: Machine, instance: Instance, found: Any, record: Term, start: Term, end: Term) -> bool:
-        if found is None:
-            return False
-        term, first, last = found
-        trail = machine.trail
-        return (
-            unify(record, copy(term) if instance.open else term, trail)
-            and _unify_instant(start, first, trail)
-            and _unify_instant(end, last, trail)
-        )
-
-    def prev(machine: Machine, name: Term, record: Term, start: Term, end: Term, at: Term) -> bool:
+    def prev(name: Term, at: Term) -> Optional[Found]:
         instance = memories.find(name)
         if instance is None:
-            return False
+            return None
         found = instance.memory.at_or_before(instant_of(at))
-        return bind(machine, instance, found, record, start, end)
+        return found if not instance.open or found is None else _fresh(found)
 
-    def next_inf(machine: Machine, name: Term, record: Term, start: Term, end: Term, at: Term) -> bool:
+    def next_inf(name: Term, at: Term) -> Optional[Found]:
         instance = memories.find(name)
         if instance is None:
-            return False
-        return bind(machine, instance, instance.memory.at_or_after(instant_of(at)), record, start, end)
+            return None
+        found = instance.memory.at_or_after(instant_of(at))
+        return found if not instance.open or found is None else _fresh(found)
 
-    def following(
-        machine: Machine, name: Term, record: Term, start: Term, end: Term, low: Term, high: Term
-    ) -> bool:
+    def following(name: Term, low: Term, high: Term) -> Optional[Found]:
         instance = memories.find(name)
         if instance is None:
-            return False
+            return None
         first, last = instant_of(low), instant_of(high)
         found = instance.memory.at_or_after(first)
-        if found is not None and found[2] > last:
-            return False
-        return bind(machine, instance, found, record, start, end)
+        if found is None or found[2] > last:
+            return None
+        return found if not instance.open else _fresh(found)
 
-    return {
-        ("prev", 5): prev,
-        ("prev_binary", 5): prev,
-        ("next_inf", 5): next_inf,
-        ("next", 6): following,
-        ("next_binary", 6): following,
-    }
+    record_and_interval = (1, 2, 3)
+    shows = (None, timestamps.shown, timestamps.shown)
+    for key, function in (
+        (functor("prev", 5), prev),
+        (functor("prev_binary", 5), prev),
+        (functor("next_inf", 5), next_inf),
+        (functor("next", 6), following),
+        (functor("next_binary", 6), following),
+    ):
+        logic.define_function(key.name, key.arity, function, record_and_interval, shows)
 
 
-def _unify_instant(term: Term, instant: int, trail: List[Any]) -> bool:
-    """Unify a term with an instant; most often it is a variable that is unbound."""
-    if term.__class__ is Var and term.ref is None:
-        term.ref = timestamps.shown(instant)
-        trail.append(term)
-        return True
-    return unify(term, timestamps.shown(instant), trail)
+def _fresh(found: Found) -> Found:
+    """Return a record with variables of the reader's own."""
+    return copy(found[0]), found[1], found[2]
 
 
 def enumerate_records(memories: Memories) -> Callable[..., Iterator[bool]]:

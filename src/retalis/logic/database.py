@@ -11,6 +11,7 @@ from ..terms import TRUE, Atom, Functor, Lazy, Term, Var, copy, deref, is_ground
 from .compiler import Generator, Rule
 from .compiler.facts import fact_search
 from .faults import indicator, permission_error
+from .functional import Functional
 from .machine import Code, Frame, Machine
 
 COMPILE_AFTER = 12
@@ -78,6 +79,7 @@ class Predicate:
         run: the function that does a call; exchanged as the predicate changes.
         kind: "user", "builtin" (deterministic Python), "control" (anything else in Python), or "undefined".
         function: the Python function of a built-in that compiled clauses call in line.
+        functional: what it computes, where it is a function of some of its arguments.
         dynamic: clauses may be asserted and retracted by the program.
         library: belongs to the system; programs may redefine it unless it is ``locked``.
     """
@@ -87,6 +89,7 @@ class Predicate:
         self.functor = functor
         self.kind = "undefined"
         self.function: Any = None
+        self.functional: Optional[Functional] = None
         self.dynamic = False
         self.discontiguous = False
         self.multifile = False
@@ -410,6 +413,7 @@ class Database:
             self.forget()
         predicate.kind = kind
         predicate.function = function
+        predicate.functional = None
         predicate.run = run
         predicate.library = True
         predicate.clauses = []

@@ -11,6 +11,7 @@ from . import builtins
 from .control import Control, check_body, control_predicates
 from .database import COMPILE_AFTER, Clause, Database, Predicate
 from .faults import PrologError, instantiation_error, type_error
+from .functional import functional
 from .goal import Goal
 from .machine import LAST, Code, Frame, Limits, Machine
 from .unknown import undefined
@@ -62,6 +63,7 @@ class Logic:
         for (name, arity), entry in builtins.ENTRIES.items():
             define = {
                 "deterministic": self.define,
+                "function": self.define_function,
                 "nondeterministic": self.define_nondeterministic,
                 "control": self.define_control,
             }[entry.kind]
@@ -93,6 +95,29 @@ class Logic:
             return frame[-1] if function(machine, *frame[1:-1]) else None
 
         return self.database.define(functor(name, arity), function, run, "builtin")
+
+    def define_function(
+        self,
+        name: str,
+        arity: int,
+        function: Callable[..., Any],
+        outputs: Tuple[int, ...] = (),
+        shows: Tuple[Optional[Callable[[Any], Term]], ...] = (),
+    ) -> Predicate:
+        """Define a deterministic predicate by a function of its input arguments; see `Functional`.
+
+        Args:
+            name: of the predicate.
+            arity: of the predicate.
+            function: takes the inputs; returns the outputs, or None where it fails.
+            outputs: positions of the output arguments, whose values are returned as a tuple; without them
+                the last argument is the only output, and its value is what is returned.
+            shows: for each output what makes its term, where the function returns something else.
+        """
+        form = functional(function, arity, outputs, shows)
+        predicate = self.define(name, arity, form.predicate())
+        predicate.functional = form
+        return predicate
 
     def define_nondeterministic(self, name: str, arity: int, function: Callable[..., Any]) -> Predicate:
         """Define a predicate by a generator ``function(machine, *args)`` that yields at each solution.

@@ -11,7 +11,7 @@ from ...terms import CONS, NIL, Lazy, Term, Var, deref, unify
 from ...timestamps import DATIME6, DATIME7, SECOND
 from ..faults import domain_error, instantiation_error, type_error
 from .arguments import integer
-from .registry import deterministic
+from .registry import deterministic, function
 
 
 def instant_of(term: Term) -> int:
@@ -20,6 +20,8 @@ def instant_of(term: Term) -> int:
     Raises:
         PrologError: an instantiation or type error where it names none.
     """
+    if term.__class__ is Lazy and term.make is timestamps.to_term and term.made is None:
+        return term.source  # type: ignore[no-any-return]  # most come from a look-up or a conversion
     try:
         return timestamps.from_term(term)
     except UsageError:
@@ -36,26 +38,25 @@ def _arity(term: Term) -> int:
     return len(term) - 1 if term.__class__ is tuple else 0
 
 
-@deterministic("convert_to_datime/2")
-def convert_to_datime(machine: Any, time: Term, result: Term) -> bool:
+@function("convert_to_datime/2")
+def convert_to_datime(time: Term) -> Term:
     """Give the stamp of a ROS time ``[Sec,NSec]``."""
     time = deref(time)
     if time.__class__ is tuple and time[0] is CONS:
         rest = deref(time[2])
         if rest.__class__ is tuple and rest[0] is CONS and deref(rest[2]) is NIL:
             instant = timestamps.from_parts(integer(time[1]), integer(rest[1]))
-            return unify(result, timestamps.shown(instant), machine.trail)
+            return timestamps.shown(instant)
     if time.__class__ is Var:
         raise instantiation_error()
     raise type_error("[Sec,NSec]", time)
 
 
-@deterministic("datime_interpolate/4")
-def datime_interpolate(machine: Any, first: Term, second: Term, at: Term, fraction: Term) -> bool:
+@function("datime_interpolate/4")
+def datime_interpolate(first: Term, second: Term, at: Term) -> Term:
     """Give the weight of the first of two stamps at an instant: 1 at the first, 0 at the second."""
     start, end, middle = instant_of(first), instant_of(second), instant_of(at)
-    value = 1 if start == end else (int(end) - int(middle)) / (int(end) - int(start))
-    return unify(fraction, value, machine.trail)
+    return 1 if start == end else (int(end) - int(middle)) / (int(end) - int(start))
 
 
 @deterministic("less_datime/2")
@@ -174,9 +175,9 @@ def month_days(machine: Any, month: Term, year: Term, days: Term) -> bool:
     return unify(days, timestamps.month_days(second, first), machine.trail)
 
 
-@deterministic("absoluteTime/2")
-def absolute_time(machine: Any, stamp: Term, seconds: Term) -> bool:
+@function("absoluteTime/2")
+def absolute_time(stamp: Term) -> Term:
     """Give the seconds since midnight."""
     *_, hour, minute, second, rest = timestamps.fields(instant_of(stamp))
     value = (hour * 60 + minute) * 60 + second
-    return unify(seconds, value + rest / SECOND if rest else value, machine.trail)
+    return value + rest / SECOND if rest else value

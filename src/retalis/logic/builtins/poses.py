@@ -8,9 +8,9 @@ translation by the first rotation; rotations are interpolated spherically, on th
 from math import atan2, sin, sqrt
 from typing import Any, List, Sequence, Tuple
 
-from ...terms import CONS, NIL, Atom, Term, Var, atom, deref, list_items, make_list, unify
+from ...terms import CONS, NIL, Atom, Term, Var, atom, deref, list_items, make_list
 from ..faults import domain_error, instantiation_error, type_error
-from .registry import deterministic
+from .registry import deterministic, function
 
 Vector = Sequence[float]
 Pose = Tuple[Vector, Vector]
@@ -205,26 +205,22 @@ def _fraction(term: Term) -> float:
     return numbers(term, 1, "[Fraction]")[0]
 
 
-@deterministic("interpolate_quaternion/6")
-def interpolate_quaternion(
-    machine: Any, v1: Term, q1: Term, v2: Term, q2: Term, fraction: Term, result: Term
-) -> bool:
+@function("interpolate_quaternion/6")
+def interpolate_quaternion(v1: Term, q1: Term, v2: Term, q2: Term, fraction: Term) -> Term:
     """Give the pose between two; fraction 1 gives the first, 0 the second."""
     value = interpolate((vector(v1), quaternion(q1)), (vector(v2), quaternion(q2)), _fraction(fraction))
-    return unify(result, pose_term(value), machine.trail)
+    return pose_term(value)
 
 
-@deterministic("quaternion_interpolate/6")
-def quaternion_interpolate(
-    machine: Any, v1: Term, q1: Term, v2: Term, q2: Term, fraction: Term, result: Term
-) -> bool:
+@function("quaternion_interpolate/6")
+def quaternion_interpolate(v1: Term, q1: Term, v2: Term, q2: Term, fraction: Term) -> Term:
     """Give the matrix of the pose between two."""
     value = interpolate((vector(v1), quaternion(q1)), (vector(v2), quaternion(q2)), _fraction(fraction))
-    return unify(result, matrix_term(to_matrix(value)), machine.trail)
+    return matrix_term(to_matrix(value))
 
 
-@deterministic("transform_quaternion/2")
-def transform_quaternion(machine: Any, poses: Term, result: Term) -> bool:
+@function("transform_quaternion/2")
+def transform_quaternion(poses: Term) -> Term:
     """Give the product of poses, from left to right."""
     found = list_items(poses)
     if found is None:
@@ -234,18 +230,18 @@ def transform_quaternion(machine: Any, poses: Term, result: Term) -> bool:
         value = pose(found[0])
     for item in found[1:]:
         value = compose(value, pose(item))
-    return unify(result, pose_term(value), machine.trail)
+    return pose_term(value)
 
 
-@deterministic("mul_quaternion/5")
-def mul_quaternion(machine: Any, v1: Term, q1: Term, v2: Term, q2: Term, result: Term) -> bool:
+@function("mul_quaternion/5")
+def mul_quaternion(v1: Term, q1: Term, v2: Term, q2: Term) -> Term:
     """Give the product of two poses."""
     value = compose((vector(v1), quaternion(q1)), (vector(v2), quaternion(q2)))
-    return unify(result, pose_term(value), machine.trail)
+    return pose_term(value)
 
 
-@deterministic("transform/2")
-def transform(machine: Any, transforms: Term, result: Term) -> bool:
+@function("transform/2")
+def transform(transforms: Term) -> Term:
     """Give the product of poses and matrices, from left to right, as ``['M',Matrix]``."""
     found = list_items(transforms)
     if found is None:
@@ -253,38 +249,38 @@ def transform(machine: Any, transforms: Term, result: Term) -> bool:
     value = to_matrix(((0, 0, 0), (0, 0, 0, 1)))
     for item in found:
         value = product(value, transform_matrix(item))
-    return unify(result, (CONS, _M, (CONS, matrix_term(value), NIL)), machine.trail)
+    return (CONS, _M, (CONS, matrix_term(value), NIL))
 
 
-@deterministic("transform/3")
-def transform_two(machine: Any, first: Term, second: Term, result: Term) -> bool:
+@function("transform/3")
+def transform_two(first: Term, second: Term) -> Term:
     """Give the product of two poses or matrices as ``['M',Matrix]``."""
-    return transform(machine, make_list([first, second]), result)
+    return transform(make_list([first, second]))
 
 
-@deterministic("tf_point/3")
-def tf_point(machine: Any, point: Term, by: Term, result: Term) -> bool:
+@function("tf_point/3")
+def tf_point(point: Term, by: Term) -> Term:
     """Give a point moved by a transform."""
-    return unify(result, list_term(apply(transform_matrix(by), vector(point))), machine.trail)
+    return list_term(apply(transform_matrix(by), vector(point)))
 
 
-@deterministic("transform_point/3")
-def transform_point(machine: Any, point: Term, by: Term, result: Term) -> bool:
+@function("transform_point/3")
+def transform_point(point: Term, by: Term) -> Term:
     """Give a point moved by a matrix."""
-    return unify(result, list_term(apply(transform_matrix(by), vector(point))), machine.trail)
+    return list_term(apply(transform_matrix(by), vector(point)))
 
 
-@deterministic("mul_matrix/3")
-def mul_matrix(machine: Any, left: Term, right: Term, result: Term) -> bool:
+@function("mul_matrix/3")
+def mul_matrix(left: Term, right: Term) -> Term:
     """Give the product of two matrices."""
-    return unify(result, matrix_term(product(matrix(left), matrix(right))), machine.trail)
+    return matrix_term(product(matrix(left), matrix(right)))
 
 
-@deterministic("convert_to_mat/3")
-def convert_to_mat(machine: Any, position: Term, rotation: Term, result: Term) -> bool:
+@function("convert_to_mat/3")
+def convert_to_mat(position: Term, rotation: Term) -> Term:
     """Give the matrix of a pose."""
     value = to_matrix((vector(position), quaternion(rotation)))
-    return unify(result, matrix_term(value), machine.trail)
+    return matrix_term(value)
 
 
 @deterministic("print_matrix/1")

@@ -10,7 +10,7 @@ class Entry(NamedTuple):
     """A predicate in Python.
 
     Attributes:
-        kind: "deterministic", "nondeterministic" or "control".
+        kind: "deterministic", "function", "nondeterministic" or "control".
         function: see `Logic.define` and its sisters.
         locked: programs may not define it themselves.
     """
@@ -40,6 +40,11 @@ def _register(kind: str, names: Tuple[str, ...], locked: bool) -> Callable[[Any]
 def deterministic(*names: str, locked: bool = True) -> Callable[[Any], Any]:
     """Register ``function(machine, *args) -> bool`` under indicators such as ``"atom_length/2"``."""
     return _register("deterministic", names, locked)
+
+
+def function(*names: str, locked: bool = True) -> Callable[[Any], Any]:
+    """Register ``function(*inputs)``, which returns what the last argument is, or None where it fails."""
+    return _register("function", names, locked)
 
 
 def nondeterministic(*names: str, locked: bool = True) -> Callable[[Any], Any]:

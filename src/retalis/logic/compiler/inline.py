@@ -99,6 +99,10 @@ def _is(scope: Scope, node: Goal) -> None:
 
 
 def _builtin(scope: Scope, node: Goal) -> None:
+    functional = scope.unit.database.predicate(node.key).functional
+    if functional is not None:
+        _function(scope, node, functional)
+        return
     scope.line(f"if not {_builtin_call(scope, node)}:")
     scope.line(f"    {scope.fail}")
 
@@ -109,6 +113,26 @@ def _builtin_call(scope: Scope, node: Goal) -> str:
     for arg in node.args:
         forget_fresh(scope, arg)
     return f"{scope.unit.builtin(node.key)}(M{args})"
+
+
+def _function(scope: Scope, node: Goal, functional: Any) -> None:
+    """Write a call for the outputs, and their unification; void variables are left alone."""
+    inputs = [node.args[at] for at in functional.inputs]
+    result = scope.temp()
+    call = f"{scope.unit.constant(functional.function)}({', '.join([scope.build(arg) for arg in inputs])})"
+    for arg in inputs:
+        forget_fresh(scope, arg)
+    scope.line(f"{result} = {call}")
+    scope.line(f"if {result} is None:")
+    scope.line(f"    {scope.fail}")
+    for index, (at, show) in enumerate(zip(functional.outputs, functional.shows)):
+        arg = deref(node.args[at])
+        if arg.__class__ is Var and scope.clause.is_void(arg):
+            continue
+        value = result if functional.single else f"{result}[{index}]"
+        name = scope.temp("p")
+        scope.line(f"{name} = {value}" if show is None else f"{name} = {scope.unit.constant(show)}({value})")
+        match(scope, name, arg)
 
 
 def _test(scope: Scope, node: Goal) -> None:
