@@ -9,7 +9,6 @@
 """
 
 import argparse
-import gc
 import json
 import os
 import re
@@ -25,6 +24,7 @@ sys.path[:0] = [str(HERE), str(HERE.parent / "src"), str(HERE.parent / "examples
 
 import workload as work  # noqa: E402
 
+from retalis.collector import relax  # noqa: E402
 from retalis.engine import Engine  # noqa: E402
 from retalis.terms import functor  # noqa: E402
 
@@ -62,16 +62,15 @@ def feed(engine: Engine, items: List[work.Item], messages: bool) -> Tuple[float,
     """Feed a stream; return the CPU seconds and the number of outputs."""
     outputs = Outputs(engine)
     post = engine.post
-    # The stream was made beforehand: walking it again and again is no cost of the engine's.
-    gc.collect()
-    gc.freeze()
     if messages:
         definitions = nao_definitions()
         data = [(definitions.decoder(kind), raw) for raw, kind in work.as_bytes(items, definitions)]
+        relax()
         began = time.process_time()
         for decoder, raw in data:
             post(decoder.decode(raw), decoder.stamp(raw))
     else:
+        relax()
         began = time.process_time()
         for term, instant, _ in items:
             post(term, instant)
@@ -157,6 +156,7 @@ def look_ups(predicate: str, size: int) -> Callable[[str, bool], Result]:
         )
         goal = work.term("stamps(Ds)")
         stamp_list = engine.query(goal)[0]["_0"]
+        relax()
         began = time.process_time()
         engine.call(functor("times", 2)(70, stamp_list))
         return Result(name, 70_000, time.process_time() - began, 0)
@@ -208,6 +208,7 @@ def synchronized(delay: Optional[int]) -> Callable[[str, bool], Result]:
                 z = stamp[0] + stamp[1] * 1e-9 + (delay or -1)
                 instant = stamp[0] * 10**9 + stamp[1]
                 stream += [(tick(k, z), instant) for k in range(1, 21)]
+        relax()
         began = time.process_time()
         for term, instant in stream:
             engine.post(term, instant)
@@ -237,6 +238,7 @@ def join(number: int) -> Callable[[str, bool], Result]:
         a, b = functor("a", 1), functor("b", 1)
         stream = [(a(i), BASE * 10**9 + i) for i in range(number)]
         stream += [(b(i), (BASE + 1) * 10**9 + i) for i in range(number)]
+        relax()
         began = time.process_time()
         for term, instant in stream:
             engine.post(term, instant)

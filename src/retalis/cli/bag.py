@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, Dict, List
 
 from ..bags import BagReader, BagWriter
+from ..collector import relax
 from ..errors import UsageError
 from ..playback import Output, Playback
 from ..program import TopicType
@@ -52,6 +53,7 @@ def run(options: argparse.Namespace) -> int:
         playback = Playback(options.program, report, _topics(options.topic))
         writer = _Writer(stack.enter_context(BagWriter(options.output))) if options.output else None
         advance = stack.enter_context(progress("messages", reader.messages))
+        relax()
         for output in playback.run(reader, advance):
             if not options.quiet:
                 print(f"{to_text((OUTPUT, output.term, atom(output.topic)))}.")

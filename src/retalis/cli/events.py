@@ -11,6 +11,7 @@ from .. import timestamps
 from .._goalfile import read_goals
 from .._inputs import event_of
 from ..clock import StreamClock
+from ..collector import relax
 from ..engine import Engine
 from ..errors import ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
 from ..explain import Explanation, Line, explain, prepare
@@ -86,6 +87,7 @@ def run(options: argparse.Namespace) -> int:
         printer = Printer(options.json, options.memory_events, _opened(options.outputs, stack))
         session = Session(options, report, printer)
         session.load()
+        relax()
         session.feed()
         session.ask()
     sys.stdout.flush()

@@ -6,6 +6,7 @@ from typing import Any, Callable
 
 import rospy
 
+from ..collector import relax
 from ..errors import RetalisError
 from ._log import forward_log
 from .parameters import Parameters, read_parameters
@@ -23,6 +24,7 @@ def run_node(name: str, build: Callable[[Parameters], Any]) -> int:
         rospy.init_node(name, disable_signals=True)
         forward_log(logging.getLogger("retalis"))
         node = build(read_parameters())
+        relax()
         interrupt.allow()
         rospy.spin()
         del node

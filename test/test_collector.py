@@ -1,0 +1,14 @@
+import gc
+
+from retalis.collector import relax
+
+
+def test_what_is_loaded_is_not_walked_again():
+    thresholds = gc.get_threshold()
+    try:
+        relax()
+        assert gc.get_freeze_count() > 10_000
+        assert gc.get_threshold()[0] > thresholds[0]
+    finally:
+        gc.unfreeze()
+        gc.set_threshold(*thresholds)
