@@ -108,7 +108,8 @@ def test_writeq(text):
 def test_options():
     term = read_term("f('A b',\"s\",x+1,[1,2],{y,z},- 1)", OPERATORS).term
     assert write_term(term, quoted=False) == "f(A b,s,x+1,[1,2],{y,z},- 1)"
-    assert write_term(term, ignore_ops=True) == "f('A b',\"s\",+(x,1),[1,2],{}(','(y,z)),-(1))"
+    assert write_term(term, ignore_ops=True) == "f('A b',\"s\",+(x,1),[1,2],{','(y,z)},-(1))"
+    assert write_term(term, ignore_ops=True, brace_terms=False).endswith("[1,2],{}(','(y,z)),-(1))")
     assert write_term(term, spacing=True) == "f('A b', \"s\", x+1, [1, 2], {y, z}, - 1)"
     assert write_term(read_term("a:-b", OPERATORS).term, priority=999) == "(a:-b)"
 

@@ -10,6 +10,7 @@ CONTEXT = functor("context", 2)
 _TYPE_ERROR = functor("type_error", 2)
 _DOMAIN_ERROR = functor("domain_error", 2)
 _EXISTENCE_ERROR = functor("existence_error", 2)
+_NO_ARGUMENT = functor("existence_error", 3)
 _PERMISSION_ERROR = functor("permission_error", 3)
 _REPRESENTATION_ERROR = functor("representation_error", 1)
 _EVALUATION_ERROR = functor("evaluation_error", 1)
@@ -17,6 +18,7 @@ _RESOURCE_ERROR = functor("resource_error", 1)
 _SYNTAX_ERROR = functor("syntax_error", 1)
 _SYSTEM_ERROR = functor("system_error", 1)
 _UNINSTANTIATION_ERROR = functor("uninstantiation_error", 1)
+_QUALIFIED = functor(":", 2)
 _INSTANTIATION_ERROR = atom("instantiation_error")
 
 
@@ -67,6 +69,16 @@ def domain_error(domain: str, culprit: Term) -> PrologError:
 def existence_error(kind: str, culprit: Term, context: Optional[Term] = None) -> PrologError:
     """Return the error for something that is not there."""
     return error((_EXISTENCE_ERROR, atom(kind), culprit), context)
+
+
+def no_argument(number: int, term: Term) -> PrologError:
+    """Return the error for an argument that a compound term does not have."""
+    return error((_NO_ARGUMENT, atom("argument"), number, term))
+
+
+def no_matching_rule(module: str, goal: Term) -> PrologError:
+    """Return the error for arguments that no clause of a predicate of single-sided rules takes."""
+    return existence_error("matching_rule", (_QUALIFIED, atom(module), goal))
 
 
 def permission_error(action: str, kind: str, culprit: Term) -> PrologError:

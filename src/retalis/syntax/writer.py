@@ -23,6 +23,7 @@ class WriteOptions(NamedTuple):
     Attributes:
         quoted: atoms and strings are quoted where they have to be.
         ignore_ops: operators are written as functor and arguments.
+        brace_terms: ``{}(a)`` is written ``{a}``.
         numbervars: ``'$VAR'(1)`` is written ``B``.
         spacing: a blank behind the commas of arguments and lists.
         variable_names: variable -> name; others are ``_G1`` and so on.
@@ -31,6 +32,7 @@ class WriteOptions(NamedTuple):
 
     quoted: bool = True
     ignore_ops: bool = False
+    brace_terms: bool = True
     numbervars: bool = False
     spacing: bool = False
     variable_names: Optional[Dict[Var, str]] = None
@@ -119,7 +121,7 @@ class _Writer:
         options = self.options
         if found is _NUMBERED and options.numbervars and self._numbered(deref(term[1])):
             return
-        if found is _CURLY and not options.ignore_ops:
+        if found is _CURLY and options.brace_terms:
             self.stack += ("}", (term[1], 1200), "{")
             return
         if options.ignore_ops or found.arity > 2 or not self._operator(term, found, limit):

@@ -16,6 +16,7 @@ from . import (  # noqa: F401  (imported for what they register)
     poses,
     reading,
     reports,
+    sets,
     solutions,
     state,
     strings,

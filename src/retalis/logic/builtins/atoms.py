@@ -2,7 +2,7 @@
 
 from typing import Any, Iterator, List
 
-from ...terms import NIL, Atom, String, Term, Var, atom, deref, list_items, make_list, unify
+from ...terms import Atom, String, Term, Var, atom, deref, is_ground, list_items, make_list, unify
 from ..faults import domain_error, instantiation_error, representation_error, type_error
 from ..machine import LAST
 from .arguments import atom_of, integer_or_var, is_iso, items, partial_items
@@ -11,8 +11,10 @@ from .text import (
     LARGEST_CODE,
     atomic_text,
     chars,
+    check_parts,
     codes,
     constant_text,
+    no_compound,
     number_or_error,
     number_text,
     parse_number,
@@ -25,9 +27,7 @@ from .text import (
 def atom_length(machine: Any, text: Term, length: Term) -> bool:
     """Give the number of characters of an atom."""
     size = deref(length)
-    if is_iso(machine):
-        atom_of(text)
-    value = len(text_of(text, "text"))
+    value = len(atom_of(text).name if is_iso(machine) else text_of(text))
     if size.__class__ is not Var:
         if size.__class__ is not int:
             raise type_error("integer", size)
@@ -36,14 +36,18 @@ def atom_length(machine: Any, text: Term, length: Term) -> bool:
     return unify(size, value, machine.trail)
 
 
-def _converter(to_list: Any, from_text: Any) -> Any:
+def _converter(to_list: Any, from_text: Any, kind: str) -> Any:
     def run(machine: Any, constant: Term, parts: Term) -> bool:
         found = constant_text(deref(constant))
         if found is not None:
+            check_parts(parts)
+            given = deref(parts)
+            if given.__class__ is String:
+                return given.text == found  # type: ignore[no-any-return]
             return unify(parts, to_list(found), machine.trail)
         if deref(constant).__class__ is not Var:
-            raise type_error("atom", deref(constant))
-        text = parts_text(parts, to_list is codes)
+            raise type_error(kind, deref(constant))
+        text = parts_text(machine, parts, to_list is codes)
         return unify(constant, from_text(machine, text), machine.trail)
 
     return run
@@ -62,9 +66,9 @@ def _any_constant(machine: Any, text: str) -> Term:
     return atom(text) if found is None else found
 
 
-deterministic("atom_codes/2")(_converter(codes, _atom))
-deterministic("atom_chars/2")(_converter(chars, _atom))
-deterministic("name/2")(_converter(codes, _any_constant))
+deterministic("atom_codes/2")(_converter(codes, _atom, "atom"))
+deterministic("atom_chars/2")(_converter(chars, _atom, "atom"))
+deterministic("name/2")(_converter(codes, _any_constant, "atomic"))
 
 
 def _number_converter(to_list: Any) -> Any:
@@ -73,24 +77,14 @@ def _number_converter(to_list: Any) -> Any:
         if number.__class__ not in (Var, int, float):
             raise type_error("number", number)
         # The text decides where it is there: "0x10" is 16, whatever number the other side is.
-        given = deref(parts)
-        if number.__class__ is not Var and not _is_whole_list(given):
+        if not is_iso(machine):
+            check_parts(parts)
+        if number.__class__ is not Var and not is_ground(parts):
             return unify(parts, to_list(number_text(number)), machine.trail)
-        text = parts_text(given, to_list is codes)
+        text = parts_text(machine, parts, to_list is codes)
         return unify(number, number_or_error(text, machine.logic.operators), machine.trail)
 
     return run
-
-
-def _is_whole_list(term: Term) -> bool:
-    tail = deref(term)
-    if tail is NIL:
-        return False
-    while tail.__class__ is tuple and len(tail) == 3:
-        if deref(tail[1]).__class__ is Var:
-            return False
-        tail = deref(tail[2])
-    return tail is NIL
 
 
 deterministic("number_codes/2")(_number_converter(codes))
@@ -104,6 +98,8 @@ def char_code(machine: Any, char: Term, code: Term) -> bool:
     if char.__class__ is Atom:
         if len(char.name) != 1:
             raise type_error("character", char)
+        if code.__class__ not in (Var, int):
+            raise type_error("integer", code)
         return unify(code, ord(char.name), machine.trail)
     if char.__class__ is not Var:
         raise type_error("character", char)
@@ -112,7 +108,9 @@ def char_code(machine: Any, char: Term, code: Term) -> bool:
     if code.__class__ is not int:
         raise type_error("integer", code)
     if not 0 <= code <= LARGEST_CODE:
-        raise representation_error("character_code")
+        raise (
+            representation_error("character_code") if is_iso(machine) else type_error("character_code", code)
+        )
     return unify(char, atom(chr(code)), machine.trail)
 
 
@@ -127,10 +125,11 @@ def atom_number(machine: Any, text: Term, number: Term) -> bool:
             raise type_error("number", number)
         return unify(text, atom(number_text(number)), machine.trail)
     if text.__class__ not in (Atom, String):
-        raise type_error("atom", text)
-    if number.__class__ not in (Var, int, float):
-        raise type_error("number", number)
-    found = parse_number(text_of(text), machine.logic.operators)
+        raise type_error(
+            "atom" if number.__class__ in (Var, int, float) else "number",
+            text if number.__class__ in (Var, int, float) else number,
+        )
+    found = parse_number(atomic_text(text), machine.logic.operators)
     return found is not None and unify(number, found, machine.trail)
 
 
@@ -209,7 +208,8 @@ def sub_text(
     """Enumerate the parts of a text in order of their start, then of their length."""
     if deref(text).__class__ is Var:
         raise instantiation_error()
-    whole = text_of(text, "atom" if make is atom else "string")
+    kind = "atom" if make is atom else "string"
+    whole = atomic_text(text, kind)
     size = len(whole)
     b, count, a = integer_or_var(before), integer_or_var(length), integer_or_var(after)
     for value in (b, count, a):
@@ -219,10 +219,7 @@ def sub_text(
     if given.__class__ is not Var:
         if is_iso(machine):
             atom_of(given)
-        wanted = constant_text(given)
-        if wanted is None:
-            raise type_error("atomic", given)
-        yield from _occurrences(machine, whole, wanted, before, length, after, b, a)
+        yield from _occurrences(machine, whole, atomic_text(given, kind), before, length, after, b, a)
         return
     if b is not None and count is not None:
         spans = [(b, b + count)]
@@ -276,13 +273,13 @@ def _occurrences(
 @deterministic("atomic_list_concat/2")
 def atomic_list_concat(machine: Any, parts: Term, whole: Term) -> bool:
     """Join texts to an atom."""
-    return unify(whole, atom("".join([atomic_text(item) for item in items(parts)])), machine.trail)
+    return unify(whole, atom("".join([atomic_text(item, "text") for item in items(parts)])), machine.trail)
 
 
 @deterministic("atomic_list_concat/3")
 def atomic_list_concat_separated(machine: Any, parts: Term, separator: Term, whole: Term) -> bool:
     """Join texts with a separator to an atom, or split an atom at it."""
-    between = atomic_text(separator)
+    between = atomic_text(separator, "text")
     joined = _join(parts, between)
     if joined is not None:
         found = constant_text(deref(whole))
@@ -306,19 +303,21 @@ def _join(parts: Term, between: str) -> Any:
         if text is None:
             if item.__class__ is Var:
                 return None
-            raise type_error("atomic", item)
+            raise type_error("text", item)
         found.append(text)
     return between.join(found)
 
 
-def _case(change: Any, make: Any) -> Any:
+def _case(change: Any, make: Any, kind: str) -> Any:
     def run(machine: Any, text: Term, result: Term) -> bool:
-        return unify(result, make(change(text_of(text))), machine.trail)
+        changed = change(atomic_text(text))
+        no_compound(result, kind)
+        return unify(result, make(changed), machine.trail)
 
     return run
 
 
-deterministic("upcase_atom/2")(_case(str.upper, atom))
-deterministic("downcase_atom/2")(_case(str.lower, atom))
-deterministic("string_upper/2")(_case(str.upper, String))
-deterministic("string_lower/2")(_case(str.lower, String))
+deterministic("upcase_atom/2")(_case(str.upper, atom, "atom"))
+deterministic("downcase_atom/2")(_case(str.lower, atom, "atom"))
+deterministic("string_upper/2")(_case(str.upper, String, "string"))
+deterministic("string_lower/2")(_case(str.lower, String, "string"))

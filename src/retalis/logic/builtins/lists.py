@@ -2,7 +2,7 @@
 
 from functools import cmp_to_key
 from itertools import repeat
-from typing import Any, Callable, Iterator, Optional
+from typing import Any, Iterator, Optional
 
 from ...terms import (
     CONS,
@@ -22,11 +22,18 @@ from ...terms import (
     unify,
 )
 from ..arithmetic import EVALUABLE, add, evaluate
-from ..faults import domain_error, instantiation_error, resource_error, type_error
+from ..faults import (
+    domain_error,
+    instantiation_error,
+    no_argument,
+    no_matching_rule,
+    resource_error,
+    type_error,
+)
 from ..machine import LAST, Code, Frame
 from .arguments import integer, is_iso, items, natural, partial_items
 from .registry import control, deterministic, nondeterministic
-from .solutions import sort_unique
+from .solutions import by_age, sort_unique
 
 _KEY = cmp_to_key(compare)
 _MAX, _MIN = EVALUABLE[functor("max", 2)], EVALUABLE[functor("min", 2)]
@@ -40,9 +47,7 @@ def length(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
     count = len(found)
     size = deref(args[1])
     if size.__class__ is not Var:
-        integer(size)
-        if size < 0 and tail.__class__ is Var:
-            raise domain_error("not_less_than_zero", size)
+        natural(size)
     if tail is NIL:
         return after if unify(size, count, machine.trail) else None
     if tail.__class__ is not Var:
@@ -71,7 +76,7 @@ _LONGER = Code("length", lambda entry: _longer(*entry[1:7]))
 @deterministic("msort/2")
 def msort(machine: Any, unsorted: Term, result: Term) -> bool:
     """Sort in the standard order, keeping duplicates."""
-    return unify(result, make_list(sorted(items(unsorted), key=_KEY)), machine.trail)
+    return unify(result, make_list(sorted(by_age(items(unsorted)), key=_KEY)), machine.trail)
 
 
 @deterministic("sort/2")
@@ -86,31 +91,45 @@ def sort(machine: Any, unsorted: Term, result: Term) -> bool:
 @deterministic("sort/4")
 def sort_by(machine: Any, key: Term, order: Term, unsorted: Term, result: Term) -> bool:
     """Sort by an argument (0: the whole term) in one of the orders ``@<``, ``@=<``, ``@>``, ``@>=``."""
-    at = natural(key)
+    at = _sort_key(key)
     order = deref(order)
     if order.__class__ is Var:
         raise instantiation_error()
     if order.__class__ is not Atom:
         raise type_error("atom", order)
-    if order.name not in ("@<", "@=<", "@>", "@>="):
+    direction = order.name.lstrip("@")
+    if direction not in ("<", "=<", ">", ">="):
         raise domain_error("order", order)
-    pairs = [(_KEY(_argument(item, at)), item) for item in items(unsorted)]
-    pairs.sort(key=lambda pair: pair[0], reverse=order.name[1] == ">")
-    if "=" not in order.name:
+    pairs = [(_KEY(_argument(item, at)), item) for item in by_age(items(unsorted))]
+    pairs.sort(key=lambda pair: pair[0], reverse=direction[0] == ">")
+    if "=" not in direction:
         pairs = [pair for n, pair in enumerate(pairs) if n == 0 or pairs[n - 1][0] != pair[0]]
     return unify(result, make_list([item for _, item in pairs]), machine.trail)
 
 
-def _argument(item: Term, at: int) -> Term:
+def _sort_key(key: Term) -> Optional[int]:
+    """Return which argument is the key, 0 for the whole term; None for the name of a field, which no term has."""
+    key = deref(key)
+    if key.__class__ is Atom or list_items(key):
+        return None
+    if key.__class__ not in (int, Var):
+        raise type_error("sort_key", key)
+    number = integer(key)
+    if number < 0:
+        raise domain_error("not_less_than_one", key)
+    return number
+
+
+def _argument(item: Term, at: Optional[int]) -> Term:
     if at == 0:
         return item
     item = deref(item)
     if item.__class__ is Var:
         raise instantiation_error()
-    if item.__class__ is not tuple:
+    if item.__class__ is not tuple or at is None:
         raise type_error("compound", item)
     if at >= len(item):
-        raise type_error("compound", item)
+        raise no_argument(at, item)
     return item[at]
 
 
@@ -123,6 +142,7 @@ def keysort(machine: Any, pairs: Term, result: Term) -> bool:
             raise instantiation_error()
         if pair.__class__ is not tuple or pair[0] is not MINUS:
             raise type_error("pair", pair)
+    by_age([pair[1] for pair in found])
     found.sort(key=lambda pair: _KEY(pair[1]))
     if is_iso(machine):
         for pair in map(deref, partial_items(result)):
@@ -153,33 +173,35 @@ def memberchk(machine: Any, item: Term, given: Term) -> bool:
             return True
         undo(trail, mark)
         tail = deref(tail[2])
+    if tail.__class__ is not Var and tail is not NIL:
+        raise type_error("list", tail)
     return tail.__class__ is Var and unify(tail, (CONS, item, Var()), trail)
 
 
-@deterministic("sum_list/2", "sumlist/2", locked=False)
-def sum_list(machine: Any, given: Term, result: Term) -> bool:
-    """Add numbers."""
-    total: Any = 0
-    for item in items(given):
-        total = add(total, item)
-    return unify(result, total, machine.trail)
+def _folded(name: str, step: Any, start: Optional[int]) -> Any:
+    """Return a predicate that folds the numbers of a list; without a start it begins with the first of them."""
+    outer, inner = functor(name, 2), functor(name, 3)
 
-
-def _best(better: Callable[..., Any]) -> Any:
     def run(machine: Any, given: Term, result: Term) -> bool:
-        values = [evaluate(item) for item in items(given)]
-        if not values:
-            return False
-        best = values[0]
-        for value in values[1:]:
-            best = better(best, value)
-        return unify(result, best, machine.trail)
+        found, tail = list_parts(given)
+        value: Any = start
+        for at, item in enumerate(found):
+            value = item if start is None and at == 0 else step(value, item)
+        if tail is not NIL:
+            known = value is None
+            raise no_matching_rule("lists", (outer, tail, result) if known else (inner, tail, value, result))
+        return value is not None and unify(result, value, machine.trail)
 
     return run
 
 
-deterministic("max_list/2", locked=False)(_best(_MAX))
-deterministic("min_list/2", locked=False)(_best(_MIN))
+def _better(function: Any) -> Any:
+    return lambda best, item: function(evaluate(best), evaluate(item))
+
+
+deterministic("sum_list/2", "sumlist/2", locked=False)(_folded("sum_list", add, 0))
+deterministic("max_list/2", locked=False)(_folded("max_list", _better(_MAX), None))
+deterministic("min_list/2", locked=False)(_folded("min_list", _better(_MIN), None))
 
 
 @deterministic("numlist/3", locked=False)
@@ -220,8 +242,9 @@ def _nth(base: int) -> Any:
     def run(machine: Any, index: Term, given: Term, item: Term) -> Iterator[Any]:
         index = deref(index)
         if index.__class__ is not Var:
-            if index.__class__ is not int or index < 0:
-                raise type_error("integer" if index.__class__ is not int else "not_less_than_zero", index)
+            integer(index)
+            if index < base:
+                return
             if index > MOST:
                 raise resource_error("term_size")
             at = index

@@ -3,13 +3,13 @@
 from typing import Any, Dict, Iterator
 from zlib import crc32
 
-from ...errors import TermTooLarge
-from ...terms import Term, Var, atom, deref, functor, is_ground, make_list, resolve, unify, variables
+from ...terms import Term, Var, atom, deref, functor, is_ground, make_list, unify, variables
 from ..arithmetic import evaluate
 from ..machine import LAST
 from .arguments import integer
+from .checking import is_acyclic
 from .registry import deterministic, nondeterministic
-from .text import atomic_text
+from .text import atomic_text, no_compound
 
 _NUMBERED = functor("$VAR", 1)
 
@@ -39,11 +39,7 @@ def term_variables(machine: Any, term: Term, found: Term, tail: Term) -> bool:
 @deterministic("acyclic_term/1")
 def acyclic_term(machine: Any, term: Term) -> bool:
     """Test that a term does not contain itself."""
-    try:
-        resolve(term)
-    except TermTooLarge:
-        return False
-    return True
+    return is_acyclic(term)
 
 
 @deterministic("cyclic_term/1")
@@ -69,6 +65,7 @@ def _counters(machine: Any) -> Dict[str, int]:
 def gensym(machine: Any, base: Term, result: Term) -> bool:
     """Give a new atom: the base and a number."""
     name = atomic_text(base)
+    no_compound(result, "atomic")
     counters = _counters(machine)
     counters[name] = counters.get(name, 0) + 1
     return unify(result, atom(f"{name}{counters[name]}"), machine.trail)

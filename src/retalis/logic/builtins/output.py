@@ -17,7 +17,7 @@ from ..machine import Code, Frame, Guard
 from .arguments import integer, is_iso, option_values
 from .formatting import Formatter
 from .registry import control, deterministic
-from .text import LARGEST_CODE, make_text, text_of
+from .text import LARGEST_CODE, make_text, whole_text
 
 _WIDEST = 10_000_000
 _SINKS = ("atom", "string", "codes", "chars")
@@ -56,7 +56,7 @@ _WRITERS = {
     "print": _writer(quoted=True, numbervars=True),
     "writeln": _writer(quoted=False, numbervars=True),
     "writeq": _writer(quoted=True, numbervars=True),
-    "write_canonical": _writer(quoted=True, ignore_ops=True),
+    "write_canonical": _writer(quoted=True, ignore_ops=True, brace_terms=False),
 }
 
 
@@ -168,7 +168,7 @@ def write_options(machine: Any, options: Term) -> Dict[str, Any]:
         name, value = option[0].name, deref(option[1])
         if value.__class__ is Var:
             raise instantiation_error()
-        if name in ("quoted", "ignore_ops", "numbervars"):
+        if name in ("quoted", "ignore_ops", "numbervars", "brace_terms"):
             if value.__class__ is not Atom or value.name not in ("true", "false"):
                 raise domain_error("write_option", option)
             found[name] = value.name == "true"
@@ -225,9 +225,16 @@ def _arguments(term: Term) -> Any:
     return [term]
 
 
+def _format_text(form: Term) -> str:
+    form = deref(form)
+    if form.__class__ in (int, float):
+        raise type_error("text", form)
+    return whole_text(form, "text")
+
+
 def formatted(machine: Any, form: Term, arguments: Term, column: int) -> str:
     """Return the text of ``format(form, arguments)``."""
-    return Formatter(machine, column).format(text_of(form), _arguments(arguments))
+    return Formatter(machine, column).format(_format_text(form), _arguments(arguments))
 
 
 @deterministic("format/1")

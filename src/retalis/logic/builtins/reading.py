@@ -73,7 +73,7 @@ def atom_to_term(machine: Any, text: Term, term: Term, bindings: Term) -> bool:
 @deterministic("read_term_from_atom/3")
 def read_term_from_atom(machine: Any, text: Term, term: Term, options: Term) -> bool:
     """Read a term from a text."""
-    found = read(machine, text_of(text))
+    found = read(machine, text_of(text, numbers=False))
     return unify(term, found.term, machine.trail) and _unify_options(machine, found, options)
 
 

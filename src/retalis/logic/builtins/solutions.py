@@ -30,10 +30,22 @@ _KEY = cmp_to_key(compare)
 _MAX, _MIN = EVALUABLE[functor("max", 2)], EVALUABLE[functor("min", 2)]
 
 
+def by_age(found: List[Term]) -> List[Term]:
+    """Number the variables among terms, and in their arguments, so that they sort in the order they stand in."""
+    for item in map(deref, found):
+        if item.__class__ is Var:
+            serial(item)
+        elif item.__class__ is tuple:
+            for argument in item[1:]:
+                if argument.__class__ is Var and deref(argument).__class__ is Var:
+                    serial(deref(argument))
+    return found
+
+
 def sort_unique(found: List[Term]) -> List[Term]:
     """Return terms in the standard order, without duplicates."""
     result: List[Term] = []
-    for item in sorted(found, key=_KEY):
+    for item in sorted(by_age(found), key=_KEY):
         if not result or compare(result[-1], item):
             result.append(item)
     return result

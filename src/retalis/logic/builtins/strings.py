@@ -2,75 +2,104 @@
 
 from typing import Any, Iterator, Optional
 
-from ...terms import Atom, String, Term, Var, atom, deref, functor, make_list, unify
+from ...terms import Atom, String, Term, Var, atom, deref, functor, is_ground, make_list, unify
 from ..faults import instantiation_error, type_error
 from ..machine import LAST
+from .arguments import integer_or_var, partial_items
 from .registry import deterministic, nondeterministic
-from .text import chars, codes, constant_text, make_text, number_text, parse_number, text_of
+from .text import (
+    atomic_text,
+    chars,
+    check_parts,
+    codes,
+    constant_text,
+    make_text,
+    number_text,
+    parse_number,
+    parts_text,
+    text_of,
+    whole_text,
+)
 
 
 @deterministic("string_length/2")
 def string_length(machine: Any, text: Term, length: Term) -> bool:
     """Give the number of characters of a text."""
-    return unify(length, len(text_of(text)), machine.trail)
+    size = len(text_of(text))
+    integer_or_var(length)
+    return unify(length, size, machine.trail)
 
 
 def _converter(to_parts: Any) -> Any:
     def run(machine: Any, text: Term, parts: Term) -> bool:
         if deref(text).__class__ is not Var:
             return unify(parts, to_parts(text_of(text)), machine.trail)
-        return unify(text, String(text_of(parts, "codes")), machine.trail)
+        return unify(text, String(parts_text(machine, parts, True)), machine.trail)
 
     return run
 
 
 deterministic("string_chars/2")(_converter(chars))
 deterministic("string_codes/2")(_converter(codes))
-deterministic("string_to_atom/2")(_converter(atom))
 
 
-@deterministic("atom_string/2")
-def atom_string(machine: Any, constant: Term, text: Term) -> bool:
-    """Relate an atom with its string."""
-    found = deref(constant)
-    if found.__class__ is not Var:
-        return unify(text, String(text_of(found)), machine.trail)
-    return unify(found, atom(text_of(text)), machine.trail)
+def _same_text(left: str, right: str, make: Any) -> Any:
+    """Return a relation of two texts: the second one is made from the first where it is not bound."""
+
+    def run(machine: Any, first: Term, second: Term) -> bool:
+        if deref(first).__class__ is Var:
+            return unify(first, make[0](whole_text(second, right)), machine.trail)
+        text = whole_text(first, left)
+        if deref(second).__class__ is Var:
+            return unify(second, make[1](text), machine.trail)
+        return text == whole_text(second, right)
+
+    return run
+
+
+deterministic("atom_string/2")(_same_text("atom", "string", (atom, String)))
+deterministic("string_to_atom/2")(_same_text("string", "atom", (String, atom)))
 
 
 @deterministic("number_string/2")
 def number_string(machine: Any, number: Term, text: Term) -> bool:
     """Relate a number with its string; fails where the text is no number."""
-    given = deref(text)
-    if given.__class__ is not Var:
-        found = parse_number(text_of(given).strip(), machine.logic.operators)
-        return found is not None and unify(number, found, machine.trail)
     number = deref(number)
+    check_parts(text)
+    if is_ground(text):
+        found = parse_number(parts_text(machine, text, True).strip(), machine.logic.operators)
+        return found is not None and unify(number, found, machine.trail)
     if number.__class__ is Var:
         raise instantiation_error()
     if number.__class__ not in (int, float):
         raise type_error("number", number)
-    return unify(given, String(number_text(number)), machine.trail)
+    return unify(text, String(number_text(number)), machine.trail)
 
 
 @deterministic("text_to_string/2")
 def text_to_string(machine: Any, text: Term, result: Term) -> bool:
     """Give the string of an atom, string, or list of codes or characters."""
-    return unify(result, String(text_of(text, "list")), machine.trail)
+    found = text_of(text, numbers=False)
+    given = deref(result)
+    if given.__class__ is Atom:
+        return given.name == found
+    return unify(result, String(found), machine.trail)
 
 
-@deterministic("string_code/3")
-def string_code(machine: Any, index: Term, text: Term, code: Term) -> bool:
-    """Give the code of a character by its position from 1."""
-    at = deref(index)
-    if at.__class__ is Var:
-        raise instantiation_error()
-    if at.__class__ is not int:
-        raise type_error("integer", at)
-    whole = text_of(text)
+@nondeterministic("string_code/3")
+def string_code(machine: Any, index: Term, text: Term, code: Term) -> Iterator[Any]:
+    """Relate the characters' codes with their positions from 1."""
+    at = integer_or_var(index)
+    whole = text_of(text, numbers=False)
+    if at is None:
+        for at, char in enumerate(whole, 1):
+            if machine.unify_all((index, at), (code, ord(char))):
+                yield LAST if at == len(whole) else None
+        return
     if at < 0:
         raise type_error("not_less_than_zero", at)
-    return 0 < at <= len(whole) and unify(code, ord(whole[at - 1]), machine.trail)
+    if 0 < at <= len(whole) and machine.unify(code, ord(whole[at - 1])):
+        yield LAST
 
 
 @nondeterministic("text_concat/3")
@@ -102,7 +131,7 @@ def _same(given: Term, text: str, make: Any) -> Term:
 @deterministic("split_string/4")
 def split_string(machine: Any, text: Term, separators: Term, pad: Term, parts: Term) -> bool:
     """Split a text at any of the separators and strip the pad characters from each part."""
-    whole, between, strip = text_of(text, "string"), text_of(separators, "string"), text_of(pad, "string")
+    whole, between, strip = (text_of(given, numbers=False) for given in (text, separators, pad))
     found = []
     start = 0
     for at, char in enumerate(whole):
@@ -110,6 +139,7 @@ def split_string(machine: Any, text: Term, separators: Term, pad: Term, parts: T
             found.append(whole[start:at])
             start = at + 1
     found.append(whole[start:])
+    partial_items(parts)
     return unify(
         parts, make_list([String(part.strip(strip) if strip else part) for part in found]), machine.trail
     )
@@ -133,7 +163,7 @@ def normalize_space(machine: Any, sink: Term, text: Term) -> bool:
     sink = deref(sink)
     if sink.__class__ is not tuple or sink[0].name not in ("atom", "string", "codes", "chars"):
         raise type_error("output_sink", sink)
-    return unify(sink[1], make_text(sink[0].name, " ".join(text_of(text).split())), machine.trail)
+    return unify(sink[1], make_text(sink[0].name, " ".join(atomic_text(text).split())), machine.trail)
 
 
 # Characters

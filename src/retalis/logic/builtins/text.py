@@ -1,11 +1,12 @@
 """Text arguments: atoms, strings, numbers, lists of codes or characters, as Python strings and back."""
 
-from typing import Any, Optional
+from typing import Any, List, Optional
 
 from ...errors import SyntaxFault
 from ...syntax import read_term, write_term
-from ...terms import CONS, NIL, Atom, String, Term, Var, atom, deref, list_parts, make_list
-from ..faults import instantiation_error, representation_error, syntax_error, type_error
+from ...terms import NIL, Atom, String, Term, Var, atom, deref, list_parts, make_list
+from ..faults import PrologError, instantiation_error, representation_error, syntax_error, type_error
+from .arguments import is_iso
 
 LARGEST_CODE = 0x10FFFF
 _LONG = 10**300
@@ -30,52 +31,82 @@ def constant_text(term: Term) -> Optional[str]:
     return None
 
 
-def text_of(term: Term, kind: str = "atomic") -> str:
+def text_of(term: Term, kind: str = "text", numbers: bool = True) -> str:
     """Return the text of an argument: a constant, or a list of codes or characters.
+
+    Args:
+        term: the argument; ``[]`` is the empty list.
+        kind: the type that an error names.
+        numbers: a number is a text.
 
     Raises:
         PrologError: an instantiation error where it is not bound, a type error where it is no text.
     """
     term = deref(term)
+    if term is NIL:
+        return ""
+    if term.__class__ is tuple:
+        return _checked_list(term, kind)
     found = constant_text(term)
     if found is None:
-        if term.__class__ is Var:
-            raise instantiation_error()
-        found = list_text(term)
-        if found is None:
-            raise type_error(kind, term)
-    elif term is NIL:
-        return "" if kind in ("list", "codes") else "[]"
+        raise instantiation_error()
+    if not numbers and term.__class__ in (int, float):
+        raise type_error(kind, term)
     return found
 
 
-def list_text(term: Term) -> Optional[str]:
-    """Return the text of a list of codes or of characters; None for what is none.
+def whole_text(term: Term, kind: str) -> str:
+    """Do what `text_of` does, but name the whole argument as the culprit."""
+    term = deref(term)
+    if term.__class__ is tuple:
+        text = _good_list_text(term)
+        if text is None:
+            raise type_error(kind, term)
+        return text
+    return text_of(term)
 
-    Raises:
-        PrologError: an instantiation error for a list that is not wholly bound.
-    """
-    out = []
-    partial = False
+
+def is_text_list(term: Term) -> bool:
+    """Tell whether a term is a list of codes or of characters."""
+    return _good_list_text(term) is not None
+
+
+def _good_list_text(term: Term) -> Optional[str]:
+    try:
+        return _checked_list(term, "list")
+    except PrologError:
+        return None
+
+
+def _checked_list(term: Term, kind: str) -> str:
     found, tail = list_parts(term)
-    for item in found:
-        item = deref(item)
-        if item.__class__ is int:
-            if not 0 <= item <= LARGEST_CODE:
-                raise representation_error("character_code")
-            out.append(chr(item))
-        elif item.__class__ is Atom and len(item.name) == 1:
-            out.append(item.name)
-        elif item.__class__ is Var:
-            partial = True
-        else:
-            return None
-    if tail.__class__ is Var or (partial and tail is NIL):
+    if tail is not NIL and tail.__class__ is not Var:
+        raise type_error(kind, term)
+    items = [deref(item) for item in found]
+    culprit = wrong_item(items)
+    if culprit is not None:
+        raise culprit
+    if tail is not NIL or any(item.__class__ is Var for item in items):
         raise instantiation_error()
-    return "".join(out) if tail is NIL else None
+    return "".join([chr(item) if item.__class__ is int else item.name for item in items])
 
 
-def parts_text(term: Term, as_codes: bool) -> str:
+def wrong_item(items: List[Term]) -> Optional[PrologError]:
+    """Return the error for the first item that is no code among codes, or no character among characters."""
+    of_characters = None
+    for item in items:
+        if item.__class__ is Var:
+            continue
+        is_character = item.__class__ is Atom and len(item.name) == 1
+        is_code = item.__class__ is int and 0 <= item <= LARGEST_CODE
+        if of_characters is None:
+            of_characters = is_character
+        if not (is_character if of_characters else is_code):
+            return type_error("character" if of_characters else "character_code", item)
+    return None
+
+
+def parts_text(machine: Any, term: Term, as_codes: bool) -> str:
     """Return the text of an argument that has to be a list of codes or characters; strings are taken too.
 
     Raises:
@@ -84,29 +115,54 @@ def parts_text(term: Term, as_codes: bool) -> str:
     term = deref(term)
     if term.__class__ is String:
         return term.text  # type: ignore[no-any-return]
-    first = deref(term[1]) if term.__class__ is tuple and term[0] is CONS else None
-    are_codes = as_codes if first is None else first.__class__ is int
-    for item in list_parts(term)[0]:
-        item = deref(item)
-        if item.__class__ is not Var:
-            is_part = item.__class__ is int if are_codes else item.__class__ is Atom and len(item.name) == 1
-            if not is_part:
-                raise type_error("character_code" if as_codes else "character", item)
-    found = list_text(term)
-    if found is None:
+    if term.__class__ is not tuple and term is not NIL and term.__class__ is not Var:
         raise type_error("list", term)
-    return found
+    if is_iso(machine):
+        _check_standard(list_parts(term)[0], as_codes)
+    return text_of(term, "list")
 
 
-def atomic_text(term: Term) -> str:
+def _check_standard(items: List[Term], as_codes: bool) -> None:
+    """Raise the standard's error for an item that is none of a list of codes, or of characters."""
+    first = deref(items[0]) if items else None
+    are_codes = as_codes if first is None else first.__class__ is int
+    for item in map(deref, items):
+        if item.__class__ is int and are_codes and not 0 <= item <= LARGEST_CODE:
+            raise representation_error("character_code")
+        is_part = item.__class__ is int if are_codes else item.__class__ is Atom and len(item.name) == 1
+        if item.__class__ is not Var and not is_part:
+            raise type_error("character_code" if as_codes else "character", item)
+
+
+def check_parts(term: Term) -> None:
+    """Raise the error for what cannot become a list of codes or characters."""
+    term = deref(term)
+    if term.__class__ in (Var, String):
+        return
+    found, tail = list_parts(term)
+    if tail is not NIL and tail.__class__ is not Var:
+        raise type_error("list", term)
+    error = wrong_item([deref(item) for item in found])
+    if error is not None:
+        raise error
+
+
+def atomic_text(term: Term, kind: str = "atomic") -> str:
     """Return the text of an argument that has to be a constant."""
     term = deref(term)
     found = constant_text(term)
     if found is None:
         if term.__class__ is Var:
             raise instantiation_error()
-        raise type_error("atomic", term)
+        raise type_error(kind, term)
     return found
+
+
+def no_compound(term: Term, kind: str) -> None:
+    """Raise a type error for a result that is given and is no constant."""
+    term = deref(term)
+    if term.__class__ is tuple:
+        raise type_error(kind, term)
 
 
 def codes(text: str) -> Term:

@@ -1,10 +1,10 @@
 % Lists: what is natural in Prolog, or calls goals of the program.
 %
-% defines: append/3 append/2 member/2 select/3 select/4 selectchk/3 subtract/3 permutation/2 delete/3
+% defines: append/3 append/2 member/2 select/3 select/4 selectchk/3 permutation/2 delete/3
 % defines: exclude/3 include/3 partition/4 partition/5 maplist/2 maplist/3 maplist/4 maplist/5 maplist/6 maplist/7
-% defines: foldl/4 foldl/5 foldl/6 foldl/7 convlist/3 predsort/3 intersection/3 union/3 subset/2
-% defines: max_member/2 min_member/2 flatten/2 nextto/3 same_length/2 prefix/2 nth0/4 nth1/4 is_set/1
-% defines: ord_union/3 ord_union/2 ord_subtract/3 ord_memberchk/2 ord_insert/3 ord_intersection/3 ord_subset/2
+% defines: foldl/4 foldl/5 foldl/6 foldl/7 convlist/3 predsort/3
+% defines: flatten/2 nextto/3 same_length/2 prefix/2 nth0/4 nth1/4 is_set/1
+% defines: ord_subtract/3 ord_memberchk/2 ord_insert/3 ord_intersection/3 ord_subset/2
 % defines: ord_add_element/3 ord_del_element/3 transpose_pairs/2 map_list_to_pairs/3 clumped/2 subseq/3
 % defines: proper_length/2 pairs_keys_values/3 pairs_keys/2 pairs_values/2 $last/2 $reverse/2
 
@@ -45,35 +45,6 @@ select4_([X|T], X, Y, [Y|T]).
 select4_([H|T], X, Y, [H|T2]) :-
     select4_(T, X, Y, T2).
 
-subtract([], _, []).
-subtract([E|T], D, R) :-
-    (   memberchk(E, D)
-    ->  subtract(T, D, R)
-    ;   R = [E|R1],
-        subtract(T, D, R1)
-    ).
-
-intersection([], _, []).
-intersection([E|T], L, R) :-
-    (   memberchk(E, L)
-    ->  R = [E|R1],
-        intersection(T, L, R1)
-    ;   intersection(T, L, R)
-    ).
-
-union([], L, L).
-union([H|T], L, R) :-
-    (   memberchk(H, L)
-    ->  union(T, L, R)
-    ;   R = [H|R1],
-        union(T, L, R1)
-    ).
-
-subset([], _).
-subset([E|R], S) :-
-    memberchk(E, S),
-    subset(R, S).
-
 delete([], _, []).
 delete([E|T], D, R) :-
     (   E \= D
@@ -85,11 +56,14 @@ delete([E|T], D, R) :-
 permutation(Xs, Ys) :-
     (   is_list(Xs)
     ->  length(Xs, N), length(Ys, N)
-    ;   is_list(Ys)
+    ;   is_list_or_partial(Xs), is_list_or_partial(Ys)
     ->  length(Ys, N), length(Xs, N)
-    ;   true
+    ;   must_be(list, Xs)
     ),
     permutation_(Xs, Ys).
+
+is_list_or_partial(L) :-
+    is_of_type(list_or_partial, L).
 
 permutation_([], []).
 permutation_(L, [F|R]) :-
@@ -121,21 +95,19 @@ prefix([E|T], [E|T2]) :-
     prefix(T, T2).
 
 nth0(I, L, E, R) :-
-    integer(I), !,
-    I >= 0,
-    nth_del_(I, L, E, R).
-nth0(I, L, E, R) :-
-    var(I),
+    var(I), !,
     nth_gen_(L, E, R, 0, I).
+nth0(I, L, E, R) :-
+    must_be(nonneg, I),
+    nth_del_(I, L, E, R).
 
 nth1(I, L, E, R) :-
-    integer(I), !,
-    I >= 1,
+    var(I), !,
+    nth_gen_(L, E, R, 1, I).
+nth1(I, L, E, R) :-
+    must_be(positive_integer, I),
     I0 is I - 1,
     nth_del_(I0, L, E, R).
-nth1(I, L, E, R) :-
-    var(I),
-    nth_gen_(L, E, R, 1, I).
 
 nth_del_(0, [E|R], E, R) :- !.
 nth_del_(N, [H|T], E, [H|R]) :-
@@ -155,33 +127,8 @@ is_set(S) :-
 
 proper_length(L, N) :-
     is_list(L),
-    length(L, N).
-
-max_member(M, L) :-
-    max_member_(L, M).
-
-max_member_([H|T], M) :-
-    max_member__(T, H, M).
-
-max_member__([], M, M).
-max_member__([H|T], M0, M) :-
-    (   H @=< M0
-    ->  max_member__(T, M0, M)
-    ;   max_member__(T, H, M)
-    ).
-
-min_member(M, L) :-
-    min_member_(L, M).
-
-min_member_([H|T], M) :-
-    min_member__(T, H, M).
-
-min_member__([], M, M).
-min_member__([H|T], M0, M) :-
-    (   H @>= M0
-    ->  min_member__(T, M0, M)
-    ;   min_member__(T, H, M)
-    ).
+    length(L, M),
+    N = M.
 
 % Goals on lists
 
@@ -306,12 +253,18 @@ partition_([X|Xs], G, L, E, H) :-
     call(G, X, O),
     partition_(O, G, X, Xs, L, E, H).
 
-partition_(<, G, X, Xs, [X|L], E, H) :-
-    partition_(Xs, G, L, E, H).
-partition_(=, G, X, Xs, L, [X|E], H) :-
-    partition_(Xs, G, L, E, H).
-partition_(>, G, X, Xs, L, E, [X|H]) :-
-    partition_(Xs, G, L, E, H).
+partition_(O, G, X, Xs, L, E, H) :-
+    (   O = (<)
+    ->  L = [X|L1],
+        partition_(Xs, G, L1, E, H)
+    ;   O = (=)
+    ->  E = [X|E1],
+        partition_(Xs, G, L, E1, H)
+    ;   O = (>)
+    ->  H = [X|H1],
+        partition_(Xs, G, L, E, H1)
+    ;   throw(error(type_error(oneof([<,=,>]), O), _))
+    ).
 
 convlist(G, L, R) :-
     convlist_(L, G, R).
@@ -325,9 +278,13 @@ convlist_([X|Xs], G, R) :-
     convlist_(Xs, G, R1).
 
 predsort(P, L, Sorted) :-
-    length(L, N),
-    predsort_(P, N, L, _, Sorted0), !,
-    Sorted = Sorted0.
+    (   is_list(L)
+    ->  length(L, N)
+    ;   nonvar(L)
+    ->  throw(error(existence_error(type, L), _))
+    ;   must_be(list, L)
+    ),
+    predsort_(P, N, L, _, Sorted).
 
 predsort_(P, 2, [X1,X2|L], L, R) :- !,
     call(P, Delta, X1, X2),
@@ -358,34 +315,54 @@ predmerge__(=, P, H1, _, T1, T2, [H1|R]) :-
 predmerge__(>, P, H1, H2, T1, T2, [H2|R]) :-
     predmerge_(P, [H1|T1], T2, R).
 
-% Ordered sets
-
-ord_union(A, B, C) :-
-    append(A, B, L),
-    sort(L, C).
-
-ord_union(Ls, S) :-
-    append(Ls, L),
-    sort(L, S).
+% Ordered sets; ord_union is done in Python.
 
 ord_subtract(A, B, C) :-
-    ord_subtract_(A, B, C).
-
-ord_subtract_([], _, []).
-ord_subtract_([H|T], B, R) :-
-    (   ord_memberchk(H, B)
-    ->  ord_subtract_(T, B, R)
-    ;   R = [H|R1],
-        ord_subtract_(T, B, R1)
+    (   nonvar(A), A = [H|T]
+    ->  ord_left_(B, H, T, C)
+    ;   A == []
+    ->  C = []
+    ;   '$no_rule'(ordsets, ord_subtract(A, B, C))
     ).
+
+% ord_left_(Others, First, Rest, Left), ord_kept_(Set, Other, Others, Left)
+
+ord_left_([], H, T, [H|T]).
+ord_left_([O|Os], H, T, C) :-
+    compare(Order, H, O),
+    ord_left_(Order, H, T, O, Os, C).
+
+ord_left_(<, H, T, O, Os, [H|C]) :-
+    ord_kept_(T, O, Os, C).
+ord_left_(=, _, T, _, Os, C) :-
+    ord_rest_(Os, T, C).
+ord_left_(>, H, T, _, Os, C) :-
+    ord_left_(Os, H, T, C).
+
+ord_kept_([], _, _, []).
+ord_kept_([H|T], O, Os, C) :-
+    compare(Order, H, O),
+    ord_left_(Order, H, T, O, Os, C).
+
+ord_rest_([], T, T).
+ord_rest_([O|Os], T, C) :-
+    ord_kept_(T, O, Os, C).
 
 ord_intersection([], _, []).
-ord_intersection([H|T], B, R) :-
-    (   ord_memberchk(H, B)
-    ->  R = [H|R1],
-        ord_intersection(T, B, R1)
-    ;   ord_intersection(T, B, R)
-    ).
+ord_intersection([H|T], Os, C) :-
+    ord_common_(Os, H, T, C).
+
+ord_common_([], _, _, []).
+ord_common_([O|Os], H, T, C) :-
+    compare(Order, H, O),
+    ord_common_(Order, H, T, O, Os, C).
+
+ord_common_(<, _, T, O, Os, C) :-
+    ord_common_(T, O, Os, C).
+ord_common_(=, H, T, _, Os, [H|C]) :-
+    ord_intersection(T, Os, C).
+ord_common_(>, H, T, _, Os, C) :-
+    ord_common_(Os, H, T, C).
 
 ord_memberchk(X, [Y|T]) :-
     compare(O, X, Y),
@@ -395,17 +372,32 @@ ord_memberchk(X, [Y|T]) :-
         ord_memberchk(X, T)
     ).
 
-ord_subset(A, B) :-
-    ord_subtract_(A, B, []).
+ord_subset([], _).
+ord_subset([H|T], B) :-
+    ord_left_(B, H, T, []).
 
 ord_insert(S, E, S2) :-
     ord_add_element(S, E, S2).
 
-ord_add_element(S, E, S2) :-
-    ord_union(S, [E], S2).
+ord_add_element([], E, [E]).
+ord_add_element([H|T], E, S) :-
+    compare(Order, E, H),
+    ord_add_(Order, E, H, T, S).
 
-ord_del_element(S, E, S2) :-
-    ord_subtract_(S, [E], S2).
+ord_add_(<, E, H, T, [E,H|T]).
+ord_add_(=, _, H, T, [H|T]).
+ord_add_(>, E, H, T, [H|S]) :-
+    ord_add_element(T, E, S).
+
+ord_del_element([], _, []).
+ord_del_element([H|T], E, S) :-
+    compare(Order, E, H),
+    ord_del_(Order, E, H, T, S).
+
+ord_del_(<, _, H, T, [H|T]).
+ord_del_(=, _, _, T, T).
+ord_del_(>, E, H, T, [H|S]) :-
+    ord_del_element(T, E, S).
 
 % Partial lists; proper ones are done in Python.
 

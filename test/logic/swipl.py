@@ -1,0 +1,125 @@
+"""Questions to SWI-Prolog: each goal in a process of its own, so that none sees what another one left."""
+
+import subprocess
+import tempfile
+from pathlib import Path
+from typing import List
+
+BATCH = 500
+SECONDS = 120
+
+PROGRAM = r"""
+:- use_module(library(unix)).
+:- use_module(library(lists)).
+:- use_module(library(apply)).
+:- use_module(library(assoc)).
+:- use_module(library(pairs)).
+:- use_module(library(ordsets)).
+:- use_module(library(aggregate)).
+:- use_module(library(solution_sequences)).
+:- use_module(library(strings)).
+:- use_module(library(yall)).
+:- use_module(library(error)).
+:- use_module(library(debug)).
+:- use_module(library(listing)).
+:- use_module(library(backcomp)).
+:- use_module(library(date)).
+:- use_module(library(gensym)).
+:- use_module(library(terms)).
+:- use_module(library(time)).
+:- style_check(-singleton).
+:- set_prolog_flag(stack_limit, 200_000_000).
+:- set_prolog_flag(gc_thread, false).
+
+'$shown'(T) :-
+    (   acyclic_term(T)
+    ->  copy_term(T, C, _), numbervars(C, 0, _),
+        write_term(C, [quoted(true), ignore_ops(true), numbervars(true)])
+    ;   write(cyclic)
+    ).
+
+'$one'(Text) :-
+    catch(term_to_atom(G, Text), _, fail), !,
+    with_output_to(string(Out),
+                   catch('$found'(G, R), E, R = raised(E))),
+    '$result'(R),
+    (   Out == "" -> true ; write(' printed '), writeq(Out) ).
+'$one'(_) :-
+    write(unread).
+
+'$found'(G, R) :-
+    call_with_time_limit(1, call_with_inference_limit(findall(G, limit(5, G), L), 2_000_000, Within)),
+    (   Within == inference_limit_exceeded
+    ->  R = limit
+    ;   R = found(L)
+    ).
+
+'$result'(limit) :-
+    write(limit).
+'$result'(found(L)) :-
+    write('['), '$items'(L), write(']').
+'$result'(raised(E)) :-
+    (   subsumes_term(error(resource_error(_), _), E) -> write(limit)
+    ;   E == time_limit_exceeded -> write(limit)
+    ;   subsumes_term(error(_, _), E) -> arg(1, E, F), write('error('), '$shown'(F), write(')')
+    ;   write('ball('), '$shown'(E), write(')')
+    ).
+
+'$items'([]).
+'$items'([X]) :- !, '$shown'(X).
+'$items'([X|Xs]) :- '$shown'(X), write(','), '$items'(Xs).
+
+'$main' :-
+    read_term(user_input, T, []),
+    (   T == end_of_file
+    ->  true
+    ;   flush_output,
+        fork(Pid),
+        (   Pid == child
+        ->  alarm(8, exec(false), _, []),
+            '$one'(T), nl, write('#'), nl, flush_output, exec(true)
+        ;   wait(Pid, Status),
+            (   Status == exited(0) -> true ; write('lost'), nl, write('#'), nl )
+        ),
+        '$main'
+    ).
+"""
+
+
+def quoted(text: str) -> str:
+    """Return a text as a quoted atom for SWI-Prolog."""
+    return "'" + text.replace("\\", "\\\\").replace("'", "\\'") + "'"
+
+
+def ask(texts: List[str], program: str = PROGRAM) -> List[str]:
+    """Return SWI-Prolog's answer to each text; ``lost`` where the process died or hung."""
+    found: List[str] = []
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "goals.pl"
+        path.write_text(program, encoding="utf-8")
+        while len(found) < len(texts):
+            batch = texts[len(found) : len(found) + BATCH]
+            got = _answered(path, batch)[: len(batch)]
+            found += got if len(got) == len(batch) else [*got, "lost"]
+    return found
+
+
+def _answered(path: Path, batch: List[str]) -> List[str]:
+    """Return the answers that came before the process ended or its time was up."""
+    command = ["swipl", "-q", "-l", str(path), "-g", "'$main'", "-t", "halt"]
+    given = "".join(quoted(text) + ".\n" for text in batch)
+    try:
+        done = subprocess.run(
+            command,
+            input=given.encode(),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            timeout=SECONDS,
+            check=False,
+            env={"LANG": "C.UTF-8", "PATH": "/usr/bin:/bin:/usr/local/bin"},
+        )
+        text = done.stdout
+    except subprocess.TimeoutExpired as late:
+        text = late.stdout or b""
+    parts = text.decode("utf-8", "replace").split("\n#\n")
+    return parts[:-1]
