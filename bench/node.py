@@ -1,250 +1,349 @@
 #!/usr/bin/env python3
-"""What the nodes cost while the NAO's messages flow on a real master: CPU, delay, losses, memory.
+"""What the nodes cost while the NAO's messages flow on a real master: CPU, delay, losses, memory, start.
 
-    bench/node.py [--seconds N] [--speed 1 5 10] [--way idle direct embedded converter] [--json FILE]
+    bench/node.py [--seconds N] [--speed 1 5 10 20] [--way idle roscpp direct embedded converter] [--runs N]
+                  [--memory MESSAGES] [--starts N] [--json FILE] [--plot FILE]
 
 Needs ROS and the built package on the path (``source devel/setup.bash``). Starts a master of its own on a free
-port. ``idle`` is a rospy subscriber of the same topics that does nothing. CPU is user and system time of the
-nodes' processes from ``/proc`` as percent of a core. The delay is the time from publishing the message that
-completes a marker's data to the receipt of its pose.
+port. The ways run alternately, and the medians of the runs are shown.
+
+``idle`` is a rospy subscriber of the same topics that does nothing, ``roscpp`` one in C++ (left out where it cannot
+be built). CPU is user and system time of the nodes' processes from ``/proc``, until the last message is worked off,
+as percent of a core. ``idle = 1`` is what node retalis takes, compared with the median of ``idle`` at that speed.
+The delay is the time from sending the message that completes a marker's data to the receipt of its pose. Lost are
+the messages that did not arrive at the engine's node: sent, less what its connections have handed on.
 """
 
 import argparse
 import json
 import os
-import signal
-import socket
 import statistics
 import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Any, Dict, List
+from typing import Any, Callable, Dict, Iterator, List, Optional
 
 HERE = Path(__file__).resolve().parent
-sys.path[:0] = [str(HERE.parent / "test" / "ros"), str(HERE.parent / "examples" / "nao")]
+sys.path[:0] = [str(HERE), str(HERE.parent / "test" / "ros"), str(HERE.parent / "examples" / "nao")]
 
-WAYS = ("idle", "direct", "embedded", "converter")
-ARGUMENTS = {
-    "direct": ["direct:=true", "embedded:=false"],
-    "embedded": ["direct:=auto", "embedded:=true"],
-    "converter": ["direct:=false", "embedded:=false"],
+from player import Player  # noqa: E402
+from processes import ROSPY_IDLE, Started, build_roscpp, cpu, free_port, machine, resident  # noqa: E402
+
+LAUNCH = ["roslaunch", "retalis", "retalis.launch", "use_sim_time:=false"]
+WAYS = {
+    "idle": [sys.executable, "-c", ROSPY_IDLE],
+    "roscpp": [],
+    "direct": [*LAUNCH, "direct:=true", "embedded:=false"],
+    "embedded": [*LAUNCH, "direct:=auto", "embedded:=true"],
+    "converter": [*LAUNCH, "direct:=false", "embedded:=false"],
 }
-IDLE = """
-import rospy
-rospy.init_node("idle")
-subscribers = [rospy.Subscriber(topic, rospy.AnyMsg, lambda message: None, queue_size=5000)
-               for topic in ("tf", "ar_pose_marker", "face_recognition/feedback")]
-rospy.spin()
-"""
+"""How messages get in, and the command: ``embedded`` has the interface inside the process."""
 
-
-def free_port() -> int:
-    """Return a port that nobody uses."""
-    with socket.socket() as found:
-        found.bind(("127.0.0.1", 0))
-        return int(found.getsockname()[1])
-
-
-def cpu(pid: int) -> float:
-    """Return the CPU seconds that a process has used."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
-def resident(pid: int) -> float:
-    """Return the resident memory of a process in MB."""
-    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
-
-
-class Started:
-    """Processes that are ended together."""
-
-    def __init__(self) -> None:
-        self.processes: List[subprocess.Popen] = []
-
-    def __call__(self, command: List[str]) -> subprocess.Popen:
-        """Start a process without output."""
-        quiet = subprocess.DEVNULL
-        process = subprocess.Popen(command, stdout=quiet, stderr=quiet, start_new_session=True)
-        self.processes.append(process)
-        return process
-
-    def end(self) -> None:
-        """Interrupt all processes, the newest first, and wait for them."""
-        for process in reversed(self.processes):
-            if process.poll() is None:
-                os.killpg(process.pid, signal.SIGINT)
-        for process in self.processes:
-            try:
-                process.wait(15)
-            except subprocess.TimeoutExpired:
-                os.killpg(process.pid, signal.SIGKILL)
-        self.processes.clear()
+PATIENCE = 20.0
 
 
 class Bench:
-    """One player for all runs."""
+    """One player for all runs.
 
-    def __init__(self, seconds: float):
+    Args:
+        player: what is played.
+    """
+
+    def __init__(self, player: Player):
         import rospy
-        from geometry_msgs.msg import PoseStamped
-        from make_bag import make_bag
+        from rosgraph_msgs.msg import Log
 
-        from retalis.bags import BagReader
-
-        self.rospy, self.pose = rospy, PoseStamped
-        self.folder = tempfile.TemporaryDirectory()
-        path = Path(self.folder.name) / "nao.bag"
-        self.truth = make_bag(path, seconds, 1)
-        self.reader = BagReader(path)
-        self.records = list(self.reader.records())
-        self.completing = self._completing()
+        self.rospy = rospy
+        self.player = player
+        self.completing = player.completing()
         self.received: Dict[Any, float] = {}
+        self.warnings: List[str] = []
+        rospy.Subscriber("rosout_agg", Log, self._note, queue_size=1000)
 
-    def _completing(self) -> Dict[Any, int]:
-        """Return for each observation the index of the message that completes its data."""
-        from nao_robot import CHAIN
-
-        from retalis.messages import Definitions
-        from retalis.terms import deref, list_items
-
-        definitions = Definitions()
-        chain: Dict[Any, List[Any]] = {(f'"{one[0]}"', f'"{one[1]}"'): [] for one in CHAIN}
-        arrived: Dict[Any, int] = {}
-        for index, record in enumerate(self.records):
-            topic = record.topic
-            if topic.name == "/face_recognition/feedback":
-                continue
-            decoder = definitions.decoder(definitions.add(topic.type, topic.definition))
-            for item in list_items(deref(decoder.decode(record.data))[-1]):
-                header = deref(deref(item)[1])
-                seconds, nanoseconds = (deref(part) for part in list_items(header[2]))
-                stamp = seconds * 10**9 + nanoseconds
-                if topic.name == "/tf":
-                    key = (deref(header[3]).name, deref(deref(item)[2]).name)
-                    if key in chain:
-                        chain[key].append((stamp, index))
-                else:
-                    arrived[deref(header[3]).name.strip('"'), stamp] = index
-        wanted = {(one.marker, one.stamp) for one in self.truth.complete}
-        found = {}
-        for key, index in arrived.items():
-            if key in wanted:
-                later = [next(at for stamp, at in link if stamp >= key[1]) for link in chain.values()]
-                found[key] = max(index, *later)
-        return found
-
-    def run(self, way: str, speed: float) -> Dict[str, Any]:
+    def run(self, way: str, speed: float, progress: Callable[..., Any] = lambda done, nodes: None) -> Any:
         """Play the bag once and return the figures."""
-        from harness import DEFINITIONS, RawPublisher, wait_until
+        from geometry_msgs.msg import PoseStamped
 
-        rospy = self.rospy
         started = Started()
+        self.received.clear()
+        self.warnings.clear()
+        listening = [
+            self.rospy.Subscriber(f"marker{i}", PoseStamped, self._take, queue_size=10_000)
+            for i in range(1, 9)
+        ]
         try:
-            if way == "idle":
-                nodes = {"idle": started([sys.executable, "-c", IDLE]).pid}
-            else:
-                command = ["roslaunch", "retalis", "retalis.launch", "use_sim_time:=false", *ARGUMENTS[way]]
-                started(command)
-                nodes = {}
-            publishers = {
-                topic.name: RawPublisher(topic.name, DEFINITIONS.add(topic.type, topic.definition))
-                for topic in self.reader.topics
-            }
-            self.received.clear()
-            subscribers = [
-                rospy.Subscriber(f"marker{i}", self.pose, self._take, queue_size=10_000) for i in range(1, 9)
-            ]
-            wait_until(lambda: all(one.connected() for one in publishers.values()), "subscribers")
-            if way != "idle":
-                wait_until(lambda: all(one.get_num_connections() for one in subscribers), "publishers")
-                nodes = self._nodes()
-                time.sleep(1.0)  # the text topics between two nodes connect unseen
-            figures = self._play(publishers, nodes, speed)
-            for one in subscribers:
-                one.unregister()
-            for one in publishers.values():
-                one.publisher.unregister()
+            started(WAYS[way])
+            nodes = self._ready(way, listening)
+            return {"way": way, "speed": speed, **self._measure(nodes, speed, progress)}
         finally:
+            for one in listening:
+                one.unregister()
+            self.player.close()
             started.end()
-        return {"way": way, "speed": speed, **figures}
 
-    def _nodes(self) -> Dict[str, int]:
-        import xmlrpc.client
+    def _ready(self, way: str, listening: List[Any]) -> Dict[str, int]:
+        """Return the nodes' process numbers when all is connected."""
+        self.player.advertise()
+        wait_until(self.player.connected)
+        if way in ("idle", "roscpp"):
+            return {"/" + name.strip("/"): pid for name, pid in running("/idle")}
+        wait_until(lambda: all(one.get_num_connections() for one in listening))
+        nodes = dict(running("/retalis"))
+        if len(nodes) > 1:
+            wait_until(lambda: connected(nodes, "/retalisInputEvents", "/retalisOutputEvents"))
+        return nodes
 
-        import rosgraph
-        import rosnode
+    def _measure(self, nodes: Dict[str, int], speed: float, progress: Callable[..., Any]) -> Dict[str, Any]:
+        arrived = arrivals(nodes) if "/retalis" in nodes else None
+        before = {name: cpu(pid) for name, pid in nodes.items()}
+        took = self.player.play(speed, lambda done: progress(done, nodes))
+        expected = len(self.completing) if "/retalis" in nodes else 0
+        self._settle(nodes, expected)
+        percent = {name: 100 * (cpu(pid) - before[name]) / took for name, pid in nodes.items()}
+        sent = len(self.player.records)
+        delays = self._delays()
+        return {
+            "messages_a_second": sent / took,
+            "cpu_percent": sum(percent.values()),
+            "by_node": percent,
+            "resident_mb": {name: resident(pid) for name, pid in nodes.items()},
+            "lost": sent - (arrivals(nodes) - arrived) if arrived is not None else 0,
+            "drops_reported": len([one for one in self.warnings if "dropped so far" in one]),
+            "poses": len(self.received),
+            "expected": expected,
+            "delay_ms_median": statistics.median(delays) if delays else None,
+            "delay_ms_99": delays[int(0.99 * (len(delays) - 1))] if delays else None,
+        }
 
-        master = rosgraph.Master("/bench")
-        found = {}
-        for name in rosnode.get_node_names():
-            if name.startswith("/retalis"):
-                found[name] = xmlrpc.client.ServerProxy(master.lookupNode(name)).getPid("/bench")[2]
-        return found
+    def _settle(self, nodes: Dict[str, int], expected: int) -> None:
+        """Wait until nothing more comes: all poses are there, or nothing has happened for a while."""
+        deadline = time.monotonic() + PATIENCE
+        last: Any = None
+        while time.monotonic() < deadline:
+            time.sleep(0.1)
+            now = len(self.received), arrivals(nodes)
+            if now == last and len(self.received) >= expected:
+                return
+            last = now
+
+    def _delays(self) -> List[float]:
+        sent = self.player.sent
+        return sorted(
+            1000 * (self.received[key] - sent[index])
+            for key, index in self.completing.items()
+            if key in self.received
+        )
 
     def _take(self, pose: Any) -> None:
         key = (pose.header.frame_id, pose.header.stamp.to_nsec())
         self.received.setdefault(key, time.monotonic())
 
-    def _play(self, publishers: Dict[str, Any], nodes: Dict[str, int], speed: float) -> Dict[str, Any]:
-        sent = [0.0] * len(self.records)
-        before = {name: cpu(pid) for name, pid in nodes.items()}
-        began = time.monotonic()
-        first = self.records[0].time
-        for index, record in enumerate(self.records):
-            wait = (record.time - first) / 1e9 / speed - (time.monotonic() - began)
-            if wait > 0.0005:
-                time.sleep(wait)
-            sent[index] = time.monotonic()
-            publishers[record.topic.name].publish(record.data)
-        took = time.monotonic() - began
-        percent = {name: 100 * (cpu(pid) - before[name]) / took for name, pid in nodes.items()}
-        deadline = time.monotonic() + 10
-        while (
-            "/retalis" in nodes and len(self.received) < len(self.completing) and time.monotonic() < deadline
-        ):
-            time.sleep(0.05)
-        delays = sorted(
-            1000 * (self.received[key] - sent[index])
-            for key, index in self.completing.items()
-            if key in self.received
-        )
-        return {
-            "messages_a_second": len(self.records) / took,
-            "cpu_percent": sum(percent.values()),
-            "by_node": percent,
-            "resident_mb": {name: resident(pid) for name, pid in nodes.items()},
-            "poses": len(self.received),
-            "expected": 0 if "/retalis" not in nodes else len(self.completing),
-            "delay_ms_median": statistics.median(delays) if delays else None,
-            "delay_ms_99": delays[int(0.99 * (len(delays) - 1))] if delays else None,
-        }
+    def _note(self, message: Any) -> None:
+        if message.level >= message.WARN:
+            self.warnings.append(message.msg)
 
 
-def line(figures: Dict[str, Any]) -> str:
+def wait_until(condition: Callable[[], Any]) -> None:
+    """Wait for a condition.
+
+    Raises:
+        TimeoutError: where it does not come true.
+    """
+    deadline = time.monotonic() + PATIENCE
+    while not condition():
+        if time.monotonic() > deadline:
+            raise TimeoutError("the nodes are not connected")
+        time.sleep(0.05)
+
+
+def running(prefix: str) -> Iterator[Any]:
+    """Yield name and process number of the nodes whose names begin so."""
+    import rosnode
+
+    for name in rosnode.get_node_names():
+        if name.startswith(prefix):
+            yield name, slave(name).getPid("/bench")[2]
+
+
+def slave(name: str) -> Any:
+    """Return the interface of a node that rosnode uses too."""
+    import xmlrpc.client
+
+    import rosgraph
+
+    return xmlrpc.client.ServerProxy(rosgraph.Master("/bench").lookupNode(name))
+
+
+def connected(nodes: Dict[str, int], *topics: str) -> bool:
+    """Tell whether the nodes receive these topics from one another."""
+    return set(topics) <= {topic for name in nodes for topic, links in received(name) if links}
+
+
+def received(name: str) -> List[Any]:
+    """Return topic and connections of all that a node has subscribed."""
+    answer = slave(name).getBusStats("/bench")
+    return answer[2][1] if len(answer) > 2 else []  # roscpp does not tell
+
+
+def arrivals(nodes: Dict[str, int]) -> int:
+    """Return how many messages have come in at the engine's node: from topics, and as text of the other node.
+
+    What comes in as topic at the other node comes to the engine's as text.
+    """
+    name = "/retalis" if "/retalis" in nodes else next(iter(nodes))
+    count = 0
+    for topic, links in received(name):
+        if topic not in ("/rosout_agg", "/clock"):
+            count += sum(link[2] for link in links)
+    return count
+
+
+def summary(rows: List[Dict[str, Any]], options: argparse.Namespace) -> List[Dict[str, Any]]:
+    """Return a row for each way and speed, of the medians of its runs; what was lost adds up."""
+    found = []
+    for speed in options.speed:
+        for way in options.way:
+            runs = [row for row in rows if (row["way"], row["speed"]) == (way, speed)]
+            if runs:
+                found.append({"way": way, "speed": speed, "runs": len(runs), **middle(runs)})
+    for row in found:
+        idle = [one for one in found if (one["way"], one["speed"]) == ("idle", row["speed"])]
+        main = row["by_node"].get("/retalis", row["cpu_percent"])
+        row["to_idle"] = main / idle[0]["cpu_percent"] if idle else None
+    return found
+
+
+def middle(runs: List[Dict[str, Any]]) -> Dict[str, Any]:
+    """Return the medians of several runs."""
+    result: Dict[str, Any] = {}
+    for key, value in runs[0].items():
+        values = [run[key] for run in runs]
+        if key in ("lost", "drops_reported", "poses", "expected"):
+            result[key] = sum(values)
+        elif isinstance(value, dict):
+            result[key] = {name: statistics.median(one[name] for one in values) for name in value}
+        elif isinstance(value, float):
+            result[key] = statistics.median(values)
+    return result
+
+
+def line(row: Dict[str, Any]) -> str:
     """Return one row of the table."""
-    delay = figures["delay_ms_median"]
-    shown = "" if delay is None else f"delay {delay:6.2f} ms, 99 % {figures['delay_ms_99']:6.2f} ms"
-    memory = ", ".join(f"{value:.0f}" for value in figures["resident_mb"].values())
+    delay = row.get("delay_ms_median")
+    shown = "" if delay is None else f"  delay {delay:6.2f} ms, 99 % {row['delay_ms_99']:6.2f} ms"
+    nodes = " + ".join(f"{value:.1f}" for _, value in sorted(row["by_node"].items()))
+    memory = " + ".join(f"{value:.0f}" for _, value in sorted(row["resident_mb"].items()))
+    ratio = f" = {row['to_idle']:4.2f} idle" if row.get("to_idle") else ""
     return (
-        f"{figures['way']:<10} {figures['speed']:4g}x {figures['messages_a_second']:7.0f}/s "
-        f"cpu {figures['cpu_percent']:6.1f} %  poses {figures['poses']}/{figures['expected']}  "
-        f"memory {memory} MB  {shown}"
+        f"{row['way']:<9} {row['speed']:3g}x {row['messages_a_second']:6.0f}/s  cpu {nodes:>11} %{ratio}  "
+        f"lost {row['lost']}  poses {row['poses']}/{row['expected']}  memory {memory} MB{shown}"
     )
 
 
-def main() -> int:
-    """Run what the command line asks for."""
+def memory_curve(messages: int, folder: Path) -> List[List[float]]:
+    """Return the resident memory of the node, in MB, while this many messages flow as fast as they may."""
+    bench = Bench(Player(folder / "long.bag", messages / 1881))
+    curve: List[List[float]] = []
+
+    def note(done: int, nodes: Dict[str, int]) -> None:
+        if not curve or done - curve[-1][0] >= messages / 20:
+            curve.append([done, resident(nodes["/retalis"])])
+
+    bench.run("embedded", 10.0, note)
+    return curve
+
+
+def starts(number: int) -> Dict[str, float]:
+    """Return the seconds (of time, and of CPU) until rospy is imported, and until the node is ready."""
+    figures: Dict[str, List[float]] = {}
+    for _ in range(number):
+        began, before = time.monotonic(), sum(os.times()[2:4])
+        subprocess.run([sys.executable, "-c", "import rospy"])
+        figures.setdefault("rospy", []).append(time.monotonic() - began)
+        figures.setdefault("rospy_cpu", []).append(sum(os.times()[2:4]) - before)
+        for name, value in zip(("node", "node_cpu"), one_start()):
+            figures.setdefault(name, []).append(value)
+    found = {name: statistics.median(values) for name, values in figures.items()}
+    found["beyond"] = found["node"] - found["rospy"]
+    found["beyond_cpu"] = found["node_cpu"] - found["rospy_cpu"]
+    return found
+
+
+def one_start() -> Any:
+    """Start node retalis; return the seconds until its services are there, and its CPU seconds by then."""
+    import rosgraph
+    import rospkg
+
+    master = rosgraph.Master("/bench")
+    program = Path(rospkg.RosPack().get_path("retalis")) / "nodes" / "retalis_node"
+    started = Started()
+    began = time.monotonic()
+    pid = started([sys.executable, str(program)]).pid
+    try:
+        while time.monotonic() < began + PATIENCE:
+            try:
+                master.lookupService("/delete_memory")  # the last that the node makes
+                return time.monotonic() - began, cpu(pid)
+            except rosgraph.MasterError:
+                time.sleep(0.005)
+        raise TimeoutError("the node does not start")
+    finally:
+        started.end()
+
+
+def measure(options: argparse.Namespace, folder: Path) -> Dict[str, Any]:
+    """Run everything that the command line asks for."""
+    program = build_roscpp(folder) if "roscpp" in options.way else None
+    if program is None:
+        options.way = [way for way in options.way if way != "roscpp"]
+    else:
+        WAYS["roscpp"] = [program]
+    rows = []
+    bench = Bench(Player(folder / "nao.bag", options.seconds))
+    for number in range(options.runs):
+        for speed in options.speed:
+            for way in options.way:
+                rows.append(bench.run(way, speed))
+                print(f"{number + 1}: {line(rows[-1])}", file=sys.stderr, flush=True)
+    result: Dict[str, Any] = {"machine": machine(), "rows": summary(rows, options), "runs": rows}
+    if options.memory:
+        result["memory"] = memory_curve(options.memory, folder)
+    if options.starts:
+        result["starts"] = starts(options.starts)
+    return result
+
+
+def report(result: Dict[str, Any]) -> None:
+    """Print the table."""
+    for row in result["rows"]:
+        print(line(row))
+    for done, held in result.get("memory", ()):
+        print(f"after {done:9.0f} messages the node holds {held:.1f} MB")
+    if "starts" in result:
+        print("start: " + ", ".join(f"{name} {value:.3f} s" for name, value in result["starts"].items()))
+
+
+def arguments(given: Optional[List[str]] = None) -> argparse.Namespace:
+    """Return what the command line asks for."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--seconds", type=float, default=20.0, help="length of the bag")
-    parser.add_argument("--speed", type=float, nargs="+", default=[1.0, 5.0, 10.0])
-    parser.add_argument("--way", nargs="+", choices=WAYS, default=list(WAYS))
+    parser.add_argument("--speed", type=float, nargs="+", default=[1.0, 5.0, 10.0, 20.0])
+    parser.add_argument("--way", nargs="+", choices=list(WAYS), default=list(WAYS))
+    parser.add_argument("--runs", type=int, default=1)
+    parser.add_argument("--memory", type=int, default=0, help="messages through which memory is watched")
+    parser.add_argument("--starts", type=int, default=0, help="how often the node's start is timed")
     parser.add_argument("--json", help="write the figures there")
-    options = parser.parse_args()
+    parser.add_argument("--plot", help="draw them there")
+    return parser.parse_args(given)
+
+
+def main() -> int:
+    """Run what the command line asks for."""
+    options = arguments()
     os.environ["ROS_MASTER_URI"] = f"http://127.0.0.1:{free_port()}"
     os.environ["ROS_HOSTNAME"] = "127.0.0.1"
     started = Started()
@@ -256,16 +355,17 @@ def main() -> int:
         while not rosgraph.is_master_online():
             time.sleep(0.1)
         rospy.init_node("bench", disable_signals=True)
-        bench = Bench(options.seconds)
-        rows = []
-        for speed in options.speed:
-            for way in options.way:
-                rows.append(bench.run(way, speed))
-                print(line(rows[-1]), flush=True)
-        if options.json:
-            Path(options.json).write_text(json.dumps(rows, indent=1) + "\n")
+        with tempfile.TemporaryDirectory() as folder:
+            result = measure(options, Path(folder))
     finally:
         started.end()
+    report(result)
+    if options.json:
+        Path(options.json).write_text(json.dumps(result, indent=1) + "\n")
+    if options.plot:
+        from performance_plots import draw_node
+
+        draw_node(result, options.plot)
     return 0
 
 

@@ -33,7 +33,8 @@ def test_a_call_from_inside_is_done_at_once():
     assert runner.call(lambda: runner.call(lambda: 3)) == 3
 
 
-def test_while_one_works_others_return_and_the_oldest_is_dropped():
+def test_while_one_works_others_return_and_the_oldest_is_dropped(monkeypatch):
+    monkeypatch.setattr("retalis._runner.PATIENCE", 0.01)
     runner, drops, _ = make(size=2)
     started, go_on = threading.Event(), threading.Event()
     done = []
@@ -53,6 +54,37 @@ def test_while_one_works_others_return_and_the_oldest_is_dropped():
     worker.join(10)
     assert done == [2, 3]
     assert runner.dropped == 2
+
+
+def test_a_full_queue_holds_up_those_who_post_and_nothing_is_lost():
+    runner, drops, _ = make(size=10)
+    done = []
+
+    def post(thread):
+        for number in range(2000):
+            runner.post(done.append, (thread, number))
+
+    threads = [threading.Thread(target=post, args=(thread,)) for thread in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(30)
+    assert drops == []
+    for thread in range(4):
+        assert [number for one, number in done if one == thread] == list(range(2000))
+
+
+def test_one_at_work_who_posts_too_much_does_not_wait_for_itself():
+    runner, drops, _ = make(size=3)
+    done = []
+
+    def work():
+        for number in range(5):
+            runner.post(done.append, number)
+
+    runner.post(work)
+    assert drops == [1, 2]
+    assert done == [2, 3, 4]
 
 
 def test_a_call_goes_before_what_waits():

@@ -1,10 +1,19 @@
 """Events written as goals: ``event/1,2`` and ``new_event/2,3,5``, in programs and on the String topics."""
 
+import re
 from typing import Any, Callable, Dict, NamedTuple, Optional, Sequence
 
 from . import timestamps
+from .errors import SyntaxFault, UsageError
 from .logic import instant_of, instantiation_error, type_error
+from .syntax import EventReader, Operators
 from .terms import Atom, Functor, Term, Var, deref, functor, list_items
+from .timestamps import WholeSeconds
+
+_SECOND = re.compile(r"datime\((\d+),(\d+),(\d+),(\d+),(\d+),(\d+),", re.ASCII)
+_NANOSECOND = re.compile(r"\d{1,9}\)", re.ASCII)
+_SECONDS = 64
+"""Seconds whose texts are remembered."""
 
 
 class Input(NamedTuple):
@@ -13,6 +22,77 @@ class Input(NamedTuple):
     term: Term
     start: Any
     end: Any
+
+
+class InputReader:
+    """Reads events from the text of their goals; not for use by two threads at once.
+
+    Args:
+        operators: those that hold in the texts.
+    """
+
+    def __init__(self, operators: Operators):
+        self._reader = EventReader(operators)
+        self._seconds: Dict[str, int] = {}
+
+    def goal(self, text: str) -> Term:
+        """Return the goal of a text.
+
+        Raises:
+            SyntaxFault: where it is none.
+        """
+        return self._reader.read(text)
+
+    def event(self, text: str) -> Optional[Input]:
+        """Return the event that a text makes, or None where it is another goal.
+
+        Raises:
+            SyntaxFault: where it is no goal.
+            PrologError: where it is such a goal with arguments that make no event.
+        """
+        if text.startswith("event("):
+            found = self._stamped(text)
+            if found is not None:
+                return found
+        return event_of(self._reader.read(text))
+
+    def _stamped(self, text: str) -> Optional[Input]:
+        """Read ``event(E,[T,T])`` as other nodes write it, the two stamps by their own short way; None if it is not.
+
+        That the text up to the stamps and ``)`` is ``event(E)`` makes sure that they stand where they seem to.
+        """
+        at = text.rfind(",[datime(")
+        stamps = text[at + 2 :]
+        middle = (len(stamps) - 3) // 2
+        stamp = stamps[:middle]
+        if at < 0 or stamps != f"{stamp},{stamp}])":
+            return None
+        last = stamp.rfind(",") + 1
+        second = self._seconds.get(stamp[:last]) or self._learn(stamp[:last])
+        if second is None or not _NANOSECOND.fullmatch(stamp, last):
+            return None
+        try:
+            goal = self._reader.read(text[:at] + ")")
+        except SyntaxFault:  # for the one that names the place in the whole text
+            return None
+        if goal.__class__ is not tuple or goal[0] is not EVENT1:
+            return None
+        instant = WholeSeconds(second + int(stamp[last:-1]))
+        return Input(_event(goal[1]), instant, instant)
+
+    def _learn(self, text: str) -> Optional[int]:
+        """Return the instant of a datime's text up to its nanoseconds, and remember it; None where it is none."""
+        found = _SECOND.fullmatch(text)
+        if found is None:
+            return None
+        try:
+            instant = timestamps.from_term((timestamps.DATIME7, *map(int, found.groups()), 0))
+        except UsageError:
+            return None
+        if len(self._seconds) >= _SECONDS:
+            self._seconds.clear()
+        self._seconds[text] = instant
+        return instant
 
 
 def event_of(goal: Term) -> Optional[Input]:
@@ -50,8 +130,9 @@ def _with_instants(arguments: Sequence[Term]) -> Input:
     return _checked(arguments, start, end)
 
 
+EVENT1 = functor("event", 1)
 READERS: Dict[Functor, Callable[[Sequence[Term]], Input]] = {
-    functor("event", 1): _event1,
+    EVENT1: _event1,
     functor("event", 2): _with_interval,
     functor("new_event", 2): _with_interval,
     functor("new_event", 3): _with_instant,

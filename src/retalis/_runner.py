@@ -11,6 +11,10 @@ from typing import Any, Callable, Deque, Optional, Tuple
 _this_thread = threading.get_ident
 
 
+PATIENCE = 1.0
+"""Seconds that one who posts waits for room in a full queue."""
+
+
 class Call:
     """A piece of work whose caller waits for the result."""
 
@@ -43,8 +47,8 @@ class Runner:
     """A bounded queue of work and the lock that lets one thread at a time do it.
 
     Args:
-        size: how many pieces of work may wait; past that the oldest goes, is counted in ``dropped``,
-            and ``on_drop`` is called.
+        size: how many pieces of work may wait. Past that those who post wait for a moment; where that does
+            not help the oldest goes, is counted in ``dropped``, and ``on_drop`` is called.
         on_error: called with an exception that a piece of work let out.
     """
 
@@ -54,6 +58,8 @@ class Runner:
         self._calls: Deque[Call] = deque()
         self._lock = threading.Lock()
         self._running: Optional[int] = None
+        self._patient = True
+        """Whether it is worth while to wait for room; not after a wait in vain, until the queue was empty again."""
         self._on_drop = on_drop
         self._on_error = on_error
         self.dropped = 0
@@ -73,9 +79,9 @@ class Runner:
                 self._running = None
                 self._lock.release()
         else:
+            if len(self._queue) >= self._size:
+                self._make_room()
             self._queue.append((work, arguments))
-            if len(self._queue) > self._size:
-                self._drop()
         if self._queue or self._calls:
             self._drain()
 
@@ -91,6 +97,19 @@ class Runner:
         self._drain()
         return call.result()
 
+    def _make_room(self) -> None:
+        """Wait until the queue is worked off, or help with it; drop the oldest where that takes too long.
+
+        Whoever posts faster than events are worked off is held up, and so are those who send to it: a
+        connection that is not read fills up and holds its publisher up in turn. So a burst loses nothing.
+        """
+        if self._patient and self._running != _this_thread():
+            self._patient = self._lock.acquire(timeout=PATIENCE)
+            if self._patient:
+                self._work_off_locked()
+                return
+        self._drop()
+
     def _drop(self) -> None:
         try:
             self._queue.popleft()
@@ -104,12 +123,17 @@ class Runner:
         while self._queue or self._calls:
             if not self._lock.acquire(False):
                 return
-            try:
-                self._running = _this_thread()
-                self._work_off()
-            finally:
-                self._running = None
-                self._lock.release()
+            self._work_off_locked()
+
+    def _work_off_locked(self) -> None:
+        """Do all that waits, and give back the lock, which the caller has taken."""
+        try:
+            self._running = _this_thread()
+            self._work_off()
+            self._patient = True
+        finally:
+            self._running = None
+            self._lock.release()
 
     def _work_off(self) -> None:
         queue, calls = self._queue, self._calls

@@ -8,7 +8,7 @@ from typing import Any, Callable, Dict, Generator, List, NamedTuple, Optional, S
 from . import timestamps
 from ._foreign import define_foreign, load_module
 from ._goalfile import goals_of
-from ._inputs import READERS, event_of
+from ._inputs import READERS, InputReader
 from ._reports import Reports
 from ._runner import Runner
 from .clock import Clock, StreamClock
@@ -17,7 +17,7 @@ from .events import Dispatcher, Rules, Stage
 from .knowledge import Knowledge
 from .logic import Limits, Logic, instantiation_error, permission_error, type_error
 from .program import GOALS, read_text
-from .syntax import EventReader, read_term
+from .syntax import read_term
 from .terms import Atom, Functor, String, Term, Var, copy, deref, functor, variables
 from .timestamps import FIRST, LAST, SECOND, WholeSeconds
 
@@ -85,7 +85,7 @@ class Engine:
             self.logic, self.dispatcher, self.clock.stamp, self._deliver, self.reports.warning
         )
         self._runner = Runner(settings.queue, self._report_drop, self.reports.error)
-        self._reader = EventReader(self.logic.operators)
+        self._texts = InputReader(self.logic.operators)
         self._outputs: List[OnOutput] = []
         self._define()
 
@@ -299,14 +299,14 @@ class Engine:
 
     def _take_text(self, text: str) -> None:
         try:
-            goal = self._reader.read(text)
-            made = event_of(goal)
+            made = self._texts.event(text)
         except RetalisError as error:
             self.reports.warning(f"an event is refused: {error}", "refused")
             return
         if made is not None:
             self._take(*made)
         elif self.settings.allow_goals:
+            goal = self._texts.goal(text)
             if not self.logic.once(goal):
                 self.reports.warning(f"the goal {self.show(goal)} fails")
         else:

@@ -116,6 +116,20 @@ class Texts(unittest.TestCase):
             "event(nowhere_msgs__0__Thing(0.5,[nowhere_msgs__0__Part('\"arm\"',true)]),t,thing)"
         )
 
+    def test_a_burst_comes_whole_and_in_order(self):
+        burst = rospy.Publisher("burst", String, queue_size=5000)
+        self.assertEqual(self.add_input("burst", "std_msgs/String").result, "ok")
+        self.subscribe("std_msgs__0__String(_)", "", "_", "t", "burst")
+        wait_until(lambda: burst.get_num_connections() > 0, "the subscriber of the burst")
+        for number in range(3000):
+            burst.publish(f"burst {number}")
+
+        def numbers(messages):
+            return [int(m.data.split()[1].split('"')[0]) for m in messages if m.data.endswith(",t,burst)")]
+
+        found = self.outputs.wait_for(lambda messages: "burst 2999" in messages[-1].data, "the burst")
+        self.assertEqual(numbers(found), list(range(3000)))
+
     def test_a_message_without_header_is_stamped_with_simulated_time(self):
         plain = rospy.Publisher("plain", String, queue_size=10)
         self.assertEqual(self.add_input("plain", "std_msgs/String").result, "ok")

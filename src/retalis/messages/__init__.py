@@ -7,6 +7,7 @@ for the forms of the slots, `Definitions` for where types come from.
 from .decoding import Decoder
 from .definition import Constant, Definition, Field, functor_name, type_name
 from .encoding import Encoder
+from .eventtexts import text_writer
 from .installed import Installed
 from .registry import Definitions
 
@@ -19,5 +20,6 @@ __all__ = [
     "Field",
     "Installed",
     "functor_name",
+    "text_writer",
     "type_name",
 ]

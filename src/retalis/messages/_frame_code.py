@@ -51,7 +51,7 @@ class FrameCode(Code):
     def elements(self, slot: Field, number: str) -> str:
         raise Unsuited
 
-    def build(self, definition: Definition, general: Callable[[bytes], Term]) -> List[str]:
+    def build(self, definition: Definition, general: Callable[[bytes], Any]) -> List[str]:
         """Return the source of the whole function, which falls back on ``general``.
 
         Raises:
@@ -61,20 +61,9 @@ class FrameCode(Code):
         head, tail = Struct("<" + self.before[0]), Struct("<" + self.format)
         if not self.texts or not (head.size or tail.size):
             raise Unsuited
-        cache = TextCache()
-        number = len(self.texts)
-
-        def learn(key: bytes) -> Any:
-            texts = read_texts(key, number)
-            if texts is None:
-                return None
-            found = texts if number > 1 else texts[0]
-            cache.keep(key, found)
-            return found
-
-        self.names.update(
-            known=cache.get, learn=learn, head=head.unpack_from, tail=tail.unpack_from, general=general
-        )
+        result = self.finish(result)
+        self.names.update(head=head.unpack_from, tail=tail.unpack_from, general=general)
+        self._cache_texts()
         key = f"data[{head.size}:{-tail.size if tail.size else ''}]"
         lines = ["def decode(data):", "  try:"]
         if self.before[1]:
@@ -90,5 +79,30 @@ class FrameCode(Code):
         if tail.size:
             lines.append(f"    {', '.join(self.targets)}, = tail(data, {-tail.size})")
         lines += ["  except StructError:", "    return general(data)"]
-        lines.append(f"  {', '.join(self.texts)}{'' if number == 1 else ','} = k")
+        lines.append(f"  {', '.join(self.texts)}{'' if len(self.texts) == 1 else ','} = k")
         return [*lines, f"  return {result}"]
+
+    def _cache_texts(self) -> None:
+        """Have ``known`` and ``learn`` give all texts of a message by the bytes that they make up."""
+        cache = TextCache()
+        number = len(self.texts)
+        kept = self.kept
+
+        def learn(key: bytes) -> Any:
+            read = read_texts(key, number)
+            if read is None:
+                return None
+            texts = tuple(kept(text) for text in read)
+            found = texts if number > 1 else texts[0]
+            cache.keep(key, found)
+            return found
+
+        self.names.update(known=cache.get, learn=learn)
+
+    def finish(self, result: str) -> str:
+        """Return the source of what the function gives, from the source of the message's term."""
+        return result
+
+    def kept(self, text: Term) -> Any:
+        """Return what stands for a text in it."""
+        return text

@@ -1,34 +1,32 @@
 """Node ``retalis_ros_interface``: between ROS topics and events as text."""
 
 import threading
-from typing import Optional
 
 import rospy
-from std_msgs.msg import String
 
 from ..errors import RetalisError
+from ..messages import Decoder, text_writer
 from ..program import TOPICS, Topics, read_topics
-from ..syntax import EventReader, to_text
-from ..terms import CONS, NIL, Term, deref, functor
-from ..timestamps import datime
+from ..syntax import EventReader, event_text, to_text
+from ..terms import deref
 from ._log import shown
-from .interface import INPUT, OUTPUT, Interface, send
+from ._texts import TextPublisher
+from ._time import ros_now
+from .interface import INPUT, OUTPUT, Interface, Take
 from .node import OUTPUT_EVENT, connect
 from .parameters import Parameters, direct_topics
 from .running import run_node
 from .services import InterfaceServices
-
-EVENT = functor("event", 2)
 
 
 class Converter:
     """The node: messages go out as text to node retalis, texts that come back go out as messages."""
 
     def __init__(self, parameters: Parameters):
-        self._texts = rospy.Publisher(INPUT, String, queue_size=parameters.queue)
+        self._texts = TextPublisher(INPUT, parameters.queue)
         self._reader = EventReader()
         self._reading = threading.Lock()  # rospy has a thread for each publisher
-        self._interface = Interface(self._send, parameters.queue)
+        self._interface = Interface(self._sender, parameters.queue)
         try:
             topics = read_topics(parameters.program / TOPICS)
         except RetalisError as error:
@@ -39,24 +37,27 @@ class Converter:
         self._interface.leave(direct)
         connect(self._interface, topics, direct)
         InterfaceServices(self._interface)
-        rospy.Subscriber(OUTPUT, String, self._receive, queue_size=parameters.queue, buff_size=1 << 20)
+        self._interface.subscribe_texts(OUTPUT, self._receive)
 
-    def _send(self, term: Term, instant: Optional[int]) -> None:
-        if instant is None:
-            instant = rospy.get_rostime().to_nsec()
-        stamp = datime(instant)
-        interval = (CONS, stamp, (CONS, stamp, NIL))
-        send(self._texts, String(to_text((EVENT, term, interval))))
+    def _sender(self, decoder: Decoder) -> Take:
+        """Return what sends the messages of a type as text."""
+        write, stamp, send = text_writer(decoder), decoder.stamp, self._texts.send
 
-    def _receive(self, message: String) -> None:
+        def take(data: bytes) -> None:
+            instant = stamp(data)
+            send(event_text(write(data), ros_now() if instant is None else instant))
+
+        return take
+
+    def _receive(self, text: str) -> None:
         try:
             with self._reading:
-                event = self._reader.read(message.data)
+                event = self._reader.read(text)
         except RetalisError as error:
             rospy.logerr("an output is not published: %s", error)
             return
         if event.__class__ is not tuple or event[0] is not OUTPUT_EVENT:
-            rospy.logerr("an output is not published: expected event(Term,Topic,Id), found %s", message.data)
+            rospy.logerr("an output is not published: expected event(Term,Topic,Id), found %s", text)
             return
         topic = deref(event[2])
         self._interface.publish(deref(event[1]), getattr(topic, "name", None) or to_text(topic))

@@ -1,7 +1,7 @@
 """Between ROS topics and events: messages become terms, terms become messages."""
 
 import threading
-from typing import Any, Callable, Dict, Iterable, Optional, Set, Tuple
+from typing import Any, Callable, Dict, Iterable, List, Optional, Set, Tuple
 
 import rospy
 from rosgraph.names import is_legal_name
@@ -12,13 +12,23 @@ from ..messages import Decoder, Definitions, Encoder
 from ..program import TopicType
 from ..terms import Term
 from ._raw import raw_bytes, raw_class, raw_message
+from ._texts import text_taker
 
-Sink = Callable[[Term, Optional[int]], None]
-"""Takes an event term and the instant of its header (None without one)."""
+Take = Callable[[bytes], None]
+"""Takes a message."""
+
+Taker = Callable[[Decoder], Take]
+"""Gives what takes the messages that a decoder reads."""
 
 INPUT = "retalisInputEvents"
 OUTPUT = "retalisOutputEvents"
 """The topics on which events go between the nodes as text."""
+
+LINKS = 1000
+"""Connections of a topic that are remembered."""
+
+_Link = Tuple[Dict[str, str], Optional[Take]]
+"""A connection's header, and who takes its messages: None where they are of another type."""
 
 PERIOD = 5.0
 """Seconds between two warnings of the same kind."""
@@ -28,17 +38,18 @@ class Interface:
     """Subscribes topics for an engine and publishes what comes out of it.
 
     Args:
-        sink: takes each message as an event term.
+        taker: gives what takes the messages of a type.
         queue: length of the queues.
         definitions: the message types that are known.
     """
 
-    def __init__(self, sink: Sink, queue: int, definitions: Optional[Definitions] = None):
-        self._sink = sink
+    def __init__(self, taker: Taker, queue: int, definitions: Optional[Definitions] = None):
+        self._taker = taker
         self._queue = queue
         self._definitions = Definitions() if definitions is None else definitions
         self._inputs: Dict[str, Input] = {}
         self._outputs: Dict[str, Tuple[Any, Any, Encoder]] = {}
+        self._texts: List[Input] = []
         self._elsewhere: Set[str] = set()
         self._reserved = {rospy.resolve_name(topic) for topic in (INPUT, OUTPUT)}
         self._lock = threading.Lock()
@@ -60,7 +71,13 @@ class Interface:
         with self._lock:
             if name in self._inputs:
                 raise UsageError(f"topic {topic} is subscribed already (as {self._inputs[name].kind})")
-            self._inputs[name] = Input(self._definitions, name, kind, self._sink, self._queue)
+            self._inputs[name] = Input(self._definitions, name, kind, self._taker, self._queue)
+
+    def subscribe_texts(self, topic: str, take: Callable[[str], Any]) -> None:
+        """Have the texts of one of the topics between the nodes taken."""
+        name = rospy.resolve_name(topic)
+        taker = text_taker(take)
+        self._texts.append(Input(self._definitions, name, "std_msgs/String", taker, self._queue))
 
     def leave(self, topics: Iterable[TopicType]) -> None:
         """Refuse topics that node retalis subscribes by itself, so that none enters twice."""
@@ -111,20 +128,20 @@ class Interface:
 
 
 class Input:
-    """One subscribed topic: decodes its messages by the type it was given.
+    """One subscribed topic: its messages are read by the type it was given.
 
     A type that is not installed is learned from the publisher's connection header.
     """
 
-    def __init__(self, definitions: Definitions, name: str, kind: str, sink: Sink, queue: int):
+    def __init__(self, definitions: Definitions, name: str, kind: str, taker: Taker, queue: int):
         self.kind = kind
         self._definitions = definitions
         self._name = name
-        self._sink = sink
-        self._decoders: Dict[Tuple[str, str], Optional[Decoder]] = {}
+        self._taker = taker
+        self._links: Dict[int, _Link] = {}
         self.refused = 0
         self._subscriber = rospy.Subscriber(
-            name, rospy.AnyMsg, self._receive, queue_size=queue, buff_size=1 << 20, tcp_nodelay=True
+            name, rospy.AnyMsg, self._receive, queue_size=queue, tcp_nodelay=True
         )
 
     def close(self) -> None:
@@ -132,20 +149,26 @@ class Input:
         self._subscriber.unregister()
 
     def _receive(self, message: Any) -> None:
-        header = message._connection_header
-        key = (header["md5sum"], header.get("type", "*"))
-        try:
-            decoder = self._decoders[key]
-        except KeyError:
-            decoder = self._decoders[key] = self._learn(header)
-        if decoder is None:
+        header = message._connection_header  # the connection's own, the same object for each of its messages
+        link = self._links.get(id(header))
+        if link is None:
+            link = self._connected(header)
+        take = link[1]
+        if take is None:
             self._refuse(header)
             return
         try:
-            data = raw_bytes(message)
-            self._sink(decoder.decode(data), decoder.stamp(data))
+            take(message._buff if message.__class__ is rospy.AnyMsg else raw_bytes(message))
         except MessageError as error:
             rospy.logerr_throttle(PERIOD, f"a message on {self._name} is dropped: {error}")
+
+    def _connected(self, header: Dict[str, str]) -> _Link:
+        """Note who takes the messages of a connection; its header is kept, so that its id stays its own."""
+        decoder = self._learn(header)
+        if len(self._links) >= LINKS:  # publishers that come and go
+            self._links.clear()
+        link = self._links[id(header)] = (header, None if decoder is None else self._taker(decoder))
+        return link
 
     def _learn(self, header: Dict[str, str]) -> Optional[Decoder]:
         """Return the decoder for a publisher's messages, None where they are of another type."""

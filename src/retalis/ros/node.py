@@ -8,11 +8,13 @@ from std_msgs.msg import String
 from ..clock import Alarm, Clock
 from ..engine import Engine
 from ..errors import RetalisError
+from ..messages import Decoder
 from ..program import TOPICS, Topics, read_topics
 from ..syntax import to_text
 from ..terms import Term, atom, functor
 from ._log import shown
-from .interface import INPUT, OUTPUT, Interface, send
+from ._time import ros_now
+from .interface import INPUT, OUTPUT, Interface, Take, send
 from .parameters import Parameters, direct_topics
 from .running import run_node
 from .services import EngineServices, InterfaceServices
@@ -24,7 +26,7 @@ class RosClock(Clock):
     """ROS time, simulated or not; wakes the engine when an alarm is due."""
 
     def __init__(self) -> None:
-        super().__init__(lambda: rospy.get_rostime().to_nsec())
+        super().__init__(ros_now)
         self.engine: Optional[Engine] = None
         self._timer: Optional[rospy.Timer] = None
         self._timer_for: Optional[int] = None
@@ -73,7 +75,7 @@ class Node:
         self._load()
         topics = self._topics()
         self._texts = rospy.Publisher(OUTPUT, String, queue_size=parameters.queue)
-        self._interface = Interface(self.engine.post, parameters.queue)
+        self._interface = Interface(self._poster, parameters.queue)
         self.engine.on_output(self._send_text)
         direct = direct_topics(parameters.direct, topics)
         if parameters.embedded:
@@ -83,7 +85,7 @@ class Node:
         for topic, kind in direct:
             self._subscribe(topic, kind)
         EngineServices(self.engine)
-        rospy.Subscriber(INPUT, String, self._take_text, queue_size=parameters.queue, buff_size=1 << 20)
+        self._interface.subscribe_texts(INPUT, self.engine.post_text)
         rospy.loginfo("%s: %s", parameters.program, self._summary())
 
     def _summary(self) -> str:
@@ -114,8 +116,10 @@ class Node:
         except RetalisError as error:
             rospy.logerr("parameter ~direct: %s", error)
 
-    def _take_text(self, message: String) -> None:
-        self.engine.post_text(message.data)
+    def _poster(self, decoder: Decoder) -> Take:
+        """Return what posts the messages of a type to the engine."""
+        post, decode, stamp = self.engine.post, decoder.decode, decoder.stamp
+        return lambda data: post(decode(data), stamp(data))
 
     def _send_text(self, term: Term, topic: str, name: Term) -> None:
         if not self._parameters.embedded or self._texts.get_num_connections():

@@ -1,8 +1,10 @@
 """Terms to event text, as the String topics carry it."""
 
+from functools import lru_cache
 from typing import Any, List
 
 from ..terms import CONS, NIL, Atom, String, Term, Var, deref, serial
+from ..timestamps import SECOND, datime
 from .atoms import atom_text, quote
 from .numerals import integer_text
 
@@ -23,7 +25,7 @@ def to_text(term: Term) -> str:
         if kind is str:
             put(item)
         elif kind is float:
-            put(_float(item))
+            put(float_text(item))
         elif kind is int:
             put(integer_text(item))
         elif kind is tuple:
@@ -46,6 +48,23 @@ def to_text(term: Term) -> str:
     return "".join(out)
 
 
+def event_text(event: str, instant: int) -> str:
+    """Return the goal that makes an event, from the event's text and its instant.
+
+    Raises:
+        UsageError: where the instant lies outside the years 1 to 9999.
+    """
+    seconds, nanoseconds = divmod(instant, SECOND)
+    stamp = f"{_second_text(seconds)}{nanoseconds})"
+    return f"event({event},[{stamp},{stamp}])"
+
+
+@lru_cache(maxsize=64)
+def _second_text(seconds: int) -> str:
+    """Return the text of a datime up to its nanoseconds; many events fall into one second."""
+    return to_text(datime(seconds * SECOND))[:-2]
+
+
 def _list(term: Term, stack: List[Any]) -> None:
     entries: List[Any] = ["["]
     while term.__class__ is tuple and term[0] is CONS:
@@ -63,7 +82,8 @@ def _name(name: str) -> str:
     return f"'{name}'" if name == "nan" or name == "inf" else atom_text(name)
 
 
-def _float(value: float) -> str:
+def float_text(value: float) -> str:
+    """Return a float as event text has it."""
     text = repr(value)
     if "e" in text and "." not in text:
         text = text.replace("e", ".0e")

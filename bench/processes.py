@@ -1,0 +1,103 @@
+"""Processes for the benchmarks of the nodes: started together, measured from ``/proc``, ended together."""
+
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+from typing import Dict, List, Optional
+
+TOPICS = ("tf", "ar_pose_marker", "face_recognition/feedback")
+
+ROSPY_IDLE = f"""
+import rospy
+rospy.init_node("idle")
+for topic in {TOPICS}:
+    rospy.Subscriber(topic, rospy.AnyMsg, lambda message: None, queue_size=5000)
+rospy.spin()
+"""
+
+ROSCPP_IDLE = """
+#include <ros/ros.h>
+#include <topic_tools/shape_shifter.h>
+void nothing(const topic_tools::ShapeShifter::ConstPtr&) {}
+int main(int argc, char** argv) {
+  ros::init(argc, argv, "idle");
+  ros::NodeHandle node;
+  ros::Subscriber first = node.subscribe("tf", 5000, nothing);
+  ros::Subscriber second = node.subscribe("ar_pose_marker", 5000, nothing);
+  ros::Subscriber third = node.subscribe("face_recognition/feedback", 5000, nothing);
+  ros::spin();
+}
+"""
+
+
+class Started:
+    """Processes that are ended together."""
+
+    def __init__(self) -> None:
+        self.processes: List[subprocess.Popen] = []
+
+    def __call__(self, command: List[str]) -> subprocess.Popen:
+        """Start a process without output."""
+        quiet = subprocess.DEVNULL
+        process = subprocess.Popen(command, stdout=quiet, stderr=quiet, start_new_session=True)
+        self.processes.append(process)
+        return process
+
+    def end(self) -> None:
+        """Interrupt all processes, the newest first, and wait for them."""
+        for process in reversed(self.processes):
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGINT)
+        for process in self.processes:
+            try:
+                process.wait(15)
+            except subprocess.TimeoutExpired:
+                os.killpg(process.pid, signal.SIGKILL)
+        self.processes.clear()
+
+
+def free_port() -> int:
+    """Return a port that nobody uses."""
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        return int(found.getsockname()[1])
+
+
+def cpu(pid: int) -> float:
+    """Return the CPU seconds that a process has used."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def resident(pid: int) -> float:
+    """Return the resident memory of a process in MB."""
+    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def machine() -> Dict[str, str]:
+    """Return what the figures depend on: the CPU, its cores, the version of Python."""
+    names = [
+        line.partition(":")[2].strip()
+        for line in Path("/proc/cpuinfo").read_text().splitlines()
+        if line.startswith("model name")
+    ]
+    implementation = "CPython " + sys.version.split()[0]
+    return {"cpu": names[0] if names else "unknown", "cores": str(os.cpu_count()), "python": implementation}
+
+
+def build_roscpp(folder: Path) -> Optional[str]:
+    """Build the roscpp subscriber that does nothing; return its path, None where that cannot be done."""
+    if not (shutil.which("g++") and shutil.which("pkg-config")):
+        return None
+    libraries = ["pkg-config", "--cflags", "--libs", "roscpp", "topic_tools"]
+    found = subprocess.run(libraries, capture_output=True, text=True)
+    if found.returncode:
+        return None
+    source, program = folder / "idle.cpp", folder / "idle"
+    source.write_text(ROSCPP_IDLE)
+    built = subprocess.run(["g++", "-O2", "-o", str(program), str(source), *found.stdout.split()])
+    return None if built.returncode else str(program)

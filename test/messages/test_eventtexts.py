@@ -1,0 +1,96 @@
+import struct
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from retalis.errors import MessageError
+from retalis.messages import Definitions, Installed, text_writer
+from retalis.syntax import EventReader, event_text, to_text
+from retalis.terms import freeze
+from retalis.timestamps import datime
+
+HEADER = "\n".join(["=" * 80, "MSG: std_msgs/Header", "uint32 seq", "time stamp", "string frame_id", ""])
+POSE = "Header header\nstring name\nfloat64 x\nfloat32 y\nint64 n\n" + HEADER
+ODD = [
+    b"",
+    b"/odom",
+    b"it's",
+    b'say "x"',
+    b"a\\b",
+    b"{x}",
+    b"100%d",
+    b"\xff",
+    b"FFFFFFFFFF",
+    b"a\nb",
+    b"[1,2]",
+]
+
+
+def decoder(text, name="pkg/Type"):
+    registry = Definitions(Installed([], [], rosbags=False))
+    return registry.decoder(registry.add(name, text))
+
+
+def packed(text):
+    return struct.pack("<I", len(text)) + text
+
+
+def pose(frame, name, x=0.5, y=0.25, number=7):
+    return struct.pack("<III", 1, 2, 3) + packed(frame) + packed(name) + struct.pack("<dfq", x, y, number)
+
+
+@pytest.mark.parametrize("frame", ODD)
+def test_texts_are_written_as_those_of_terms(frame):
+    found = decoder(POSE)
+    data = pose(frame, frame[::-1])
+    for _ in range(2):  # texts that are seen for the first time, and again
+        assert text_writer(found)(data) == to_text(found.decode(data))
+
+
+@given(st.floats(), st.floats(width=32), st.integers(-(2**63), 2**63 - 1))
+def test_numbers_are_written_as_those_of_terms(x, y, number):
+    data = pose(b"f", b"n", x, y, number)
+    text = _writer(data)
+    assert text == to_text(_decoder.decode(data))
+    assert freeze(EventReader().read(text)) == freeze(_decoder.decode(data))
+
+
+_decoder = decoder(POSE)
+_writer = text_writer(_decoder)
+
+
+@pytest.mark.parametrize(
+    ("text", "data"),
+    [
+        ("bool on\nstring name\n", b"\1" + packed(b"x")),
+        ("string name\nuint8[3] code\n", packed(b"x") + b"abc"),
+        ("string name\nfloat64[6] values\n", packed(b"x") + struct.pack("<6d", *range(6))),
+        ("string[] names\n", struct.pack("<I", 2) + packed(b"x") + packed(b"y")),
+        ("Part[] parts\n" + "=" * 80 + "\nMSG: pkg/Part\nstring name\nfloat64 x\n", struct.pack("<I", 0)),
+        ("float64 x\nfloat64 y\n", struct.pack("<2d", 1e-5, float("inf"))),
+        ("", b""),
+    ],
+)
+def test_every_form_of_message_is_written(text, data):
+    found = decoder(text)
+    assert text_writer(found)(data) == to_text(found.decode(data))
+
+
+def test_messages_with_any_number_of_elements():
+    found = decoder("Part[] parts\n" + "=" * 80 + "\nMSG: pkg/Part\nstring name\nfloat64 x\n")
+    part = packed(b"x") + struct.pack("<d", 2.0)
+    for number in range(3):
+        data = struct.pack("<I", number) + part * number
+        assert text_writer(found)(data) == to_text(found.decode(data))
+
+
+def test_broken_bytes_are_no_message():
+    with pytest.raises(MessageError, match="pkg/Type"):
+        _writer(pose(b"f", b"n")[:-1])
+
+
+def test_an_event_has_its_instant_twice():
+    instant = 1413748205_000000007
+    stamp = to_text(datime(instant))
+    assert event_text("e(1)", instant) == f"event(e(1),[{stamp},{stamp}])"
