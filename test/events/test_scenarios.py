@@ -5,19 +5,21 @@
 
 import json
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import pytest
-from events.contradictions import CONTRADICTED
+from events.contradictions import CONTRADICTED, Contradiction
 
 from retalis.clock import StreamClock
 from retalis.engine import Engine
 from retalis.errors import RetalisError
 from retalis.syntax import Operators, read_term, write_term
-from retalis.terms import copy, deref, functor, variables
+from retalis.terms import atom, copy, deref, functor, variables
 from retalis.timestamps import SECOND, from_term, to_term
 
 FOLDER = Path(__file__).parent.parent / "data" / "scenarios"
 SCENARIOS = sorted(FOLDER.glob("*.json"))
+OUTPUT = functor("output", 3)
 MEMORY_EVENTS = ("memory_created", "memory_updated", "memory_deleted")
 BASE = from_term(read_term("datime(2001,1,1,0,0,0)", Operators.prolog()).term)
 NOW = from_term(read_term("datime(2001,1,1,1,0,0)", Operators.prolog()).term)
@@ -45,7 +47,7 @@ class Run:
         self.events, self.memory_events, self.outputs, self.errors = [], [], [], []
         self.engine.on_event(self._event)
         self.engine.on_output(
-            lambda term, topic, name: self.outputs.append((normal(term), topic, normal(name)))
+            lambda term, topic, name: self.outputs.append(normal((OUTPUT, term, atom(topic), name)))
         )
         self.engine.rules.on_error = lambda error: self.errors.append(str(error))
         self.engine.logic.define("sleep", 1, self._sleep)
@@ -122,38 +124,53 @@ def test_scenario(path, tmp_path, monkeypatch):
         (tmp_path / name).write_text(text)
     monkeypatch.chdir(tmp_path)
     run = Run(data, tmp_path)
-    contradicted, events = CONTRADICTED.get(path.stem, (None, None))
-    if events is not None:
-        assert short(run.events) == events
+    wanted = wanted_of(path.stem, data)
+    if wanted.short is not None:
+        assert short(run.events) == wanted.short
     else:
-        assert event_table(run.events) == event_table(wanted_events(data, "expected"))
-    if contradicted is None:
-        assert run.outputs == wanted_outputs(data)
-        assert [term for term, _, _ in run.memory_events] == wanted_memory_events(data)
-        assert run.answers == wanted_answers(data, run)
-        assert run.errors or "expected_sane" in data or not data.get("errors")
+        assert event_table(run.events) == event_table(wanted.events)
+    assert run.outputs == wanted.outputs
+    assert [term for term, _, _ in run.memory_events] == [term for term, _, _ in wanted.memory_events]
+    assert [("an error" if answer.__class__ is str else answer) for answer in run.answers] == wanted.answers
+    assert bool(run.errors) == wanted.errors
 
 
-def wanted_outputs(data):
-    outputs = data.get("outputs_sane", data["outputs"])
-    return [(normal(read(term)), topic, normal(read(name))) for term, topic, name in outputs]
+class Wanted(NamedTuple):
+    """What a scenario is to give: as it was recorded, but where that is wrong.
+
+    Attributes:
+        short: the events that the language reference asks for against the recording, or None.
+        events: events with their stamps, where there is no ``short``.
+        answers: the solutions of each query, or "an error".
+    """
+
+    short: Any
+    events: Any
+    memory_events: Any
+    outputs: Any
+    answers: Any
+    errors: bool
 
 
-def wanted_memory_events(data):
-    return [term for term, _, _ in wanted_events(data, "memory_events")]
-
-
-def wanted_answers(data, run):
-    """Return the solutions of each query; any error will do where one was raised."""
+def wanted_of(name, data):
+    other = CONTRADICTED.get(name, Contradiction(""))
+    outputs = [
+        f"output({one},{topic},{given})" for one, topic, given in data.get("outputs_sane", data["outputs"])
+    ]
     sane = data.get("queries_sane")
-    wanted = []
-    for at, result in enumerate(data.get("query_results", ())):
-        solutions = sane[at] if sane is not None else result["solutions"]
-        if solutions and solutions[0].startswith("error: "):
-            wanted.append(run.answers[at] if str(run.answers[at]).startswith("error: ") else "an error")
-        else:
-            wanted.append([normal(read(text)) for text in solutions])
-    return wanted
+    answers = []
+    for at, result in enumerate(data.get("query_results") or ()):
+        found = other.answers.get(at, result["solutions"] if sane is None else sane[at])
+        failed = found and found[0].startswith("error: ")
+        answers.append("an error" if failed else [normal(read(text)) for text in found])
+    return Wanted(
+        other.events,
+        wanted_events(data, "expected"),
+        wanted_events(data, "memory_events"),
+        [normal(read(text)) for text in (outputs if other.outputs is None else other.outputs)],
+        answers,
+        bool(data.get("errors")) if other.errors is None else other.errors,
+    )
 
 
 def test_contradictions_are_known():
