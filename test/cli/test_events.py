@@ -76,7 +76,7 @@ def test_goals_are_called_before_the_rules_and_stream(run):
 
 def test_other_terms_of_a_stream_are_goals(run):
     stream = "assert(hot(a)).\nevent(go,[1,1]).\nwrite(hello), nl.\n"
-    assert run(rules="yes <- go where hot(a).\n", stream=stream) == (
+    assert run(rules=":- dynamic(hot/1).\nyes <- go where hot(a).\n", stream=stream) == (
         0,
         ["event(go,[1,1]).", "event(yes,[1,1]).", "hello"],
         "",

@@ -91,8 +91,8 @@ def test_errors_have_their_own_files_place_and_come_in_order(program, tmp_path):
     found = errors_of(lambda: program.engine.load(rules=rules, source="r"))
     assert [text.split(": ")[0] for text in found] == [
         "one.pl:1:7",
-        "one.pl:2:8",
-        "r:1:8",
+        "one.pl:2:15",
+        "r:1:15",
         "r:4:1",
         "r:5:6",
         "two.pl:2:8",

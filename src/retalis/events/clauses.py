@@ -1,6 +1,6 @@
 """The forms of an event file: what each of its terms is, checked before anything of the file is active."""
 
-from typing import Any, Callable, List, NamedTuple, Optional, Tuple
+from typing import Any, Dict, List, NamedTuple, Optional, Tuple
 
 from ..errors import Place, RetalisError, RuleError, UsageError
 from ..logic import PrologError
@@ -8,7 +8,9 @@ from ..logic.logic import split_clause
 from ..syntax import ReadTerm
 from ..terms import Atom, Term, Var, atom, copy, deref, functor, list_items, variables
 from .alarms import duration
-from .pattern import ARROWS, SPELLINGS, Action, Reader, bound_by
+from .calls import Call, Unknown
+from .compiling import occurrences
+from .pattern import ARROWS, SPELLINGS, Action, Reader, Spot, bound_by
 from .rule import Definition
 
 _SYNCHRONIZED = frozenset((functor("syncronized", 3), functor("synchronized", 3)))
@@ -19,7 +21,10 @@ _GRAMMAR = functor("-->", 2)
 DIRECTIVES = frozenset((functor(":-", 1), functor("?-", 1)))
 _PROPERTY = functor("property", 2)
 _PROPERTY_FACT = functor("event_rule_property", 3)
+_LESS = functor("<", 2)
+_MINUS = functor("-", 1)
 _ALARM = functor("exceptionAlarm", 2)
+_ARITIES = {"exceptionAlarm": 2, "exceptionAlarmAbsoluteDatime": 2, "syncronized": 3, "synchronized": 3}
 _RENAMED = {
     functor("print_trigger", 1): functor("external_trigger", 1),
     functor("persistent_rule", 1): functor("persistent_event", 1),
@@ -32,8 +37,6 @@ _USING = {
     functor("ensure_loaded", 1): "ensure",
 }
 KNOWN_PROPERTIES = ("event_rule_window", "window", "window_step")
-
-Spot = Callable[[Term], Optional[Place]]
 
 
 class Property(NamedTuple):
@@ -69,10 +72,14 @@ class Checker:
         self.steps: List[Step] = []
         self.rules: List[Definition] = []
         self.inner: List[Definition] = []
+        self.calls: List[Unknown] = []
+        self._names: Dict[Var, str] = {}
 
     def read(self, read: ReadTerm) -> None:
         """Check a term that was read from a text."""
-        self.term(read.term, lambda part: read.place_of(part), read.place)
+        self._names = {var: name for name, var in read.names.items()}
+        self.term(read.term, read.place_of, read.place)
+        self._names = {}
 
     def term(self, term: Term, spot: Spot, place: Optional[Place]) -> None:
         """Check a term; ``spot`` gives the place of a part of it, ``place`` is where it begins."""
@@ -130,33 +137,62 @@ class Checker:
         Raises:
             RuleError: where it cannot fire.
         """
-        reader = Reader(lambda part: spot(part) or place, self.warnings.append)
+        reader = Reader(lambda part, number=0: spot(part, number) or place, self.warnings.append)
         if rule[0] not in ARROWS:  # P do G
-            pattern = reader.read(rule)
+            pattern = reader.read((_RULE, rule), 1)
             definition = Definition(rule, None, pattern, label, place)
         else:
             head, goal = deref(rule[1]), None
             if head.__class__ is tuple and SPELLINGS.get(head[0]) == "do":
-                goal = deref(head[2])
+                goal = reader.goal(head, 2, "do")
                 head = deref(head[1])
-            self._head(head, spot(rule) or place)
-            pattern = reader.read(rule[2])
+            at = spot(head) if head.__class__ is tuple else spot(rule, 1)
+            self._head(head, spot, at or place)
+            pattern = reader.read(rule, 2)
             if goal is not None:
                 pattern = Action(pattern, goal, False)
             definition = Definition(rule, head, pattern, label, place)
-            self._unbound(head, pattern, place)
+            self._unbound(head, pattern, at or place)
+        self._goals(reader.goals, pattern, spot, place)
         for one in reader.inner:
             self.inner.append(self.definition(one, None, spot, spot(one) or place))
         return definition
 
-    def _head(self, head: Term, place: Optional[Place]) -> None:
+    def _head(self, head: Term, spot: Spot, place: Optional[Place]) -> None:
         if head.__class__ not in (tuple, Atom, Var):
             raise RuleError("the head of a rule is an event: an atom or a compound term", place)
-        if head.__class__ is tuple and head[0] is _ALARM and deref(head[2]).__class__ is not Var:
+        if head.__class__ is not tuple:
+            return
+        if head[0] is _ALARM and deref(head[2]).__class__ is not Var:
             try:
                 duration(head[2])
             except UsageError as error:
-                raise RuleError(error.message, place) from None
+                raise RuleError(error.message, spot(head, 2) or place) from None
+        takes = _ARITIES.get(head[0].name)
+        if takes is not None and takes != len(head) - 1:
+            name = head[0].name
+            self.warnings.append(
+                RuleError(f"this is an ordinary event; {name} takes {takes} arguments", place)
+            )
+        if head[0] is _COLON:
+            self.warnings.append(
+                RuleError("this is an event with a colon in it: a rule has one label", place)
+            )
+
+    def _goals(self, goals: List[Call], pattern: Any, spot: Spot, place: Optional[Place]) -> None:
+        """Check what the goals of a rule call, and note it: what is not there may come with the rest of the file."""
+        counts = occurrences([], pattern)
+        for call in goals:
+            term = call.term
+            if term.__class__ is Var and counts[term] == sum(one.term is term for one in goals):
+                name = self._names.get(term, "this variable")
+                raise RuleError(
+                    f"nothing gives {name} a goal to call", spot(call.parent, call.number) or place
+                )
+            if term.__class__ is tuple:
+                self.calls.append(Unknown(term[0], spot(term) or place))
+            elif term.__class__ is Atom:
+                self.calls.append(Unknown(term.functor, spot(call.parent, call.number) or place))
 
     def _unbound(self, head: Term, pattern: Any, place: Optional[Place]) -> None:
         bound = {*bound_by(pattern), *_bound_later(head)}
@@ -164,15 +200,20 @@ class Checker:
         if head.__class__ is Var and free:
             raise RuleError("nothing in the pattern gives the head a value", place)
         if free:
-            self.warnings.append(
-                RuleError(f"nothing in the pattern can bind {len(free)} variable(s) of the head", place)
-            )
+            names = [self._names[var] for var in free if var in self._names]
+            which = f"{' and '.join(names)} of the head" if names else f"{len(free)} variable(s) of the head"
+            self.warnings.append(RuleError(f"nothing in the pattern can bind {which}", place))
 
 
 def _bound_later(head: Term) -> List[Var]:
     """Return the variables of a synchronized event that its query will bind."""
     synchronized = head.__class__ is tuple and head[0] in _SYNCHRONIZED
     return variables(head[2]) if synchronized else []
+
+
+def nowhere(part: Term, number: int = 0) -> Optional[Place]:
+    """Give no place: that of a term which was not read from a text."""
+    return None
 
 
 def is_rule(term: Term) -> bool:
@@ -217,12 +258,18 @@ def _name(term: Term) -> str:
     return term.name if term.__class__ is Atom else "(not an atom)"
 
 
+def _is_negative(term: Term) -> bool:
+    return term.__class__ is tuple and term[0] is _MINUS
+
+
 def clause_error(logic: Any, term: Term) -> Optional[str]:
     """Return why a term cannot be added as a clause, or None."""
     try:
         if term.__class__ is tuple and term[0] is _GRAMMAR:
             return None
         head, _ = split_clause(copy(term))
+        if head.__class__ is tuple and head[0] is _LESS and _is_negative(deref(head[2])):
+            return "this compares two terms; the arrow of an event rule is <-, without a blank"
         logic.database.require_writable(head.functor if head.__class__ is Atom else head[0], "modify")
     except PrologError as error:
         return error.message

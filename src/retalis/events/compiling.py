@@ -80,7 +80,7 @@ class Compiler:
         self.rule = rule
         self.pattern = pattern
         self.keep = _used_twice(head, pattern)
-        self._counts = _occurrences(head, pattern)
+        self._counts = occurrences(head, pattern)
         self.nodes: List[Tuple[Node, Optional[int], Optional[int]]] = []
 
     def build(self) -> Node:
@@ -303,7 +303,7 @@ class Compiler:
 
     def _outside(self, pattern: Any, value: Any = None) -> Set[Var]:
         """Return the variables that stand in the rule elsewhere than in a pattern (and what an aggregate takes)."""
-        inside = _occurrences([] if value is None else [value], pattern)
+        inside = occurrences([] if value is None else [value], pattern)
         return {var for var, number in self._counts.items() if number > inside.get(var, 0)}
 
     def _collector(self, core: Aggregate, names: List[Var]) -> Collector:
@@ -384,7 +384,7 @@ def _each_variable(term: Term) -> List[Var]:
     return found
 
 
-def _occurrences(terms: List[Term], pattern: Any) -> Dict[Var, int]:
+def occurrences(terms: List[Term], pattern: Any) -> Dict[Var, int]:
     """Count how often each variable stands in a rule."""
     counts: Dict[Var, int] = {}
     for term in [*terms, *(term for part in walk(pattern, True) for term in own_terms(part))]:
@@ -394,4 +394,4 @@ def _occurrences(terms: List[Term], pattern: Any) -> Dict[Var, int]:
 
 
 def _used_twice(terms: List[Term], pattern: Any) -> Set[Var]:
-    return {var for var, number in _occurrences(terms, pattern).items() if number > 1}
+    return {var for var, number in occurrences(terms, pattern).items() if number > 1}

@@ -7,7 +7,8 @@ from ..errors import Place, ProgramErrors, RetalisError, RuleError, SyntaxFault,
 from ..logic import PrologError
 from ..syntax import Operators, read_program
 from ..terms import Atom, Term, conjuncts, copy, deref, functor
-from .clauses import DIRECTIVES, Checker, Definition, Step, clause_error
+from .calls import Unknown, unknown_calls
+from .clauses import DIRECTIVES, Checker, Definition, Step, clause_error, nowhere
 from .files import Files, text_of
 from .libraries import LIBRARY, require_library
 from .rule import Rule
@@ -18,10 +19,11 @@ _SET_FLAG = functor("set_prolog_flag", 2)
 
 
 class Plan(NamedTuple):
-    """A file that has no errors in itself: what to do, and the rules to add then."""
+    """A file that has no errors in itself: what to do, the rules to add then, and what these call."""
 
     steps: List[Any]
     rules: List[Rule]
+    calls: List[Unknown]
 
 
 class _Reading(NamedTuple):
@@ -77,7 +79,7 @@ class Loader:
         for term, place in terms:
             included = _included(term)
             if included is None:
-                reading.checker.term(copy(term), lambda part: None, place)
+                reading.checker.term(copy(term), nowhere, place)
             else:
                 self._include(included, place, reading)
         self._finish(lambda errors: self._checked(reading.checker, errors), reading.errors)
@@ -164,7 +166,7 @@ class Loader:
         rules = self._compiled([*checker.rules, *checker.inner], errors)
         for warning in checker.warnings:
             self._rules.on_warning(warning)
-        return Plan(steps, rules)
+        return Plan(steps, rules, checker.calls)
 
     def _compiled(self, definitions: List[Definition], errors: List[RetalisError]) -> List[Rule]:
         rules = []
@@ -221,6 +223,8 @@ class Loader:
                 self._direct(step)
         for rule in plan.rules:
             rules.activate(rule)
+        for warning in unknown_calls(rules.logic, plan.calls, rules.terms):
+            rules.on_warning(warning)
 
     def _direct(self, step: Step) -> None:
         """Run a directive.

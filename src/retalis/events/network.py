@@ -10,7 +10,7 @@ from ..logic import Logic
 from ..terms import Term, atom, copy, deref, unify
 from ..timestamps import SECOND, from_seconds
 from ._keys import term_key
-from .clauses import Checker, Property, is_rule
+from .clauses import Checker, Property, is_rule, nowhere
 from .dispatch import Dispatcher
 from .files import Files
 from .flags import Flags
@@ -181,7 +181,7 @@ class Rules:
 
     def _same_rules(self, term: Term) -> List[Rule]:
         checker = Checker()
-        checker.term(copy(term), lambda part: None, None)
+        checker.term(copy(term), nowhere, None)
         if not checker.rules:
             return []
         wanted = checker.rules[0]
@@ -192,6 +192,12 @@ class Rules:
             if same_rule_key(rule.definition.head, rule.definition.pattern) == key
             and (wanted.label is None or _label_of(rule) is wanted.label)
         ]
+
+    def terms(self) -> List[Term]:
+        """Return the rules as they were written, and the bodies of the program's clauses."""
+        predicates = [one for one in self.logic.database.predicates.values() if one.kind == "user"]
+        bodies = [clause.body for one in predicates if not one.library for clause in one.live()]
+        return [*(rule.definition.term for rule in self.rules), *bodies]
 
     def _name(self, definition: Definition) -> str:
         head = "(no head)" if definition.head is None else self.logic.show(definition.head)

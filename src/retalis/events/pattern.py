@@ -3,9 +3,13 @@
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Set, Tuple, Union
 
 from ..errors import Place, RuleError
-from ..terms import Atom, String, Term, Var, deref, functor, variables
+from ..terms import COMMA, Atom, String, Term, Var, deref, functor, variables
 from ..timestamps import from_seconds
+from .calls import Call, calls
 from .operators import OPERATORS
+
+Spot = Callable[..., Optional[Place]]
+"""Gives the place of a compound term: that of its functor, or with a number that of an argument."""
 
 Pattern = Union["Occurs", "Pair", "Either", "Absent", "Star", "Aggregate", "Condition", "Within", "Action"]
 
@@ -113,7 +117,13 @@ SPELLINGS = _spellings()
 STAR_TIMES = functor("star_times", 1)
 AGGREGATE = functor("aggregate", 3)
 ARROWS = frozenset(functor(name, 2) for name in ("<-", "iff", "IFF"))
-COMMA_PATTERN = functor(",", 2)
+_ARITIES = {
+    "aggregate": 3,
+    "star_times": 1,
+    "prolog": 1,
+    "exceptionAlarm": 2,
+    "exceptionAlarmAbsoluteDatime": 2,
+}
 
 
 class Reader:
@@ -125,37 +135,39 @@ class Reader:
 
     Attributes:
         inner: the rules defined by the way, ``(S <- Q)`` inside a pattern.
+        goals: what the goals call.
     """
 
-    def __init__(self, place: Callable[[Term], Optional[Place]], warn: Callable[[RuleError], None]):
+    def __init__(self, place: Spot, warn: Callable[[RuleError], None]):
         self._place = place
         self._warn = warn
         self.inner: List[Term] = []
+        self.goals: List[Call] = []
 
-    def read(self, term: Term) -> Any:
-        """Return the pattern of a term.
+    def read(self, parent: Term, number: int) -> Any:
+        """Return the pattern that an argument of a term is.
 
         Raises:
             RuleError: for what cannot fire.
         """
-        term = deref(term)
+        term = deref(parent[number])  # type: ignore[index]
         if term.__class__ is not tuple:
-            return self._event(term)
+            return self._event(parent, number)
         head = term[0]
         if head in ARROWS:
             self.inner.append(term)
-            return self._event(deref(term[1]))
+            return self._event(term, 1)
         name = SPELLINGS.get(head)
         if name is None:
             if head is STAR_TIMES:
                 raise self._error("star_times can only be the right side of a seq", term)
             if head is AGGREGATE:
                 raise self._error("an aggregate can only be the right side of a seq", term)
-            return self._event(term)
+            return self._event(parent, number)
         if name == SEQ:
             return self._sequence(term)
         if name in OPERATORS:
-            return Pair(name, self._operand(term[1], name), self._operand(term[2], name))
+            return Pair(name, self._operand(term, 1, name), self._operand(term, 2, name))
         if name == "or":
             return self._alternatives(term)
         if name == "not":
@@ -167,27 +179,38 @@ class Reader:
         if name == "ntimes":
             return self._repetition(term)
         if name == "within":
-            return Within(self._operand(term[1], name), self._span(term[2]) - 1)
-        pattern = self._operand(term[1], name)
-        goal = self._goal(term[2], name, term)
+            return Within(self._operand(term, 1, name), self._span(term) - 1)
+        pattern = self._operand(term, 1, name)
+        goal = self.goal(term, 2, name)
         if name in _GOAL_OPERATORS:
             return Condition(pattern, goal, _GOAL_OPERATORS[name][1])
         return Action(pattern, goal, name == "event_multiply")
 
-    def _operand(self, term: Term, operator: str) -> Any:
-        term = deref(term)
+    def _operand(self, parent: Term, number: int, operator: str) -> Any:
+        term = deref(parent[number])  # type: ignore[index]
         if term.__class__ is tuple and term[0] in _GOALS_AS_PATTERN:
             raise self._error(f"{term[0].name}(Goal) can only stand beside seq, not beside {operator}", term)
-        return self.read(term)
+        return self.read(parent, number)
 
-    def _event(self, term: Term) -> Occurs:
-        term = deref(term)
+    def _event(self, parent: Term, number: int) -> Occurs:
+        term = deref(parent[number])  # type: ignore[index]
         if term.__class__ not in (tuple, Atom, Var):
             kind = "a string" if term.__class__ is String else "a number"
-            raise self._error(f"an event is an atom or a compound term, not {kind}", term)
-        if term.__class__ is tuple and term[0] is COMMA_PATTERN:
-            self._warn(self._error("a comma between patterns makes one event of them; use and or seq", term))
+            message = f"an event is an atom or a compound term, not {kind}"
+            raise self._error(message, parent, number)
+        if term.__class__ is tuple:
+            self._suspect(term)
         return Occurs(term)
+
+    def _suspect(self, term: Any) -> None:
+        """Warn of an event that was probably meant as something else."""
+        if term[0] is COMMA:
+            self._warn(self._error("a comma between patterns makes one event of them; use and or seq", term))
+        elif term[0].name in _ARITIES and len(term) - 1 != _ARITIES[term[0].name]:
+            arity = _ARITIES[term[0].name]
+            self._warn(
+                self._error(f"this is an ordinary event; {term[0].name} takes {arity} argument(s)", term)
+            )
 
     def _sequence(self, term: Term) -> Any:
         left, right = deref(term[1]), deref(term[2])
@@ -196,19 +219,19 @@ class Reader:
         if left_goal is not None and right_goal is not None:
             raise self._error("a sequence of two goals waits for no event", term)
         if right_goal is not None:
-            return Condition(self.read(left), right_goal, False)
+            return Condition(self.read(term, 1), right_goal, False)
         if left_goal is not None:
-            return Condition(self.read(right), left_goal, False)
-        first = self.read(left)
+            return Condition(self.read(term, 2), left_goal, False)
+        first = self.read(term, 1)
         if right.__class__ is tuple and right[0] is STAR_TIMES:
-            return Star(first, self._operand(right[1], "star_times"))
+            return Star(first, self._operand(right, 1, "star_times"))
         if right.__class__ is tuple and right[0] is AGGREGATE:
             return self._aggregate(first, right)
-        return Pair(SEQ, first, self.read(right))
+        return Pair(SEQ, first, self.read(term, 2))
 
     def _called(self, term: Term) -> Optional[Term]:
         if term.__class__ is tuple and term[0] in _GOALS_AS_PATTERN:
-            return self._goal(term[1], term[0].name, term)
+            return self.goal(term, 1, term[0].name)
         return None
 
     def _aggregate(self, first: Any, term: Term) -> Aggregate:
@@ -218,51 +241,58 @@ class Reader:
         if _AGGREGATES.get(name) != arity:
             known = "count, sum(X), min(X), max(X), avg(X), list(X)"
             raise self._error(f"there is no such aggregate; there are {known}", kind if arity else term)
-        collected = self._operand(term[2], "aggregate")
+        collected = self._operand(term, 2, "aggregate")
         return Aggregate(first, name, deref(kind[1]) if arity else None, collected, deref(term[3]))
 
     def _alternatives(self, term: Term) -> Either:
         branches: List[Any] = []
-        pending = [term]
+        pending = [(term, 2), (term, 1)]
         while pending:
-            one = deref(pending.pop())
+            parent, number = pending.pop()
+            one = deref(parent[number])  # type: ignore[index]
             if one.__class__ is tuple and SPELLINGS.get(one[0]) == "or":
-                pending += (one[2], one[1])
+                pending += [(one, 2), (one, 1)]
             else:
-                branches.append(self._operand(one, "or"))
+                branches.append(self._operand(parent, number, "or"))
         return Either(tuple(branches))
 
     def _absence(self, name: str, term: Term) -> Absent:
-        pattern = self._operand(term[1], name)
-        negated = self._operand(term[2], name)
+        pattern = self._operand(term, 1, name)
+        negated = self._operand(term, 2, name)
         return Absent(pattern, negated, name == "cnot" and _is_sequence(pattern))
 
     def _repetition(self, term: Term) -> Any:
         times = deref(term[2])
         if times.__class__ is not int or times < 1:
-            raise self._error("ntimes needs a positive integer", term)
+            raise self._error("ntimes needs a positive integer", term, 2)
         if times > 1000:
-            raise self._error("ntimes takes at most 1000 repetitions", term)
-        pattern = self._operand(term[1], "ntimes")
+            raise self._error("ntimes takes at most 1000 repetitions", term, 2)
+        pattern = self._operand(term, 1, "ntimes")
         result = pattern
         for _ in range(times - 1):
             result = Pair(SEQ, result, pattern)
         return result
 
-    def _span(self, term: Term) -> int:
-        term = deref(term)
-        if term.__class__ not in (int, float) or not term > 0 or term == float("inf"):
-            raise self._error("within needs a positive number of seconds", term)
-        return from_seconds(term)
+    def _span(self, term: Any) -> int:
+        span = deref(term[2])
+        if span.__class__ not in (int, float) or not span > 0 or span == float("inf"):
+            raise self._error("within needs a positive number of seconds", term, 2)
+        return from_seconds(span)
 
-    def _goal(self, goal: Term, operator: str, term: Term) -> Term:
-        goal = deref(goal)
-        if goal.__class__ not in (tuple, Atom, Var):
-            raise self._error(f"{operator} needs a goal", term)
-        return goal
+    def goal(self, parent: Term, number: int, operator: str) -> Term:
+        """Return the goal that an argument of a term is.
 
-    def _error(self, message: str, term: Term) -> RuleError:
-        return RuleError(message, self._place(term))
+        Raises:
+            RuleError: where it, or a part of it, cannot be called.
+        """
+        for call in calls(parent, number):
+            if call.term.__class__ not in (tuple, Atom, Var):
+                raise self._error(f"{operator} needs a goal", call.parent, call.number)
+            self.goals.append(call)
+        return deref(parent[number])  # type: ignore[index]
+
+    def _error(self, message: str, term: Term, number: int = 0) -> RuleError:
+        return RuleError(message, self._place(term, number))
 
 
 def _is_sequence(pattern: Any) -> bool:

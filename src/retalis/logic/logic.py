@@ -14,7 +14,7 @@ from .faults import PrologError, instantiation_error, type_error
 from .functional import functional
 from .goal import Goal
 from .machine import LAST, Code, Frame, Limits, Machine
-from .unknown import undefined
+from .unknown import similar, undefined
 
 _NECK = functor(":-", 2)
 _DIRECTIVE = functor(":-", 1)
@@ -290,6 +290,15 @@ class Logic:
             builtins.load_library(self, self._library[key.name, key.arity])
             predicate = self.database.predicates.get(key)
         return predicate if predicate is not None and predicate.defined else None
+
+    def defines(self, key: Functor) -> bool:
+        """Tell whether there is such a predicate."""
+        predicate = self.database.predicates.get(key)
+        return (predicate is not None and predicate.defined) or (key.name, key.arity) in self._library
+
+    def similar(self, key: Functor) -> List[str]:
+        """Return the predicates that may have been meant by the name of one that is not there."""
+        return similar(self, key)
 
     def names(self) -> Iterator[Functor]:
         """Yield the functors of all defined predicates."""

@@ -21,9 +21,9 @@ def undefined(logic: "Logic", predicate: Predicate) -> Any:
     callers = _callers(logic, key)
     if callers:
         notes.append(f"called from {', '.join(callers)}")
-    similar = _similar(logic, key)
-    if similar:
-        notes.append(f"did you mean {' or '.join(similar)}?")
+    meant = similar(logic, key)
+    if meant:
+        notes.append(f"did you mean {' or '.join(meant)}?")
     context = (CONTEXT, indicator(key), atom("; ".join(notes))) if notes else indicator(key)
     raise existence_error("procedure", indicator(key), context)
 
@@ -57,7 +57,7 @@ def _mentions(term: Term, key: Functor) -> bool:
     return False
 
 
-def _similar(logic: "Logic", key: Functor) -> List[str]:
+def similar(logic: "Logic", key: Functor) -> List[str]:
     """Return indicators of defined procedures whose name is the same or nearly so."""
     names: Dict[str, List[Functor]] = {}
     for other in logic.names():

@@ -22,7 +22,7 @@ _ELSEWHERE = {
     "&": 'goals are joined by "," and patterns by "and"',
     "||": 'alternatives are joined by ";" in goals and by "or" in patterns',
     "#": 'in a goal "#" is no operator',
-    "not": "a goal is negated by \\+",
+    "not": "a goal is negated by \\+; what has not happened is written cnot or fnot",
     "<--": "a rule's arrow is written <-",
     ".": "a full stop ends a clause only where a blank or a new line follows; a number needs digits on both"
     " sides of its point",

@@ -41,13 +41,16 @@ class ReadTerm:
         """Return the place where the term begins."""
         return self._source.place(self.offset)
 
-    def place_of(self, part: Term) -> Place:
+    def place_of(self, part: Term, number: int = 0) -> Place:
         """Return the place of a compound term inside ``term``: that of its functor or operator.
 
-        ``part`` must be the very object; for any other the place of the whole term is returned.
+        With ``number`` it is the place where that argument begins. ``part`` must be the very object; for any
+        other the place of the whole term is returned.
         """
         spots = self._spots.get(id(part))
-        return self._source.place(spots[0] if spots else self.offset)
+        if spots is None:
+            return self._source.place(self.offset)
+        return self._source.place(spots[number if number < len(spots) else 0])
 
     def place_at(self, *path: int) -> Place:
         """Return the place of the part that a path of argument numbers (from 1) leads to.

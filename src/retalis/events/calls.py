@@ -1,0 +1,104 @@
+"""What the goals of rules call, looked at before they run."""
+
+from typing import Any, Callable, Iterator, List, NamedTuple, Optional, Set
+
+from ..errors import Place, RuleError
+from ..terms import COMMA, CONS, SLASH, Atom, Functor, Term, Var, deref, functor
+
+_GOALS_IN = {
+    functor(name, arity): places
+    for name, arity, places in (
+        (",", 2, (1, 2)),
+        (";", 2, (1, 2)),
+        ("->", 2, (1, 2)),
+        ("*->", 2, (1, 2)),
+        ("\\+", 1, (1,)),
+        ("call", 1, (1,)),
+        ("once", 1, (1,)),
+        ("ignore", 1, (1,)),
+        ("forall", 2, (1, 2)),
+        ("findall", 3, (2,)),
+        ("findall", 4, (2,)),
+        ("aggregate_all", 3, (2,)),
+        ("catch", 3, (1, 3)),
+    )
+}
+_CHANGES = frozenset(
+    functor(name, 1) for name in ("assert", "asserta", "assertz", "retract", "retractall", "dynamic", "db")
+)
+_NECK = functor(":-", 2)
+_SEVERAL = frozenset((COMMA, CONS))
+
+
+class Call(NamedTuple):
+    """A goal inside a goal, and where it stands: in which term, as which argument."""
+
+    term: Term
+    parent: Term
+    number: int
+
+
+def calls(parent: Term, number: int) -> Iterator[Call]:
+    """Yield what a goal, an argument of a term, calls: itself, or what its control constructs call."""
+    stack = [Call(deref(parent[number]), parent, number)]  # type: ignore[index]
+    while stack:
+        call = stack.pop()
+        places = _GOALS_IN.get(call.term[0]) if call.term.__class__ is tuple else None
+        if places is None:
+            yield call
+        else:
+            stack += [Call(deref(call.term[at]), call.term, at) for at in reversed(places)]
+
+
+class Unknown(NamedTuple):
+    """A call of a predicate that may not be there, and its place."""
+
+    key: Functor
+    place: Optional[Place]
+
+
+def unknown_calls(logic: Any, found: List[Unknown], terms: Callable[[], List[Term]]) -> Iterator[RuleError]:
+    """Yield a warning for each predicate that is called and not there, and that no goal in ``terms`` can add."""
+    missing = [one for one in found if not logic.defines(one.key)]
+    if not missing:
+        return
+    added = _added(terms())
+    for key, place in missing:
+        if key not in added and _ANY not in added:
+            added.add(key)
+            meant = logic.similar(key)
+            hint = f"; did you mean {' or '.join(meant)}?" if meant else ""
+            yield RuleError(f"there is no predicate {key} yet{hint}", place)
+
+
+_ANY = functor("any", 0)
+
+
+def _added(terms: List[Term]) -> Set[Functor]:
+    """Return the functors of the predicates that goals in terms add, and `_ANY` where that cannot be seen."""
+    found: Set[Functor] = set()
+    stack = list(terms)
+    while stack:
+        term = deref(stack.pop())
+        if term.__class__ is not tuple:
+            continue
+        if term[0] in _CHANGES:
+            found |= _heads(deref(term[1]))
+        stack.extend(term[1:])
+    return found
+
+
+def _heads(term: Term) -> Set[Functor]:
+    if term.__class__ is tuple and term[0] in _SEVERAL:
+        return _heads(deref(term[1])) | _heads(deref(term[2]))
+    if term.__class__ is tuple and term[0] is _NECK:
+        return _heads(deref(term[1]))
+    if term.__class__ is tuple and term[0] is SLASH:
+        name, arity = deref(term[1]), deref(term[2])
+        known = name.__class__ is Atom and arity.__class__ is int
+        return {functor(name.name, arity)} if known else {_ANY}
+    if term.__class__ is Var:
+        return {_ANY}
+    if term.__class__ is Atom:
+        return {term.functor}
+    return {term[0]} if term.__class__ is tuple else set()
