@@ -93,7 +93,10 @@ class StreamClock(Clock):
     def __init__(self, start: int = 0):
         self._time = start
         self._pinned: Optional[int] = None
-        super().__init__(lambda: self._time if self._pinned is None else self._pinned)
+        super().__init__(self._present)
+
+    def _present(self) -> int:
+        return self._time if self._pinned is None else self._pinned
 
     def pin(self, instant: int) -> None:
         """Have the clock say an instant from now on, whatever moves the stream's time.

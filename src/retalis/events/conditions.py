@@ -41,6 +41,7 @@ class Call:
         mentioned = variables(goal)
         inputs = [var for var in self.known if var in mentioned]
         self.positions = tuple(self.known.index(var) for var in inputs)
+        self._takes_all = inputs == self.known
         self.outputs = [var for var in mentioned if var not in self.known]
         self.result_vars = [*self.known, *self.outputs]
         self._compiled: Dict[Any, Any] = {}
@@ -85,7 +86,7 @@ class Call:
             solved: takes what was handed on, with the values that were found behind the others.
             after: the frame to go on with.
         """
-        given = tuple([values[at] for at in self.positions])
+        given = values if self._takes_all else tuple([values[at] for at in self.positions])
         if ground or _all_ground(given):
             goal, kept = self._plain, values
         else:

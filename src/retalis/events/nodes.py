@@ -227,10 +227,11 @@ class Acting(Node):
         span = self.span
         # Values of conditions and goals below may have variables where the event has none.
         only_of_event = isinstance(self.child, Leaf)
-        is_ground = self.call.rule.network.dispatcher.ground
+        dispatcher = self.call.rule.network.dispatcher
 
         def arrive(term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
-            return act(term, values, start, end, only_of_event and is_ground(), complete, after)
+            ground = only_of_event and (dispatcher.current.ground or dispatcher.ground())
+            return act(term, values, start, end, ground, complete, after)
 
         def arrive_in_span(term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
             if span is not None and end - start > span:

@@ -5,7 +5,7 @@ from collections import deque
 from typing import Any, Deque, List, NamedTuple, Optional, Tuple
 
 from ..errors import Place, RuleError, UsageError
-from ..terms import Atom, Term, deref
+from ..terms import Atom, Term, deref, is_ground
 from .alarms import alarm_of
 from .building import compile_builder
 from .compiling import Compiler
@@ -237,10 +237,11 @@ class Rule:
         if self.window is not None or not plain:
             return self._complete_values
         dispatch = self.network.dispatcher.dispatch
+        constant = build(()) if is_ground(head) else None
 
         def complete(term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
             try:
-                return dispatch(build(values), start, end, after)
+                return dispatch(build(values) if constant is None else constant, start, end, after)
             except UsageError as error:
                 self.network.rule_failed(self, RuleError(error.message))
                 return after

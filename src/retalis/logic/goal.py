@@ -48,7 +48,8 @@ class Goal:
         source.parse()
         self.straight: Any = self._first_straight if source.is_inline else None
         self._code = Code(self.name, self._first_enter)
-        self._plain_code = Code(self.name, self._first_plain)
+        called = source.call()
+        self._plain_code = Code(self.name, self._first_plain) if called is None else called
 
     def _first_straight(self, *values: Term) -> Optional[Tuple[Term, ...]]:
         self.straight = self._source.straight()

@@ -46,12 +46,25 @@ def numbers(term: Term, count: int, kind: str) -> Vector:
 
 def vector(term: Term) -> Vector:
     """Return the numbers of a position ``[X,Y,Z]``."""
+    try:  # what most often comes: three floats without a variable in between
+        one, x, (two, y, (three, z, end)) = term
+    except (TypeError, ValueError):
+        return numbers(term, 3, "position")
+    if one is two is three is CONS and end is NIL and x.__class__ is y.__class__ is z.__class__ is float:
+        return x, y, z
     return numbers(term, 3, "position")
 
 
 def quaternion(term: Term) -> Vector:
     """Return the numbers of a rotation ``[QX,QY,QZ,QW]``."""
-    found = numbers(term, 4, "quaternion")
+    try:  # as in `vector`
+        one, x, (two, y, (three, z, (four, w, end))) = term
+        plain = one is two is three is four is CONS and end is NIL
+        found: Vector = x, y, z, w
+    except (TypeError, ValueError):
+        plain, found = False, ()
+    if not plain or not x.__class__ is y.__class__ is z.__class__ is w.__class__ is float:
+        found = numbers(term, 4, "quaternion")
     if not any(found):
         raise domain_error("quaternion", term)
     return found

@@ -58,6 +58,15 @@ class GoalCode:
         self._entry = Height("height")
         self._nodes = Parser(self._database.is_inline, self._entry).parse(self._term)
 
+    def call(self) -> Optional[Any]:
+        """Return the predicate, where the goal is one call of it with the inputs as they are; else None."""
+        if len(self._nodes) != 1:
+            return None
+        node = self._nodes[0]
+        if not isinstance(node, Goal) or node.inline or tuple(map(deref, node.args)) != self._inputs:
+            return None
+        return self._database.predicate(node.key)
+
     @property
     def is_inline(self) -> bool:
         """Tell whether the goal can be straight Python."""
