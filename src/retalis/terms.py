@@ -18,11 +18,12 @@ after `MOST` steps, instead of going on for ever.
 """
 
 from _weakref import _remove_dead_weakref  # type: ignore[attr-defined]
-from itertools import count, repeat
+from itertools import count
 from typing import Any, Callable, Dict, Iterable, Iterator, List, Optional, Tuple
 from weakref import ref
 
 from .errors import TermTooLarge
+from .watching import BULK, look
 
 Term = Any
 """The union above; Python's type system has no cheap name for it."""
@@ -30,6 +31,12 @@ Term = Any
 
 MOST = 5_000_000
 """Steps after which walking a term is given up."""
+
+ROUNDS = (None,) * (MOST // len(BULK))
+"""Rounds of `BULK` steps in a walk; after each there is a look at the limits of the goal that walks."""
+
+
+_MASK = len(BULK) - 1
 
 
 class Atom:
@@ -236,7 +243,13 @@ def deref(term: Term) -> Term:
 
 def make_list(items: Iterable[Term], tail: Term = NIL) -> Term:
     """Return the Prolog list of ``items``."""
-    for item in reversed(list(items)):
+    left = list(items)
+    while len(left) > len(BULK):
+        for item in reversed(left[-len(BULK) :]):
+            tail = (CONS, item, tail)
+        del left[-len(BULK) :]
+        look()
+    for item in reversed(left):
         tail = (CONS, item, tail)
     return tail
 
@@ -251,27 +264,31 @@ def list_parts(term: Term) -> Tuple[List[Term], Term]:
     """Return the items of a list, proper or partial, and its tail."""
     items: List[Term] = []
     term = deref(term)
-    for _ in repeat(None, MOST):
-        if term.__class__ is not tuple or term[0] is not CONS:
-            return items, term
-        items.append(term[1])
-        term = term[2]
-        if term.__class__ is not tuple:
-            term = deref(term)
+    for _ in ROUNDS:
+        for _ in BULK:
+            if term.__class__ is not tuple or term[0] is not CONS:
+                return items, term
+            items.append(term[1])
+            term = term[2]
+            if term.__class__ is not tuple:
+                term = deref(term)
+        look()
     raise TermTooLarge
 
 
 def conjuncts(term: Term) -> Iterator[Term]:
     """Yield the goals of a conjunction from left to right."""
     stack = [term]
-    for _ in repeat(None, MOST):
-        if not stack:
-            return
-        goal = deref(stack.pop())
-        if goal.__class__ is tuple and goal[0] is COMMA:
-            stack += (goal[2], goal[1])
-        else:
-            yield goal
+    for _ in ROUNDS:
+        for _ in BULK:
+            if not stack:
+                return
+            goal = deref(stack.pop())
+            if goal.__class__ is tuple and goal[0] is COMMA:
+                stack += (goal[2], goal[1])
+            else:
+                yield goal
+        look()
     raise TermTooLarge
 
 
@@ -290,37 +307,41 @@ def variables(term: Term) -> List[Var]:
     """Return the unbound variables of a term, each once, in the order they are met from left to right."""
     seen: Dict[Var, None] = {}
     stack = [term]
-    for _ in repeat(None, MOST):
-        if not stack:
-            return list(seen)
-        item = stack.pop()
-        kind = item.__class__
-        if kind is Var:
-            item = _follow(item)
+    for _ in ROUNDS:
+        for _ in BULK:
+            if not stack:
+                return list(seen)
+            item = stack.pop()
             kind = item.__class__
             if kind is Var:
-                seen.setdefault(item)
-                continue
-        if kind is tuple:
-            stack.extend(item[:0:-1])
+                item = _follow(item)
+                kind = item.__class__
+                if kind is Var:
+                    seen.setdefault(item)
+                    continue
+            if kind is tuple:
+                stack.extend(item[:0:-1])
+        look()
     raise TermTooLarge
 
 
 def is_ground(term: Term) -> bool:
     """Tell whether a term has no unbound variable (a lazy term has none, and is not looked into)."""
     stack = [term]
-    for _ in repeat(None, MOST):
-        if not stack:
-            return True
-        item = stack.pop()
-        kind = item.__class__
-        if kind is Var:
-            item = _follow(item)
+    for _ in ROUNDS:
+        for _ in BULK:
+            if not stack:
+                return True
+            item = stack.pop()
             kind = item.__class__
             if kind is Var:
-                return False
-        if kind is tuple:
-            stack.extend(item[1:])
+                item = _follow(item)
+                kind = item.__class__
+                if kind is Var:
+                    return False
+            if kind is tuple:
+                stack.extend(item[1:])
+        look()
     raise TermTooLarge
 
 
@@ -329,15 +350,15 @@ def is_plain(term: Term) -> bool:
     if term.__class__ is not tuple:
         return term.__class__ is not Var
     pending = [term]
-    for _, compound in zip(repeat(None, MOST), pending):
+    for done, compound in enumerate(pending, 1):
+        if not done & _MASK:
+            _check_steps(done)
         for item in compound:
             kind = item.__class__
             if kind is tuple:
                 pending.append(item)
             elif kind is Var:
                 return False
-    if len(pending) > MOST:
-        raise TermTooLarge
     return True
 
 
@@ -377,7 +398,7 @@ def rebuild(term: Term, leaf: Callable[[Var], Term]) -> Term:
                 entry[2] = changed
                 stack.append([item, [item[0]], False])
                 steps += 1
-                if steps & 0xFFFF == 0:
+                if not steps & _MASK:
                     _check_path(stack, steps)
                 break
             done.append(item)
@@ -395,6 +416,7 @@ def rebuild(term: Term, leaf: Callable[[Var], Term]) -> Term:
 
 def _check_path(stack: List[List[Any]], steps: int) -> None:
     """Raise an error where a term on the way down stands in itself, or there have been too many steps."""
+    look()
     depth = len(stack)
     if steps > MOST or (steps & (steps - 1) == 0 and len({id(entry[0]) for entry in stack}) < depth):
         raise TermTooLarge
@@ -474,8 +496,8 @@ def unify(left: Term, right: Term, trail: List[Any]) -> bool:
                     size = len(left)
                     if size > 1:
                         steps += 1
-                        if steps > MOST:
-                            raise TermTooLarge
+                        if not steps & _MASK:
+                            _check_steps(steps)
                         for at in range(size - 1, 1, -1):
                             stack.append(right[at])
                             stack.append(left[at])
@@ -488,6 +510,12 @@ def unify(left: Term, right: Term, trail: List[Any]) -> bool:
             return True
         left = stack.pop()
         right = stack.pop()
+
+
+def _check_steps(steps: int) -> None:
+    look()
+    if steps > MOST:
+        raise TermTooLarge
 
 
 def same_constant(left: Term, right: Term) -> bool:
@@ -514,23 +542,25 @@ def freeze(term: Term) -> Any:
         return term
     flat: List[Any] = []
     stack = [term]
-    for _ in repeat(None, MOST):
-        if not stack:
-            return flat[0] if len(flat) == 1 else tuple(flat)
-        item = stack.pop()
-        kind = item.__class__
-        if kind is Var or kind is Lazy:
-            item = deref(item)
+    for _ in ROUNDS:
+        for _ in BULK:
+            if not stack:
+                return flat[0] if len(flat) == 1 else tuple(flat)
+            item = stack.pop()
             kind = item.__class__
-        if kind is tuple:
-            flat.append(item[0])
-            stack.extend(item[:0:-1])
-        elif kind is float:
-            flat.append((float, item.hex()))
-        elif kind is Var:
-            raise ValueError("a key of a term with variables")
-        else:
-            flat.append(item)
+            if kind is Var or kind is Lazy:
+                item = deref(item)
+                kind = item.__class__
+            if kind is tuple:
+                flat.append(item[0])
+                stack.extend(item[:0:-1])
+            elif kind is float:
+                flat.append((float, item.hex()))
+            elif kind is Var:
+                raise ValueError("a key of a term with variables")
+            else:
+                flat.append(item)
+        look()
     raise TermTooLarge
 
 
@@ -544,33 +574,35 @@ def compare(left: Term, right: Term) -> int:
     strings alphabetically, compound terms by arity, name and arguments.
     """
     stack = [right, left]
-    for _ in repeat(None, MOST):
-        if not stack:
-            return 0
-        left = stack.pop()
-        right = stack.pop()
-        if left is right:
-            continue
-        left = deref(left)
-        right = deref(right)
-        if left is right:
-            continue
-        kind = left.__class__
-        rank, other = _RANK[kind], _RANK[right.__class__]
-        if rank != other:
-            return -1 if rank < other else 1
-        if rank == 5:
-            if len(left) != len(right):
-                return -1 if len(left) < len(right) else 1
-            if left[0] is not right[0]:
-                return -1 if left[0].name < right[0].name else 1
-            for at in range(len(left) - 1, 0, -1):
-                stack.append(right[at])
-                stack.append(left[at])
-            continue
-        result = _compare_constants(left, right)
-        if result:
-            return result
+    for _ in ROUNDS:
+        for _ in BULK:
+            if not stack:
+                return 0
+            left = stack.pop()
+            right = stack.pop()
+            if left is right:
+                continue
+            left = deref(left)
+            right = deref(right)
+            if left is right:
+                continue
+            kind = left.__class__
+            rank, other = _RANK[kind], _RANK[right.__class__]
+            if rank != other:
+                return -1 if rank < other else 1
+            if rank == 5:
+                if len(left) != len(right):
+                    return -1 if len(left) < len(right) else 1
+                if left[0] is not right[0]:
+                    return -1 if left[0].name < right[0].name else 1
+                for at in range(len(left) - 1, 0, -1):
+                    stack.append(right[at])
+                    stack.append(left[at])
+                continue
+            result = _compare_constants(left, right)
+            if result:
+                return result
+        look()
     raise TermTooLarge
 
 

@@ -69,7 +69,7 @@ def test_cleanup_and_limits():
     assert answers(logic, "\\+ call_cleanup(fail, nb_setval(e, 1)), nb_getval(e, V)") == [{"V": "1"}]
     assert answers(logic, "call_with_time_limit(0.02, (repeat, fail))") == ["time_limit_exceeded"]
     assert answers(logic, "call_with_time_limit(5, member(X, [1,2]))") == [{"X": "1"}]
-    assert logic.machine.alarms == [] == logic.machine.choices
+    assert logic.machine.budget.alarms == [] == logic.machine.choices
     assert [each["X"] for each in answers(logic, "limit(2, member(X, [a,b,c]))")] == ["a", "b"]
     assert [each["X"] for each in answers(logic, "offset(1, member(X, [a,b,c]))")] == ["b", "c"]
     assert answers(logic, "call_nth(member(X, [a,b,c]), 2)") == [{"X": "b"}]

@@ -169,13 +169,13 @@ def test_depth_is_no_matter(goal):
 def test_a_deterministic_loop_does_not_fill_the_trail():
     logic = prolog(DEEP)
     highest = 0
-    tick = logic.machine._tick
+    sliced = logic.machine.budget.sliced
 
-    def watch(frame):
+    def watch():
         nonlocal highest
-        tick(frame)
+        sliced()
         highest = max(highest, len(logic.machine.trail))
 
-    logic.machine._tick = watch
+    logic.machine.budget.sliced = watch
     assert logic.once(first_goal(logic, "state(s(a, b), 100000, S), S = s(_, _)"))
     assert 0 < highest < 50_000

@@ -1,7 +1,5 @@
 """What runs away ends with a resource error, and the engine goes on."""
 
-import time
-
 import pytest
 
 from retalis.engine import Engine, Settings
@@ -60,11 +58,9 @@ def engine():
 
 @pytest.mark.parametrize("goal", RUNAWAY)
 def test_runaway_goal_ends(engine, goal):
-    start = time.monotonic()
     with pytest.raises(PrologError) as caught:
         engine.query(goal)
     assert formal(caught.value).startswith("resource_error")
-    assert time.monotonic() - start < 5
     assert engine.call("X = 1")
 
 
@@ -89,11 +85,9 @@ def test_steps_that_grow_end(engine):
     ],
 )
 def test_one_large_step_is_refused(engine, goal):
-    start = time.monotonic()
     with pytest.raises(PrologError) as caught:
         engine.query(goal)
     assert formal(caught.value).startswith("resource_error")
-    assert time.monotonic() - start < 5
 
 
 @pytest.mark.parametrize(

@@ -15,8 +15,9 @@ from .faults import (
     type_error,
 )
 from .goal import Goal
+from .limits import Limits
 from .logic import Logic
-from .machine import LAST, Code, Limits, Machine
+from .machine import LAST, Code, Machine
 
 __all__ = [
     "LAST",

@@ -9,6 +9,7 @@ from typing import Any, Callable, Dict, List, Union
 
 from ..errors import TermTooLarge
 from ..terms import CONS, MOST, NIL, Atom, Functor, Lazy, String, Term, Var, deref, functor
+from ..watching import look
 from .faults import evaluation_error, indicator, instantiation_error, resource_error, type_error
 
 Number = Union[int, float]
@@ -16,8 +17,13 @@ Number = Union[int, float]
 EVALUABLE: Dict[Functor, Callable[..., Number]] = {}
 """Functions of numbers, by name and arity."""
 
-_HUGE = 1 << 24
-"""Bits of the largest integer that an operation may make (2 megabytes)."""
+HUGE = 1 << 22
+"""Bits of the largest integer that an operation may make (1.2 million digits): it takes less than a second."""
+
+LARGEST = 1 << HUGE
+
+SLOW = 1 << 37
+"""Product of the bits of two integers from which on an operation that is quadratic in them takes too long."""
 
 
 def evaluable(name: str, arity: int) -> Callable[[Any], Any]:
@@ -64,7 +70,11 @@ def _evaluate_deep(term: Term) -> Number:
     """Evaluate with a stack of its own: postorder of the expression's operations."""
     values: List[Number] = []
     stack: List[Any] = [term]
+    steps = 0
     while stack:
+        steps += 1
+        if not steps & 1023:
+            look()
         item = stack.pop()
         if item.__class__ is _Apply:
             arity = item.arity
@@ -120,8 +130,10 @@ def _constant(item: Term, kind: type) -> Number:
 
 
 def checked(value: Number) -> Number:
-    """Return a result, unless it is infinite or nan."""
+    """Return a result, unless it is infinite or nan, or an integer too large to go on with."""
     if value - value == 0:
+        if value.__class__ is int and not -LARGEST < value < LARGEST:
+            raise resource_error("memory")
         return value
     raise evaluation_error("undefined" if value != value else "float_overflow")
 
@@ -131,6 +143,22 @@ def integer(value: Number) -> int:
     if value.__class__ is not int:
         raise type_error("integer", value)
     return value  # type: ignore[return-value]
+
+
+def bounded(left: int, right: int) -> None:
+    """Refuse an operation on two integers that is quadratic in their sizes where it would take too long."""
+    if left.bit_length() * right.bit_length() > SLOW:
+        raise resource_error("integer_size")
+
+
+def _divisible(left: Number, right: Number) -> None:
+    """Check the operands of an integer division."""
+    size = integer(right).bit_length()
+    if not size:
+        integer(left)
+        raise evaluation_error("zero_divisor")
+    if size > 64 and (integer(left).bit_length() - size) * size > SLOW:
+        raise resource_error("integer_size")
 
 
 def _to_float(value: Number) -> float:
@@ -161,7 +189,7 @@ def multiply(left: Term, right: Term) -> Number:
     """Evaluate both sides and return their product."""
     left, right = evaluate(left), evaluate(right)
     value = left * right
-    return value if value - value == 0 else checked(value)
+    return value if -LARGEST < value < LARGEST else checked(value)
 
 
 EVALUABLE[functor("+", 2)] = add
@@ -173,8 +201,7 @@ EVALUABLE[functor("*", 2)] = multiply
 def divide(left: Number, right: Number) -> Number:
     """Return the quotient: an integer where both are and it is exact, else a float."""
     if left.__class__ is int and right.__class__ is int:
-        if right == 0:
-            raise evaluation_error("zero_divisor")
+        _divisible(left, right)
         quotient, rest = divmod(left, right)
         if rest == 0:
             return quotient
@@ -190,9 +217,8 @@ def divide(left: Number, right: Number) -> Number:
 @evaluable("//", 2)
 def truncated_quotient(left: Number, right: Number) -> int:
     """Return the integer quotient, truncated towards zero."""
-    integer(left), integer(right)
-    if right == 0:
-        raise evaluation_error("zero_divisor")
+    integer(left)
+    _divisible(left, right)
     quotient = abs(left) // abs(right)
     return quotient if (left >= 0) == (right > 0) else -quotient  # type: ignore[return-value]
 
@@ -200,9 +226,8 @@ def truncated_quotient(left: Number, right: Number) -> int:
 @evaluable("rem", 2)
 def remainder(left: Number, right: Number) -> int:
     """Return the rest of truncated division; it has the sign of ``left``."""
-    integer(left), integer(right)
-    if right == 0:
-        raise evaluation_error("zero_divisor")
+    integer(left)
+    _divisible(left, right)
     rest = abs(left) % abs(right)
     return rest if left >= 0 else -rest  # type: ignore[return-value]
 
@@ -210,18 +235,16 @@ def remainder(left: Number, right: Number) -> int:
 @evaluable("mod", 2)
 def modulo(left: Number, right: Number) -> int:
     """Return the rest of floored division; it has the sign of ``right``."""
-    integer(left), integer(right)
-    if right == 0:
-        raise evaluation_error("zero_divisor")
+    integer(left)
+    _divisible(left, right)
     return left % right  # type: ignore[return-value]
 
 
 @evaluable("div", 2)
 def floored_quotient(left: Number, right: Number) -> int:
     """Return the integer quotient, rounded down."""
-    integer(left), integer(right)
-    if right == 0:
-        raise evaluation_error("zero_divisor")
+    integer(left)
+    _divisible(left, right)
     return left // right  # type: ignore[return-value]
 
 
@@ -276,13 +299,15 @@ def _plus2(left: Number, right: Number) -> Number:
 
 @evaluable("gcd", 2)
 def _gcd(left: Number, right: Number) -> int:
-    return math.gcd(integer(left), integer(right))
+    bounded(integer(left), integer(right))
+    return math.gcd(left, right)  # type: ignore[arg-type]
 
 
 @evaluable("lcm", 2)
 def _lcm(left: Number, right: Number) -> int:
     left, right = integer(left), integer(right)
-    return abs(left * right) // math.gcd(left, right) if left and right else 0
+    bounded(left, right)
+    return abs(left // math.gcd(left, right) * right) if left and right else 0
 
 
 # Bits
@@ -301,7 +326,7 @@ def shift_left(left: Number, right: Number) -> int:
     left, right = integer(left), integer(right)
     if right < 0:
         return left >> -right
-    if left and right + left.bit_length() > _HUGE:
+    if left and right + left.bit_length() > HUGE:
         raise resource_error("memory")
     return left << right if left else 0
 

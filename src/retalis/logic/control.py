@@ -1,14 +1,13 @@
 """Control on the machine: running a goal from its term, and the built-ins that decide what runs next."""
 
-from itertools import repeat
 from typing import Any, Callable, Dict, List, Optional, Tuple
 
 from ..errors import TermTooLarge
 from ..terms import (
     COMMA,
     FALSE,
-    MOST,
     NIL,
+    ROUNDS,
     TRUE,
     Atom,
     Functor,
@@ -22,10 +21,11 @@ from ..terms import (
     list_parts,
     make_list,
 )
+from ..watching import BULK, look
 from .compiler.nodes import ARROW, BAR, CALL, IGNORE, NOT, ONCE, SEMICOLON, SOFT_ARROW
 from .database import Database
 from .faults import PrologError, instantiation_error, type_error
-from .machine import DEAD, RESUME, CatchMark, Code, Frame
+from .machine import DEAD, GOAL, RESUME, CatchMark, Code, Frame
 
 _CUT = functor("!", 0)
 _FAIL = functor("fail", 0)
@@ -41,7 +41,7 @@ class Control:
         self._machine = database.machine
         self._choices = database.machine.choices
         self._trail = database.machine.trail
-        self.code = Code("goal", self._run)
+        self.code = Code(GOAL, self._run)
         self._cut_code = Code("cut", self._cut_run)
         self._soft_code = Code("soft cut", self._soft_run)
         self._reject_code = Code("reject", self._reject_run)
@@ -210,18 +210,20 @@ def check_body(goal: Term) -> Term:
     """
     stack = [goal]
     open_goals = False
-    for _ in repeat(None, MOST):
-        if not stack:
-            return _called(goal) if open_goals else goal
-        item = deref(stack.pop())
-        kind = item.__class__
-        if kind is tuple:
-            if item[0] in _STRUCTURES:
-                stack.extend(item[1:])
-        elif kind is Var:
-            open_goals = True
-        elif kind is not Atom:
-            raise type_error("callable", goal)
+    for _ in ROUNDS:
+        for _ in BULK:
+            if not stack:
+                return _called(goal) if open_goals else goal
+            item = deref(stack.pop())
+            kind = item.__class__
+            if kind is tuple:
+                if item[0] in _STRUCTURES:
+                    stack.extend(item[1:])
+            elif kind is Var:
+                open_goals = True
+            elif kind is not Atom:
+                raise type_error("callable", goal)
+        look()
     raise TermTooLarge
 
 
@@ -314,6 +316,7 @@ def control_predicates(control: Control) -> Dict[Tuple[str, int], Any]:
         return after
 
     again = Code("repeat", lambda frame: repeat(machine, frame[1], frame[2]))
+    again.functor = functor("repeat", 0)
     found: Dict[Tuple[str, int], Any] = {("call", arity): call for arity in range(1, 9)}
     found.update({("catch", 3): catch, ("throw", 1): throw, ("findall", 3): findall, ("findall", 4): findall})
     found.update({("forall", 2): forall, ("repeat", 0): repeat})

@@ -8,6 +8,7 @@ again and again without changing is compiled.
 from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple
 
 from ..terms import TRUE, Atom, Functor, Lazy, Term, Var, copy, deref, is_ground, undo, unify
+from ..watching import look
 from .compiler import Generator, Rule
 from .compiler.facts import fact_search
 from .faults import indicator, permission_error
@@ -25,6 +26,9 @@ _MOST_FACTS = 8
 
 _INDEX_FROM = 8
 """Clauses from which on an index is made."""
+
+_MANY = 1000
+"""Clauses from which on a search among them may take as long as many inferences."""
 
 _NEVER = 1 << 62
 
@@ -193,6 +197,8 @@ class Predicate:
         if (self.calls > self.compile_after or self.library) and self._compile():
             return self.run(frame)
         clauses, position = self.select(frame)
+        if len(clauses) > _MANY:
+            look(0)  # to find a clause among these may take long
         generation = self.database.generation
         keys = None
         for at in range(1, len(frame) - 1):

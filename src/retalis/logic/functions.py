@@ -8,8 +8,9 @@ from typing import Callable
 
 from ..terms import Term, functor
 from .arithmetic import (
-    _HUGE,
     EVALUABLE,
+    HUGE,
+    SLOW,
     Number,
     _to_float,
     checked,
@@ -133,7 +134,7 @@ def _integer_power(base: int, exponent: int) -> int:
         if base == 0:
             raise evaluation_error("zero_divisor")
         return base if exponent % 2 else 1
-    if base.bit_length() * exponent > _HUGE:
+    if base.bit_length() * exponent > HUGE:
         raise resource_error("memory")
     return base**exponent
 
@@ -152,6 +153,9 @@ def _float_power(base: Number, exponent: Number) -> float:
 
 @evaluable("powm", 3)
 def _powm(base: Number, exponent: Number, modulus: Number) -> int:
+    size = integer(modulus).bit_length()
+    if integer(exponent).bit_length() * size * size > SLOW:
+        raise resource_error("integer_size")
     return pow(integer(base), integer(exponent), integer(modulus))
 
 

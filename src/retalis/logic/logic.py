@@ -13,7 +13,8 @@ from .database import COMPILE_AFTER, Clause, Database, Predicate
 from .faults import PrologError, instantiation_error, type_error
 from .functional import functional
 from .goal import Goal
-from .machine import LAST, Code, Frame, Limits, Machine
+from .limits import Limits
+from .machine import LAST, Code, Frame, Machine
 from .unknown import similar, undefined
 
 _NECK = functor(":-", 2)
@@ -75,11 +76,11 @@ class Logic:
     @property
     def limits(self) -> Limits:
         """What a goal may use."""
-        return self.machine.limits
+        return self.machine.budget.limits
 
     @limits.setter
     def limits(self, limits: Limits) -> None:
-        self.machine.limits = limits
+        self.machine.budget.limits = limits
 
     # Predicates in Python
 

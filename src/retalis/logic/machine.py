@@ -1,4 +1,4 @@
-"""The machine: frames, choice points, trail, exceptions and limits.
+"""The machine: frames, choice points, trail and exceptions.
 
 A *frame* is a tuple ``(code, argument..., next)``: ``code.run(frame)`` does one step and returns the next
 frame, or None for failure. A *choice point* is a frame with one more item, the length of the trail when it
@@ -7,47 +7,28 @@ There is no recursion: the depth of a program is the length of a chain of frames
 """
 
 from sys import getrefcount
-from time import monotonic
-from typing import Any, Callable, Iterator, List, NamedTuple, Optional, Tuple
+from typing import Any, Callable, Iterator, List, Optional, Tuple
 
 from ..errors import RetalisError, TermTooLarge
-from ..terms import Term, Var, copy, undo, unify
+from ..terms import Atom, Term, Var, copy, deref, undo, unify
+from ..watching import watched_by
 from .faults import CONTEXT, ERROR, PrologError, from_python, indicator, resource_error
+from .limits import NO_LIMITS, SLICE, Budget
 
 Frame = Any
 """A tuple ``(code, argument..., next)``."""
 
-SLICE = (None,) * 1024
-"""Steps between two looks at the limits."""
-
-LOOP = (None,) * 256
-"""Turns of a loop inside one step."""
-
 _FEW = (None,) * 16
 """Steps that a run begins with: most events and goals are done with sooner, without setting up the loop."""
+
+GOAL = "goal"
+"""Name of the code that runs a goal from its term, the first argument of its frame."""
 
 _COMPACT_AT = 20_000
 
 
 LAST = object()
 """What a nondeterministic built-in yields at a solution after which there is surely none."""
-
-
-class Limits(NamedTuple):
-    """What a goal may use; None means without limit.
-
-    Attributes:
-        seconds: of wall time.
-        inferences: calls of predicates (counted in slices of some thousands).
-        megabytes: growth of the process's resident memory.
-    """
-
-    seconds: Optional[float] = None
-    inferences: Optional[int] = None
-    megabytes: Optional[int] = None
-
-
-NO_LIMITS = Limits()
 
 
 class Code:
@@ -112,9 +93,7 @@ class Machine:
         trail: variables bound since choice points were pushed; the list object never changes.
         choices: choice points; the list object never changes.
         done: the frame that ends a run: the continuation of the first frame of each `run`.
-        limits: what each outermost run and each attempt may use.
-        alarms: times (of the monotonic clock) with what is to be thrown then.
-        loops: turns of loops inside steps, in units of `LOOP`.
+        budget: what goals may use and have used.
     """
 
     def __init__(self) -> None:
@@ -122,14 +101,7 @@ class Machine:
         self.choices: List[Frame] = []
         finish = self.choices.append
         self.done: Frame = (Code("done", lambda frame: finish(_FINISHED)),)
-        self.limits = NO_LIMITS
-        self.loops = 0
-        self.inferences = 0
-        self.alarms: List[Tuple[float, PrologError]] = []
-        self._spent = 0
-        self._deadline: Optional[float] = None
-        self._exceeded = False
-        self._memory: Optional[int] = None
+        self.budget = Budget()
         self._compact_at = _COMPACT_AT
         self._enter_code = Code("attempt", self._enter_attempt)
         self._attempt_code = Code("attempt", self._attempt_failed)
@@ -170,6 +142,8 @@ class Machine:
             return True
         choices = self.choices
         base = len(choices)
+        limited = not base and self.budget.limits is not NO_LIMITS
+        before = watched_by(self.budget.look) if limited else None
         mark = len(self.trail)
         choices.append((STOP, mark))
         try:
@@ -189,8 +163,11 @@ class Machine:
                 choices.pop()
             else:
                 del choices[base:]
-            if not base and (self._spent or self._exceeded):
-                self._start_anew()
+            if not base:
+                if limited:
+                    watched_by(before)
+                if self.budget.used:
+                    self.budget.start_anew()
 
     def solutions(self, frame: Optional[Frame]) -> Iterator[None]:
         """Run a frame that ends in `done`; yield at each solution, with its bindings in place.
@@ -203,7 +180,7 @@ class Machine:
         mark = len(self.trail)
         choices.append((STOP, mark))
         try:
-            while self._loop(frame, base):
+            while self._loop(frame, base) if base else self._watched(frame):
                 height = len(choices)
                 yield None
                 if len(choices) != height or choices[base][0] is not STOP:
@@ -215,7 +192,15 @@ class Machine:
             del choices[base:]
             undo(self.trail, mark)
             if not base:
-                self._start_anew()
+                self.budget.start_anew()
+
+    def _watched(self, frame: Optional[Frame]) -> bool:
+        """Go on with an outermost run; long steps in it look at the limits too."""
+        before = watched_by(self.budget.look)
+        try:
+            return self._loop(frame, 0)
+        finally:
+            watched_by(before)
 
     def _loop(self, frame: Optional[Frame], base: int) -> bool:
         choices = self.choices
@@ -239,59 +224,11 @@ class Machine:
                                     return True
                                 choices.append(frame)
                                 return False
-                    self._tick(frame)
+                    if len(trail) > self._compact_at:
+                        self._compact()
+                    self.budget.sliced()
             except Exception as exc:
                 frame = self._handle(exc, frame, base)
-
-    # Limits
-
-    def _start_anew(self) -> None:
-        """Forget what an outermost run has used."""
-        self._spent = 0
-        self._deadline = None
-        self._exceeded = False
-        self._memory = None
-
-    def _tick(self, frame: Frame) -> None:
-        """Count a slice and enforce the limits."""
-        steps = len(SLICE) + self.loops * len(LOOP)
-        self.loops = 0
-        self.inferences += steps
-        self._spent += steps
-        if len(self.trail) > self._compact_at:
-            self._compact()
-        if self.alarms:
-            now = monotonic()
-            for at, error in self.alarms:
-                if now > at:
-                    raise error
-        limits = self.limits
-        if limits is NO_LIMITS:
-            return
-        if limits.inferences is not None and self._spent > limits.inferences:
-            self._exceed("inferences", frame)
-        if limits.seconds is not None:
-            now = monotonic()
-            if self._deadline is None:
-                self._deadline = now + limits.seconds
-            elif now > self._deadline:
-                self._exceed("seconds", frame)
-        if limits.megabytes is not None:
-            used = _resident_bytes()
-            if self._memory is None:
-                self._memory = used + (limits.megabytes << 20)
-            elif used > self._memory:
-                self._exceed("memory", frame)
-
-    def _exceed(self, what: str, frame: Frame) -> None:
-        # A handler of the program gets a tenth more, so that it can clean up, and no second time.
-        self._spent -= (self.limits.inferences or 0) // 10
-        self._deadline = None
-        self._memory = None
-        error = resource_error(what)
-        error.final = self._exceeded  # type: ignore[attr-defined]
-        self._exceeded = True
-        raise error
 
     def _compact(self) -> None:
         """Drop trail entries above the newest choice point that nothing else can see any more.
@@ -322,36 +259,52 @@ class Machine:
     def _recover(self, error: PrologError, frame: Frame, base: int) -> Frame:
         """Return the frame that handles an error, or raise it where nothing above ``base`` does."""
         choices = self.choices
-        trail = self.trail
-        try:
-            ball = error.term = copy(error.term)
-        except TermTooLarge:
-            ball = error.term = resource_error("term_size").term
+        error = self._copied(error)
+        ball = error.term
         self._add_context(ball, frame)
         is_final = getattr(error, "final", False)
         while len(choices) > base + 1:
             entry = choices.pop()
             code = entry[0]
             if code is self.catch_code:
-                _, mark, catcher, recover, height = entry
-                if mark.ref is None and not is_final:
-                    undo(trail, height)
-                    if unify(catcher, ball, trail):
-                        return recover
-                    undo(trail, height)
+                if entry[1].ref is None and not is_final and self._catches(entry, ball):
+                    return entry[3]
             elif code.__class__ is Guard:
                 code.unwind(entry)
             elif code is self._attempt_code:
-                undo(trail, entry[-1])
-                self._restore(entry)
+                undo(self.trail, entry[-1])
+                self.budget.whole(entry[1])
                 entry[3](error)
                 return entry[2]
         raise error
 
     @staticmethod
+    def _copied(error: PrologError) -> PrologError:
+        """Return an error with a copy of its term, because bindings are about to be undone."""
+        try:
+            error.term = copy(error.term)
+        except TermTooLarge:
+            error.term = resource_error("term_size").term
+        except PrologError as limit:  # the copy took too long
+            return limit
+        return error
+
+    def _catches(self, entry: Frame, ball: Term) -> bool:
+        """Undo what a ``catch/3`` has to undo, and tell whether its catcher unifies with the ball."""
+        trail = self.trail
+        undo(trail, entry[-1])
+        try:
+            if unify(entry[2], ball, trail):
+                return True
+        except (TermTooLarge, PrologError):  # too large to be compared in time: not the error looked for
+            pass
+        undo(trail, entry[-1])
+        return False
+
+    @staticmethod
     def _add_context(ball: Term, frame: Frame) -> None:
         if ball.__class__ is tuple and ball[0] is ERROR and ball[2].__class__ is Var:
-            key = getattr(frame[0], "functor", None)
+            key = getattr(frame[0], "functor", None) or _functor_of_goal(frame)
             if key is not None:
                 ball[2].ref = (CONTEXT, indicator(key), Var())
 
@@ -392,21 +345,18 @@ class Machine:
         _, goal, values, then, on_error, otherwise = frame
         choices = self.choices
         height = len(choices)
-        choices.append(
-            (self._attempt_code, self._spent, otherwise, on_error, self._deadline, len(self.trail))
-        )
-        self._spent = 0
-        self._deadline = None
-        self._exceeded = False
+        choices.append((self._attempt_code, self.budget.part(), otherwise, on_error, len(self.trail)))
         return goal.enter(values, (self._exit_code, height, then))
 
-    def _restore(self, entry: Frame) -> None:
-        self._spent += entry[1]
-        self._deadline = entry[4]
-
     def _attempt_failed(self, entry: Frame) -> Optional[Frame]:
-        self._restore(entry)
+        self.budget.whole(entry[1])
         return entry[2]
+
+
+def _functor_of_goal(frame: Frame) -> Any:
+    """Return the functor of the goal that a frame runs from its term."""
+    goal = deref(frame[1]) if getattr(frame[0], "name", "") == GOAL else None
+    return goal[0] if goal.__class__ is tuple else goal.functor if goal.__class__ is Atom else None
 
 
 class _AttemptExit:
@@ -423,13 +373,5 @@ class _AttemptExit:
         entry = machine.choices[height]
         del machine.choices[height:]
         undo(machine.trail, entry[-1])
-        machine._restore(entry)
+        machine.budget.whole(entry[1])
         return frame[2](outputs)
-
-
-def _resident_bytes() -> int:
-    try:
-        with open("/proc/self/statm", "rb") as file:
-            return int(file.read().split()[1]) * 4096
-    except OSError:  # a system without /proc has no memory limit
-        return 0

@@ -4,10 +4,16 @@ Python refuses to convert long decimal texts (4,300 digits, a guard against slow
 integers are converted here in halves, which is also faster.
 """
 
-from typing import Dict, List
+from decimal import MAX_EMAX, MAX_PREC, Decimal, Inexact, localcontext
+from typing import Dict
 
 _SAFE = 4000
 """Decimal digits that every Python version converts."""
+
+_SAFE_BITS = 4096
+
+_LONGEST = 1_000_000
+"""Digits of the longest number that is read: a second's work."""
 
 _MOST = 10**_SAFE
 _LEAST = -_MOST
@@ -17,8 +23,10 @@ def integer(text: str, radix: int = 10) -> int:
     """Return the integer that a text of digits names.
 
     Raises:
-        ValueError: where a digit is none in this radix.
+        ValueError: where a digit is none in this radix, or there are too many.
     """
+    if len(text) > _LONGEST:
+        raise ValueError(f"a number of {len(text)} digits is too long (the longest has {_LONGEST})")
     if len(text) <= _SAFE or radix in (2, 4, 8, 16, 32):
         return int(text, radix)
     values = [int(text[max(0, at - _SAFE) : at], radix) for at in range(len(text), 0, -_SAFE)]
@@ -37,13 +45,29 @@ def integer_text(value: int) -> str:
         return str(value)
     if value < 0:
         return "-" + integer_text(-value)
-    powers = [10**_SAFE]
-    while powers[-1] <= value:
-        powers.append(powers[-1] * powers[-1])
-    parts: List[int] = [value]
-    for power in reversed(powers):
-        parts = [half for part in parts for half in divmod(part, power)]
-    return "".join(str(part).zfill(_SAFE) for part in parts).lstrip("0")
+    with localcontext() as context:
+        context.prec, context.Emax = MAX_PREC, MAX_EMAX
+        context.traps[Inexact] = True
+        return str(_decimal(value))
+
+
+def _decimal(value: int) -> Decimal:
+    """Return an integer as a decimal number, whose products take little more than linear time.
+
+    The bits are halved until Python converts them quickly; the halves are put together as decimals.
+    """
+    sizes = [value.bit_length()]
+    while sizes[-1] > _SAFE_BITS:
+        sizes.append((sizes[-1] + 1) // 2)
+    parts = [value]
+    for size in sizes[1:]:  # most significant first
+        mask = (1 << size) - 1
+        parts = [half for part in parts for half in (part >> size, part & mask)]
+    numbers = [Decimal(part) for part in parts]
+    for size in reversed(sizes[1:]):
+        scale = Decimal(2) ** size
+        numbers = [high * scale + low for high, low in zip(numbers[::2], numbers[1::2])]
+    return numbers[0]
 
 
 def float_text(value: float) -> str:
@@ -98,4 +122,4 @@ def radix_integer(text: str) -> int:
         if not (1 < len(radix) + 1 < 4 and 2 <= int(radix) <= 36):
             raise ValueError(text)
         return integer(digits, int(radix))
-    return int(text[2:].replace("_", ""), {"x": 16, "o": 8, "b": 2}[text[1]])
+    return integer(text[2:].replace("_", ""), {"x": 16, "o": 8, "b": 2}[text[1]])

@@ -10,6 +10,7 @@ from lark import __version__ as _lark_version
 
 from ..errors import Place, SyntaxFault
 from ..terms import String, Term, atom, make_list
+from ..watching import BULK, look
 from . import numerals
 from .quoted import unquote
 
@@ -72,6 +73,9 @@ class Source:
         return SyntaxFault(message, self.place(min(offset, len(self.text))))
 
 
+_EVERY = len(BULK) // 16 - 1
+"""A token costs as much as some 16 inferences."""
+
 _VERSION = tuple(int(part) for part in _lark_version.split(".")[:2])
 _START = "start_pos" if _VERSION >= (1, 0) else "pos_in_stream"
 _LEXER: Optional[Lark] = None
@@ -93,7 +97,9 @@ def tokens(source: Source, flags: Callable[[], ReadFlags]) -> Iterator[AnyToken]
     """
     text = source.text
     last = -1
-    for found in _lexer().lex(text):
+    for count, found in enumerate(_lexer().lex(text), 1):
+        if not count & _EVERY:
+            look()
         start = getattr(found, _START)
         end = start + len(found)
         kind = found.type

@@ -6,14 +6,19 @@ parted by a blank, and nothing else is, as SWI-Prolog 9 does it.
 
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
 
+from ..errors import TermTooLarge
 from ..terms import CONS, NIL, Atom, Functor, String, Term, Var, deref, functor, list_parts, resolve, serial
+from ..watching import BULK, look
 from .atoms import atom_text, quote
 from .numerals import float_text, integer_text
 from .operators import Operator, Operators
 
 _CURLY = functor("{}", 1)
 _NUMBERED = functor("$VAR", 1)
-_LONG = 100_000
+_LONG = 64 * len(BULK)
+_MASK = len(BULK) - 1
+_LONGEST = 1 << 26
+"""Characters of the longest text that is written."""
 _SYMBOLS = frozenset("-+*/\\^<>=~:.?@#&$")
 
 
@@ -50,6 +55,8 @@ class _Writer:
         self.atom: Callable[[str], str] = atom_text if options.quoted else str
         self.comma = ", " if options.spacing else ","
         self.stack: List[Any] = []
+        self.counted = 0
+        self.size = 0
 
     def write(self, term: Term) -> str:
         """Return the text of ``term``.
@@ -62,8 +69,8 @@ class _Writer:
         steps = 0
         while stack:
             steps += 1
-            if steps == _LONG:
-                resolve(term)  # raises for a term that contains itself
+            if not steps & _MASK:
+                self._check(term, steps)
             entry = stack.pop()
             kind = entry.__class__
             if kind is str:
@@ -74,6 +81,15 @@ class _Writer:
             else:
                 self._term(deref(entry[0]), entry[1], len(entry) == 3)
         return "".join(self.out)
+
+    def _check(self, term: Term, steps: int) -> None:
+        look()
+        if steps == _LONG:
+            resolve(term)  # raises for a term that contains itself
+        self.size += sum(map(len, self.out[self.counted :]))
+        self.counted = len(self.out)
+        if self.size > _LONGEST:
+            raise TermTooLarge
 
     def _put(self, token: str) -> bool:
         """Add a token, with a blank before it where it would run into the one before; tell whether so."""

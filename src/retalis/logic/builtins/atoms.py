@@ -3,6 +3,7 @@
 from typing import Any, Iterator, List
 
 from ...terms import Atom, String, Term, Var, atom, deref, is_ground, list_items, make_list, unify
+from ...watching import look
 from ..faults import domain_error, instantiation_error, representation_error, type_error
 from ..machine import LAST
 from .arguments import atom_of, integer_or_var, is_iso, items, partial_items
@@ -14,6 +15,8 @@ from .text import (
     check_parts,
     codes,
     constant_text,
+    joined,
+    long_text,
     no_compound,
     number_or_error,
     number_text,
@@ -170,12 +173,14 @@ def _concat(machine: Any, left: Term, right: Term, whole: Term, make: Any) -> It
         text = constant_text(found)
         if text is None and found.__class__ is not Var:
             raise type_error("atomic", found)
+        long_text(len(start) + len(end))
         if text == start + end if text is not None else machine.unify(whole, make(start + end)):
             yield LAST
         return
     if deref(whole).__class__ is Var:
         raise instantiation_error()
     text = atomic_text(whole)
+    long_text(len(text))
     if start is not None:
         if text.startswith(start) and machine.unify(right, make(text[len(start) :])):
             yield LAST
@@ -184,6 +189,7 @@ def _concat(machine: Any, left: Term, right: Term, whole: Term, make: Any) -> It
             yield LAST
     else:
         for at in range(len(text) + 1):
+            long_text(len(text))
             if machine.unify_all((left, make(text[:at])), (right, make(text[at:]))):
                 yield LAST if at == len(text) else None
 
@@ -228,7 +234,10 @@ def sub_text(
     elif count is not None and a is not None:
         spans = [(size - a - count, size - a)]
     else:
-        for start, end in _spans(size, b, count, a):
+        for at, (start, end) in enumerate(_spans(size, b, count, a)):
+            if not at & 255:
+                look()
+            long_text(end - start)
             if machine.unify_all(
                 (before, start), (length, end - start), (after, size - end), (part, make(whole[start:end]))
             ):
@@ -273,17 +282,17 @@ def _occurrences(
 @deterministic("atomic_list_concat/2")
 def atomic_list_concat(machine: Any, parts: Term, whole: Term) -> bool:
     """Join texts to an atom."""
-    return unify(whole, atom("".join([atomic_text(item, "text") for item in items(parts)])), machine.trail)
+    return unify(whole, atom(joined([atomic_text(item, "text") for item in items(parts)])), machine.trail)
 
 
 @deterministic("atomic_list_concat/3")
 def atomic_list_concat_separated(machine: Any, parts: Term, separator: Term, whole: Term) -> bool:
     """Join texts with a separator to an atom, or split an atom at it."""
     between = atomic_text(separator, "text")
-    joined = _join(parts, between)
-    if joined is not None:
+    text = _join(parts, between)
+    if text is not None:
         found = constant_text(deref(whole))
-        return found == joined if found is not None else unify(whole, atom(joined), machine.trail)
+        return found == text if found is not None else unify(whole, atom(text), machine.trail)
     if deref(whole).__class__ is Var:
         raise instantiation_error()
     if not between:
@@ -305,7 +314,7 @@ def _join(parts: Term, between: str) -> Any:
                 return None
             raise type_error("text", item)
         found.append(text)
-    return between.join(found)
+    return joined(found, between)
 
 
 def _case(change: Any, make: Any, kind: str) -> Any:

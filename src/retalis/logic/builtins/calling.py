@@ -4,6 +4,7 @@ from time import monotonic
 from typing import Any, Optional
 
 from ...terms import CONS, NIL, Var, atom, deref, unify
+from ...watching import watched_by
 from ..arithmetic import evaluate
 from ..compiler.nodes import IGNORE, NOT
 from ..control import add_arguments, check_body
@@ -118,14 +119,17 @@ def call_with_time_limit(machine: Any, args: Any, after: Frame) -> Optional[Fram
     if seconds <= 0:
         raise PrologError(_TIME_LIMIT)
     height = len(machine.choices)
-    machine.choices.append((_LIMITED, machine, len(machine.alarms), len(machine.trail)))
-    machine.alarms.append((monotonic() + seconds, PrologError(_TIME_LIMIT)))
+    budget = machine.budget
+    before = watched_by(budget.look)
+    machine.choices.append((_LIMITED, budget, len(budget.alarms), before, len(machine.trail)))
+    budget.alarms.append((monotonic() + seconds, PrologError(_TIME_LIMIT)))
     return machine.logic.control.once(args[1], (_IN_TIME, machine, height, after))  # type: ignore[no-any-return]
 
 
 def _take_off(entry: Frame) -> None:
-    _, machine, count, _ = entry
-    del machine.alarms[count:]
+    _, budget, count, before, _ = entry
+    del budget.alarms[count:]
+    watched_by(before)
 
 
 def _in_time(frame: Frame) -> Frame:

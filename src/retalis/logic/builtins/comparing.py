@@ -2,8 +2,10 @@
 
 from typing import Any, Dict
 
+from ...errors import TermTooLarge
 from ...terms import (
     CONS,
+    MOST,
     NIL,
     Atom,
     String,
@@ -19,6 +21,7 @@ from ...terms import (
     unify,
     variables,
 )
+from ...watching import look
 from ..arithmetic import evaluate
 from ..compiler.nodes import COMPARISONS, ORDERS
 from ..faults import domain_error, instantiation_error, type_error
@@ -57,7 +60,11 @@ def _is_cyclic(var: Var) -> bool:
     """Tell whether the binding of a variable contains the variable."""
     seen = set()
     stack = [var.ref]
+    steps = 0
     while stack:
+        steps += 1
+        if not steps & 1023:
+            look()
         item = stack.pop()
         if item is var:
             return True
@@ -221,7 +228,13 @@ def is_variant(left: Term, right: Term) -> bool:
     forth: Dict[Var, Var] = {}
     back: Dict[Var, Var] = {}
     stack = [(left, right)]
+    steps = 0
     while stack:
+        steps += 1
+        if not steps & 1023:
+            look()
+            if steps > MOST:
+                raise TermTooLarge
         left, right = stack.pop()
         left, right = deref(left), deref(right)
         kind = left.__class__

@@ -3,10 +3,10 @@
 from typing import Any, Callable, Dict, List, Optional, Tuple
 
 from ...terms import Term, Var, atom, deref, functor
-from ..arithmetic import evaluate
+from ..arithmetic import bounded, evaluate
 from ..faults import domain_error, error, instantiation_error, resource_error, type_error
 from .arguments import integer
-from .text import number_text, text_of
+from .text import long_text, number_text, text_of
 
 _FORMAT = functor("format", 1)
 _WIDEST = 10_000_000
@@ -30,11 +30,14 @@ class Line:
         self.fills: List[Tuple[int, str]] = []
         self.start = column
         self.column = column
+        self.size = 0
 
     def add(self, text: str) -> None:
         """Add text to the segment between two column stops."""
         if not text:
             return
+        self.size += len(text)
+        long_text(self.size)
         self.segment.append(text)
         newline = text.rfind("\n")
         if newline >= 0:
@@ -54,6 +57,8 @@ class Line:
         text = "".join(self.segment)
         missing = target - self.column
         if missing > 0:
+            self.size += missing
+            long_text(self.size)
             text = _spread(text, self.fills or [(len(text), " ")], missing)
             self.column = target
         self.done.append(text)
@@ -223,14 +228,15 @@ _DIGITS = "0123456789abcdefghijklmnopqrstuvwxyz"
 
 def radix_text(value: int, radix: int) -> str:
     """Return an integer in another base."""
-    digits = []
-    rest = abs(value)
-    while True:
-        rest, digit = divmod(rest, radix)
-        digits.append(_DIGITS[digit])
-        if not rest:
-            break
-    return ("-" if value < 0 else "") + "".join(reversed(digits))
+    bounded(value, value)
+    powers = [radix]
+    while powers[-1] <= abs(value):
+        powers.append(powers[-1] * powers[-1])
+    parts = [abs(value)]
+    for power in reversed(powers):
+        parts = [half for part in parts for half in divmod(part, power)]
+    digits = "".join([_DIGITS[part] for part in parts]).lstrip("0")
+    return ("-" if value < 0 else "") + (digits or "0")
 
 
 def _radix(change: Callable[[str], str]) -> Callable[..., str]:

@@ -1,14 +1,14 @@
 """Lists: what wants speed; the rest is in the library (library/lists.pl)."""
 
-from functools import cmp_to_key
-from itertools import repeat
 from typing import Any, Iterator, Optional
 
+from ...errors import TermTooLarge
 from ...terms import (
     CONS,
     MINUS,
     MOST,
     NIL,
+    ROUNDS,
     Atom,
     Term,
     Var,
@@ -21,6 +21,7 @@ from ...terms import (
     undo,
     unify,
 )
+from ...watching import BULK, look
 from ..arithmetic import EVALUABLE, add, evaluate
 from ..faults import (
     domain_error,
@@ -32,10 +33,10 @@ from ..faults import (
 )
 from ..machine import LAST, Code, Frame
 from .arguments import integer, is_iso, items, natural, partial_items
+from .ordering import by_age, sort_terms, sort_unique
+from .ordering import sort_by as by_keys
 from .registry import control, deterministic, nondeterministic
-from .solutions import by_age, sort_unique
 
-_KEY = cmp_to_key(compare)
 _MAX, _MIN = EVALUABLE[functor("max", 2)], EVALUABLE[functor("min", 2)]
 _REVERSE, _LAST_ITEM = functor("$reverse", 2), functor("$last", 2)
 
@@ -62,7 +63,12 @@ def length(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
 
 
 def _open_list(size: int) -> Term:
-    return make_list([Var() for _ in range(size)])
+    result: Term = NIL
+    for at in range(size):
+        result = (CONS, Var(), result)
+        if not at & 1023:
+            look()
+    return result
 
 
 def _longer(machine: Any, tail: Term, size: Term, count: int, total: int, after: Frame) -> Optional[Frame]:
@@ -71,12 +77,13 @@ def _longer(machine: Any, tail: Term, size: Term, count: int, total: int, after:
 
 
 _LONGER = Code("length", lambda entry: _longer(*entry[1:7]))
+_LONGER.functor = functor("length", 2)
 
 
 @deterministic("msort/2")
 def msort(machine: Any, unsorted: Term, result: Term) -> bool:
     """Sort in the standard order, keeping duplicates."""
-    return unify(result, make_list(sorted(by_age(items(unsorted)), key=_KEY)), machine.trail)
+    return unify(result, make_list(sort_terms(items(unsorted))), machine.trail)
 
 
 @deterministic("sort/2")
@@ -100,10 +107,10 @@ def sort_by(machine: Any, key: Term, order: Term, unsorted: Term, result: Term) 
     direction = order.name.lstrip("@")
     if direction not in ("<", "=<", ">", ">="):
         raise domain_error("order", order)
-    pairs = [(_KEY(_argument(item, at)), item) for item in by_age(items(unsorted))]
-    pairs.sort(key=lambda pair: pair[0], reverse=direction[0] == ">")
+    found = by_age(items(unsorted))
+    pairs = by_keys(found, [_argument(item, at) for item in found], direction[0] == ">")
     if "=" not in direction:
-        pairs = [pair for n, pair in enumerate(pairs) if n == 0 or pairs[n - 1][0] != pair[0]]
+        pairs = [pair for n, pair in enumerate(pairs) if n == 0 or compare(pairs[n - 1][0], pair[0])]
     return unify(result, make_list([item for _, item in pairs]), machine.trail)
 
 
@@ -142,8 +149,7 @@ def keysort(machine: Any, pairs: Term, result: Term) -> bool:
             raise instantiation_error()
         if pair.__class__ is not tuple or pair[0] is not MINUS:
             raise type_error("pair", pair)
-    by_age([pair[1] for pair in found])
-    found.sort(key=lambda pair: _KEY(pair[1]))
+    found = [pair for _, pair in by_keys(found, [pair[1] for pair in found])]
     if is_iso(machine):
         for pair in map(deref, partial_items(result)):
             if pair.__class__ is not Var and (pair.__class__ is not tuple or pair[0] is not MINUS):
@@ -165,14 +171,21 @@ def memberchk(machine: Any, item: Term, given: Term) -> bool:
     """Find the first item of a list that unifies; a partial list is extended."""
     trail = machine.trail
     tail = deref(given)
-    for _ in repeat(None, MOST):
-        if tail.__class__ is not tuple or tail[0] is not CONS:
-            break
-        mark = len(trail)
-        if unify(item, tail[1], trail):
-            return True
-        undo(trail, mark)
-        tail = deref(tail[2])
+    seen = 0
+    while tail.__class__ is tuple and tail[0] is CONS:
+        for _ in BULK:
+            if tail.__class__ is not tuple or tail[0] is not CONS:
+                break
+            mark = len(trail)
+            if unify(item, tail[1], trail):
+                return True
+            undo(trail, mark)
+            tail = deref(tail[2])
+        else:
+            look()
+            seen += 1
+            if seen > len(ROUNDS):
+                raise TermTooLarge
     if tail.__class__ is not Var and tail is not NIL:
         raise type_error("list", tail)
     return tail.__class__ is Var and unify(tail, (CONS, item, Var()), trail)
@@ -187,6 +200,8 @@ def _folded(name: str, step: Any, start: Optional[int]) -> Any:
         value: Any = start
         for at, item in enumerate(found):
             value = item if start is None and at == 0 else step(value, item)
+            if not at & 1023:
+                look()
         if tail is not NIL:
             known = value is None
             raise no_matching_rule("lists", (outer, tail, result) if known else (inner, tail, value, result))
@@ -210,7 +225,12 @@ def numlist(machine: Any, low: Term, high: Term, result: Term) -> bool:
     first, last = integer(low), integer(high)
     if last - first > MOST:
         raise resource_error("memory")
-    return first <= last and unify(result, make_list(range(first, last + 1)), machine.trail)
+    numbers: Term = NIL
+    for at in range(last, first - 1, -1):
+        numbers = (CONS, at, numbers)
+        if not at & 1023:
+            look()
+    return first <= last and unify(result, numbers, machine.trail)
 
 
 @control("last/2", locked=False)
@@ -225,11 +245,10 @@ def last(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
 @deterministic("list_to_set/2", locked=False)
 def list_to_set(machine: Any, given: Term, result: Term) -> bool:
     """Drop duplicates (by ``==``), keeping the first."""
-    found = list(enumerate(items(given)))
-    found.sort(key=lambda pair: _KEY(pair[1]))  # stable: of equal ones the first comes first
-    kept = [pair for n, pair in enumerate(found) if n == 0 or compare(found[n - 1][1], pair[1])]
-    kept.sort(key=lambda pair: pair[0])
-    return unify(result, make_list([item for _, item in kept]), machine.trail)
+    found = items(given)
+    pairs = by_keys(range(len(found)), found)  # stable: of equal ones the first comes first
+    kept = sorted(at for n, (item, at) in enumerate(pairs) if n == 0 or compare(pairs[n - 1][0], item))
+    return unify(result, make_list([found[at] for at in kept]), machine.trail)
 
 
 @deterministic("list_to_ord_set/2", locked=False)
@@ -252,6 +271,8 @@ def _nth(base: int) -> Any:
             while at > base and tail.__class__ is tuple and tail[0] is CONS:
                 at -= 1
                 tail = deref(tail[2])
+                if not at & 1023:
+                    look()
             if tail.__class__ is Var and at >= base:
                 cells: Term = (CONS, item, Var())
                 for _ in range(at - base):
@@ -263,14 +284,16 @@ def _nth(base: int) -> Any:
             return
         tail = deref(given)
         at = base
-        for _ in repeat(None, MOST):
-            if tail.__class__ is not tuple or tail[0] is not CONS:
-                break
+        while tail.__class__ is tuple and tail[0] is CONS:
             rest = deref(tail[2])
             if machine.unify_all((item, tail[1]), (index, at)):
                 yield LAST if rest is NIL else None
             at += 1
             tail = rest
+            if not at & 1023:
+                look()
+                if at > MOST:
+                    raise TermTooLarge
         while tail.__class__ is Var:
             cells = (CONS, item, Var())
             for _ in range(at - base):

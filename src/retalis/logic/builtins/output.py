@@ -1,6 +1,6 @@
 """Output: write and its sisters, format, and output caught as text."""
 
-from typing import Any, Dict, Optional
+from typing import Any, Dict, List, Optional
 
 from ...syntax import write_term
 from ...terms import CONS, NIL, Atom, Term, Var, deref, list_items, unify
@@ -17,7 +17,7 @@ from ..machine import Code, Frame, Guard
 from .arguments import integer, is_iso, option_values
 from .formatting import Formatter
 from .registry import control, deterministic
-from .text import LARGEST_CODE, make_text, whole_text
+from .text import LARGEST_CODE, long_text, make_text, whole_text
 
 _WIDEST = 10_000_000
 _SINKS = ("atom", "string", "codes", "chars")
@@ -287,10 +287,18 @@ def with_output_to(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
     if sink.__class__ is not tuple or len(sink) != 2 or sink[0].name not in _SINKS:
         raise domain_error("output_sink", sink)
     logic = machine.logic
-    captured: Any = []
+    captured: List[str] = []
     height = len(machine.choices)
     machine.choices.append((_CAUGHT, logic, logic.output, logic.column, len(machine.trail)))
-    logic.output = captured.append
+    size = 0
+
+    def capture(text: str) -> None:
+        nonlocal size
+        size += len(text)
+        long_text(size)
+        captured.append(text)
+
+    logic.output = capture
     logic.column = 0
     return logic.control.call(args[1], (_RELEASE, machine, height, sink, captured, after))  # type: ignore[no-any-return]
 

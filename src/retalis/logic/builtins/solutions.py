@@ -1,6 +1,5 @@
 """All solutions of a goal: bagof, setof, aggregate_all (findall and forall are control)."""
 
-from functools import cmp_to_key
 from typing import Any, Callable, List, Optional
 
 from ...terms import (
@@ -10,7 +9,6 @@ from ...terms import (
     Term,
     Var,
     atom,
-    compare,
     deref,
     functor,
     make_list,
@@ -23,32 +21,11 @@ from ..faults import domain_error, instantiation_error
 from ..machine import Code, Frame
 from .arguments import callable_of, is_iso, partial_items
 from .comparing import is_variant
+from .ordering import sort_by, sort_unique
 from .registry import control
 
 _HAT = functor("^", 2)
-_KEY = cmp_to_key(compare)
 _MAX, _MIN = EVALUABLE[functor("max", 2)], EVALUABLE[functor("min", 2)]
-
-
-def by_age(found: List[Term]) -> List[Term]:
-    """Number the variables among terms, and in their arguments, so that they sort in the order they stand in."""
-    for item in map(deref, found):
-        if item.__class__ is Var:
-            serial(item)
-        elif item.__class__ is tuple:
-            for argument in item[1:]:
-                if argument.__class__ is Var and deref(argument).__class__ is Var:
-                    serial(deref(argument))
-    return found
-
-
-def sort_unique(found: List[Term]) -> List[Term]:
-    """Return terms in the standard order, without duplicates."""
-    result: List[Term] = []
-    for item in sorted(by_age(found), key=_KEY):
-        if not result or compare(result[-1], item):
-            result.append(item)
-    return result
 
 
 def _strip(goal: Term) -> Any:
@@ -100,9 +77,8 @@ def _groups(found: List[Term]) -> List[Any]:
     for pair in found:  # so that variants keep the order in which they were found
         for var in variables(pair[1]):
             serial(var)
-    pairs = sorted(found, key=lambda pair: _KEY(pair[1]))
     groups: List[Any] = []
-    for pair in pairs:
+    for _, pair in sort_by(found, [pair[1] for pair in found]):
         for key, items in reversed(groups):
             if is_variant(key, pair[1]):
                 unify(key, pair[1], [])

@@ -13,6 +13,7 @@ from .text import (
     check_parts,
     codes,
     constant_text,
+    long_text,
     make_text,
     number_text,
     parse_number,
@@ -109,12 +110,14 @@ def text_concat(machine: Any, left: Term, right: Term, whole: Term) -> Iterator[
     make: Any = String if any(term.__class__ is String for term in given) else atom
     start, end, text = (None if term.__class__ is Var else text_of(term) for term in given)
     if start is not None and end is not None:
+        long_text(len(start) + len(end))
         if machine.unify(whole, make(start + end)) if text is None else text == start + end:
             yield LAST
     elif text is None:
         raise instantiation_error()
     else:
         for at in range(len(text) + 1):
+            long_text(len(text))
             if start is not None and at != len(start) or end is not None and len(text) - at != len(end):
                 continue
             if machine.unify_all(
@@ -134,6 +137,7 @@ def split_string(machine: Any, text: Term, separators: Term, pad: Term, parts: T
     whole, between, strip = (text_of(given, numbers=False) for given in (text, separators, pad))
     found = []
     start = 0
+    long_text(len(whole))
     for at, char in enumerate(whole):
         if char in between:
             found.append(whole[start:at])

@@ -1,6 +1,6 @@
 """Terms taken apart and put together: functor, arg, univ, copies."""
 
-from typing import Any, Iterator
+from typing import Any, Iterator, Sequence
 
 from ...terms import (
     NIL,
@@ -15,12 +15,13 @@ from ...terms import (
     resolve,
     unify,
 )
+from ...watching import BULK, look
 from ..faults import domain_error, instantiation_error, permission_error, resource_error, type_error
 from ..machine import LAST
 from .arguments import integer, items, natural, partial_items
 from .registry import deterministic, nondeterministic
 
-_MOST_ARGUMENTS = 10_000_000
+_MOST_ARGUMENTS = 1_000_000
 
 
 @deterministic("functor/3")
@@ -48,9 +49,20 @@ def _blank(name: Term, arity: Term) -> Term:
         raise type_error("atomic", name)
     if name.__class__ is not Atom:
         raise type_error("atom", name)
+    return _term(name, [Var() for _ in range(_arity(count))])
+
+
+def _arity(count: int) -> int:
+    """Return a number of arguments that a term may have; look at the limits before many are made."""
     if count > _MOST_ARGUMENTS:
         raise resource_error("memory")
-    return (functor(name.name, count), *[Var() for _ in range(count)])
+    if count > len(BULK):
+        look(count)
+    return count
+
+
+def _term(name: Atom, args: Sequence[Term]) -> Term:
+    return (functor(name.name, _arity(len(args))), *args)
 
 
 @nondeterministic("arg/3")
@@ -109,7 +121,7 @@ def univ(machine: Any, term: Term, parts: Term) -> bool:
         if head.__class__ is Var:
             raise instantiation_error()
         raise type_error("atom", head)
-    return unify(term, (functor(head.name, len(args)), *args), machine.trail)
+    return unify(term, _term(head, args), machine.trail)
 
 
 @deterministic("copy_term/2", "duplicate_term/2", "copy_term_nat/2")
@@ -132,7 +144,7 @@ def compound_name_arity(machine: Any, term: Term, name: Term, arity: Term) -> bo
     if name.__class__ is not Atom:
         raise type_error("atom", name)
     count = natural(arity)
-    return unify(term, (functor(name.name, count), *[Var() for _ in range(count)]), machine.trail)
+    return unify(term, _term(name, [Var() for _ in range(_arity(count))]), machine.trail)
 
 
 @deterministic("compound_name_arguments/3")
@@ -149,7 +161,7 @@ def compound_name_arguments(machine: Any, term: Term, name: Term, arguments: Ter
     if name.__class__ is not Atom:
         raise type_error("atom", name)
     found = items(arguments)
-    return unify(term, (functor(name.name, len(found)), *found), machine.trail)
+    return unify(term, _term(name, found), machine.trail)
 
 
 @deterministic("setarg/3", "nb_setarg/3")

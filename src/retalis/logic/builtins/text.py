@@ -1,15 +1,46 @@
 """Text arguments: atoms, strings, numbers, lists of codes or characters, as Python strings and back."""
 
-from typing import Any, List, Optional
+from typing import Any, List, Optional, Sequence
 
 from ...errors import SyntaxFault
 from ...syntax import read_term, write_term
 from ...terms import NIL, Atom, String, Term, Var, atom, deref, list_parts, make_list
-from ..faults import PrologError, instantiation_error, representation_error, syntax_error, type_error
+from ...watching import look
+from ..faults import (
+    PrologError,
+    instantiation_error,
+    representation_error,
+    resource_error,
+    syntax_error,
+    type_error,
+)
 from .arguments import is_iso
 
 LARGEST_CODE = 0x10FFFF
 _LONG = 10**300
+
+LONGEST = 1 << 25
+"""Characters of the longest text that a goal may make."""
+
+_LOOK_FROM = 1 << 15
+
+
+def long_text(size: int) -> None:
+    """Check the length of a text that is about to be made; where it is long, look at the goal's limits.
+
+    Raises:
+        PrologError: a resource error where the text would be too long.
+    """
+    if size > _LOOK_FROM:
+        if size > LONGEST:
+            raise resource_error("memory")
+        look()
+
+
+def joined(parts: Sequence[str], between: str = "") -> str:
+    """Return texts joined, unless they are too long together."""
+    long_text(sum(map(len, parts)) + len(between) * len(parts))
+    return between.join(parts)
 
 
 def number_text(value: Any) -> str:
@@ -82,6 +113,7 @@ def _checked_list(term: Term, kind: str) -> str:
     found, tail = list_parts(term)
     if tail is not NIL and tail.__class__ is not Var:
         raise type_error(kind, term)
+    long_text(len(found))
     items = [deref(item) for item in found]
     culprit = wrong_item(items)
     if culprit is not None:

@@ -205,7 +205,7 @@ def _milliseconds(seconds: float) -> int:
 _STATISTICS: Dict[str, Callable[[Any], Term]] = {
     "cputime": lambda machine: time.process_time(),
     "process_cputime": lambda machine: time.process_time(),
-    "inferences": lambda machine: machine.inferences,
+    "inferences": lambda machine: machine.budget.inferences,
     "epoch": lambda machine: time.time() - (time.monotonic() - _START),
     "real_time": lambda machine: _pair(machine, "real_time", int(time.time())),
     "runtime": lambda machine: _pair(machine, "runtime", _milliseconds(time.process_time())),

@@ -89,7 +89,7 @@ def write_building(
     scope.line("    break")
     scope.depth -= 1
     scope.line("else:")
-    scope.line("    M.loops += 1")
+    scope.line("    BUDGET.turned()")
     scope.line("last = hole = Var()")
     _cells(scope, cell, shape)
     scope.line(f"{built}.ref = last")

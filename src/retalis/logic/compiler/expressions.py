@@ -107,6 +107,11 @@ def _direct(scope: Scope, key: Functor, expression: Term, depth: int) -> Value:
     left, left_kind = number(scope, left_term, depth + 1)
     right, right_kind = number(scope, right_term, depth + 1)
     scope.line(f"{target} = {left} {symbol} {right}")
+    if key is _TIMES:  # a product of large integers is refused before it grows beyond use; so are inf and nan
+        scope.line(f"if not LEAST < {target} < LARGEST:")
+        scope.line(f"    checked({target})")
+        kinds = {left_kind, right_kind}
+        return target, "int" if kinds == {"int"} else "float" if "float" in kinds else "num"
     if left_kind == right_kind == "int":
         return target, "int"
     scope.line(f"if {target} - {target}:")  # not zero for infinities and nan

@@ -54,7 +54,7 @@ class Generator:
         if body.looped:
             loop = ["    for _ in LOOP:", *["    " + line for line in body.lines]]
             again = ", ".join([unit.constant(self.code), *self.locals, "after"])
-            lines = [head, *loop, "    M.loops += 1", f"    return ({again})"]
+            lines = [head, *loop, "    BUDGET.turned()", f"    return ({again})"]
         else:
             lines = [head, *body.lines]
         unit.add(["def main(frame):", *lines])

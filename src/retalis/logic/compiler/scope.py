@@ -6,7 +6,8 @@ from typing import Any, Callable, Dict, FrozenSet, List, Optional, Set, Tuple
 from ... import terms
 from ...terms import Atom, Functor, Lazy, String, Term, Var, copy, deref, is_ground
 from .. import arithmetic
-from ..machine import DEAD, LOOP, RESUME, Code, Machine
+from ..limits import LOOP
+from ..machine import DEAD, RESUME, Code, Machine
 
 _LARGEST = 60
 """Compound terms with more parts than this are copied from a template, not built by an expression."""
@@ -30,6 +31,7 @@ def base_namespace(machine: Machine) -> Dict[str, Any]:
         "Atom": Atom,
         "String": String,
         "M": machine,
+        "BUDGET": machine.budget,
         "trail": machine.trail,
         "push": machine.trail.append,
         "choices": machine.choices,
@@ -47,6 +49,8 @@ def base_namespace(machine: Machine) -> Dict[str, Any]:
         "subtract": arithmetic.subtract,
         "multiply": arithmetic.multiply,
         "checked": arithmetic.checked,
+        "LARGEST": arithmetic.LARGEST,
+        "LEAST": -arithmetic.LARGEST,
         "LOOP": LOOP,
         "ONE": (None,),
         "RESUME": RESUME,

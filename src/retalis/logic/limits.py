@@ -1,0 +1,144 @@
+"""What a goal may use, and what it has used."""
+
+import os
+from time import monotonic
+from typing import Any, List, NamedTuple, Optional, Tuple
+
+from .faults import PrologError, resource_error
+
+SLICE = (None,) * 1024
+"""Steps between two looks at the limits."""
+
+LOOP = (None,) * 256
+"""Turns of a loop inside one step."""
+
+_MEASURE_EVERY = 0.005
+"""Seconds between two looks at the memory in use."""
+
+
+class Limits(NamedTuple):
+    """What a goal may use; None means without limit.
+
+    Attributes:
+        seconds: of wall time.
+        inferences: calls of predicates, and steps of walks over large terms (counted by the thousand).
+        megabytes: growth of the process's resident memory.
+    """
+
+    seconds: Optional[float] = None
+    inferences: Optional[int] = None
+    megabytes: Optional[int] = None
+
+
+NO_LIMITS = Limits()
+
+
+class Budget:
+    """What the goals of one machine have used and may still use.
+
+    Attributes:
+        limits: of each outermost run and each attempt.
+        inferences: all that were counted.
+        alarms: times (of the monotonic clock) with what is to be thrown then.
+        used: whether anything was counted since `start_anew`.
+    """
+
+    def __init__(self) -> None:
+        self.limits = NO_LIMITS
+        self.inferences = 0
+        self.alarms: List[Tuple[float, PrologError]] = []
+        self._loops = 0  # inferences that are not counted yet, in units of `LOOP`
+        self._spent = 0
+        self._measured = 0.0
+        self._deadline: Optional[float] = None
+        self._memory: Optional[int] = None
+        self._exceeded = False
+        self.used = False
+
+    def start_anew(self) -> None:
+        """Forget what an outermost run has used."""
+        self._spent = 0
+        self._deadline = None
+        self._exceeded = False
+        self._memory = None
+        self.used = False
+        self.alarms.clear()
+
+    def part(self) -> Any:
+        """Begin a part that has the limits to itself; return what `whole` needs at its end."""
+        saved = self._spent, self._deadline
+        self.used = True
+        self._spent = 0
+        self._deadline = None
+        self._exceeded = False
+        return saved
+
+    def whole(self, saved: Any) -> None:
+        """End a part: what it used counts for what is around it."""
+        spent, self._deadline = saved
+        self._spent += spent
+
+    def sliced(self) -> None:
+        """Count a slice of steps and enforce the limits."""
+        self._loops += len(SLICE) // len(LOOP)
+        self._enforce()
+
+    def turned(self) -> None:
+        """Count the turns of a loop inside a step (as many as `LOOP` is long) and enforce the limits."""
+        self._loops += 1
+        if self._loops >= len(SLICE) // len(LOOP):
+            self._enforce()
+
+    def look(self, work: int) -> None:
+        """Count pieces of work inside a step and enforce the limits."""
+        self._loops += work // len(LOOP)
+        self._enforce()
+
+    def _enforce(self) -> None:
+        self.used = True
+        steps = self._loops * len(LOOP)
+        self._loops = 0
+        self.inferences += steps
+        self._spent += steps
+        limits = self.limits
+        if limits is NO_LIMITS and not self.alarms:
+            return
+        if limits.inferences is not None and self._spent > limits.inferences:
+            self._exceed("inferences")
+        now = monotonic()
+        for at, error in self.alarms:
+            if now > at:
+                raise error
+        if limits.seconds is not None:
+            if self._deadline is None:
+                self._deadline = now + limits.seconds
+            elif now > self._deadline:
+                self._exceed("seconds")
+        if limits.megabytes is not None and now > self._measured + _MEASURE_EVERY:
+            self._measured = now
+            used = _resident_bytes()
+            if self._memory is None:
+                self._memory = used + (limits.megabytes << 20)
+            elif used > self._memory:
+                self._exceed("memory")
+
+    def _exceed(self, what: str) -> None:
+        # A handler of the program gets a tenth more, so that it can clean up, and no second time.
+        self._spent -= (self.limits.inferences or 0) // 10
+        self._deadline = None
+        self._memory = None
+        error = resource_error(what)
+        error.final = self._exceeded  # type: ignore[attr-defined]
+        self._exceeded = True
+        raise error
+
+
+_PAGE = os.sysconf("SC_PAGE_SIZE") if hasattr(os, "sysconf") else 4096
+
+
+def _resident_bytes() -> int:
+    try:
+        with open("/proc/self/statm", "rb") as file:
+            return int(file.read().split()[1]) * _PAGE
+    except OSError:  # a system without /proc has no memory limit
+        return 0

@@ -1,0 +1,39 @@
+"""Long work inside one step of a machine, and who may end it.
+
+A machine looks at the limits of a goal between steps. A walk over a large term or an operation on a long text
+is one step, so whatever may take long calls `look` once in a while (every `BULK` of small pieces of work, or
+before each large one), and who runs a goal in this thread is asked whether it may go on.
+"""
+
+from threading import local
+from typing import Callable, Optional
+
+BULK = (None,) * 1024
+"""Pieces of work, each as small as an inference, between two calls of `look`."""
+
+
+class _Watch(local):
+    """Whom to ask in a thread; local, because each thread may run a machine of its own."""
+
+    ask: Optional[Callable[[int], None]] = None
+
+
+_watch = _Watch()
+
+
+def look(work: int = len(BULK)) -> None:
+    """Let who runs the goal end it here: raises what the function given to `watched_by` raises.
+
+    Args:
+        work: pieces of work since the last call, to be counted as inferences.
+    """
+    ask = _watch.ask
+    if ask is not None:
+        ask(work)
+
+
+def watched_by(ask: Optional[Callable[[int], None]]) -> Optional[Callable[[int], None]]:
+    """Have `look` call a function in this thread; return the one before, to be put back."""
+    before = _watch.ask
+    _watch.ask = ask
+    return before
