@@ -166,6 +166,7 @@ class Scope:
         fail: the statement that fails.
         pending: the statement that pushes the choice point for the clauses that follow, until it is written.
         after: expression for the frame that follows the clause.
+        at_one_go: whether a pattern was unpacked as a whole, and this is what is done if that did not work.
     """
 
     def __init__(self, unit: Unit, clause: Clause, fail: str = "return None"):
@@ -180,6 +181,7 @@ class Scope:
         self.pending: Optional[str] = None
         self.after = "after"
         self.entry = True
+        self.at_one_go = False
         self.blocks = 0
         self.loop: Optional[Tuple[Functor, List[str], str]] = None
         self.looped = False

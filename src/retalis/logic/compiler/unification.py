@@ -3,6 +3,9 @@
 from ...terms import Atom, String, Term, Var, deref, same_constant
 from .scope import Scope, _is_large
 
+_FEWEST, _MOST = 3, 40
+"""How many compounds a pattern may have that is unpacked at one go; deeper than 90 levels Python takes none."""
+
 _NESTING = 4
 """Patterns nested deeper than this are unified by the general routine."""
 
@@ -24,12 +27,72 @@ def match(scope: Scope, name: str, pattern: Term, depth: int = 0) -> None:
             scope.line(f"if {known} is not {name} and not unify({known}, {name}, trail):")
             scope.line(f"    {scope.fail}")
     elif kind is tuple and len(pattern) > 1:
-        if depth > _NESTING or _is_large(pattern):
-            _general(scope, name, pattern)
+        if not scope.at_one_go and _is_one_shape(scope, pattern):
+            _at_one_go(scope, name, pattern, depth)
         else:
-            _compound(scope, name, pattern, depth)
+            _either_mode(scope, name, pattern, depth)
     else:
         _constant(scope, name, pattern)
+
+
+def _either_mode(scope: Scope, name: str, pattern: Term, depth: int) -> None:
+    if depth > _NESTING or _is_large(pattern):
+        _general(scope, name, pattern)
+    else:
+        _compound(scope, name, pattern, depth)
+
+
+def _is_one_shape(scope: Scope, pattern: Term) -> bool:
+    """Tell whether a pattern is of several compounds, in which there are but atoms and variables new and single."""
+    compounds = 0
+    seen = set()
+    stack = [pattern]
+    while stack:
+        item = deref(stack.pop())
+        if item.__class__ is tuple:
+            compounds += 1
+            stack.extend(item[1:])
+        elif item.__class__ is Var:
+            if item in scope.names or item in seen:
+                return False
+            seen.add(item)
+        elif item.__class__ is not Atom:
+            return False
+    return _FEWEST <= compounds <= _MOST
+
+
+def _at_one_go(scope: Scope, name: str, pattern: Term, depth: int) -> None:
+    """Write the unpacking of a whole pattern in one statement; what it does not fit is looked at part by part.
+
+    That is how messages come: deep, and without a variable anywhere.
+    """
+    tests = []
+
+    def target(term: Term) -> str:
+        term = deref(term)
+        if term.__class__ is Var:
+            return "_" if scope.clause.is_void(term) else scope.clause.local(term)
+        found = scope.temp("f")
+        tests.append(f"{found} is {scope.unit.constant(term[0] if term.__class__ is tuple else term)}")
+        if term.__class__ is not tuple:
+            return found
+        return f"({', '.join([found, *[target(item) for item in term[1:]]])},)"
+
+    unpacked = target(pattern)
+    slow = scope.temp("q")
+    scope.line(f"{slow} = True")
+    scope.line(f"if {name}.__class__ is tuple and {name}[0] is {scope.unit.constant(pattern[0])}:")
+    scope.line("    try:")
+    scope.line(f"        {unpacked} = {name}")
+    scope.line(f"        {slow} = not ({' and '.join(tests[1:])})")
+    scope.line("    except (TypeError, ValueError):")
+    scope.line("        pass")
+    scope.line(f"if {slow}:")
+    scope.depth += 1
+    scope.at_one_go = True
+    _either_mode(scope, name, pattern, depth)
+    scope.at_one_go = False
+    scope.depth -= 1
 
 
 def _general(scope: Scope, name: str, pattern: Term) -> None:
