@@ -48,7 +48,7 @@ def prolog():
                 yield pytest.param(found["text"], id=f"{page.name}-{number}")
 
 
-@pytest.mark.parametrize("text", prolog())
+@pytest.mark.parametrize("text", list(prolog()))
 def test_rules_and_goals_in_the_pages_load(text):
     engine = Engine()
     if text.startswith(("memorize(", "subscribe(")):
@@ -67,7 +67,7 @@ def claims():
                     yield pytest.param(found["text"], line, id=re.sub(r"\W+", "_", line[:60]))
 
 
-@pytest.mark.parametrize("text, line", claims())
+@pytest.mark.parametrize("text, line", list(claims()))
 def test_rules_make_the_events_that_the_pages_say(text, line):
     before, after = (part.strip() for part in line[2:].split("=>"))
     given, wanted = EVENT.findall(before), EVENT.findall(after)

@@ -218,20 +218,30 @@ class Dispatcher:
                 term = copy(term, fresh)
                 ground = not fresh
         event = Event()
-        event.ground = ground
         event.dispatcher = self
-        event.steps = iter(plan)
+        event.steps = steps = iter(plan)
         event.term = term
         event.start = start
         event.end = end
         event.token = token
         event.cause = self.cause
+        event.ground = ground
         event.parent = parent = self.current
         event.depth = depth = 1 if parent is None else parent.depth + 1
-        if depth > self.max_depth:
-            raise UsageError(f"more than {self.max_depth} events were derived one from the other")
         frame = (event, after)
-        return event.run(frame) if depth <= AT_ONCE else frame
+        if depth > AT_ONCE:
+            if depth > self.max_depth:
+                raise UsageError(f"more than {self.max_depth} events were derived one from the other")
+            return frame
+        self.current = event
+        for matcher, action in steps:  # as `Event.run`
+            values = matcher(term)
+            if values is not None:
+                next_frame = action(term, values, start, end, frame)
+                if next_frame is not frame:
+                    return next_frame
+        self.current = parent
+        return after
 
     def call(
         self,
