@@ -5,9 +5,9 @@ from typing import Any, Callable, Dict, NamedTuple, Optional, Sequence
 
 from . import timestamps
 from .errors import SyntaxFault, UsageError
-from .logic import instant_of, instantiation_error, type_error
+from .logic import callable_of, instant_of, integer, type_error
 from .syntax import EventReader, Operators
-from .terms import Atom, Functor, Term, Var, deref, functor, list_items
+from .terms import Functor, Term, deref, functor, list_items
 from .timestamps import WholeSeconds
 
 _SECOND = re.compile(r"datime\((\d+),(\d+),(\d+),(\d+),(\d+),(\d+),", re.ASCII)
@@ -78,7 +78,7 @@ class InputReader:
         if goal.__class__ is not tuple or goal[0] is not EVENT1:
             return None
         instant = WholeSeconds(second + int(stamp[last:-1]))
-        return Input(_event(goal[1]), instant, instant)
+        return Input(callable_of(goal[1]), instant, instant)
 
     def _learn(self, text: str) -> Optional[int]:
         """Return the instant of a datime's text up to its nanoseconds, and remember it; None where it is none."""
@@ -109,7 +109,7 @@ def event_of(goal: Term) -> Optional[Input]:
 
 
 def _event1(arguments: Sequence[Term]) -> Input:
-    return Input(_event(arguments[0]), None, None)
+    return Input(callable_of(arguments[0]), None, None)
 
 
 def _with_interval(arguments: Sequence[Term]) -> Input:
@@ -120,13 +120,13 @@ def _with_interval(arguments: Sequence[Term]) -> Input:
 
 
 def _with_instant(arguments: Sequence[Term]) -> Input:
-    instant = timestamps.from_parts(_integer(arguments[1]), _integer(arguments[2]))
+    instant = timestamps.from_parts(integer(arguments[1]), integer(arguments[2]))
     return _checked(arguments, instant, instant)
 
 
 def _with_instants(arguments: Sequence[Term]) -> Input:
-    start = timestamps.from_parts(_integer(arguments[1]), _integer(arguments[2]))
-    end = timestamps.from_parts(_integer(arguments[3]), _integer(arguments[4]))
+    start = timestamps.from_parts(integer(arguments[1]), integer(arguments[2]))
+    end = timestamps.from_parts(integer(arguments[3]), integer(arguments[4]))
     return _checked(arguments, start, end)
 
 
@@ -143,22 +143,4 @@ READERS: Dict[Functor, Callable[[Sequence[Term]], Input]] = {
 def _checked(arguments: Sequence[Term], start: int, end: int) -> Input:
     if end < start or not (timestamps.in_range(start) and timestamps.in_range(end)):
         raise type_error("interval", arguments[1])
-    return Input(_event(arguments[0]), start, end)
-
-
-def _event(term: Term) -> Term:
-    term = deref(term)
-    if term.__class__ is Var:
-        raise instantiation_error()
-    if term.__class__ not in (tuple, Atom):
-        raise type_error("callable", term)
-    return term
-
-
-def _integer(term: Term) -> int:
-    term = deref(term)
-    if term.__class__ is Var:
-        raise instantiation_error()
-    if term.__class__ is not int:
-        raise type_error("integer", term)
-    return term
+    return Input(callable_of(arguments[0]), start, end)

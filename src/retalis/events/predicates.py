@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any, Callable, Dict, Iterator, List, Sequence, Tuple
 
 from ..errors import ProgramErrors, RetalisError, SyntaxFault, UsageError
-from ..logic import PrologError, domain_error, existence_error, instantiation_error, type_error
+from ..logic import PrologError, callable_of, domain_error, existence_error, instantiation_error, type_error
 from ..syntax import read_program
 from ..terms import (
     Atom,
@@ -38,15 +38,6 @@ def define_predicates(rules: Any) -> None:
     _Settings(rules).define(logic)
     _Streams(rules).define(logic)
     _Looking(rules).define(logic)
-
-
-def _callable(term: Term) -> Term:
-    term = deref(term)
-    if term.__class__ is Var:
-        raise instantiation_error()
-    if term.__class__ not in (tuple, Atom):
-        raise type_error("callable", term)
-    return term
 
 
 def _path(term: Term) -> str:
@@ -115,14 +106,14 @@ class _Editing:
         logic.define("reset_etalis", 0, self.reset)
 
     def insert(self, machine: Any, rule: Term) -> bool:
-        return bool(self.rules.insert(_callable(rule)))
+        return bool(self.rules.insert(callable_of(rule)))
 
     def delete(self, machine: Any, rule: Term) -> bool:
-        self.rules.delete(_callable(rule))
+        self.rules.delete(callable_of(rule))
         return True
 
     def delete_by_head(self, machine: Any, head: Term) -> bool:
-        self.rules.delete_by_head(_callable(head))
+        self.rules.delete_by_head(callable_of(head))
         return True
 
     def load_file(self, machine: Any, path: Term) -> bool:
@@ -177,7 +168,7 @@ class _Settings:
         logic.define("get_flag", 2, self.get_value)
 
     def set_flag(self, machine: Any, name: Term, value: Term) -> bool:
-        name, value = _callable(name), deref(value)
+        name, value = callable_of(name), deref(value)
         if value.__class__ is Var:
             raise instantiation_error()
         if name.__class__ is not Atom or self.rules.flags.get(name.name) is None:
@@ -243,10 +234,10 @@ class _Streams:
 
     def event(self, machine: Any, arguments: Sequence[Term], after: Frame) -> Frame:
         """Dispatch an event, with the interval given or stamped by the clock."""
-        term = _callable(arguments[0])
+        term = callable_of(arguments[0])
         interval = arguments[1] if len(arguments) == 2 else None
         if interval is None and term.__class__ is tuple and term[0] is _EVENT2:
-            term, interval = _callable(term[1]), term[2]
+            term, interval = callable_of(term[1]), term[2]
         if interval is None:
             start = end = self.rules.clock.stamp()
         else:
@@ -257,7 +248,7 @@ class _Streams:
         goals = list_items(arguments[0])
         if goals is None:
             self.rules.on_warning(UsageError("fire_event_list takes a list; one event is fired"))
-            goals = [_callable(arguments[0])]
+            goals = [callable_of(arguments[0])]
         return self._each([copy(goal) for goal in goals], after)
 
     def fire_and_return(self, machine: Any, arguments: Sequence[Term], after: Frame) -> Frame:

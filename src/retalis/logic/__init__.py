@@ -3,6 +3,7 @@
 `Logic` is the façade. `Machine` runs frames; `Goal` is a goal compiled for Python code.
 """
 
+from .builtins.arguments import callable_of, integer
 from .builtins.datimes import instant_of
 from .database import Predicate
 from .faults import (
@@ -28,10 +29,12 @@ __all__ = [
     "Machine",
     "Predicate",
     "PrologError",
+    "callable_of",
     "domain_error",
     "existence_error",
     "instant_of",
     "instantiation_error",
+    "integer",
     "permission_error",
     "resource_error",
     "type_error",
