@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from retalis.engine import Engine
 from retalis.logic import PrologError
 from retalis.terms import deref, list_items
 
@@ -196,3 +197,15 @@ def test_ids_may_be_any_ground_term():
 def test_a_reader_sees_the_records_there_were_when_it_began(three):
     (answer,) = three.query("findall(X, (access_mem(m, v(X), _), new_event(v(9), 99, 0)), L)")
     assert list_items(answer["L"]) == [3, 4, 2]
+
+
+def test_a_condition_that_fails_in_an_event_of_its_own_leaves_the_event_as_it_was():
+    engine = Engine()
+    engine.load(
+        rules="null do wrong(X) <- b(X).\nwrong(X) :- X > foo.",
+        goals="memorize(a(X), [(new_event(b(Y), 1, 1), Y > X)], a(X), first, 5)\nmemorize(a(_), [], _, second, 5)",
+    )
+    engine.event("a(1)", 1, 1)
+    assert engine.dispatcher.current is None
+    assert engine.query("access_mem(first, R, _)") == []
+    assert len(engine.query("access_mem(second, R, _)")) == 1

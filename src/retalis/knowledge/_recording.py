@@ -72,9 +72,9 @@ def recording(
     if not whole and form.__class__ not in (tuple, Atom, Var):
         raise type_error("callable", form)
     if whole:
-        return (_tested(logic, goals, inputs, name) if goals else _whole), True
+        return (_tested(logic, dispatcher, goals, inputs, name) if goals else _whole), True
     if goals:
-        return _solved(logic, goals, inputs, form, name), False
+        return _solved(logic, dispatcher, goals, inputs, form, name), False
     build = compile_builder(form, inputs, name)
     if compare(form, pattern) == 0:
         return _same(dispatcher, build), True
@@ -95,9 +95,11 @@ def _same(dispatcher: Dispatcher, build: Callable[[Tuple[Term, ...]], Term]) -> 
     return record
 
 
-def _tested(logic: Logic, goals: List[Term], inputs: List[Var], name: str) -> Recording:
+def _tested(
+    logic: Logic, dispatcher: Dispatcher, goals: List[Term], inputs: List[Var], name: str
+) -> Recording:
     """Return the recording of the event itself, under conditions."""
-    solved = _solved(logic, goals, inputs, TRUE, name)
+    solved = _solved(logic, dispatcher, goals, inputs, TRUE, name)
 
     def record(term: Term, values: Tuple[Term, ...], problem: Warn) -> Optional[Term]:
         return None if solved(term, values, problem) is None else term
@@ -105,14 +107,20 @@ def _tested(logic: Logic, goals: List[Term], inputs: List[Var], name: str) -> Re
     return record
 
 
-def _solved(logic: Logic, goals: List[Term], inputs: List[Var], form: Term, name: str) -> Recording:
+def _solved(
+    logic: Logic, dispatcher: Dispatcher, goals: List[Term], inputs: List[Var], form: Term, name: str
+) -> Recording:
     """Return the recording of a form under conditions, which may bind what is in it."""
     test = logic.compile_goal(conjunction(goals), inputs, [form], name=name).test
 
     def record(term: Term, values: Tuple[Term, ...], problem: Warn) -> Optional[Term]:
+        event = dispatcher.current
         try:
             solution = test(values)
         except PrologError as error:
+            dispatcher.current = (
+                event  # the conditions may have been in the middle of an event that they made
+            )
             problem(f"{name}: event {logic.show(term)}: {error}", name)
             return None
         return None if solution is None else solution[0]
