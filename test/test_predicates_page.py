@@ -83,4 +83,6 @@ def test_errors_of_wrong_arguments_are_listed():
 
 def _kind(ball):
     formal = ball[1] if ball.__class__ is tuple and ball[0] is functor("error", 2) else functor("", 0)
-    return f"{formal[0].name}({write_term(formal[1])})" if formal.__class__ is tuple else formal.name
+    if formal.__class__ is not tuple:
+        return formal.name
+    return formal[0].name if formal[1].__class__ is tuple else f"{formal[0].name}({write_term(formal[1])})"

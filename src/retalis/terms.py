@@ -564,14 +564,14 @@ def freeze(term: Term) -> Any:
     raise TermTooLarge
 
 
-_RANK = {Var: 0, float: 1, int: 1, Atom: 3, String: 4, tuple: 5}
+_RANK = {Var: 0, float: 1, int: 1, String: 3, Atom: 4, tuple: 5}
 
 
 def compare(left: Term, right: Term) -> int:
     """Compare in the standard order of terms: -1, 0 or 1.
 
-    Variables by age, then numbers by value (a float before an integer of the same value), atoms and
-    strings alphabetically, compound terms by arity, name and arguments.
+    Variables by age, then numbers by value (a float before an integer of the same value), strings and
+    atoms alphabetically, compound terms by arity, name and arguments.
     """
     stack = [right, left]
     for _ in ROUNDS:

@@ -124,7 +124,7 @@ def test_messages():
     logic.message = lambda kind, text: seen.append((kind, text))
     assert answers(logic, 'print_message(warning, format("low: ~w", [3])), print_message(silent, x)') == [{}]
     assert seen == [("warning", "Warning: low: 3\n")]
-    assert answers(logic, "assertion(1 > 2)") == ["assertion_failed(1>2)"]
+    assert answers(logic, "assertion(1 > 2)") == ["assertion_error(fail,user:(1>2))"]
 
 
 STAMPS = [

@@ -10,7 +10,7 @@ from typing import Any, Callable, Dict, List, Union
 from ..errors import TermTooLarge
 from ..terms import CONS, MOST, NIL, Atom, Functor, Lazy, String, Term, Var, deref, functor
 from ..watching import look
-from .faults import evaluation_error, indicator, instantiation_error, resource_error, type_error
+from .faults import domain_error, evaluation_error, indicator, instantiation_error, resource_error, type_error
 
 Number = Union[int, float]
 
@@ -67,7 +67,7 @@ def evaluate(term: Term) -> Number:
 
 
 def _evaluate_deep(term: Term) -> Number:
-    """Evaluate with a stack of its own: postorder of the expression's operations."""
+    """Evaluate with a stack of its own: the last operand first, a function once its operands have values."""
     values: List[Number] = []
     stack: List[Any] = [term]
     steps = 0
@@ -78,23 +78,20 @@ def _evaluate_deep(term: Term) -> Number:
         item = stack.pop()
         if item.__class__ is _Apply:
             arity = item.arity
-            values[-arity:] = [item.function(*values[-arity:])]
+            values[-arity:] = [item.apply(*reversed(values[-arity:]))]
             continue
         item = deref(item)
         kind = item.__class__
         if kind is int or kind is float:
             values.append(item)
         elif kind is tuple:
-            function = EVALUABLE.get(item[0])
-            if function is None:
-                if item[0] is CONS and deref(item[2]) is NIL:
-                    stack.append(item[1])
-                    continue
-                raise type_error("evaluable", indicator(item[0]))
-            stack.append(_Apply(function, len(item) - 1))
+            if item[0] is CONS:
+                values.append(_character(item))
+                continue
+            stack.append(_Apply(item[0]))
             if len(stack) > MOST:
                 raise TermTooLarge
-            stack.extend(item[:0:-1])
+            stack.extend(item[1:])
         else:
             values.append(_constant(item, kind))
     return values[0]
@@ -103,11 +100,33 @@ def _evaluate_deep(term: Term) -> Number:
 class _Apply:
     """An operation whose operands are on the stack of values."""
 
-    __slots__ = ("function", "arity")
+    __slots__ = ("functor", "arity")
 
-    def __init__(self, function: Callable[..., Number], arity: int):
-        self.function = function
-        self.arity = arity
+    def __init__(self, key: Functor):
+        self.functor = key
+        self.arity = key.arity
+
+    def apply(self, *operands: Number) -> Number:
+        """Return the value of the function."""
+        function = EVALUABLE.get(self.functor)
+        if function is None:
+            raise type_error("evaluable", indicator(self.functor))
+        return function(*operands)
+
+
+def _character(item: Term) -> int:
+    """Return the code that a list of one character, or of its code, is."""
+    first = deref(item[1])
+    if first.__class__ is Var:
+        raise instantiation_error()
+    if deref(item[2]) is not NIL:
+        raise type_error("[]", item)
+    if first.__class__ is int and first >= 0:
+        return first  # type: ignore[no-any-return]
+    text = first.name if first.__class__ is Atom and first is not NIL else ""
+    if len(text) != 1:
+        raise type_error("character", first)
+    return ord(text)
 
 
 def _constant(item: Term, kind: type) -> Number:
@@ -123,7 +142,7 @@ def _constant(item: Term, kind: type) -> Number:
     if kind is String:
         if len(item.text) == 1:
             return ord(item.text)
-        raise type_error("character", item)
+        raise type_error("[]", item)
     if kind is Lazy:
         return evaluate(item.term())
     raise type_error("evaluable", item)
@@ -141,7 +160,14 @@ def checked(value: Number) -> Number:
 def integer(value: Number) -> int:
     """Return an operand that has to be an integer."""
     if value.__class__ is not int:
-        raise type_error("integer", value)
+        raise type_error("integer", checked(value))
+    return value  # type: ignore[return-value]
+
+
+def not_less(least: int, value: Number) -> int:
+    """Return an operand that has to be an integer and not less than 0, or 1."""
+    if integer(value) < least:
+        raise domain_error(f"not_less_than_{'one' if least else 'zero'}", value)
     return value  # type: ignore[return-value]
 
 
@@ -163,7 +189,7 @@ def _divisible(left: Number, right: Number) -> None:
 
 def _to_float(value: Number) -> float:
     try:
-        return float(value)
+        return checked(float(value))
     except OverflowError:
         raise evaluation_error("float_overflow") from None
 
@@ -268,7 +294,7 @@ def _abs(value: Number) -> Number:
 def _sign(value: Number) -> Number:
     if value.__class__ is int:
         return (value > 0) - (value < 0)
-    return math.copysign(1.0, value) if value else 0.0
+    return math.copysign(1.0, value) if value == value and value else abs(value)
 
 
 @evaluable("max", 2)
@@ -355,19 +381,23 @@ def _invert(value: Number) -> int:
 
 @evaluable("msb", 1)
 def _msb(value: Number) -> int:
-    if integer(value) <= 0:
-        raise type_error("not_less_than_one", value)
-    return integer(value).bit_length() - 1
+    return not_less(1, value).bit_length() - 1
+
+
+@evaluable("lsb", 1)
+def _lsb(value: Number) -> int:
+    number = not_less(1, value)
+    return (number & -number).bit_length() - 1
 
 
 @evaluable("popcount", 1)
 def _popcount(value: Number) -> int:
-    return bin(integer(value)).count("1")
+    return bin(not_less(0, value)).count("1")
 
 
 @evaluable("getbit", 2)
 def _getbit(value: Number, bit: Number) -> int:
-    return (integer(value) >> integer(bit)) & 1
+    return (not_less(0, value) >> not_less(0, bit)) & 1
 
 
 # Rounding
@@ -390,7 +420,7 @@ def round_half_away(value: float) -> int:
 
 
 EVALUABLE[functor("floor", 1)] = _rounded(math.floor)
-EVALUABLE[functor("ceiling", 1)] = _rounded(math.ceil)
+EVALUABLE[functor("ceiling", 1)] = EVALUABLE[functor("ceil", 1)] = _rounded(math.ceil)
 EVALUABLE[functor("truncate", 1)] = _rounded(math.trunc)
 EVALUABLE[functor("integer", 1)] = _rounded(round_half_away)
 EVALUABLE[functor("round", 1)] = _rounded(round_half_away)
@@ -403,7 +433,7 @@ def _float(value: Number) -> float:
 
 @evaluable("float_integer_part", 1)
 def _integer_part(value: Number) -> Number:
-    return value if value.__class__ is int else float(math.trunc(value)) if value - value == 0 else value
+    return value if value.__class__ is int else float(math.trunc(checked(value)))
 
 
 @evaluable("float_fractional_part", 1)

@@ -295,7 +295,8 @@ def control_predicates(control: Control) -> Dict[Tuple[str, int], Any]:
     def findall(machine: Any, args: Tuple[Term, ...], after: Frame) -> Optional[Frame]:
         template, goal, result = args[0], args[1], args[2]
         tail = args[3] if len(args) == 4 else NIL
-        check_partial_list(result)
+        if machine.logic.flags["iso"] is TRUE:
+            check_partial_list(result)
 
         def then(found: List[Term]) -> Optional[Frame]:
             return after if machine.unify(result, make_list(found, tail)) else None

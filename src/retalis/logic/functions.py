@@ -16,8 +16,9 @@ from .arithmetic import (
     checked,
     evaluable,
     integer,
+    not_less,
 )
-from .faults import evaluation_error, resource_error, type_error
+from .faults import evaluation_error, resource_error
 
 
 def _real(name: str, function: Callable[[float], float]) -> None:
@@ -59,7 +60,7 @@ def _logarithm(name: str, function: Callable[[Number], float]) -> None:
     def apply(value: Number) -> float:
         if value <= 0:
             raise evaluation_error("undefined")
-        return checked(function(value))
+        return checked(function(value if value.__class__ is int else checked(value)))
 
     EVALUABLE[functor(name, 1)] = apply
 
@@ -81,7 +82,7 @@ def _log(base: Number, value: Number) -> float:
 @evaluable("atan2", 2)
 @evaluable("atan", 2)
 def _atan2(y: Number, x: Number) -> float:
-    return math.atan2(y, x)
+    return math.atan2(_to_float(y), _to_float(x))
 
 
 @evaluable("copysign", 2)
@@ -93,7 +94,7 @@ def _copysign(value: Number, sign: Number) -> Number:
 
 @evaluable("nexttoward", 2)
 def _nexttoward(value: Number, target: Number) -> float:
-    value, target = float(value), float(target)
+    value, target = _to_float(value), _to_float(target)
     if value == target or value != value:
         return value
     if value == 0:
@@ -153,8 +154,8 @@ def _float_power(base: Number, exponent: Number) -> float:
 
 @evaluable("powm", 3)
 def _powm(base: Number, exponent: Number, modulus: Number) -> int:
-    size = integer(modulus).bit_length()
-    if integer(exponent).bit_length() * size * size > SLOW:
+    size = not_less(1, modulus).bit_length()
+    if not_less(0, exponent).bit_length() * size * size > SLOW:
         raise resource_error("integer_size")
     return pow(integer(base), integer(exponent), integer(modulus))
 
@@ -173,9 +174,23 @@ def _acot(value: Number) -> float:
 
 @evaluable("random", 1)
 def _random(limit: Number) -> int:
-    if integer(limit) < 1:
-        raise type_error("not_less_than_one", limit)
-    return random.randrange(integer(limit))
+    return random.randrange(not_less(1, limit))
+
+
+@evaluable("numerator", 1)
+def _numerator(value: Number) -> int:
+    return integer(value)
+
+
+@evaluable("denominator", 1)
+def _denominator(value: Number) -> int:
+    integer(value)
+    return 1
+
+
+@evaluable("eval", 1)
+def _eval(value: Number) -> Number:
+    return value
 
 
 @evaluable("rational", 1)

@@ -41,7 +41,7 @@ _TEMPLATES = {
     "evaluation_error": "Arithmetic: evaluation error: {}",
     "resource_error": "Not enough resources: {}",
     "syntax_error": "Syntax error: {}",
-    "assertion_failed": "Assertion failed: {}",
+    "assertion_error": "Assertion failed ({}): {}",
     "format": "Format error: {}",
     "uninstantiation_error": "Cannot unify `{}': it has to be unbound",
 }

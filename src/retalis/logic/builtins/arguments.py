@@ -81,6 +81,13 @@ def partial_items(term: Term) -> List[Term]:
     raise type_error("list", term)
 
 
+def check_tail(term: Term) -> None:
+    """Raise a type error for the end of what is neither a list nor a partial one."""
+    tail = list_parts(term)[1]
+    if tail is not NIL and tail.__class__ is not Var:
+        raise type_error("list", tail)
+
+
 def indicator_of(term: Term) -> Any:
     """Return the functor that ``Name/Arity`` names."""
     term = deref(term)

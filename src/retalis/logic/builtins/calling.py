@@ -3,10 +3,10 @@
 from time import monotonic
 from typing import Any, Optional
 
-from ...terms import CONS, NIL, Var, atom, deref, unify
+from ...terms import CONS, NIL, String, Var, atom, deref, unify
 from ...watching import watched_by
 from ..arithmetic import evaluate
-from ..compiler.nodes import IGNORE, NOT
+from ..compiler.nodes import CALL, IGNORE, NOT
 from ..control import add_arguments, check_body
 from ..faults import PrologError, domain_error, instantiation_error, type_error
 from ..machine import Code, Frame, Guard
@@ -30,7 +30,7 @@ def fail(machine: Any) -> bool:
 @control("not/1")
 def not_provable(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
     """Succeed if a goal has no solution."""
-    return machine.logic.control.call((NOT, args[0]), after)  # type: ignore[no-any-return]
+    return machine.logic.control.call((NOT, (CALL, args[0])), after)  # type: ignore[no-any-return]
 
 
 @control("apply/2")
@@ -47,7 +47,9 @@ def apply(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
 @control("phrase/2", "phrase/3")
 def phrase(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
     """Parse a list by a grammar body."""
-    body = callable_of(args[0])
+    body = deref(args[0])
+    if body.__class__ is not String:
+        callable_of(body)
     rest = args[2] if len(args) == 3 else NIL
     for term in (args[1], rest):
         kind = deref(term)
@@ -150,7 +152,7 @@ _IN_TIME = Code("call_with_time_limit", _in_time)
 @control("limit/2")
 def limit(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
     """Give the first solutions of a goal only."""
-    count = integer(args[0])
+    count = evaluate(args[0])
     if count <= 0:
         return None
     height = len(machine.choices)
@@ -171,7 +173,10 @@ _COUNTED = Code("limit", _counted)
 @control("offset/2")
 def offset(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
     """Leave out the first solutions of a goal."""
-    return machine.logic.control.call(args[1], (_SKIPPED, [integer(args[0])], after))  # type: ignore[no-any-return]
+    count = evaluate(args[0])
+    if count < 0:
+        raise domain_error("not_less_than_zero", count)
+    return machine.logic.control.call(args[1], (_SKIPPED, [count], after))  # type: ignore[no-any-return]
 
 
 def _skipped(frame: Frame) -> Optional[Frame]:
@@ -189,11 +194,8 @@ _SKIPPED = Code("offset", _skipped)
 def call_nth(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
     """Give the solutions of a goal with their numbers, or the one of a number."""
     number = deref(args[1])
-    if number.__class__ is not Var:
-        if integer(number) < 0:
-            raise domain_error("not_less_than_zero", number)
-        if number == 0:
-            return None
+    if number.__class__ is not Var and integer(number) < 1:
+        raise domain_error("not_less_than_one", number)
     height = len(machine.choices)
     return machine.logic.control.call(args[0], (_NTH, machine, height, [0], number, after))  # type: ignore[no-any-return]
 

@@ -25,7 +25,7 @@ from ...watching import look
 from ..arithmetic import evaluate
 from ..compiler.nodes import COMPARISONS, ORDERS
 from ..faults import domain_error, instantiation_error, type_error
-from .arguments import integer, is_iso, natural, partial_items
+from .arguments import integer, integer_or_var, is_iso, natural, partial_items
 from .registry import deterministic
 
 _ORDERS = {-1: atom("<"), 0: atom("="), 1: atom(">")}
@@ -133,6 +133,8 @@ def succ(machine: Any, smaller: Term, greater: Term) -> bool:
 def plus(machine: Any, left: Term, right: Term, total: Term) -> bool:
     """Relate two integers with their sum; one of the three may be unbound."""
     left, right, total = deref(left), deref(right), deref(total)
+    for known in (left, right, total):
+        integer_or_var(known)
     if total.__class__ is Var:
         return unify(total, integer(left) + integer(right), machine.trail)
     if right.__class__ is Var:
@@ -170,15 +172,6 @@ def is_list(machine: Any, term: Term) -> bool:
 def ground(machine: Any, term: Term) -> bool:
     """Test for a term without variables."""
     return is_ground(term)
-
-
-@deterministic("is_assoc/1", locked=False)
-def is_assoc(machine: Any, term: Term) -> bool:
-    """Test for an association tree, by its functor."""
-    term = deref(term)
-    return (term.__class__ is Atom and term.name == "t") or (
-        term.__class__ is tuple and str(term[0]) == "t/5"
-    )
 
 
 @deterministic("term_variables/2")

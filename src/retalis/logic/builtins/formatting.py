@@ -2,14 +2,19 @@
 
 from typing import Any, Callable, Dict, List, Optional, Tuple
 
-from ...terms import Term, Var, atom, deref, functor
+from ...terms import Atom, String, Term, atom, deref, functor
 from ..arithmetic import bounded, evaluate
-from ..faults import domain_error, error, instantiation_error, resource_error, type_error
-from .arguments import integer
-from .text import long_text, number_text, text_of
+from ..faults import domain_error, error, existence_error, resource_error
+from .text import LARGEST_CODE, constant_text, is_text_list, long_text, number_text, text_of
 
 _FORMAT = functor("format", 1)
+_ARGUMENT_TYPE = functor("format_argument_type", 2)
 _WIDEST = 10_000_000
+
+
+def argument_error(letter: str, argument: Term) -> Exception:
+    """Return the error of an argument that a directive cannot write."""
+    return error((_ARGUMENT_TYPE, atom(letter), argument))
 
 
 def format_error(message: str) -> Exception:
@@ -129,7 +134,10 @@ class Formatter:
             number = ord(text[at + 1 : at + 2] or "`")
             at += 2
         elif text[at : at + 1] == "*":
-            number = integer(self._next())
+            given = deref(self._next())
+            if given.__class__ is not int or given < 0:
+                raise format_error("no or negative integer for `*' argument")
+            number = given
             at += 1
         else:
             start = at
@@ -141,7 +149,7 @@ class Formatter:
         if number is not None and number > _WIDEST:
             raise resource_error("memory")
         if not letter:
-            raise format_error("truncated format specification")
+            raise existence_error("format_character", atom("\0"))
         line = self.line
         if letter == "|" or letter == "+":
             if letter == "+":
@@ -156,21 +164,42 @@ class Formatter:
         elif letter == "n":
             line.add("\n" * (1 if number is None else number))
         elif letter == "c":
-            line.add(chr(integer(self._next())) * (1 if number is None else number))
+            line.add(_code(self._next()) * (1 if number is None else number))
         elif letter == "i":
             self._next()
         else:
             convert = _CONVERSIONS.get(letter)
             if convert is None:
-                raise format_error(f"unknown directive: ~{letter}")
+                raise existence_error("format_character", atom(letter))
             line.add(convert(self.machine, self._next(), number))
         return at + 1
 
 
+def _code(term: Term) -> str:
+    code = deref(term)
+    if code.__class__ is not int or not 0 <= code <= LARGEST_CODE:
+        raise argument_error("c", code)
+    return chr(code)
+
+
 def _atomic(machine: Any, term: Term, number: Optional[int]) -> str:
-    if deref(term).__class__ is Var:
-        raise instantiation_error()
-    return text_of(term)
+    text = constant_text(deref(term))
+    if text is None:
+        raise argument_error("a", term)
+    return text
+
+
+def _called(machine: Any, goal: Term, number: Optional[int]) -> str:
+    """Return what a goal writes, whether it succeeds or not."""
+    logic = machine.logic
+    output, column = logic.output, logic.column
+    written: List[str] = []
+    logic.output = written.append
+    try:
+        logic.once(goal)
+    finally:
+        logic.output, logic.column = output, column
+    return "".join(written)
 
 
 def _write(machine: Any, term: Term, number: Optional[int]) -> str:
@@ -182,7 +211,18 @@ def _quoted(machine: Any, term: Term, number: Optional[int]) -> str:
 
 
 def _text(machine: Any, term: Term, number: Optional[int]) -> str:
-    return text_of(term, "codes")
+    given = deref(term)
+    is_text = given.__class__ in (String, Atom) or is_text_list(given)
+    if not is_text:
+        raise argument_error("s", given)
+    return text_of(given)
+
+
+def _integer(letter: str, term: Term) -> int:
+    value = evaluate(term)
+    if value.__class__ is not int:
+        raise argument_error(letter, value)
+    return value  # type: ignore[return-value]
 
 
 def group(digits: str, size: int, mark: str) -> str:
@@ -193,13 +233,7 @@ def group(digits: str, size: int, mark: str) -> str:
 
 def _decimal(mark: str) -> Callable[..., str]:
     def convert(machine: Any, term: Term, number: Optional[int]) -> str:
-        value = deref(term)
-        if value.__class__ is not int:
-            if value.__class__ is Var:
-                raise instantiation_error()
-            value = evaluate(value) if value.__class__ is tuple else value
-            if value.__class__ is not int:
-                raise type_error("integer", value)
+        value = _integer("d", term)
         digits = number_text(abs(value))
         fraction = ""
         if number:
@@ -241,9 +275,9 @@ def radix_text(value: int, radix: int) -> str:
 
 def _radix(change: Callable[[str], str]) -> Callable[..., str]:
     def convert(machine: Any, term: Term, number: Optional[int]) -> str:
-        value = integer(term)
+        value = _integer("r", term)
         if number is None:
-            raise format_error("no default radix")
+            number = 8
         if not 2 <= number <= 36:
             raise domain_error("radix", number)
         return change(radix_text(value, number))
@@ -252,6 +286,7 @@ def _radix(change: Callable[[str], str]) -> Callable[..., str]:
 
 
 _CONVERSIONS: Dict[str, Callable[..., str]] = {
+    "@": _called,
     "a": _atomic,
     "w": _write,
     "p": _quoted,

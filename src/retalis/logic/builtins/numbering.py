@@ -6,7 +6,7 @@ from zlib import crc32
 from ...terms import Term, Var, atom, deref, functor, is_ground, make_list, unify, variables
 from ..arithmetic import evaluate
 from ..machine import LAST
-from .arguments import integer
+from .arguments import atom_of, integer
 from .checking import is_acyclic
 from .registry import deterministic, nondeterministic
 from .text import atomic_text, no_compound
@@ -102,7 +102,7 @@ def nb_current(machine: Any, name: Term, value: Term) -> Iterator[Any]:
     values = machine.logic.globals
     given = deref(name)
     if given.__class__ is not Var:
-        key = atomic_text(given)
+        key = atom_of(given).name
         if key in values and machine.unify(value, values[key]):
             yield LAST
         return

@@ -3,7 +3,7 @@
 from typing import Any, Dict, List, Optional
 
 from ...syntax import write_term
-from ...terms import CONS, NIL, Atom, Term, Var, deref, list_items, unify
+from ...terms import CONS, NIL, Atom, Term, Var, atom, deref, list_items, unify
 from ..arithmetic import evaluate
 from ..faults import (
     domain_error,
@@ -17,10 +17,9 @@ from ..machine import Code, Frame, Guard
 from .arguments import integer, is_iso, option_values
 from .formatting import Formatter
 from .registry import control, deterministic
-from .text import LARGEST_CODE, long_text, make_text, whole_text
+from .text import LARGEST_CODE, fill_sink, is_sink, long_text, make_text, whole_text
 
 _WIDEST = 10_000_000
-_SINKS = ("atom", "string", "codes", "chars")
 
 
 def write_to(machine: Any, stream: Term, text: str) -> None:
@@ -162,17 +161,20 @@ def flush_output_of(machine: Any, stream: Term) -> bool:
 def write_options(machine: Any, options: Term) -> Dict[str, Any]:
     """Return the options of ``write_term`` for the writer."""
     found: Dict[str, Any] = {"quoted": False}
+    iso = is_iso(machine)
     for option in option_values(options):
         if option.__class__ is not tuple or len(option) != 2:
-            raise domain_error("write_option", option)
+            raise domain_error("write_option", option) if iso else type_error("option", option)
         name, value = option[0].name, deref(option[1])
         if value.__class__ is Var:
             raise instantiation_error()
         if name in ("quoted", "ignore_ops", "numbervars", "brace_terms"):
             if value.__class__ is not Atom or value.name not in ("true", "false"):
-                raise domain_error("write_option", option)
+                raise domain_error("write_option", option) if iso else type_error("bool", value)
             found[name] = value.name == "true"
         elif name == "spacing":
+            if value not in (atom("standard"), atom("next_argument")):
+                raise domain_error("spacing", value)
             found["spacing"] = value.name == "next_argument"
         elif name == "priority":
             found["priority"] = integer(value)
@@ -255,9 +257,10 @@ def format_2(machine: Any, form: Term, arguments: Term) -> bool:
 def format_3(machine: Any, sink: Term, form: Term, arguments: Term) -> bool:
     """Write formatted text to a stream, or unify it: ``atom(A)``, ``string(S)``, ``codes(Cs)``, ``chars(Cs)``."""
     sink = deref(sink)
-    if sink.__class__ is tuple and len(sink) == 2 and sink[0].name in _SINKS:
-        text = formatted(machine, form, arguments, 0)
-        return unify(sink[1], make_text(sink[0].name, text), machine.trail)
+    if is_sink(sink):
+        return fill_sink(machine, sink, formatted(machine, form, arguments, 0))
+    if sink.__class__ not in (Var, Atom):
+        raise type_error("output", sink)
     write_to(machine, sink, "")
     write_to(machine, sink, formatted(machine, form, arguments, 0))
     return True
@@ -284,8 +287,8 @@ def with_output_to(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
     sink = deref(args[0])
     if sink.__class__ is Var:
         raise instantiation_error()
-    if sink.__class__ is not tuple or len(sink) != 2 or sink[0].name not in _SINKS:
-        raise domain_error("output_sink", sink)
+    if not is_sink(sink):
+        raise existence_error("stream", sink) if sink.__class__ is Atom else type_error("output", sink)
     logic = machine.logic
     captured: List[str] = []
     height = len(machine.choices)
@@ -312,8 +315,7 @@ def _release(frame: Frame) -> Optional[Frame]:
     _, machine, height, sink, captured, after = frame
     _give_back(machine.choices[height])
     del machine.choices[height:]
-    text = make_text(sink[0].name, "".join(captured))
-    return after if unify(sink[1], text, machine.trail) else None
+    return after if fill_sink(machine, sink, "".join(captured)) else None
 
 
 _CAUGHT = Guard("with_output_to", _give_back)

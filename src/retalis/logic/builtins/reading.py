@@ -5,8 +5,8 @@ from typing import Any
 from ...errors import SyntaxFault
 from ...syntax import ReadFlags, read_term
 from ...terms import String, Term, Var, atom, deref, functor, make_list, unify, variables
-from ..faults import ERROR, PrologError, instantiation_error
-from .arguments import option_values
+from ..faults import ERROR, PrologError, instantiation_error, type_error
+from .arguments import option_values, partial_items
 from .registry import deterministic
 from .text import text_of
 
@@ -35,8 +35,10 @@ def parse(machine: Any, text: str) -> Term:
 
 
 def read(machine: Any, text: str) -> Any:
-    """Return the `ReadTerm` of a text."""
+    """Return the `ReadTerm` of a text; of one without a term, that of ``end_of_file``."""
     try:
+        if not text.strip():
+            text = "end_of_file"
         return read_term(text, machine.logic.operators, flags=read_flags(machine), positions=False)
     except SyntaxFault as fault:
         column = fault.place.column if fault.place is not None else 0
@@ -66,6 +68,7 @@ def atom_to_term(machine: Any, text: Term, term: Term, bindings: Term) -> bool:
     if deref(text).__class__ is Var:
         raise instantiation_error()
     found = read(machine, text_of(text))
+    partial_items(bindings)
     names = make_list([(_EQUAL, atom(name), var) for name, var in found.names.items()])
     return machine.unify_all((term, found.term), (bindings, names))  # type: ignore[no-any-return]
 
@@ -80,7 +83,9 @@ def read_term_from_atom(machine: Any, text: Term, term: Term, options: Term) -> 
 def _unify_options(machine: Any, found: Any, options: Term) -> bool:
     """Unify what the options of ``read_term`` ask for."""
     for option in option_values(options):
-        name = option[0].name if option.__class__ is tuple else ""
+        if option.__class__ is not tuple:
+            raise type_error("option", option)
+        name = option[0].name
         if name == "variables":
             value = make_list(variables(found.term))
         elif name in ("variable_names", "bindings"):

@@ -1,6 +1,6 @@
 """Messages, assertions, and the listing of clauses."""
 
-from typing import Any, Dict, Iterator, List, Optional
+from typing import Any, Dict, Iterator, List
 
 from ...syntax import write_term
 from ...terms import (
@@ -20,16 +20,14 @@ from ...terms import (
 )
 from ..compiler.nodes import ARROW, NOT, SEMICOLON, SOFT_ARROW
 from ..database import Predicate
-from ..faults import ERROR, error
-from ..machine import Code, Frame
+from ..faults import ERROR
 from ..messages import describe
 from .arguments import atom_of, indicator_of
 from .output import formatted, write_to
-from .registry import control, deterministic, nondeterministic
+from .registry import deterministic, nondeterministic
 
 _NECK, _DIRECTIVE = functor(":-", 2), functor(":-", 1)
 _FORMAT = functor("format", 2)
-_ASSERTION_FAILED = functor("assertion_failed", 1)
 
 # Messages
 
@@ -73,27 +71,6 @@ def print_message_lines(machine: Any, stream: Term, prefix: Term, lines: Term) -
     write_to(machine, stream, "".join(out))
     return True
 
-
-@control("assertion/1")
-def assertion(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
-    """Call a goal once; where it fails an error is raised."""
-    height = len(machine.choices)
-    machine.choices.append((_REFUTED, args[0], len(machine.trail)))
-    return machine.logic.control.call(args[0], (_HOLDS, machine, height, after))  # type: ignore[no-any-return]
-
-
-def _refuted(entry: Frame) -> Frame:
-    raise error((_ASSERTION_FAILED, copy(entry[1])))
-
-
-def _holds(frame: Frame) -> Frame:
-    _, machine, height, after = frame
-    del machine.choices[height:]
-    return after
-
-
-_REFUTED = Code("assertion", _refuted)
-_HOLDS = Code("assertion", _holds)
 
 # Listing
 

@@ -5,6 +5,7 @@ from typing import Any, Callable, List, Optional
 from ...terms import (
     COMMA,
     MINUS,
+    Atom,
     Functor,
     Term,
     Var,
@@ -17,9 +18,9 @@ from ...terms import (
     variables,
 )
 from ..arithmetic import EVALUABLE, add, evaluate
-from ..faults import domain_error, instantiation_error
+from ..faults import domain_error, instantiation_error, type_error
 from ..machine import Code, Frame
-from .arguments import callable_of, is_iso, partial_items
+from .arguments import is_iso, partial_items
 from .comparing import is_variant
 from .ordering import sort_by, sort_unique
 from .registry import control
@@ -144,12 +145,17 @@ def aggregate_all(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
     return machine.logic.control.collect(inner, template, done)  # type: ignore[no-any-return]
 
 
-def _aggregate(spec: Term) -> Any:
+def _aggregate(given: Term) -> Any:
     """Return what makes the result of an aggregate from the collected terms, and what to collect."""
+    spec: Any = deref(given)
     if spec is atom("count"):
         return len, spec
-    spec = callable_of(spec)
-    key: Functor = spec[0] if spec.__class__ is tuple else spec.functor
+    if spec.__class__ is Var:
+        raise instantiation_error()
+    is_compound = spec.__class__ is tuple
+    if not is_compound and spec.__class__ is not Atom:
+        raise type_error("aggregate_template", spec)
+    key: Functor = spec[0] if is_compound else spec.functor
     if key is _COUNT:
         return len, spec[1]
     if key is _SUM:
@@ -162,7 +168,23 @@ def _aggregate(spec: Term) -> Any:
         return _extreme(_EXTREMES[key]), spec[1]
     if key in _WITH_WITNESS:
         return _witness(key, _WITH_WITNESS[key]), (_R, spec[1], spec[2])
-    raise domain_error("aggregate_spec", spec)
+    if not is_compound:
+        raise domain_error("aggregate_template", spec)
+    return _several(key, [_aggregate(part) for part in spec[1:]])
+
+
+def _several(key: Functor, parts: List[Any]) -> Any:
+    """Return the aggregate of a term whose arguments are aggregates."""
+
+    def finish(found: List[Term]) -> Optional[Term]:
+        values = [part(column) for (part, _), column in zip(parts, _columns(found, len(parts)))]
+        return None if any(value is None for value in values) else (key, *values)
+
+    return finish, (key, *[template for _, template in parts])
+
+
+def _columns(found: List[Term], count: int) -> List[List[Term]]:
+    return [[item[at] for item in found] for at in range(1, count + 1)]
 
 
 def _extreme(better: Callable[..., Any]) -> Callable[[List[Term]], Optional[Term]]:

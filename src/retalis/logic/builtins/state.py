@@ -189,7 +189,7 @@ def _key(name: Term) -> str:
 @deterministic("nb_setval/2")
 def nb_setval(machine: Any, name: Term, value: Term) -> bool:
     """Set a global variable to a copy of a term; backtracking does not undo it."""
-    machine.logic.globals[_key(name)] = copy(value)
+    machine.logic.globals[atom_of(name).name] = copy(value)
     return True
 
 
@@ -197,7 +197,7 @@ def nb_setval(machine: Any, name: Term, value: Term) -> bool:
 def b_setval(machine: Any, name: Term, value: Term) -> bool:
     """Set a global variable; backtracking undoes it."""
     values = machine.logic.globals
-    key = _key(name)
+    key = atom_of(name).name
     machine.trail.append(_Restore(values, key))
     values[key] = deref(value)
     return True
@@ -206,7 +206,7 @@ def b_setval(machine: Any, name: Term, value: Term) -> bool:
 @deterministic("nb_getval/2", "b_getval/2")
 def getval(machine: Any, name: Term, value: Term) -> bool:
     """Look a global variable up."""
-    key = _key(name)
+    key = atom_of(name).name
     values = machine.logic.globals
     if key not in values:
         raise existence_error("variable", deref(name))

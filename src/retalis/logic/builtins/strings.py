@@ -3,7 +3,7 @@
 from typing import Any, Iterator, Optional
 
 from ...terms import Atom, String, Term, Var, atom, deref, functor, is_ground, make_list, unify
-from ..faults import instantiation_error, type_error
+from ..faults import domain_error, existence_error, instantiation_error, type_error
 from ..machine import LAST
 from .arguments import integer_or_var, partial_items
 from .registry import deterministic, nondeterministic
@@ -13,8 +13,9 @@ from .text import (
     check_parts,
     codes,
     constant_text,
+    fill_sink,
+    is_sink,
     long_text,
-    make_text,
     number_text,
     parse_number,
     parts_text,
@@ -165,18 +166,24 @@ def read(machine: Any, term: Term) -> bool:
 def normalize_space(machine: Any, sink: Term, text: Term) -> bool:
     """Unify a text with runs of white space made one blank."""
     sink = deref(sink)
-    if sink.__class__ is not tuple or sink[0].name not in ("atom", "string", "codes", "chars"):
-        raise type_error("output_sink", sink)
-    return unify(sink[1], make_text(sink[0].name, " ".join(atomic_text(text).split())), machine.trail)
+    if sink.__class__ is Var:
+        raise instantiation_error()
+    if not is_sink(sink):
+        raise existence_error("stream", sink) if sink.__class__ is Atom else type_error("output", sink)
+    return fill_sink(machine, sink, " ".join(atomic_text(text).split()))
 
 
 # Characters
 
 _CLASSES = {
-    "alpha": lambda char: char.isalpha() or char == "_",
     "alnum": str.isalnum,
+    "alpha": str.isalpha,
     "csym": lambda char: char.isalnum() or char == "_",
     "csymf": lambda char: char.isalpha() or char == "_",
+    "prolog_var_start": lambda char: char.isupper() or char == "_",
+    "prolog_atom_start": lambda char: char.isalpha() and not char.isupper(),
+    "prolog_identifier_continue": lambda char: char.isalnum() or char == "_",
+    "prolog_symbol": lambda char: char in "#$&*+-./:<=>?@\\^~",
     "ascii": lambda char: ord(char) < 128,
     "white": lambda char: char in " \t",
     "cntrl": lambda char: ord(char) < 32 or 127 <= ord(char) < 160,
@@ -195,11 +202,16 @@ _CLASSES = {
 }
 
 
+_PARAMETRIC = ("digit", "xdigit", "to_lower", "to_upper", "upper", "lower")
+
+
 def _of_code(term: Term) -> Optional[str]:
     term = deref(term)
     if term.__class__ is Var:
         return None
-    if term.__class__ is int and 0 <= term <= 0x10FFFF:
+    if term.__class__ is int:
+        if not 0 <= term <= 0x10FFFF:
+            raise domain_error("character", term)
         return chr(term)
     text = constant_text(term)
     if text is None or len(text) != 1 or term.__class__ is not Atom:
@@ -212,8 +224,9 @@ def _char_type(as_code: bool) -> Any:
         return ord(char) if as_code else atom(char)
 
     def run(machine: Any, char: Term, kind: Term) -> Iterator[Any]:
-        given = _of_code(char)
         kind = deref(kind)
+        _check_type(kind)
+        given = _of_code(char)
         for each in [given] if given is not None else map(chr, range(256)):
             for found in _types(each, kind, wrap):
                 pairs = [(kind, found)]
@@ -223,6 +236,19 @@ def _char_type(as_code: bool) -> Any:
                     yield None
 
     return run
+
+
+def _changed(char: str, changed: str) -> str:
+    """Return a character in the other case, or itself where it has no single one."""
+    return changed if len(changed) == 1 else char
+
+
+def _check_type(kind: Term) -> None:
+    """Raise a type error for what is no type of characters."""
+    if kind.__class__ is tuple and len(kind) == 2 and kind[0].name in _PARAMETRIC:
+        return
+    if kind.__class__ is not Var and (kind.__class__ is not Atom or kind.name not in _CLASSES):
+        raise type_error("char_type", kind)
 
 
 def _types(char: str, kind: Term, wrap: Any) -> Iterator[Term]:
@@ -238,9 +264,9 @@ def _types(char: str, kind: Term, wrap: Any) -> Iterator[Term]:
     if name in (None, "xdigit") and char in "0123456789abcdefABCDEF":
         yield (functor("xdigit", 1), int(char, 16))
     if name in (None, "to_lower"):
-        yield (functor("to_lower", 1), wrap(char.lower()[0]))
+        yield (functor("to_lower", 1), wrap(_changed(char, char.upper())))
     if name in (None, "to_upper"):
-        yield (functor("to_upper", 1), wrap(char.upper()[0]))
+        yield (functor("to_upper", 1), wrap(_changed(char, char.lower())))
     if name in (None, "upper") and char.isupper():
         yield (functor("upper", 1), wrap(char.lower()[0]))
     if name in (None, "lower") and char.islower():

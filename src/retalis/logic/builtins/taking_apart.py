@@ -18,7 +18,7 @@ from ...terms import (
 from ...watching import BULK, look
 from ..faults import domain_error, instantiation_error, permission_error, resource_error, type_error
 from ..machine import LAST
-from .arguments import integer, items, natural, partial_items
+from .arguments import check_tail, integer, is_iso, items, natural, partial_items
 from .registry import deterministic, nondeterministic
 
 _MOST_ARGUMENTS = 1_000_000
@@ -99,9 +99,10 @@ def known_arg(machine: Any, number: Term, term: Term, value: Term) -> bool:
 def univ(machine: Any, term: Term, parts: Term) -> bool:
     """Relate a term with the list of its name and arguments."""
     term = deref(term)
-    if term.__class__ is not Var:
+    if term.__class__ is not Var and is_iso(machine):
         partial_items(parts)
     if term.__class__ is tuple:
+        check_tail(parts)
         return unify(parts, make_list([atom(term[0].name), *term[1:]]), machine.trail)
     if term.__class__ is not Var:
         return unify(parts, make_list([term]), machine.trail)
@@ -152,7 +153,10 @@ def compound_name_arguments(machine: Any, term: Term, name: Term, arguments: Ter
     """Relate a compound term with its name and list of arguments."""
     term = deref(term)
     if term.__class__ is tuple:
-        return machine.unify_all((name, atom(term[0].name)), (arguments, make_list(term[1:])))
+        if not unify(name, atom(term[0].name), machine.trail):
+            return False
+        check_tail(arguments)
+        return unify(arguments, make_list(term[1:]), machine.trail)
     if term.__class__ is not Var:
         raise type_error("compound", term)
     name = deref(name)

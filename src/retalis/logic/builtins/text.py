@@ -4,7 +4,7 @@ from typing import Any, List, Optional, Sequence
 
 from ...errors import SyntaxFault
 from ...syntax import read_term, write_term
-from ...terms import NIL, Atom, String, Term, Var, atom, deref, list_parts, make_list
+from ...terms import NIL, Atom, String, Term, Var, atom, deref, list_items, list_parts, make_list, unify
 from ...watching import look
 from ..faults import (
     PrologError,
@@ -243,3 +243,24 @@ def make_text(like: str, text: str) -> Term:
     if like == "string":
         return String(text)
     return codes(text) if like == "codes" else chars(text)
+
+
+def is_sink(sink: Term) -> bool:
+    """Tell whether a term asks for text: ``atom(A)``, ..., also ``codes(Cs,Tail)`` and ``chars(Cs,Tail)``."""
+    if sink.__class__ is not tuple:
+        return False
+    name = sink[0].name
+    return (
+        len(sink) == 2
+        and name in ("atom", "string", "codes", "chars")
+        or len(sink) == 3
+        and name in ("codes", "chars")
+    )
+
+
+def fill_sink(machine: Any, sink: Any, text: str) -> bool:
+    """Unify the text of a sink."""
+    found = make_text(sink[0].name, text)
+    if len(sink) == 3:
+        found = make_list(list_items(found) or [], sink[2])
+    return unify(sink[1], found, machine.trail)

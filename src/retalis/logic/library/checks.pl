@@ -1,0 +1,16 @@
+% Checks that a program states about itself.
+%
+% defines: assertion/1
+
+assertion(G) :-
+    \+ \+ catch(G, E, assertion_failed_(E, G)), !.
+assertion(G) :-
+    assertion_failed_(fail, G).
+
+% A limit that was reached says nothing about the goal.
+assertion_failed_(E, _) :-
+    nonvar(E),
+    E = error(resource_error(_), _), !,
+    throw(E).
+assertion_failed_(Reason, G) :-
+    throw(error(assertion_error(Reason, user:G), _)).
