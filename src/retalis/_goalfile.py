@@ -22,6 +22,12 @@ class Goal(NamedTuple):
     folder: Optional[Path]
 
 
+def goal_of(term: Term) -> Term:
+    """Return the goal that a term of a goal file or stream is: ``:- Goal`` is Goal."""
+    term = deref(term)
+    return deref(term[1]) if term.__class__ is tuple and term[0] in _DIRECTIVES else term
+
+
 def goals_of(
     text: str, source: str, folder: Optional[Path], operators: Operators, files: Any
 ) -> Iterator[Union[Goal, RetalisError]]:
@@ -44,9 +50,7 @@ def _goals(
         if isinstance(read, SyntaxFault):
             yield read
             continue
-        term = deref(read.term)
-        if term.__class__ is tuple and term[0] in _DIRECTIVES:
-            term = deref(term[1])
+        term = goal_of(read.term)
         if term.__class__ is not tuple or term[0] is not _INCLUDE:
             yield Goal(term, read.place, folder)
             continue

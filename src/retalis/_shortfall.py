@@ -241,7 +241,7 @@ class Shortfall:
 
     def _show(self, term: Term) -> str:
         names = {**names_of(term), **self._names}
-        return write_term(term, self._engine.logic.operators, quoted=True, variable_names=names)
+        return write_term(term, self._engine.logic.operators, quoted=True, wide=True, variable_names=names)
 
 
 def names_of(term: Term) -> Dict[Var, str]:

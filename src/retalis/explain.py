@@ -6,6 +6,7 @@ from . import timestamps
 from ._shortfall import Part, Shortfall, names_of
 from .engine import Engine
 from .errors import UsageError
+from .events.pattern import Aggregate, walk
 from .syntax import write_term
 from .terms import Atom, Term, Var, atom, copy, deref, functor, list_items, undo, unify
 
@@ -108,7 +109,7 @@ class _Explainer:
                 part = shortfall.of(rule.definition.pattern)
                 lines.append(Line(self._rule(rule), [self._part(part, (*above, rule))]))
                 if part.found:
-                    lines[-1].below.append(Line(self._why_not(part, interval), []))
+                    lines[-1].below.append(Line(f"- but {_why_not(rule, part, interval)}", []))
             undo(trail, 0)
         if not lines and not above:
             lines.append(Line("no rule has such a head, and no such event came from outside", []))
@@ -121,14 +122,6 @@ class _Explainer:
         if part.event is not None and not part.found:
             below += self._missing(part.event, None, above)
         return Line(f"{'+' if part.found else '-'} {part.text}", below)
-
-    def _why_not(self, part: Part, interval: Optional[Tuple[int, int]]) -> str:
-        if interval is not None and not any((one.start, one.end) == interval for one in part.found):
-            return "- but nowhere with that interval"
-        return (
-            "- but all of it was used up by other matches, came in another order, had ended its window, or a "
-            "goal after do failed"
-        )
 
     def _taken_back(self, term: Term) -> List[Line]:
         """Return such events that did happen and were taken back."""
@@ -159,7 +152,7 @@ class _Explainer:
 
 def show(engine: Engine, term: Term) -> str:
     """Return a term as text with variables A, B, ..."""
-    return write_term(term, engine.logic.operators, quoted=True, variable_names=names_of(term))
+    return write_term(term, engine.logic.operators, quoted=True, wide=True, variable_names=names_of(term))
 
 
 def _asked(asked: Term) -> Tuple[Term, Optional[Tuple[int, int]]]:
@@ -173,6 +166,21 @@ def _asked(asked: Term) -> Tuple[Term, Optional[Tuple[int, int]]]:
         kind = "a variable" if asked.__class__ is Var else "a number or string"
         raise UsageError(f"expected an event to explain, not {kind}")
     return asked, None
+
+
+def _why_not(rule: Any, part: Part, interval: Optional[Tuple[int, int]]) -> str:
+    """Return why a rule did not fire though all of its pattern was met somewhere."""
+    if interval is not None and not any((one.start, one.end) == interval for one in part.found):
+        return "nowhere with that interval"
+    if rule.window is not None and all(one.end - one.start > rule.window for one in part.found):
+        return f"all took longer than the window of its label, {timestamps.to_seconds(rule.window):g} seconds"
+    collected = [one for one in walk(rule.definition.pattern) if isinstance(one, Aggregate)]
+    if any(deref(one.result).__class__ is not Var for one in collected):
+        return "with other results, or all of it was used up by other matches"
+    return (
+        "all of it was used up by other matches, came in another order, had ended its window, or a goal after do "
+        "failed"
+    )
 
 
 def _fired(head: Term) -> Term:

@@ -83,6 +83,22 @@ def test_other_terms_of_a_stream_are_goals(run):
     )
 
 
+def test_goals_may_be_written_as_directives(run):
+    stream = ":- assertz(f(1)).\n?- assertz(f(2)).\n"
+    assert run(goals=":- assertz(f(0)).", stream=stream, queries=":- f(X).\n?- f(2).") == (
+        0,
+        ["f(0).", "f(1).", "f(2).", "f(2)."],
+        "",
+    )
+
+
+@pytest.mark.parametrize("time", ["-1", "x", "_", "inf"])
+def test_nobody_sleeps_back_in_time(run, time):
+    status, _, error = run(stream=f"sleep({time}).\n")
+    assert status == 1
+    assert "stream.txt:1:1: sleep/1 needs a number of seconds" in error
+
+
 def test_outputs_go_to_their_file(run, tmp_path):
     goals = "subscribe(alarm(X),[],at(X),topic,'my id')"
     stream = "event(smoke(a),[1,1]). event(heat(a),[2,2])."
@@ -301,8 +317,16 @@ def test_explains_patterns_and_intervals(run):
         ("x <- gas or oil.", "- or: none of them"),
         ("x <- smoke(garage) seq heat(hall) star_times.", "- star_times: it did not begin"),
         ("x <- heat(lab) seq aggregate(max(X),smoke(X),_).", "- max: nothing was collected"),
-        ("x <- heat(lab) check (t1(S), S = 9).", "- check t1(A),A=9: false for all"),
+        ("x <- heat(lab) check (t1(S), S = 9).", "- check t1(A),A = 9: false for all"),
         ("x <- smoke(hall) do fail.", "- but all of it was used up by other matches"),
+        (
+            "l([property(window, 2)]) : x <- smoke(hall) and heat(lab).",
+            "- but all took longer than the window of its label, 2 seconds",
+        ),
+        (
+            "x <- y(9). y(N) <- smoke(hall) seq aggregate(count,heat(_),N).",
+            "- but with other results",
+        ),
         ("x <- y. y <- smoke(hall) where fail.", "- where fail: false for all"),
     ],
 )
@@ -357,9 +381,9 @@ def test_explains_what_a_query_and_a_goal_have_made(run):
 
 def test_names_of_variables_are_those_of_the_rule(run):
     lines = explained(run, "x(_)", "x(Y) <- z(X) seq smoke(Y) where Y = X.\n", STREAM)
-    assert lines[1].startswith("  rule x(A)<-z(B)seq smoke(A)where A=B (")
+    assert lines[1].startswith("  rule x(A) <- z(B) seq smoke(A) where A = B (")
     assert [line.strip().split(":")[0] for line in lines[2:]] == [
-        "- where A=B",
+        "- where A = B",
         "- seq",
         "- z(B)",
         "+ smoke(A)",

@@ -112,6 +112,11 @@ def test_options():
     assert write_term(term, ignore_ops=True, brace_terms=False).endswith("[1,2],{}(','(y,z)),-(1))")
     assert write_term(term, spacing=True) == "f('A b', \"s\", x+1, [1, 2], {y, z}, - 1)"
     assert write_term(read_term("a:-b", OPERATORS).term, priority=999) == "(a:-b)"
+    rule = read_term("c(X) :- a(X), X > 1, b = c->true;f(- - 1)", OPERATORS)
+    assert (
+        write_term(rule.term, wide=True, variable_names={rule.names["X"]: "X"})
+        == "c(X) :- a(X),X > 1,b = c -> true ; f(- - 1)"
+    )
 
 
 def test_variables():

@@ -31,6 +31,7 @@ def test_write_then_read(term, operators):
     for text in (
         write_term(term, operators),
         write_term(term, operators, spacing=True),
+        write_term(term, operators, wide=True),
         write_term(term, operators, ignore_ops=True),
         write_term(term, operators, priority=999),
     ):

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import IO, Any, Dict, List, Optional
 
 from .. import timestamps
-from .._goalfile import read_goals
+from .._goalfile import goal_of, read_goals
 from .._inputs import event_of
 from ..clock import StreamClock
 from ..collector import relax
@@ -211,7 +211,7 @@ class Session:
 
     def _step(self, item: Any) -> None:
         try:
-            self._do(item.term)
+            self._do(goal_of(item.term))
         except RetalisError as error:
             raise (error if error.place else RuleError(error.message, item.place)) from error
 
@@ -243,20 +243,21 @@ class Session:
 
     def _query(self, goal: Any) -> None:
         found: List[Term] = []
+        term = goal_of(goal.term)
         try:
-            for answer in self.engine.query(goal.term):
-                values = dict(zip(variables(goal.term), answer.values()))
-                found.append(rebuild(goal.term, values.__getitem__))
+            for answer in self.engine.query(term):
+                values = dict(zip(variables(term), answer.values()))
+                found.append(rebuild(term, values.__getitem__))
         except RetalisError as error:
             raise RuleError(error.message, goal.place) from error
         finally:
-            self._printer.solutions(goal.term, found)
+            self._printer.solutions(term, found)
 
     def _sleep(self, machine: Any, arguments: Any, after: Any) -> Any:
         """Let the stream's time pass: the goal ``sleep(Seconds)``."""
         seconds = deref(arguments[0])
-        if not isinstance(seconds, (int, float)):
-            raise UsageError("sleep/1 needs a number of seconds")
+        if not isinstance(seconds, (int, float)) or not 0 <= seconds < float("inf"):
+            raise UsageError("sleep/1 needs a number of seconds, not a negative one")
         self._clock.move_by(timestamps.from_seconds(seconds))
         self.engine.advance()
         return after

@@ -31,6 +31,7 @@ class WriteOptions(NamedTuple):
         brace_terms: ``{}(a)`` is written ``{a}``.
         numbervars: ``'$VAR'(1)`` is written ``B``.
         spacing: a blank behind the commas of arguments and lists.
+        wide: a blank on either side of the infix operators that bind least: of rules and conditions.
         variable_names: variable -> name; others are ``_G1`` and so on.
         priority: a term of a higher priority is put in brackets.
     """
@@ -40,6 +41,7 @@ class WriteOptions(NamedTuple):
     brace_terms: bool = True
     numbervars: bool = False
     spacing: bool = False
+    wide: bool = False
     variable_names: Optional[Dict[Var, str]] = None
     priority: int = 1200
 
@@ -205,6 +207,8 @@ class _Writer:
             text = self.comma
         elif name == "|":
             text = "|"
+        elif self.options.wide and infix.priority >= _WIDE:
+            text = f" {self.atom(name)} "
         else:
             text = _Name(self.atom(name), False)
         left = 0 if name in _AFTER_A_LABEL and _is_labelled(term[1]) else infix.left
@@ -231,6 +235,7 @@ class _Writer:
         return found.right
 
 
+_WIDE = 700
 _AFTER_A_LABEL = frozenset(("do", "<-"))
 
 
