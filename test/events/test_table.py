@@ -146,6 +146,18 @@ def test_out_of_order(row, policy):
 
 
 @each_cell
+def test_out_of_order_of_results(row, policy):
+    """What an operator makes comes too late for z, which waits for it only where the flag says so."""
+    rule = f"out(X) <- ({row.pattern}) seq z."
+    stream = (("z", 90, 91), *row.fires)
+    late = [] if row.expires else [(start, 91) for start, _ in row.results]  # z has moved the rule's clock
+    on = Run(rule, stream, policy, out_of_order="on").intervals
+    assert on == (late if policy == "unrestricted" else late[:1])
+    assert Run(rule, (("z", 90, 91), *row.never), policy, out_of_order="on").intervals == []
+    assert Run(rule, stream, policy, out_of_order="off").intervals == []
+
+
+@each_cell
 def test_revision(row, policy):
     rule = f"out(X) <- {row.pattern}."
     taken = row.fires[0]
@@ -196,6 +208,26 @@ def test_garbage_control(row, policy):
     pattern = f"r([property(window,100),property(window_step,1)]) : {rule}"
     assert Run(pattern, row.fires, policy, garbage_control="pattern").intervals == list(row.results)
     assert Run(pattern, stream, policy, garbage_control="pattern").intervals == left
+
+
+@each_cell
+def test_garbage_control_of_results(row, policy):
+    """What an operator has made waits for z and y, and goes."""
+    rule = f"out(X) <- ({row.pattern}) and (z seq y)."
+    stream = (*row.fires, ("z", 500, 501), ("y", 502, 503))
+    control = {"garbage_control": "general", "garbage_window": 100, "garbage_window_step": 1}
+    assert Run(rule, stream, policy).intervals != []
+    assert Run(rule, stream, policy, **control).intervals == []
+
+
+@pytest.mark.parametrize("policy", POLICIES)
+@pytest.mark.parametrize("operator", ["cnot", "fnot"])
+def test_garbage_control_of_what_must_not_have_happened(operator, policy):
+    rule = f"out(X) <- a(X) {operator} c(X)."
+    stream = (("c(1)", 1, 2), ("a(9)", 500, 501), ("a(1)", 502, 503))
+    control = {"garbage_control": "general", "garbage_window": 100, "garbage_window_step": 1}
+    assert Run(rule, stream, policy).intervals == []
+    assert Run(rule, stream, policy, **control).intervals == [(502, 503)]
 
 
 @each_cell
