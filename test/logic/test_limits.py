@@ -141,7 +141,6 @@ def test_a_chain_of_events_without_end_is_cut(caplog):
         "open('/etc/passwd', read, S)",
         "see('/etc/passwd')",
         "tell('/tmp/x')",
-        "consult('/etc/passwd')",
         "exec(ls)",
         "process_create(path(ls), [], [])",
         "tcp_socket(S)",
@@ -176,6 +175,21 @@ def test_files_only_in_allowed_folders(tmp_path):
                 engine.call(goal.format(path))
     engine.load_program(outside)  # what the operator names is allowed, and its folder from then on
     assert engine.call(f"compile_event_file('{outside}/rules.txt')")
+
+
+def test_consult_loads_files_of_allowed_folders(tmp_path):
+    (tmp_path / "a.pl").write_text("p(1).\np(2).\n")
+    (tmp_path / "b.pl").write_text("q(1).\nout(X) <- in(X) where q(X).\n")
+    engine = Engine(settings=Settings(folders=(str(tmp_path),)))
+    assert engine.call(f"consult(['{tmp_path}/a', '{tmp_path}/b.pl'])")
+    assert [found["X"] for found in engine.query("p(X)")] == [1, 2]
+    seen = []
+    engine.on_event(lambda term, start, end: seen.append(engine.show(term)))
+    engine.event("in(1)", 1)
+    assert seen == ["in(1)", "out(1)"]
+    for goal in ("consult('/etc/passwd')", "consult(['/etc/passwd'])"):
+        with pytest.raises(PrologError, match="No permission to open"):
+            engine.call(goal)
 
 
 def test_rules_loaded_at_run_time_cannot_name_files_outside(tmp_path):

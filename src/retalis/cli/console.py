@@ -13,13 +13,13 @@ from ..clock import Clock
 from ..engine import Engine, Settings
 from ..errors import ProgramErrors, RetalisError, RuleError, SyntaxFault
 from ..logic import Limits
+from ..logic.tracing import Tracer
 from ..program import read_text
 from ..syntax import ReadTerm
 from ..terms import COMMA, NIL, Atom, String, Term, Var, deref, functor, list_items
 from ._answers import bindings
 from ._prompt import Lines, Terminal, read_clause
 from ._report import Report
-from ._trace import Tracer
 
 _QUERY = frozenset((functor("?-", 1), functor(":-", 1)))
 _TRACE = functor("trace", 1)

@@ -95,6 +95,7 @@ class _Editing:
         logic.define("del_all_event_rules", 1, self.delete_by_head)
         for name in ("compile_event_file", "compile_events"):
             logic.define(name, 1, self.load_file)
+        logic.define("consult", 1, self.consult)
         logic.define("use_module", 1, self.use)
         logic.define("use_module", 2, lambda machine, name, imports: self.use(machine, name))
         logic.define("ensure_loaded", 1, self.ensure_loaded)
@@ -118,6 +119,12 @@ class _Editing:
 
     def load_file(self, machine: Any, path: Term) -> bool:
         self.rules.load_file(_path(path))
+        return True
+
+    def consult(self, machine: Any, names: Term) -> bool:
+        found = list_items(names)
+        for name in [names] if found is None else found:
+            self.rules.loader.use(name, once=False)
         return True
 
     def use(self, machine: Any, name: Term) -> bool:

@@ -2,7 +2,7 @@
 
 import os
 from time import monotonic
-from typing import Any, List, NamedTuple, Optional, Tuple
+from typing import Any, Dict, List, NamedTuple, Optional, Tuple
 
 from .faults import PrologError, resource_error
 
@@ -40,6 +40,7 @@ class Budget:
         limits: of each outermost run and each attempt.
         inferences: all that were counted.
         alarms: times (of the monotonic clock) with what is to be thrown then.
+        ceilings: counts of inferences with what is to be thrown past them.
         used: whether anything was counted since `start_anew`.
     """
 
@@ -53,6 +54,7 @@ class Budget:
         self._deadline: Optional[float] = None
         self._memory: Optional[int] = None
         self._exceeded = False
+        self.ceilings: Dict[int, PrologError] = {}
         self.used = False
 
     def start_anew(self) -> None:
@@ -63,6 +65,7 @@ class Budget:
         self._memory = None
         self.used = False
         self.alarms.clear()
+        self.ceilings.clear()
 
     def part(self) -> Any:
         """Begin a part that has the limits to itself; return what `whole` needs at its end."""
@@ -77,6 +80,13 @@ class Budget:
         """End a part: what it used counts for what is around it."""
         spent, self._deadline = saved
         self._spent += spent
+
+    def cap(self, most: int) -> int:
+        """Return a ceiling for some more inferences; no two are the same."""
+        ceiling = self.inferences + most
+        while ceiling in self.ceilings:
+            ceiling += 1
+        return ceiling
 
     def sliced(self) -> None:
         """Count a slice of steps and enforce the limits."""
@@ -101,6 +111,10 @@ class Budget:
         self.inferences += steps
         self._spent += steps
         limits = self.limits
+        if self.ceilings:
+            for ceiling, error in self.ceilings.items():
+                if self.inferences > ceiling:
+                    raise error
         if limits is NO_LIMITS and not self.alarms:
             return
         if limits.inferences is not None and self._spent > limits.inferences:

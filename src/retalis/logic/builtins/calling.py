@@ -1,14 +1,14 @@
-"""Calls with conditions: grammars, cleanup, limits, the n-th solution."""
+"""Calls with conditions: grammars, limits, the n-th solution."""
 
 from time import monotonic
 from typing import Any, Optional
 
-from ...terms import CONS, NIL, String, Var, atom, deref, unify
+from ...terms import CONS, NIL, TRUE, String, Var, atom, deref, functor, unify
 from ...watching import watched_by
 from ..arithmetic import evaluate
-from ..compiler.nodes import CALL, IGNORE, NOT
+from ..compiler.nodes import CALL, NOT
 from ..control import add_arguments, check_body
-from ..faults import PrologError, domain_error, instantiation_error, type_error
+from ..faults import PrologError, domain_error, type_error
 from ..machine import Code, Frame, Guard
 from .arguments import callable_of, integer, items
 from .dcg import translate_body
@@ -64,53 +64,6 @@ def phrase(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
     return machine.logic.control.call(goal, after)  # type: ignore[no-any-return]
 
 
-# Cleanup
-
-
-@control("setup_call_cleanup/3")
-def setup_call_cleanup(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
-    """Run a goal, and a cleanup once it has failed, thrown, or exited without choice points."""
-    setup, goal, cleanup = args
-    if deref(cleanup).__class__ is Var:
-        raise instantiation_error()
-    return machine.logic.control.once(setup, (_GUARDED, machine, goal, cleanup, after))  # type: ignore[no-any-return]
-
-
-@control("call_cleanup/2")
-def call_cleanup(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
-    """Run a goal, and a cleanup once it has failed, thrown, or exited without choice points."""
-    return setup_call_cleanup(machine, (atom("true"), *args), after)
-
-
-def _guarded(frame: Frame) -> Optional[Frame]:
-    _, machine, goal, cleanup, after = frame
-    height = len(machine.choices)
-    machine.choices.append((_CLEANUP, machine, cleanup, len(machine.trail)))
-    return machine.logic.control.call(goal, (_LEFT, machine, height, cleanup, after))  # type: ignore[no-any-return]
-
-
-def _left(frame: Frame) -> Optional[Frame]:
-    _, machine, height, cleanup, after = frame
-    if len(machine.choices) > height + 1:
-        return after  # type: ignore[no-any-return]
-    machine.choices.pop()
-    return machine.logic.control.once((IGNORE, cleanup), after)  # type: ignore[no-any-return]
-
-
-def _clean_up(entry: Frame) -> None:
-    """Run the cleanup at once; its failure does not count, its error is reported."""
-    _, machine, cleanup, _ = entry
-    try:
-        machine.logic.once(cleanup)
-    except PrologError as error:
-        machine.logic.error_output(f"Warning: cleanup: {error.message}\n")
-
-
-_GUARDED = Code("setup_call_cleanup", _guarded)
-_LEFT = Code("setup_call_cleanup", _left)
-_CLEANUP = Guard("setup_call_cleanup", _clean_up)
-
-
 # Limits
 
 
@@ -144,6 +97,48 @@ def _in_time(frame: Frame) -> Frame:
 _TIME_LIMIT = atom("time_limit_exceeded")
 _LIMITED = Guard("call_with_time_limit", _take_off)
 _IN_TIME = Code("call_with_time_limit", _in_time)
+
+
+@control("call_with_inference_limit/3")
+def call_with_inference_limit(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+    """Run a goal for some inferences at most (counted by the thousand); say how it went."""
+    goal, most, result = args
+    ball = (_INFERENCE_LIMIT, machine.budget.cap(integer(most)))
+    inner = (_WITHIN, goal, ball, result)
+    return machine.logic.control.catch(inner, ball, (_EQUAL, result, _EXCEEDED), after)  # type: ignore[no-any-return]
+
+
+@control("$within/3")
+def within(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+    """Run a goal that `call_with_inference_limit` has set a ceiling for."""
+    goal, ball, result = args
+    height = len(machine.choices)
+    budget = machine.budget
+    budget.ceilings[ball[1]] = PrologError(ball)
+    machine.choices.append((_CAPPED, budget, ball[1], len(machine.trail)))
+    return machine.logic.control.call(goal, (_STAYED, machine, height, result, after))  # type: ignore[no-any-return]
+
+
+def _lift(entry: Frame) -> None:
+    _, budget, ceiling, _ = entry
+    budget.ceilings.pop(ceiling, None)
+
+
+def _stayed(frame: Frame) -> Optional[Frame]:
+    _, machine, height, result, after = frame
+    _lift(machine.choices[height])
+    alone = len(machine.choices) == height + 1
+    if alone:
+        machine.choices.pop()
+    return after if unify(result, _ALONE if alone else TRUE, machine.trail) else None
+
+
+_EQUAL = functor("=", 2)
+_WITHIN = functor("$within", 3)
+_INFERENCE_LIMIT = functor("$inference_limit", 1)
+_EXCEEDED, _ALONE = atom("inference_limit_exceeded"), atom("!")
+_CAPPED = Guard("call_with_inference_limit", _lift)
+_STAYED = Code("call_with_inference_limit", _stayed)
 
 
 # Solutions by number

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Dict, Tuple
 from ...errors import SyntaxFault
 from ...syntax import Operators, read_program
 from ...terms import Atom, deref
+from ...watching import watched_by
 from ..database import Clause, Predicate
 
 if TYPE_CHECKING:
@@ -31,7 +32,15 @@ def library_index() -> Dict[Tuple[str, int], str]:
 
 
 def load_library(logic: "Logic", part: str) -> None:
-    """Load a file of the library."""
+    """Load a file of the library; that does not count for the goal that needs it."""
+    before = watched_by(None)
+    try:
+        _load(logic, part)
+    finally:
+        watched_by(before)
+
+
+def _load(logic: "Logic", part: str) -> None:
     path = FOLDER / f"{part}.pl"
     database = logic.database
     for read in read_program(path.read_text(encoding="utf-8"), Operators.prolog(), f"library({part})"):

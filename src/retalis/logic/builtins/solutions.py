@@ -5,11 +5,13 @@ from typing import Any, Callable, List, Optional
 from ...terms import (
     COMMA,
     MINUS,
+    NIL,
     Atom,
     Functor,
     Term,
     Var,
     atom,
+    copy,
     deref,
     functor,
     make_list,
@@ -20,7 +22,7 @@ from ...terms import (
 from ..arithmetic import EVALUABLE, add, evaluate
 from ..faults import domain_error, instantiation_error, type_error
 from ..machine import Code, Frame
-from .arguments import is_iso, partial_items
+from .arguments import is_iso, natural, partial_items
 from .comparing import is_variant
 from .ordering import sort_by, sort_unique
 from .registry import control
@@ -113,6 +115,45 @@ control("bagof/3")(_grouped(False))
 control("setof/3")(_grouped(True))
 
 
+# Solutions in portions
+
+
+@control("findnsols/4", "findnsols/5")
+def findnsols(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+    """Collect solutions in lists of a length; the next ones on backtracking."""
+    count = natural(args[0])
+    result = args[3]
+    tail = args[4] if len(args) == 5 else NIL
+    partial_items(result)
+    pair = copy((MINUS, args[1], args[2]))  # the goal goes on later: what it binds meanwhile is its own
+    found: List[Term] = []
+    height = len(machine.choices)
+    machine.choices.append((_REST, machine, found, result, tail, after, len(machine.trail)))
+    collect = (_PORTION, machine, height, found, pair[1], count, result, tail, after)
+    return machine.logic.control.call(pair[2], collect)  # type: ignore[no-any-return]
+
+
+def _portion(frame: Frame) -> Optional[Frame]:
+    _, machine, height, found, template, count, result, tail, after = frame
+    found.append(copy(template))
+    if len(found) < count:
+        return None
+    items = make_list(found, tail)
+    found.clear()
+    if len(machine.choices) == height + 1:  # there are no more
+        machine.choices.pop()
+    return after if unify(result, items, machine.trail) else None
+
+
+def _rest(entry: Frame) -> Optional[Frame]:
+    _, machine, found, result, tail, after, _ = entry
+    return after if unify(result, make_list(found, tail), machine.trail) else None
+
+
+_PORTION = Code("findnsols", _portion)
+_REST = Code("findnsols", _rest)
+
+
 # Aggregates
 
 _COUNT, _SUM, _BAG, _SET = (functor(name, 1) for name in ("count", "sum", "bag", "set"))
@@ -129,6 +170,20 @@ def _total(values: List[Term]) -> Term:
     for value in values:
         total = add(total, value)
     return total
+
+
+@control("aggregate_all/4", locked=False)
+def aggregate_all_distinct(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+    """Aggregate over the solutions that differ in a discriminator (or in what is aggregated)."""
+    spec, discriminator, goal, result = deref(args[0]), args[1], args[2], args[3]
+    finish, template = _aggregate(spec)
+
+    def done(found: List[Term]) -> Optional[Frame]:
+        value = finish([pair[2] for pair in sort_unique(found)])
+        return after if value is not None and unify(result, value, machine.trail) else None
+
+    inner, _ = _strip(goal)
+    return machine.logic.control.collect(inner, (MINUS, discriminator, template), done)  # type: ignore[no-any-return]
 
 
 @control("aggregate_all/3", locked=False)

@@ -4,7 +4,14 @@ from typing import Any, Dict, Iterator
 
 from ...errors import UsageError
 from ...terms import CONS, FALSE, NIL, TRUE, Atom, Term, Var, atom, copy, deref, functor, unify
-from ..faults import domain_error, existence_error, instantiation_error, permission_error, type_error
+from ..faults import (
+    domain_error,
+    existence_error,
+    instantiation_error,
+    permission_error,
+    representation_error,
+    type_error,
+)
 from ..machine import LAST
 from .arguments import atom_of, integer, is_iso, items
 from .registry import control, deterministic, nondeterministic
@@ -152,6 +159,36 @@ def current_op(machine: Any, priority: Term, kind: Term, name: Term) -> Iterator
             continue
         if machine.unify_all((priority, found_priority), (kind, atom(found_kind)), (name, atom(found_name))):
             yield None
+
+
+# Conversions of characters
+
+
+@deterministic("char_conversion/2")
+def char_conversion(machine: Any, char: Term, other: Term) -> bool:
+    """Take two characters; nothing is converted when a program is read."""
+    _character(char)
+    _character(other)
+    return True
+
+
+@nondeterministic("current_char_conversion/2")
+def current_char_conversion(machine: Any, char: Term, other: Term) -> Iterator[Any]:
+    """Give each character itself."""
+    given = deref(char) if deref(char).__class__ is not Var else deref(other)
+    if given.__class__ is not Var:
+        _character(given)
+        if machine.unify_all((char, given), (other, given)):
+            yield LAST
+        return
+    for code in range(256):
+        if machine.unify_all((char, atom(chr(code))), (other, atom(chr(code)))):
+            yield None
+
+
+def _character(term: Term) -> None:
+    if len(atom_of(term).name) != 1:
+        raise representation_error("character")
 
 
 # Global variables

@@ -150,18 +150,6 @@ def split_string(machine: Any, text: Term, separators: Term, pad: Term, parts: T
     )
 
 
-@deterministic("read_term/2")
-def read_term(machine: Any, term: Term, options: Term) -> bool:
-    """Find the end of input: a program has none."""
-    return unify(term, atom("end_of_file"), machine.trail)
-
-
-@deterministic("read/1")
-def read(machine: Any, term: Term) -> bool:
-    """Find the end of input: a program has none."""
-    return unify(term, atom("end_of_file"), machine.trail)
-
-
 @deterministic("normalize_space/2")
 def normalize_space(machine: Any, sink: Term, text: Term) -> bool:
     """Unify a text with runs of white space made one blank."""

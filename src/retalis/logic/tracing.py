@@ -1,12 +1,14 @@
 """Tracing a goal by its ports: call, exit, redo, fail and exception."""
 
 from contextlib import contextmanager
-from typing import Any, Callable, Iterator, Optional
+from typing import TYPE_CHECKING, Any, Callable, Iterator, Optional
 
-from ..logic import Code, Logic
-from ..logic.machine import Frame, Guard
 from ..syntax import write_term
 from ..terms import COLON, COMMA, Atom, Functor, Term, copy, deref, functor, undo, unify
+from .machine import Code, Frame, Guard
+
+if TYPE_CHECKING:
+    from .logic import Logic
 
 _SILENT = frozenset(functor(name, 0) for name in ("true", "!", "fail", "false", "otherwise"))
 _CONTROL = frozenset(
@@ -39,7 +41,7 @@ class Tracer:
         tell: called with a line for each port.
     """
 
-    def __init__(self, logic: Logic, tell: Callable[[str], None]):
+    def __init__(self, logic: "Logic", tell: Callable[[str], None]):
         self._logic = logic
         self._tell = tell
         self._control = logic.control
@@ -55,24 +57,33 @@ class Tracer:
     @contextmanager
     def on(self) -> Iterator[None]:
         """Trace the goals that are run meanwhile."""
-        control, database = self._control, self._logic.database
-        plain = control.solve
-        self._plain = plain
-        control.solve = database.solve = self._solve  # type: ignore[method-assign]
+        self.start()
         try:
             yield
         finally:
-            del control.solve
-            database.solve = control.solve
+            self.stop()
 
-    def _solve(self, goal: Term, height: int, after: Frame) -> Optional[Frame]:
+    def start(self) -> None:
+        """Trace what is run from now on."""
+        control = self._control
+        self._plain = control.solve
+        control.solve = self._logic.database.solve = self.solve  # type: ignore[method-assign]
+
+    def stop(self) -> None:
+        """Trace no more."""
+        control = self._control
+        if control.solve == self.solve:
+            del control.solve
+            self._logic.database.solve = control.solve
+
+    def solve(self, goal: Term, height: int, after: Frame) -> Optional[Frame]:
         """Do what `Control.solve` does, by ports."""
         goal = deref(goal)
         while goal.__class__ is tuple and goal[0] is COMMA:
             after = (self._control.code, goal[2], height, after)
             goal = deref(goal[1])
         if goal.__class__ is tuple and goal[0] is COLON:
-            return self._solve(goal[2], height, after)
+            return self.solve(goal[2], height, after)
         key = _key(goal)
         if key is None or key in _SILENT or key in _CONTROL:
             return self._plain(goal, height, after)
