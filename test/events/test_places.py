@@ -1,4 +1,4 @@
-"""Buckets of waiting matches: order of arrival, partners by time, and changes under way."""
+"""Where matches wait: order of arrival, partners by time, and changes under way."""
 
 import pytest
 
@@ -54,8 +54,7 @@ def test_partners_are_those_of_the_key_at_the_right_time(place, number):
 def test_far_matches_are_found_by_time_once_many_are_not_in_time(place):
     for at in range(1000):
         wait(place, 0, at, at)
-    bucket = place.buckets[0]
-    assert ends(place.partners(0, 999, 999, True)) == [999] and bucket.index is not None
+    assert ends(place.partners(0, 999, 999, True)) == [999] and 0 in place._indices
     assert ends(place.partners(0, 500, 500, False)) == [500]
     for match in place.all()[:999]:
         match.leave()
@@ -67,10 +66,10 @@ def test_an_index_goes_when_it_is_not_used(place):
     for at in range(100):
         wait(place, 0, at, at)
     assert ends(place.partners(0, 3, 3, True)) == [3]
-    assert place.buckets[0].index is not None
+    assert 0 in place._indices
     for at in range(200):
         wait(place, 0, at, at)
-    assert place.buckets[0].index is None
+    assert 0 not in place._indices
     assert ends(place.partners(0, 3, 3, True)) == [3, 3]
 
 
@@ -78,7 +77,7 @@ def test_a_place_forgets_a_key_without_matches(place):
     matches = [wait(place, 0, at, at) for at in range(3)]
     for match in (matches[1], matches[0], matches[2]):
         match.leave()
-    assert place.buckets == {} and place.all() == []
+    assert place.newest == {} and place.all() == []
 
 
 @pytest.mark.parametrize("few", [0, 32])
@@ -114,4 +113,4 @@ def test_the_newest_of_a_name_replaces_the_older(place):
     wait(place, 1, 1, 5)
     wait(place, 2, 2, 5)
     assert [match.start for match in place.all()] == [2]
-    assert list(place.buckets) == [2]
+    assert list(place.newest) == [2]

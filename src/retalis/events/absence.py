@@ -31,7 +31,7 @@ class _Border:
         start, end = match.start, match.end
         at = bisect_left(starts, start)
         while at < len(ends) and ends[at] <= end:
-            if matches[at].bucket is not None:
+            if matches[at].place is not None:
                 return False
             del starts[at], ends[at], matches[at]
         last = at + 1 if at < len(starts) and starts[at] == start else at
@@ -50,7 +50,7 @@ class _Border:
         """Return a match that lies between two instants, or None."""
         at = bisect_right(self.starts, after)
         while at < len(self.ends) and self.ends[at] < before:
-            if self.matches[at].bucket is not None:
+            if self.matches[at].place is not None:
                 return self.matches[at]
             del self.starts[at], self.ends[at], self.matches[at]  # it has left: too old, or one too many
         return None
@@ -100,35 +100,34 @@ class Absence:
         return self.condition is None and not self.rule.network.mode.tracked
 
     def _needed(self, key: Any, match: Match) -> bool:
-        bucket = self.place.buckets.get(key)
+        waiting = self.place.newest.get(key)
         if self.ever:
-            if bucket is None:
+            if waiting is None:
                 return True
-            older: Any = bucket.first
+            older = waiting.newer
             if older.end <= match.end:
                 return False
             older.leave()
             return True
         border = self._borders.get(key)
-        if border is None or bucket is None:
+        if border is None or waiting is None:
             border = self._borders[key] = _Border()
-            for other in bucket.oldest_first() if bucket is not None else ():
+            for other in self.place.with_key(key):
                 border.takes(other)
         return border.takes(match)
 
     def blocks(self, values: Values, after: int, before: int) -> bool:
         """Tell whether a negated match lies between two instants."""
         place = self.place
-        loose = place.loose.first is not None
-        if not place.buckets and not loose:
+        if not place.newest:
             self._borders.clear()
             return False
         try:
             key = self.asked.key(values)
         except ValueError:
             key = None
-        if key is not None and not self.ever and not loose and self._has_borders():
-            if key not in place.buckets:
+        if key is not None and not self.ever and None not in place.newest and self._has_borders():
+            if key not in place.newest:
                 self._borders.pop(key, None)
                 return False
             border = self._borders.get(key)

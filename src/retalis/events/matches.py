@@ -18,8 +18,9 @@ class Match:
         event: the token of the event, where the match is of one single event; else None.
         term: the event, where it is the match of an event pattern.
         parts: what else it was put together from: matches, `Held` and `Found`, and the number of a branch.
-        bucket: where it waits; None while it does not wait (any more).
-        older: the one that began to wait there before it; None for the oldest, or while it does not wait.
+        place: where it waits; None while it does not wait (any more).
+        key: under which key it waits there.
+        older: the one that began to wait under the key before it; that of the oldest is the newest.
         newer: the one that began to wait there after it.
         order: the larger, the later it began to wait.
         used: whether it completed something and was used up by that.
@@ -32,7 +33,8 @@ class Match:
         "event",
         "term",
         "parts",
-        "bucket",
+        "place",
+        "key",
         "older",
         "newer",
         "order",
@@ -40,8 +42,9 @@ class Match:
         "used",
     )
 
-    older: Optional["Match"]
-    newer: Optional["Match"]
+    key: Any
+    older: Any
+    newer: Any
     order: int
     identity: Any
 
@@ -52,13 +55,13 @@ class Match:
         self.event = event
         self.term = term
         self.parts = parts
-        self.bucket: Any = None
+        self.place: Any = None
         self.used = False
 
     def leave(self) -> None:
         """Take the match out of where it waits, if it does."""
-        if self.bucket is not None:
-            self.bucket.remove(self)
+        if self.place is not None:
+            self.place.remove(self)
 
 
 class Held(NamedTuple):

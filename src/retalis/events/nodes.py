@@ -449,7 +449,7 @@ class Joining(Node):
         """Join two matches again, what was between them having been taken back."""
         left, right = pair
         mode = self.rule.network.mode
-        if left.bucket is None or right.used or (right.bucket is None and self._right_waits(mode)):
+        if left.place is None or right.used or (right.place is None and self._right_waits(mode)):
             return after
         if taken_back(left) or taken_back(right):
             return after

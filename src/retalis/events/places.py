@@ -1,7 +1,7 @@
 """Where matches wait for partners: by the values they share, in order of arrival and, where that helps, by time."""
 
 import heapq
-from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple
+from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Tuple
 
 from ..terms import Atom, String, freeze
 from .matches import Match, Values, identity
@@ -14,116 +14,15 @@ _ANY: Limits = (LEAST, MOST, LEAST, MOST)
 _PLAIN = frozenset((Atom, int, String))
 
 
-class Bucket:
-    """Waiting matches with the same values of the shared variables: a chain in order of arrival."""
-
-    __slots__ = ("place", "key", "first", "last", "index")
-
-    def __init__(self, place: "Place", key: Any):
-        self.place = place
-        self.key = key
-        self.first: Optional[Match] = None
-        self.last: Optional[Match] = None
-        self.index: Optional[TimeIndex] = None
-
-    def append(self, match: Match) -> None:
-        """Let a match wait; it is the newest of all."""
-        match.bucket = self
-        match.newer = None
-        last = match.older = self.last
-        self.last = match
-        if last is None:
-            self.first = match
-            return
-        last.newer = match
-        if self.index is not None:
-            self.index.add(match)
-            if self.index.idle:
-                self.index = None
-
-    def remove(self, match: Match) -> None:
-        """Take a match out."""
-        match.bucket = None
-        older, newer = match.older, match.newer
-        match.older = match.newer = None
-        if older is None:
-            self.first = newer
-        else:
-            older.newer = newer
-        if newer is None:
-            self.last = older
-        else:
-            newer.older = older
-        place = self.place
-        place.rule.waiting -= 1
-        same = place.same
-        if same is not None and same.get(match.identity) is match:
-            del same[match.identity]
-        if self.first is None:
-            self.index = None
-            if self.key is not None:
-                del place.buckets[self.key]
-        elif self.index is not None:
-            self.index.remove(match)
-            if self.index.idle:
-                self.index = None
-
-    def oldest_first(self) -> List[Match]:
-        """Return all that wait, oldest first."""
-        found = []
-        match = self.first
-        while match is not None:
-            found.append(match)
-            match = match.newer
-        return found
-
-    def within(self, limits: Limits, newest: bool) -> Iterator[Match]:
-        """Yield those that start and end within limits, newest or oldest first.
-
-        Matches may come and go meanwhile: what comes is not yielded, nor is what has gone.
-        """
-        least_start, most_start, least_end, most_end = limits
-        match = self.last if newest else self.first
-        misses = -(_FEW if self.index is None else _FEWER)
-        final = MOST if self.last is None else self.last.order
-        while match is not None and match.order <= final:
-            order = match.order
-            step = match.older if newest else match.newer
-            if least_start <= match.start <= most_start and least_end <= match.end <= most_end:
-                misses -= 1
-                yield match
-                if step is not None and step.bucket is not self:
-                    step = self._behind(order, newest)
-            else:
-                misses += 1
-                if misses > 0:
-                    break
-            match = step
-        else:
-            return
-        index = self.index
-        if index is None:
-            index = self.index = TimeIndex(self.oldest_first(), self.place.by_end)
-        for match in index.search(limits, newest, order):
-            if match.bucket is self and match.order <= final:
-                yield match
-
-    def _behind(self, order: int, newest: bool) -> Optional[Match]:
-        """Return the next match behind the one of an order, which may have gone."""
-        match = self.last if newest else self.first
-        while match is not None and (match.order >= order if newest else match.order <= order):
-            match = match.older if newest else match.newer
-        return match
-
-
 class Place:
     """Where the matches of one operand wait for partners, found by the values of the variables they share.
 
+    Those with the same key are a ring in order of arrival: each knows the next older one, and the oldest the newest.
+
     Attributes:
         rule: the rule that owns it; it counts and bounds what waits.
-        shared: where the shared variables stand among the values.
-        buckets: by key, those whose shared values have no variables.
-        loose: the others; they are unified with every partner.
+        newest: by key, the newest match; under None is what has variables in its shared values, and is unified
+            with every partner.
         span: how many nanoseconds a match that waits here can be a part of; None for no bound.
         same: where a match replaces one of the same name: those that wait by name; else None.
         reach: where in time those lie that a partner looks for here; None for anywhere.
@@ -131,19 +30,13 @@ class Place:
 
     def __init__(self, rule: Any, shared: Tuple[int, ...]):
         self.rule = rule
-        self.shared = shared
         self.key = key_function(shared)
-        self.buckets: Dict[Any, Bucket] = {}
-        self.loose = Bucket(self, None)
+        self.newest: Dict[Any, Match] = {}
         self.span: Optional[int] = None
         self.same: Optional[Dict[Any, Match]] = None
         self.name: Callable[[Match], Any] = identity
         self.reach: Optional[Reach] = None
-
-    @property
-    def by_end(self) -> bool:
-        """Whether it is the end by which those that wait are looked up first."""
-        return self.reach is not None and self.reach.by_end
+        self._indices: Dict[Any, TimeIndex] = {}
 
     def key_of(self, match: Match) -> Any:
         """Return the key of a match; None where a shared value has variables."""
@@ -161,24 +54,70 @@ class Place:
             match.identity = name = self.name(match)
             older = same.get(name)
             if older is not None:
-                older.bucket.remove(older)
+                self.remove(older)
             same[name] = match
-        bucket = self.loose if key is None else self.buckets.get(key)
-        if bucket is None:
-            bucket = self.buckets[key] = Bucket(self, key)
-        bucket.append(match)
+        match.place = self
+        match.key = key
+        newest = self.newest
+        last = newest.setdefault(key, match)
+        if last is match:
+            match.older = match.newer = match
+        else:
+            match.older = last
+            match.newer = oldest = last.newer
+            last.newer = oldest.older = newest[key] = match
+            if self._indices and key in self._indices:
+                self._indices[key].add(match)
+                self._drop_if_idle(key)
         rule.keep(match, self.span)
+
+    def remove(self, match: Match) -> None:
+        """Take a match out that waits here."""
+        match.place = None
+        self.rule.waiting -= 1
+        same = self.same
+        if same is not None and same.get(match.identity) is match:
+            del same[match.identity]
+        key = match.key
+        older, newer = match.older, match.newer
+        match.older = match.newer = None
+        if older is match:
+            del self.newest[key]
+            self._indices.pop(key, None)
+            return
+        older.newer = newer
+        newer.older = older
+        if self.newest[key] is match:
+            self.newest[key] = older
+        if self._indices and key in self._indices:
+            self._indices[key].remove(match)
+            self._drop_if_idle(key)
+
+    def _drop_if_idle(self, key: Any) -> None:
+        if self._indices[key].idle:
+            del self._indices[key]
+
+    def with_key(self, key: Any) -> List[Match]:
+        """Return those that wait under a key, oldest first."""
+        last = self.newest.get(key)
+        if last is None:
+            return []
+        found = [last]
+        match = last.older
+        while match is not last:
+            found.append(match)
+            match = match.older
+        found.reverse()
+        return found
 
     def all(self) -> List[Match]:
         """Return all that wait, oldest first."""
-        found = self.loose.oldest_first()
-        for bucket in self.buckets.values():
-            found += bucket.oldest_first()
-        found.sort(key=_order)
-        return found
+        return sorted((match for key in self.newest for match in self.with_key(key)), key=_order)
 
     def partners(self, key: Any, start: int, end: int, newest: bool) -> Iterator[Match]:
         """Yield those that a match may fit: the newest or the oldest first.
+
+        Matches may come and go meanwhile: what comes is not yielded, nor is what has gone.
 
         Args:
             key: the shared values of the match; None where they have variables.
@@ -190,14 +129,66 @@ class Place:
             found = self.all()
             return reversed(found) if newest else iter(found)
         limits = _ANY if self.reach is None else self.reach.limits(start, end)
-        bucket = self.buckets.get(key)
-        loose = self.loose
-        if loose.first is None:
-            return iter(()) if bucket is None else bucket.within(limits, newest)
-        unbound = loose.within(limits, newest)
-        if bucket is None:
-            return unbound
-        return heapq.merge(unbound, bucket.within(limits, newest), key=_order, reverse=newest)
+        if None not in self.newest:
+            return self._within(key, limits, newest)
+        both = self._within(key, limits, newest), self._within(None, limits, newest)
+        return heapq.merge(*both, key=_order, reverse=newest)
+
+    def partners_now(self, key: Any, start: int, end: int) -> Sequence[Match]:
+        """Return those that a match may fit, oldest first; see `partners`."""
+        if key is not None and None not in self.newest:
+            last = self.newest.get(key)
+            if last is None:
+                return ()
+            if last.older is last:
+                return (last,)
+        return list(self.partners(key, start, end, False))
+
+    def _within(self, key: Any, limits: Limits, newest: bool) -> Iterator[Match]:
+        """Yield those under a key that start and end within limits."""
+        last = self.newest.get(key)
+        if last is None:
+            return
+        least_start, most_start, least_end, most_end = limits
+        final = last.order
+        match = last if newest else last.newer
+        order = MOST if newest else LEAST
+        misses = -(_FEWER if key in self._indices else _FEW)
+        while misses <= 0:
+            if match.order >= order if newest else not order < match.order <= final:
+                return  # all around the ring, or at what has come meanwhile
+            order = match.order
+            step = match.older if newest else match.newer
+            if least_start <= match.start <= most_start and least_end <= match.end <= most_end:
+                misses -= 1
+                yield match
+                if step.place is not self:
+                    behind = self._behind(key, order, newest)
+                    if behind is None:
+                        return
+                    step = behind
+            else:
+                misses += 1
+            match = step
+        for match in self._index(key).search(limits, newest, order):
+            if match.order > final:
+                return
+            if match.place is self:
+                yield match
+
+    def _index(self, key: Any) -> TimeIndex:
+        found = self._indices.get(key)
+        if found is None:
+            by_end = self.reach is not None and self.reach.by_end
+            found = self._indices[key] = TimeIndex(self.with_key(key), by_end)
+        return found
+
+    def _behind(self, key: Any, order: int, newest: bool) -> Optional[Match]:
+        """Return the next match under a key behind one of an order, which may have gone."""
+        for match in reversed(self.with_key(key)) if newest else self.with_key(key):
+            if match.order < order if newest else match.order > order:
+                return match
+        return None
 
     def identify(self, name: Optional[Callable[[Match], Any]]) -> None:
         """Have a match replace a waiting one of the same ``name``, or none with None.
@@ -220,7 +211,7 @@ def _order(match: Match) -> int:
 
 def surely_same(key: Any, partner: Match) -> bool:
     """Tell whether the shared values of one of `Place.partners` are those of the key that it was found by."""
-    return key is not None and partner.bucket is not None and partner.bucket.key is not None
+    return key is not None and partner.place is not None and partner.key is not None
 
 
 def key_function(positions: Tuple[int, ...]) -> Callable[[Values], Any]:

@@ -76,10 +76,14 @@ class Side(NamedTuple):
 
 def waiting_only(side: Side) -> Emit:
     """Return what a match does that can complete nothing."""
-    own = side.own
+    wait, key_of = side.own.add, side.own.key
 
     def arrive(match: Match, after: Frame) -> Frame:
-        own.add(match, own.key_of(match))
+        try:
+            key = key_of(match.values)
+        except ValueError:
+            key = None
+        wait(match, key)
         return after
 
     return arrive
@@ -99,6 +103,7 @@ def taking_one(
     """
     own, other, join, waits, stays = side.own, side.other, side.join, side.waits, side.stays
     key_of = own.key
+    waiting = other.newest
     wait = side.own.add if side.wait is None else side.wait
     remembering = completed is not None and not side.left
 
@@ -107,15 +112,15 @@ def taking_one(
             key = key_of(match.values)
         except ValueError:
             return among(match, None, other.partners(None, match.start, match.end, newest), after)
-        if other.loose.first is not None:
+        if None in waiting:
             return among(match, key, other.partners(key, match.start, match.end, newest), after)
-        bucket = other.buckets.get(key)
-        if bucket is not None:
-            partner: Any = bucket.last if newest else bucket.first
+        last = waiting.get(key)
+        if last is not None:
+            partner = last if newest else last.newer
             result = join(match, partner)
-            if result is not None and partner.bucket is not None:
+            if result is not None and partner.place is not None:
                 return matched(match, key, partner, result, after)
-            if bucket.first is not bucket.last:
+            if last.older is not last:
                 others = other.partners(key, match.start, match.end, newest)
                 return among(match, key, (one for one in others if one is not partner), after)
         if waits:
@@ -125,7 +130,7 @@ def taking_one(
     def among(match: Match, key: Any, partners: Iterator[Match], after: Frame) -> Frame:
         for partner in partners:
             result = join_any(side, match, key, partner)
-            if result is not None and partner.bucket is not None:
+            if result is not None and partner.place is not None:
                 return matched(match, key, partner, result, after)
         if waits:
             wait(match, key)
@@ -133,7 +138,7 @@ def taking_one(
 
     def matched(match: Match, key: Any, partner: Match, result: Match, after: Frame) -> Frame:
         if uses:
-            partner.bucket.remove(partner)
+            other.remove(partner)
         match.used = True
         if stays:
             wait(match, key)
@@ -167,16 +172,20 @@ def taking_all(side: Side, emit: Emit) -> Emit:
 
     def arrive(match: Match, after: Frame) -> Frame:
         key = key_of(match)
-        partners = list(other.partners(key, match.start, match.end, False))
+        partners = other.partners_now(key, match.start, match.end)
         # It waits before results go out: what they lead to may be a partner, and each pair is seen once.
         if waits:
             own.add(match, key)
         if not partners:
             return after
+        if len(partners) == 1:
+            partner = partners[0]
+            result = None if partner.place is None else join_any(side, match, key, partner)
+            return after if result is None else emit(result, after)
         results = (
             result
             for partner in partners
-            if partner.bucket is not None
+            if partner.place is not None
             for result in (join_any(side, match, key, partner),)
             if result is not None
         )
@@ -193,11 +202,11 @@ def taking_all_at_once(side: Side, uses: bool, emit: Emit) -> Emit:
     def arrive(match: Match, after: Frame) -> Frame:
         key = own.key_of(match)
         results: List[Match] = []
-        for partner in list(other.partners(key, match.start, match.end, False)):
+        for partner in other.partners_now(key, match.start, match.end):
             result = join_any(side, match, key, partner)
-            if result is not None and partner.bucket is not None:
+            if result is not None and partner.place is not None:
                 if uses:
-                    partner.bucket.remove(partner)
+                    other.remove(partner)
                 results.append(result)
         if stays or (waits and not results):
             wait(match, key)

@@ -58,6 +58,7 @@ class Rule:
         self.waiting = 0
         self.dropped = 0
         self.timed = False
+        self._watched = False
         self.clock: int = -(1 << 63)
         self.order = 0
         self._arrivals: Deque[Match] = deque()
@@ -85,23 +86,27 @@ class Rule:
         for node, span, limit in self.nodes:
             node.set_span(_least(span, window) if node.windowed else span, _least(limit, window))
             self.timed = self.timed or any(place.span is not None for place in node.places())
+        self._watched = self.timed or mode.tracked
         self._resettle()
         self.unlisten()
         root: Any = self.root
+        complete = self._completing()
         if mode.tracked:
             root.bind(self._complete_tracked, mode)
         elif root.alone and not self.timed:
-            root.bind_alone(self._complete_alone())
+            root.bind_alone(complete)
         else:
-            root.bind(self._complete, mode)
+            root.bind(
+                lambda match, after: complete(match.term, match.values, match.start, match.end, after), mode
+            )
 
     def _resettle(self) -> None:
         """File what waits already under the bounds that hold now."""
         self._expiries = []
         self._by_end = []
         for match in self._arrivals:
-            if match.bucket is not None:
-                self._file(match, match.bucket.place.span)
+            if match.place is not None:
+                self._file(match, match.place.span)
 
     def listen(self, leaf: Any, action: Any) -> None:
         """Have a leaf's action called for its events."""
@@ -182,20 +187,23 @@ class Rule:
         self.waiting += 1
         arrivals = self._arrivals
         arrivals.append(match)
+        if self._watched:
+            self._watch(match, span)
+        if self.waiting > self.network.cap:
+            self._drop_oldest()
+        elif len(arrivals) > 2 * self.waiting + _SPARE:
+            self._arrivals = deque(one for one in arrivals if one.place is not None)
+
+    def _watch(self, match: Match, span: Optional[int]) -> None:
+        """Note when a match is to go, and whether what it is made of is taken back."""
         if span is not None and match.start + span < self.clock:
             match.leave()  # it came too late to be a part of anything
             return
         network = self.network
         if network.mode.tracked:
             network.tracker.hold(match)
-            if match.bucket is None:
-                return
-        if self.timed:
+        if self.timed and match.place is not None:
             self._file(match, span)
-        if self.waiting > network.cap:
-            self._drop_oldest()
-        elif len(arrivals) > 2 * self.waiting + _SPARE:
-            self._arrivals = deque(one for one in arrivals if one.bucket is not None)
 
     def _file(self, match: Match, span: Optional[int]) -> None:
         if span is not None:
@@ -210,16 +218,11 @@ class Rule:
         arrivals = self._arrivals
         while arrivals:
             oldest = arrivals.popleft()
-            if oldest.bucket is not None:
+            if oldest.place is not None:
                 oldest.leave()
                 self.dropped += 1
                 self.network.dropped(self)
                 return
-
-    def _complete(self, match: Match, after: Frame) -> Frame:
-        if self.builder is None:
-            return after
-        return self._complete_values(match.term, match.values, match.start, match.end, after)
 
     def _complete_values(self, term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
         window = self.window
@@ -227,8 +230,8 @@ class Rule:
             return after
         return self.fire(self.builder(values), start, end, after)  # type: ignore[misc]
 
-    def _complete_alone(self) -> Action:
-        """Return what takes the values of a pattern that is one event; with nothing to test it fires at once."""
+    def _completing(self) -> Action:
+        """Return what takes the values of a whole match; with nothing to test it fires at once."""
         build = self.builder
         if build is None:
             return lambda term, values, start, end, after: after
@@ -296,6 +299,6 @@ def _compacted(heap: List[Tuple[int, int, Match]], waiting: int) -> List[Tuple[i
     """Return the heap without those that wait no more, when they have become the larger part."""
     if len(heap) <= 2 * waiting + _SPARE:
         return heap
-    left = [entry for entry in heap if entry[2].bucket is not None]
+    left = [entry for entry in heap if entry[2].place is not None]
     heapq.heapify(left)
     return left

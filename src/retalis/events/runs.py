@@ -184,7 +184,7 @@ class Running(Node):
     def _results_of_earlier(self, run: Run, key: Any) -> List[Match]:
         """Return the results of a late start with the repetitions that came before it, in their order."""
         results = []
-        for match in list(self.incoming.partners(key, run.start, run.end, False)):
+        for match in self.incoming.partners_now(key, run.start, run.end):
             extended, result = self.extend(run, match, surely_same(key, match))
             if extended and self.consuming:
                 match.leave()
@@ -216,7 +216,7 @@ class Running(Node):
     def _extend_all(self, out: Emit) -> Emit:
         def arrive(match: Match, after: Frame) -> Frame:
             key = self.incoming.key_of(match)
-            runs = list(self.place.partners(key, match.start, match.end, False))
+            runs = self.place.partners_now(key, match.start, match.end)
             if self.late:
                 self._wait(match, key)
             if not runs:
@@ -224,7 +224,7 @@ class Running(Node):
             results = (
                 result
                 for run in runs
-                if run.bucket is not None
+                if run.place is not None
                 for result in (self.extend(run, match, surely_same(key, run))[1],)
                 if result is not None
             )

@@ -172,7 +172,7 @@ class Tracker:
             held = occurrence.held
             held.append(match)
             if len(held) > 64 and len(held) & (len(held) - 1) == 0:
-                occurrence.held = [one for one in held if one.__class__ is tuple or one.bucket is not None]
+                occurrence.held = [one for one in held if one.__class__ is tuple or one.place is not None]
 
     def hold_repetition(self, run: Run, match: Match, node: Any) -> None:
         """Remember that a run was extended by a match."""
