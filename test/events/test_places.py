@@ -110,7 +110,19 @@ def test_matches_with_variables_are_partners_of_every_key(place):
 
 def test_the_newest_of_a_name_replaces_the_older(place):
     place.identify(lambda match: match.term)
-    wait(place, 1, 1, 5)
+    wait(place, 2, 1, 5)
     wait(place, 2, 2, 5)
     assert [match.start for match in place.all()] == [2]
     assert list(place.newest) == [2]
+
+
+@pytest.mark.parametrize("number", [2, 50])
+def test_among_many_of_a_key_the_one_of_the_same_name_is_replaced(place, number):
+    place.identify(lambda match: match.start % number)
+    for at in range(number * 3):
+        wait(place, 0, at, 5)
+        assert len(place.all()) == min(at + 1, number)
+    assert [match.start for match in place.all()] == list(range(number * 2, number * 3))
+    place.identify(None)
+    wait(place, 0, 0, 5)
+    assert len(place.all()) == number + 1

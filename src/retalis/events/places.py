@@ -4,7 +4,7 @@ import heapq
 from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Tuple
 
 from ..terms import Atom, String, freeze
-from .matches import Match, Values, identity
+from .matches import Match, Values
 from .reach import Reach
 from .timeindex import LEAST, MOST, Limits, TimeIndex
 
@@ -24,7 +24,7 @@ class Place:
         newest: by key, the newest match; under None is what has variables in its shared values, and is unified
             with every partner.
         span: how many nanoseconds a match that waits here can be a part of; None for no bound.
-        same: where a match replaces one of the same name: those that wait by name; else None.
+        name: what a match and the one that it replaces have in common; None where none replaces another.
         reach: where in time those lie that a partner looks for here; None for anywhere.
     """
 
@@ -33,10 +33,10 @@ class Place:
         self.key = key_function(shared)
         self.newest: Dict[Any, Match] = {}
         self.span: Optional[int] = None
-        self.same: Optional[Dict[Any, Match]] = None
-        self.name: Callable[[Match], Any] = identity
+        self.name: Optional[Callable[[Match], Any]] = None
         self.reach: Optional[Reach] = None
         self._indices: Dict[Any, TimeIndex] = {}
+        self._names: Dict[Any, Dict[Any, Match]] = {}
 
     def key_of(self, match: Match) -> Any:
         """Return the key of a match; None where a shared value has variables."""
@@ -49,13 +49,10 @@ class Place:
         """Let a match wait."""
         rule = self.rule
         match.order = rule.order = rule.order + 1
-        same = self.same
-        if same is not None:
-            match.identity = name = self.name(match)
-            older = same.get(name)
+        if self.name is not None:
+            older = self.namesake(match, key)
             if older is not None:
                 self.remove(older)
-            same[name] = match
         match.place = self
         match.key = key
         newest = self.newest
@@ -69,21 +66,21 @@ class Place:
             if self._indices and key in self._indices:
                 self._indices[key].add(match)
                 self._drop_if_idle(key)
+            if self._names and key in self._names:
+                self._names[key][match.identity] = match
         rule.keep(match, self.span)
 
     def remove(self, match: Match) -> None:
         """Take a match out that waits here."""
         match.place = None
         self.rule.waiting -= 1
-        same = self.same
-        if same is not None and same.get(match.identity) is match:
-            del same[match.identity]
         key = match.key
         older, newer = match.older, match.newer
         match.older = match.newer = None
         if older is match:
             del self.newest[key]
             self._indices.pop(key, None)
+            self._names.pop(key, None)
             return
         older.newer = newer
         newer.older = older
@@ -92,6 +89,27 @@ class Place:
         if self._indices and key in self._indices:
             self._indices[key].remove(match)
             self._drop_if_idle(key)
+        if self._names and key in self._names and self._names[key].get(match.identity) is match:
+            del self._names[key][match.identity]
+
+    def namesake(self, match: Match, key: Any) -> Optional[Match]:
+        """Return the match that one with a key is to replace; those of one name have the same key."""
+        assert self.name is not None
+        match.identity = name = self.name(match)
+        last = self.newest.get(key)
+        if last is None:
+            return None
+        names = self._names.get(key)
+        if names is None:
+            one = last
+            for _ in range(_FEWER):
+                if one.identity == name:
+                    return one
+                one = one.older
+                if one is last:
+                    return None
+            names = self._names[key] = {one.identity: one for one in self.with_key(key)}
+        return names.get(name)
 
     def _drop_if_idle(self, key: Any) -> None:
         if self._indices[key].idle:
@@ -195,14 +213,11 @@ class Place:
 
         Of those that wait already under one name, the newest can be replaced.
         """
-        if name is None:
-            self.same = None
-            return
-        self.same = {}
         self.name = name
-        for match in self.all():
-            match.identity = name(match)
-            self.same[match.identity] = match
+        self._names = {}
+        if name is not None:
+            for match in self.all():
+                match.identity = name(match)
 
 
 def _order(match: Match) -> int:

@@ -159,10 +159,10 @@ class Running(Node):
 
         def arrive(match: Match, after: Frame) -> Frame:
             run = Run(match, self.empty)
-            older: Any = place.same.get(place.name(run))  # type: ignore[union-attr, misc]
-            if older is not None and older.start == run.start and older.first.end == run.end:
-                return after
             key = place.key_of(run)
+            older = place.namesake(run, key)
+            if older is not None and older.start == run.start and older.end == run.end:
+                return after
             place.add(run, key)
             result = self._result_without(run) if fires else None
             if self.late:
