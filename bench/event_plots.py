@@ -19,6 +19,7 @@ TITLES = {
     "values": "partners told apart by a shared variable: the event fits one",
     "alike": "partners alike: the event fits all",
     "times": "partners told apart by their times only: the event fits one",
+    "shuffled": "the same, arrived in any order",
 }
 BOUNDS = (("#555555", "-"), ("#0072b2", "-"), ("#d55e00", "--"), ("#009e73", "-."), ("#e69f00", ":"))
 

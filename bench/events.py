@@ -2,13 +2,14 @@
 """What a completing event costs when many partial matches wait: each operator under each policy.
 
     bench/events.py [--operator NAME ...] [--policy NAME ...] [--setting NAME ...] [--most N] [--seconds S]
-                    [--half N] [--json FILE] [--plot PREFIX] [--from FILE]
+                    [--half N] [--json FILE] [--plot PREFIX] [--from FILE ...] [--markdown]
 
 The settings say what tells the waiting partners apart:
 
     values   a shared variable: the completing event fits one of the N that wait
     alike    nothing: it fits all of them, and the policy says which it takes
     times    their intervals only: it fits one of them, somewhere in the middle
+    shuffled the same, but they have not arrived in the order of their times
 
 Operator ``rules`` has N rules of which an event fits one that has fired before or, as ``rules_first``, one that has
 not; with ``expiry`` one of N matches that wait expires at each event. A cell grows from 10 to 10, 100, ... until
@@ -31,6 +32,7 @@ HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent / "src")]
 
 import event_memory  # noqa: E402
+import event_tables  # noqa: E402
 
 from retalis.clock import StreamClock  # noqa: E402
 from retalis.engine import Engine  # noqa: E402
@@ -96,7 +98,7 @@ CASES = {
     "where": Case("p(X, K) seq q(X, L) where (L >= 0)", (10, 20), (30, 40)),
     "within": Case("(p(X, K) seq q(X, L)) within 40", (10, 20), (30, 40), (_apart(10, 20), _apart(30, 40))),
 }
-SETTINGS = ("values", "alike", "times")
+SETTINGS = ("values", "alike", "times", "shuffled")
 MORE = ("rules", "rules_first", "expiry")
 
 
@@ -112,6 +114,7 @@ class Bench:
     def __init__(self, name: str, policy: str, setting: str):
         self.case = case = CASES[name]
         self.setting = setting
+        self.by_times = case.by_times if setting in ("times", "shuffled") else None
         self.consuming = policy != "unrestricted"
         self.all_at_once = setting == "alike" and (case.takes_all or not self.consuming)
         self.engine = engine_with(policy)
@@ -125,9 +128,11 @@ class Bench:
 
     def grow(self, size: int) -> None:
         """Have ``size`` matches wait."""
-        for first in range(self._size, size, 10_000):
-            numbers = range(first, min(size, first + 10_000))
-            dispatch(self.engine, [self._waiting(number) for number in numbers])
+        numbers = list(range(self._size, size))
+        if self.setting == "shuffled":
+            self._random.shuffle(numbers)
+        for at in range(0, len(numbers), 10_000):
+            dispatch(self.engine, [self._waiting(number) for number in numbers[at : at + 10_000]])
         self._size = size
 
     def batch(self, length: int) -> Tuple[float, int]:
@@ -148,15 +153,15 @@ class Bench:
 
     def _waiting(self, number: int) -> Event:
         start, end = self.case.waiting
-        if self.setting == "times":
-            start, end = self.case.by_times[0](number)  # type: ignore[index]
+        if self.by_times is not None:
+            start, end = self.by_times[0](number)
         return ((self.case.functors[0], number, number), start * SECOND, end * SECOND)
 
     def _completing(self, number: int) -> Event:
         case = self.case
         start, end = case.completing
-        if self.setting == "times":
-            start, end = case.by_times[1](number)  # type: ignore[index]
+        if self.by_times is not None:
+            start, end = self.by_times[1](number)
         elif case.later:
             self._now += 20
             start, end = self._now, self._now + 10
@@ -337,35 +342,13 @@ def cells(options: argparse.Namespace) -> Iterator[Tuple[str, str, str]]:
                     yield name, policy, setting
 
 
-def table(rows: Sequence[Dict[str, Any]]) -> Iterator[str]:
-    """Yield the lines of the table: microseconds of each completing event, or of each result where it has many."""
-    sizes = sorted({row["waiting"] for row in rows})
-    yield "setting  operator    policy          " + " ".join(f"{size:>9}" for size in sizes)
-    kinds = dict.fromkeys((row["setting"], row["operator"], row["policy"]) for row in rows)
-    for setting, name, policy in kinds:
-        found = {row["waiting"]: row for row in rows if keys(row) == (setting, name, policy)}
-        figures = [f"{per_result(found[size]):9.1f}" if size in found else " " * 9 for size in sizes]
-        each = " a result" if any(row["results"] > 1 for row in found.values()) else ""
-        yield f"{setting:<8} {name:<11} {policy:<15} " + " ".join(figures) + each
-
-
-def keys(row: Dict[str, Any]) -> Tuple[str, str, str]:
-    """Return what a row is a figure of."""
-    return row["setting"], row["operator"], row["policy"]
-
-
-def per_result(row: Dict[str, Any]) -> float:
-    """Return the microseconds of an event, divided by its results where it has many."""
-    return float(row["us"]) / max(1, int(row["results"]))
-
-
 def run(options: argparse.Namespace) -> Dict[str, Any]:
     """Measure what is asked for."""
     rows: List[Dict[str, Any]] = []
     for name, policy, setting in cells(options):
         found = list(measure(name, policy, setting, options.most, options.seconds))
         rows += found
-        figures = " ".join(f"{row['waiting']}:{per_result(row):.1f}" for row in found)
+        figures = " ".join(f"{row['waiting']}:{event_tables.per_result(row):.1f}" for row in found)
         print(f"{setting} {name} {policy} {figures}", file=sys.stderr, flush=True)
     memory = event_memory.measure_all(options.half) if options.half else {}
     return {"python": sys.version.split()[0], "rows": rows, "memory": memory}
@@ -383,11 +366,19 @@ def main(arguments: Optional[List[str]] = None) -> int:
     add("--most", type=int, default=10**5, help="the largest number that waits")
     add("--seconds", type=float, default=2.0, help="how long the next size of a cell may take")
     add("--half", type=int, default=10**6, help="how many half matches the memory is measured with")
+    add("--markdown", action="store_true", help="print the tables as they stand in the documentation")
     add("--json", type=Path, help="write the figures there")
-    add("--from", dest="source", type=Path, help="take the figures from there instead of measuring")
+    add(
+        "--from",
+        dest="sources",
+        type=Path,
+        nargs="+",
+        help="take the figures from there instead of measuring",
+    )
     add("--plot", help="draw plots into files whose names start so")
     options = parser.parse_args(arguments)
-    figures = json.loads(options.source.read_text()) if options.source else run(options)
+    figures = event_tables.joined(options.sources) if options.sources else run(options)
+    table = event_tables.markdown if options.markdown else event_tables.plain
     for line in table(figures["rows"]):
         print(line)
     for line in event_memory.lines(figures["memory"]):

@@ -27,10 +27,24 @@ def test_every_cell_gives_figures(events, tmp_path, capsys):
     assert {row["waiting"] for row in rows} == {10, 100}
     assert all(row["us"] > 0 for row in rows)
     table = capsys.readouterr().out.splitlines()
-    assert len(table) == 1 + len({events.keys(row) for row in rows})
+    assert len(table) == 1 + len({events.event_tables.keys(row) for row in rows})
 
 
-@pytest.mark.parametrize("setting", ["values", "alike", "times"])
+def test_figures_of_several_runs_make_one_table(events, tmp_path, capsys):
+    files = []
+    for name, policy in (("seq", "unrestricted"), ("seq", "recent"), ("and", "recent")):
+        files.append(str(tmp_path / f"{name}_{policy}.json"))
+        which = ["--operator", name, "--policy", policy, "--setting", "alike", "--most", "10"]
+        events.main([*which, "--half", "0", "--json", files[-1]])
+    capsys.readouterr()
+    assert events.main(["--from", *files, "--markdown"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[1] == "| operator | policy | 10 |"
+    cells = [line.split(" | ")[:2] for line in lines[3:]]
+    assert cells == [["| `seq`", "`recent`"], ["| `seq`", "`unrestricted`"], ["| `and`", "`recent`"]]
+
+
+@pytest.mark.parametrize("setting", ["values", "alike", "times", "shuffled"])
 def test_completing_events_complete(events, setting):
     for name, policy, _ in events.cells(arguments(setting)):
         if name in events.CASES:

@@ -1,0 +1,70 @@
+"""Tables of the figures that events.py measures."""
+
+import json
+from pathlib import Path
+from typing import Any, Dict, Iterator, List, Sequence, Tuple
+
+Rows = Sequence[Dict[str, Any]]
+
+
+def joined(files: Sequence[Path]) -> Dict[str, Any]:
+    """Return the figures of several files as those of one."""
+    figures: Dict[str, Any] = {"rows": [], "memory": {}}
+    for file in files:
+        found = json.loads(file.read_text())
+        figures["rows"] += found["rows"]
+        figures["memory"].update(found["memory"])
+        figures["python"] = found["python"]
+    return figures
+
+
+def plain(rows: Rows) -> Iterator[str]:
+    """Yield the lines of a table: microseconds of each completing event, or of each result where it has many."""
+    sizes = sorted({row["waiting"] for row in rows})
+    yield "setting  operator    policy          " + " ".join(f"{size:>9}" for size in sizes)
+    for (setting, name, policy), found in _cells(rows).items():
+        figures = [f"{per_result(found[size]):9.1f}" if size in found else " " * 9 for size in sizes]
+        each = " a result" if any(row["results"] > 1 for row in found.values()) else ""
+        yield f"{setting:<8} {name:<11} {policy:<15} " + " ".join(figures) + each
+
+
+def markdown(rows: Rows) -> Iterator[str]:
+    """Yield the lines of one table for each setting, in Markdown."""
+    for setting in dict.fromkeys(row["setting"] for row in rows):
+        mine = [row for row in rows if row["setting"] == setting]
+        sizes = sorted({row["waiting"] for row in mine})
+        yield ""
+        yield "| operator | policy | " + " | ".join(f"{size:,}" for size in sizes) + " |"
+        yield "| --- | --- |" + " ---: |" * len(sizes)
+        for (_, name, policy), found in sorted(_cells(mine).items(), key=lambda item: _place(mine, item[0])):
+            figures = [_rounded(per_result(found[size])) if size in found else "" for size in sizes]
+            yield f"| `{name}` | `{policy}` | " + " | ".join(figures) + " |"
+
+
+def keys(row: Dict[str, Any]) -> Tuple[str, str, str]:
+    """Return what a row is a figure of."""
+    return row["setting"], row["operator"], row["policy"]
+
+
+def per_result(row: Dict[str, Any]) -> float:
+    """Return the microseconds of an event, divided by its results where it has many."""
+    return float(row["us"]) / max(1, int(row["results"]))
+
+
+def _cells(rows: Rows) -> Dict[Tuple[str, str, str], Dict[int, Dict[str, Any]]]:
+    """Return the rows by what they are figures of, and by how many wait."""
+    found: Dict[Tuple[str, str, str], Dict[int, Dict[str, Any]]] = {}
+    for row in rows:
+        found.setdefault(keys(row), {})[row["waiting"]] = row
+    return found
+
+
+def _place(rows: Rows, cell: Tuple[str, str, str]) -> Tuple[int, int]:
+    """Return where a cell stands: operators as they were measured first, policies from the newest to all."""
+    names: List[str] = list(dict.fromkeys(row["operator"] for row in rows))
+    policies = ("recent", "recent_2", "chronological", "chronological_2", "unrestricted")
+    return names.index(cell[1]), policies.index(cell[2])
+
+
+def _rounded(figure: float) -> str:
+    return f"{figure:.1f}" if figure < 100 else f"{figure:,.0f}"
