@@ -1,6 +1,5 @@
 """Event rules at run time: their clock, what waits for them, and what they fire."""
 
-import heapq
 from collections import deque
 from typing import Any, Deque, List, NamedTuple, Optional, Tuple
 
@@ -10,6 +9,7 @@ from .alarms import alarm_of
 from .building import compile_builder
 from .compiling import Compiler
 from .dispatch import Action, Listener, Stage
+from .expiry import Expiries
 from .matches import Match
 from .policy import Frame, Mode
 
@@ -62,10 +62,10 @@ class Rule:
         self.clock: int = -(1 << 63)
         self.order = 0
         self._arrivals: Deque[Match] = deque()
-        self._expiries: List[Tuple[int, int, Match]] = []
+        self._expiries = Expiries()
         self._collected_at: Optional[int] = None
         self._garbage: Optional[Tuple[int, int]] = None
-        self._by_end: List[Tuple[int, int, Match]] = []
+        self._by_end = Expiries()
         self._listeners: List[Listener] = []
         self._bound = False
         self.later: List[Tuple[Any, Match, Any]] = []
@@ -102,8 +102,8 @@ class Rule:
 
     def _resettle(self) -> None:
         """File what waits already under the bounds that hold now."""
-        self._expiries = []
-        self._by_end = []
+        self._expiries = Expiries()
+        self._by_end = Expiries()
         for match in self._arrivals:
             if match.place is not None:
                 self._file(match, match.place.span)
@@ -130,8 +130,8 @@ class Rule:
         for match in list(self._arrivals):
             match.leave()
         self._arrivals.clear()
-        self._expiries = []
-        self._by_end = []
+        self._expiries = Expiries()
+        self._by_end = Expiries()
         self.clock = -(1 << 63)
         self._collected_at = None
 
@@ -164,9 +164,7 @@ class Rule:
         if end <= self.clock or end > self.network.newest_allowed():
             return
         self.clock = end
-        expiries = self._expiries
-        while expiries and expiries[0][0] < end:
-            heapq.heappop(expiries)[2].leave()
+        self._expiries.expire(end)
         if self._garbage is not None:
             self._collect(*self._garbage)
 
@@ -178,9 +176,7 @@ class Rule:
         if clock - self._collected_at < step:
             return
         self._collected_at = clock
-        old = self._by_end
-        while old and old[0][0] < clock - window:
-            heapq.heappop(old)[2].leave()
+        self._by_end.expire(clock - window)
 
     def keep(self, match: Match, span: Optional[int]) -> None:
         """Count a match that begins to wait; with too many the oldest goes."""
@@ -207,12 +203,10 @@ class Rule:
 
     def _file(self, match: Match, span: Optional[int]) -> None:
         if span is not None:
-            heapq.heappush(self._expiries, (match.start + span, match.order, match))
-            self._expiries = _compacted(self._expiries, self.waiting)
+            self._expiries.add(match.start + span, match, self.waiting)
         if self._garbage is not None:
             end = match.last if hasattr(match, "last") else match.end
-            heapq.heappush(self._by_end, (end, match.order, match))
-            self._by_end = _compacted(self._by_end, self.waiting)
+            self._by_end.add(end, match, self.waiting)
 
     def _drop_oldest(self) -> None:
         arrivals = self._arrivals
@@ -293,12 +287,3 @@ def _least(one: Optional[int], other: Optional[int]) -> Optional[int]:
     if one is None:
         return other
     return one if other is None else min(one, other)
-
-
-def _compacted(heap: List[Tuple[int, int, Match]], waiting: int) -> List[Tuple[int, int, Match]]:
-    """Return the heap without those that wait no more, when they have become the larger part."""
-    if len(heap) <= 2 * waiting + _SPARE:
-        return heap
-    left = [entry for entry in heap if entry[2].place is not None]
-    heapq.heapify(left)
-    return left

@@ -1,0 +1,46 @@
+"""When waiting matches go: in time, whatever the order in which they came, and without hoarding those that left."""
+
+import random
+
+import pytest
+
+from retalis.events.expiry import Expiries
+
+
+class Waiting:
+    """What a match is to the expiries."""
+
+    def __init__(self, order):
+        self.order = order
+        self.place = self
+
+    def leave(self):
+        """Leave."""
+        self.place = None
+
+
+@pytest.mark.parametrize("late", [0, 3, 100])
+def test_all_go_after_their_instant_and_none_before(late):
+    source = random.Random(late)
+    expiries = Expiries()
+    matches = []
+    for order in range(500):
+        instant = order + source.randint(0, late)
+        matches.append((instant, Waiting(order)))
+        expiries.add(*matches[-1], waiting=500)
+        expiries.expire(order - 50)
+        assert all((match.place is None) == (instant < order - 50) for instant, match in matches)
+    assert len(expiries) == sum(match.place is not None for _, match in matches)
+
+
+@pytest.mark.parametrize("step", [1, -1])
+def test_what_has_left_is_dropped(step):
+    expiries = Expiries()
+    for order in range(20_000):
+        match = Waiting(order)
+        expiries.add(order * step, match, waiting=1)
+        if order:
+            match.leave()
+    assert len(expiries) < 2000
+    expiries.expire(20_000)
+    assert len(expiries) == 0
