@@ -9,7 +9,8 @@ from .aggregates import Collector
 from .building import compile_builder
 from .conditions import Call, Test, goal_test
 from .deferred import Deferred, Items, absence_of, deferred_test
-from .nodes import Acting, Alternatives, Capture, Filter, Joining, Leaf, Never, Node
+from .joining import Joining
+from .nodes import Acting, Alternatives, Capture, Filter, Leaf, Never, Node
 from .operators import OPERATORS
 from .pattern import (
     Absent,

@@ -129,6 +129,16 @@ def unify_sides(
     return result
 
 
+def agreed(left: Values, right: Values) -> Optional[Values]:
+    """Unify values pairwise; return them, or None where they differ."""
+    trail: List[Any] = []
+    result = None
+    if all(unify(one, other, trail) for one, other in zip(left, right)):
+        result = tuple([resolve(one) for one in left])
+    undo(trail, 0)
+    return result
+
+
 def _renamed(values: Values) -> Values:
     fresh: Dict[Var, Term] = {}
     return tuple([copy(value, fresh) for value in values])

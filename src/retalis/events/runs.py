@@ -8,7 +8,7 @@ from .aggregates import Collector
 from .building import compile_builder
 from .conditions import Test
 from .deferred import NO_ITEMS, Items, with_item
-from .matches import Found, Held, Match, identity, taken_back, unify_sides
+from .matches import Found, Held, Match, agreed, identity, taken_back, unify_sides
 from .nodes import Node
 from .places import Place, surely_same
 from .policy import Emit, Frame, Mode, emit_each
@@ -273,7 +273,7 @@ class Running(Node):
     def _fixed_with(self, run: Run, step: Values) -> Optional[Values]:
         """Return the values of a run's fixed variables with a repetition; None where they differ from before."""
         fixed = tuple([step[at] for at in self.fixed_at])
-        return fixed if run.fixed is None else _agreed(run.fixed, fixed)
+        return fixed if run.fixed is None else agreed(run.fixed, fixed)
 
     def _items_with(self, run: Run, step: Values) -> Term:
         if self.items is None:
@@ -390,13 +390,3 @@ def _by_term(run: Match) -> Any:
 def _by_occurrence(run: Match) -> Any:
     first = run.first  # type: ignore[attr-defined]
     return (identity(first), int(first.start), int(first.end))
-
-
-def _agreed(left: Values, right: Values) -> Optional[Values]:
-    """Unify values pairwise; return them, or None where they differ."""
-    trail: List[Any] = []
-    result = None
-    if all(unify(one, other, trail) for one, other in zip(left, right)):
-        result = tuple([resolve(one) for one in left])
-    undo(trail, 0)
-    return result

@@ -1,0 +1,207 @@
+"""The node that puts two matches together."""
+
+from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
+
+from ..terms import Var
+from ._source import compile_function
+from .conditions import Test
+from .matches import Found, Match, identity, taken_back
+from .nodes import Node
+from .operators import Operator
+from .places import Place
+from .policy import Emit, Frame, Mode, Side, taking_all, taking_all_at_once, taking_one, waiting_only
+from .reach import reach_of
+
+
+class Joining(Node):
+    """Puts two matches together by an operator, an interval bound, absences and conditions.
+
+    Args:
+        rule: the rule it belongs to.
+        operator: which pairs fit, and their interval.
+        left: the node of the left operand.
+        right: the node of the right operand.
+        keep: the variables that anything else in the rule looks at.
+        gap: the variables under which the gap between the sides is carried on, for an absence tested above.
+        double: whether one event may be in both sides.
+    """
+
+    def __init__(
+        self,
+        rule: Any,
+        operator: Operator,
+        left: Node,
+        right: Node,
+        keep: Any,
+        gap: Optional[Tuple[Var, Var]],
+        double: bool,
+    ):
+        self.rule = rule
+        self.operator = operator
+        self.left = left
+        self.right = right
+        self.gap = gap
+        shared = [var for var in left.vars if var in right.vars]
+        self.pairs = tuple((left.vars.index(var), right.vars.index(var)) for var in shared)
+        self.left_place = Place(rule, tuple(one for one, _ in self.pairs))
+        self.right_place = Place(rule, tuple(two for _, two in self.pairs))
+        self.operands = (self.left_place, self.right_place)
+        taken = [(f"lv[{at}]", var) for at, var in enumerate(left.vars) if var in keep]
+        taken += [
+            (f"rv[{at}]", var) for at, var in enumerate(right.vars) if var in keep and var not in left.vars
+        ]
+        if gap is not None:
+            taken += [("e1", gap[0]), ("s2", gap[1])]
+        self.taken = [source for source, _ in taken]
+        self.vars = [var for _, var in taken]
+        self.absences: List[Any] = []
+        self.negated: List[Node] = []
+        self.carried: List[Tuple[Any, Node]] = []
+        self.tests: List[Test] = []
+        self.completed: Dict[Any, None] = {}
+        self.double = double
+        self.span: Optional[int] = None
+
+    def test(self, test: Test, names: Sequence[Var]) -> None:
+        """Add a condition; ``names`` are the variables it leaves."""
+        self.tests.append(test)
+        self.vars = list(names)
+
+    def absent(self, absence: Any, negated: Node) -> None:
+        """Add a pattern that must not match between the sides."""
+        self.absences.append(absence)
+        self.negated.append(negated)
+
+    def places(self) -> Sequence[Place]:
+        """Return where matches wait."""
+        absences = [*self.absences, *(absence for absence, _ in self.carried)]
+        return (self.left_place, self.right_place, *(absence.place for absence in absences))
+
+    def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
+        """Set the bounds; see `Node.set_span`."""
+        self.span = span
+        for place in (self.left_place, self.right_place, *(absence.place for absence in self.absences)):
+            place.span = limit
+
+    def bind(self, out: Emit, mode: Mode) -> None:
+        """Connect the node; see `Node.bind`."""
+        policy = mode.policy
+        operator = self.operator
+        self.out = out
+        self.joined = self._join(True)
+        self.left_place.reach = reach_of(operator.name, self.span, False)
+        self.right_place.reach = reach_of(operator.name, self.span, True)
+        name = identity if policy.replacing else None
+        self.left_place.identify(None if operator.everything else name)
+        self.right_place.identify(name)
+        late = mode.out_of_order and not operator.either
+        both = operator.either
+        left = Side(self.left_place, self.right_place, self.joined, self.pairs, True, True, False)
+        flipped = tuple((two, one) for one, two in self.pairs)
+        right = Side(self.right_place, self.left_place, self._join(False), flipped, False, both or late, late)
+        if self.double and policy.replacing and (both or late):
+            right = right._replace(wait=self._wait_later)
+        if operator.everything:
+            self.right.bind(taking_all_at_once(right, True, out), mode)
+            if not late:
+                self.left.bind(waiting_only(left), mode)
+            elif policy.consuming:
+                self.left.bind(taking_one(left, policy.newest, True, out), mode)
+            else:
+                self.left.bind(taking_all_at_once(left, False, out), mode)
+        elif not policy.consuming:
+            self.right.bind(taking_all(right, out), mode)
+            self.left.bind(taking_all(left, out) if both or late else waiting_only(left), mode)
+        else:
+            once = self.completed if self.double and both and operator.alone else None
+            self.right.bind(taking_one(right, policy.newest, True, out, once), mode)
+            if both or late:
+                self.left.bind(taking_one(left, policy.newest, True, out, once), mode)
+            else:
+                self.left.bind(waiting_only(left), mode)
+        for negated, absence in zip(self.negated, self.absences):
+            negated.bind(absence.arrive, mode)
+        for absence, negated in self.carried:
+            negated.bind(absence.arrive, mode)
+
+    def _wait_later(self, match: Match, key: Any) -> None:
+        """Let a right side wait when its event has been tried as a left side too.
+
+        Else it would replace an older one of the same event that the left side still has to meet.
+        """
+        if match.event is None and self.operator.either:
+            self.right_place.add(match, key)
+        else:
+            self.rule.add_later(self.right_place, match, key)
+
+    def _join(self, left_arrives: bool) -> Callable[[Match, Match], Optional[Match]]:
+        """Compile the test and the result of a pair; the arriving match is the first argument."""
+        operator = self.operator
+        names: Dict[str, Any] = {"Match": Match}
+        lines = [
+            f"def made({'l, r' if left_arrives else 'r, l'}):",
+            "    s1 = l.start; e1 = l.end; s2 = r.start; e2 = r.end",
+            f"    if not ({operator.fits}):",
+            "        return None",
+        ]
+        if operator.alone and self.double:
+            lines += ["    if l.event is not None and l.event == r.event:", "        return None"]
+        lines += [f"    start = {operator.start}", f"    end = {operator.end}"]
+        if self.span is not None:
+            lines += [f"    if end - start > {self.span}:", "        return None"]
+        lines += ["    lv = l.values", "    rv = r.values"]
+        lines.append(f"    values = ({', '.join(self.taken)}{',' if len(self.taken) == 1 else ''})")
+        for number, absence in enumerate(self.absences):
+            names[f"absence{number}"] = absence.blocks
+            lines += [f"    if absence{number}(values, e1, s2):", "        return None"]
+        for number, test in enumerate(self.tests):
+            names[f"test{number}"] = test
+            lines += [
+                f"    values = test{number}(values, start, end)",
+                "    if values is None:",
+                "        return None",
+            ]
+        known = len(self.taken)
+        names["Found"] = Found
+        parts = f"(l, r, Found(values[{known}:]))" if len(self.vars) > known else "(l, r)"
+        lines.append(f"    return Match(values, start, end, None, None, {parts})")
+        made: Callable[[Match, Match], Optional[Match]] = compile_function(
+            "\n".join(lines) + "\n", names, f"{operator.name} of {self.rule.name}"
+        )
+        if self.rule.network.mode.tracked and (self.absences or self.carried):
+            return self._noting_what_is_suppressed(made, left_arrives)
+        return made
+
+    def _noting_what_is_suppressed(
+        self, join: Callable[[Match, Match], Optional[Match]], left_arrives: bool
+    ) -> Callable[[Match, Match], Optional[Match]]:
+        tracker = self.rule.network.tracker
+
+        def noting(match: Match, partner: Match) -> Optional[Match]:
+            tracker.blocker = None
+            result = join(match, partner)
+            if result is None and tracker.blocker is not None:
+                tracker.suppressed(self, (match, partner) if left_arrives else (partner, match))
+            return result
+
+        return noting
+
+    def retry(self, pair: Tuple[Match, Match], after: Frame) -> Frame:
+        """Join two matches again, what was between them having been taken back."""
+        left, right = pair
+        mode = self.rule.network.mode
+        if left.place is None or right.used or (right.place is None and self._right_waits(mode)):
+            return after
+        if taken_back(left) or taken_back(right):
+            return after
+        result = self.joined(left, right)
+        if result is None:
+            return after
+        if mode.policy.consuming or self.operator.everything:
+            left.leave()
+            right.leave()
+            right.used = True
+        return self.out(result, after)
+
+    def _right_waits(self, mode: Mode) -> bool:
+        return self.operator.either or mode.out_of_order
