@@ -1,5 +1,6 @@
 """Python functions as predicates."""
 
+import itertools
 import math
 import sys
 from pathlib import Path
@@ -11,9 +12,9 @@ from retalis import Compound, Engine, foreign
 from retalis._foreign import to_python, to_term
 from retalis.engine import Settings
 from retalis.errors import ProgramErrors, RetalisError, UsageError
-from retalis.logic import PrologError
+from retalis.logic import Limits, PrologError
 from retalis.syntax import Operators, read_term, writeq
-from retalis.terms import String, Term, atom
+from retalis.terms import String, Term, atom, functor
 
 
 @foreign
@@ -271,3 +272,124 @@ def test_the_example_of_the_documentation(tmp_path):
     assert answers(engine, "distance(0, 0, 3, 4, D)") == [{"D": "5.0"}]
     assert [answer["X"] for answer in answers(engine, "upto(3, X)")] == ["1", "2", "3"]
     assert engine.call("is_even(4)")
+
+
+CLOSED = []
+
+
+@foreign
+def endless(start: int) -> Iterator[int]:
+    try:
+        while True:
+            yield start
+            start += 1
+    finally:
+        CLOSED.append(start)
+
+
+@foreign
+def count_items(items: list) -> int:
+    return len(items)
+
+
+@foreign
+def depth(term) -> int:
+    found = 0
+    while isinstance(term, Compound):
+        term = term.args[0]
+        found += 1
+    return found
+
+
+@foreign(outputs=2)
+def one_of_two() -> Any:
+    return (1,)
+
+
+@foreign(outputs=2)
+def no_tuple() -> Any:
+    return 1
+
+
+@foreign
+def strange() -> Any:
+    return object()
+
+
+@foreign
+def numbers_without_end() -> Any:
+    return itertools.count()
+
+
+@foreign
+def asks_for_the_engine(name: str) -> bool:
+    raise PrologError((functor("my_error", 1), atom(name)))
+
+
+@pytest.fixture
+def forms():
+    made = Engine()
+    made.add_foreign(
+        endless, count_items, depth, one_of_two, no_tuple, strange, numbers_without_end, asks_for_the_engine
+    )
+    CLOSED.clear()
+    return made
+
+
+@pytest.mark.parametrize(
+    ("goal", "at"),
+    [
+        ("endless(1, X), X > 2, !", [3]),
+        ("(endless(1, X) -> true)", [1]),
+        ("\\+ \\+ endless(1, _)", [1]),
+        ("once((endless(1, X), endless(5, Y), X + Y > 7))", [7, 1]),
+        ("catch((endless(1, X), X > 2, throw(done)), done, true)", [3]),
+        ("findall(X, limit(2, endless(1, X)), _)", [2]),
+    ],
+)
+def test_a_generator_is_closed_where_it_is_cut(forms, goal, at):
+    assert forms.call(goal)
+    assert sorted(CLOSED) == sorted(at)
+
+
+def test_a_generator_without_end_is_stopped_by_the_limits(forms):
+    forms.logic.limits = Limits(inferences=20_000)
+    with pytest.raises(PrologError, match="Not enough resources: inferences"):
+        forms.call("endless(1, X), X < 0")
+
+
+def test_deep_and_long_terms_are_converted(forms):
+    forms.load(rules="deep(0, a) :- !.\ndeep(N, s(T)) :- M is N - 1, deep(M, T).")
+    assert forms.call("numlist(1, 100000, L), count_items(L, 100000)")
+    assert forms.call("deep(50000, T), depth(T, 50000)")
+    with pytest.raises(PrologError, match="Not enough resources"):
+        forms.call("T = s(T), depth(T, _)")
+
+
+@pytest.mark.parametrize(
+    ("goal", "formal"),
+    [
+        ("one_of_two(A, B)", "system_error('a foreign predicate gave 1 values for 2 outputs')"),
+        ("strange(X)", "system_error('a object is no term: <"),
+        ("no_tuple(A, B)", "python_error('TypeError',"),
+        ("asks_for_the_engine(a)", None),
+        ("count_items([1|_], _)", "instantiation_error"),
+        ("count_items(X, _)", "instantiation_error"),
+        ("count_items([_], _)", "instantiation_error"),
+        ("count_items([1])", "existence_error(procedure,count_items/1)"),
+    ],
+)
+def test_what_goes_wrong_is_an_error_of_the_goal(forms, goal, formal):
+    with pytest.raises(PrologError) as caught:
+        forms.call(goal)
+    if formal is None:
+        assert writeq(caught.value.term) == "my_error(a)"
+    else:
+        assert writeq(caught.value.term[1]).startswith(formal)
+    assert forms.call("count_items([1], 1)")
+
+
+def test_a_result_without_end_is_given_up(forms):
+    forms.logic.limits = Limits(inferences=20_000)
+    with pytest.raises(PrologError, match="Not enough resources"):
+        forms.call("numbers_without_end(X)")

@@ -22,12 +22,13 @@ import numbers
 from pathlib import Path
 from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple, get_type_hints
 
-from .errors import RetalisError, UsageError
+from .errors import RetalisError, TermTooLarge, UsageError
 from .logic import Logic, PrologError, instantiation_error, permission_error, type_error
 from .terms import (
     CONS,
     FALSE,
     MINUS,
+    MOST,
     NIL,
     SLASH,
     TRUE,
@@ -43,7 +44,9 @@ from .terms import (
     list_items,
     make_list,
 )
+from .watching import BULK, look
 
+_MASK = len(BULK) - 1
 _ERROR = functor("error", 2)
 _PYTHON_ERROR = functor("python_error", 2)
 _MARK = "__retalis_foreign__"
@@ -227,22 +230,53 @@ def to_python(term: Term) -> Any:
     Raises:
         PrologError: an instantiation error for an unbound variable in it.
     """
-    term = deref(term)
-    kind = term.__class__
+    values: List[Any] = []
+    stack: List[Any] = [term]
+    steps = 0
+    while stack:
+        steps += 1
+        if not steps & _MASK:
+            look()
+            if steps > MOST:
+                raise TermTooLarge
+        item = deref(stack.pop())
+        kind = item.__class__
+        if kind is _Parts:
+            values[len(values) - item.count :] = [item.join(values[len(values) - item.count :])]
+        elif kind is tuple:
+            items = list_items(item) if item[0] is CONS else None
+            parts = list(item[1:]) if items is None else items
+            stack.append(_Parts(len(parts), None if items is not None else item[0].name))
+            stack.extend(reversed(parts))
+        else:
+            values.append(_constant(item, kind))
+    return values[0]
+
+
+class _Parts:
+    """On the stack of `to_python` behind the parts of a list (without a name) or compound term."""
+
+    __slots__ = ("count", "name")
+
+    def __init__(self, count: int, name: Optional[str]):
+        self.count = count
+        self.name = name
+
+    def join(self, values: List[Any]) -> Any:
+        """Return the value of the whole."""
+        return values if self.name is None else Compound(self.name, values)
+
+
+def _constant(item: Term, kind: type) -> Any:
     if kind is Var:
         raise instantiation_error()
-    if term is TRUE or term is FALSE:
-        return term is TRUE
+    if item is TRUE or item is FALSE:
+        return item is TRUE
     if kind is Atom:
-        return [] if term is NIL else term.name
+        return [] if item is NIL else item.name
     if kind is String:
-        return term.text
-    if kind is tuple:
-        items = list_items(term) if term[0] is CONS else None
-        if items is not None:
-            return [to_python(item) for item in items]
-        return Compound(term[0].name, [to_python(item) for item in term[1:]])
-    return int(term) if isinstance(term, int) else term
+        return item.text
+    return int(item) if isinstance(item, int) else item
 
 
 def to_term(value: Any) -> Term:
@@ -275,9 +309,17 @@ def to_term(value: Any) -> Term:
     if isinstance(value, dict):
         return make_list([(MINUS, to_term(key), to_term(item)) for key, item in value.items()])
     try:
-        return make_list([to_term(item) for item in value])
+        items = iter(value)
     except TypeError:
         raise UsageError(f"a {type(value).__name__} is no term: {value!r}") from None
+    found = []
+    for count, item in enumerate(items, 1):
+        found.append(to_term(item))
+        if not count & _MASK:
+            look()
+            if count > MOST:
+                raise TermTooLarge
+    return make_list(found)
 
 
 def _reader(hint: Any) -> Callable[[Term], Any]:
