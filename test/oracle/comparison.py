@@ -9,6 +9,7 @@ import sys
 import time
 from collections import Counter
 from dataclasses import fields, replace
+from itertools import count
 from typing import Any, Callable, Iterable, Iterator, List, Optional, Sequence, Tuple
 
 from retalis.clock import StreamClock
@@ -67,11 +68,16 @@ def revised_answer(case: Case) -> List[Fired]:
     )
 
 
+def is_defined(case: Case) -> bool:
+    """Tell whether the oracle says what a case does."""
+    return not case.revises() or revision.defined_for(case.rules, case.policy, case.out_of_order)
+
+
 def difference(case: Case) -> Optional[Tuple[Any, Any]]:
     """Return what was expected and what the engine did instead, or None where they agree."""
-    revises = case.revises()
-    if revises and not revision.defined_for(case.rules, case.policy, case.out_of_order):
+    if not is_defined(case):
         return None
+    revises = case.revises()
     try:
         expected: Any = revised_answer(case) if revises else answer(case)
     except RecursionError:
@@ -105,6 +111,8 @@ def smaller_rules(rule: Rule) -> Iterator[Rule]:
         yield replace(rule, pattern=pattern)
     if rule.window is not None or rule.label is not None:
         yield replace(rule, window=None, label=None)
+    if rule.do is not None:
+        yield replace(rule, do=None)
     if rule.head.__class__ is tuple:
         for at in range(1, len(rule.head)):
             rest = rule.head[1:at] + rule.head[at + 1 :]
@@ -121,6 +129,8 @@ def smaller(case: Case) -> Iterator[Case]:
             yield replace(case, rules=case.rules[:at] + case.rules[at + 1 :])
     if case.out_of_order:
         yield replace(case, out_of_order=False)
+    if case.neutral:
+        yield replace(case, neutral=())
     for at, rule in enumerate(case.rules):
         for simpler in smaller_rules(rule):
             yield replace(case, rules=(*case.rules[:at], simpler, *case.rules[at + 1 :]))
@@ -172,20 +182,25 @@ def main() -> int:
     begin = time.time()
     kinds: Any = Counter()
     differing = 0
-    for seed in range(options.seed, options.seed + options.cases):
+    compared = 0
+    for seed in count(options.seed):
+        if compared == options.cases:
+            break
         case = random_case(seed, options.depth, options.revision)
+        compared += is_defined(case)
         if difference(case) is None:
             continue
         differing += 1
-        if sum(1 for count in kinds.values() if count) < options.show:
+        if sum(1 for number in kinds.values() if number) < options.show:
             small = shrink(case, lambda candidate: difference(candidate) is not None)
             kind = kind_of(small)
             kinds[kind] += 1
             if kinds[kind] == 1:
                 print(f"seed {seed} {report(small)}", flush=True)
-    print(f"{options.cases} cases, {differing} differ, {time.time() - begin:.0f} s")
-    for kind, count in kinds.most_common():
-        print(f"{count:6} {kind}")
+    seeds = f"seeds {options.seed} to {seed - 1}"
+    print(f"{compared} cases ({seeds}), {differing} differ, {time.time() - begin:.0f} s")
+    for kind, number in kinds.most_common():
+        print(f"{number:6} {kind}")
     return 1 if differing else 0
 
 

@@ -9,7 +9,7 @@ from typing import Any, Callable, Dict, Iterable, List, Optional, Set
 from retalis.terms import Term, Var, copy, variables
 
 from .goals import Bindings, GoalError, first, instance, merge, show, solve, unbound, unify
-from .matches import Event, Match, Pending
+from .matches import Event, Gap, Match, Pending
 from .patterns import (
     Check,
     Cnot,
@@ -105,9 +105,15 @@ class Conditions:
 
         Patterns: a condition under several operators sees the variables of all patterns to its left.
         """
-        kept: List[Pending] = []
+        kept: List[Any] = []
         bindings = match.bindings
         for item in match.pending:
+            if isinstance(item, Gap):
+                if self.waits_for_left(item.node, bindings, node):
+                    kept.append(item)
+                elif self.forbidden(item, bindings):
+                    return None
+                continue
             if unbound(item.goal, bindings) & set(self.left_of[node]):
                 kept.append(Pending(instance(item.goal, bindings), item.facts))
                 continue
@@ -117,6 +123,30 @@ class Conditions:
                 return None
             bindings = solution
         return replace(match, bindings=bindings, pending=tuple(kept))
+
+    def waits_for_left(self, absence: Any, bindings: Bindings, node: Pattern) -> bool:
+        """Tell whether what must not happen has variables of patterns to the left that are still unbound."""
+        mentioned = set(pattern_variables(absence.absent)) & set(self.left_of[absence])
+        left = set(self.left_of[node])
+        return any(unbound(var, bindings) & left for var in mentioned)
+
+    def forbidden(self, gap: Gap, bindings: Bindings) -> bool:
+        """Tell whether something that must not happen lies in a gap."""
+        for r in self.absent(gap.node):
+            inside = r.end < gap.before and (gap.after is None or gap.after < r.start)
+            if inside and self.agree(r, {**bindings, **(gap.fresh or {})}):
+                return True
+        return False
+
+    def absent(self, node: Pattern) -> List[Match]:
+        """Return what is known to have happened that a cnot or fnot forbids."""
+        raise NotImplementedError
+
+    def outside_gap(self, gap: Gap, match: Match) -> Optional[Match]:
+        """Return a match that nothing forbids as far as that can be told now, else None."""
+        if self.waits_for_left(gap.node, match.bindings, gap.node):
+            return replace(match, pending=(*match.pending, gap))
+        return None if self.forbidden(gap, match.bindings) else match
 
     @staticmethod
     def passes(match: Match, tests: Iterable[Test]) -> Optional[Match]:
@@ -136,9 +166,9 @@ class Conditions:
         return self.settle(joined, node)
 
     @staticmethod
-    def agree(absent: Match, match: Match) -> bool:
-        """Tell whether what must not happen is about a match: variables agree, conditions hold."""
-        bindings = merge(match.bindings, absent.bindings)
+    def agree(absent: Match, of: Bindings) -> bool:
+        """Tell whether what must not happen is about these bindings: variables agree, conditions hold."""
+        bindings = merge(of, absent.bindings)
         for item in absent.pending:
             if bindings is not None:
                 bindings = first(item.goal, bindings, item.facts)

@@ -45,9 +45,19 @@ class Found(NamedTuple):
 
 def defined_for(rules: Sequence[Rule]) -> bool:
     """Tell whether the rules are in the domain of this evaluator: one rule, no runs, no forall_seq."""
-    return len(rules) == 1 and not any(
+    if len(rules) != 1 or has_outer_absence(rules[0]):
+        return False
+    return not any(
         isinstance(node, (Star, Aggregate, Sub)) or (isinstance(node, Both) and node.kind == "forall_seq")
         for node in walk(rules[0].pattern)
+    )
+
+
+def has_outer_absence(rule: Rule) -> bool:
+    """Tell whether a cnot or fnot forbids something with variables of patterns further left."""
+    tests = Conditions(rule)
+    return any(
+        isinstance(node, (Cnot, Fnot)) and tests.waits_for_left(node, {}, node) for node in tests.place
     )
 
 
@@ -113,14 +123,18 @@ class Combinations:
             for p, q, (match, at) in self._pairs(inner, events):
                 passed = self.tests.passes(match, tests)
                 if passed is not None and not any(
-                    r_at <= at and p.end < r.start and r.end < q.start and self.tests.agree(r, passed)
+                    r_at <= at
+                    and p.end < r.start
+                    and r.end < q.start
+                    and self.tests.agree(r, passed.bindings)
                     for r, r_at in absent
                 ):
                     yield Found(passed, at)
         else:
             for match, at in self.found(node.pattern, events):
                 if not any(
-                    r_at <= at and r.end < match.start and self.tests.agree(r, match) for r, r_at in absent
+                    r_at <= at and r.end < match.start and self.tests.agree(r, match.bindings)
+                    for r, r_at in absent
                 ):
                     yield Found(match, at)
 

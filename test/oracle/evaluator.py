@@ -11,7 +11,7 @@ from retalis.terms import Term, copy
 
 from .conditions import Test, all_solutions
 from .goals import first, instance, show
-from .matches import FIRES, INTERVAL, POLICIES, Event, Match
+from .matches import FIRES, INTERVAL, POLICIES, Event, Gap, Match
 from .patterns import (
     EITHER_ORDER,
     Aggregate,
@@ -43,8 +43,7 @@ class RuleState(Repetitions):
     def fired_by(self, event: Event) -> List[Event]:
         """Take an event and return the events that the rule derives from it, in order."""
         self.advance(event)
-        if self.expiry:
-            self._expire()
+        self.expire()
         fired = []
         for match in self.arrive(self.pattern, event):
             result = self.result_of(match)
@@ -104,12 +103,16 @@ class RuleState(Repetitions):
             ]
         assert isinstance(node, (Cnot, Fnot))
         self._absent(node, event)
-        return [match for match in self.arrive(node.pattern, event) if not self.ruled_out(node, match)]
+        allowed = [self.allowed(node, match) for match in self.arrive(node.pattern, event)]
+        return [match for match in allowed if match is not None]
 
-    def ruled_out(self, node: Pattern, match: Match) -> bool:
+    def allowed(self, node: Pattern, match: Match) -> Optional[Match]:
         """Table: P cnot R and P fnot R need that no matching R ended before P started."""
-        absent = self.waiting[node, "absent"]
-        return any(r.end < match.start and self.agree(r, match) for r in absent)
+        return self.outside_gap(Gap(node, None, match.start), match)
+
+    def absent(self, node: Pattern) -> List[Match]:
+        """Return what has happened that a cnot or fnot forbids."""
+        return self.waiting.get((node, "absent"), [])
 
     def _absent(self, node: Any, event: Event) -> None:
         """Note what must not happen; policies: an R is never used up."""
@@ -196,22 +199,34 @@ class RuleState(Repetitions):
 
         # Policies: having matched, it does not wait for others, except under unrestricted.
         for p in lefts:
-            if not p.is_one_event() and (not as_left(p) or not self.consuming):
+            if not p.is_last() and (not as_left(p) or not self.consuming):
                 self.wait(node, p_waiting, p)
         for q in rights:
-            if not q.is_one_event() and (not as_right(q) or not self.consuming):
+            if not q.is_last() and (not as_right(q) or not self.consuming):
                 self.wait(node, q_waiting, q)
         # Policies: an event that fits both sides completes first (once: as the right side, else as the left one),
-        # then waits.
-        last_rights = [(q, as_right(q)) for q in rights if q.is_one_event()]
-        completed = self.consuming and any(matched for _, matched in last_rights)
-        last_lefts = [(p, not completed and as_left(p)) for p in lefts if p.is_one_event()]
-        for q, matched in last_rights:
+        # then waits. What a late start makes along with it is composed, and comes after it.
+        completed = False
+        waits: List[Match] = []
+
+        def have_waiting() -> None:
+            while waits:
+                self.wait(node, q_waiting, waits.pop(0))
+
+        for q in [q for q in rights if q.is_last()]:
+            matched = as_right(q)
+            completed |= matched and self.consuming and q.is_one_event()
             if not matched or not self.consuming:
-                self.wait(node, q_waiting, q)
-        for p, matched in last_lefts:
-            if not matched or not self.consuming:
+                waits.append(q)
+                if not q.is_one_event():
+                    have_waiting()
+        for p in [p for p in lefts if p.is_last()]:
+            if not p.is_one_event():
+                have_waiting()
+            done = completed and p.is_one_event()
+            if done or not as_left(p) or not self.consuming:
                 self.wait(node, p_waiting, p)
+        have_waiting()
         return results
 
     def fit(self, node: Both, p: Match, q: Match, tests: List[Test], cnot: Optional[Cnot]) -> Optional[Match]:
@@ -227,9 +242,7 @@ class RuleState(Repetitions):
         match = self.passes(joined, tests)
         if match is not None and cnot is not None:
             # Table, cnot: no matching R lay wholly between.
-            for r in self.waiting[cnot, "absent"]:
-                if p.end < r.start and r.end < q.start and self.agree(r, match):
-                    return None
+            match = self.outside_gap(Gap(cnot, p.end, q.start), match)
         return match
 
     def left_alone(self, node: Both, q: Match) -> None:
@@ -261,9 +274,9 @@ class RuleState(Repetitions):
                 break  # Policies: the newest that fits, the oldest that fits; else all, oldest first.
         return results
 
-    def _expire(self) -> None:
+    def expire(self) -> None:
         """Drop what can no longer complete by the rule's clock."""
-        if self.clock is None:
+        if self.clock is None or not self.expiry:
             return
         for (node, side), waiting in self.waiting.items():
             if side != "absent":
@@ -274,7 +287,7 @@ class RuleState(Repetitions):
 
 def composed_first(matches: List[Match]) -> List[Match]:
     """Return new matches of one side in the order in which they are served: the event itself last."""
-    return sorted(matches, key=Match.is_one_event)
+    return sorted(matches, key=Match.is_last)
 
 
 class Program:

@@ -71,6 +71,13 @@ def merge(one: Bindings, other: Bindings) -> Optional[Bindings]:
     return result
 
 
+def identical(one: Term, other: Term) -> bool:
+    """Tell whether two terms without bound variables are the same: 1 and 1.0 are not."""
+    if one.__class__ is tuple and other.__class__ is tuple:
+        return len(one) == len(other) and one[0] is other[0] and all(map(identical, one[1:], other[1:]))
+    return one.__class__ is other.__class__ and one == other
+
+
 def show(term: Term, bindings: Optional[Bindings] = None) -> str:
     """Return the canonical text of a term; variables are A, B, ... in the order they are met."""
     return _show(instance(term, bindings or {}), {})
@@ -173,7 +180,7 @@ def solve(goal: Term, bindings: Bindings, facts: Optional[Dict[str, Term]] = Non
         if unify(args[0], args[1], bindings) is None:
             yield bindings
     elif name in ("==", "\\==") and len(args) == 2:
-        if (instance(args[0], bindings) == instance(args[1], bindings)) == (name == "=="):
+        if identical(instance(args[0], bindings), instance(args[1], bindings)) == (name == "=="):
             yield bindings
     elif name == "member" and len(args) == 2:
         rest = value_of(args[1], bindings)

@@ -4,7 +4,7 @@ Times are any exact numbers, in seconds.
 """
 
 from dataclasses import dataclass, field
-from typing import Any, Callable, Dict, FrozenSet, List, NamedTuple, Tuple
+from typing import Any, Callable, Dict, FrozenSet, List, NamedTuple, Optional, Tuple
 
 from retalis.terms import Term, make_list
 
@@ -31,6 +31,19 @@ class Pending:
 
 
 @dataclass(frozen=True, eq=False)
+class Gap:
+    """What cnot or fnot forbids, where that has variables of patterns to the left that are still to be bound."""
+
+    node: Any
+    """The cnot or fnot."""
+    after: Any
+    """When the gap begins; None where any time before counts."""
+    before: Any
+    fresh: Optional[Bindings] = None
+    """In a repetition: the values of the variables that each repetition has of its own."""
+
+
+@dataclass(frozen=True, eq=False)
 class Match:
     """An occurrence of a pattern: its interval, what its variables stand for, the events that make it up."""
 
@@ -41,7 +54,10 @@ class Match:
     """For each leaf that took part: its place in the rule and the text of its event; no repetitions."""
     numbers: FrozenSet[int]
     """The numbers of all events that make up this match."""
-    pending: Tuple[Pending, ...] = ()
+    pending: Tuple[Any, ...] = ()
+    """What is still to be tested: `Pending` and `Gap`."""
+    along: bool = False
+    """Whether it was made of a late start of a run, a single event, and what came before: it is served with that."""
 
     def variant(self) -> Any:
         """Return a key that two matches share when they are the very same event term.
@@ -55,6 +71,10 @@ class Match:
         """Tell whether this is a single event, not a composed one."""
         return len(self.numbers) == 1
 
+    def is_last(self) -> bool:
+        """Tell whether it is served after what is composed: the event itself, and what is made along with it."""
+        return self.along or self.is_one_event()
+
 
 @dataclass(eq=False)
 class Run:
@@ -63,6 +83,8 @@ class Run:
     start: Match
     now: Match
     values: List[Any] = field(default_factory=list)
+    taken: List[Match] = field(default_factory=list)
+    """The repetitions that extended it."""
 
 
 # The table of patterns: when a pair fires.

@@ -7,7 +7,7 @@ from retalis.terms import Var, variables
 
 from .conditions import Conditions
 from .goals import Bindings, GoalError, instance, number, unbound, unify
-from .matches import AGGREGATES, Match, Run
+from .matches import AGGREGATES, Gap, Match, Run
 from .patterns import Aggregate, Pattern, Rule, Star, Within, pattern_variables
 
 
@@ -54,7 +54,7 @@ class Repetitions(Conditions):
         if self.policy == "recent":
             # Policies: under recent a newer start with the same term replaces the older.
             runs[:] = [run for run in runs if run not in same]
-        run = Run(p, p)
+        run = self.begin(node, p, conditions)
         if not (self.expiry and self.expired(node, p)):
             runs.append(run)
         # Table: zero repetitions fire at the start; count, sum and list with 0, 0 and [].
@@ -64,10 +64,14 @@ class Repetitions(Conditions):
         for q in list(waiting):
             fired = self._extended(node, run, q, conditions)
             if fired is not None:
-                results += fired
+                results += [replace(match, along=p.is_last()) for match in fired]
                 if self.consuming:
                     waiting.remove(q)
         return results
+
+    def begin(self, node: Any, p: Match, conditions: List[Pattern]) -> Run:
+        """Return a new run."""
+        return Run(p, p)
 
     def wait(self, node: Pattern, waiting: List[Match], match: Match, identical_too: bool = False) -> None:
         """Have a match wait at its place."""
@@ -102,10 +106,19 @@ class Repetitions(Conditions):
         # first repetition; any other is fresh each time.
         fresh = self._only_inside(node)
         kept = {var: instance(var, joined.bindings) for var in joined.bindings if var not in fresh}
+        own = {var: instance(var, joined.bindings) for var in joined.bindings if var in fresh}
         renamed: Bindings = {var: Var() for var in fresh}
-        pending = tuple(replace(item, goal=instance(item.goal, renamed)) for item in joined.pending)
+        pending = tuple(self._of_one_repetition(item, own, renamed) for item in joined.pending)
+        run.taken.append(q)
         run.now = replace(joined, bindings=kept, terms=run.start.terms, pending=pending)
         return self._result(node, run, conditions)
+
+    @staticmethod
+    def _of_one_repetition(item: Any, own: Bindings, renamed: Bindings) -> Any:
+        """Return what is still to be tested with the variables that each repetition has of its own."""
+        if isinstance(item, Gap):
+            return item if item.fresh is not None else replace(item, fresh=own)
+        return replace(item, goal=instance(item.goal, renamed))
 
     @staticmethod
     def _value(node: Aggregate, match: Match) -> Any:

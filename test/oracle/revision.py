@@ -5,10 +5,9 @@ Two ways, as the policies need it:
 * under ``unrestricted`` nothing but the events counts, so the combinations are made anew without what was taken
   back; what is missing then is taken back, what is new fires (`Recombined`);
 * under the others partners were used up and do not return, so matches carry the events they are made of, and
-  those that hold one that was taken back go (`Tagged`).
+  those that hold one that was taken back go (`Tagged`). So it is done for star_times and aggregates under any policy.
 
-Star_times and aggregates are in neither. In which order things are taken back is not defined: what follows from
-one event is compared as a multiset.
+In which order things are taken back is not defined: what follows from one event is compared as a multiset.
 """
 
 from collections import Counter
@@ -18,11 +17,12 @@ from typing import Counter as CounterOf
 from retalis.terms import Term, copy, functor
 
 from .conditions import Test
-from .declarative import Combinations, Found
+from .declarative import Combinations, Found, has_outer_absence
+from .declarative import defined_for as defined_without_state
 from .evaluator import RuleState
 from .goals import first, instance, show
-from .matches import Event, Match
-from .patterns import Aggregate, Both, Cnot, Fnot, Pattern, Rule, Star, Sub, Within, walk
+from .matches import Event, Match, Run
+from .patterns import Both, Cnot, Fnot, Pattern, Rule, Within, take_out_subpatterns, walk
 
 REV = functor("rev", 1)
 NOTHING = Event(functor("an event that no rule is about", 1)(0), 0, 0, 0)
@@ -32,19 +32,30 @@ Stream = Iterable[Tuple[Term, Any, Any]]
 
 def defined_for(rules: Sequence[Rule], policy: str, out_of_order: bool) -> bool:
     """Tell whether the revision of these rules is defined here."""
+    if any(has_outer_absence(rule) for rule in take_out_subpatterns(list(rules))):
+        return False
     nodes = [node for rule in rules for node in walk(rule.pattern)]
-    if any(isinstance(node, (Star, Aggregate, Sub, Within)) for node in nodes):
-        return False
-    if any(rule.window is not None for rule in rules):
-        return False
+    if not any(isinstance(node, (Cnot, Fnot)) for node in nodes):
+        return True
+    limited = any(rule.window is not None for rule in rules) or any(isinstance(n, Within) for n in nodes)
     if policy == "unrestricted":
-        return len(rules) == 1 and not any(isinstance(n, Both) and n.kind == "forall_seq" for n in nodes)
-    return not (out_of_order and any(isinstance(node, Cnot) for node in nodes))
+        return not limited and combines(rules)
+    return not limited and not (out_of_order and any(isinstance(node, Cnot) for node in nodes))
+
+
+def combines(rules: Sequence[Rule]) -> bool:
+    """Tell whether all combinations of events say what holds under ``unrestricted``, and no run or window does."""
+    nodes = [node for rule in rules for node in walk(rule.pattern)]
+    return (
+        defined_without_state(rules)
+        and not any(isinstance(node, Within) for node in nodes)
+        and (rules[0].window is None)
+    )
 
 
 def run_with_revision(rules: Sequence[Rule], stream: Stream, policy: str, out_of_order: bool) -> List[Step]:
     """Return what is dispatched at each event of the stream, itself included, as multisets."""
-    if policy == "unrestricted":
+    if policy == "unrestricted" and combines(rules):
         return Recombined(rules[0], out_of_order).run(stream)
     return Tagged(rules, policy, out_of_order).run(stream)
 
@@ -98,12 +109,50 @@ class RevisedState(RuleState):
     def __init__(self, rule: Rule, policy: str, out_of_order: bool):
         super().__init__(rule, policy, out_of_order)
         self.suppressed: Dict[Pattern, List[Match]] = {}
+        self.all_runs: List[Tuple[Any, Run, List[Pattern]]] = []
+        self.again: Dict[Pattern, List[Match]] = {}
         self.reviving = False
 
     def forget(self, numbers: FrozenSet[int]) -> None:
         """Remove the partial matches that hold one of these events."""
         for waiting in [*self.waiting.values(), *self.suppressed.values()]:
             waiting[:] = [match for match in waiting if not match.numbers & numbers]
+        for runs in self.runs.values():
+            runs[:] = [run for run in runs if not run.start.numbers & numbers]
+        self.all_runs = [one for one in self.all_runs if not one[1].start.numbers & numbers]
+        for node, run, conditions in self.all_runs:
+            if any(q.numbers & numbers for q in run.taken):
+                self.again.setdefault(node, []).extend(self._once_more(node, run, conditions, numbers))
+
+    def _once_more(
+        self, node: Pattern, run: Run, conditions: List[Pattern], numbers: FrozenSet[int]
+    ) -> List[Match]:
+        """Extend a run anew without the events that are gone; return the results that held one of them."""
+        taken, run.taken = run.taken, []
+        run.now, run.values = run.start, []
+        results: List[Match] = []
+        lost = False
+        for q in taken:
+            if q.numbers & numbers:
+                lost = True
+                continue
+            fired = self._extended(node, run, q, conditions)
+            if lost and fired is not None:
+                results += fired
+        return results
+
+    def begin(self, node: Any, p: Match, conditions: List[Pattern]) -> Run:
+        """Begin a run and remember it, also when it is replaced."""
+        run = super().begin(node, p, conditions)
+        self.all_runs.append((node, run, conditions))
+        return run
+
+    def repetition(
+        self, node: Any, starts: List[Match], repetitions: List[Match], conditions: List[Pattern]
+    ) -> List[Match]:
+        """As always, after what runs result in without what is gone."""
+        again = self.again.pop(node, []) if self.reviving else []
+        return again + super().repetition(node, starts, repetitions, conditions)
 
     def revive(self) -> List[Match]:
         """Return the matches that were suppressed by what is gone, and would now fire."""
@@ -122,7 +171,7 @@ class RevisedState(RuleState):
         if self.reviving:
             candidates = suppressed + candidates
             suppressed[:] = []
-        rejected = [match for match in candidates if self.ruled_out(node, match)]
+        rejected = [match for match in candidates if self.allowed(node, match) is None]
         suppressed += rejected
         return [match for match in candidates if match not in rejected]
 
@@ -152,7 +201,7 @@ class Tagged:
     """Rules under a policy that uses partners up."""
 
     def __init__(self, rules: Sequence[Rule], policy: str, out_of_order: bool):
-        self.states = [RevisedState(rule, policy, out_of_order) for rule in rules]
+        self.states = [RevisedState(rule, policy, out_of_order) for rule in take_out_subpatterns(list(rules))]
         self.alive: Dict[int, Tuple[Event, FrozenSet[int]]] = {}
         self.count = 0
 
@@ -176,6 +225,7 @@ class Tagged:
         step[show(event.term), event.start, event.end] += 1
         for state in self.states:
             state.advance(event)
+            state.expire()
             for match in state.arrive(state.pattern, event):
                 self._fire(state, match, step)
 

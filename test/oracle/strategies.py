@@ -46,6 +46,13 @@ Stream = List[Tuple[Term, int, int]]
 REV = functor("rev", 1)
 ARITY = {"a": 1, "b": 1, "c": 2, "d": 0}
 NUMBERS = (0, 1, 1, 1, 2)
+NEUTRAL = (
+    ("rule_sharing,on",),
+    ("etalis_justification,on",),
+    ("revision_flag,on",),
+    ("garbage_control,general", "garbage_window,100000", "garbage_window_step,1"),
+    ("rule_sharing,on", "revision_flag,on", "etalis_justification,on"),
+)
 COMPARISONS = ("<", ">", "=<", ">=", "=:=", "=\\=", "==", "\\==")
 
 
@@ -57,6 +64,8 @@ class Case:
     policy: str
     out_of_order: bool
     stream: Tuple[Tuple[Term, int, int], ...]
+    neutral: Tuple[str, ...] = ()
+    """Other flags, with their values: they change no event."""
 
     def expected(self, **options: Any) -> List[Tuple[str, Any, Any]]:
         """Return what the oracle says."""
@@ -73,6 +82,7 @@ class Case:
             flags.append("set_etalis_flag(out_of_order,on)")
         if self.revises():
             flags.append("set_etalis_flag(revision_flag,on)")
+        flags += [f"set_etalis_flag({flag})" for flag in self.neutral]
         return "".join(f"{flag}.\n" for flag in flags)
 
     def revises(self) -> bool:
@@ -88,7 +98,8 @@ class Case:
 
     def __repr__(self) -> str:
         events = " ".join(f"{show(term)}@{start}-{end}" for term, start, end in self.stream)
-        return f"<{self.policy}{' out_of_order' if self.out_of_order else ''}\n{self.text()}\n{events}>"
+        flags = "".join(f" {flag}" for flag in [*["out_of_order"] * self.out_of_order, *self.neutral])
+        return f"<{self.policy}{flags}\n{self.text()}\n{events}>"
 
 
 def certain(node: Pattern) -> Set[Var]:
@@ -126,6 +137,7 @@ class Generator:
         """Leave out what revision is not defined for, and take events back."""
         self.pool = [Var(), Var(), Var()]
         self.names: Dict[str, int] = dict(ARITY)
+        self.subpatterns = 0
 
     def chance(self, percent: int) -> bool:
         """Return True in so many of a hundred draws; the simple answer is False."""
@@ -137,7 +149,7 @@ class Generator:
         """Draw a pattern of one event."""
         name = self.choice(list(self.names))
         arguments = [
-            self.choice([*(pool or self.pool)[:3], Var(), Var(), Var(), self.choice(NUMBERS)])
+            self.choice([*(pool or self.pool)[:3], Var(), Var(), Var(), self.value(2)])
             for _ in range(self.names[name])
         ]
         return Leaf(functor(name, len(arguments))(*arguments) if arguments else atom(name))
@@ -147,8 +159,8 @@ class Generator:
         if depth == 0 or self.chance(15):
             return self.leaf()
         kinds = ["seq"] * 5 + ["and"] * 2 + [*EITHER_ORDER, "or", "where", "where", "check", "do", "multiply"]
-        kinds += ["prolog", "cnot", "cnot", "fnot", "ntimes"]
-        kind = self.choice(kinds if self.revision else [*kinds, "within", "star", "aggregate", "forall_seq"])
+        kinds += ["prolog", "cnot", "cnot", "fnot", "ntimes", "within", "star", "aggregate", "forall_seq"]
+        kind = self.choice([*kinds, "subpattern"])
         if kind in ("seq", "forall_seq", *EITHER_ORDER):
             first = self.pattern(depth - 1, left)
             return Both(kind, first, self.pattern(depth - 1, (*left, *certain(first))))
@@ -156,6 +168,8 @@ class Generator:
             return Or(self.pattern(depth - 1, left), self.pattern(depth - 1, left))
         if kind in ("star", "aggregate"):
             return self.repetition(kind, depth, left)
+        if kind == "subpattern":
+            return self.subpattern(min(depth - 1, 2))
         if kind == "ntimes":
             return Ntimes(self.pattern(min(depth - 1, 1)), self.choice([1, 2, 2, 3]))
         if kind in ("do", "multiply"):
@@ -171,7 +185,7 @@ class Generator:
         if kind in ("cnot", "fnot"):
             if kind == "cnot" and self.chance(60):
                 below = Both("seq", below, self.pattern(min(depth - 1, 1)))
-            absent = self.absent(below, min(depth - 1, 1))
+            absent = self.absent(below, left, min(depth - 1, 1))
             return Cnot(below, absent) if kind == "cnot" else Fnot(below, absent)
         goal = self.goal(below, left, binds=True)
         if kind == "prolog":
@@ -182,7 +196,12 @@ class Generator:
         """Draw a star_times or an aggregate."""
         first = self.pattern(depth - 1, left)
         below = min(depth - 1, 1)
-        repeated = self.leaf() if self.chance(60) else self.pattern(below, tuple(certain(first)))
+        further = (*left, *certain(first))
+        repeated: Pattern = self.leaf()
+        if self.chance(30):
+            repeated = self.pattern(below, further)
+        elif self.chance(30):
+            repeated = Where(repeated, self.goal(repeated, further, binds=True, outer=70))
         if kind == "star":
             return Star(first, repeated)
         values = [var for var in variables_in_order(repeated) if var in certain(repeated)]
@@ -190,9 +209,19 @@ class Generator:
         value = self.choice(values) if which != "count" else None
         return Aggregate(first, which, value, repeated, self.choice([Var(), Var(), Var(), 2]))
 
-    def absent(self, below: Pattern, depth: int) -> Pattern:
-        """Draw what must not happen; its variables are those of the pattern it belongs to, or its own."""
+    def subpattern(self, depth: int) -> Sub:
+        """Draw a pattern that is defined by the way."""
+        self.subpatterns += 1
+        below = self.pattern(depth)
+        shown = [var for var in pattern_variables(below) if var in certain(below) and self.chance(60)]
+        name = f"s{self.subpatterns}"
+        return Sub(functor(name, len(shown))(*shown) if shown else atom(name), below)
+
+    def absent(self, below: Pattern, left: Tuple[Var, ...], depth: int) -> Pattern:
+        """Draw what must not happen; its variables are those of the patterns before it, or its own."""
         pool = [*[var for var in variables_in_order(below) if var in certain(below)][:2], Var()]
+        if left and self.chance(25):
+            pool = [self.choice(left), *pool[-2:]]
         if depth == 0 or self.chance(70):
             return self.leaf(pool)
         keep, self.pool = self.pool, (pool * 3)[:3]
@@ -203,11 +232,11 @@ class Generator:
 
     # Goals.
 
-    def goal(self, below: Pattern, left: Tuple[Var, ...], binds: bool = False) -> Term:
-        """Draw a condition over the variables of a pattern, sometimes of those to its left."""
+    def goal(self, below: Pattern, left: Tuple[Var, ...], binds: bool = False, outer: int = 30) -> Term:
+        """Draw a condition over the variables of a pattern; so many in a hundred also over those to its left."""
         own = [var for var in variables_in_order(below) if var in certain(below)]
-        outer = [var for var in left if var not in own]
-        usable = own + (outer if outer and self.chance(30) else [])
+        further = [var for var in left if var not in own]
+        usable = own + (further if further and self.chance(outer) else [])
         kind = self.choice(
             ["compare"] * 8 + ["true", "is", "is", "member", "not", "equal"] + ["fail"] * self.chance(20)
         )
@@ -250,13 +279,20 @@ class Generator:
         self.pool = [Var(), Var(), Var()]
         body = self.pattern(depth)
         usable = [var for var in dict.fromkeys(bindable(body)) if not bound_only or var in certain(body)]
+        do = self.goal(body, (), binds=True) if self.chance(8) else None
+        if do is not None and not bound_only:
+            usable += [var for var in variables(do) if var not in usable]
         shown = [var for var in usable if self.chance(70)]
         if bound_only:
             shown = shown[:1]
         term = functor(head, len(shown))(*shown) if shown else atom(head)
-        window = None if self.revision else self.choice([None] * 12 + [1, 2, 4, 8, Fraction(3, 2)])
+        window = self.choice([None] * 12 + [1, 2, 4, 8, Fraction(3, 2)])
         label = self.choice([None, f"r_{head}"]) if window is None else f"r_{head}"
-        return Rule(term, body, label, window)
+        return Rule(term, body, label, window, do)
+
+    def value(self, odd: int = 5) -> Term:
+        """Draw an argument of an event; so many in a hundred are no integers."""
+        return self.choice([1.5, atom("x")]) if self.chance(odd) else self.choice(NUMBERS)
 
     def stream(self, size: int, rules: Sequence[Rule]) -> Stream:
         """Draw events: in order of their ends, or some of them late; equal, touching and nested intervals."""
@@ -268,7 +304,7 @@ class Generator:
         now = 10
         for _ in range(size):
             name = self.choice(names)
-            arguments = [self.choice(NUMBERS) for _ in range(ARITY[name])]
+            arguments = [self.value() for _ in range(ARITY[name])]
             now += self.choice([0, 1, 1, 2, 3])
             end = now - self.choice([0, 0, 1, 3, 5]) if late else now
             start = end - self.choice([0, 0, 0, 1, 2, 4])
@@ -301,6 +337,9 @@ class Generator:
             result.append(event)
             while self.chance(25):
                 term, start, end = self.choice(result)
+                if "m" in self.names and self.chance(10):
+                    arguments = [self.choice(NUMBERS) for _ in range(self.names["m"])]
+                    term = functor("m", len(arguments))(*arguments) if arguments else atom("m")
                 if not is_revision(term):
                     result.append((REV(term), event[2], event[2]))
         return result
@@ -311,13 +350,14 @@ class Generator:
         if self.chance(25):
             rules = [self.rule("m", self.choice([1, 2]), bound_only=True)]
             self.names["m"] = len(rules[0].head) - 1 if rules[0].head.__class__ is tuple else 0
-            rules.append(self.rule("out", self.choice(range(1, depth))))
+            rules.append(self.rule("out", self.choice(range(1, max(2, depth)))))
             if self.chance(20):
                 rules.reverse()
         stream = self.stream(self.choice([*range(4), *range(4, 30), *range(10, 30)]), rules)
         if self.revision:
             stream = self.with_revisions(stream)
-        return Case(tuple(rules), self.choice(POLICIES), self.chance(30), tuple(stream))
+        policy, late = self.choice(POLICIES), self.chance(30)
+        return Case(tuple(rules), policy, late, tuple(stream), self.choice([(), *NEUTRAL]))
 
 
 def is_revision(term: Term) -> bool:

@@ -116,7 +116,8 @@ class Joining(Node):
             once = self.completed if self.double and both and operator.alone else None
             self.right.bind(taking_one(right, policy.newest, True, out, once), mode)
             if both or late:
-                self.left.bind(taking_one(left, policy.newest, True, out, once), mode)
+                arrive = taking_one(left, policy.newest, True, out, once)
+                self.left.bind(self._after_waiting(arrive) if right.wait and both else arrive, mode)
             else:
                 self.left.bind(waiting_only(left), mode)
         for negated, absence in zip(self.negated, self.absences):
@@ -130,9 +131,22 @@ class Joining(Node):
         Else it would replace an older one of the same event that the left side still has to meet.
         """
         if match.event is None and self.operator.either:
+            self.rule.settle(self.right_place)
             self.right_place.add(match, key)
         else:
             self.rule.add_later(self.right_place, match, key)
+
+    def _after_waiting(self, arrive: Emit) -> Emit:
+        """Have what a left side makes of several events find the right side of its last one."""
+        rule = self.rule
+        place = self.right_place
+
+        def arrive_after_waiting(match: Match, after: Frame) -> Frame:
+            if match.event is None and rule.later:
+                rule.settle(place)
+            return arrive(match, after)
+
+        return arrive_after_waiting
 
     def _join(self, left_arrives: bool) -> Callable[[Match, Match], Optional[Match]]:
         """Compile the test and the result of a pair; the arriving match is the first argument."""

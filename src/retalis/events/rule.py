@@ -153,11 +153,14 @@ class Rule:
         if self._later_event != event:
             self.settle()
 
-    def settle(self) -> None:
-        """Let all matches wait that are to wait."""
+    def settle(self, only: Any = None) -> None:
+        """Let all matches wait that are to wait; with ``only``, those of one place."""
         later, self.later = self.later, []
         for place, match, key in later:
-            place.add(match, key)
+            if only is None or place is only:
+                place.add(match, key)
+            else:
+                self.later.append((place, match, key))
 
     def tick(self, end: int) -> None:
         """Move the rule's clock and remove what is too old by it."""

@@ -254,41 +254,33 @@ class Running(Node):
             step = test(step, match.start, match.end)
             if step is None:
                 return False, None
-        fixed = self._fixed_with(run, step)
-        if fixed is None:
-            return False, None
-        items = self._items_with(run, step)
+        extended, result = self._take(run, match, values, step, last)
+        if extended and self.tracked:
+            self.rule.network.tracker.hold_repetition(run, match, self)
+        return extended, result
+
+    def _take(
+        self, run: Run, match: Match, values: Values, step: Values, last: int
+    ) -> Tuple[bool, Optional[Match]]:
+        """Add a repetition to a run if what they have together passes; returns as `extend`."""
+        fixed: Any = tuple([step[at] for at in self.fixed_at])
+        if run.fixed is not None:
+            fixed = agreed(run.fixed, fixed)
+            if fixed is None:
+                return False, None
+        items = NO_ITEMS
+        if self.items is not None:
+            items = with_item(run.items, tuple([step[at] for at in self._items_at]))
         found = self._fit(values, items, fixed, run.start, last)
         if found is None:
             return False, None
-        try:
-            self._take(run, match, values, step, fixed, items)
-        except RuleError as error:
-            self.rule.network.rule_failed(self.rule, error)
-            return False, None
-        if self.tracked:
-            self.rule.network.tracker.hold_repetition(run, match, self)
-        return True, self.result_of(run, found)
-
-    def _fixed_with(self, run: Run, step: Values) -> Optional[Values]:
-        """Return the values of a run's fixed variables with a repetition; None where they differ from before."""
-        fixed = tuple([step[at] for at in self.fixed_at])
-        return fixed if run.fixed is None else agreed(run.fixed, fixed)
-
-    def _items_with(self, run: Run, step: Values) -> Term:
-        if self.items is None:
-            return NO_ITEMS
-        return with_item(run.items, tuple([step[at] for at in self._items_at]))
-
-    def _take(self, run: Run, match: Match, values: Values, step: Values, fixed: Values, items: Term) -> None:
-        """Add a repetition to a run.
-
-        Raises:
-            RuleError: where an aggregate needs a number and gets none.
-        """
         if self.collector is not None:
-            run.state = self.collector.add(run.state, step)
-        run.last = max(run.last, match.end)
+            try:
+                run.state = self.collector.add(run.state, step)
+            except RuleError as error:
+                self.rule.network.rule_failed(self.rule, error)
+                return False, None
+        run.last = last
         run.fixed = fixed
         run.items = items
         run.values = values
@@ -296,6 +288,7 @@ class Running(Node):
             run.taken.append(match)
             run.steps.append((values, step))
             run.sound += 1
+        return True, self.result_of(run, found)
 
     def forget(self, run: Run, match: Match) -> bool:
         """Take a repetition out of a run whose events were taken back; tell whether later results hold without it."""
@@ -312,16 +305,7 @@ class Running(Node):
         run.restart(self.empty)
         results = []
         for number, (match, (values, step)) in enumerate(repetitions):
-            fixed = self._fixed_with(run, step)
-            if fixed is None:
-                continue
-            try:
-                self._take(run, match, values, step, fixed, self._items_with(run, step))
-            except RuleError as error:
-                self.rule.network.rule_failed(self.rule, error)
-                continue
-            found = self._fit(values, run.items, fixed, run.start, run.last)
-            result = None if found is None else self.result_of(run, found)
+            _, result = self._take(run, match, values, step, max(run.last, match.end))
             if number >= sound and result is not None:
                 results.append(result)
         return results if self.rule.active else []
