@@ -136,6 +136,23 @@ def test_an_aggregate_of_what_is_no_number_is_reported():
             "a(1)@1 a(2)@1 s@2 d(2)@3 b@4 b@5",
             "c(2,0)@1-2 c(1,1)@1-4",
         ),
+        (
+            "c(X) <- a(X) seq (((b(Y) where Y > X) seq d(Z)) where Z > X)",
+            "a(1)@1 a(5)@1 b(3)@3 d(9)@4 b(6)@5 d(4)@6 b(4)@7 d(3)@8",
+            "c(1)@1-4",
+        ),
+        # what a condition waits for may be known before its pattern meets the one further left
+        ("c(X) <- a(X) and ((b(Y) where Y >= X) and d(X))", "b(0)@1 d(1)@2 b(1)@3 a(1)@4", "c(1)@2-4"),
+        (
+            "c(X,Z) <- a(X) seq ((d(X) or e) seq (b(Y) where (Y > X, Z = Y)))",
+            "a(1)@1 a(5)@1 e@2 b(3)@3 d(5)@4 b(3)@5 b(6)@6",
+            "c(1,3)@1-3 c(5,6)@1-6",
+        ),
+        (
+            "c(X,N) <- a(X) seq ((s(Y) where Y > X) seq aggregate(count, b(X), N))",
+            "a(1)@1 a(5)@1 s(3)@2 b(5)@3 b(1)@4",
+            "c(1,0)@1-2",
+        ),
         ("c(X,Y) <- a(X) seq b(Y) star_times", "a(1)@1 b(2)@2 b(3)@3", "c(1,A)@1-1 c(1,2)@1-2"),
         ("c(X) <- a(X) seq b(_) star_times", "a(1)@1 b(2)@2 b(3)@3", "c(1)@1-1 c(1)@1-2 c(1)@1-3"),
         ("c(K) <- (a(K) seq b(K)) cnot d(K)", "a(1)@1 a(2)@1 d(1)@2 b(1)@3 b(2)@3", "c(2)@1-3"),

@@ -8,7 +8,7 @@ from ..terms import Term, Var, functor, variables
 from .aggregates import Collector
 from .building import compile_builder
 from .conditions import Call, Test, goal_test
-from .deferred import Deferred, Items, absence_of, deferred_test
+from .deferred import Deferred, Items, absence_of, deferred_test, early_test
 from .joining import Joining
 from .nodes import Acting, Alternatives, Capture, Filter, Leaf, Never, Node
 from .operators import OPERATORS
@@ -156,7 +156,7 @@ class Compiler:
         """Part conditions into those that can be tested now and those that wait, with what they need."""
         now: List[Any] = []
         later: List[Any] = []
-        known = surely_bound_by(core)
+        known = surely_bound_by(core, False)
         for condition in conditions:
             mentioned = set(variables(condition.goal))
             needs = (mentioned & context) - known
@@ -186,15 +186,8 @@ class Compiler:
         left = self._build(core.left, context, limit)
         right = self._build(core.right, here, limit)
         known = set(left.node.vars) | set(right.node.vars)
-        ready: List[Deferred] = []
-        deferred = list(left.deferred)
-        reached = set(known)
-        for one in right.deferred:
-            if one.needs - reached:
-                deferred.append(one)
-            else:
-                ready.append(one)
-                reached |= set() if one.goal is None else set(variables(one.goal))
+        below = [*left.deferred, *right.deferred]
+        ready, deferred = _ready(below, surely_bound_by(core, False), context)
         absent = wrapping.absent
         negated: Optional[Built] = None
         needs: Set[Var] = set()
@@ -213,8 +206,11 @@ class Compiler:
             deferred.append(Deferred(needs, None, False, (negated, conditions, False), *gap))
         elif negated is not None:
             node.absent(absence_of(self.rule, negated, node.vars, False, conditions), negated.node)
-        for one in ready:
-            self._settle(node, one)
+        for one in below:
+            if one in ready:
+                node.test(*deferred_test(self.rule, node, one, node.vars))
+            elif one.may_be_tried(node.vars):
+                node.test(*early_test(self.rule, node, one, node.vars))
         now, later = self._split(wrapping.conditions, wrapping.core, context)
         for condition in now:
             call = Call(self.rule, condition.goal, node.vars)
@@ -227,10 +223,6 @@ class Compiler:
         if negated is not None:
             joined += negated.leaves
         return Built(result, deferred, joined, [])
-
-    def _settle(self, node: Any, one: Deferred) -> None:
-        """Test a deferred condition at a node that knows all it looks at."""
-        node.test(*deferred_test(self.rule, node, one, node.vars))
 
     def _negated(
         self, pattern: Any, known: Set[Var], context: Names, limit: Optional[int]
@@ -263,22 +255,23 @@ class Compiler:
         self._add(node, wrapping.span, limit)
         outside = self._outside(pattern, core.value if isinstance(core, Aggregate) else None)
         items = Items(outside)
-        deferred = list(first.deferred)
-        known = set(node.step_vars)
-        for one in repeated.deferred:
-            if one.needs - known:
-                deferred.append(one.of_each(items))
-            else:
-                test, node.step_vars = deferred_test(self.rule, node, one, node.step_vars)
-                node.step_tests.append(test)
-                known = set(node.step_vars)
-        carried = items if len(deferred) > len(first.deferred) else None
+        sure = surely_bound_by(core.first, False) | surely_bound_by(pattern, False)
+        ready, further = _ready(repeated.deferred, sure, context)
+        for one in ready:
+            test, node.step_vars = deferred_test(self.rule, node, one, node.step_vars)
+            node.step_tests.append(test)
+        deferred = [*first.deferred, *(one.of_each(items) for one in further)]
+        carried = items if further else None
         self.keep.add(items.var)
         if isinstance(core, Aggregate):
             node.finish(outside, self._collector(core, node.step_vars), core.result, carried)
         else:
             node.finish(outside, None, None, carried)
+        for one in first.deferred:
+            if one.may_be_tried(node.vars):
+                node.test(*early_test(self.rule, node, one, node.vars), False)
         now, later = self._split(wrapping.conditions, wrapping.core, context)
+        known = set(node.vars)
         shown = set(node.result_new)
         early: List[Any] = []
         late: List[Any] = []
@@ -325,6 +318,22 @@ class Compiler:
             return None if found is None else found[0]
 
         return Collector(core.kind, value, evaluate)
+
+
+def _ready(deferred: List[Deferred], sure: Set[Var], context: Names) -> Tuple[List[Deferred], List[Deferred]]:
+    """Part conditions into those that can be tested where some variables are sure to be known, and the others.
+
+    What no pattern further left could give a value is not waited for.
+    """
+    ready: List[Deferred] = []
+    later: List[Deferred] = []
+    for one in deferred:
+        if (one.needs - sure) & context:
+            later.append(one)
+        else:
+            ready.append(one)
+            sure = sure if one.goal is None else sure | set(variables(one.goal))
+    return ready, later
 
 
 def _served(either: bool, left: Built, right: Built) -> List[Leaf]:

@@ -2,7 +2,7 @@
 
 from typing import Any, List, NamedTuple, Optional, Set, Tuple
 
-from ..terms import NIL, Term, Var, functor, variables
+from ..terms import NIL, Term, Var, deref, functor, variables
 from .absence import Absence
 from .conditions import Call, Test, goal_test
 from .matches import Match
@@ -55,6 +55,10 @@ class Deferred(NamedTuple):
         """Return the same condition on each repetition of a run."""
         return self._replace(items=items, each=self)
 
+    def may_be_tried(self, names: List[Var]) -> bool:
+        """Tell whether a match with these variables may already give all that it waits for a value."""
+        return self.items is None and self.absent is None and self.needs.issubset(names)
+
 
 def with_item(items: Term, values: Values) -> Term:
     """Return what is carried of repetitions with one more."""
@@ -80,6 +84,25 @@ def deferred_test(rule: Any, node: Any, one: Deferred, names: List[Var]) -> Tupl
     absence = absence_of(rule, negated, names, ever, conditions)
     node.carried.append((absence, negated.node))
     return _absence_test(absence, at, ever), names
+
+
+def early_test(rule: Any, node: Any, one: Deferred, names: List[Var]) -> Tuple[Test, List[Var]]:
+    """Return a test as `deferred_test` does, for where some of what the condition waits for may still be open.
+
+    A match where it is open goes on untested; one that has passed is marked, and not tested further up.
+    """
+    test, left = deferred_test(rule, node, one, names)
+    needed = [names.index(var) for var in one.needs]
+    mark = names.index(one.start)
+    new = left[len(names) :]
+
+    def early(values: Values, start: int, end: int) -> Optional[Values]:
+        if any(deref(values[at]).__class__ is Var for at in needed):
+            return values + tuple([Var() for _ in new])
+        found: Any = test(values, start, end)
+        return None if found is None else (*found[:mark], Var(), *found[mark + 1 :])
+
+    return early, left
 
 
 def _test_of_each(rule: Any, node: Any, one: Deferred, names: List[Var]) -> Tuple[Test, List[Var]]:

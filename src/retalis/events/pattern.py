@@ -312,16 +312,17 @@ def bound_by(pattern: Any) -> List[Var]:
     return list(found)
 
 
-def surely_bound_by(pattern: Any) -> Set[Var]:
-    """Return the variables that every match of a pattern gives values to."""
+def surely_bound_by(pattern: Any, conditions: bool = True) -> Set[Var]:
+    """Return the variables that every match of a pattern gives values to; by its conditions too, or without them."""
     if isinstance(pattern, Either):
-        branches = [surely_bound_by(branch) for branch in pattern.branches]
+        branches = [surely_bound_by(branch, conditions) for branch in pattern.branches]
         return set.intersection(*branches)
-    found = {var for term in own_terms(pattern) for var in variables(term)}
+    counts = conditions or not isinstance(pattern, Condition)
+    found = {var for term in own_terms(pattern) for var in variables(term)} if counts else set()
     if isinstance(pattern, Star):
-        return found | surely_bound_by(pattern.first)
+        return found | surely_bound_by(pattern.first, conditions)
     for child in children(pattern, False):
-        found |= surely_bound_by(child)
+        found |= surely_bound_by(child, conditions)
     return found
 
 
