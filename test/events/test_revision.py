@@ -60,6 +60,10 @@ def test_rev_is_an_event_like_others_without_the_flag():
     assert fired("c <- a. d <- rev(a).", "a@1 rev(a)@2") == "c@1-1 d@2-2"
 
 
+def test_justification_alone_takes_nothing_back():
+    assert fired("c <- a.", "a@1 rev(a)@2", flags=["etalis_justification"]) == "c@1-1"
+
+
 @pytest.mark.parametrize("policy", ["recent", "chronological", "unrestricted"])
 @pytest.mark.parametrize("flag", ["revision_flag", "etalis_justification"])
 def test_keeping_where_events_came_from_changes_nothing(policy, flag):
