@@ -1,52 +1,70 @@
-"""Times the Prolog: classic programs, and the same text in SWI-Prolog where it is installed.
+"""Times the Prolog beside others: classic programs here, in SWI-Prolog, and in the engines of ProbLog and kanren.
 
-Usage: python bench/logic.py [--swi] [--json FILE] [CASE...]
+Usage: bench/logic.py [--python PYTHON]... [--runs N] [--json FILE] [CASE...]
+
+Every figure is taken in a process of its own, engines in turn; the table shows medians of the runs. An engine that
+is not installed, or cannot run a case, leaves its column empty. ``--one ENGINE CASE`` prints a single figure.
 """
 
 import argparse
 import json
+import platform
 import shutil
+import statistics
 import subprocess
 import sys
 import tempfile
 import time
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Any, Dict, List, Optional
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "src"))
+HERE = Path(__file__).resolve().parent
+sys.path[:0] = [str(HERE), str(HERE.parent / "src")]
+
+import others  # noqa: E402
 
 from retalis.logic import Logic  # noqa: E402
 from retalis.syntax import read_program, read_term  # noqa: E402
 
-PROGRAMS = Path(__file__).resolve().parent / "logic"
+PROGRAMS = HERE / "logic" / "programs.pl"
+OURS = "retalis"
+COLUMNS = "swipl", "problog", "kanren"
+LONGEST = 600
+"""Seconds after which a run is given up."""
 
-# Case -> goal and the repetitions that make about a second here, and in SWI-Prolog.
+INFERENCES = 496
+"""Of one naive reverse of 30 elements."""
+
+# Case -> goal and the repetitions that make about half a second here, and in SWI-Prolog.
 CASES = {
     "nrev": ("bench_nrev({n})", 2000, 40000),
-    "tak": ("bench_tak({n})", 4, 60),
-    "queens": ("bench_queens({n})", 4, 100),
-    "zebra": ("bench_zebra({n})", 4, 100),
-    "deriv": ("bench_deriv({n})", 20000, 800000),
-    "primes": ("bench_primes({n})", 40, 1500),
-    "crypt": ("bench_crypt({n})", 60, 2500),
-    "join": ("bench_join({n})", 8, 200),
-    "assert": ("bench_assert({n})", 60000, 600000),
-    "findall": ("bench_findall({n})", 60, 2000),
-    "split": ("bench_split({n})", 20000, 1000000),
-    "count": ("bench_count({n})", 4000000, 20000000),
+    "tak": ("bench_tak({n})", 8, 60),
+    "tabled": ("bench_tabled({n})", 80, 200),
+    "queens": ("bench_queens({n})", 200, 4000),
+    "zebra": ("bench_zebra({n})", 20, 500),
+    "deriv": ("bench_deriv({n})", 20000, 400000),
+    "primes": ("bench_primes({n})", 1500, 15000),
+    "crypt": ("bench_crypt({n})", 400, 5000),
+    "join": ("bench_join({n})", 400, 10000),
+    "assert": ("bench_assert({n})", 40000, 400000),
+    "findall": ("bench_findall({n})", 400, 5000),
+    "split": ("bench_split({n})", 200000, 1500000),
+    "count": ("bench_count({n})", 1000000, 10000000),
 }
 
 
 def load() -> Logic:
     """Return a Prolog with the programs of all cases."""
     logic = Logic()
-    path = PROGRAMS / "programs.pl"
-    for read in read_program(path.read_text(), logic.operators, str(path)):
+    for read in read_program(PROGRAMS.read_text(), logic.operators, str(PROGRAMS)):
         logic.load([(read.term, read.place)], lambda message, place: sys.exit(f"{place}: {message}"))
     return logic
 
 
-def ours(logic: Logic, case: str) -> float:
-    """Return seconds of one repetition here."""
+def ours(case: str) -> float:
+    """Return CPU seconds of one repetition here."""
+    logic = load()
     goal, count, _ = CASES[case]
     logic.once(read_term(goal.format(n=max(1, count // 20)), logic.operators).term)
     before = time.process_time()
@@ -55,40 +73,122 @@ def ours(logic: Logic, case: str) -> float:
     return (time.process_time() - before) / count
 
 
-def theirs(case: str) -> float:
-    """Return seconds of one repetition in SWI-Prolog."""
+def swipl(case: str) -> float:
+    """Return CPU seconds of one repetition in SWI-Prolog."""
     goal, _, count = CASES[case]
     program = (
         f"statistics(cputime,A),{goal.format(n=count)},statistics(cputime,B),T is (B-A)/{count},print(T),nl"
     )
-    text = (PROGRAMS / "programs.pl").read_text()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "programs.pl"
-        path.write_text(text)
+        path.write_text(PROGRAMS.read_text())
         command = ["swipl", "-O", "-q", "-l", str(path), "-g", program, "-t", "halt"]
         return float(subprocess.run(command, stdout=subprocess.PIPE, check=True).stdout)
 
 
-def main() -> None:
+def one(engine: str, case: str) -> float:
+    """Return CPU seconds of one repetition of a case in an engine."""
+    if engine == OURS:
+        return ours(case)
+    return swipl(case) if engine == "swipl" else others.seconds(engine, case)
+
+
+def can_run(engine: str, case: str) -> bool:
+    """Tell whether an engine is there and has the case."""
+    if engine == "swipl":
+        return shutil.which("swipl") is not None
+    cases = {"problog": others.PROBLOG_CASES, "kanren": others.KANREN_CASES}[engine]
+    return case in cases and find_spec(engine) is not None
+
+
+def in_process(python: str, engine: str, case: str) -> float:
+    """Return microseconds of one repetition, taken in a process of its own."""
+    command = [python, str(Path(__file__).resolve()), "--one", engine, case]
+    result = subprocess.run(command, stdout=subprocess.PIPE, check=True, timeout=LONGEST)
+    return float(result.stdout) * 1e6
+
+
+def version(python: str) -> str:
+    """Return the name of a column of ours."""
+    command = [python, "-c", "import sys; print('%d.%d' % sys.version_info[:2])"]
+    return f"{OURS} {subprocess.run(command, stdout=subprocess.PIPE, check=True, text=True).stdout.strip()}"
+
+
+def measure(case: str, pythons: Dict[str, str], runs: int) -> Dict[str, Dict[str, float]]:
+    """Return median and best microseconds of a case by column."""
+    times: Dict[str, List[float]] = {}
+    for number in range(runs):
+        for name, python in pythons.items():
+            times.setdefault(name, []).append(in_process(python, OURS, case))
+        for engine in COLUMNS:
+            # What takes a thousand times as long needs no second run.
+            if can_run(engine, case) and (engine == "swipl" or not number):
+                times.setdefault(engine, []).append(in_process(sys.executable, engine, case))
+    return {
+        name: {"median": statistics.median(found), "best": min(found), "runs": len(found)}
+        for name, found in times.items()
+    }
+
+
+def table_row(case: str, found: Dict[str, Dict[str, float]], columns: List[str]) -> str:
+    """Return a row: the columns' microseconds, then how ours compares."""
+    cells = [figure(found.get(name)) for name in columns]
+    mine = found[columns[0]]["median"]
+    cells.append(f"{mine / found['swipl']['median']:.1f}" if "swipl" in found else "")
+    cells += [f"{found[name]['median'] / mine:.0f}" if name in found else "" for name in COLUMNS[1:]]
+    return f"| `{case}` | " + " | ".join(cells) + " |"
+
+
+def figure(found: Optional[Dict[str, float]]) -> str:
+    """Return microseconds with three digits."""
+    if found is None:
+        return ""
+    value = found["median"]
+    return f"{value:.3g}" if value < 100 else f"{value:,.0f}"
+
+
+def compare(options: argparse.Namespace) -> None:
     """Print a row for each case."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("cases", nargs="*", metavar="CASE")
-    parser.add_argument("--swi", action="store_true", help="run SWI-Prolog as well")
-    parser.add_argument("--json", metavar="FILE", help="write the figures to a file")
-    options = parser.parse_args()
-    if options.swi and shutil.which("swipl") is None:
-        parser.error("swipl is not installed")
-    logic = load()
-    rows = {}
+    pythons = {version(python): python for python in [sys.executable, *options.python]}
+    columns = [*pythons, *COLUMNS]
+    ratios = ["of swipl", "problog of ours", "kanren of ours"]
+    print("| case | " + " | ".join([*columns, *ratios]) + " |")
+    print("| --- |" + " ---: |" * (len(columns) + len(ratios)), flush=True)
+    rows: Dict[str, Any] = {}
     for case in options.cases or CASES:
-        row = rows[case] = {"us": ours(logic, case) * 1e6}
-        note = f"  {496 / row['us']:6.2f} million inferences/s" if case == "nrev" else ""
-        if options.swi:
-            row["swi_us"] = theirs(case) * 1e6
-            note = f"  swi {row['swi_us']:10.3f}  ratio {row['us'] / row['swi_us']:6.1f}{note}"
-        print(f"{case:8} {row['us']:12.3f} us{note}", flush=True)
+        rows[case] = measure(case, pythons, options.runs)
+        print(table_row(case, rows[case], columns), flush=True)
+    if "nrev" in rows:
+        speeds = {
+            name: (INFERENCES / found["median"], INFERENCES / found["best"])
+            for name, found in rows["nrev"].items()
+        }
+        print("\nmillion inferences a second of nrev, median and best:")
+        for name, (median, best) in speeds.items():
+            print(f"{name}: {median:.3g}, {best:.3g}")
     if options.json:
-        Path(options.json).write_text(json.dumps({"python": sys.version.split()[0], "rows": rows}, indent=1))
+        system = {"machine": platform.processor() or platform.machine(), "runs": options.runs}
+        Path(options.json).write_text(json.dumps({**system, "us": rows}, indent=1) + "\n")
+
+
+def main() -> None:
+    """Run what the command line asks for."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("cases", nargs="*", metavar="CASE", help=", ".join(CASES))
+    parser.add_argument("--python", action="append", default=[], help="another interpreter for ours")
+    parser.add_argument("--runs", type=int, default=5, help="runs of each cell")
+    parser.add_argument("--json", metavar="FILE", help="write the figures to a file")
+    parser.add_argument("--one", nargs=2, metavar=("ENGINE", "CASE"), help="print seconds of a repetition")
+    options = parser.parse_args()
+    unknown = [case for case in options.cases if case not in CASES]
+    if unknown:
+        parser.error(f"there is no case {unknown[0]}")
+    if options.one:
+        print(one(*options.one))
+    else:
+        compare(options)
 
 
 if __name__ == "__main__":

@@ -207,3 +207,15 @@ bench_count(N) :- count(0, N).
 
 count(N, N) :- !.
 count(I, N) :- I < N, J is I + 1, count(J, N).
+
+% Takeuchi with a table, which is how ProbLog's engine runs it.
+
+:- table tabled/4.
+
+tabled(X, Y, Z, A) :- X =< Y, !, Z = A.
+tabled(X, Y, Z, A) :-
+    X1 is X - 1, Y1 is Y - 1, Z1 is Z - 1,
+    tabled(X1, Y, Z, A1), tabled(Y1, Z, X, A2), tabled(Z1, X, Y, A3),
+    tabled(A1, A2, A3, A).
+
+bench_tabled(N) :- repeat_goal(N, (abolish_all_tables, tabled(18, 12, 6, _))).
