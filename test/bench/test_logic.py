@@ -1,0 +1,59 @@
+"""The benchmark of the Prolog runs in every engine that is there; what the figures are is not tested."""
+
+import importlib
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+BENCH = Path(__file__).resolve().parents[2] / "bench"
+
+
+@pytest.fixture
+def logic(monkeypatch):
+    monkeypatch.syspath_prepend(str(BENCH))
+    for name in ("logic", "others"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    bench = importlib.import_module("logic")
+    assert bench.__file__ == str(BENCH / "logic.py")
+    monkeypatch.setattr(bench, "relax", lambda: None)
+    monkeypatch.setattr(bench.others, "relax", lambda: None)
+    yield bench
+    for name in ("logic", "others"):
+        sys.modules.pop(name, None)
+
+
+@pytest.mark.parametrize("case", ["nrev", "tak", "tabled", "deriv", "primes", "assert", "split", "count"])
+def test_cases_run_here(logic, monkeypatch, case):
+    monkeypatch.setitem(logic.CASES, case, (logic.CASES[case][0], 1, 1))
+    assert logic.one(logic.OURS, case) > 0
+
+
+@pytest.mark.parametrize("engine, case", [("problog", "split"), ("problog", "deriv"), ("kanren", "join")])
+def test_cases_run_in_the_engines_of_others(logic, engine, case):
+    pytest.importorskip(engine)
+    assert logic.can_run(engine, case)
+    assert logic.others.seconds(engine, case, 0.0001) > 0
+
+
+def test_a_row_compares_medians(logic, monkeypatch, capsys, tmp_path):
+    figures = {logic.OURS: iter([3.0, 1.0, 2.0]), "swipl": iter([0.5, 0.5, 0.5]), "problog": iter([400.0])}
+    monkeypatch.setattr(logic, "in_process", lambda python, engine, case: next(figures[engine]))
+    monkeypatch.setattr(logic, "can_run", lambda engine, case: engine in figures)
+    monkeypatch.setattr(
+        sys, "argv", ["logic.py", "--runs", "3", "--json", str(tmp_path / "figures.json"), "nrev"]
+    )
+    logic.main()
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[2] == "| `nrev` | 2 | 0.5 | 400 |  | 4.0 | 200 |  |"
+    assert f"{logic.version(sys.executable)}: 248, 496" in lines
+    found = json.loads((tmp_path / "figures.json").read_text())["us"]["nrev"]
+    assert found["problog"] == {"median": 400.0, "best": 400.0, "runs": 1}
+
+
+def test_an_unknown_case_is_refused(logic, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["logic.py", "nothing"])
+    with pytest.raises(SystemExit):
+        logic.main()
+    assert "there is no case nothing" in capsys.readouterr().err
