@@ -21,6 +21,7 @@ HUGE = 1 << 22
 """Bits of the largest integer that an operation may make (1.2 million digits): it takes less than a second."""
 
 LARGEST = 1 << HUGE
+LEAST = -LARGEST
 
 SLOW = 1 << 37
 """Product of the bits of two integers from which on an operation that is quadratic in them takes too long."""
@@ -151,7 +152,7 @@ def _constant(item: Term, kind: type) -> Number:
 def checked(value: Number) -> Number:
     """Return a result, unless it is infinite or nan, or an integer too large to go on with."""
     if value - value == 0:
-        if value.__class__ is int and not -LARGEST < value < LARGEST:
+        if value.__class__ is int and not LEAST < value < LARGEST:
             raise resource_error("memory")
         return value
     raise evaluation_error("undefined" if value != value else "float_overflow")
@@ -215,7 +216,7 @@ def multiply(left: Term, right: Term) -> Number:
     """Evaluate both sides and return their product."""
     left, right = evaluate(left), evaluate(right)
     value = left * right
-    return value if -LARGEST < value < LARGEST else checked(value)
+    return value if LEAST < value < LARGEST else checked(value)
 
 
 EVALUABLE[functor("+", 2)] = add

@@ -25,7 +25,7 @@ from ..watching import BULK, look
 from .compiler.nodes import ARROW, BAR, CALL, IGNORE, NOT, ONCE, SEMICOLON, SOFT_ARROW
 from .database import Database
 from .faults import PrologError, instantiation_error, type_error
-from .machine import DEAD, GOAL, RESUME, CatchMark, Code, Frame
+from .machine import DEAD, RESUME, CatchMark, Code, Frame
 
 _CUT = functor("!", 0)
 _FAIL = functor("fail", 0)
@@ -41,7 +41,7 @@ class Control:
         self._machine = database.machine
         self._choices = database.machine.choices
         self._trail = database.machine.trail
-        self.code = Code(GOAL, self._run)
+        self.code = database.machine.goal_code = Code("goal", self._run)
         self._cut_code = Code("cut", self._cut_run)
         self._soft_code = Code("soft cut", self._soft_run)
         self._reject_code = Code("reject", self._reject_run)

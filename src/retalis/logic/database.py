@@ -7,12 +7,14 @@ again and again without changing is compiled.
 
 from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple
 
-from ..terms import TRUE, Atom, Functor, Lazy, Term, Var, copy, deref, is_ground, undo, unify
+from ..terms import TRUE, Functor, Term, Var, copy, is_ground, undo, unify
 from ..watching import look
 from .compiler import Generator, Rule
+from .compiler.direct import Direct
 from .compiler.facts import fact_search
 from .faults import indicator, permission_error
 from .functional import Functional
+from .keys import key_of
 from .machine import Code, Frame, Machine
 
 COMPILE_AFTER = 12
@@ -58,24 +60,6 @@ class Clause:
         self.uses = 0
 
 
-def key_of(term: Term) -> Any:
-    """Return the first-level key of a term for indexes: constant, functor, or None for a variable."""
-    kind = term.__class__
-    if kind is tuple:
-        return term[0]
-    if kind is Atom or kind is int:
-        return term
-    if kind is Var:
-        term = deref(term)
-        return None if term.__class__ is Var else key_of(term)
-    if kind is Lazy:
-        found = term.functor
-        return found if found.arity else key_of(term.term())
-    if kind is float:
-        return float, term.hex()
-    return term
-
-
 class Predicate:
     """A predicate: code that is run by frames ``(predicate, argument..., next)``.
 
@@ -83,6 +67,7 @@ class Predicate:
         run: the function that does a call; exchanged as the predicate changes.
         kind: "user", "builtin" (deterministic Python), "control" (anything else in Python), or "undefined".
         function: the Python function of a built-in that compiled clauses call in line.
+        direct: its functions, where something calls it as a function.
         functional: what it computes, where it is a function of some of its arguments.
         dynamic: clauses may be asserted and retracted by the program.
         library: belongs to the system; programs may redefine it unless it is ``locked``.
@@ -101,6 +86,7 @@ class Predicate:
         self.library = False
         self.compiled = False
         self.tabled: Any = None
+        self.direct: Optional[Direct] = None
         self.ground = False
         self._searches: Dict[Optional[int], Callable[..., Optional[Frame]]] = {}
         self.clauses: List[Clause] = []
@@ -170,6 +156,8 @@ class Predicate:
             self.run = self._call
             self.compile_after *= 2
         self.calls = 0
+        if self.direct is not None:
+            self.direct.reset(self)
 
     def table(self, hidden: "Predicate", run: Callable[[Frame], Optional[Frame]]) -> None:
         """Let tables answer the calls; clauses belong to the ``hidden`` predicate from now on."""
@@ -181,6 +169,8 @@ class Predicate:
 
     def forget(self) -> None:
         """Drop compiled code whose references to other predicates are out of date."""
+        if self.direct is not None:
+            self.direct.reset(None)
         if self.kind == "user":
             self.compiled = False
             self.run = self._call
@@ -209,6 +199,35 @@ class Predicate:
             search = self._searches.get(position) or self._search(position)
             return search(frame, clauses, 0, len(clauses), generation, keys)
         return self._advance(frame, clauses, 0, len(clauses), generation, keys)
+
+    @staticmethod
+    def _keys(frame: Frame, position: Optional[int]) -> Optional[List[Any]]:
+        """Return the keys of a call's arguments; None where only that at ``position`` has one."""
+        for at in range(1, len(frame) - 1):
+            if at - 1 != position and key_of(frame[at]) is not None:
+                return [key_of(arg) for arg in frame[1:-1]]
+        return None
+
+    def fact_finder(self, once: bool) -> Callable[..., Optional[bool]]:
+        """Return a function of the arguments that looks a ground fact up; see `Direct`."""
+        choices = self.database.machine.choices
+
+        def find(*args: Term) -> Optional[bool]:
+            if not self.ground:
+                return None
+            frame = (self, *args, True)
+            clauses, position = self.select(frame)
+            search = self._searches.get(position) or self._search(position)
+            height = len(choices)
+            keys = self._keys(frame, position)
+            if search(frame, clauses, 0, len(clauses), self.database.generation, keys) is None:
+                return False
+            if len(choices) > height:
+                del choices[height:]
+                return True if once else None
+            return True
+
+        return find
 
     def _search(self, position: Optional[int]) -> Callable[..., Optional[Frame]]:
         names = fact_names(self.database.machine)
@@ -404,6 +423,13 @@ class Database:
         if found is None:
             found = self.predicates[key] = Predicate(self, key)
         return found
+
+    def direct(self, key: Functor) -> Direct:
+        """Return the functions of a predicate."""
+        predicate = self.predicate(key)
+        if predicate.direct is None:
+            predicate.direct = Direct(self, key)
+        return predicate.direct
 
     def is_inline(self, key: Functor) -> bool:
         """Tell whether a predicate is a deterministic built-in, which compiled clauses call in line."""

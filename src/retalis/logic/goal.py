@@ -7,7 +7,9 @@ from ..terms import Term, Var, undo
 from .compiler.goals import GoalCode
 from .database import Database
 from .faults import from_python
-from .machine import Code, Frame
+from .machine import BAIL, Code, Frame
+
+_MOST_BAILS = 20
 
 
 class Goal:
@@ -15,7 +17,7 @@ class Goal:
 
     Attributes:
         straight: a Python function of the inputs that returns the outputs of the first solution or None;
-            None where the goal calls predicates that are no deterministic built-ins.
+            `BAIL` where it cannot tell, and None where the goal needs the machine.
         name: who asks, for errors.
         term: the goal.
         place: where it was read.
@@ -46,15 +48,22 @@ class Goal:
         self._version = self._database.version
         source = self._source
         source.parse()
-        self.straight: Any = self._first_straight if source.is_inline else None
+        self.straight: Any = self._first_straight
+        self._bailed = 0
         self._code = Code(self.name, self._first_enter)
         called = source.call()
         self._plain_code = Code(self.name, self._first_plain) if called is None else called
 
-    def _first_straight(self, *values: Term) -> Optional[Tuple[Term, ...]]:
+    def _first_straight(self, *values: Term) -> Any:
+        # Not before it is first called: the predicates that it calls may be defined after it.
         self.straight = self._source.straight()
-        result: Optional[Tuple[Term, ...]] = self.straight(*values)
-        return result
+        return BAIL if self.straight is None else self.straight(*values)
+
+    def bail(self) -> None:
+        """Note that the function could not tell; where that happens often it is not asked any more."""
+        self._bailed += 1
+        if self._bailed > _MOST_BAILS:
+            self.straight = None
 
     def _first_enter(self, frame: Frame) -> Optional[Frame]:
         self._code.run = self._source.enter(True)
@@ -92,8 +101,10 @@ class Goal:
         mark = len(machine.trail)
         if self.straight is not None:
             try:
-                result: Optional[Tuple[Term, ...]] = self.straight(*values)
-                return result
+                result: Any = self.straight(*values)
+                if result is not BAIL:
+                    return result  # type: ignore[no-any-return]
+                self.bail()
             except Exception as exc:
                 undo(machine.trail, mark)
                 error = from_python(exc)

@@ -21,11 +21,11 @@ Frame = Any
 _FEW = (None,) * 16
 """Steps that a run begins with: most events and goals are done with sooner, without setting up the loop."""
 
-GOAL = "goal"
-"""Name of the code that runs a goal from its term, the first argument of its frame."""
-
 _COMPACT_AT = 20_000
 
+
+BAIL = object()
+"""What the function of a `Goal` returns where the goal has to be run by frames after all."""
 
 LAST = object()
 """What a nondeterministic built-in yields at a solution after which there is surely none."""
@@ -93,6 +93,7 @@ class Machine:
         trail: variables bound since choice points were pushed; the list object never changes.
         choices: choice points; the list object never changes.
         done: the frame that ends a run: the continuation of the first frame of each `run`.
+        goal_code: the code that runs a goal from its term, the first argument of its frame.
         budget: what goals may use and have used.
     """
 
@@ -107,6 +108,7 @@ class Machine:
         self._attempt_code = Code("attempt", self._attempt_failed)
         self._exit_code = _AttemptExit(self)
         self.catch_code = Code("catch", _fail)
+        self.goal_code: Any = None
         self.logic: Any = None
 
     def unify(self, left: Term, right: Term) -> bool:
@@ -301,10 +303,11 @@ class Machine:
         undo(trail, entry[-1])
         return False
 
-    @staticmethod
-    def _add_context(ball: Term, frame: Frame) -> None:
+    def _add_context(self, ball: Term, frame: Frame) -> None:
         if ball.__class__ is tuple and ball[0] is ERROR and ball[2].__class__ is Var:
-            key = getattr(frame[0], "functor", None) or _functor_of_goal(frame)
+            key = getattr(frame[0], "functor", None)
+            if frame[0] is self.goal_code:
+                key = _functor_of(deref(frame[1]))
             if key is not None:
                 ball[2].ref = (CONTEXT, indicator(key), Var())
 
@@ -337,7 +340,9 @@ class Machine:
                     raise
                 on_error(error)
                 return otherwise
-            return otherwise if outputs is None else then(outputs)
+            if outputs is not BAIL:
+                return otherwise if outputs is None else then(outputs)
+            goal.bail()
         # A frame of its own: an attempt may be asked for before the loop runs that its choice point belongs to.
         return (self._enter_code, goal, values, then, on_error, otherwise)
 
@@ -353,9 +358,7 @@ class Machine:
         return entry[2]
 
 
-def _functor_of_goal(frame: Frame) -> Any:
-    """Return the functor of the goal that a frame runs from its term."""
-    goal = deref(frame[1]) if getattr(frame[0], "name", "") == GOAL else None
+def _functor_of(goal: Term) -> Any:
     return goal[0] if goal.__class__ is tuple else goal.functor if goal.__class__ is Atom else None
 
 

@@ -6,6 +6,7 @@ from ...errors import Place
 from ...terms import Term, Var, deref, functor, resolve, variables
 from ..machine import Code
 from .bodies import Bodies
+from .direct import choose_functions, give_up, goals_of, parser, work_of
 from .inline import write_sequence
 from .nodes import Goal, Height, Node, Parser, needed_by
 from .predicates import register
@@ -67,11 +68,6 @@ class GoalCode:
             return None
         return self._database.predicate(node.key)
 
-    @property
-    def is_inline(self) -> bool:
-        """Tell whether the goal can be straight Python."""
-        return all(node.inline for node in self._nodes)
-
     def _scope(self, unit: Unit) -> Scope:
         # Inputs count as used twice: a value is never void.
         scope = Scope(unit, Clause((*self._inputs, self._term, *self._outputs, *self._inputs)))
@@ -85,17 +81,33 @@ class GoalCode:
         function: Callable[..., Any] = unit.finish(source, filename)["main"]
         return function
 
-    def straight(self) -> Callable[..., Any]:
-        """Return the function of the inputs; bindings that it makes are undone, also where it fails."""
+    def straight(self) -> Optional[Callable[..., Any]]:
+        """Return the function of the inputs, or None where there can be none.
+
+        Bindings that it makes are undone, also where it fails. It returns `BAIL` where the goal has to be run
+        by frames, also to find an error again with its context.
+        """
+        entry = Height("height")
+        nodes = parser(self._database, entry).parse(self._term)
+        calls = any(goal.form == "direct" for goal in goals_of(nodes))
+        if any(not node.inline for node in nodes) or (calls and work_of(self._database, nodes) is None):
+            return None
+        choose_functions(nodes, True)
         unit = Unit(self._database.machine, self._database)
         scope = self._scope(unit)
-        scope.fail = _FAIL
-        write_sequence(scope, self._nodes, frozenset(variables((_OUTPUTS, *self._outputs))))
+        scope.fail = scope.cut = _FAIL
+        if calls:
+            unit.namespace["give_up"] = give_up
+            scope.give_up = _GIVE_UP
+        write_sequence(scope, nodes, frozenset(variables((_OUTPUTS, *self._outputs))))
         values = [_resolved(scope, output) for output in self._outputs]
         result = f"({', '.join(values)}{',' if len(values) == 1 else ''})"
         lines = scope.lines
         if scope.binds:
             lines = ["    mark = len(trail)", *lines, f"    result = {result}", "    undo(trail, mark)"]
+            if calls:
+                lines = [lines[0], "    try:", *["    " + line for line in lines[1:]]]
+                lines += ["    except Exception:", f"        {_GIVE_UP}"]
             result = "result"
         else:
             lines = [line.replace(_FAIL, "return None") for line in lines]
@@ -123,6 +135,7 @@ class GoalCode:
 
 
 _FAIL = "return undo(trail, mark)"
+_GIVE_UP = "return give_up(trail, mark)"
 
 
 def _resolved(scope: Scope, output: Term) -> str:

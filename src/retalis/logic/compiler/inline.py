@@ -135,6 +135,21 @@ def _function(scope: Scope, node: Goal, functional: Any) -> None:
         match(scope, name, arg)
 
 
+def _direct(scope: Scope, node: Goal) -> None:
+    """Write a call of a predicate as a function, see `compiler.direct`."""
+    result = scope.temp()
+    scope.binds = True
+    args = ", ".join([scope.build(arg) for arg in node.args])
+    for arg in node.args:
+        forget_fresh(scope, arg)
+    function = scope.unit.constant(scope.unit.database.direct(node.key))
+    scope.line(f"{result} = {function}.{'first' if node.once else 'only'}({args})")
+    scope.line(f"if not {result}:")
+    scope.line(f"    if {result} is None:")
+    scope.line(f"        {scope.give_up}")
+    scope.line(f"    {scope.fail}")
+
+
 def _test(scope: Scope, node: Goal) -> None:
     scope.line(f"if not ({simple_test(scope, node)}):")
     scope.line(f"    {scope.fail}")
@@ -201,7 +216,7 @@ def _cut(scope: Scope, node: Cut) -> None:
     if known is None or (scope.pending is not None and node.cuts):
         # Nothing has been pushed since the clause was entered: only the clauses that follow are given up.
         scope.pending = None
-        scope.fail = "return None"
+        scope.fail = scope.cut
         return
     scope.line(f"del choices[{known}:]")
 
@@ -333,4 +348,5 @@ _WRITERS = {
     "order": _test,
     "type": _test,
     "builtin": _builtin,
+    "direct": _direct,
 }

@@ -82,15 +82,20 @@ class Node:
 
 
 class Goal(Node):
-    """Any goal that is one compound term: a call, or a built-in of the kind ``form``."""
+    """Any goal that is one compound term: a call, or a built-in of the kind ``form``.
 
-    __slots__ = ("form", "key", "args")
+    Attributes:
+        once: of a call of a function, whether its first solution is enough.
+    """
+
+    __slots__ = ("form", "key", "args", "once")
 
     def __init__(self, form: str, key: Functor, args: Tuple[Term, ...], inline: bool):
         super().__init__(frozenset(variables((key, *args))), inline)
         self.form = form
         self.key = key
         self.args = args
+        self.once = False
 
 
 class Succeed(Node):
@@ -173,10 +178,17 @@ class Parser:
     Args:
         deterministic: tells whether a predicate is a deterministic built-in, which is called in line.
         clause: the height at entry of the clause, which its cuts cut to.
+        direct: tells whether a predicate of the program can be called as a function.
     """
 
-    def __init__(self, deterministic: Callable[[Functor], bool], clause: Height):
+    def __init__(
+        self,
+        deterministic: Callable[[Functor], bool],
+        clause: Height,
+        direct: Optional[Callable[[Functor], bool]] = None,
+    ):
         self._deterministic = deterministic
+        self._direct = direct
         self._heights: Dict[str, int] = {}
         self.clause = clause
 
@@ -234,6 +246,8 @@ class Parser:
         if key is _ARG and deref(args[0]).__class__ is int:
             key = _KNOWN_ARG
         inline = self._deterministic(key)
+        if not inline and self._direct is not None and self._direct(key):
+            return Goal("direct", key, args, True)
         return Goal("builtin" if inline else "call", key, args, inline)
 
     def _control(self, key: Functor, goal: Term, cut: Height, depth: int) -> Node:

@@ -50,7 +50,7 @@ def base_namespace(machine: Machine) -> Dict[str, Any]:
         "multiply": arithmetic.multiply,
         "checked": arithmetic.checked,
         "LARGEST": arithmetic.LARGEST,
-        "LEAST": -arithmetic.LARGEST,
+        "LEAST": arithmetic.LEAST,
         "LOOP": LOOP,
         "ONE": (None,),
         "RESUME": RESUME,
@@ -164,6 +164,8 @@ class Scope:
         fresh: those that are surely unbound variables which nobody else has seen.
         numbers: names that hold the numeric value of a variable.
         fail: the statement that fails.
+        cut: the statement that fails after a cut.
+        give_up: the statement that has the goal run on the machine instead, where functions are called.
         pending: the statement that pushes the choice point for the clauses that follow, until it is written.
         after: expression for the frame that follows the clause.
         at_one_go: whether a pattern was unpacked as a whole, and this is what is done if that did not work.
@@ -178,6 +180,8 @@ class Scope:
         self.fresh: Set[Var] = set()
         self.numbers: Dict[Var, Tuple[str, str]] = {}
         self.fail = fail
+        self.cut = "return None"
+        self.give_up = "return None"
         self.pending: Optional[str] = None
         self.after = "after"
         self.entry = True
