@@ -77,6 +77,10 @@ RESUME = Code("resume", lambda frame: frame[1])
 """Choice point that goes on with the frame that it holds."""
 
 
+_GO_ON = Code("go on", lambda frame: frame[1](frame[2]))
+"""Code of a frame that calls a function for the frame to go on with."""
+
+
 class CatchMark:
     """State of a ``catch/3``; goes on the trail when its goal has exited, so that backtracking reopens it."""
 
@@ -341,7 +345,8 @@ class Machine:
                 on_error(error)
                 return otherwise
             if outputs is not BAIL:
-                return otherwise if outputs is None else then(outputs)
+                # Not called here: it may ask for another attempt, and so on.
+                return otherwise if outputs is None else (_GO_ON, then, outputs)
             goal.bail()
         # A frame of its own: an attempt may be asked for before the loop runs that its choice point belongs to.
         return (self._enter_code, goal, values, then, on_error, otherwise)
