@@ -88,6 +88,7 @@ def test_warned_of(rule, part):
     [
         "c <- a(X) where X. d <- E where E. e <- a(G) do (f(Y), Y). f(true).",
         "c <- a where (f(1), member(_, [1]), x is 1 ; \\+ t1(_)). f(1).",
+        "c <- a where (member(X, [1, 2]), X > 1, ! ; lists:append(_, _, _), user:(true, fail)).",
         "c <- a where seen(1). null do assertz(seen(1)) <- b.",
         "c <- a where seen(1). d <- b where note(1). note(X) :- assertz((seen(X) :- true)).",
         "c <- a where seen(1). d <- b do note(seen(2)). note(X) :- assertz(X).",

@@ -198,6 +198,23 @@ def test_clauses_that_build_lists(goal):
     assert answers(prolog(BUILDERS), goal, 4) == wanted
 
 
+QUALIFIED = """
+p(X) :- lists:member(X, [1, 2, 3]), X > 1.
+q(X) :- user:(p(X), X < 3, !).
+q(9).
+r(X) :- \\+ lists:member(X, [1]), user:lists:member(X, [1, 4]) ; user:true, X = 5.
+s(X, G) :- user:G, X = 1.
+"""
+
+
+@pytest.mark.parametrize(
+    "goal", ["p(X)", "q(X)", "r(1)", "r(4)", "r(X)", "s(X, true)", "s(X, (fail ; true))", "s(X, _)"]
+)
+def test_goals_with_the_name_of_a_module(goal):
+    wanted = answers(prolog(QUALIFIED, NEVER), goal, 4)
+    assert answers(prolog(QUALIFIED), goal, 4) == wanted
+
+
 def look(low, high):
     """Check seeds; those whose programs make cyclic terms take too long and are left out."""
     import signal

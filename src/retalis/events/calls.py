@@ -13,6 +13,7 @@ _GOALS_IN = {
         ("->", 2, (1, 2)),
         ("*->", 2, (1, 2)),
         ("\\+", 1, (1,)),
+        (":", 2, (2,)),
         ("call", 1, (1,)),
         ("once", 1, (1,)),
         ("ignore", 1, (1,)),
@@ -26,6 +27,7 @@ _GOALS_IN = {
 _CHANGES = frozenset(
     functor(name, 1) for name in ("assert", "asserta", "assertz", "retract", "retractall", "dynamic", "db")
 )
+_CUT = functor("!", 0)
 _NECK = functor(":-", 2)
 _SEVERAL = frozenset((COMMA, CONS))
 
@@ -59,7 +61,7 @@ class Unknown(NamedTuple):
 
 def unknown_calls(logic: Any, found: List[Unknown], terms: Callable[[], List[Term]]) -> Iterator[RuleError]:
     """Yield a warning for each predicate that is called and not there, and that no goal in ``terms`` can add."""
-    missing = [one for one in found if not logic.defines(one.key)]
+    missing = [one for one in found if one.key is not _CUT and not logic.defines(one.key)]
     if not missing:
         return
     added = _added(terms())

@@ -2,7 +2,21 @@
 
 from typing import Any, Callable, Dict, FrozenSet, Iterable, List, Optional, Tuple
 
-from ...terms import COMMA, FALSE, TRUE, Atom, Functor, Lazy, Term, Var, conjuncts, deref, functor, variables
+from ...terms import (
+    COLON,
+    COMMA,
+    FALSE,
+    TRUE,
+    Atom,
+    Functor,
+    Lazy,
+    Term,
+    Var,
+    conjuncts,
+    deref,
+    functor,
+    variables,
+)
 from ..faults import type_error
 
 ARROW = functor("->", 2)
@@ -222,6 +236,10 @@ class Parser:
         elif kind is not tuple:
             raise type_error("callable", goal)
         key = goal[0]
+        if key is COLON:  # there is one module
+            inner = deref(goal[2])
+            several = inner.__class__ is tuple and inner[0] is COMMA
+            return Interpret(inner, cut) if several else self._node(inner, cut, depth)
         if key in _STRUCTURES:
             if depth > _DEEPEST:
                 return Interpret(goal, cut)

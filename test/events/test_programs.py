@@ -1,0 +1,53 @@
+"""Programs of several operators, policies, memories and queries over short streams: what happens, in order."""
+
+import re
+from pathlib import Path
+
+import pytest
+from events.running import FUTURE, show, text_of
+
+from retalis.clock import StreamClock
+from retalis.engine import Engine
+from retalis.timestamps import SECOND, to_term
+
+FILE = Path(__file__).parent.parent / "data" / "programs.txt"
+START = 978_307_200  # 2001
+KEPT = ("memory_created(", "memory_updated(", "memory_deleted(")
+
+
+def programs():
+    for block in FILE.read_text(encoding="utf-8").split("\n## ")[1:]:
+        name, *lines = block.strip().split("\n")
+        parts = {"goal": [], "rule": [], "stream": [], "events": [], "output": []}
+        for line in lines:
+            kind, _, text = line.partition(" ")
+            parts[kind].append(text.strip())
+        yield pytest.param(parts, id=name)
+
+
+def stamp(text):
+    return to_term(START * SECOND + round(float(text) * SECOND))
+
+
+@pytest.mark.parametrize("parts", list(programs()))
+def test_program(parts):
+    engine = Engine(clock=StreamClock(FUTURE))
+    seen, outputs = [], []
+    engine.on_event(
+        lambda term, start, end: seen.append((term, start - START * SECOND, end - START * SECOND))
+    )
+    engine.on_output(
+        lambda term, topic, name: outputs.append(f"output({text_of(term)},{topic},{text_of(name)})")
+    )
+    engine.load(goals="\n".join(parts["goal"]))
+    engine.load(rules="\n".join(parts["rule"]))
+    for item in re.split(r"\s*;\s*", " ".join(parts["stream"])):
+        if item.startswith("?"):
+            assert engine.call(item[1:])
+            continue
+        term, _, interval = item.rpartition("@")
+        first, _, last = interval.partition("-")
+        engine.event(term, stamp(first), stamp(last or first))
+    found = [event for event in seen if not text_of(event[0]).startswith(KEPT)]
+    assert show(found) == " ".join(parts["events"])
+    assert outputs == parts["output"]
