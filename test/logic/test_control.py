@@ -3,6 +3,8 @@
 import pytest
 from logic.support import NEVER, answers, first, prolog
 
+from retalis.logic import PrologError
+
 PROGRAM = """
 p(1). p(2). p(3).
 once_p(X) :- p(X), X >= 2, !.
@@ -119,6 +121,41 @@ def test_an_unknown_procedure_names_who_called_it_and_what_may_be_meant():
     assert "distanse/2" in text
     assert "called from far/1 (program.pl:2:" in text
     assert "did you mean distance/2" in text
+
+
+CALLERS = """
+one(X) :- missing(1, X).
+two(X) :- missing(2, X), true(X).
+three(X) :- missing(Y, X), atom(Y).
+three(X) :- atom(X), missing(3, X), p(X).
+four(L) :- maplist(other(a), L).
+four([]).
+p(missing).
+"""
+
+
+@pytest.mark.parametrize("compile_after", [0, NEVER])
+@pytest.mark.parametrize(
+    ("goal", "callers"),
+    [
+        ("one(X)", ["one/1 (program.pl:2:", "three/1 (program.pl:4:"]),
+        ("two(X)", ["two/1 (program.pl:3:", "three/1 (program.pl:4:"]),
+        ("three(X)", None),
+        ("missing(5, X)", ["three/1 (program.pl:4:"]),
+        ("four([b])", ["four/1 (program.pl:6:"]),
+    ],
+)
+def test_only_clauses_that_may_have_made_the_call_are_named(compile_after, goal, callers):
+    logic = prolog(CALLERS, compile_after)
+    with pytest.raises(PrologError) as caught:
+        logic.once(first_goal(logic, goal))
+    named = caught.value.message.split("called from ")[1].split(";")[0].split(", ")
+    if callers is None:
+        assert "three/1 (program.pl:4:" in named[0] or "three/1 (program.pl:4:" in named[-1]
+    elif compile_after == NEVER or len(callers) == 1:
+        assert [place.rpartition(":")[0] + ":" for place in named] == callers
+    else:  # compiled, the frame that the call returns to is known
+        assert named[0].startswith(callers[0])
 
 
 def first_goal(logic, text):

@@ -282,7 +282,7 @@ class Logic:
         if part is not None:
             builtins.load_library(self, part)
             return self.database.predicate(key).run(frame)
-        return undefined(self, predicate)
+        return undefined(self, predicate, frame)
 
     def lookup(self, key: Functor) -> Optional[Predicate]:
         """Return the predicate of a functor if it is defined, loading the library where it defines it."""

@@ -3,22 +3,23 @@
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any, Dict, List
 
-from ..terms import FALSE, Atom, Functor, Term, atom, deref
-from .database import Predicate
+from ..terms import FALSE, Atom, Functor, Term, atom, copy, deref, undo, unify
+from .database import Clause, Predicate
 from .faults import CONTEXT, existence_error, indicator
+from .machine import Frame
 
 if TYPE_CHECKING:
     from .logic import Logic
 
 
-def undefined(logic: "Logic", predicate: Predicate) -> Any:
+def undefined(logic: "Logic", predicate: Predicate, frame: Frame) -> Any:
     """Raise the existence error of a procedure (or fail, as the flag ``unknown`` says)."""
     flag = deref(logic.flags["unknown"])
     if flag is atom("fail") or flag is FALSE:
         return None
     key = predicate.functor
     notes = []
-    callers = _callers(logic, key)
+    callers = _callers(logic, predicate, frame)
     if callers:
         notes.append(f"called from {', '.join(callers)}")
     meant = similar(logic, key)
@@ -28,33 +29,55 @@ def undefined(logic: "Logic", predicate: Predicate) -> Any:
     raise existence_error("procedure", indicator(key), context)
 
 
-def _callers(logic: "Logic", key: Functor) -> List[str]:
-    """Return the first clauses whose bodies mention a goal of this functor."""
-    found = []
-    for predicate in list(logic.database.predicates.values()):
-        if predicate.library:
-            continue
-        for clause in predicate.live():
-            if _mentions(clause.body, key):
-                where = f" ({clause.place})" if clause.place is not None else ""
-                found.append(f"{predicate.functor}{where}".split("\n")[0])
-                if len(found) == 3:
-                    return found
-                break
-    return found
+def _callers(logic: "Logic", predicate: Predicate, frame: Frame) -> List[str]:
+    """Return the clauses that may have made a call, at most three.
+
+    A last call leaves no trace of its clause, so these are the clauses with a goal that the call is an instance
+    of; where the frame that the call returns to belongs to one of their predicates, only that one's.
+    """
+    key = predicate.functor
+    call = (key, *frame[1:-1])
+    after = getattr(frame[-1][0], "functor", None)
+    clauses = [
+        clause
+        for other in list(logic.database.predicates.values())
+        if not other.library
+        for clause in other.live()
+        if not clause.fact
+    ]
+    found = [clause for clause in clauses if _may_call(clause, call, len(call))]
+    if not found:  # a goal that others add arguments to, as maplist/3 does
+        found = [clause for clause in clauses if _may_call(clause, call, 1)]
+    returned_to = [clause for clause in found if clause.predicate.functor is after]
+    return [_described(clause) for clause in (returned_to or found)[:3]]
 
 
-def _mentions(term: Term, key: Functor) -> bool:
-    stack = [term]
+def _described(clause: Clause) -> str:
+    where = f" ({clause.place})" if clause.place is not None else ""
+    return f"{clause.predicate.functor}{where}".split("\n")[0]
+
+
+def _may_call(clause: Clause, call: Term, least: int) -> bool:
+    """Tell whether a goal that may make a call stands in a clause's body, if only with its first arguments."""
+    stack = [clause.body]
     while stack:
         item = deref(stack.pop())
+        if item.__class__ is Atom:
+            item = (item.functor,)
         if item.__class__ is tuple:
-            if item[0] is key:
+            if item[0].name == call[0].name and least <= len(item) <= len(call) and _agree(item, call):
                 return True
             stack.extend(item[1:])
-        elif item.__class__ is Atom and key.arity == 0 and item.name == key.name:
-            return True
     return False
+
+
+def _agree(goal: Term, call: Term) -> bool:
+    """Tell whether a goal, which may lack the last arguments, unifies with a call."""
+    trail: List[Any] = []
+    pairs = zip(copy(goal)[1:], call[1:])
+    agree = all(unify(one, other, trail) for one, other in pairs)
+    undo(trail, 0)
+    return agree
 
 
 def similar(logic: "Logic", key: Functor) -> List[str]:
