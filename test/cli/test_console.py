@@ -253,3 +253,12 @@ class _Screen:
         while text not in self._text:
             self._text += os.read(self._terminal, 4096).decode()
         self._text = self._text.split(text, 1)[1]
+
+
+def test_a_cleanup_of_a_goal_that_is_left_ends_its_line(ask):
+    found = ask("setup_call_cleanup(true, member(X, [1,2]), write(done)), !.\nX = 2.")
+    assert found.out == "done\nX = 1.\nX = 2.\n"
+
+
+def test_an_unknown_procedure_is_named_once(ask):
+    assert "error: Unknown procedure: no_such/1\n" in ask("no_such(1).").err

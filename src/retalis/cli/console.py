@@ -215,6 +215,7 @@ class Console:
             self._report(error if error.place else RuleError(error.message))
         finally:
             logic.output, logic.error_output = outputs  # where it was interrupted inside with_output_to
+            self._fresh_line()  # cleanups write after the last answer
             sys.stdout.flush()
 
     def _solutions(self, goal: Term, names: Dict[str, Var]) -> None:

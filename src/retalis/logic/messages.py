@@ -11,7 +11,13 @@ def describe(ball: Term) -> str:
     if ball.__class__ is not tuple or ball[0] is not ERROR:
         return f"Unhandled exception: {writeq(ball)}"
     text = _formal(deref(ball[1]))
-    return text + _context(deref(ball[2]))
+    # An unknown procedure is where its error comes from: that is said already.
+    return text + _context(deref(ball[2])).replace(
+        f" (in {text[len(_UNKNOWN) :]})", "", text.startswith(_UNKNOWN)
+    )
+
+
+_UNKNOWN = "Unknown procedure: "
 
 
 def _formal(formal: Term) -> str:
@@ -23,7 +29,7 @@ def _formal(formal: Term) -> str:
         return f"Unknown error: {writeq(formal)}"
     name, args = formal[0].name, [deref(arg) for arg in formal[1:]]
     if name == "existence_error" and _name(args[0]) == "procedure":
-        return f"Unknown procedure: {writeq(args[1])}"
+        return f"{_UNKNOWN}{writeq(args[1])}"
     if name == "system_error":
         return _name(args[0])  # a sentence
     template = _TEMPLATES.get(name)
