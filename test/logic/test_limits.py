@@ -200,3 +200,8 @@ def test_rules_loaded_at_run_time_cannot_name_files_outside(tmp_path):
     with pytest.raises((PrologError, ProgramErrors)):
         engine.call(f"compile_event_file('{tmp_path}/inside/rules.txt')")
     assert not engine.query("catch(p(X), _, fail)")
+
+
+def test_an_engine_without_limits_does_not_look_at_any():
+    assert not Engine().logic.machine.budget.limited
+    assert Engine(settings=Settings(limits=Limits(seconds=1.0))).logic.machine.budget.limited

@@ -38,6 +38,7 @@ class Budget:
 
     Attributes:
         limits: of each outermost run and each attempt.
+        limited: whether there are any.
         inferences: all that were counted.
         alarms: times (of the monotonic clock) with what is to be thrown then.
         ceilings: counts of inferences with what is to be thrown past them.
@@ -45,7 +46,7 @@ class Budget:
     """
 
     def __init__(self) -> None:
-        self.limits = NO_LIMITS
+        self.allow(NO_LIMITS)
         self.inferences = 0
         self.alarms: List[Tuple[float, PrologError]] = []
         self._loops = 0  # inferences that are not counted yet, in units of `LOOP`
@@ -56,6 +57,11 @@ class Budget:
         self._exceeded = False
         self.ceilings: Dict[int, PrologError] = {}
         self.used = False
+
+    def allow(self, limits: Limits) -> None:
+        """Set what each outermost run and each attempt may use."""
+        self.limits = limits
+        self.limited = limits != NO_LIMITS
 
     def start_anew(self) -> None:
         """Forget what an outermost run has used."""
@@ -115,7 +121,7 @@ class Budget:
             for ceiling, error in self.ceilings.items():
                 if self.inferences > ceiling:
                     raise error
-        if limits is NO_LIMITS and not self.alarms:
+        if not self.limited and not self.alarms:
             return
         if limits.inferences is not None and self._spent > limits.inferences:
             self._exceed("inferences")

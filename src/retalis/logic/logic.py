@@ -80,7 +80,7 @@ class Logic:
 
     @limits.setter
     def limits(self, limits: Limits) -> None:
-        self.machine.budget.limits = limits
+        self.machine.budget.allow(limits)
 
     # Predicates in Python
 

@@ -13,7 +13,7 @@ from ..errors import RetalisError, TermTooLarge
 from ..terms import Atom, Term, Var, copy, deref, undo, unify
 from ..watching import watched_by
 from .faults import CONTEXT, ERROR, PrologError, from_python, indicator, resource_error
-from .limits import NO_LIMITS, SLICE, Budget
+from .limits import SLICE, Budget
 
 Frame = Any
 """A tuple ``(code, argument..., next)``."""
@@ -148,7 +148,7 @@ class Machine:
             return True
         choices = self.choices
         base = len(choices)
-        limited = not base and self.budget.limits is not NO_LIMITS
+        limited = not base and self.budget.limited
         before = watched_by(self.budget.look) if limited else None
         mark = len(self.trail)
         choices.append((STOP, mark))
