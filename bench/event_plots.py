@@ -6,7 +6,7 @@ from typing import Any, Dict, Iterable, List, Sequence, Tuple
 import matplotlib
 
 matplotlib.use("Agg")
-from matplotlib import pyplot  # noqa: E402
+from matplotlib import pyplot, ticker  # noqa: E402
 
 STYLES = {
     "recent": ("#0072b2", "o", "-"),
@@ -19,7 +19,7 @@ TITLES = {
     "values": "partners told apart by a shared variable: the event fits one",
     "alike": "partners alike: the event fits all",
     "times": "partners told apart by their times only: the event fits one",
-    "shuffled": "the same, arrived in any order",
+    "shuffled": "partners told apart by their times only, arrived in any order",
 }
 BOUNDS = (("#555555", "-"), ("#0072b2", "-"), ("#d55e00", "--"), ("#009e73", "-."), ("#e69f00", ":"))
 
@@ -104,6 +104,8 @@ def _draw_operator(axis: Any, name: str, rows: Sequence[Dict[str, Any]]) -> None
     axis.grid(True, which="major", linewidth=0.4, color="#dddddd")
     axis.tick_params(labelsize=7)
     axis.set_xticks([10, 10**3, 10**5])
+    axis.yaxis.set_major_locator(ticker.LogLocator(subs=(1, 2, 5)))
+    axis.yaxis.set_major_formatter(lambda value, at: f"{value:g}")
     axis.minorticks_off()
 
 
