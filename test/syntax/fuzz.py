@@ -120,9 +120,10 @@ def main() -> None:
     seed = int(sys.argv[2]) if len(sys.argv) > 2 else 1
     block = 20_000
     for done in range(0, count, block):
-        reader = run(min(block, count - done), seed + done)
+        size = min(block, count - done)
+        reader = run(size, seed + done)
         print(
-            f"{done + block} texts; the last {block}: {reader.read} terms, {reader.faults} faults", flush=True
+            f"{done + size} texts; the last {size}: {reader.read} terms, {reader.faults} faults", flush=True
         )
 
 
