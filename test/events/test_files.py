@@ -52,6 +52,17 @@ def test_a_file_is_ensured_once_and_used_each_time(program, tmp_path):
     assert program.feed("a@2") == "c@2-2 c@2-2"
 
 
+@pytest.mark.parametrize(
+    "goal", ["consult('sub/one')", "consult(sub/one)", "[sub/one]", "consult([sub/one])"]
+)
+def test_a_directive_consults_files_relative_to_its_own(program, tmp_path, goal):
+    write(tmp_path, inner__main=f":- {goal}. d <- c.")
+    (tmp_path / "inner" / "sub").mkdir()
+    write(tmp_path / "inner", sub__one="c <- a.")
+    program.engine.rules.load_file("inner/main.pl")
+    assert program.feed("a@1") == "c@1-1 d@1-1"
+
+
 def test_files_that_ensure_each_other_are_loaded_once(program, tmp_path):
     write(tmp_path, one=":- ensure_loaded(two). c <- a.", two=":- ensure_loaded(one). d <- a.")
     program.engine.rules.load_file("one.pl")

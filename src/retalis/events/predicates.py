@@ -7,6 +7,7 @@ from ..errors import ProgramErrors, RetalisError, SyntaxFault, UsageError
 from ..logic import PrologError, callable_of, domain_error, existence_error, instantiation_error, type_error
 from ..syntax import read_program
 from ..terms import (
+    CONS,
     Atom,
     String,
     Term,
@@ -96,6 +97,7 @@ class _Editing:
         for name in ("compile_event_file", "compile_events"):
             logic.define(name, 1, self.load_file)
         logic.define("consult", 1, self.consult)
+        logic.define("[|]", 2, lambda machine, name, more: self.consult(machine, (CONS, name, more)))
         logic.define("use_module", 1, self.use)
         logic.define("use_module", 2, lambda machine, name, imports: self.use(machine, name))
         logic.define("ensure_loaded", 1, self.ensure_loaded)
