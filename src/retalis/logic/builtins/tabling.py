@@ -22,7 +22,8 @@ class Table:
 
     Attributes:
         answers: instances of the call, in the order found.
-        state: "new", "active" or "complete".
+        state: "new", "active", "waiting" (evaluated in this round of an older table, which decides whether
+            there is another one) or "complete".
         low: position on the stack of active tables of the oldest one that it depends on.
         members: tables that can be complete only together with this one.
     """
@@ -62,10 +63,11 @@ class Tables:
             table = self.by_call[key] = Table()
         if table.state == "complete":
             return self._enumerate(goal, table.answers, 0, after)
-        if table.state == "active":
-            table.consulted = True
-            for other in self.active[table.index :]:
-                other.low = min(other.low, table.index)
+        if table.state != "new":
+            at = table.index if table.state == "active" else table.low
+            self.active[at].consulted = True
+            for other in self.active[at:]:
+                other.low = min(other.low, at)
             return self._enumerate(goal, list(table.answers), 0, after)
         return self._evaluate(predicate, goal, table, after)
 
@@ -96,6 +98,7 @@ class Tables:
             if self.added > before and table.consulted:
                 for member in table.members:
                     member.state = "new"
+                table.members = []
                 return self._round(predicate, general, table, goal, after)
             for member in (table, *table.members):
                 member.state = "complete"
@@ -113,10 +116,12 @@ class Tables:
 
     def _hand_on(self, table: Table, goal: Term, after: Frame) -> Optional[Frame]:
         """Leave a table that depends on an older one: that decides when both are complete."""
-        table.state = "new"
         parent = self.active[table.index - 1]
         parent.low = min(parent.low, table.low)
-        parent.members += [table, *table.members]
+        for member in (table, *table.members):
+            member.state = "waiting"
+            member.low = table.low
+            parent.members.append(member)
         return self._leave(table, goal, list(table.answers), after)
 
     def _leave(self, table: Table, goal: Term, answers: List[Term], after: Frame) -> Optional[Frame]:
