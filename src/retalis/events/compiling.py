@@ -8,7 +8,7 @@ from ..terms import Term, Var, functor, variables
 from .aggregates import Collector
 from .building import compile_builder
 from .conditions import Call, Test, goal_test
-from .deferred import Deferred, Items, absence_of, deferred_test, early_test
+from .deferred import Deferred, Items, absence_of, deferred_test, early_test, ready_where
 from .joining import Joining
 from .nodes import Acting, Alternatives, Capture, Filter, Leaf, Never, Node
 from .operators import OPERATORS
@@ -187,7 +187,7 @@ class Compiler:
         right = self._build(core.right, here, limit)
         known = set(left.node.vars) | set(right.node.vars)
         below = [*left.deferred, *right.deferred]
-        ready, deferred = _ready(below, surely_bound_by(core, False), context)
+        ready, deferred = ready_where(below, surely_bound_by(core, False), context)
         absent = wrapping.absent
         negated: Optional[Built] = None
         needs: Set[Var] = set()
@@ -256,7 +256,7 @@ class Compiler:
         outside = self._outside(pattern, core.value if isinstance(core, Aggregate) else None)
         items = Items(outside)
         sure = surely_bound_by(core.first, False) | surely_bound_by(pattern, False)
-        ready, further = _ready(repeated.deferred, sure, context)
+        ready, further = ready_where(repeated.deferred, sure, context)
         for one in ready:
             test, node.step_vars = deferred_test(self.rule, node, one, node.step_vars)
             node.step_tests.append(test)
@@ -318,22 +318,6 @@ class Compiler:
             return None if found is None else found[0]
 
         return Collector(core.kind, value, evaluate)
-
-
-def _ready(deferred: List[Deferred], sure: Set[Var], context: Names) -> Tuple[List[Deferred], List[Deferred]]:
-    """Part conditions into those that can be tested where some variables are sure to be known, and the others.
-
-    What no pattern further left could give a value is not waited for.
-    """
-    ready: List[Deferred] = []
-    later: List[Deferred] = []
-    for one in deferred:
-        if (one.needs - sure) & context:
-            later.append(one)
-        else:
-            ready.append(one)
-            sure = sure if one.goal is None else sure | set(variables(one.goal))
-    return ready, later
 
 
 def _served(either: bool, left: Built, right: Built) -> List[Leaf]:

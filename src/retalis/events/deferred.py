@@ -1,6 +1,6 @@
 """Conditions that look at patterns further left: what they need is carried with a match until it meets those."""
 
-from typing import Any, List, NamedTuple, Optional, Set, Tuple
+from typing import AbstractSet, Any, List, NamedTuple, Optional, Set, Tuple
 
 from ..terms import NIL, Term, Var, deref, functor, variables
 from .absence import Absence
@@ -58,6 +58,24 @@ class Deferred(NamedTuple):
     def may_be_tried(self, names: List[Var]) -> bool:
         """Tell whether a match with these variables may already give all that it waits for a value."""
         return self.items is None and self.absent is None and self.needs.issubset(names)
+
+
+def ready_where(
+    deferred: List[Deferred], sure: Set[Var], context: AbstractSet[Var]
+) -> Tuple[List[Deferred], List[Deferred]]:
+    """Part conditions into those that can be tested where some variables are sure to be known, and the others.
+
+    What no pattern further left could give a value is not waited for.
+    """
+    ready: List[Deferred] = []
+    later: List[Deferred] = []
+    for one in deferred:
+        if (one.needs - sure) & context:
+            later.append(one)
+        else:
+            ready.append(one)
+            sure = sure if one.goal is None else sure | set(variables(one.goal))
+    return ready, later
 
 
 def with_item(items: Term, values: Values) -> Term:
