@@ -57,6 +57,7 @@ CASES = [
     ("(a seq b) and b", "a@1 b@2", "c@1-2"),
     ("a seq (b seq d)", "a@1 b@2 d@3", "c@1-3"),
     ("a seq (b or d)", "a@1 d@2", "c@1-2"),
+    ("(d or (a and d)) fnot b", "a@1 d@2", "c@2-2 c@1-2"),
 ]
 
 
@@ -140,6 +141,17 @@ def test_an_aggregate_of_what_is_no_number_is_reported():
             "c(X) <- a(X) seq (((b(Y) where Y > X) seq d(Z)) where Z > X)",
             "a(1)@1 a(5)@1 b(3)@3 d(9)@4 b(6)@5 d(4)@6 b(4)@7 d(3)@8",
             "c(1)@1-4",
+        ),
+        # a condition gives values to variables of what must not happen between
+        (
+            "c(X,N) <- (prolog(N is X + 1) seq (a(X) seq d)) cnot b(N)",
+            "a(1)@1 b(1)@2 d@3 a(1)@4 b(2)@5 d@6",
+            "c(1,2)@1-3",
+        ),
+        (
+            "c(X) <- e(Z) seq (((a(X) seq d) where N is X + Z) cnot (b(Y) where Y =:= N))",
+            "e(1)@1 a(1)@2 b(2)@3 d@4 a(1)@5 b(1)@6 d@7",
+            "c(1)@1-7",
         ),
         # what a condition waits for may be known before its pattern meets the one further left
         ("c(X) <- a(X) and ((b(Y) where Y >= X) and d(X))", "b(0)@1 d(1)@2 b(1)@3 a(1)@4", "c(1)@2-4"),

@@ -54,6 +54,12 @@ class Built(NamedTuple):
         """All leaves, in the order in which they are served: those of an ``or`` branch by branch."""
         return [*self.joined, *self.single] if self.branches is None else self.branches
 
+    def with_negated(self, node: Any, deferred: List[Deferred], negated: "Built") -> "Built":
+        """Return what is built by a node over this one and over a negated pattern."""
+        joined = [*self.joined, *negated.leaves]
+        branches = None if self.branches is None else [*self.branches, *negated.leaves]
+        return Built(node, deferred, joined, self.single, branches)
+
 
 class _Wrapping(NamedTuple):
     """The conditions that belong to one operator, inner ones first."""
@@ -188,12 +194,13 @@ class Compiler:
         known = set(left.node.vars) | set(right.node.vars)
         below = [*left.deferred, *right.deferred]
         ready, deferred = ready_where(below, surely_bound_by(core, False), context)
+        now, later = self._split(wrapping.conditions, core, context)
         absent = wrapping.absent
         negated: Optional[Built] = None
         needs: Set[Var] = set()
         conditions: List[Deferred] = []
         if absent is not None:
-            inner = here | frozenset(bound_by(core.right))
+            inner = here | frozenset(bound_by(core.right)) | _in_goals(wrapping.conditions)
             negated, needs, conditions = self._negated(absent.negated, known, inner, limit)
         gap = (Var(), Var()) if needs else None
         if gap is not None:
@@ -202,23 +209,26 @@ class Compiler:
             self.rule, OPERATORS[core.operator], left.node, right.node, self.keep, gap, _meet(left, right)
         )
         self._add(node, wrapping.span, limit)
-        if gap is not None:
-            deferred.append(Deferred(needs, None, False, (negated, conditions, False), *gap))
-        elif negated is not None:
+        if negated is not None and gap is None:
             node.absent(absence_of(self.rule, negated, node.vars, False, conditions), negated.node)
         for one in below:
             if one in ready:
                 node.test(*deferred_test(self.rule, node, one, node.vars))
             elif one.may_be_tried(node.vars):
                 node.test(*early_test(self.rule, node, one, node.vars))
-        now, later = self._split(wrapping.conditions, wrapping.core, context)
         for condition in now:
             call = Call(self.rule, condition.goal, node.vars)
             node.test(goal_test(call, condition.timed, None), call.result_vars)
         result: Any = node
-        for condition, needs in later:
-            result, one = self._defer(result, condition.goal, condition.timed, None, needs)
+        for condition, waits_for in later:
+            result, one = self._defer(result, condition.goal, condition.timed, None, waits_for)
             deferred.append(one)
+        if gap is not None:
+            one = Deferred(needs, None, False, (negated, conditions, False), *gap)
+            if needs - _in_goals(now):
+                deferred.append(one)
+            else:  # it has variables to which the conditions give values
+                node.test(*deferred_test(self.rule, node, one, node.vars))
         joined = _served(OPERATORS[core.operator].either, left, right)
         if negated is not None:
             joined += negated.leaves
@@ -240,11 +250,10 @@ class Compiler:
         negated, needs, conditions = self._negated(core.negated, set(below.node.vars), here, None)
         if needs:
             node, one = self._defer(below.node, None, False, (negated, conditions, True), needs)
-            deferred = [*below.deferred, one]
-            return Built(node, deferred, [*below.joined, *negated.leaves], below.single)
+            return below.with_negated(node, [*below.deferred, one], negated)
         absence = absence_of(self.rule, negated, below.node.vars, True, conditions)
         node = self._add(Never(below.node, negated.node, absence), None, None)
-        return Built(node, below.deferred, [*below.joined, *negated.leaves], below.single)
+        return below.with_negated(node, below.deferred, negated)
 
     def _running(self, core: Any, wrapping: _Wrapping, context: Names, limit: Optional[int]) -> Built:
         here = context | frozenset(bound_by(core.first))
@@ -318,6 +327,11 @@ class Compiler:
             return None if found is None else found[0]
 
         return Collector(core.kind, value, evaluate)
+
+
+def _in_goals(conditions: List[Any]) -> Names:
+    """Return the variables of conditions."""
+    return frozenset(var for condition in conditions for var in variables(condition.goal))
 
 
 def _served(either: bool, left: Built, right: Built) -> List[Leaf]:
