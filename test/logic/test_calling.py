@@ -116,3 +116,18 @@ def test_the_library_is_loaded_at_no_cost(logic):
 )
 def test_there_is_no_input(logic, goal, found):
     assert answers(logic, goal) == found
+
+
+@pytest.mark.parametrize(
+    ("goal", "found"),
+    [
+        ("must_be(encoding, utf8)", [{}]),
+        ("must_be(encoding, foo)", ["type_error(encoding,foo)"]),
+        ("must_be(stream, user_output)", [{}]),
+        ("must_be(stream, a)", ["type_error(stream,a)"]),
+        ("must_be(dict, a)", ["type_error(dict,a)"]),
+        ("must_be(stream, _)", ["instantiation_error"]),
+    ],
+)
+def test_types_of_what_is_hardly_there(logic, goal, found):
+    assert answers(logic, goal) == found

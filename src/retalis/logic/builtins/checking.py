@@ -46,8 +46,27 @@ def is_acyclic(term: Term) -> bool:
 _LIST_OF = functor("list", 1)
 _TYPE_ERROR = functor("type_error", 2)
 
+_ENCODINGS = frozenset(
+    [
+        "octet",
+        "ascii",
+        "iso_latin_1",
+        "text",
+        "utf8",
+        "unicode_be",
+        "unicode_le",
+        "utf16be",
+        "utf16le",
+        "wchar_t",
+    ]
+)
+_STREAMS = frozenset(("user_input", "user_output", "user_error"))
+
 _SIMPLE: Dict[str, Callable[[Term], bool]] = {
     "any": lambda term: True,
+    "dict": lambda term: False,  # there are none
+    "encoding": lambda term: term.__class__ is Atom and term.name in _ENCODINGS,
+    "stream": lambda term: term.__class__ is Atom and term.name in _STREAMS,
     "acyclic": is_acyclic,
     "cyclic": lambda term: not is_acyclic(term),
     "var": lambda term: term.__class__ is Var,
