@@ -2,18 +2,14 @@
 """The original's experiments on this engine: one case, or all of them beside the reference engine.
 
     bench/engine.py CASE [--messages]     one line: case NAME events N cpu SECONDS us_per_event U outputs N
-    bench/engine.py --all [--against FOLDER] [--runs N] [--json FILE] [--plot FILE]
+    bench/engine.py --all [--against FOLDER] [--python PATH ...] [--runs N] [--json FILE] [--plot FILE]
 
-``--against`` runs the same cases of the reference (``bench.pl`` in FOLDER; the environment variable
-``RETALIS_REF`` names its checkout), alternating with ours, and prints medians and ratios.
+``--messages`` feeds the bytes of ROS messages and counts decoding in. ``--against`` runs the same cases of the
+reference (``bench.pl`` in FOLDER; the environment variable ``RETALIS_REF`` names its checkout), alternating with
+ours, and prints medians and ratios.
 """
 
 import argparse
-import json
-import os
-import re
-import statistics
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -23,6 +19,7 @@ HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent / "src"), str(HERE.parent / "examples" / "nao")]
 
 import workload as work  # noqa: E402
+from renamed import renamed  # noqa: E402
 
 from retalis.collector import relax  # noqa: E402
 from retalis.engine import Engine  # noqa: E402
@@ -96,6 +93,14 @@ def nao(name: str, messages: bool, extra: str = "", seconds: int = 10) -> Result
         engine.load(goals=extra)
     items = work.nao_stream(seconds)
     cpu, outputs = feed(engine, items, messages)
+    return Result(name, len(items), cpu, outputs)
+
+
+def nao_renamed(name: str, messages: bool) -> Result:
+    """S1 with other message types, functors and orders of slots; terms only."""
+    engine = work.nao_engine(other_names=True)
+    items = [item._replace(term=renamed(item.term)) for item in work.nao_stream(10)]
+    cpu, outputs = feed(engine, items, False)
     return Result(name, len(items), cpu, outputs)
 
 
@@ -266,54 +271,22 @@ CASES: Dict[str, Callable[[str, bool], Result]] = {
 """The cases that the reference has too."""
 
 MORE: Dict[str, Callable[[str, bool], Result]] = {
+    "nao_renamed": nao_renamed,
     "memories_stop_when_full": stop_when_full,
     "memories_mixed": mixed,
     "look_ups_7000": look_ups_beside(7000, 0),
     "look_ups_14000": look_ups_beside(14_000, 0),
     "look_ups_7000_beside_320": look_ups_beside(7000, 320),
+    "look_ups_14000_beside_320": look_ups_beside(14_000, 320),
     "sync_base": synchronized(None),
     "join_seq_1000000": join(1_000_000),
 }
 
 
-def measure(command: List[str], environment: Optional[Dict[str, str]] = None) -> float:
-    """Run one case in a process of its own; return microseconds an event."""
-    result = subprocess.run(command, capture_output=True, text=True, env=environment, cwd=HERE)
-    found = re.search(r"us_per_event ([\d.]+)", result.stdout)
-    if found is None:
-        raise SystemExit(f"{' '.join(command)} gave no figure:\n{result.stdout}{result.stderr}")
-    return float(found.group(1))
-
-
-def compare(options: argparse.Namespace) -> int:
-    """Run all cases, alternating with the reference's, and print a table of medians."""
-    rows = {}
-    for name in [*CASES, *MORE]:
-        ours: List[float] = []
-        theirs: List[float] = []
-        for _ in range(options.runs):
-            command = [sys.executable, str(HERE / "engine.py"), name]
-            ours.append(measure(command + (["--messages"] if options.messages else [])))
-            if options.against and name in CASES:
-                script = Path(options.against) / "bench.pl"
-                theirs.append(measure(["swipl", "-g", f"case({name}),halt", str(script)], dict(os.environ)))
-        rows[name] = {
-            "ours": statistics.median(ours),
-            "reference": statistics.median(theirs) if theirs else None,
-        }
-        print(row(name, rows[name]), flush=True)
-    if options.json:
-        Path(options.json).write_text(
-            json.dumps({"python": sys.version.split()[0], "cases": rows}, indent=1) + "\n"
-        )
-    return 0
-
-
-def row(name: str, found: Dict[str, Any]) -> str:
-    """Return a line of the table."""
-    ours, theirs = found["ours"], found["reference"]
-    ratio = "" if theirs is None else f"{theirs:10.2f} us  1/{theirs / ours:.1f}"
-    return f"{name:<26} {ours:10.2f} us {ratio}"
+FROM_BYTES = [
+    name for name in [*CASES, *MORE] if name.startswith(("nao", "memories")) and name != "nao_renamed"
+]
+"""The cases that can be fed with messages' bytes."""
 
 
 def main() -> int:
@@ -323,15 +296,21 @@ def main() -> int:
     )
     parser.add_argument("case", nargs="?", choices=[*CASES, *MORE])
     parser.add_argument("--messages", action="store_true", help="feed message bytes, and count decoding in")
-    parser.add_argument("--all", action="store_true")
+    parser.add_argument("--all", action="store_true", help="all cases, and what they take as a table")
     parser.add_argument("--against", help="folder of the reference's bench.pl")
+    parser.add_argument("--python", nargs="+", default=[], help="further interpreters")
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--json", help="write the figures there")
+    parser.add_argument("--plot", help="draw them there")
     options = parser.parse_args()
     if options.all:
-        return compare(options)
+        from comparison import compare
+
+        return compare(list(CASES), list(MORE), FROM_BYTES, options)
     if options.case is None:
         parser.error("name a case, or --all")
+    if options.messages and options.case not in FROM_BYTES:
+        parser.error(f"{options.case} has no messages")
     print({**CASES, **MORE}[options.case](options.case, options.messages).line())
     return 0
 

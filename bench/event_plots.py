@@ -4,6 +4,7 @@ import math
 from typing import Any, Dict, Iterable, List, Sequence, Tuple
 
 import matplotlib
+from fitting import exponent
 
 matplotlib.use("Agg")
 from matplotlib import pyplot, ticker  # noqa: E402
@@ -38,20 +39,12 @@ def draw(figures: Dict[str, Any], prefix: str) -> List[str]:
     return files
 
 
-def exponent(points: Sequence[Tuple[float, float]]) -> float:
-    """Return b of the power law y = a * x**b that fits best, from 100 on; nan with fewer than two points there."""
-    logs = [(math.log(x), math.log(y)) for x, y in points if x >= 100]
-    if len(logs) < 2:
-        return math.nan
-    middle_x = sum(x for x, _ in logs) / len(logs)
-    middle_y = sum(y for _, y in logs) / len(logs)
-    over = sum((x - middle_x) ** 2 for x, _ in logs)
-    return sum((x - middle_x) * (y - middle_y) for x, y in logs) / over
-
-
 def exponents(rows: Sequence[Dict[str, Any]]) -> Dict[str, float]:
     """Return the fitted exponent of each policy."""
-    return {policy: exponent(points(rows, policy)) for policy in dict.fromkeys(row["policy"] for row in rows)}
+    return {
+        policy: exponent([p for p in points(rows, policy) if p[0] >= 100])
+        for policy in dict.fromkeys(row["policy"] for row in rows)
+    }
 
 
 def points(rows: Sequence[Dict[str, Any]], policy: str) -> List[Tuple[float, float]]:

@@ -4,6 +4,8 @@ import math
 from pathlib import Path
 from typing import Iterator, List, NamedTuple, Tuple
 
+from renamed import renamed_program
+
 from retalis.engine import Engine
 from retalis.messages import Definitions
 from retalis.syntax import Operators, read_term
@@ -28,13 +30,6 @@ class Item(NamedTuple):
     term: Term
     instant: "int | None"
     type: str
-
-
-class Names(NamedTuple):
-    """Message types and the order of their slots."""
-
-    tf: str = "tf/tfMessage"
-    marker: str = "ar_pose/ARMarkers"
 
 
 def quoted(text: str) -> Term:
@@ -99,11 +94,6 @@ def nao_stream(seconds: int) -> List[Item]:
     return items
 
 
-def goals(text: str) -> str:
-    """Return goals, one a line."""
-    return "\n".join(line.strip() for line in text.strip().splitlines())
-
-
 MEMORIES = "\n".join(
     f"""memorize(tf('"{parent}"', '"{child}"', V, Q), [], tf(V, Q), {name}, 2500)"""
     for parent, child, name, _ in CHAIN
@@ -114,12 +104,17 @@ SUBSCRIPTIONS = "\n".join(
 )
 
 
-def nao_engine() -> Engine:
+def nao_engine(other_names: bool = False) -> Engine:
     """Return an engine with the NAO's rules, its memories and its subscriptions, unrestricted."""
     engine = Engine()
     engine.load(goals="set_etalis_flag(event_consumption_policy, unrestricted)")
-    engine.load_rules((APPLICATION / "eventRules.txt").read_text(encoding="utf-8"), "eventRules.txt")
-    engine.load(goals=f"{MEMORIES}\n{SUBSCRIPTIONS}")
+    rules = (APPLICATION / "eventRules.txt").read_text(encoding="utf-8")
+    goals = f"{MEMORIES}\n{SUBSCRIPTIONS}"
+    if other_names:
+        rules = "\n".join(clause + "." for clause in renamed_program(rules))
+        goals = "\n".join(renamed_program(goals.replace("\n", ".\n") + "."))
+    engine.load_rules(rules, "eventRules.txt")
+    engine.load(goals=goals)
     return engine
 
 

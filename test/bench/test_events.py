@@ -2,6 +2,7 @@
 
 import importlib
 import json
+import math
 import sys
 from pathlib import Path
 
@@ -85,9 +86,10 @@ def test_a_row_for_each_bound(events):
 
 
 def test_fitted_exponents(events):
-    pytest.importorskip("matplotlib")
-    plots = importlib.import_module("event_plots")
-    assert plots.exponent([(10, 50.0), (100, 10.0), (1000, 100.0), (10000, 1000.0)]) == pytest.approx(1.0)
+    fitting = importlib.import_module("fitting")
+    assert fitting.exponent([(100, 10.0), (1000, 100.0), (10000, 1000.0)]) == pytest.approx(1.0)
+    assert fitting.exponent([(1, 5.0), (10, 5.0)]) == pytest.approx(0.0)
+    assert math.isnan(fitting.exponent([(1, 5.0)]))
 
 
 def test_plots_are_drawn(events, tmp_path):

@@ -1,0 +1,103 @@
+#!/usr/bin/env python3
+"""A bag run without ROS: the NAO's program over a bag, by CPU time after the start.
+
+    bench/offline.py [--seconds N] [--runs N] [--python PATH ...] [--json FILE] [--plot FILE]
+
+Prints a line for each interpreter: seconds until the program is loaded, seconds of the run, microseconds a message.
+"""
+
+import argparse
+import json
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any, Dict, List, Optional
+
+HERE = Path(__file__).resolve().parent
+sys.path[:0] = [str(HERE), str(HERE.parent / "src"), str(HERE.parent / "examples" / "nao")]
+
+
+def once(bag: str) -> Dict[str, float]:
+    """Run the program over a bag in this process; return the figures."""
+    from retalis.bags import BagReader
+    from retalis.collector import relax
+    from retalis.playback import Playback
+
+    playback = Playback(HERE.parent / "application_source", report=print)
+    relax()
+    loaded = time.process_time()
+    with BagReader(bag) as reader:
+        outputs = sum(1 for _ in playback.run(reader))
+        messages = reader.messages
+    return {
+        "start": loaded,
+        "run": time.process_time() - loaded,
+        "messages": messages,
+        "outputs": outputs,
+    }
+
+
+def measure(options: argparse.Namespace) -> Dict[str, Any]:
+    """Return the medians for each interpreter."""
+    from make_bag import make_bag
+    from processes import machine
+
+    runs: Dict[str, List[Dict[str, float]]] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        bag = str(Path(folder) / "nao.bag")
+        make_bag(bag, options.seconds, 1)
+        for _ in range(options.runs):
+            for python in [sys.executable, *options.python]:
+                ran = subprocess.run([python, __file__, "--once", bag], capture_output=True, text=True)
+                if ran.returncode:
+                    raise SystemExit(ran.stderr)
+                figures = json.loads(ran.stdout)
+                runs.setdefault(figures.pop("python"), []).append(figures)
+    rows = {
+        python: {key: statistics.median(run[key] for run in found) for key in found[0]}
+        for python, found in runs.items()
+    }
+    return {"machine": machine(), "seconds": options.seconds, "rows": rows}
+
+
+def line(python: str, row: Dict[str, float]) -> str:
+    """Return a row of the table."""
+    return (
+        f"python {python}  start {row['start']:.2f} s  run {row['run']:.2f} s  {row['messages']:.0f} messages  "
+        f"{1e6 * row['run'] / row['messages']:.2f} us each  outputs {row['outputs']:.0f}"
+    )
+
+
+def main(given: Optional[List[str]] = None) -> int:
+    """Run what the command line asks for."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--seconds", type=float, default=60.0, help="length of the bag")
+    parser.add_argument("--runs", type=int, default=5)
+    parser.add_argument("--python", nargs="+", default=[], help="further interpreters")
+    parser.add_argument("--json", help="write the figures there")
+    parser.add_argument("--plot", help="draw them there")
+    parser.add_argument("--once", metavar="BAG", help=argparse.SUPPRESS)
+    options = parser.parse_args(given)
+    if options.once:
+        version = ".".join(map(str, sys.version_info[:3]))
+        print(json.dumps({"python": version, **once(options.once)}))
+        return 0
+    result = measure(options)
+    for python, row in result["rows"].items():
+        print(line(python, row))
+    if options.json:
+        Path(options.json).write_text(json.dumps(result, indent=1) + "\n")
+    if options.plot:
+        from performance_plots import draw_offline
+
+        draw_offline(result, options.plot)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

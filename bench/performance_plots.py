@@ -1,0 +1,103 @@
+"""Draws the figures of the benchmarks that ``docs/performance.md`` shows."""
+
+from typing import Any, Dict, List, Tuple
+
+import matplotlib
+
+matplotlib.use("Agg")
+from matplotlib import pyplot  # noqa: E402
+
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#e69f00", "#56b4e9", "#555555")
+
+
+def save(figure: Any, path: str) -> None:
+    """Write a figure to a file."""
+    figure.tight_layout()
+    figure.savefig(path, dpi=110)
+    pyplot.close(figure)
+
+
+def draw_engine(result: Dict[str, Any], path: str) -> None:
+    """Draw the microseconds of an event in each case, one bar for each column of the table."""
+    cases = result["cases"]
+    columns = list(dict.fromkeys(column for row in cases.values() for column in row))
+    figure, axis = pyplot.subplots(figsize=(8, 0.36 * len(cases) + 1))
+    height = 0.8 / len(columns)
+    for number, column in enumerate(columns):
+        places = [at + number * height for at, row in enumerate(cases.values()) if column in row]
+        values = [row[column] for row in cases.values() if column in row]
+        axis.barh(places, values, height, label=column, color=COLOURS[number % len(COLOURS)])
+    axis.set_yticks([at + 0.4 - height / 2 for at in range(len(cases))], list(cases), fontsize=8)
+    axis.invert_yaxis()
+    axis.set_xscale("log")
+    axis.set_xlabel("microseconds an event")
+    axis.legend(fontsize=8)
+    save(figure, path)
+
+
+def draw_node(result: Dict[str, Any], path: str) -> None:
+    """Draw CPU and delay of each way at each speed, and memory over messages."""
+    rows = result["rows"]
+    ways = list(dict.fromkeys(row["way"] for row in rows))
+    figure, (left, middle, right) = pyplot.subplots(1, 3, figsize=(11, 3.4))
+    for number, way in enumerate(ways):
+        found = [row for row in rows if row["way"] == way]
+        rates = [row["messages_a_second"] for row in found]
+        colour = COLOURS[number % len(COLOURS)]
+        left.plot(rates, [row["cpu_percent"] for row in found], "o-", label=way, color=colour)
+        late = [(rate, row) for rate, row in zip(rates, found) if row.get("delay_ms_median")]
+        if late:
+            at = [rate for rate, _ in late]
+            middle.plot(at, [row["delay_ms_median"] for _, row in late], "o-", label=way, color=colour)
+            middle.plot(at, [row["delay_ms_99"] for _, row in late], "^:", color=colour)
+    _axes(left, "messages a second", "CPU, percent of a core")
+    _axes(middle, "messages a second", "delay in ms: median, 99 % (dotted)")
+    for axis in (left, middle):
+        axis.set_xscale("log")
+        axis.set_yscale("log")
+    held = result.get("memory", [])
+    right.plot([done / 1e6 for done, _ in held], [value for _, value in held], "-", color=COLOURS[0])
+    right.set_ylim(0, 100)
+    _axes(right, "million messages", "resident memory in MB", legend=False)
+    save(figure, path)
+
+
+def _axes(axis: Any, across: str, up: str, legend: bool = True) -> None:
+    axis.set_xlabel(across, fontsize=8)
+    axis.set_ylabel(up, fontsize=8)
+    axis.tick_params(labelsize=7)
+    axis.grid(alpha=0.3)
+    if legend:
+        axis.legend(fontsize=7)
+
+
+def draw_offline(result: Dict[str, Any], path: str) -> None:
+    """Draw the seconds of a bag run by each interpreter."""
+    rows = result["rows"]
+    figure, axis = pyplot.subplots(figsize=(6, 0.5 * len(rows) + 1))
+    starts = [row["start"] for row in rows.values()]
+    axis.barh(list(rows), starts, label="start", color=COLOURS[5])
+    axis.barh(list(rows), [row["run"] for row in rows.values()], left=starts, label="run", color=COLOURS[0])
+    axis.set_xlabel(f"seconds of CPU for {result['seconds']:.0f} seconds of a bag")
+    axis.legend(fontsize=8)
+    save(figure, path)
+
+
+def draw_curves(result: Dict[str, Any], path: str) -> None:
+    """Draw the growth of each cost."""
+    rows = result["rows"]
+    columns = min(4, len(rows))
+    lines = -(-len(rows) // columns)
+    figure, axes = pyplot.subplots(lines, columns, figsize=(2.9 * columns, 2.3 * lines), squeeze=False)
+    flat: List[Any] = [axis for row in axes for axis in row]
+    for axis, row in zip(flat, rows.values()):
+        points: List[Tuple[float, float]] = row["points"]
+        axis.plot([size for size, _ in points], [us for _, us in points], "o-", color=COLOURS[0], ms=3)
+        axis.set_xscale("log")
+        axis.set_yscale("log")
+        axis.set_ylim(0.3, 300)
+        axis.set_title(f"{row['title']}\n$N^{{{row['exponent']:.2f}}}$", fontsize=7)
+        _axes(axis, "N", "microseconds", legend=False)
+    for axis in flat[len(rows) :]:
+        axis.set_visible(False)
+    save(figure, path)
