@@ -1,5 +1,10 @@
 """``python3 -m retalis``."""
 
-from .cli import main
+try:
+    from .cli import main
+except ModuleNotFoundError as missing:
+    if missing.name != "lark":
+        raise
+    raise SystemExit("retalis: the Python package lark is missing: pip install lark") from None
 
 raise SystemExit(main())

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import rospy
 import rostest
+from rosgraph_msgs.msg import Log
 from std_msgs.msg import Float64, String
 
 sys.path.append(str(Path(__file__).resolve().parent))
@@ -99,7 +100,9 @@ class Services(unittest.TestCase):
 
     def test_a_taken_subscription_is_an_error(self):
         self.assertEqual(self.add_subscription("b(_)", "", "_", "t", "twice").result, "ok")
-        self.assert_error(self.add_subscription("b(_)", "", "_", "t", "twice"), "twice")
+        self.assert_error(
+            self.add_subscription("b(_)", "", "_", "t", "twice"), "subscription twice of topic t already"
+        )
         self.assertEqual(self.add_subscription("b(_)", "", "_", "other", "twice").result, "ok")
         self.assertEqual(self.delete_subscription("t", "twice").result, "ok")
         self.assertEqual(self.delete_subscription("other", "twice").result, "ok")
@@ -135,6 +138,21 @@ class Services(unittest.TestCase):
         self.assert_error(self.add_memory("v(X)", "1", "_", "bad", "5"))
         self.assert_error(self.add_memory("v(X)", "", "_", "", "5"), "id")
         self.assert_error(self.delete_memory("bad"), "bad")
+
+    def test_a_taken_memory_is_an_error(self):
+        self.assertEqual(self.add_memory("w(X)", "", "_", "twice", "5").result, "ok")
+        taken = self.add_memory("w(X)", "", "_", "twice", "5")
+        self.assertEqual(taken.result, "error: there is a memory twice already")
+        self.assertEqual(self.delete_memory("twice").result, "ok")
+
+    def test_a_topic_without_a_type_is_warned_of(self):
+        log = Collector("/rosout", Log)
+        wait_until(log.connected, "the log")
+        self.assertEqual(self.add_subscription("u(_)", "", "_", "nothing/there", "u").result, "ok")
+        log.wait_for(
+            lambda messages: any("topic nothing/there has no type" in m.msg for m in messages), "the warning"
+        )
+        self.assertEqual(self.delete_subscription("nothing/there", "u").result, "ok")
 
     def test_input_subscriptions(self):
         number = rospy.Publisher("number", Float64, queue_size=10)

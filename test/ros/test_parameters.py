@@ -36,6 +36,18 @@ def test_the_first_argument_is_the_package_and_a_program_wins(read):
     assert read("/here", program="/there").program == Path("/there")
 
 
+def test_a_package_that_is_not_found_is_an_error_with_a_way_out(monkeypatch):
+    import rospkg
+
+    def get_path(self, name):
+        raise rospkg.ResourceNotFound(name)
+
+    monkeypatch.setattr(rospkg.RosPack, "get_path", get_path)
+    monkeypatch.setattr(rospy, "get_param", lambda name, default: default)
+    with pytest.raises(UsageError, match="ROS_PACKAGE_PATH"):
+        read_parameters(["node"])
+
+
 def test_numbers_and_flags(read):
     found = read(queue=7, max_depth=5, max_seconds=2, max_inferences=1000, allow_goals=True, embedded=True)
     assert (found.queue, found.settings.queue, found.settings.max_depth) == (7, 7, 5)

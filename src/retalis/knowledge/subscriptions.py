@@ -56,6 +56,10 @@ class Subscriptions:
 
         self._listeners[key] = self._dispatcher.listen(Stage.SUBSCRIPTIONS, pattern, action)
 
+    def has(self, topic: Term, name: Term) -> bool:
+        """Tell whether there is a subscription of this topic and id."""
+        return (self._topic(topic), key_of(name)) in self._listeners
+
     def delete(self, topic: Term, name: Term) -> bool:
         """Delete a subscription; returns False where there is none of this topic and id."""
         listener = self._listeners.pop((self._topic(topic), key_of(name)), None)

@@ -84,7 +84,7 @@ class Node:
             InterfaceServices(self._interface)
         for topic, kind in direct:
             self._subscribe(topic, kind)
-        EngineServices(self.engine)
+        EngineServices(self.engine, (topic for topic, _ in topics.published))
         self._interface.subscribe_texts(INPUT, self.engine.post_text)
         rospy.loginfo("%s: %s", parameters.program, self._summary())
 

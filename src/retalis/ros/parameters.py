@@ -85,8 +85,16 @@ def _program(argv: List[str]) -> Path:
         raise UsageError(f"parameter ~program: expected the path of a folder, found {folder!r}")
     if folder:
         return Path(folder)
-    package = argv[1] if len(argv) > 1 else rospkg.RosPack().get_path("retalis")
-    return Path(package) / "application_source"
+    return Path(argv[1] if len(argv) > 1 else _package()) / "application_source"
+
+
+def _package() -> str:
+    try:
+        return str(rospkg.RosPack().get_path("retalis"))
+    except rospkg.ResourceNotFound:
+        raise UsageError(
+            "package retalis is not on ROS_PACKAGE_PATH: give its folder as argument, or the program's as ~program"
+        ) from None
 
 
 def _direct() -> Any:

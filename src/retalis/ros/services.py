@@ -1,14 +1,15 @@
 """The six services: texts in, ``ok`` or ``error: ...`` out."""
 
-from typing import Any, Callable, Dict, List
+from typing import Any, Callable, Dict, Iterable, List
 
 import rospy
 
 from ..engine import Engine
 from ..errors import RetalisError, SyntaxFault, UsageError
+from ..program import TOPICS
 from ..syntax import Operators, read_term
 from ..terms import TRUE, Atom, Term, Var, atom, conjuncts, functor, make_list
-from .interface import Interface
+from .interface import OUTPUT, Interface, resolve
 
 OK = "ok"
 
@@ -23,26 +24,57 @@ def answer(work: Callable[[], None]) -> str:
 
 
 class EngineServices:
-    """The services of node retalis: subscriptions and memories."""
+    """The services of node retalis: subscriptions and memories.
 
-    def __init__(self, engine: Engine):
+    Args:
+        engine: whose they are.
+        published: the topics that have a message type.
+    """
+
+    def __init__(self, engine: Engine, published: Iterable[str] = ()):
         from retalis import srv  # generated: there only where the package was built
 
         self._engine = engine
+        self._published = {rospy.resolve_name(topic) for topic in published}
         rospy.Service("add_output_subscription", srv.AddOutputSubscription, self._add_subscription)
         rospy.Service("delete_output_subscription", srv.DeleteOutputSubscription, self._delete_subscription)
         rospy.Service("add_memory", srv.AddMemory, self._add_memory)
         rospy.Service("delete_memory", srv.DeleteMemory, self._delete_memory)
 
     def _add_subscription(self, request: Any) -> str:
-        return answer(
-            lambda: self._add(request, "subscribe", name(request.topic, "topic"), name(request.id, "id"))
-        )
+        def work() -> None:
+            topic, key = name(request.topic, "topic"), name(request.id, "id")
+            if self._engine.knowledge.subscriptions.has(topic, key):
+                raise UsageError(
+                    f"there is a subscription {request.id.strip()} of topic {request.topic.strip()} already"
+                )
+            self._add(request, "subscribe", topic, key)
+            self._warn_of_type(request.topic.strip())
+
+        return answer(lambda: self._engine.do(work))
+
+    def _warn_of_type(self, topic: str) -> None:
+        """Say where a topic has no type, so that nothing but text will come of it."""
+        try:
+            typed = resolve(topic) in self._published
+        except UsageError:  # a name for other nodes only
+            typed = False
+        if not typed:
+            rospy.logwarn(
+                "topic %s has no type: %s has no <publish_to> of that name; its events come as text on %s only",
+                topic,
+                TOPICS,
+                OUTPUT,
+            )
 
     def _add_memory(self, request: Any) -> str:
-        return answer(
-            lambda: self._add(request, "memorize", name(request.id, "id"), self._size(request.size))
-        )
+        def work() -> None:
+            key, size = name(request.id, "id"), self._size(request.size)
+            if self._engine.knowledge.memories.find(key) is not None:
+                raise UsageError(f"there is a memory {request.id.strip()} already")
+            self._add(request, "memorize", key, size)
+
+        return answer(lambda: self._engine.do(work))
 
     def _delete_subscription(self, request: Any) -> str:
         def work() -> None:

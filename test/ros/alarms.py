@@ -1,0 +1,69 @@
+#!/usr/bin/env python3
+"""Alarms ring by ROS time: simulated time, which stands still until the test moves it."""
+
+import sys
+import unittest
+from pathlib import Path
+
+import rospy
+import rostest
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import String
+
+sys.path.append(str(Path(__file__).resolve().parent))
+from harness import Collector, service, wait_until  # noqa: E402
+
+from retalis import srv  # noqa: E402
+
+START = 1_000_000_000
+RULES = (
+    "ins_event_rule((exceptionAlarm(rings(X), 5) <- starts(X)))",
+    "ins_event_rule((exceptionAlarmAbsoluteDatime(strikes(X), datime(2001,9,9,1,47,0,0)) <- sets(X)))",
+)
+
+
+class Alarms(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.outputs = Collector("retalisOutputEvents", String)
+        cls.to_engine = rospy.Publisher("retalisInputEvents", String, queue_size=5000)
+        cls.clock = rospy.Publisher("/clock", Clock, queue_size=10)
+        subscribe = service("add_output_subscription", srv.AddOutputSubscription)
+        for event in ("rings", "strikes", "seen"):
+            assert subscribe(f"{event}(X)", "", "_", "t", event).result == "ok"
+        wait_until(lambda: cls.to_engine.get_num_connections() > 0, "node retalis")
+        wait_until(lambda: cls.outputs.connected(), "its outputs")
+        wait_until(lambda: cls.clock.get_num_connections() > 1, "the nodes' clocks")
+        for rule in RULES:
+            cls.to_engine.publish(rule)
+
+    def at(self, seconds, nanoseconds, mark):
+        """Move time, and return when the engine has seen that: an event of the clock comes back."""
+        self.clock.publish(Clock(rospy.Time(START + seconds, nanoseconds)))
+        wait_until(lambda: rospy.get_rostime() == rospy.Time(START + seconds, nanoseconds), "time")
+        self.clock.publish(Clock(rospy.Time(START + seconds, nanoseconds)))
+        self.to_engine.publish(f"event(seen({mark}))")
+        self.wait_for(f"event(seen({mark}),t,seen)")
+
+    def wait_for(self, text):
+        self.outputs.wait_for(lambda messages: any(message.data == text for message in messages), text)
+
+    def has(self, text):
+        return any(message.data == text for message in self.outputs.messages)
+
+    def test_an_alarm_rings_when_its_time_has_come_and_not_before(self):
+        self.at(0, 0, 1)
+        self.to_engine.publish("event(starts(a),[datime(2001,9,9,1,46,40,0),datime(2001,9,9,1,46,40,0)])")
+        self.to_engine.publish("event(sets(b))")
+        self.at(4, 999_999_999, 2)
+        self.assertFalse(self.has("event(rings(a),t,rings)"))
+        self.at(5, 1_000_000, 3)
+        self.wait_for("event(rings(a),t,rings)")
+        self.assertFalse(self.has("event(strikes(b),t,strikes)"))
+        self.clock.publish(Clock(rospy.Time(START + 21, 0)))  # no event comes: the node's own timer wakes it
+        self.wait_for("event(strikes(b),t,strikes)")
+
+
+if __name__ == "__main__":
+    rospy.init_node("alarms")
+    rostest.rosrun("retalis", "alarms", Alarms)
