@@ -91,6 +91,8 @@ class Bench:
             return {"/" + name.strip("/"): pid for name, pid in running("/idle")}
         wait_until(lambda: all(one.get_num_connections() for one in listening))
         nodes = dict(running("/retalis"))
+        topics = {one.resolved_name for one in listening}
+        wait_until(lambda: topics <= {topic for name in nodes for topic in heard(name)})
         if len(nodes) > 1:
             wait_until(lambda: connected(nodes, "/retalisInputEvents", "/retalisOutputEvents"))
         return nodes
@@ -179,6 +181,11 @@ def slave(name: str) -> Any:
 def connected(nodes: Dict[str, int], *topics: str) -> bool:
     """Tell whether the nodes receive these topics from one another."""
     return set(topics) <= {topic for name in nodes for topic, links in received(name) if links}
+
+
+def heard(name: str) -> List[str]:
+    """Return the topics of a node that somebody hears: it notes a connection after the other side does."""
+    return [topic for topic, _, links in slave(name).getBusStats("/bench")[2][0] if links]
 
 
 def received(name: str) -> List[Any]:

@@ -1,10 +1,16 @@
 """ROS 1 bags, read and written message by message as raw bytes; the ``rosbags`` package does the work."""
 
+from operator import itemgetter
 from pathlib import Path
-from typing import Any, Collection, Dict, Iterator, NamedTuple, Optional, Tuple, Union
+from struct import Struct
+from typing import Any, Collection, Dict, Iterator, List, NamedTuple, Optional, Tuple, Union
 
 from .errors import RetalisError
 from .messages import Definition
+
+_SIZE = Struct("<I")
+_IS_MESSAGE, _IS_CONNECTION = (b"\x04\x00\x00\x00op=" + bytes([code]) for code in (2, 7))
+"""The field of a record's header that says what it is."""
 
 PathLike = Union[str, Path]
 
@@ -82,16 +88,42 @@ class BagReader:
             connections = [found for found in connections if found.topic.lstrip("/") in wanted]
         if not connections:
             return
-        known = self._topics
-        messages = self._reader.messages(connections)
-        while True:
-            try:
-                connection, time, data = next(messages)
-            except StopIteration:
-                return
-            except Exception as error:  # broken bags raise whatever their bytes lead to
-                raise BagError(f"{self.path}: the bag is broken: {_reason(error)}") from error
-            yield Record(known[connection.id], time, data if data.__class__ is bytes else bytes(data))
+        try:
+            yield from self._messages(connections)
+        except Exception as error:  # broken bags raise whatever their bytes lead to
+            raise BagError(f"{self.path}: the bag is broken: {_reason(error)}") from error
+
+    def _messages(self, connections: List[Any]) -> Iterator[Record]:
+        """Yield the messages of connections by the index that ``rosbags`` has read.
+
+        Its own way to the messages reads every field of their headers from a file object, in three times the time.
+        """
+        reader = self._reader
+        entries = [
+            (entry.time, entry.chunk_pos, entry.offset, self._topics[connection.id])
+            for connection in connections
+            for entry in reader.indexes[connection.id]
+        ]
+        entries.sort(key=itemgetter(0))
+        size_at = _SIZE.unpack_from
+        current, chunk = None, b""
+        for time, position, offset, topic in entries:
+            if position != current:
+                current, chunk = position, _chunk(reader, position)
+            (size,) = size_at(chunk, offset)
+            at = offset + 4 + size
+            while (
+                chunk.find(_IS_MESSAGE, offset, at) < 0
+            ):  # a connection's record that stands before its message
+                if chunk.find(_IS_CONNECTION, offset, at) < 0:
+                    raise ValueError("the index points at no message")
+                offset = at + 4 + size_at(chunk, at)[0]
+                at = offset + 4 + size_at(chunk, offset)[0]
+            (size,) = size_at(chunk, at)
+            data = chunk[at + 4 : at + 4 + size]
+            if len(data) != size:
+                raise ValueError("a message is cut off")
+            yield Record(topic, time, data)
 
     def close(self) -> None:
         """Close the file."""
@@ -156,6 +188,16 @@ def _rosbag1() -> Any:
             "reading and writing bags needs the Python package rosbags (pip install rosbags)"
         ) from None
     return rosbag1
+
+
+def _chunk(reader: Any, position: int) -> bytes:
+    """Return the records of a chunk."""
+    found = reader.chunks[position]
+    reader.bio.seek(found.datapos)
+    raw = reader.bio.read(found.datasize)
+    if len(raw) != found.datasize:
+        raise ValueError("a chunk is cut off")
+    return bytes(found.decompressor(raw))
 
 
 def _open(path: Path) -> Any:
