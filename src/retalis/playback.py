@@ -81,11 +81,12 @@ class Playback:
             if _plain(topic.name) in self._types:
                 self._learn(topic)
         wanted = {topic.name for topic in bag.topics if _plain(topic.name) in self._types}
-        for done, record in enumerate(bag.records(wanted), 1):
-            clock.move_to(record.time, back=True)
-            decoder = self._decoders.get(record.topic)
+        decoders = {id(topic): self._decoders.get(topic) for topic in bag.topics}
+        for done, (topic, instant, data) in enumerate(bag.records(wanted), 1):
+            clock.move_to(instant, back=True)
+            decoder = decoders[id(topic)]
             if decoder is not None:
-                self._post(decoder, record.data)
+                self._post(decoder, data)
             progress(done)
             if outputs:
                 yield from outputs

@@ -1,7 +1,7 @@
 import struct
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from retalis.errors import MessageError
@@ -48,6 +48,7 @@ def test_texts_are_written_as_those_of_terms(frame):
         assert text_writer(found)(data) == to_text(found.decode(data))
 
 
+@settings(deadline=None)
 @given(st.floats(), st.floats(width=32), st.integers(-(2**63), 2**63 - 1))
 def test_numbers_are_written_as_those_of_terms(x, y, number):
     data = pose(b"f", b"n", x, y, number)
