@@ -76,11 +76,11 @@ def test_a_reader_is_not_disturbed_by_what_is_added_meanwhile():
     assert [term for term, _, _ in reader] == [1, 0]
 
 
-def test_holds_at_most_twice_its_size():
+def test_holds_not_much_more_than_its_size():
     memory = Memory(10)
     for end in range(1000):
         memory.add((end, end, end))
-    assert len(memory.records) <= 2 * 10 + 16
+    assert len(memory.records) <= 10 + 2 + 16
     assert [term for term, _, _ in memory.newest_first()] == list(range(999, 989, -1))
 
 

@@ -13,7 +13,7 @@ class Memory:
     """A bounded history, ordered by end time; records with equal ends stay in order of arrival.
 
     Adding at the end and every look-up cost the same whatever the size: the records lie in a list of which
-    only the last ``size`` count, cut back when it has grown to twice that; look-ups are binary searches.
+    only the last ``size`` count, cut back when it has grown by a quarter of that; look-ups are binary searches.
     Lists are replaced, never shortened or reordered in place, so that a reader who walks an older list is
     not disturbed by what is added meanwhile.
 
@@ -29,7 +29,7 @@ class Memory:
 
     def __init__(self, size: int):
         self.size = size
-        self.room = 2 * size + 16
+        self.room = size + size // 4 + 16
         self.late = 0
         self._gone = 0
         self.ends: List[int] = []
