@@ -79,7 +79,7 @@ def engine(result: Dict[str, Any]) -> Iterator[str]:
     for name, row in cases.items():
         ratio = f"1/{row['reference'] / row['terms']:.1f}" if "reference" in row else ""
         rows.append([f"`{name}`", *(number(row.get(column)) for column in columns), ratio])
-    yield f"Microseconds an event, medians of {result['runs']} alternating runs. {machine(result)}"
+    yield f"Microseconds an event, {runs(result['runs'])}. {machine(result)}"
     yield ""
     yield from table(["case", *columns, "of the reference"], rows)
 
@@ -136,7 +136,7 @@ def node(result: Dict[str, Any]) -> Iterator[str]:
             ]
         )
     head = ["way", "messages/s", "CPU %", "idle = 1", "delay ms", "99 %", "lost", "poses", "MB"]
-    yield f"Medians of {result['rows'][0]['runs']} alternating runs. {machine(result)}"
+    yield f"Figures are {runs(result['rows'][0]['runs'])}. {machine(result)}"
     yield ""
     yield from table(head, rows)
     held = result.get("memory")
@@ -153,6 +153,11 @@ def node(result: Dict[str, Any]) -> Iterator[str]:
             f"Start: importing rospy {start['rospy']:.2f} s ({start['rospy_cpu']:.2f} s of CPU), the node with the "
             f"NAO's program ready {start['beyond']:.2f} s after that ({start['beyond_cpu']:.2f} s of CPU)."
         )
+
+
+def runs(number: int) -> str:
+    """Return what the figures are of."""
+    return "of one run each" if number == 1 else f"medians of {number} alternating runs"
 
 
 def machine(result: Dict[str, Any]) -> str:

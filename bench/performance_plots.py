@@ -55,6 +55,8 @@ def draw_node(result: Dict[str, Any], path: str) -> None:
     for axis in (left, middle):
         axis.set_xscale("log")
         axis.set_yscale("log")
+        axis.minorticks_off()
+        axis.set_xticks([1880, 9400, 18800, 37600], ["1,880", "9,400", "18,800", "37,600"])
     held = result.get("memory", [])
     right.plot([done / 1e6 for done, _ in held], [value for _, value in held], "-", color=COLOURS[0])
     right.set_ylim(0, 100)
