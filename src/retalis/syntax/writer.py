@@ -124,7 +124,7 @@ class _Writer:
             self._put(self.names.get(term) or f"_G{serial(term)}")
 
     def _atom_term(self, name: str, is_operand: bool) -> None:
-        if is_operand and name in self.operators:
+        if is_operand and (name in self.operators or name == "."):
             self._put("(")
             self._put(self.atom(name))
             self._put(")")

@@ -94,6 +94,10 @@ deterministic("number_codes/2")(_number_converter(codes))
 deterministic("number_chars/2")(_number_converter(chars))
 
 
+def _no_code(machine: Any, code: int) -> Exception:
+    return representation_error("character_code") if is_iso(machine) else type_error("character_code", code)
+
+
 @deterministic("char_code/2")
 def char_code(machine: Any, char: Term, code: Term) -> bool:
     """Relate a character with its code."""
@@ -103,6 +107,8 @@ def char_code(machine: Any, char: Term, code: Term) -> bool:
             raise type_error("character", char)
         if code.__class__ not in (Var, int):
             raise type_error("integer", code)
+        if code.__class__ is int and not 0 <= code <= LARGEST_CODE:
+            raise _no_code(machine, code)
         return unify(code, ord(char.name), machine.trail)
     if char.__class__ is not Var:
         raise type_error("character", char)
@@ -111,9 +117,7 @@ def char_code(machine: Any, char: Term, code: Term) -> bool:
     if code.__class__ is not int:
         raise type_error("integer", code)
     if not 0 <= code <= LARGEST_CODE:
-        raise (
-            representation_error("character_code") if is_iso(machine) else type_error("character_code", code)
-        )
+        raise _no_code(machine, code)
     return unify(char, atom(chr(code)), machine.trail)
 
 

@@ -159,7 +159,13 @@ deterministic("compound/1")(_type_test(tuple))
 deterministic("atomic/1")(_type_test(Atom, int, float, String))
 deterministic("nonvar/1")(_type_test(Atom, int, float, String, tuple))
 deterministic("callable/1")(_type_test(Atom, tuple))
-deterministic("blob/2", "is_stream/1")(lambda machine, *args: False)
+deterministic("is_stream/1")(lambda machine, *args: False)
+
+
+@deterministic("blob/2")
+def blob(machine: Any, term: Term, kind: Term) -> bool:
+    """Give the kind of an atom: there are only those of text."""
+    return deref(term).__class__ is Atom and unify(kind, atom("text"), machine.trail)
 
 
 @deterministic("is_list/1")

@@ -294,9 +294,10 @@ def _nth(base: int) -> Any:
                 look()
                 if at > MOST:
                     raise TermTooLarge
+        known = at
         while tail.__class__ is Var:
             cells = (CONS, item, Var())
-            for _ in range(at - base):
+            for _ in range(at - known):
                 cells = (CONS, Var(), cells)
             if machine.unify_all((tail, cells), (index, at)):
                 yield None

@@ -3,7 +3,7 @@
 from typing import Any, Dict, List, Optional
 
 from ...syntax import write_term
-from ...terms import CONS, NIL, Atom, Term, Var, atom, deref, list_items, unify
+from ...terms import CONS, NIL, Atom, Term, Var, atom, deref, list_items, resolve, unify
 from ..arithmetic import evaluate
 from ..faults import (
     domain_error,
@@ -50,12 +50,39 @@ def _writer(**options: Any) -> Any:
     return text
 
 
-_WRITERS = {
+def letter_names(term: Term) -> Dict[Var, str]:
+    """Return names for the variables of a term: A, B, ..., and ``_`` for those that occur once."""
+    counts: Dict[Var, int] = {}
+    stack = [resolve(term)]
+    while stack:
+        item = stack.pop()
+        if item.__class__ is Var:
+            counts[item] = counts.get(item, 0) + 1
+        elif item.__class__ is tuple:
+            stack.extend(item[:0:-1])
+    names: Dict[Var, str] = {}
+    number = 0
+    for var, count in counts.items():
+        if count == 1:
+            names[var] = "_"
+        else:
+            names[var] = chr(65 + number % 26) + (str(number // 26) if number > 25 else "")
+            number += 1
+    return names
+
+
+def _canonical(machine: Any, term: Term) -> str:
+    operators = machine.logic.operators
+    names = letter_names(term)
+    return write_term(term, operators, ignore_ops=True, brace_terms=False, variable_names=names)
+
+
+_WRITERS: Dict[str, Any] = {
     "write": _writer(quoted=False, numbervars=True),
     "print": _writer(quoted=True, numbervars=True),
     "writeln": _writer(quoted=False, numbervars=True),
     "writeq": _writer(quoted=True, numbervars=True),
-    "write_canonical": _writer(quoted=True, ignore_ops=True, brace_terms=False),
+    "write_canonical": _canonical,
 }
 
 
@@ -93,7 +120,9 @@ def nl_to(machine: Any, stream: Term) -> bool:
 
 
 def _blanks(count: Term) -> str:
-    number = integer(evaluate(count))
+    number = evaluate(count)
+    if number.__class__ is not int:
+        raise type_error("integer_expression", deref(count))
     if number > _WIDEST:
         raise resource_error("memory")
     return " " * number

@@ -16,14 +16,13 @@ from ...terms import (
     deref,
     functor,
     list_items,
-    variables,
 )
 from ..compiler.nodes import ARROW, NOT, SEMICOLON, SOFT_ARROW
 from ..database import Predicate
 from ..faults import ERROR
 from ..messages import describe
 from .arguments import atom_of, indicator_of
-from .output import formatted, write_to
+from .output import formatted, letter_names, write_to
 from .registry import deterministic, nondeterministic
 
 _NECK, _DIRECTIVE = functor(":-", 2), functor(":-", 1)
@@ -92,22 +91,7 @@ def portray_clause_to(machine: Any, stream: Term, term: Term) -> bool:
 def clause_text(machine: Any, term: Term) -> str:
     """Return a clause laid out with a goal a line and variables named A, B, ...; ``_`` for those alone."""
     term = copy(term)
-    counts: Dict[Var, int] = {}
-    stack = [term]
-    while stack:
-        item = deref(stack.pop())
-        if item.__class__ is Var:
-            counts[item] = counts.get(item, 0) + 1
-        elif item.__class__ is tuple:
-            stack.extend(item[1:])
-    names: Dict[Var, str] = {}
-    number = 0
-    for var in variables(term):
-        if counts[var] == 1:
-            names[var] = "_"
-        else:
-            names[var] = chr(65 + number % 26) + (str(number // 26) if number > 25 else "")
-            number += 1
+    names = letter_names(term)
     term = deref(term)
     layout = _Layout(machine.logic.operators, names)
     if term.__class__ is tuple and term[0] is _NECK and deref(term[2]) is not TRUE:

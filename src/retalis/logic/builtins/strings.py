@@ -67,14 +67,14 @@ deterministic("string_to_atom/2")(_same_text("string", "atom", (String, atom)))
 def number_string(machine: Any, number: Term, text: Term) -> bool:
     """Relate a number with its string; fails where the text is no number."""
     number = deref(number)
+    if number.__class__ not in (Var, int, float):
+        raise type_error("number", number)
     check_parts(text)
     if is_ground(text):
         found = parse_number(parts_text(machine, text, True).strip(), machine.logic.operators)
         return found is not None and unify(number, found, machine.trail)
     if number.__class__ is Var:
         raise instantiation_error()
-    if number.__class__ not in (int, float):
-        raise type_error("number", number)
     return unify(text, String(number_text(number)), machine.trail)
 
 

@@ -105,6 +105,8 @@ def univ(machine: Any, term: Term, parts: Term) -> bool:
         check_tail(parts)
         return unify(parts, make_list([atom(term[0].name), *term[1:]]), machine.trail)
     if term.__class__ is not Var:
+        if deref(parts).__class__ not in (Var, tuple):
+            check_tail(parts)
         return unify(parts, make_list([term]), machine.trail)
     found = partial_items(parts)
     if not found:
