@@ -1,18 +1,20 @@
 """Compare goals here and in SWI-Prolog, where it is installed.
 
 Usage: python differential.py COUNT [SEED]      print what differs
-       python differential.py --record COUNT    write goals and SWI-Prolog's answers to goals.tsv
+       python differential.py --record COUNT    write goals and SWI-Prolog's answers to goals_kinds.tsv
 """
 
 import random
 import re
 import sys
+from collections import Counter
 from pathlib import Path
 from typing import List
 
 sys.path.insert(0, str(Path(__file__).parent))
 
 from generated import Generator  # noqa: E402
+from reasons import REASONS, reason  # noqa: E402, F401
 from swipl import ask  # noqa: E402
 
 from retalis.errors import SyntaxFault, TermTooLarge  # noqa: E402
@@ -20,7 +22,7 @@ from retalis.logic import Limits, Logic, PrologError  # noqa: E402
 from retalis.syntax import read_term, write_term  # noqa: E402
 from retalis.terms import String, copy, functor, variables  # noqa: E402
 
-RECORD = Path(__file__).with_name("goals.tsv")
+RECORD = Path(__file__).with_name("goals_kinds.tsv")
 MOST = 5
 _FREE_NAME = re.compile(r"\b_G?[0-9]+\b")
 _SYNTAX_ERROR = re.compile(r"(?<=^error\()syntax_error\(.*\)(?=\)$)")
@@ -91,17 +93,21 @@ def main() -> None:
     """Compare or record."""
     if sys.argv[1] == "--record":
         texts = Generator(7).goals(int(sys.argv[2]))
-        RECORD.write_text("".join(f"{text}\t{found}\n" for text, found in zip(texts, ask(texts))))
+        kept = [(text, found) for text, found in zip(texts, ask(texts)) if found not in ("limit", "lost")]
+        RECORD.write_text("".join(f"{text}\t{found}\n" for text, found in kept))
         return
     seed = int(sys.argv[2]) if len(sys.argv) > 2 else random.randrange(1 << 30)
     texts = Generator(seed).goals(int(sys.argv[1]))
-    differing = 0
+    classes: Counter = Counter()
     for text, theirs in zip(texts, ask(texts)):
         ours = answer(text)
         if plain(ours) != plain(theirs):
-            differing += 1
-            print(f"{text}\n  here  {ours}\n  swipl {theirs}")
-    print(f"seed {seed}: {differing} of {len(texts)} differ")
+            found = reason(text, ours, theirs) or "unexplained"
+            classes[found] += 1
+            print(f"{found}: {text}\n  here  {ours}\n  swipl {theirs}")
+    print(f"seed {seed}: {len(texts) - sum(classes.values())} of {len(texts)} agree")
+    for found, count in classes.most_common():
+        print(f"{count:6} {found}")
 
 
 if __name__ == "__main__":

@@ -19,9 +19,16 @@ def differing():
 
 
 def recorded():
-    """Return the recorded goals with SWI-Prolog's answers."""
-    lines = (FOLDER / "goals.tsv").read_text(encoding="utf-8").rstrip("\n").split("\n")
-    return dict(line.split("\t", 1) for line in lines)
+    """Return the recorded goals with SWI-Prolog's answers: of any arguments, and of arguments by kind."""
+    texts = [(FOLDER / name).read_text(encoding="utf-8") for name in ("goals.tsv", "goals_kinds.tsv")]
+    return dict(line.split("\t", 1) for text in texts for line in text.rstrip("\n").split("\n"))
+
+
+def test_reasons_are_on_the_page():
+    page = (FOLDER.parents[1] / "docs" / "conformity.md").read_text(encoding="utf-8")
+    names = [found.name for found in differential.REASONS]
+    assert [name for name in names if f"| {name} |" not in page] == []
+    assert set(differing().values()) <= set(names)
 
 
 def test_recorded_answers():

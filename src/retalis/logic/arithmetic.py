@@ -434,7 +434,7 @@ def _float(value: Number) -> float:
 
 @evaluable("float_integer_part", 1)
 def _integer_part(value: Number) -> Number:
-    return value if value.__class__ is int else float(math.trunc(checked(value)))
+    return value if value.__class__ is int else math.copysign(math.trunc(checked(value)), value)
 
 
 @evaluable("float_fractional_part", 1)

@@ -2,7 +2,7 @@
 
 from typing import Any, Iterator, Optional
 
-from ...terms import Atom, String, Term, Var, atom, deref, functor, is_ground, make_list, unify
+from ...terms import NIL, Atom, String, Term, Var, atom, deref, functor, is_ground, make_list, unify
 from ..faults import domain_error, existence_error, instantiation_error, type_error
 from ..machine import LAST
 from .arguments import integer_or_var, partial_items
@@ -35,7 +35,10 @@ def string_length(machine: Any, text: Term, length: Term) -> bool:
 def _converter(to_parts: Any) -> Any:
     def run(machine: Any, text: Term, parts: Term) -> bool:
         if deref(text).__class__ is not Var:
-            return unify(parts, to_parts(text_of(text)), machine.trail)
+            whole, given = text_of(text), deref(parts)
+            if given is not NIL and given.__class__ not in (Var, tuple):
+                return whole == constant_text(given)
+            return unify(parts, to_parts(whole), machine.trail)
         return unify(text, String(parts_text(machine, parts, True)), machine.trail)
 
     return run

@@ -15,7 +15,7 @@ from ..machine import LAST
 from .arguments import integer
 from .output import write_to
 from .registry import deterministic, nondeterministic
-from .text import make_text, text_of
+from .text import fill_sink, is_sink, text_of
 
 _DATE9, _DATE3 = functor("date", 9), functor("date", 3)
 _UTC, _NONE = atom("UTC"), atom("-")
@@ -63,6 +63,8 @@ def _moment(term: Term) -> Tuple[datetime, float]:
     term = deref(term)
     if term.__class__ is tuple and term[0] in (_DATE9, _DATE3):
         return _of_date(term)
+    if term.__class__ not in (Var, int, float):
+        raise type_error("time", term)
     return _of_stamp(_number(term))
 
 
@@ -112,7 +114,7 @@ def date_time_stamp(machine: Any, given: Term, stamp: Term) -> bool:
     if given.__class__ is Var:
         raise instantiation_error()
     if given.__class__ is not tuple or given[0] not in (_DATE9, _DATE3):
-        raise type_error("date", given)
+        raise type_error("time", given)
     return unify(stamp, _stamp(*_of_date(given)), machine.trail)
 
 
@@ -124,7 +126,7 @@ def date_time_value(machine: Any, name: Term, given: Term, value: Term) -> Itera
     """Enumerate the fields of a date."""
     given = deref(given)
     if given.__class__ is not tuple or given[0] is not _DATE9:
-        raise type_error("date", given)
+        return
     for field, part in zip(_FIELDS, given[1:]):
         if deref(part) is not _NONE and machine.unify_all((name, atom(field)), (value, part)):
             yield None
@@ -136,8 +138,10 @@ def date_time_value(machine: Any, name: Term, given: Term, value: Term) -> Itera
 def day_of_the_week(machine: Any, given: Term, number: Term) -> bool:
     """Give the day of the week of ``date(Y,M,D)``: Monday is 1."""
     given = deref(given)
+    if given.__class__ is Var:
+        raise instantiation_error()
     if given.__class__ is not tuple or given[0] is not _DATE3:
-        raise type_error("date", given)
+        return False
     year, month, day = (integer(part) for part in given[1:])
     try:
         return unify(number, date(year, month, day).isoweekday(), machine.trail)
@@ -187,8 +191,10 @@ def format_time(machine: Any, sink: Term, form: Term, given: Term) -> bool:
     """Write a stamp or date by a format, or unify it as ``format/3`` does."""
     text = _formatted(text_of(form), *_moment(given))
     sink = deref(sink)
-    if sink.__class__ is tuple and len(sink) == 2:
-        return unify(sink[1], make_text(sink[0].name, text), machine.trail)
+    if is_sink(sink):
+        return fill_sink(machine, sink, text)
+    if sink.__class__ is tuple:
+        raise type_error("output", sink)
     write_to(machine, sink, text)
     return True
 
