@@ -5,7 +5,6 @@
 
 from .builtins.arguments import callable_of, integer
 from .builtins.datimes import instant_of
-from .database import Predicate
 from .faults import (
     PrologError,
     domain_error,
@@ -19,6 +18,7 @@ from .goal import Goal
 from .limits import Limits
 from .logic import Logic
 from .machine import LAST, Code, Machine
+from .predicate import Predicate
 
 __all__ = [
     "LAST",

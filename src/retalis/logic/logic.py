@@ -9,12 +9,13 @@ from ..syntax import Operators, write_term
 from ..terms import TRUE, Atom, Functor, Term, Var, copy, deref, functor
 from . import builtins
 from .control import Control, check_body, control_predicates
-from .database import COMPILE_AFTER, Clause, Database, Predicate
+from .database import Database
 from .faults import PrologError, instantiation_error, type_error
 from .functional import functional
 from .goal import Goal
 from .limits import Limits
 from .machine import LAST, Code, Frame, Machine
+from .predicate import COMPILE_AFTER, Clause, Predicate
 from .unknown import similar, undefined
 
 _NECK = functor(":-", 2)

@@ -20,9 +20,10 @@ from ...terms import (
     unify,
 )
 from ..compiler.nodes import CONTROL
-from ..database import _NEVER, Predicate, key_of, may_match
 from ..faults import indicator, instantiation_error, permission_error, type_error
+from ..keys import key_of
 from ..machine import LAST
+from ..predicate import NEVER, Predicate, may_match
 from .arguments import indicator_of
 from .registry import control, deterministic, nondeterministic
 
@@ -100,7 +101,7 @@ def retract(machine: Any, term: Term) -> Iterator[Any]:
     trail = machine.trail
     found = list(_candidates(predicate, head))
     for at, clause in enumerate(found):
-        if clause.died != _NEVER:
+        if clause.died != NEVER:
             continue
         mark = len(trail)
         own_head, own_body = _renamed(clause)

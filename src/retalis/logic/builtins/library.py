@@ -9,7 +9,7 @@ from ...errors import SyntaxFault
 from ...syntax import Operators, read_program
 from ...terms import Atom, deref
 from ...watching import watched_by
-from ..database import Clause, Predicate
+from ..predicate import Clause, Predicate
 
 if TYPE_CHECKING:
     from ..logic import Logic

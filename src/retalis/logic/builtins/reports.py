@@ -18,9 +18,9 @@ from ...terms import (
     list_items,
 )
 from ..compiler.nodes import ARROW, NOT, SEMICOLON, SOFT_ARROW
-from ..database import Predicate
 from ..faults import ERROR
 from ..messages import describe
+from ..predicate import Predicate
 from .arguments import atom_of, indicator_of
 from .output import formatted, letter_names, write_to
 from .registry import deterministic, nondeterministic

@@ -8,8 +8,8 @@ that depend on each other together). Everything runs as frames of the machine.
 from typing import Any, Dict, List, Optional
 
 from ...terms import Functor, Term, Var, copy, freeze, functor, rebuild
-from ..database import Predicate
 from ..machine import Code, Frame, Guard
+from ..predicate import Predicate
 from .clauses import _each
 from .registry import control, deterministic
 

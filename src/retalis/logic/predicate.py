@@ -1,0 +1,397 @@
+"""Predicates and their clauses.
+
+A predicate starts out interpreted: its clauses are found through indexes and unified by the general routine,
+which costs nothing to set up and suits facts and predicates that change all the time. One that is called
+again and again without changing is compiled.
+"""
+
+from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple
+
+from ..terms import TRUE, Functor, Term, Var, copy, is_ground, undo, unify
+from ..watching import look
+from .compiler import Generator, Rule
+from .compiler.direct import Direct
+from .compiler.facts import fact_search
+from .functional import Functional
+from .keys import key_of
+from .machine import Code, Frame, Machine
+
+COMPILE_AFTER = 12
+"""Calls without a change after which a predicate is compiled."""
+
+_MOST_CLAUSES = 24
+"""Predicates with more clauses keep their indexes; their clauses are compiled one by one."""
+
+_MOST_FACTS = 8
+"""The same for predicates that are facts only."""
+
+_INDEX_FROM = 8
+"""Clauses from which on an index is made."""
+
+_MANY = 1000
+"""Clauses from which on a search among them may take as long as many inferences."""
+
+NEVER = 1 << 62
+
+
+class Clause:
+    """A clause of a predicate.
+
+    Attributes:
+        head, body: its term; the variables are its own and never bound.
+        died: the generation that retracted it.
+        keys: first-level key of each argument, None for variables.
+        place: where it was read.
+    """
+
+    __slots__ = ("head", "body", "died", "keys", "ground", "fact", "code", "uses", "place", "predicate")
+
+    def __init__(self, predicate: "Predicate", head: Term, body: Term, place: Any):
+        self.predicate = predicate
+        self.head = head
+        self.body = body
+        self.died = NEVER
+        self.place = place
+        self.keys = tuple([key_of(arg) for arg in head[1:]]) if head.__class__ is tuple else ()
+        self.fact = body is TRUE
+        self.ground = self.fact and is_ground(head)
+        self.code: Optional[Callable[[Frame], Optional[Frame]]] = None
+        self.uses = 0
+
+
+class Predicate:
+    """A predicate: code that is run by frames ``(predicate, argument..., next)``.
+
+    Attributes:
+        run: the function that does a call; exchanged as the predicate changes.
+        kind: "user", "builtin" (deterministic Python), "control" (anything else in Python), or "undefined".
+        function: the Python function of a built-in that compiled clauses call in line.
+        direct: its functions, where something calls it as a function.
+        functional: what it computes, where it is a function of some of its arguments.
+        dynamic: clauses may be asserted and retracted by the program.
+        library: belongs to the system; programs may redefine it unless it is ``locked``.
+    """
+
+    def __init__(self, database: Any, functor: Functor):
+        self.database = database
+        self.functor = functor
+        self.kind = "undefined"
+        self.function: Any = None
+        self.functional: Optional[Functional] = None
+        self.dynamic = False
+        self.discontiguous = False
+        self.multifile = False
+        self.locked = False
+        self.library = False
+        self.compiled = False
+        self.tabled: Any = None
+        self.direct: Optional[Direct] = None
+        self.ground = False
+        self._searches: Dict[Optional[int], Callable[..., Optional[Frame]]] = {}
+        self.clauses: List[Clause] = []
+        self.dead = 0
+        self.calls = 0
+        self.compile_after = database.compile_after
+        self.indexes: Dict[int, Tuple[Dict[Any, List[Clause]], List[Clause]]] = {}
+        self.poor: Dict[int, int] = {}
+        self.run: Callable[[Frame], Optional[Frame]] = self._call
+        self._retry = Code(str(functor), self._next)
+        self._retry.functor = functor
+
+    def __repr__(self) -> str:
+        return f"<{self.functor}>"
+
+    @property
+    def defined(self) -> bool:
+        """Tell whether calling it is no existence error."""
+        return self.kind != "undefined" or self.dynamic
+
+    def live(self) -> Iterator[Clause]:
+        """Yield the clauses that are there, in order."""
+        return (clause for clause in list(self.clauses) if clause.died == NEVER)
+
+    def __len__(self) -> int:
+        return len(self.clauses) - self.dead
+
+    # Changes
+
+    def add(self, clause: Clause, first: bool = False) -> None:
+        """Add a clause as the last or the first one."""
+        self.kind = "user"
+        self.ground = clause.ground and self.functor.arity > 0 and (self.ground or not self.clauses)
+        self.changed()
+        if first:
+            self.clauses = [clause, *[old for old in self.clauses if old.died == NEVER]]
+            self.dead = 0
+            self.indexes.clear()
+            return
+        self.clauses.append(clause)
+        for position, (index, others) in self.indexes.items():
+            _enter(index, others, clause.keys[position], clause)
+
+    def remove(self, clause: Clause) -> bool:
+        """Remove a clause; calls that are under way still see it. Return whether it was there."""
+        if clause.died != NEVER:
+            return False
+        self.changed()
+        self.database.generation += 1
+        clause.died = self.database.generation
+        self.dead += 1
+        if self.dead == len(self.clauses) or (self.dead > 16 and self.dead * 2 > len(self.clauses)):
+            self.clauses = [old for old in self.clauses if old.died == NEVER]
+            self.dead = 0
+            self.indexes.clear()
+        return True
+
+    def clear(self) -> None:
+        """Remove all clauses."""
+        for clause in list(self.live()):
+            self.remove(clause)
+
+    def changed(self) -> None:
+        """Go back to interpretation: the clauses are not what was compiled."""
+        if self.compiled:
+            self.compiled = False
+            self.run = self._call
+            self.compile_after *= 2
+        self.calls = 0
+        if self.direct is not None:
+            self.direct.reset(self)
+
+    def table(self, hidden: "Predicate", run: Callable[[Frame], Optional[Frame]]) -> None:
+        """Let tables answer the calls; clauses belong to the ``hidden`` predicate from now on."""
+        self.tabled = hidden
+        self.kind = "control"
+        self.clauses = []
+        self.indexes.clear()
+        self.run = run
+
+    def forget(self) -> None:
+        """Drop compiled code whose references to other predicates are out of date."""
+        if self.direct is not None:
+            self.direct.reset(None)
+        if self.kind == "user":
+            self.compiled = False
+            self.run = self._call
+            self.calls = 0
+            for clause in self.clauses:
+                clause.code = None
+
+    # Calls of interpreted clauses
+
+    def _call(self, frame: Frame) -> Optional[Frame]:
+        if self.kind == "undefined":
+            return self.database.undefined(self, frame)
+        self.calls += 1
+        if (self.calls > self.compile_after or self.library) and self._compile():
+            return self.run(frame)
+        clauses, position = self.select(frame)
+        if len(clauses) > _MANY:
+            look(0)  # to find a clause among these may take long
+        generation = self.database.generation
+        keys = None
+        for at in range(1, len(frame) - 1):
+            if at - 1 != position and key_of(frame[at]) is not None:
+                keys = [key_of(arg) for arg in frame[1:-1]]
+                break
+        if self.ground:
+            search = self._searches.get(position) or self._search(position)
+            return search(frame, clauses, 0, len(clauses), generation, keys)
+        return self._advance(frame, clauses, 0, len(clauses), generation, keys)
+
+    @staticmethod
+    def _keys(frame: Frame, position: Optional[int]) -> Optional[List[Any]]:
+        """Return the keys of a call's arguments; None where only that at ``position`` has one."""
+        for at in range(1, len(frame) - 1):
+            if at - 1 != position and key_of(frame[at]) is not None:
+                return [key_of(arg) for arg in frame[1:-1]]
+        return None
+
+    def fact_finder(self, once: bool) -> Callable[..., Optional[bool]]:
+        """Return a function of the arguments that looks a ground fact up; see `Direct`."""
+        choices = self.database.machine.choices
+
+        def find(*args: Term) -> Optional[bool]:
+            if not self.ground:
+                return None
+            frame = (self, *args, True)
+            clauses, position = self.select(frame)
+            search = self._searches.get(position) or self._search(position)
+            height = len(choices)
+            keys = self._keys(frame, position)
+            if search(frame, clauses, 0, len(clauses), self.database.generation, keys) is None:
+                return False
+            if len(choices) > height:
+                del choices[height:]
+                return True if once else None
+            return True
+
+        return find
+
+    def _search(self, position: Optional[int]) -> Callable[..., Optional[Frame]]:
+        names = fact_names(self.database.machine)
+        search = self._searches[position] = fact_search(self.functor.arity, position, names)
+        return search
+
+    def select(self, frame: Frame) -> Tuple[List[Clause], Optional[int]]:
+        """Return a list that holds all clauses that a call may match, and the argument that it is indexed by."""
+        clauses = self.clauses
+        size = len(clauses)
+        if size < _INDEX_FROM:
+            return clauses, None
+        best, by = clauses, None
+        for position in range(min(self.functor.arity, 4)):
+            key = key_of(frame[position + 1])
+            if key is None:
+                continue
+            found = self.indexes.get(position)
+            if found is None:
+                if self.poor.get(position, 0) * 2 > size:
+                    continue
+                found = self._index(position)
+                if found is None:
+                    continue
+            index, others = found
+            candidates = index.get(key, others)
+            if len(candidates) < len(best):
+                best, by = candidates, position
+                if len(best) <= 2:
+                    break
+        return best, by
+
+    def _index(self, position: int) -> Optional[Tuple[Dict[Any, List[Clause]], List[Clause]]]:
+        index: Dict[Any, List[Clause]] = {}
+        others: List[Clause] = []
+        clauses = [clause for clause in self.clauses if clause.died == NEVER]
+        variables = sum(clause.keys[position] is None for clause in clauses)
+        if variables * 2 <= len(clauses):
+            for clause in clauses:
+                _enter(index, others, clause.keys[position], clause)
+        if len(index) < 2:
+            self.poor[position] = len(clauses)
+            return None
+        self.indexes[position] = index, others
+        return index, others
+
+    def _next(self, entry: Frame) -> Optional[Frame]:
+        return self._advance(*entry[1:7])
+
+    def _advance(
+        self,
+        frame: Frame,
+        clauses: List[Clause],
+        at: int,
+        end: int,
+        generation: int,
+        keys: Optional[List[Any]],
+    ) -> Optional[Frame]:
+        """Try the clauses from ``at`` on; push a choice point where another one may match."""
+        machine = self.database.machine
+        trail = machine.trail
+        while at < end:
+            clause = clauses[at]
+            at += 1
+            if clause.died <= generation or keys is not None and not may_match(keys, clause.keys):
+                continue
+            while at < end:  # look for the next clause that may match, to leave no choice point for nothing
+                other = clauses[at]
+                if other.died > generation and (keys is None or may_match(keys, other.keys)):
+                    break
+                at += 1
+            height = len(machine.choices)
+            mark = len(trail)
+            if clause.fact:
+                if self._match(frame, clause, trail):
+                    if at < end:
+                        machine.choices.append((self._retry, frame, clauses, at, end, generation, keys, mark))
+                    return frame[-1]  # type: ignore[no-any-return]
+                undo(trail, mark)
+                continue
+            if at < end:
+                machine.choices.append((self._retry, frame, clauses, at, end, generation, keys, mark))
+            code = clause.code
+            if code is None:
+                clause.uses += 1
+                if clause.uses <= self.database.compile_after and not self.library:
+                    return self._interpret(frame, clause, height, trail)
+                code = self._compile_clause(clause)
+            return code((*frame, height))
+        return None
+
+    @staticmethod
+    def _match(frame: Frame, clause: Clause, trail: List[Any]) -> bool:
+        head = clause.head if clause.ground else copy(clause.head)
+        return all(unify(frame[at], head[at], trail) for at in range(1, len(frame) - 1))
+
+    def _interpret(self, frame: Frame, clause: Clause, height: int, trail: List[Any]) -> Optional[Frame]:
+        fresh: Dict[Var, Term] = {}
+        head = copy(clause.head, fresh)
+        for at in range(1, len(frame) - 1):
+            if not unify(frame[at], head[at], trail):
+                return None
+        return self.database.solve(copy(clause.body, fresh), height, frame[-1])
+
+    # Compilation
+
+    def _compile(self) -> bool:
+        """Compile all clauses as one function if that suits the predicate."""
+        self.calls = 0
+        clauses = list(self.live())
+        size = len(clauses)
+        facts = all(clause.fact for clause in clauses)
+        if not size or size > (_MOST_FACTS if facts else _MOST_CLAUSES):
+            self.compile_after = NEVER
+            return False
+        rules = [Rule(_args(clause.head), clause.body, clause.place) for clause in clauses]
+        self.run = Generator(self._view(), self.functor, rules, self).main()
+        self.compiled = True
+        return True
+
+    def _compile_clause(self, clause: Clause) -> Callable[[Frame], Optional[Frame]]:
+        rule = Rule(_args(clause.head), clause.body, clause.place)
+        clause.code = Generator(self._view(), self.functor, [rule], self).single(0)
+        return clause.code
+
+    def _view(self) -> Any:
+        return self.database.library if self.library else self.database
+
+
+def _enter(index: Dict[Any, List[Clause]], others: List[Clause], key: Any, clause: Clause) -> None:
+    """Add a clause to an index: ``others`` holds those that any key may match."""
+    if key is None:
+        for found in index.values():
+            found.append(clause)
+        others.append(clause)
+    elif key in index:
+        index[key].append(clause)
+    else:
+        index[key] = [*others, clause]
+
+
+def fact_names(machine: Machine) -> Dict[str, Any]:
+    """Return what the code for facts names."""
+    return {
+        "Var": Var,
+        "unify": unify,
+        "undo": undo,
+        "trail": machine.trail,
+        "push": machine.trail.append,
+        "choose": machine.choices.append,
+        "retry": _NEXT_FACT,
+        "may_match": may_match,
+    }
+
+
+_NEXT_FACT = Code("facts", lambda entry: entry[1](*entry[2:8]))
+
+
+def may_match(keys: List[Any], others: Tuple[Any, ...]) -> bool:
+    """Tell whether the first-level keys of a call and of a clause's head agree."""
+    for key, other in zip(keys, others):
+        if key is not other and key is not None and other is not None and key != other:
+            return False
+    return True
+
+
+def _args(head: Term) -> Tuple[Term, ...]:
+    return head[1:] if head.__class__ is tuple else ()
