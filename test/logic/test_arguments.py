@@ -1,0 +1,48 @@
+"""What built-ins make of wrong and of partial arguments."""
+
+import pytest
+from logic.support import answers, prolog
+
+ERRORS = {
+    "X is getbit(5, -1)": "domain_error(not_less_than_zero,-1)",
+    "X is powm(2, 3, 0)": "domain_error(not_less_than_one,0)",
+    "X is a + foo(1)": "type_error(evaluable,foo/1)",
+    "X is rem(inf, 3)": "evaluation_error(float_overflow)",
+    'format("~c", [-1])': "format_argument_type(c,-1)",
+    'format("~s", [1])': "format_argument_type(s,1)",
+    'format("~z", [a])': "existence_error(format_character,z)",
+    "must_be(between(1, a), 3)": "type_error(integer,a)",
+    "must_be(list(integer), a)": "type_error(list(integer),a)",
+    "subtract([a|b], [], X)": "existence_error(matching_rule,lists:subtract(b,[],A))",
+    "sum_list([1,2|b], X)": "existence_error(matching_rule,lists:sum_list(b,3,A))",
+    "ord_union([a], b, X)": "existence_error(matching_rule,ordsets:union2(b,a,[],A))",
+    "put_assoc(a, foo, 1, X)": "existence_error(matching_rule,assoc:insert(foo,a,1,A,B))",
+    "get_assoc(a, foo, X)": "type_error(btree,foo)",
+    "atom_codes(X, [0'a, b])": "type_error(character_code,b)",
+    "memberchk(a, [b|c])": "type_error(list,c)",
+    "sort(2, @<, [f(x)], X)": "existence_error(argument,2,f(x))",
+    "upcase_atom(a, f(x))": "type_error(atom,f(x))",
+    "char_type(a, foo)": "type_error(char_type,foo)",
+    "aggregate_all(foo, true, X)": "domain_error(aggregate_template,foo)",
+}
+
+
+@pytest.mark.parametrize("goal", ERRORS)
+def test_error(goal):
+    assert answers(prolog(), goal) == [ERRORS[goal]]
+
+
+ANSWERS = {
+    "nth0(I, [a|T], x)": [{"I": "1", "T": "[x|A]"}, {"I": "2", "T": "[A,x|B]"}],
+    "sort([X, Y, X], L)": [{"X": "A", "Y": "A", "L": "[A,B]"}],
+    "string_code(I, ab, C)": [{"I": "1", "C": "97"}, {"I": "2", "C": "98"}],
+    "aggregate_all(r(count, max(X)), member(X, [1,3,2]), R)": [{"X": "A", "R": "r(3,3)"}],
+    "list_to_assoc([b-1, a-2], A), is_assoc(A)": [{"A": "t(b,1,<,t(a,2,-,t,t),t)"}],
+    "ord_subtract([a|T], [a], R)": [{"T": "A", "R": "A"}],
+    'format(codes(Cs, T), "~w", [a])': [{"Cs": "[97|A]", "T": "A"}],
+}
+
+
+@pytest.mark.parametrize("goal", ANSWERS)
+def test_answer(goal):
+    assert answers(prolog(), goal, len(ANSWERS[goal])) == ANSWERS[goal]
