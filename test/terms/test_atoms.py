@@ -6,8 +6,7 @@ import threading
 
 import pytest
 
-from retalis import terms
-from retalis.terms import atom, functor
+from retalis.terms import atom, functor, kinds
 
 
 def test_one_atom_for_a_name():
@@ -28,7 +27,7 @@ def test_atoms_that_no_term_holds_are_forgotten():
     for number in range(1000):
         atom(f"text {number}")
     gc.collect()
-    assert not any(name.startswith("text ") for name in list(terms._atoms))
+    assert not any(name.startswith("text ") for name in list(kinds._atoms))
     assert atom("kept text") is kept
 
 

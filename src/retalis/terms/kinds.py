@@ -1,0 +1,211 @@
+"""The kinds of terms, and the few that everybody names."""
+
+from _weakref import _remove_dead_weakref  # type: ignore[attr-defined]
+from itertools import count
+from typing import Any, Callable, Dict, Optional, Tuple
+from weakref import ref
+
+Term = Any
+"""The union above; Python's type system has no cheap name for it."""
+
+
+class Atom:
+    """A constant; made by `atom`, which gives the same object for the same name.
+
+    ``functor`` is the `Functor` of the name and arity 0, made when it is asked for.
+    """
+
+    __slots__ = ("name", "functor", "__weakref__")
+
+    name: str
+    functor: "Functor"
+
+    def __getattr__(self, attribute: str) -> "Functor":
+        if attribute != "functor":
+            raise AttributeError(attribute)
+        made = self.functor = functor(self.name, 0)
+        return made
+
+    def __repr__(self) -> str:
+        return f"atom({self.name!r})"
+
+    def __reduce__(self) -> Tuple[Any, ...]:
+        return atom, (self.name,)
+
+
+class Functor:
+    """Name and arity of a compound term; made by `functor`, one object for each pair.
+
+    Call it to build a term: ``functor("point", 2)(1, 2)``.
+    """
+
+    __slots__ = ("name", "arity")
+
+    name: str
+    arity: int
+
+    def __call__(self, *args: Term) -> Term:
+        """Return the compound term with these arguments (as many as the arity says)."""
+        return (self, *args)
+
+    def __repr__(self) -> str:
+        return f"functor({self.name!r}, {self.arity})"
+
+    def __str__(self) -> str:
+        return f"{self.name}/{self.arity}"
+
+    def __reduce__(self) -> Tuple[Any, ...]:
+        return functor, (self.name, self.arity)
+
+
+class String:
+    """A Prolog string: text that is no atom. Equal strings are equal terms."""
+
+    __slots__ = ("text",)
+
+    def __init__(self, text: str):
+        self.text = text
+
+    def __eq__(self, other: object) -> bool:
+        return other.__class__ is String and other.text == self.text  # type: ignore[attr-defined]
+
+    def __hash__(self) -> int:
+        return hash((String, self.text))
+
+    def __repr__(self) -> str:
+        return f"String({self.text!r})"
+
+
+class Var:
+    """A logic variable: ``ref`` is None while it is unbound, the term it stands for afterwards."""
+
+    __slots__ = ("ref", "serial")
+
+    ref: Term
+    serial: int
+
+    def __init__(self) -> None:
+        self.ref = None
+
+    def __repr__(self) -> str:
+        return f"Var(_G{serial(self)})" if self.ref is None else f"Var({self.ref!r})"
+
+
+class Lazy:
+    """A term that is made when it is looked at, once; its functor is known before.
+
+    Attributes:
+        functor: the `Functor` that the term will have; of the empty name and arity 0 where the term will be
+            an atom whose name is not known yet.
+        make: called with ``source`` to make the term.
+    """
+
+    __slots__ = ("functor", "make", "source", "made")
+
+    def __init__(self, functor: Functor, make: Callable[[Any], Term], source: Any):
+        self.functor = functor
+        self.make = make
+        self.source = source
+        self.made: Term = None
+
+    def term(self) -> Term:
+        """Return the compound term (its arguments may be lazy in turn)."""
+        made = self.made
+        if made is None:
+            made = self.made = self.make(self.source)
+            self.source = None
+        return made
+
+    def __repr__(self) -> str:
+        return f"Lazy({self.functor})"
+
+
+class _AtomRef(ref):  # type: ignore[type-arg]
+    """The table's reference to an atom: it goes when the last term with the atom goes."""
+
+    __slots__ = ("name",)
+
+    name: str
+
+
+_atoms: Dict[str, _AtomRef] = {}
+_functors: Dict[Tuple[str, int], Functor] = {}
+_serials = count(1)
+
+
+def functor(name: str, arity: int) -> Functor:
+    """Return the one `Functor` of this name and arity."""
+    found = _functors.get((name, arity))
+    if found is None:
+        made = Functor()
+        made.name = name
+        made.arity = arity
+        found = _functors.setdefault((name, arity), made)
+    return found
+
+
+def atom(name: str) -> Atom:
+    """Return the one `Atom` of this name.
+
+    Atoms that no term holds any more are forgotten: texts of messages do not pile up.
+    """
+    try:
+        found: Optional[Atom] = _atoms[name]()
+    except KeyError:
+        return _new_atom(name)
+    return found or _new_atom(name)
+
+
+def _new_atom(name: str) -> Atom:
+    """Put an atom into the table, or return the one that got there first; no lock, each step is one."""
+    made = Atom()
+    made.name = name
+    reference = _AtomRef(made, _forget)
+    reference.name = name
+    while True:
+        known = _atoms.setdefault(name, reference)
+        if known is reference:
+            return made
+        found: Optional[Atom] = known()
+        if found is not None:
+            return found
+        _remove_dead_weakref(_atoms, name)
+
+
+def _forget(reference: _AtomRef) -> None:
+    _remove_dead_weakref(_atoms, reference.name)
+
+
+def serial(var: Var) -> int:
+    """Return the number of a variable: it names it in output and orders it; given out at first need."""
+    try:
+        return var.serial
+    except AttributeError:
+        var.serial = next(_serials)
+        return var.serial
+
+
+NIL = atom("[]")
+TRUE = atom("true")
+FALSE = atom("false")
+EMPTY_BLOCK = atom("{}")
+CONS = functor("[|]", 2)
+COMMA = functor(",", 2)
+MINUS = functor("-", 2)
+SLASH = functor("/", 2)
+COLON = functor(":", 2)
+
+
+def deref(term: Term) -> Term:
+    """Follow bound variables and make a lazy term: the result is neither, or an unbound variable."""
+    while True:
+        kind = term.__class__
+        if kind is Var:
+            ref = term.ref
+            if ref is None:
+                return term
+            term = ref
+        elif kind is Lazy:
+            term = term.term()
+        else:
+            return term

@@ -1,0 +1,76 @@
+"""The standard order of terms."""
+
+from ..errors import TermTooLarge
+from ..watching import BULK, look
+from ._steps import ROUNDS
+from .kinds import Atom, String, Term, Var, deref, serial
+
+_RANK = {Var: 0, float: 1, int: 1, String: 3, Atom: 4, tuple: 5}
+
+
+def compare(left: Term, right: Term) -> int:
+    """Compare in the standard order of terms: -1, 0 or 1.
+
+    Variables by age, then numbers by value (a float before an integer of the same value), strings and
+    atoms alphabetically, compound terms by arity, name and arguments.
+    """
+    stack = [right, left]
+    for _ in ROUNDS:
+        for _ in BULK:
+            if not stack:
+                return 0
+            left = stack.pop()
+            right = stack.pop()
+            if left is right:
+                continue
+            left = deref(left)
+            right = deref(right)
+            if left is right:
+                continue
+            kind = left.__class__
+            rank, other = _RANK[kind], _RANK[right.__class__]
+            if rank != other:
+                return -1 if rank < other else 1
+            if rank == 5:
+                if len(left) != len(right):
+                    return -1 if len(left) < len(right) else 1
+                if left[0] is not right[0]:
+                    return -1 if left[0].name < right[0].name else 1
+                for at in range(len(left) - 1, 0, -1):
+                    stack.append(right[at])
+                    stack.append(left[at])
+                continue
+            result = _compare_constants(left, right)
+            if result:
+                return result
+        look()
+    raise TermTooLarge
+
+
+def _compare_constants(left: Term, right: Term) -> int:
+    kind = left.__class__
+    if kind is Var:
+        return -1 if serial(left) < serial(right) else 1
+    if kind is Atom:
+        return -1 if left.name < right.name else 1
+    if kind is String:
+        return (left.text > right.text) - (left.text < right.text)
+    if left < right:
+        return -1
+    if left > right:
+        return 1
+    if kind is right.__class__:
+        return _compare_same_floats(left, right) if kind is float else 0
+    if left != left or right != right:  # nan comes before all other numbers
+        return -1 if left != left else 1
+    return -1 if kind is float else 1
+
+
+def _compare_same_floats(left: float, right: float) -> int:
+    """Order two floats that are neither less nor greater: nan first, then -0.0 before 0.0."""
+    one, two = (left == left, left.hex()), (right == right, right.hex())
+    if one == two:
+        return 0
+    if one[0] != two[0]:
+        return -1 if not one[0] else 1
+    return -1 if one[1] == "-0x0.0p+0" else 1
