@@ -10,6 +10,7 @@ from typing import Any, Dict, List, Optional, Union, cast
 
 from .._inputs import event_of
 from ..clock import Clock
+from ..collector import relax
 from ..engine import Engine, Settings
 from ..errors import ProgramErrors, RetalisError, RuleError, SyntaxFault
 from ..logic import Limits
@@ -62,6 +63,7 @@ def run(options: argparse.Namespace) -> int:
     console = Console(report, Settings(limits=limits), options.most)
     for path in options.files:
         console.load(path)
+    relax()
     if options.goal:
         for goal in options.goal:
             console.goals(Lines(StringIO(goal if goal.rstrip().endswith(".") else f"{goal} .\n")))
