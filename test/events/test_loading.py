@@ -100,6 +100,11 @@ def test_what_may_be_called_is_not_warned_of(rules):
     assert Program(rules).warnings == []
 
 
+def test_a_long_list_of_predicates_that_a_goal_adds_is_read():
+    added = ",".join(f"seen{number}/1" for number in range(3000))
+    assert Program(f"c <- a where seen2999(1). null do dynamic([{added}]) <- b.").warnings == []
+
+
 def test_a_predicate_that_is_missing_is_warned_of_at_its_place_once():
     program = Program("c <- a.\nd <- a where\n   no_such(1) .\nd <- a where no_such(2).")
     ((warning),) = program.warnings

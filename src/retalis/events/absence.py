@@ -10,6 +10,7 @@ from .policy import Frame
 from .reach import BEFORE, BETWEEN
 
 Values = Tuple[Term, ...]
+_SPARE = 1000
 
 
 class _Border:
@@ -114,7 +115,14 @@ class Absence:
             border = self._borders[key] = _Border()
             for other in self.place.with_key(key):
                 border.takes(other)
+            self._drop_empty_borders()
         return border.takes(match)
+
+    def _drop_empty_borders(self) -> None:
+        """Forget keys under which nothing waits any more, and that nobody has asked for since, when they are many."""
+        newest = self.place.newest
+        if len(self._borders) > 2 * len(newest) + _SPARE:
+            self._borders = {key: border for key, border in self._borders.items() if key in newest}
 
     def blocks(self, values: Values, after: int, before: int) -> bool:
         """Tell whether a negated match lies between two instants."""

@@ -91,16 +91,23 @@ def _added(terms: List[Term]) -> Set[Functor]:
 
 
 def _heads(term: Term) -> Set[Functor]:
-    if term.__class__ is tuple and term[0] in _SEVERAL:
-        return _heads(deref(term[1])) | _heads(deref(term[2]))
-    if term.__class__ is tuple and term[0] is _NECK:
-        return _heads(deref(term[1]))
-    if term.__class__ is tuple and term[0] is SLASH:
-        name, arity = deref(term[1]), deref(term[2])
-        known = name.__class__ is Atom and arity.__class__ is int
-        return {functor(name.name, arity)} if known else {_ANY}
-    if term.__class__ is Var:
-        return {_ANY}
-    if term.__class__ is Atom:
-        return {term.functor}
-    return {term[0]} if term.__class__ is tuple else set()
+    """Return what a term names: a predicate or clause, or several."""
+    found: Set[Functor] = set()
+    stack = [term]
+    while stack:
+        item = deref(stack.pop())
+        if item.__class__ is tuple and item[0] in _SEVERAL:
+            stack += item[1:]
+        elif item.__class__ is tuple and item[0] is _NECK:
+            stack.append(item[1])
+        elif item.__class__ is tuple and item[0] is SLASH:
+            name, arity = deref(item[1]), deref(item[2])
+            known = name.__class__ is Atom and arity.__class__ is int
+            found.add(functor(name.name, arity) if known else _ANY)
+        elif item.__class__ is Var:
+            found.add(_ANY)
+        elif item.__class__ is Atom:
+            found.add(item.functor)
+        elif item.__class__ is tuple:
+            found.add(item[0])
+    return found
