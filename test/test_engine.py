@@ -187,6 +187,36 @@ def test_an_alarm_rings_when_its_time_has_come():
     assert engine.events[-1] == ("late", 10**9, 6 * 10**9)
 
 
+def test_an_alarm_that_rings_inside_a_subscriber_leaves_the_event_as_it_was():
+    engine = Watched(
+        "exceptionAlarm(late, 1) <- a. c <- b do true.",
+        "subscribe(b, [], _, out, s)\nmemorize(b, [], b, m, 3)",
+    )
+
+    def later(term, topic, name):
+        engine.clock.move_to(5 * 10**9)
+        engine.event("d", 5)
+
+    engine.on_output(later)
+    engine.event("a", 1)
+    engine.event("b", 4)
+    found = [event for event, _, _ in engine.events if not event.startswith("memory_")]
+    assert found == ["a", "b", "late", "d", "c"]
+
+
+@pytest.mark.parametrize("goal", ["new_event(a, 1, 1)", "load"])
+def test_an_interrupt_leaves_no_event_behind(goal):
+    engine = Watched("b <- a.", "subscribe(b, [], _, out, s)")
+
+    def stop(term, topic, name):
+        raise BrokenPipeError
+
+    engine.on_output(stop)
+    with pytest.raises(BrokenPipeError):
+        engine.load(goals="new_event(a, 1, 1)") if goal == "load" else engine.call(goal)
+    assert engine.dispatcher.current is None
+
+
 def test_a_query_and_events_from_many_threads():
     engine = Watched("n(X) <- e(X).", "memorize(n(X), [], _, m, 10000)")
     threads = [

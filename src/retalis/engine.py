@@ -205,7 +205,7 @@ class Engine:
             PrologError: what the goal raised.
         """
         term = self._read(goal)
-        return bool(self._runner.call(lambda: self.logic.once(term)))
+        return bool(self.do(lambda: self.logic.once(term)))
 
     def query(self, goal: Union[str, Term], most: Optional[int] = None) -> List[Dict[str, Term]]:
         """Return the solutions of a goal, each as its variables' values by name.
@@ -220,7 +220,8 @@ class Engine:
         else:
             term = goal
             names = {f"_{at}": var for at, var in enumerate(variables(goal))}
-        return self._runner.call(lambda: self._solutions(term, names, most))
+        found: List[Dict[str, Term]] = self.do(lambda: self._solutions(term, names, most))
+        return found
 
     def _solutions(self, term: Term, names: Dict[str, Var], most: Optional[int]) -> List[Dict[str, Term]]:
         found: List[Dict[str, Term]] = []
@@ -234,7 +235,7 @@ class Engine:
 
     def do(self, work: Callable[[], Any]) -> Any:
         """Do a piece of work on the engine while nothing else does; return its result."""
-        return self._runner.call(work)
+        return self._runner.call(lambda: self.dispatcher.undisturbed(work))
 
     # ---- what comes out ------------------------------------------------------------------------------
 
@@ -267,7 +268,7 @@ class Engine:
             with self.rules.files.trusted(), self.rules.relative_to(folder):
                 return work()
 
-        return self._runner.call(run)
+        return self.do(run)
 
     # ---- inside --------------------------------------------------------------------------------------
 
@@ -288,13 +289,13 @@ class Engine:
             raise UsageError(f"{self.show(term)} ends before it starts")
         machine = self.logic.machine
         dispatcher = self.dispatcher
-        within = dispatcher.current
-        try:
+        current, cause = dispatcher.current, dispatcher.cause
+        try:  # as `Dispatcher.undisturbed`
             frame = dispatcher.dispatch(term, start, end, machine.done, None, ground)
             if frame is not machine.done:
                 machine.run(frame)
         except BaseException:
-            dispatcher.current = within
+            dispatcher.current, dispatcher.cause = current, cause
             raise
 
     def _take_text(self, text: str) -> None:
@@ -307,7 +308,7 @@ class Engine:
             self._take(*made)
         elif self.settings.allow_goals:
             goal = self._texts.goal(text)
-            if not self.logic.once(goal):
+            if not self.dispatcher.undisturbed(lambda: self.logic.once(goal)):
                 self.reports.warning(f"the goal {self.show(goal)} fails")
         else:
             self.reports.warning(f"refused: {text} (only event/1,2 and new_event/2,3,5 are taken)", "refused")

@@ -137,6 +137,21 @@ def test_a_chain_without_end_is_an_error_of_its_rule(rule):
     assert program.feed("c@1") == "b@1-1"
 
 
+def test_an_alarm_in_the_past_is_an_event_like_others_in_a_chain_without_end():
+    head = "exceptionAlarmAbsoluteDatime(b,datime(1970,1,1,0,0,0,0))"
+    program = Program(f"{head} <- {head}. c <- {head}.")
+    assert program.feed(f"{head}@1").endswith("c@1-1")
+    assert "1000 events" in str(program.errors[0])
+
+
+def test_events_of_ever_new_kinds_leave_nothing_behind():
+    recorder = Recorder()
+    recorder.listen("any", Var())
+    for number in range(20_005):
+        assert recorder.send(atom(f"kind{number}"))
+    assert len(recorder.dispatcher._plans) <= 10_000
+
+
 def test_events_with_variables_match_what_they_unify_with():
     assert fired("c(X,Y) <- a(f(X), Y).", "a(Z,Z)@1") == "c(A,f(A))@1-1"
     assert fired("c(X) <- a(X) where X = 3.", "a(Z)@1 a(4)@2") == "c(3)@1-1"

@@ -143,6 +143,25 @@ def test_a_query_that_raises_is_reported(caplog):
     assert answers(engine) == []
 
 
+@pytest.mark.parametrize("when", ["[]", "[[m, 10]]"])
+def test_a_query_that_gives_no_event_is_reported_and_the_rest_goes_on(when, caplog):
+    engine = Watched(f"syncronized(X, X = 1, {when}) <- ask. done <- ask. done(V) <- v(V).", MEMORY)
+    with caplog.at_level(logging.WARNING, "retalis"):
+        engine.event("ask", 1)
+        engine.event("v(1)", 10)
+    assert "1 is dropped" in caplog.text
+    assert names(engine) == ["done", "done(1)"]
+    assert engine.dispatcher.current is None
+
+
+def test_a_chain_of_synchronized_events_without_end_is_an_error_of_its_own(caplog):
+    engine = Watched("syncronized(a, true, []) <- a. done <- b. b <- c. a <- c. done <- c.", max_depth=20)
+    with caplog.at_level(logging.WARNING, "retalis"):
+        engine.event("c", 1)
+    assert "20 events" in caplog.text
+    assert names(engine) == ["done", "done"]
+
+
 def test_deleting_a_memory_drops_its_waiting_queries_with_a_warning(caplog):
     engine = Watched("syncronized(done(X), true, [[m, 10]]) <- ask(X).", MEMORY)
     engine.event("ask(a)", 1)

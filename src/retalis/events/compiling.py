@@ -41,6 +41,7 @@ class Built(NamedTuple):
         deferred: the conditions in it that are still to be tested.
         joined: the leaves whose events complete something of several events, in the order in which they are served.
         single: the leaves whose events the node passes on one by one.
+        branches: of an ``or`` all leaves, branch by branch.
     """
 
     node: Any

@@ -29,7 +29,6 @@ class Call:
         goal: the goal.
         known: whose values a match carries.
 
-
     Attributes:
         result_vars: ``known``, then the other variables of the goal.
     """

@@ -52,6 +52,9 @@ class Listener:
         self.action = action
 
 
+_PLANS = 10_000
+"""How many kinds of events have a plan; past that all are made anew."""
+
 AT_ONCE = 5
 """To this depth derived events are served inside the call that makes them; deeper ones by the machine's loop."""
 
@@ -275,6 +278,24 @@ class Dispatcher:
             return otherwise
         return otherwise if found is None else then(found)
 
+    def undisturbed(self, work: Callable[[], Any]) -> Any:
+        """Return what work returns; where it raises, what was being served before is being served again."""
+        current, cause = self.current, self.cause
+        try:
+            return work()
+        except BaseException:
+            self.current, self.cause = current, cause
+            raise
+
+    def apart(self, work: Callable[[], Any]) -> Any:
+        """Return what work returns; what it dispatches follows from nothing that is being served."""
+        current, cause = self.current, self.cause
+        self.current = self.cause = None
+        try:
+            return work()
+        finally:
+            self.current, self.cause = current, cause
+
     def ground(self) -> bool:
         """Tell whether the event that is being served has no variables."""
         event = self.current
@@ -298,10 +319,6 @@ class Dispatcher:
             token = event.token = self.mark(event)
         return token
 
-    def later(self, term: Term, start: int, end: int, after: Frame) -> Frame:
-        """Return a frame that dispatches the event when it is run, not before."""
-        return (_LATER, self, term, start, end, after)
-
     def _changed(self, functor: Optional[Functor]) -> None:
         if functor is None:
             self._plans.clear()
@@ -311,20 +328,10 @@ class Dispatcher:
     def _plan(self, functor: Functor) -> Any:
         listeners = [*self._listeners.get(functor, ()), *self._listeners.get(None, ())]
         listeners.sort(key=lambda listener: listener.order)
+        if len(self._plans) >= _PLANS:
+            self._plans.clear()
         plan = self._plans[functor] = make_plan(listeners)
         return plan
-
-
-class _Later:
-    """Code of the frame that `Dispatcher.later` returns."""
-
-    @staticmethod
-    def run(frame: Frame) -> Frame:
-        _, dispatcher, term, start, end, after = frame
-        return dispatcher.dispatch(term, start, end, after)
-
-
-_LATER = _Later()
 
 
 def _functor_of(term: Term) -> Optional[Functor]:

@@ -23,6 +23,7 @@ class Match:
         older: the one that began to wait under the key before it; that of the oldest is the newest.
         newer: the one that began to wait there after it.
         order: the larger, the later it began to wait.
+        identity: what it has in common with those that it replaces there.
         used: whether it completed something and was used up by that.
     """
 

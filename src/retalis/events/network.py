@@ -258,7 +258,6 @@ class Rules:
         for rule in self.rules:
             rule.clear()
         self.tracker.clear()
-        self.dispatcher.current = None
 
     def reset(self) -> None:
         """Drop all rules, properties, partial matches and stored events; set all flags to their defaults."""
@@ -281,13 +280,12 @@ class Rules:
         """Have an event fire when its instant has come."""
 
         def fire(now: int) -> None:
-            self.dispatcher.current = None
             if token is not None:
                 if token.gone:
                     return
                 token.term, token.start, token.end = term, start, instant
             machine = self.logic.machine
-            machine.run(rule.fire(term, start, instant, machine.done, token))
+            self.dispatcher.apart(lambda: machine.run(rule.fire(term, start, instant, machine.done, token)))
 
         self.clock.call_at(instant, fire)
 

@@ -257,30 +257,21 @@ class Rule:
         return self.network.tracker.fire(self, match, self.builder(match.values), after)
 
     def fire(self, head: Term, start: int, end: int, after: Frame, token: Any = None) -> Frame:
-        """Return the frame that dispatches the head and goes on with ``after``."""
+        """Return the frame that dispatches the head, or sets its alarm, and goes on with ``after``."""
         network = self.network
         dispatcher = network.dispatcher
         if head.__class__ not in (tuple, Atom):
             head = deref(head)
-        if head.__class__ is tuple and head[0].name in _ALARMS:
-            return self._set_alarm(head, start, end, after, token)
         try:
+            if head.__class__ is tuple and head[0].name in _ALARMS:
+                alarm = alarm_of(head, start, end)
+                if alarm is not None:
+                    network.set_alarm(self, *alarm, token)
+                    return after
             return dispatcher.dispatch(head, start, end, after, token)
         except UsageError as error:
             network.rule_failed(self, RuleError(error.message))
             return after
-
-    def _set_alarm(self, head: Term, start: int, end: int, after: Frame, token: Any) -> Frame:
-        network = self.network
-        try:
-            alarm = alarm_of(head, start, end)
-        except UsageError as error:
-            network.rule_failed(self, RuleError(error.message))
-            return after
-        if alarm is None:
-            return network.dispatcher.dispatch(head, start, end, after, token)
-        network.set_alarm(self, *alarm, token)
-        return after
 
 
 _ALARMS = frozenset(("exceptionAlarm", "exceptionAlarmAbsoluteDatime"))

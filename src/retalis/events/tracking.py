@@ -95,7 +95,6 @@ class Tracker:
     """Remembers events and what they came from; takes back what ``rev`` asks for.
 
     Attributes:
-        cause: the rule and match whose goal is running, for the events that it makes.
         blocker: the negated match that made the last test fail.
     """
 
@@ -103,7 +102,6 @@ class Tracker:
         self._rules = rules
         self._recent: Deque[Occurrence] = deque()
         self._by_term: Dict[Any, List[Occurrence]] = {}
-        self._by_functor: Dict[Any, int] = {}
         self._listeners: List[Listener] = []
         self._plain_mark = rules.dispatcher.mark
         self.blocker: Optional[Match] = None

@@ -131,11 +131,20 @@ class Memories:
         if instance.active and self._dispatcher.wanted(UPDATED):
             instant = self._stamp()
             update = (UPDATED, instance.id, timestamps.to_term(end))
-            after = self._dispatcher.later(update, instant, instant, after)
+            after = (self, update, instant, after)
         waiting = instance.waiting
         if waiting and waiting[0][0] <= end:
             return self.on_update(instance, end, after)
         return after
+
+    def run(self, frame: Any) -> Any:
+        """Tell of an update, as code of a frame."""
+        _, update, instant, after = frame
+        try:
+            return self._dispatcher.dispatch(update, instant, instant, after)
+        except UsageError as error:
+            self._problem(f"the update of memory {self._logic.show(update[1])} is not told: {error}", UPDATED)
+            return after
 
 
 def define_read_access(logic: Logic, memories: Memories) -> None:

@@ -126,7 +126,11 @@ class WaitingQueries:
         dispatch = self._dispatcher.dispatch
 
         def solved(outputs: Tuple[Term, ...]) -> Any:
-            return dispatch(outputs[0], start, end, after)
+            try:
+                return dispatch(outputs[0], start, end, after)
+            except UsageError as error:
+                self._warn(f"{self._logic.show(outputs[0])} is dropped: {error}", ("dropped", _kind(event)))
+                return after
 
         def failed(error: PrologError) -> None:
             self._warn(
