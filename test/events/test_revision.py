@@ -4,6 +4,7 @@ import pytest
 from events.running import Program, fired, show
 
 from retalis.clock import StreamClock
+from retalis.events import tracking
 from retalis.timestamps import SECOND
 
 
@@ -139,3 +140,15 @@ def test_alarm_in_no_time_is_reported():
     program = Program("exceptionAlarm(ding,N) <- a(N).")
     assert program.feed("a(0)@1") == ""
     assert "positive number" in str(program.errors[0])
+
+
+def test_what_is_too_old_to_be_taken_back_does_not_gather_what_follows_from_it(monkeypatch):
+    monkeypatch.setattr(tracking, "KEPT", 20)
+    program = Program("c <- a seq b.", ["revision_flag"], "unrestricted")
+    program.feed("a@1")
+    (oldest,) = program.engine.rules.tracker.all()
+    program.feed("b@2")
+    assert len(oldest.derived) == 1
+    assert program.feed(" ".join(f"b@{instant}" for instant in range(3, 40))).count("c@") == 37
+    assert oldest.derived == []
+    assert program.feed("rev(a)@50") == ""

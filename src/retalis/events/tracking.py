@@ -24,7 +24,8 @@ class Occurrence:
         term, start, end: the event.
         rule: the rule that fired it, or None.
         match: what its rule, or the goal that made it, had matched; None for an event from outside.
-        derived: the events that came from it.
+        derived: the events that came from it, while it is remembered.
+        forgotten: whether it is too old to be remembered; what waits may still hold it.
         held: partial matches that hold it.
         gone: whether it was taken back.
         reported: whether that has been said: by the ``rev`` that named it, or by one that was derived for it.
@@ -39,6 +40,7 @@ class Occurrence:
         "rule",
         "match",
         "derived",
+        "forgotten",
         "held",
         "gone",
         "reported",
@@ -53,11 +55,18 @@ class Occurrence:
         self.rule = rule
         self.match = match
         self.derived: List[Occurrence] = []
+        self.forgotten = False
         self.held: List[Any] = []
         self.gone = False
         self.reported = False
         self.takes_back: Optional[List[Occurrence]] = None
         self.suppressed: List[Suppressed] = []
+
+    def follows(self, sources: List["Occurrence"]) -> None:
+        """Have occurrences that it came from know it."""
+        for source in sources:
+            if not source.forgotten:
+                source.derived.append(self)
 
     def sources(self) -> List["Occurrence"]:
         """Return the occurrences that it came from."""
@@ -136,8 +145,7 @@ class Tracker:
         parent = event.parent
         if not sources and parent is not None and _is_synchronized(parent.term) and parent.token is not None:
             sources = [parent.token]
-        for source in sources:
-            source.derived.append(occurrence)
+        occurrence.follows(sources)
         return occurrence
 
     def _note(self, term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
@@ -147,6 +155,7 @@ class Tracker:
         if len(self._recent) > KEPT:
             oldest = self._recent.popleft()
             oldest.derived = []
+            oldest.forgotten = True
             key = term_key(oldest.term)
             found = self._by_term[key]
             found.remove(oldest)
@@ -157,8 +166,7 @@ class Tracker:
     def fire(self, rule: Any, match: Match, head: Term, after: Frame) -> Frame:
         """Fire a rule and keep what its event came from."""
         occurrence = Occurrence(head, match.start, match.end, rule, match)
-        for source in occurrence.sources():
-            source.derived.append(occurrence)
+        occurrence.follows(occurrence.sources())
         return rule.fire(head, match.start, match.end, after, occurrence)
 
     def hold(self, match: Match) -> None:
