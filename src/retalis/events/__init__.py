@@ -1,6 +1,6 @@
 """Event rules: dispatch, patterns, operators, consumption policies, and the network that runs them."""
 
-from ._keys import term_key
+from ..terms.keys import term_key
 from .building import compile_builder
 from .dispatch import Dispatcher, Listener, Stage
 from .network import Rules

@@ -12,7 +12,7 @@ from weakref import WeakValueDictionary
 from ..errors import UsageError
 from ..logic import Goal, PrologError
 from ..terms import Atom, Functor, Lazy, Term, Var, copy, deref, is_ground, is_plain
-from ._keys import term_key
+from ..terms.keys import term_key
 from ._plans import Choice, make_plan
 from .matching import Matcher, Values, compile_matcher
 

@@ -3,8 +3,8 @@
 from typing import Any, Iterator, List, Sequence, Set, Tuple
 
 from ..terms import Term, Var, atom, copy, functor, make_list, resolve, undo, unify
+from ..terms.keys import variant_key
 from ..timestamps import interval_term
-from ._keys import variant_key
 from .matches import Found, Held, Match
 from .pattern import Absent, Action, Aggregate, Condition, Either, Occurs, Pair, Star, Within
 from .tracking import Occurrence

@@ -3,7 +3,7 @@
 from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Tuple
 
 from ..terms import Term, Var, copy, resolve, undo, unify
-from ._keys import term_key
+from ..terms.keys import term_key
 
 Values = Tuple[Term, ...]
 

@@ -8,8 +8,8 @@ from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Tupl
 from ..errors import Place, RetalisError, RuleError
 from ..logic import Logic
 from ..terms import Term, atom, copy, deref, unify
+from ..terms.keys import term_key
 from ..timestamps import SECOND, from_seconds
-from ._keys import term_key
 from .clauses import Checker, Property, is_rule, nowhere
 from .dispatch import Dispatcher
 from .files import Files

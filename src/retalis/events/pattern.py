@@ -367,7 +367,7 @@ def children(part: Any, negated: bool = True) -> Tuple[Any, ...]:
 
 def same_rule_key(head: Optional[Term], pattern: Any) -> Any:
     """Return a key: equal for rules that are the same but for the names of variables and spellings."""
-    from ._keys import variant_key
+    from ..terms.keys import variant_key
 
     return variant_key((functor("<-", 2), functor("none", 0) if head is None else head, _as_term(pattern)))
 

@@ -4,7 +4,7 @@ from collections import deque
 from typing import Any, Deque, Dict, Iterator, List, Optional, Tuple
 
 from ..terms import Term, Var, functor
-from ._keys import term_key
+from ..terms.keys import term_key
 from .dispatch import Event, Listener, Stage
 from .matches import Match, leaves, taken_back
 from .policy import Frame

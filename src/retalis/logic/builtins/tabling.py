@@ -7,13 +7,13 @@ that depend on each other together). Everything runs as frames of the machine.
 
 from typing import Any, Dict, List, Optional
 
-from ...terms import Functor, Term, Var, copy, freeze, functor, rebuild
+from ...terms import Functor, Term, copy, deref, functor, is_plain
+from ...terms.keys import term_key
 from ..machine import Code, Frame, Guard
 from ..predicate import Predicate
 from .clauses import _each
 from .registry import control, deterministic
 
-_VARIABLE = functor("$variable", 1)
 _ANSWER = functor("answer", 0)
 
 
@@ -55,9 +55,9 @@ class Tables:
 
     def call(self, predicate: Predicate, frame: Frame) -> Optional[Frame]:
         """Return the frame that gives the answers to a call."""
-        goal = (predicate.functor, *frame[1:-1])
+        goal = (predicate.functor, *map(deref, frame[1:-1]))
         after = frame[-1]
-        key = variant_key(goal)
+        key = term_key(goal)
         table = self.by_call.get(key)
         if table is None:
             table = self.by_call[key] = Table()
@@ -108,7 +108,7 @@ class Tables:
         return self.machine.logic.control.collect(call, (_ANSWER, *template[1:]), then)  # type: ignore[no-any-return]
 
     def _add(self, table: Table, answer: Term) -> None:
-        key = variant_key(answer)
+        key = term_key(answer)
         if key not in table.known:
             table.known[key] = None
             table.answers.append(answer)
@@ -133,7 +133,9 @@ class Tables:
         machine = self.machine
         while at < len(answers):
             mark = len(machine.trail)
-            answer = copy(answers[at])
+            answer = answers[at]
+            if not is_plain(answer):
+                answer = copy(answer)
             at += 1
             if machine.unify_all(*zip(goal[1:], answer[1:])):
                 if at < len(answers):
@@ -147,19 +149,6 @@ class Tables:
             for member in (table, *table.members):
                 member.state = "new"
         del self.active[entry[1] :]
-
-
-def variant_key(term: Term) -> Any:
-    """Return a hashable key that is equal for variants."""
-    numbers: Dict[Var, Term] = {}
-
-    def numbered(var: Var) -> Term:
-        found = numbers.get(var)
-        if found is None:
-            found = numbers[var] = (_VARIABLE, len(numbers))
-        return found
-
-    return freeze(rebuild(term, numbered))
 
 
 def tables_of(machine: Any) -> Tables:

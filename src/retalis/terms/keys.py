@@ -2,7 +2,8 @@
 
 from typing import Any, Dict, List
 
-from ..terms import Atom, String, Term, Var, deref, freeze
+from .kinds import Atom, String, Term, Var, deref
+from .walking import freeze
 
 _PLAIN = frozenset((Atom, int, String))
 
@@ -15,6 +16,8 @@ def term_key(term: Term) -> Any:
     if kind is tuple:
         for item in term[1:]:
             if item.__class__ not in _PLAIN:
+                if item.__class__ is Var and item.ref is None:
+                    return variant_key(term)
                 break
         else:
             return term
