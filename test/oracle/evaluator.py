@@ -5,7 +5,7 @@ operand place. Comments name the sentence of the language's definition that the 
 """
 
 from dataclasses import replace
-from typing import Any, Callable, Iterable, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, FrozenSet, Iterable, List, Optional, Sequence, Set, Tuple
 
 from retalis.terms import Term, copy
 
@@ -39,6 +39,8 @@ class RuleState(Repetitions):
 
     def __init__(self, rule: Rule, policy: str, out_of_order: bool = False, expiry: bool = True):
         super().__init__(rule, policy, out_of_order, expiry)
+        self.completed: Dict[Pattern, Set[FrozenSet[int]]] = {}
+        """The single events that have completed as the right side; a left side of theirs may come later, by revision."""
 
     def fired_by(self, event: Event) -> List[Event]:
         """Take an event and return the events that the rule derives from it, in order."""
@@ -206,7 +208,7 @@ class RuleState(Repetitions):
                 self.wait(node, q_waiting, q)
         # Policies: an event that fits both sides completes first (once: as the right side, else as the left one),
         # then waits. What a late start makes along with it is composed, and comes after it.
-        completed = False
+        completed = self.completed.setdefault(node, set())
         waits: List[Match] = []
 
         def have_waiting() -> None:
@@ -215,7 +217,8 @@ class RuleState(Repetitions):
 
         for q in [q for q in rights if q.is_last()]:
             matched = as_right(q)
-            completed |= matched and self.consuming and q.is_one_event()
+            if matched and self.consuming and q.is_one_event():
+                completed.add(q.numbers)
             if not matched or not self.consuming:
                 waits.append(q)
                 if not q.is_one_event():
@@ -223,8 +226,7 @@ class RuleState(Repetitions):
         for p in [p for p in lefts if p.is_last()]:
             if not p.is_one_event():
                 have_waiting()
-            done = completed and p.is_one_event()
-            if done or not as_left(p) or not self.consuming:
+            if p.numbers in completed or not as_left(p) or not self.consuming:
                 self.wait(node, p_waiting, p)
         have_waiting()
         return results
