@@ -44,6 +44,7 @@ def revised(rules, stream, policy=None):
             "a@1 b(1)@2 b(1)@3 b(1)@4 rev(b(1))@5 b(2)@6",
             "c(A)@1-1 c(1)@1-2 c(1)@1-3 c(1)@1-4 rev(c(1))@5-5 rev(c(1))@5-5 rev(c(1))@5-5 c(2)@1-6",
         ),
+        ("c <- (a(X) fnot d) and a(Y).", "a(1)@1 d@2 a(2)@3 rev(d)@4", "c@1-3"),
         (
             "m <- d. c <- m and (b fnot m).",
             "d@11 b@18 d@10-28 rev(d)@30",

@@ -40,7 +40,7 @@ class RuleState(Repetitions):
     def __init__(self, rule: Rule, policy: str, out_of_order: bool = False, expiry: bool = True):
         super().__init__(rule, policy, out_of_order, expiry)
         self.completed: Dict[Pattern, Set[FrozenSet[int]]] = {}
-        """The single events that have completed as the right side; a left side of theirs may come later, by revision."""
+        """The single events that have completed as the right side; revision may set free a left side of theirs."""
 
     def fired_by(self, event: Event) -> List[Event]:
         """Take an event and return the events that the rule derives from it, in order."""

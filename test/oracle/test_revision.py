@@ -55,6 +55,12 @@ def test_by_hand(head, pattern, events, expected, policy):
             assert derived == wanted.split()
 
 
+def test_what_has_completed_as_the_right_side_does_not_complete_as_the_left_one_too():
+    events = stream("a(1)@1 d@2 a(2)@3 rev(d)@4")
+    steps = run_with_revision([rule("out", "and(fnot(a(X),d),a(Y))")], events, "recent", False)
+    assert [sum(n for event, n in step.items() if event[0] == "out") for step in steps] == [0, 0, 1, 0]
+
+
 @settings(max_examples=200, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))
 @given(cases(depth=3, revision=True))
 def test_both_ways_agree_where_there_are_no_partners(case):
