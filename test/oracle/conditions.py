@@ -50,7 +50,7 @@ class Conditions:
         for part in parts(node):
             if isinstance(part, Pattern):
                 self._note_left(part, seen)
-                seen += pattern_variables(part)
+                seen += may_bind(part)
             elif part is not None and not isinstance(part, (str, bool)):
                 seen += variables(part)
 
@@ -202,6 +202,19 @@ class Conditions:
         if self.rule.window is not None and age > self.rule.window:
             return True
         return any(age >= seconds for seconds in self.limits[node])
+
+
+def may_bind(node: Pattern) -> List[Var]:
+    """Return the variables that a pattern may give values to: none that stands only in what must not happen."""
+    found: List[Var] = []
+    for part in parts(node):
+        if isinstance(node, (Cnot, Fnot)) and part is node.absent:
+            continue
+        if isinstance(part, Pattern):
+            found += may_bind(part)
+        elif part is not None and not isinstance(part, (str, bool)):
+            found += variables(part)
+    return list(dict.fromkeys(found))
 
 
 def all_solutions(goal: Term, bindings: Bindings) -> List[Bindings]:
