@@ -83,6 +83,7 @@ def to_seconds(nanoseconds: int) -> float:
     return whole + rest * 1e-9
 
 
+@lru_cache(maxsize=64)
 def first_reaching(seconds: float) -> int:
     """Return the first instant whose `to_seconds` is at least ``seconds``.
 

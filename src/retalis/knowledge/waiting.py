@@ -83,7 +83,7 @@ class WaitingQueries:
             behind = [
                 (instance, instant)
                 for instance, instant in self._conditions(conditions)
-                if instance.memory.latest is None or instance.memory.latest < instant
+                if not instance.memory.ends or instance.memory.ends[-1] < instant
             ]
         except UsageError as error:
             self._warn(f"{self._logic.show(event)} is dropped: {error}", ("dropped", _kind(event)))
@@ -110,6 +110,7 @@ class WaitingQueries:
         if pairs is None:
             raise UsageError("expected a list of [MemoryId, Time]")
         found: Dict[Instance, int] = {}
+        time, instant = None, 0  # most often all wait for one time
         for pair in pairs:
             parts = list_items(pair)
             if parts is None or len(parts) != 2:
@@ -117,7 +118,8 @@ class WaitingQueries:
             instance = self._memories.find(parts[0])
             if instance is None:
                 raise UsageError(f"there is no memory {self._logic.show(parts[0])}")
-            instant = _reach(parts[1])
+            if parts[1] is not time:
+                time, instant = parts[1], _reach(parts[1])
             found[instance] = max(instant, found.get(instance, instant))
         return found.items()
 
