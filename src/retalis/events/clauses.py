@@ -9,7 +9,7 @@ from ..syntax import ReadTerm
 from ..terms import Atom, Term, Var, atom, copy, deref, functor, list_items, variables
 from .alarms import duration
 from .calls import Call, Unknown
-from .compiling import occurrences
+from .occurrences import occurrences
 from .pattern import ARROWS, SPELLINGS, Action, Reader, Spot, bound_by
 from .rule import Definition
 

@@ -1,6 +1,6 @@
 """From the pattern of a rule to its nodes: which conditions are tested where, and how long a match can be of use."""
 
-from typing import Any, Dict, FrozenSet, List, NamedTuple, Optional, Set, Tuple
+from typing import Any, FrozenSet, List, NamedTuple, Optional, Set, Tuple
 
 from ..errors import RuleError
 from ..logic import PrologError
@@ -11,6 +11,7 @@ from .conditions import Call, Test, goal_test
 from .deferred import Deferred, Items, absence_of, deferred_test, early_test, ready_where
 from .joining import Joining
 from .nodes import Acting, Alternatives, Capture, Filter, Leaf, Never, Node
+from .occurrences import occurrences
 from .operators import OPERATORS
 from .pattern import (
     Absent,
@@ -23,9 +24,7 @@ from .pattern import (
     Star,
     Within,
     bound_by,
-    own_terms,
     surely_bound_by,
-    walk,
 )
 from .runs import Running
 
@@ -375,31 +374,6 @@ def _unwrap(pattern: Any) -> _Wrapping:
         else:
             return _Wrapping(pattern, span, conditions[::-1], absent)
         pattern = pattern.pattern
-
-
-def _each_variable(term: Term) -> List[Var]:
-    """Return every occurrence of a variable in a term."""
-    found: List[Var] = []
-    stack = [term]
-    while stack:
-        item = stack.pop()
-        if item.__class__ is tuple:
-            stack.extend(item[1:])
-        elif item.__class__ is Var:
-            if item.ref is None:
-                found.append(item)
-            else:
-                stack.append(item.ref)
-    return found
-
-
-def occurrences(terms: List[Term], pattern: Any) -> Dict[Var, int]:
-    """Count how often each variable stands in a rule."""
-    counts: Dict[Var, int] = {}
-    for term in [*terms, *(term for part in walk(pattern, True) for term in own_terms(part))]:
-        for var in _each_variable(term):
-            counts[var] = counts.get(var, 0) + 1
-    return counts
 
 
 def _used_twice(terms: List[Term], pattern: Any) -> Set[Var]:

@@ -6,7 +6,7 @@ from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tu
 from ..errors import Place, ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
 from ..logic import PrologError
 from ..syntax import Operators, read_program
-from ..terms import Atom, Term, conjuncts, copy, deref, functor
+from ..terms import Atom, Term, conjuncts, copy, deref, functor, list_items
 from .calls import Unknown, unknown_calls
 from .clauses import DIRECTIVES, Checker, Definition, Step, clause_error, nowhere
 from .files import Files, text_of
@@ -245,25 +245,25 @@ class _Snapshot:
 
     def __init__(self, rules: Any):
         self._rules = rules
-        self._active = list(rules.rules)
+        self._active = set(rules.rules)
         found = list(rules.logic.database.predicates.values())
         self._library = [predicate for predicate in found if predicate.library]
-        self._clauses = {predicate: list(predicate.live()) for predicate in found if predicate.kind == "user"}
+        self._clauses = {predicate: set(predicate.live()) for predicate in found if predicate.kind == "user"}
         self._properties = {key: list(found) for key, found in rules._properties.items()}
 
     def restore(self) -> None:
         """Take back what has come since."""
         rules = self._rules
         for rule in list(rules.rules):
-            if not any(rule is one for one in self._active):
+            if rule not in self._active:
                 rules.remove(rule)
         for predicate in self._library:
             rules.logic.database.give_back(predicate)
         for predicate in list(rules.logic.database.predicates.values()):
             if predicate.kind == "user":
-                kept = self._clauses.get(predicate, [])
+                kept = self._clauses.get(predicate, ())
                 for clause in list(predicate.live()):
-                    if not any(clause is one for one in kept):
+                    if clause not in kept:
                         predicate.remove(clause)
                 if not predicate.clauses and predicate not in self._clauses and not predicate.dynamic:
                     predicate.kind = "undefined"
@@ -271,8 +271,6 @@ class _Snapshot:
 
 
 def _names(term: Term) -> List[str]:
-    from ..terms import list_items
-
     items = list_items(term)
     found = [deref(item) for item in items] if items else [term]
     return [item.name for item in found if item.__class__ is Atom]
