@@ -135,6 +135,15 @@ def test_a_directive_that_raises_undoes_the_file():
     assert not program.engine.query("catch(g(_),_,fail)")
 
 
+def test_a_refused_file_leaves_the_windows_of_other_rules():
+    program = Program("l : c <- a seq b. m([property(window,5)]) : d <- a seq b.")
+    with pytest.raises(ProgramErrors):
+        program.engine.load(
+            rules="event_rule_property(l,window,1). event_rule_property(m,window,1). :- throw(x)."
+        )
+    assert program.feed("a@1 b@4 a@5 b@11") == "c@1-4 d@1-4 c@5-11"
+
+
 def test_rules_come_and_go():
     program = Program("c1(X) <- a(X). l : c2 <- a(_). c3 <- a(1) seq b.")
     call = program.engine.call

@@ -249,7 +249,7 @@ class _Snapshot:
         found = list(rules.logic.database.predicates.values())
         self._library = [predicate for predicate in found if predicate.library]
         self._clauses = {predicate: set(predicate.live()) for predicate in found if predicate.kind == "user"}
-        self._properties = {key: list(found) for key, found in rules._properties.items()}
+        self._properties = rules.all_properties()
 
     def restore(self) -> None:
         """Take back what has come since."""
@@ -267,7 +267,7 @@ class _Snapshot:
                         predicate.remove(clause)
                 if not predicate.clauses and predicate not in self._clauses and not predicate.dynamic:
                     predicate.kind = "undefined"
-        rules._properties = self._properties
+        rules.restore_properties(self._properties)
 
 
 def _names(term: Term) -> List[str]:

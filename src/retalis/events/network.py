@@ -214,9 +214,16 @@ class Rules:
             if _label_of(rule) is one.label:
                 self._configure(rule)
 
-    def drop_property(self, one: Property) -> None:
-        """Take a property back."""
-        self._properties[term_key(one.label)].remove(one)
+    def all_properties(self) -> Dict[Any, List[Property]]:
+        """Return the properties of all labels, as `restore_properties` takes them."""
+        return {key: list(found) for key, found in self._properties.items()}
+
+    def restore_properties(self, properties: Dict[Any, List[Property]]) -> None:
+        """Have the labels have these properties and no others; this holds for their rules at once."""
+        if properties != self._properties:
+            self._properties = properties
+            for rule in self.rules:
+                self._configure(rule)
 
     def properties(self, label: Term) -> List[Property]:
         """Return the properties of a label."""
