@@ -53,6 +53,16 @@ def test_refused(rule, column, part):
     assert at == column
 
 
+@pytest.mark.parametrize("pattern", ["a ntimes 1000", " and ".join(["a"] * 3000)])
+def test_a_pattern_that_is_too_deep_is_refused_at_its_place(pattern):
+    program = Program("d <- a.")
+    with pytest.raises(ProgramErrors) as caught:
+        program.engine.load(rules=f"b <- a.\nc <- {pattern}.")
+    (error,) = caught.value.errors
+    assert (error.place.line, "too deep" in error.message) == (2, True)
+    assert program.feed("a@1") == "d@1-1"
+
+
 def test_all_errors_at_once():
     found = errors_of("ok <- a.\nx <- a not b.\ny <- (.\nz <- b ntimes 0.\n")
     assert [line for line, _, _ in sorted(found)] == [2, 3, 4]

@@ -36,6 +36,7 @@ _USING = {
     functor("use_module", 2): "use",
     functor("ensure_loaded", 1): "ensure",
 }
+TOO_DEEP = "the pattern is too deep: too many operators stand one in the other"
 KNOWN_PROPERTIES = ("event_rule_window", "window", "window_step")
 
 
@@ -88,6 +89,8 @@ class Checker:
             self._sort(term, spot, place)
         except RetalisError as error:
             self.errors.append(error if error.place else RuleError(error.message, place))
+        except RecursionError:
+            self.errors.append(RuleError(TOO_DEEP, place))
 
     def _sort(self, term: Term, spot: Spot, place: Optional[Place]) -> None:
         head = term[0] if term.__class__ is tuple else None

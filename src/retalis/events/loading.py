@@ -8,7 +8,7 @@ from ..logic import PrologError
 from ..syntax import Operators, read_program
 from ..terms import Atom, Term, conjuncts, copy, deref, functor, list_items
 from .calls import Unknown, unknown_calls
-from .clauses import DIRECTIVES, Checker, Definition, Step, clause_error, nowhere
+from .clauses import DIRECTIVES, TOO_DEEP, Checker, Definition, Step, clause_error, nowhere
 from .files import Files, text_of
 from .libraries import LIBRARY, require_library
 from .rule import Rule
@@ -175,6 +175,8 @@ class Loader:
                 rules.append(self._rules.compile(definition))
             except RetalisError as error:
                 errors.append(error if error.place else RuleError(error.message, definition.place))
+            except RecursionError:
+                errors.append(RuleError(TOO_DEEP, definition.place))
         return rules
 
     def _used(self, step: Step, errors: List[RetalisError]) -> Optional[Plan]:
