@@ -284,3 +284,20 @@ def test_a_subscriber_that_fails_cuts_nothing_off(caplog):
         engine.event("a", 1)
     assert [event for event, _, _ in engine.events] == ["a", "b"]
     assert "ZeroDivisionError" in caplog.text
+
+
+def test_alarms_past_the_bound_are_dropped_and_reported():
+    engine = Engine()
+    engine.rules.cap = 3
+    warnings = []
+    engine.rules.on_warning = lambda warning: warnings.append(str(warning))
+    engine.load(rules="exceptionAlarm(late(X), 10) <- e(X).")
+    rung = []
+    engine.on_event(lambda term, start, end: rung.append(engine.show(term)))
+    for number in range(5):
+        engine.event(f"e({number})", 1)
+    assert len(engine.clock.alarms) == 3
+    assert ["1 were dropped" in warnings[0], "2 were dropped" in warnings[1]] == [True, True]
+    engine.clock.move_to(20 * 10**9)
+    engine.advance()
+    assert [text for text in rung if text.startswith("late")] == ["late(0)", "late(1)", "late(2)"]

@@ -68,7 +68,9 @@ class InputReader:
         if at < 0 or stamps != f"{stamp},{stamp}])":
             return None
         last = stamp.rfind(",") + 1
-        second = self._seconds.get(stamp[:last]) or self._learn(stamp[:last])
+        second = self._seconds.get(stamp[:last])
+        if second is None:
+            second = self._learn(stamp[:last])
         if second is None or not _NANOSECOND.fullmatch(stamp, last):
             return None
         try:

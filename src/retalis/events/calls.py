@@ -73,7 +73,8 @@ def unknown_calls(logic: Any, found: List[Unknown], terms: Callable[[], List[Ter
             yield RuleError(f"there is no predicate {key} yet{hint}", place)
 
 
-_ANY = functor("any", 0)
+_ANY: Any = object()
+"""Stands among functors for any: what a goal adds cannot be seen."""
 
 
 def _added(terms: List[Term]) -> Set[Functor]:

@@ -61,7 +61,9 @@ class Files:
         if self._allowed is not None and not self._may_open(found):
             if not self._trusted:
                 raise permission_error("open", "source_sink", atom(str(path)))
-            self._allowed.append(found.resolve().parent)
+            folder = found.resolve().parent
+            if folder not in self._allowed:
+                self._allowed.append(folder)
         return found
 
     def _may_open(self, path: Path) -> bool:

@@ -54,13 +54,18 @@ def file_name(term: Term) -> str:
     Raises:
         PrologError: where it is none.
     """
-    term = deref(term)
-    if term.__class__ is Var:
-        raise instantiation_error()
-    if term.__class__ is Atom:
-        return str(term.name)
-    if term.__class__ is String:
-        return str(term.text)
-    if term.__class__ is tuple and term[0] is SLASH:
-        return f"{file_name(term[1])}/{file_name(term[2])}"
-    raise type_error("file", term)
+    parts = []
+    pending = [term]
+    while pending:
+        part = deref(pending.pop())
+        if part.__class__ is Var:
+            raise instantiation_error()
+        if part.__class__ is Atom:
+            parts.append(str(part.name))
+        elif part.__class__ is String:
+            parts.append(str(part.text))
+        elif part.__class__ is tuple and part[0] is SLASH:
+            pending += [part[2], part[1]]
+        else:
+            raise type_error("file", part)
+    return "/".join(parts)

@@ -39,7 +39,8 @@ class Rules:
         logic: where goals are compiled and clauses are kept.
         dispatcher: whose events the rules take, and which takes theirs.
         clock: gives ``now()`` and takes alarms by ``call_at(instant, callback)``.
-        cap: how many partial matches a rule may have; the oldest go.
+        cap: how many partial matches a rule may have (the oldest go), and how many alarms may be set (further ones
+            are dropped).
         future: by how many nanoseconds a stamp may be ahead of the clock to move the clocks of rules.
 
     Attributes:
@@ -294,6 +295,12 @@ class Rules:
             machine = self.logic.machine
             self.dispatcher.apart(lambda: machine.run(rule.fire(term, start, instant, machine.done, token)))
 
+        if len(self.clock.alarms) >= self.cap:
+            rule.alarms_dropped += 1
+            if rule.alarms_dropped & (rule.alarms_dropped - 1) == 0:
+                text = f"{rule.name}: more than {self.cap} alarms are set; {rule.alarms_dropped} were dropped so far"
+                self.on_warning(RuleError(text, rule.place))
+            return
         self.clock.call_at(instant, fire)
 
     def rule_failed(self, rule: Rule, error: RuleError) -> None:

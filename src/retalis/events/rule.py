@@ -57,6 +57,7 @@ class Rule:
         self.window: Optional[int] = None
         self.waiting = 0
         self.dropped = 0
+        self.alarms_dropped = 0
         self.timed = False
         self._watched = False
         self.clock: int = -(1 << 63)

@@ -1,6 +1,7 @@
 """Synchronized queries: goals that are called when the memories they read have the data."""
 
 import heapq
+from collections import OrderedDict
 from itertools import count
 from typing import Any, Dict, Iterable, List, Tuple
 
@@ -58,7 +59,7 @@ class WaitingQueries:
         self._warn = warn
         self._limit = limit
         self._order = count()
-        self._all: Dict[int, Waiting] = {}
+        self._all: OrderedDict[int, Waiting] = OrderedDict()
         event, query = Var(), Var()
         call = (functor("call", 1), query)
         self._goal = logic.compile_goal(call, [event, query], [event], name="synchronized query")
@@ -162,7 +163,7 @@ class WaitingQueries:
         return self._ask(waiting.event, waiting.query, waiting.start, waiting.end, after)
 
     def _drop_oldest(self) -> None:
-        waiting = self._all.pop(next(iter(self._all)))
+        waiting = self._all.popitem(last=False)[1]
         self._warn(
             f"more than {self._limit} queries wait; the oldest is dropped: {self._logic.show(waiting.event)}",
             "waiting",
