@@ -128,7 +128,9 @@ def define_foreign(logic: Logic, *sources: Any) -> List[Functor]:
     done = []
     for source in sources:
         functions = (
-            [source] if callable(source) else [one for one in vars(source).values() if _is_marked(one)]
+            [source]
+            if callable(source)
+            else [one for one in getattr(source, "__dict__", {}).values() if _is_marked(one)]
         )
         if not functions or not all(_is_marked(one) for one in functions):
             raise UsageError(

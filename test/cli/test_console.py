@@ -12,6 +12,8 @@ from retalis.cli._answers import bindings
 from retalis.cli._prompt import Lines, completions
 from retalis.cli._report import Report
 from retalis.cli.console import Console
+from retalis.engine import Settings
+from retalis.logic import Limits
 from retalis.syntax import Operators, read_term
 
 SOURCE = Path(__file__).resolve().parents[2] / "src"
@@ -262,3 +264,15 @@ def test_a_cleanup_of_a_goal_that_is_left_ends_its_line(ask):
 
 def test_an_unknown_procedure_is_named_once(ask):
     assert "error: Unknown procedure: no_such/1\n" in ask("no_such(1).").err
+
+
+def test_all_goals_and_clauses_of_a_line_are_read(ask):
+    text = "X = 1. X = 2.\n[user]. h(1). h(2).\nh(3). h(\n4).\nend_of_file.\nh(X).\n"
+    assert ask(text).out == "X = 1.\nX = 2.\ntrue.\nX = 1 ;\nX = 2 ;\nX = 3 ;\nX = 4.\n"
+
+
+def test_a_goal_that_eats_memory_ends(ask):
+    console = Console(Report(), Settings(limits=Limits(megabytes=50)))
+    answered = ask("findall(X, repeat, L).\nX = 1.\n", console)
+    assert "resource_error" in answered.err or "memory" in answered.err
+    assert answered.out.endswith("X = 1.\n")

@@ -24,6 +24,8 @@ class Lines:
 
     def __init__(self, file: IO[str]):
         self._file = file
+        self.rest = ""
+        """What stands behind the full stop in the line that was read last."""
 
     def line(self, prompt: str) -> Optional[str]:
         """Return the next line, or None at the end."""
@@ -41,6 +43,7 @@ class Terminal:
 
     def __init__(self, names: Callable[[], Iterable[str]]):
         self._names = names
+        self.rest = ""
         self._found: List[str] = []
         self._set_up()
 
@@ -118,23 +121,25 @@ def completions(text: str, names: Iterable[str]) -> List[str]:
 def read_clause(lines: Union[Lines, Terminal], logic: Logic, prompt: str) -> Optional[Read]:
     """Return the next term that is typed or piped, a `SyntaxFault`, or None at the end.
 
-    It ends with the line that holds its full stop; what follows in that line is left out.
+    What follows its full stop in the line is kept for the next one; behind an error it is left out.
     """
-    held = ""
+    held, lines.rest = lines.rest, ""
     while True:
+        if "." in held:
+            program = read_program(held, logic.operators, "user", _flags(logic))
+            found = next(iter(program), None)
+            if found is None:  # comments only
+                held = ""
+            elif not _goes_on(found, held):
+                if not isinstance(found, SyntaxFault) and held[program.end :].strip():
+                    lines.rest = held[program.end :]
+                return found
+        elif not held.strip():
+            held = ""
         line = lines.line("|    " if held.strip() else prompt)
         if line is None:
             return next(iter(read_program(held, logic.operators, "user", _flags(logic))), None)
         held += line
-        if "." not in line:
-            if not held.strip():
-                held = ""
-            continue
-        found = next(iter(read_program(held, logic.operators, "user", _flags(logic))), None)
-        if found is None:  # comments only
-            held = ""
-        elif not _goes_on(found, held):
-            return found
 
 
 def _goes_on(found: Read, text: str) -> bool:

@@ -52,6 +52,7 @@ def add_parser(commands: Any) -> None:
     add("--goal", "-g", action="append", default=[], metavar="GOAL", help="ask this and then end")
     add("--seconds", type=float, help="seconds that a goal may take")
     add("--inferences", type=int, help="inferences that a goal may make")
+    add("--megabytes", type=int, default=2000, help="memory that a goal may take, in megabytes (2000)")
     add("--most", type=int, default=1000, help="solutions shown of a goal that comes from a pipe (1000)")
     parser.set_defaults(run=run)
 
@@ -59,7 +60,7 @@ def add_parser(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command; from a pipe the status is 1 if there was an error."""
     report = Report().listen()
-    limits = Limits(seconds=options.seconds, inferences=options.inferences)
+    limits = Limits(options.seconds, options.inferences, options.megabytes)
     console = Console(report, Settings(limits=limits), options.most)
     for path in options.files:
         console.load(path)
@@ -133,6 +134,7 @@ class Console:
                 elif not self._goal(read):
                     return
             except KeyboardInterrupt:
+                lines.rest = ""
                 print("\n% interrupted", flush=True)
 
     def _goal(self, read: ReadTerm) -> bool:

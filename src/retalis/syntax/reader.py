@@ -74,7 +74,7 @@ class Program:
 
     Yields a `ReadTerm` for each clause, and a `SyntaxFault` for each that has an error; then reading goes
     on with the next clause. ``operators`` and ``flags`` may be changed between clauses: they are looked
-    at when the next clause is asked for.
+    at when the next clause is asked for. ``end`` is where the full stop of the last clause ends.
     """
 
     def __init__(
@@ -90,6 +90,7 @@ class Program:
         self.flags = flags
         self._stream = tokens(self._source, lambda: self.flags)
         self._again: List[AnyToken] = []
+        self.end = 0
 
     def __iter__(self) -> Iterator[Union[ReadTerm, SyntaxFault]]:
         while True:
@@ -104,6 +105,7 @@ class Program:
         for token in chain(self._again, self._stream):
             clause.append(token)
             if token[0] == END:
+                self.end = token[3]
                 break
         self._again = []
         return clause
