@@ -48,6 +48,11 @@ def test_result(logic, goal, values):
     assert logic.machine.budget.ceilings == {}
 
 
+def deep(around, inmost):
+    """Return a goal that makes G a term in which one is around the other 3000 times."""
+    return f"numlist(1, 3000, _L), foldl([_, A, {around}]>>true, _L, {inmost}, G)"
+
+
 @pytest.mark.parametrize(
     ("goal", "found"),
     [
@@ -70,6 +75,18 @@ def test_result(logic, goal, values):
 )
 def test_goals_that_would_have_to_wait(logic, goal, found):
     assert answers(logic, goal) == found
+
+
+@pytest.mark.parametrize("joined", ["(A, nonvar(a))", "(nonvar(a), A)", "(A ; nonvar(a))", "(nonvar(_) ; A)"])
+def test_a_condition_may_be_deep(logic, joined):
+    assert answers(logic, f"{deep(joined, 'nonvar(a)')}, when(G, X = 1)")[0]["X"] == "1"
+
+
+@pytest.mark.parametrize("around", ["\\+ A", "(A -> true)", "((A, _) , true)"])
+def test_a_goal_that_is_too_deep_is_an_error(logic, around):
+    found = first(logic, f"{deep(around, 'true')}, catch(G, error(E, _), true)")
+    assert found["E"] == "resource_error(term_size)"
+    assert logic.machine.choices == []
 
 
 def test_ports(logic):

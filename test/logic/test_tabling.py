@@ -6,6 +6,7 @@ import pytest
 from logic.support import answers, first, prolog
 
 from retalis.logic import Limits
+from retalis.syntax import read_term
 
 PROGRAM = """
 :- table path/2, even/1, odd/1, fib/2, p/1, q/1, expr/2, term/2, factor/2.
@@ -91,3 +92,27 @@ def test_closure_of_a_random_graph(seed):
     expected = sorted(y for x, y in linked if x == start)
     assert sorted(int(answer["Y"]) for answer in answers(logic, f"c({start}, Y)")) == expected
     assert len(answers(logic, "c(X, Y)", 1000)) == len(linked)
+
+
+@pytest.mark.parametrize(
+    "run", [lambda logic, goal: logic.once(goal), lambda logic, goal: next(logic.solutions(goal))]
+)
+def test_an_interrupt_leaves_no_half_table(run):
+    logic = prolog(":- table r/1.\nr(X) :- r(Y), waits, X is Y + 1, X < 4.\nr(1).")
+    interrupts = [KeyboardInterrupt]
+
+    def waits(machine):
+        if interrupts:
+            raise interrupts.pop()
+        return True
+
+    logic.define("waits", 0, waits)
+    with pytest.raises(KeyboardInterrupt):
+        run(logic, read_term("r(X)", logic.operators).term)
+    assert [answer["X"] for answer in answers(logic, "r(X)")] == ["1", "2", "3"]
+
+
+def test_a_call_with_a_cyclic_argument_ends():
+    logic = prolog(":- table p/1.\np(_).")
+    logic.limits = Limits(inferences=100_000)
+    assert answers(logic, "X = f(Y, X), p(X)") == ["resource_error(inferences)"]

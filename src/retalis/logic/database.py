@@ -20,7 +20,6 @@ class Database:
     def __init__(self, machine: Machine, compile_after: int = COMPILE_AFTER):
         self.machine = machine
         self.generation = 0
-        self.version = 0
         self.compile_after = compile_after
         self.predicates: Dict[Functor, Predicate] = {}
         self.library = Library(self)
@@ -64,7 +63,6 @@ class Database:
 
     def forget(self) -> None:
         """Drop compiled code that may refer to a predicate that is being redefined."""
-        self.version += 1
         for predicate in self.predicates.values():
             predicate.forget()
 

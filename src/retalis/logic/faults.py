@@ -132,7 +132,7 @@ def from_python(exc: BaseException) -> Optional[PrologError]:
         found = evaluation_error("float_overflow")
     elif isinstance(exc, MemoryError):
         found = resource_error("memory")
-    elif isinstance(exc, TermTooLarge):
+    elif isinstance(exc, (TermTooLarge, RecursionError)):
         found = resource_error("term_size")
     elif isinstance(exc, RetalisError) and not isinstance(exc, Halt):
         found = system_error(exc.message)

@@ -40,12 +40,10 @@ class Goal:
         self._inputs = tuple(inputs)
         self._outputs = tuple(outputs)
         self._source = GoalCode(database, term, self._inputs, self._outputs, place, name)
-        self._version = -1
         self._compile()
 
     def _compile(self) -> None:
         """Set up code that is generated when it is first run."""
-        self._version = self._database.version
         source = self._source
         source.parse()
         self.straight: Any = self._first_straight

@@ -162,6 +162,7 @@ class Machine:
                 frame = self._handle(exc, frame, base)
             return frame is done or self._loop(frame, base)
         except BaseException:
+            self._leave(base)
             undo(self.trail, mark)
             raise
         finally:
@@ -195,10 +196,19 @@ class Machine:
                     )
                 frame = None
         finally:
+            self._leave(base)
             del choices[base:]
             undo(self.trail, mark)
             if not base:
                 self.budget.start_anew()
+
+    def _leave(self, base: int) -> None:
+        """Tell the guards of a run that it is over, also by what no program can catch, as an interrupt."""
+        choices = self.choices
+        while len(choices) > base + 1:
+            entry = choices.pop()
+            if entry[0].__class__ is Guard:
+                entry[0].unwind(entry)
 
     def _watched(self, frame: Optional[Frame]) -> bool:
         """Go on with an outermost run; long steps in it look at the limits too."""

@@ -2,6 +2,9 @@
 
 from typing import Any, Dict, List
 
+from ..errors import TermTooLarge
+from ..watching import BULK, look
+from ._steps import ROUNDS
 from .kinds import Atom, String, Term, Var, deref
 from .walking import freeze
 
@@ -32,16 +35,20 @@ def variant_key(term: Term) -> Any:
     flat: List[Any] = [Var]
     numbers: Dict[Var, int] = {}
     stack = [term]
-    while stack:
-        item = deref(stack.pop())
-        kind = item.__class__
-        if kind is tuple:
-            flat.append(item[0])
-            stack.extend(item[:0:-1])
-        elif kind is float:
-            flat.append((float, item.hex()))
-        elif kind is Var:
-            flat.append((Var, numbers.setdefault(item, len(numbers))))
-        else:
-            flat.append(item)
-    return tuple(flat)
+    for _ in ROUNDS:
+        for _ in BULK:
+            if not stack:
+                return tuple(flat)
+            item = deref(stack.pop())
+            kind = item.__class__
+            if kind is tuple:
+                flat.append(item[0])
+                stack.extend(item[:0:-1])
+            elif kind is float:
+                flat.append((float, item.hex()))
+            elif kind is Var:
+                flat.append((Var, numbers.setdefault(item, len(numbers))))
+            else:
+                flat.append(item)
+        look()
+    raise TermTooLarge

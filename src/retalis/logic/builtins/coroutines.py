@@ -4,9 +4,11 @@ No goal waits for a variable here: unification is written into the compiled clau
 them. Where the answer depends on a variable that is not bound yet, these are instantiation errors.
 """
 
-from typing import Any, Optional
+from typing import Any, List, Optional, Tuple
 
-from ...terms import COMMA, Term, Var, deref, functor, is_ground, undo, unify
+from ...errors import TermTooLarge
+from ...terms import COMMA, ROUNDS, Term, Var, deref, functor, is_ground, undo, unify
+from ...watching import BULK, look
 from ..faults import domain_error, instantiation_error
 from ..machine import Frame
 from .comparing import different
@@ -50,14 +52,33 @@ def when(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
 
 
 def _holds(machine: Any, condition: Term) -> bool:
-    condition = deref(condition)
+    """Tell whether a condition holds; no recursion, however deep it is."""
+    lefts: List[
+        Tuple[Any, Term]
+    ] = []  # conjunctions and disjunctions whose left side is looked at: key, right side
+    for _ in ROUNDS:
+        for _ in BULK:
+            condition = deref(condition)
+            if condition.__class__ is tuple and condition[0] in (COMMA, _SEMICOLON):
+                lefts.append((condition[0], condition[2]))
+                condition = condition[1]
+                continue
+            holds = _simple(machine, condition)
+            while lefts:
+                key, right = lefts.pop()
+                if holds is (key is COMMA):  # the right side decides
+                    condition = right
+                    break
+            else:
+                return holds
+        look()
+    raise TermTooLarge
+
+
+def _simple(machine: Any, condition: Term) -> bool:
     if condition.__class__ is Var:
         raise instantiation_error()
     key = condition[0] if condition.__class__ is tuple else None
-    if key is COMMA:
-        return _holds(machine, condition[1]) and _holds(machine, condition[2])
-    if key is _SEMICOLON:
-        return _holds(machine, condition[1]) or _holds(machine, condition[2])
     if key is _NONVAR:
         return deref(condition[1]).__class__ is not Var
     if key is _GROUND:

@@ -4,6 +4,7 @@ from typing import Any, Dict, Iterator, List
 
 from ...terms import Functor, Term, Var, copy, deref, functor, unify
 from ..faults import existence_error, instantiation_error, type_error, uninstantiation_error
+from ..keys import key_of
 from ..machine import LAST
 from .registry import deterministic, nondeterministic
 
@@ -52,12 +53,10 @@ class _Records:
 
 def _key(term: Term) -> Any:
     """Return what a key is known by: itself, or name and number of arguments."""
-    term = deref(term)
-    if term.__class__ is Var:
+    key = key_of(term)
+    if key is None:
         raise instantiation_error()
-    if term.__class__ is tuple:
-        return term[0]
-    return (float, term.hex()) if term.__class__ is float else term
+    return key
 
 
 def _term(key: Any) -> Term:

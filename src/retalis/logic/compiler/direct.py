@@ -13,7 +13,7 @@ from ..keys import key_of
 from ..machine import BAIL
 from .inline import write_inline
 from .nodes import Condition, Cut, Goal, Height, Node, Parser, needed_by
-from .predicates import Generator, Rule, _key, register
+from .predicates import Generator, Rule, register
 from .scope import Clause, Scope, Unit
 
 _MOST_CLAUSES = 8
@@ -196,7 +196,7 @@ class Functions(Generator):
         """Return the arguments whose first level tells clauses apart."""
         if len(self.rules) == 1:
             return []
-        keys = [[_key(rule.args[at]) for rule in self.rules] for at in range(self.key.arity)]
+        keys = [[key_of(rule.args[at]) for rule in self.rules] for at in range(self.key.arity)]
         return [at for at, found in enumerate(keys) if len(set(found)) > 1]
 
     def _block(self, unit: Unit, index: int, once: bool, keyed: List[int]) -> List[str]:
@@ -229,7 +229,7 @@ class Functions(Generator):
         """Return the condition that a clause may match what the arguments were at entry."""
         tests = []
         for at in keyed:
-            key = _key(rule.args[at])
+            key = key_of(rule.args[at])
             if key is not None:
                 tests.append(f"(x{at + 1} is None or x{at + 1} == {unit.constant(key)})")
         return f"({' and '.join(tests)})" if tests else "True"

@@ -5,6 +5,7 @@ from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 from ...errors import Place
 from ...terms import Atom, Functor, Term, Var, deref
+from ..keys import key_of
 from ..machine import Code
 from .bodies import Bodies
 from .building import shape_of, write_building
@@ -112,7 +113,7 @@ class Generator:
         assert self.position is not None
         groups: Dict[Any, List[int]] = {None: []}
         for at, rule in enumerate(self.rules):
-            key = _key(rule.args[self.position])
+            key = key_of(rule.args[self.position])
             if key is None:
                 for clauses in groups.values():
                     clauses.append(at)
@@ -317,24 +318,11 @@ def register(source: str, place: Optional[Place], name: str) -> str:
     return filename
 
 
-def _key(term: Term) -> Any:
-    """Return the first-level key of an argument of a head: constant, functor, or None for a variable."""
-    term = deref(term)
-    kind = term.__class__
-    if kind is tuple:
-        return term[0]
-    if kind is Var:
-        return None
-    if kind is float:
-        return (float, term.hex())
-    return term
-
-
 def _switch_position(rules: Sequence[Rule], arity: int) -> Optional[int]:
     """Return the argument that tells the clauses apart best, the first where it does; None where none does."""
     best, position = 0, None
     for at in range(min(arity, 8) if len(rules) > 1 else 0):
-        keys = [_key(rule.args[at]) for rule in rules]
+        keys = [key_of(rule.args[at]) for rule in rules]
         known = [key for key in keys if key is not None]
         distinct = len(set(known))
         score = distinct * 4 - (len(keys) - len(known)) * 3

@@ -186,7 +186,6 @@ class Scope:
         self.after = "after"
         self.entry = True
         self.at_one_go = False
-        self.blocks = 0
         self.loop: Optional[Tuple[Functor, List[str], str]] = None
         self.looped = False
         self.binds = False
