@@ -205,3 +205,15 @@ def test_rules_loaded_at_run_time_cannot_name_files_outside(tmp_path):
 def test_an_engine_without_limits_does_not_look_at_any():
     assert not Engine().logic.machine.budget.limited
     assert Engine(settings=Settings(limits=Limits(seconds=1.0))).logic.machine.budget.limited
+
+
+@pytest.mark.parametrize(
+    "goal", ["numlist(1, 1000000, L), msort(L, M), M = [X|_]", "length(L, 3000000), X = L"]
+)
+def test_goals_of_rules_that_need_no_machine_have_limits_too(goal):
+    engine = Engine(settings=Settings(limits=Limits(inferences=2000)))
+    errors = []
+    engine.rules.on_error = lambda error: errors.append(str(error))
+    engine.load(rules=f"found(X) do ({goal}) <- e.")
+    engine.event("e", 1)
+    assert ["resource" in error or "inferences" in error for error in errors] == [True]

@@ -97,7 +97,8 @@ class Goal:
         """
         machine = self._machine
         mark = len(machine.trail)
-        if self.straight is not None:
+        # A run is what looks at the limits of the goals in it.
+        if self.straight is not None and (machine.choices or not machine.budget.limited):
             try:
                 result: Any = self.straight(*values)
                 if result is not BAIL:
