@@ -172,13 +172,23 @@ class Input:
 
     def _learn(self, header: Dict[str, str]) -> Optional[Decoder]:
         """Return the decoder for a publisher's messages, None where they are of another type."""
+        sent = header.get("type", "*")
+        is_known = self.kind in self._definitions
         try:
             definition = self._definitions.received(
-                self.kind, header.get("type", "*"), header.get("message_definition", ""), header["md5sum"]
+                self.kind, sent, header.get("message_definition", ""), header["md5sum"]
             )
         except MessageError as error:
             rospy.logerr("topic %s: %s", self._name, error)
             return None
+        if not is_known and sent != self.kind:
+            rospy.logwarn(
+                "topic %s is subscribed as %s, which is unknown here; %s publishes %s: taken under that name",
+                self._name,
+                self.kind,
+                header.get("callerid", "somebody"),
+                sent,
+            )
         return self._definitions.decoder(definition)
 
     def _refuse(self, header: Dict[str, str]) -> None:
