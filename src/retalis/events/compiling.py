@@ -153,10 +153,8 @@ class Compiler:
         if now or wrapping.span is not None:
             tests, names = self._tests(now, node.vars)
             node = self._add(Filter(node, names, tests), wrapping.span, None)
-        for condition, needs in later:
-            node, one = self._defer(node, condition.goal, condition.timed, None, needs)
-            deferred = [*deferred, one]
-        return built._replace(node=node, deferred=deferred)
+        node, put_off = self._defer_all(node, later)
+        return built._replace(node=node, deferred=[*deferred, *put_off])
 
     def _split(self, conditions: List[Any], core: Any, context: Names) -> Tuple[List[Any], List[Any]]:
         """Part conditions into those that can be tested now and those that wait, with what they need."""
@@ -186,6 +184,14 @@ class Compiler:
         self.keep |= {start, end}
         node = self._add(Capture(node, start, end), None, None)
         return node, Deferred(needs, goal, timed, absent, start, end)
+
+    def _defer_all(self, node: Any, later: List[Any]) -> Tuple[Any, List[Deferred]]:
+        """Put off conditions, each with what it needs; return the last node, and what waits."""
+        deferred = []
+        for condition, needs in later:
+            node, one = self._defer(node, condition.goal, condition.timed, None, needs)
+            deferred.append(one)
+        return node, deferred
 
     def _joining(self, core: Pair, wrapping: _Wrapping, context: Names, limit: Optional[int]) -> Built:
         here = context | frozenset(bound_by(core.left))
@@ -219,10 +225,8 @@ class Compiler:
         for condition in now:
             call = Call(self.rule, condition.goal, node.vars)
             node.test(goal_test(call, condition.timed, None), call.result_vars)
-        result: Any = node
-        for condition, waits_for in later:
-            result, one = self._defer(result, condition.goal, condition.timed, None, waits_for)
-            deferred.append(one)
+        result, put_off = self._defer_all(node, later)
+        deferred += put_off
         if gap is not None:
             one = Deferred(needs, None, False, (negated, conditions, False), *gap)
             if needs - _in_goals(now):
@@ -298,10 +302,8 @@ class Compiler:
                 call.result_vars,
                 any(condition is one for one in late),
             )
-        built: Any = node
-        for condition, needs in later:
-            built, one = self._defer(built, condition.goal, condition.timed, None, needs)
-            deferred.append(one)
+        built, put_off = self._defer_all(node, later)
+        deferred += put_off
         return Built(built, deferred, [*repeated.leaves, *first.joined], first.single)
 
     def _outside(self, pattern: Any, value: Any = None) -> Set[Var]:

@@ -297,9 +297,8 @@ class Rules:
 
         if len(self.clock.alarms) >= self.cap:
             rule.alarms_dropped += 1
-            if rule.alarms_dropped & (rule.alarms_dropped - 1) == 0:
-                text = f"{rule.name}: more than {self.cap} alarms are set; {rule.alarms_dropped} were dropped so far"
-                self.on_warning(RuleError(text, rule.place))
+            text = f": more than {self.cap} alarms are set; {rule.alarms_dropped} were dropped so far"
+            self._warn_seldom(rule, rule.alarms_dropped, text)
             return
         self.clock.call_at(instant, fire)
 
@@ -314,15 +313,14 @@ class Rules:
         self.rule_failed(rule, RuleError(f"goal {self.logic.show(goal)}: {error.message}"))
 
     def dropped(self, rule: Rule) -> None:
-        """Report that a rule has too many partial matches; at 1, 2, 4, 8 ... of them."""
-        if rule.dropped & (rule.dropped - 1) == 0:
-            self.on_warning(
-                RuleError(
-                    f"{rule.name} has more than {self.cap} partial matches; {rule.dropped} of the oldest "
-                    "were dropped so far",
-                    rule.place,
-                )
-            )
+        """Report that a rule has too many partial matches."""
+        text = f" has more than {self.cap} partial matches; {rule.dropped} of the oldest were dropped so far"
+        self._warn_seldom(rule, rule.dropped, text)
+
+    def _warn_seldom(self, rule: Rule, number: int, text: str) -> None:
+        """Report what has happened to a rule a number of times; at 1, 2, 4, 8 ... of them."""
+        if number & (number - 1) == 0:
+            self.on_warning(RuleError(f"{rule.name}{text}", rule.place))
 
 
 def _label_of(rule: Rule) -> Term:

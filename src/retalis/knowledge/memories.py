@@ -118,8 +118,8 @@ class Memories:
         alike = conditions is NIL and pattern.__class__ is not Var
         key = term_key((MINUS, pattern, form)) if alike else None
         last = self._newest
-        joinable = last is not None and last.instances and self._dispatcher.current is None
-        if last is not None and joinable and key is not None and key == last.key:
+        may_join = key is not None and self._dispatcher.current is None
+        if may_join and last is not None and last.instances and key == last.key:
             return last
         title = f"memory {self._logic.show(name)}"
         take = recording(self._logic, self._dispatcher, pattern, conditions, form, title)

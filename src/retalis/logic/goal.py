@@ -79,10 +79,6 @@ class Goal:
         """
         return (self._code, *values, collector)
 
-    def frame(self, values: Sequence[Term], after: Frame) -> Frame:
-        """Return the frame that runs the goal for its effects, then ``after``; its outputs are not used."""
-        return (self._plain_code, *values, after)
-
     def test(self, values: Sequence[Term]) -> Optional[Tuple[Term, ...]]:
         """Run the goal at once.
 

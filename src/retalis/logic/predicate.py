@@ -189,11 +189,7 @@ class Predicate:
         if len(clauses) > _MANY:
             look(0)  # to find a clause among these may take long
         generation = self.database.generation
-        keys = None
-        for at in range(1, len(frame) - 1):
-            if at - 1 != position and key_of(frame[at]) is not None:
-                keys = [key_of(arg) for arg in frame[1:-1]]
-                break
+        keys = self._keys(frame, position)
         if self.ground:
             search = self._searches.get(position) or self._search(position)
             return search(frame, clauses, 0, len(clauses), generation, keys)

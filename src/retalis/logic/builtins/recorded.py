@@ -1,6 +1,6 @@
 """The recorded database: terms under keys, in order, outside of clauses."""
 
-from typing import Any, Dict, Iterator, List
+from typing import Any, Dict, Iterator, List, Optional
 
 from ...terms import Functor, Term, Var, copy, deref, functor, unify
 from ..faults import existence_error, instantiation_error, type_error, uninstantiation_error
@@ -67,7 +67,9 @@ def _term(key: Any) -> Term:
 
 
 def _records(machine: Any) -> _Records:
-    found: _Records = machine.logic.state.setdefault("records", _Records())
+    found: Optional[_Records] = machine.logic.state.get("records")
+    if found is None:
+        found = machine.logic.state["records"] = _Records()
     return found
 
 
