@@ -1,5 +1,7 @@
 """A program over a bag: topics, types, times, what is published, what is reported."""
 
+import logging
+
 import pytest
 
 from retalis.bags import BagReader, BagWriter
@@ -62,6 +64,16 @@ def bag(tmp_path, definitions):
 
 def run(program, path, **options):
     problems = []
+    logged = logging.Handler()
+    logged.emit = lambda record: problems.append(record.getMessage())
+    logging.getLogger("retalis").addHandler(logged)
+    try:
+        return play(program, path, problems, **options)
+    finally:
+        logging.getLogger("retalis").removeHandler(logged)
+
+
+def play(program, path, problems, **options):
     playback = Playback(program, problems.append, **options)
     events = []
     playback.engine.on_event(lambda event, start, end: events.append((to_text(event), start, end)))
@@ -108,7 +120,10 @@ def test_topics_that_are_not_named_are_left_alone_unless_asked_for(program, bag)
 def test_a_type_goes_by_the_name_that_the_program_gives_it(program, bag):
     path = bag((SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(1.0)"))
     _, events, problems = run(program("", "", IN.replace("my_msgs/Point", "other_msgs/Dot")), path)
-    assert problems == []
+    assert problems == [
+        "topic /in is asked for as other_msgs/Dot, which is unknown here; the bag has my_msgs/Point: "
+        "taken under that name"
+    ]
     assert [event for event, _, _ in events] == ["other_msgs__0__Dot(1.0)"]
 
 
@@ -120,10 +135,27 @@ def test_a_type_without_slots_has_events_too(program, bag):
 
 
 def test_another_type_than_the_program_says_is_reported(program, bag):
-    path = bag((SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(1.0)"))
+    path = bag(*((at * SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(1.0)") for at in (1, 2)))
     _, events, problems = run(program("", "", IN.replace("my_msgs/Point", "std_msgs/Float32")), path)
     assert events == []
-    assert "topic /in: expected std_msgs/Float32, found my_msgs/Point" in problems[0]
+    assert problems == ["topic /in: expected std_msgs/Float32, found my_msgs/Point; 2 messages dropped"]
+
+
+def test_topics_that_the_bag_has_not_got_are_named_once(program, bag):
+    path = bag((SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(1.0)"))
+    topics = IN + IN.replace('"in"', '"/ni"')
+    _, events, problems = run(program("", "", topics), path, topics=[TopicType("no", "my_msgs/Point")])
+    assert len(events) == 1
+    assert problems == [f"{path} has no messages on /ni, no; it has /in (my_msgs/Point)"]
+
+
+def test_what_cannot_be_published_is_said_once_and_counted(program, bag):
+    path = bag(*((at * SECOND, "/in", "my_msgs/Point", f"my_msgs__0__Point({at}.0)") for at in range(1, 8)))
+    goals = "subscribe(my_msgs__0__Point(X), [], my_msgs__0__Point(a(X)), out, 1)"
+    outputs, _, problems = run(program("", goals, IN + OUT), path)
+    assert [output.data for output in outputs] == [None] * 7
+    first = "topic out, my_msgs/Point, slot x: expected float64, got a/1"
+    assert problems == [first, f"7 times in all: {first}"]
 
 
 def test_what_does_not_fit_is_reported_and_the_rest_goes_on(program, bag):

@@ -40,3 +40,26 @@ def test_an_internal_error_is_shown_with_its_traceback_and_is_no_flood(logged):
             reports.error(error)
     assert len(logged.records) == 4
     assert "Traceback" in logged.records[0].message
+
+
+def test_what_was_not_logged_is_said_at_the_end(logged):
+    reports = Reports()
+    for number in range(7):
+        reports.warning(f"number {number}\nand its line", "refused")
+    reports.warning("once")
+    reports.sum_up()
+    assert [record.message for record in logged.records][-2:] == ["once", "7 times in all: number 0"]
+    reports.sum_up()
+    assert len(logged.records) == 5
+
+
+def test_of_more_kinds_than_are_remembered_the_number_is_said_at_the_end(logged):
+    reports = Reports()
+    for number in range(1001):
+        for _ in range(3):
+            reports.warning(f"kind {number}")
+    reports.sum_up()
+    assert [record.message for record in logged.records][-2:] == [
+        "3 times in all: kind 1000",
+        "1000 more problems were not shown",
+    ]

@@ -17,32 +17,65 @@ class Reports:
     Attributes:
         errors: how many errors there were, logged or not.
         warnings: the same of warnings.
+        once: whether only the 1st is logged; for runs that come to an end, where `sum_up` tells the rest.
     """
 
     def __init__(self) -> None:
         self.errors = 0
         self.warnings = 0
-        self._times: Dict[Any, int] = {}
+        self.once = False
+        self._kinds: Dict[Any, _Kind] = {}
+        self._others = 0
+        """How many were not logged of kinds that had to be forgotten."""
 
-    def error(self, error: Exception) -> None:
-        """Log an error of a program, or of the package itself with its traceback."""
+    def error(self, error: Exception, kind: Any = None) -> None:
+        """Log an error of a program, or of the package itself with its traceback.
+
+        Those of one ``kind`` (its place or message by default) count together.
+        """
         self.errors += 1
         if isinstance(error, RetalisError):
-            self._log(logging.ERROR, error.place or error.message, str(error))
+            self._log(logging.ERROR, kind or error.place or error.message, str(error))
             return
         trace = "".join(traceback.format_exception(type(error), error, error.__traceback__))
-        self._log(logging.ERROR, repr(error), f"internal error\n{trace}")
+        self._log(logging.ERROR, kind or repr(error), f"internal error\n{trace}")
 
     def warning(self, problem: Any, kind: Any = None) -> None:
         """Log a warning; those of one ``kind`` (its place or text by default) count together."""
         self.warnings += 1
         self._log(logging.WARNING, kind or getattr(problem, "place", None) or str(problem), str(problem))
 
-    def _log(self, level: int, kind: Any, text: str) -> None:
-        if len(self._times) >= _KINDS:
-            self._times.clear()
-        times = self._times[kind] = self._times.get(kind, 0) + 1
-        if times == 1:
-            log.log(level, "%s", text)
-        elif times & (times - 1) == 0:
-            log.log(level, "%s\n(%d times so far)", text, times)
+    def sum_up(self) -> None:
+        """Say of all that came more often than was logged how often it came."""
+        for kind in list(self._kinds.values()):
+            if kind.times > kind.told:
+                kind.told = kind.times
+                log.log(kind.level, "%d times in all: %s", kind.times, kind.first)
+        if self._others:
+            log.warning("%d more problems were not shown", self._others)
+            self._others = 0
+
+    def _log(self, level: int, key: Any, text: str) -> None:
+        kind = self._kinds.get(key)
+        if kind is None:
+            if len(self._kinds) >= _KINDS:
+                self._others += sum(known.times - known.told for known in self._kinds.values())
+                self._kinds.clear()
+            kind = self._kinds[key] = _Kind(level, text.split("\n", 1)[0])
+        kind.times = times = kind.times + 1
+        if times & (times - 1) or (self.once and times > 1):
+            return
+        kind.told = times
+        log.log(level, "%s", text if times == 1 else f"{text}\n({times} times so far)")
+
+
+class _Kind:
+    """What came again and again: how often, how much of that was told, and the first line of the first one."""
+
+    __slots__ = ("first", "level", "times", "told")
+
+    def __init__(self, level: int, first: str):
+        self.level = level
+        self.first = first
+        self.times = 0
+        self.told = 0

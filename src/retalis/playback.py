@@ -1,5 +1,7 @@
 """A program over a bag, without ROS: what the nodes give live, from the same messages, in the bag's time."""
 
+import logging
+from collections import Counter
 from pathlib import Path
 from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Union
 
@@ -10,6 +12,8 @@ from .errors import MessageError, ProgramErrors, RetalisError
 from .messages import Decoder, Definition, Definitions
 from .program import TOPICS, TopicType, read_topics
 from .terms import Term
+
+log = logging.getLogger("retalis")
 
 Report = Callable[[RetalisError], None]
 
@@ -37,7 +41,8 @@ class Playback:
 
     Args:
         program: the program's folder.
-        report: takes each error that does not end the run: a wrong goal, a message that does not fit.
+        report: takes each error of the program and of the types of the bag's topics; messages that do not fit
+            are logged with their number, as all that goes wrong while events flow.
         topics: topics that become events besides those in ``pub_sub.xml``.
         settings: of the engine.
 
@@ -55,12 +60,14 @@ class Playback:
         folder = Path(program)
         self.clock = StreamClock()
         self.engine = Engine(self.clock, Settings() if settings is None else settings)
+        self.engine.reports.once = True
         self.definitions = Definitions()
         self._report = report
         self._decoders: Dict[Topic, Optional[Decoder]] = {}
         self._outputs: List[Output] = []
         named = read_topics(folder / TOPICS)
-        self._types = {_plain(topic): kind for topic, kind in (*named.subscribed, *topics)}
+        self._asked = (*named.subscribed, *topics)
+        self._types = {_plain(topic): kind for topic, kind in self._asked}
         self._published = {_plain(topic): kind for topic, kind in named.published}
         self.engine.on_output(self._collect)
         try:
@@ -77,16 +84,14 @@ class Playback:
             progress: called with the number of messages read so far, after each.
         """
         clock, outputs = self.clock, self._outputs
-        for topic in bag.topics:
-            if _plain(topic.name) in self._types:
-                self._learn(topic)
+        self._learn_all(bag)
         wanted = {topic.name for topic in bag.topics if _plain(topic.name) in self._types}
         decoders = {id(topic): self._decoders.get(topic) for topic in bag.topics}
         for done, (topic, instant, data) in enumerate(bag.records(wanted), 1):
             clock.move_to(instant, back=True)
             decoder = decoders[id(topic)]
             if decoder is not None:
-                self._post(decoder, data)
+                self._post(topic, decoder, data)
             progress(done)
             if outputs:
                 yield from outputs
@@ -95,22 +100,52 @@ class Playback:
         self.engine.advance()
         yield from outputs
         outputs.clear()
+        self.engine.reports.sum_up()
 
-    def _post(self, decoder: Decoder, data: bytes) -> None:
+    def _post(self, topic: Topic, decoder: Decoder, data: bytes) -> None:
         try:
             self.engine.post(decoder.decode(data), decoder.stamp(data))
         except MessageError as error:
-            self._report(error)
+            message = f"a message on {topic.name} is dropped: {error.message}"
+            self.engine.reports.error(MessageError(message, error.place), ("in", topic.name))
 
-    def _learn(self, topic: Topic) -> None:
-        """Note the decoder for a connection, under the type that the program gives the topic."""
+    def _learn_all(self, bag: BagReader) -> None:
+        """Note the decoders for a bag's connections; say what cannot become events, and what it has not got."""
+        there = {_plain(topic.name) for topic in bag.topics}
+        missing = [topic for topic, _ in self._asked if _plain(topic) not in there]
+        if missing:
+            log.warning(
+                "%s has no messages on %s; it has %s",
+                bag.path,
+                ", ".join(dict.fromkeys(missing)),
+                ", ".join(sorted({f"{topic.name} ({topic.type})" for topic in bag.topics})) or "none at all",
+            )
+        dropped: Dict[str, int] = Counter()
+        for topic in bag.topics:
+            problem = self._learn(topic) if _plain(topic.name) in self._types else None
+            if problem is not None:
+                dropped[f"topic {topic.name}: {problem}"] += topic.messages
+        for text, messages in dropped.items():
+            self._report(MessageError(f"{text}; {messages} messages dropped"))
+
+    def _learn(self, topic: Topic) -> Optional[MessageError]:
+        """Note the decoder for a connection, under the type that the program gives the topic, or return why not."""
         kind = self._types[_plain(topic.name)]
+        is_known = kind in self.definitions
         try:
             definition = self.definitions.received(kind, topic.type, topic.definition, topic.md5sum)
-            self._decoders[topic] = self.definitions.decoder(definition)
         except MessageError as error:
             self._decoders[topic] = None
-            self._report(MessageError(f"topic {topic.name}: {error.message}", error.place))
+            return error
+        if not is_known and topic.type != kind:
+            log.warning(
+                "topic %s is asked for as %s, which is unknown here; the bag has %s: taken under that name",
+                topic.name,
+                kind,
+                topic.type,
+            )
+        self._decoders[topic] = self.definitions.decoder(definition)
+        return None
 
     def _collect(self, term: Term, topic: str, name: Term) -> None:
         kind = self._published.get(_plain(topic))
@@ -118,11 +153,17 @@ class Playback:
         try:
             if kind is None:
                 raise MessageError(f"topic {topic} has no type: {TOPICS} has no <publish_to> of that name")
-            definition = self.definitions.find(kind)
+            definition = self._published_type(kind, topic)
             data = self.definitions.encoder(definition).encode(term, topic)
         except MessageError as error:
-            self._report(error)
+            self.engine.reports.error(error, ("out", topic))
         self._outputs.append(Output(topic, term, self.clock.now(), definition, data))
+
+    def _published_type(self, kind: str, topic: str) -> Definition:
+        try:
+            return self.definitions.find(kind)
+        except MessageError as error:
+            raise MessageError(f"topic {topic}: {error.message}", error.place) from error
 
 
 def _plain(topic: str) -> str:

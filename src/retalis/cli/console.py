@@ -68,11 +68,12 @@ def run(options: argparse.Namespace) -> int:
     if options.goal:
         for goal in options.goal:
             console.goals(Lines(StringIO(goal if goal.rstrip().endswith(".") else f"{goal} .\n")))
-        return 1 if report.errors else 0
-    if sys.stdin.isatty():
+    elif sys.stdin.isatty():
         console.goals(Terminal(console.names))
         return 0
-    console.goals(Lines(sys.stdin))
+    else:
+        console.goals(Lines(sys.stdin))
+    console.engine.reports.sum_up()
     return 1 if report.errors else 0
 
 

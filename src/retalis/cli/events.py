@@ -90,6 +90,7 @@ def run(options: argparse.Namespace) -> int:
         relax()
         session.feed()
         session.ask()
+        session.engine.reports.sum_up()
     sys.stdout.flush()
     return 1 if report.errors else 0
 

@@ -54,6 +54,7 @@ class Interface:
         self._reserved = {rospy.resolve_name(topic) for topic in (INPUT, OUTPUT)}
         self._lock = threading.Lock()
         self._reports = Reports()
+        rospy.on_shutdown(self._reports.sum_up)
 
     def subscribe(self, topic: str, kind: str) -> None:
         """Have the messages of a topic become events.
@@ -124,7 +125,7 @@ class Interface:
             publisher, message, encoder = found
             send(publisher, raw_message(message, encoder.encode(term, topic)))
         except RetalisError as error:
-            self._reports.error(error)
+            self._reports.error(error, ("out", topic))
 
 
 class Input:

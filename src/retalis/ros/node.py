@@ -72,6 +72,7 @@ class Node:
         self._parameters = parameters
         clock = RosClock()
         self.engine = clock.engine = Engine(clock, parameters.settings)
+        rospy.on_shutdown(self.engine.reports.sum_up)
         self._load()
         topics = self._topics()
         self._texts = rospy.Publisher(OUTPUT, String, queue_size=parameters.queue)
