@@ -217,3 +217,68 @@ def test_goals_of_rules_that_need_no_machine_have_limits_too(goal):
     engine.load(rules=f"found(X) do ({goal}) <- e.")
     engine.event("e", 1)
     assert ["resource" in error or "inferences" in error for error in errors] == [True]
+
+
+CALLERS = "loop :- loop.\ncount(0).\ncount(N) :- N > 0, M is N - 1, count(M).\n"
+
+
+@pytest.mark.parametrize("operator", ["where", "do"])
+@pytest.mark.parametrize(
+    ("goal", "kind", "result"),
+    [
+        ("catch(call_with_time_limit(0.1, new_event(in, [1,1])), R, true)", "time", "time_limit_exceeded"),
+        (
+            "call_with_inference_limit(new_event(in, [1,1]), 10000, R)",
+            "inference",
+            "inference_limit_exceeded",
+        ),
+    ],
+)
+def test_a_limit_that_runs_out_in_a_goal_of_a_rule_is_that_of_the_caller(
+    operator, goal, kind, result, caplog
+):
+    engine = Engine()
+    engine.load(rules=f"{CALLERS}out <- in {operator} loop.\nseen <- in.")
+    seen = []
+    engine.on_event(lambda term, start, end: seen.append(engine.show(term)))
+    (found,) = engine.query(goal)
+    assert engine.show(found["R"]) == result
+    assert seen == ["in", "seen"]
+    assert f"goal loop: the {kind} limit of a call that led here has run out" in caplog.text
+
+
+def test_a_limit_that_a_goal_of_a_rule_has_set_is_its_own(caplog):
+    engine = Engine()
+    engine.load(rules=f"{CALLERS}out <- in where call_with_time_limit(0.05, loop).")
+    assert engine.call("call_with_time_limit(10, new_event(in, [1,1]))")
+    assert "Unhandled exception: time_limit_exceeded" in caplog.text
+
+
+def test_what_the_caller_has_used_is_not_taken_from_the_goals_of_rules(caplog):
+    engine = Engine(settings=Settings(limits=Limits(inferences=100_000)))
+    engine.load(rules=f"{CALLERS}out <- in where (count(45000), \\+ fail).")
+    assert engine.call("count(45000), new_event(in, [1,1])")
+    assert caplog.text == ""
+    assert engine.call("catch(loop, _, true), new_event(in, [1,1])")
+
+
+def test_a_second_limit_is_final_also_when_a_goal_of_a_rule_came_between():
+    engine = Engine(settings=Settings(limits=Limits(inferences=100_000)))
+    engine.load(rules=f"{CALLERS}out <- in where (count(10), \\+ fail).")
+    with pytest.raises(PrologError, match="inferences"):
+        engine.call("catch(loop, _, true), new_event(in, [1,1]), catch(loop, _, true)")
+
+
+def test_an_interrupt_leaves_no_limit_behind():
+    engine = Engine()
+    budget = engine.logic.machine.budget
+
+    def interrupt(machine):
+        raise KeyboardInterrupt
+
+    engine.logic.define("interrupt", 0, interrupt)
+    for goal in ("call_with_time_limit(60, interrupt)", "call_with_inference_limit(interrupt, 10000, _)"):
+        with pytest.raises(KeyboardInterrupt):
+            engine.call(goal)
+        assert not budget.alarms
+        assert not budget.ceilings

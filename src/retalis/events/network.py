@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Tuple
 
 from ..errors import Place, RetalisError, RuleError
-from ..logic import Logic
+from ..logic import LimitPassed, Logic
 from ..terms import Term, atom, copy, deref, unify
 from ..terms.keys import term_key
 from ..timestamps import SECOND, from_seconds
@@ -309,7 +309,9 @@ class Rules:
         self.on_error(RuleError(f"{rule.name}{met}: {error.message}", rule.place))
 
     def goal_failed(self, rule: Rule, goal: Term, error: RetalisError) -> None:
-        """Report an error that a goal of a rule raised."""
+        """Report an error that a goal of a rule raised, or stopped for."""
+        if isinstance(error, LimitPassed):
+            error.kept_back = error.open
         self.rule_failed(rule, RuleError(f"goal {self.logic.show(goal)}: {error.message}"))
 
     def dropped(self, rule: Rule) -> None:

@@ -15,7 +15,7 @@ from .faults import (
     type_error,
 )
 from .goal import Goal
-from .limits import Limits
+from .limits import LimitPassed, Limits
 from .logic import Logic
 from .machine import LAST, Code, Machine
 from .predicate import Predicate
@@ -24,6 +24,7 @@ __all__ = [
     "LAST",
     "Code",
     "Goal",
+    "LimitPassed",
     "Limits",
     "Logic",
     "Machine",

@@ -4,6 +4,7 @@ import os
 from time import monotonic
 from typing import Any, Dict, List, NamedTuple, Optional, Tuple
 
+from ..terms import Term
 from .faults import PrologError, resource_error
 
 SLICE = (None,) * 1024
@@ -33,6 +34,38 @@ class Limits(NamedTuple):
 NO_LIMITS = Limits()
 
 
+class LimitPassed(PrologError):
+    """The ball of a call that has a limit of its own.
+
+    Attributes:
+        kind: what is limited.
+        open: whether the call still runs; then whoever stops for the error is not the one whose limit it was.
+        kept_back: whether somebody inside the call stopped for it and the call went on.
+    """
+
+    def __init__(self, kind: str, term: Term):
+        super().__init__(term)
+        self.kind = kind
+        self.open = True
+        self.kept_back = False
+
+    @property
+    def message(self) -> str:  # type: ignore[override]
+        """What went wrong, as text."""
+        if self.open:
+            return f"the {self.kind} limit of a call that led here has run out"
+        return super().message
+
+    def close(self) -> None:
+        """Note that the call is over."""
+        self.open = False
+
+    def deliver(self) -> None:
+        """Throw the ball after all where the call exits and somebody inside had kept it back."""
+        if self.kept_back:
+            raise self
+
+
 class Budget:
     """What the goals of one machine have used and may still use.
 
@@ -48,14 +81,14 @@ class Budget:
     def __init__(self) -> None:
         self.allow(NO_LIMITS)
         self.inferences = 0
-        self.alarms: List[Tuple[float, PrologError]] = []
+        self.alarms: List[Tuple[float, LimitPassed]] = []
         self._loops = 0  # inferences that are not counted yet, in units of `LOOP`
         self._spent = 0
         self._measured = 0.0
         self._deadline: Optional[float] = None
         self._memory: Optional[int] = None
         self._exceeded = False
-        self.ceilings: Dict[int, PrologError] = {}
+        self.ceilings: Dict[int, LimitPassed] = {}
         self.used = False
 
     def allow(self, limits: Limits) -> None:
@@ -75,7 +108,7 @@ class Budget:
 
     def part(self) -> Any:
         """Begin a part that has the limits to itself; return what `whole` needs at its end."""
-        saved = self._spent, self._deadline
+        saved = self._spent, self._deadline, self._exceeded
         self.used = True
         self._spent = 0
         self._deadline = None
@@ -84,8 +117,18 @@ class Budget:
 
     def whole(self, saved: Any) -> None:
         """End a part: what it used counts for what is around it."""
-        spent, self._deadline = saved
+        spent, self._deadline, self._exceeded = saved
         self._spent += spent
+
+    def warn_at(self, instant: float, error: LimitPassed) -> None:
+        """Have an error thrown past an instant of the monotonic clock."""
+        self.used = True
+        self.alarms.append((instant, error))
+
+    def warn_past(self, ceiling: int, error: LimitPassed) -> None:
+        """Have an error thrown past a count of inferences."""
+        self.used = True
+        self.ceilings[ceiling] = error
 
     def cap(self, most: int) -> int:
         """Return a ceiling for some more inferences; no two are the same."""

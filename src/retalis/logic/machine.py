@@ -148,8 +148,13 @@ class Machine:
             return True
         choices = self.choices
         base = len(choices)
-        limited = not base and self.budget.limited
-        before = watched_by(self.budget.look) if limited else None
+        limited = self.budget.limited
+        if not limited:
+            before = None
+        elif base:  # a goal that a rule, say, asks in between has the limits to itself
+            before = self.budget.part()
+        else:
+            before = watched_by(self.budget.look)
         mark = len(self.trail)
         choices.append((STOP, mark))
         try:
@@ -170,7 +175,10 @@ class Machine:
                 choices.pop()
             else:
                 del choices[base:]
-            if not base:
+            if base:
+                if limited:
+                    self.budget.whole(before)
+            else:
                 if limited:
                     watched_by(before)
                 if self.budget.used:

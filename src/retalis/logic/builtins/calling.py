@@ -9,6 +9,7 @@ from ..arithmetic import evaluate
 from ..compiler.nodes import CALL, NOT
 from ..control import add_arguments, check_body
 from ..faults import PrologError, domain_error, type_error
+from ..limits import LimitPassed
 from ..machine import Code, Frame, Guard
 from .arguments import callable_of, integer, items
 from .dcg import translate_body
@@ -77,20 +78,25 @@ def call_with_time_limit(machine: Any, args: Any, after: Frame) -> Optional[Fram
     budget = machine.budget
     before = watched_by(budget.look)
     machine.choices.append((_LIMITED, budget, len(budget.alarms), before, len(machine.trail)))
-    budget.alarms.append((monotonic() + seconds, PrologError(_TIME_LIMIT)))
+    budget.warn_at(monotonic() + seconds, LimitPassed("time", _TIME_LIMIT))
     return machine.logic.control.once(args[1], (_IN_TIME, machine, height, after))  # type: ignore[no-any-return]
 
 
 def _take_off(entry: Frame) -> None:
     _, budget, count, before, _ = entry
+    for _, error in budget.alarms[count:]:
+        error.close()
     del budget.alarms[count:]
     watched_by(before)
 
 
 def _in_time(frame: Frame) -> Frame:
     _, machine, height, after = frame
-    _take_off(machine.choices[height])
+    entry = machine.choices[height]
+    _, error = entry[1].alarms[entry[2]]
+    _take_off(entry)
     del machine.choices[height:]
+    error.deliver()
     return after
 
 
@@ -114,22 +120,28 @@ def within(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
     goal, ball, result = args
     height = len(machine.choices)
     budget = machine.budget
-    budget.ceilings[ball[1]] = PrologError(ball)
+    budget.warn_past(ball[1], LimitPassed("inference", ball))
     machine.choices.append((_CAPPED, budget, ball[1], len(machine.trail)))
     return machine.logic.control.call(goal, (_STAYED, machine, height, result, after))  # type: ignore[no-any-return]
 
 
 def _lift(entry: Frame) -> None:
     _, budget, ceiling, _ = entry
-    budget.ceilings.pop(ceiling, None)
+    error = budget.ceilings.pop(ceiling, None)
+    if error is not None:  # on backtracking it is gone already
+        error.close()
 
 
 def _stayed(frame: Frame) -> Optional[Frame]:
     _, machine, height, result, after = frame
-    _lift(machine.choices[height])
+    entry = machine.choices[height]
+    error = entry[1].ceilings.get(entry[2])
+    _lift(entry)
     alone = len(machine.choices) == height + 1
     if alone:
         machine.choices.pop()
+    if error is not None:
+        error.deliver()
     return after if unify(result, _ALONE if alone else TRUE, machine.trail) else None
 
 
