@@ -301,3 +301,33 @@ def test_alarms_past_the_bound_are_dropped_and_reported():
     engine.clock.move_to(20 * 10**9)
     engine.advance()
     assert [text for text in rung if text.startswith("late")] == ["late(0)", "late(1)", "late(2)"]
+
+
+@pytest.mark.parametrize(
+    ("goal", "warning"),
+    [
+        (
+            "memorize(t(X), [hott(X)], t(X), m, 5)",
+            "memory m: there is no predicate hott/1 yet; did you mean hot/1?",
+        ),
+        (
+            "memorize_diactive(t(X), [(X > 1, \\+ unsafe(X))], _, m, 5)",
+            "memory m: there is no predicate unsafe/1 yet",
+        ),
+        ("subscribe(t(X), [here], _, out, s)", "subscription s: there is no predicate here/0 yet"),
+        ("memorize(t(X), [hot(X), X > 1], _, m, 5)", None),
+    ],
+)
+def test_conditions_that_call_what_is_not_there_are_warned_of(goal, warning, caplog):
+    engine = Engine()
+    engine.load(rules="hot(1).")
+    assert engine.call(goal)
+    assert [record.getMessage() for record in caplog.records] == ([] if warning is None else [warning])
+
+
+def test_conditions_in_a_file_may_call_what_the_rest_of_the_file_has(caplog):
+    engine = Engine()
+    engine.load(rules=":- memorize(t(X), [hot(X), cold(X)], _, m, 5).\nhot(1).")
+    assert [record.getMessage() for record in caplog.records] == [
+        "memory m: there is no predicate cold/1 yet"
+    ]

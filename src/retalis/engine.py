@@ -84,6 +84,7 @@ class Engine:
         self.knowledge = Knowledge(
             self.logic, self.dispatcher, self.clock.stamp, self._deliver, self.reports.warning
         )
+        self.knowledge.on_conditions = self.rules.note_conditions
         self._runner = Runner(settings.queue, self._report_drop, self.reports.error)
         self._texts = InputReader(self.logic.operators)
         self._outputs: List[OnOutput] = []

@@ -3,7 +3,7 @@
 from typing import Any, Callable, Iterator, List, NamedTuple, Optional, Set
 
 from ..errors import Place, RuleError
-from ..terms import COMMA, CONS, SLASH, Atom, Functor, Term, Var, deref, functor
+from ..terms import COMMA, CONS, SLASH, Atom, Functor, Term, Var, deref, functor, list_items
 
 _GOALS_IN = {
     functor(name, arity): places
@@ -53,10 +53,23 @@ def calls(parent: Term, number: int) -> Iterator[Call]:
 
 
 class Unknown(NamedTuple):
-    """A call of a predicate that may not be there, and its place."""
+    """A call of a predicate that may not be there, its place, and who calls it where there is none."""
 
     key: Functor
     place: Optional[Place]
+    caller: str = ""
+
+
+def called_by(conditions: Term, caller: str) -> List[Unknown]:
+    """Return what the goals in a list call."""
+    found: List[Unknown] = []
+    for goal in list_items(conditions) or ():
+        for call in calls((CONS, goal), 1):
+            if isinstance(call.term, Atom):
+                found.append(Unknown(call.term.functor, None, caller))
+            elif isinstance(call.term, tuple):
+                found.append(Unknown(call.term[0], None, caller))
+    return found
 
 
 def unknown_calls(logic: Any, found: List[Unknown], terms: Callable[[], List[Term]]) -> Iterator[RuleError]:
@@ -65,12 +78,13 @@ def unknown_calls(logic: Any, found: List[Unknown], terms: Callable[[], List[Ter
     if not missing:
         return
     added = _added(terms())
-    for key, place in missing:
+    for key, place, caller in missing:
         if key not in added and _ANY not in added:
             added.add(key)
             meant = logic.similar(key)
             hint = f"; did you mean {' or '.join(meant)}?" if meant else ""
-            yield RuleError(f"there is no predicate {key} yet{hint}", place)
+            who = f"{caller}: " if caller else ""
+            yield RuleError(f"{who}there is no predicate {key} yet{hint}", place)
 
 
 _ANY: Any = object()

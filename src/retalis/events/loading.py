@@ -40,6 +40,15 @@ class Loader:
     def __init__(self, rules: Any):
         self._rules = rules
         self._files: Files = rules.files
+        self._acting: List[Plan] = []
+        """The files whose terms are being taken in, the outer ones first."""
+
+    def note_calls(self, found: List[Unknown]) -> None:
+        """Warn of calls of what is not there: at the end of the file that is being loaded, or now."""
+        if self._acting:
+            self._acting[0].calls.extend(found)
+        else:
+            self._warn_of_unknown(found)
 
     def load_text(self, text: str, source: str, folder: Optional[Path]) -> None:
         """Load a text; see `Rules.load_text`."""
@@ -213,6 +222,18 @@ class Loader:
             raise ProgramErrors([error]) from error
 
     def _act(self, plan: Plan) -> None:
+        self._acting.append(plan)
+        try:
+            self._take_in(plan)
+        finally:
+            self._acting.pop()
+        self._warn_of_unknown(plan.calls)
+
+    def _warn_of_unknown(self, found: List[Unknown]) -> None:
+        for warning in unknown_calls(self._rules.logic, found, self._rules.terms):
+            self._rules.on_warning(warning)
+
+    def _take_in(self, plan: Plan) -> None:
         rules = self._rules
         for step in plan.steps:
             if isinstance(step, Plan):
@@ -225,8 +246,6 @@ class Loader:
                 self._direct(step)
         for rule in plan.rules:
             rules.activate(rule)
-        for warning in unknown_calls(rules.logic, plan.calls, rules.terms):
-            rules.on_warning(warning)
 
     def _direct(self, step: Step) -> None:
         """Run a directive.

@@ -10,6 +10,7 @@ from ..logic import LimitPassed, Logic
 from ..terms import Term, atom, copy, deref, unify
 from ..terms.keys import term_key
 from ..timestamps import SECOND, from_seconds
+from .calls import called_by
 from .clauses import Checker, Property, is_rule, nowhere
 from .dispatch import Dispatcher
 from .files import Files
@@ -193,6 +194,10 @@ class Rules:
             if same_rule_key(rule.definition.head, rule.definition.pattern) == key
             and (wanted.label is None or _label_of(rule) is wanted.label)
         ]
+
+    def note_conditions(self, conditions: Term, caller: str) -> None:
+        """Warn of predicates that the conditions of a memory or subscription call and that are not there."""
+        self.loader.note_calls(called_by(conditions, caller))
 
     def terms(self) -> List[Term]:
         """Return the rules as they were written, and the bodies of the program's clauses."""

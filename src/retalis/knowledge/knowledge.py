@@ -18,6 +18,9 @@ SUBSCRIBE = functor("subscribe", 5)
 class Knowledge:
     """What a program remembers, waits for and sends out.
 
+    Attributes:
+        on_conditions: called with the conditions of each memory and subscription that is made, and its name.
+
     Args:
         logic: where the goals are defined.
         dispatcher: whose events are recorded and delivered.
@@ -36,6 +39,7 @@ class Knowledge:
     ):
         self._logic = logic
         self._warn = warn
+        self.on_conditions: Callable[[Term, str], None] = lambda conditions, who: None
         self.memories = Memories(logic, dispatcher, stamp, warn)
         self.waiting = WaitingQueries(logic, dispatcher, self.memories, warn)
         self.subscriptions = Subscriptions(logic, dispatcher, deliver, warn)
@@ -63,9 +67,14 @@ class Knowledge:
 
     def _memorize(self, active: bool) -> Callable[..., Any]:
         def memorize(machine: Machine, arguments: Any, after: Any) -> Any:
-            return self.memories.create((MEMORIZE, *arguments), active, after)
+            return self._create(arguments, active, after)
 
         return memorize
+
+    def _create(self, arguments: Any, active: bool, after: Any) -> Any:
+        made = self.memories.create((MEMORIZE, *arguments), active, after)
+        self.on_conditions(arguments[1], f"memory {self._logic.show(arguments[3])}")
+        return made
 
     def _memorize_by_flag(self, machine: Machine, arguments: Any, after: Any) -> Any:
         active = deref(arguments[5])
@@ -73,7 +82,7 @@ class Knowledge:
             raise instantiation_error()
         if active not in (0, 1):
             raise type_error("boolean", active)
-        return self.memories.create((MEMORIZE, *arguments[:5]), active == 1, after)
+        return self._create(arguments[:5], active == 1, after)
 
     def _delete_memory(self, machine: Machine, arguments: Any, after: Any) -> Any:
         key_of(arguments[0])
@@ -85,6 +94,7 @@ class Knowledge:
 
     def _subscribe(self, machine: Machine, *arguments: Term) -> bool:
         self.subscriptions.create((SUBSCRIBE, *arguments))
+        self.on_conditions(arguments[1], f"subscription {self._logic.show(arguments[4])}")
         return True
 
     def _delete_subscription(self, machine: Machine, topic: Term, name: Term) -> bool:
