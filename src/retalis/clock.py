@@ -52,6 +52,17 @@ class Clock:
         self._last_stamp = instant
         return WholeSeconds(instant)
 
+    def stamp_at_once(self) -> Optional[int]:
+        """Return `stamp` of now, or None where alarms or time that went back have to be looked at first."""
+        instant = self._source()
+        if self.alarms or self.behind or instant < self._newest:
+            return None
+        self._newest = instant
+        if instant <= self._last_stamp:
+            instant = self._last_stamp + 1
+        self._last_stamp = instant
+        return WholeSeconds(instant)
+
     def call_at(self, instant: int, alarm: Alarm) -> None:
         """Have ``alarm`` called with the instant when that has come."""
         heapq.heappush(self.alarms, (instant, next(self._order), alarm))

@@ -88,6 +88,7 @@ class Engine:
         self._runner = Runner(settings.queue, self._report_drop, self.reports.error)
         self._texts = InputReader(self.logic.operators)
         self._outputs: List[OnOutput] = []
+        self._done = self.logic.machine.done
         self._define()
 
     # ---- loading -------------------------------------------------------------------------------------
@@ -280,24 +281,32 @@ class Engine:
         self, term: Term, start: Optional[int], end: Optional[int], ground: Optional[bool] = None
     ) -> None:
         """Dispatch an event; with no start it is stamped by the clock."""
+        if start is None or end is None:
+            start = self.clock.stamp_at_once()
+            if start is None:
+                start = self.clock.stamp(self._look_at_clock())
+            end = start
+        else:
+            self._look_at_clock()
+            if end < start:
+                raise UsageError(f"{self.show(term)} ends before it starts")
+        dispatcher = self.dispatcher
+        current, cause = dispatcher.current, dispatcher.cause
+        try:  # as `Dispatcher.undisturbed`
+            frame = dispatcher.dispatch(term, start, end, self._done, None, ground)
+            if frame is not self._done:
+                self.logic.machine.run(frame)
+        except BaseException:
+            dispatcher.current, dispatcher.cause = current, cause
+            raise
+
+    def _look_at_clock(self) -> int:
+        """Look what time it is, let alarms ring that are due, and return the time."""
         clock = self.clock
         now = clock.now()
         if clock.behind or clock.alarms:
             self._watch_clock()
-        if start is None or end is None:
-            start = end = clock.stamp(now)
-        elif end < start:
-            raise UsageError(f"{self.show(term)} ends before it starts")
-        machine = self.logic.machine
-        dispatcher = self.dispatcher
-        current, cause = dispatcher.current, dispatcher.cause
-        try:  # as `Dispatcher.undisturbed`
-            frame = dispatcher.dispatch(term, start, end, machine.done, None, ground)
-            if frame is not machine.done:
-                machine.run(frame)
-        except BaseException:
-            dispatcher.current, dispatcher.cause = current, cause
-            raise
+        return now
 
     def _take_text(self, text: str) -> None:
         try:
@@ -364,7 +373,7 @@ class Engine:
             return dispatch(made.term, made.start, made.end, after, own=False)
 
         logic.define_control("new_event", 2, general, at_once=True)
-        logic.define_control("new_event", 3, at_instant, at_once=True)
+        logic.define_control("new_event", 3, at_instant, at_once=True, gate=self.dispatcher.gate)
         logic.define_control("new_event", 5, general, at_once=True)
         logic.define("use_foreign", 1, self._use_foreign).locked = True
 

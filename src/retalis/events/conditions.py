@@ -3,7 +3,7 @@
 from typing import Any, Callable, Dict, Optional, Sequence, Tuple
 
 from ..logic import PrologError, resource_error
-from ..terms import Atom, String, Term, Var, functor, is_ground, list_items, make_list, variables
+from ..terms import Atom, String, Term, Var, functor, is_ground, list_items, make_list, undo, variables
 from .dispatch import AT_ONCE
 from .matches import Match
 from .policy import Frame, emit_each
@@ -103,6 +103,38 @@ class Call:
             self._failed(error)
             return after
         return after if found is None else solved(term, kept + found, start, end, after)
+
+    def action(self, solved: Solved) -> Solved:
+        """Return `act` for an event alone: takes event, values, interval and the next frame.
+
+        Most often the event has no variables, and the goal is a call that is done in one step.
+        """
+        act = self.act
+        dispatcher = self._dispatcher
+        if self.outputs or not self._takes_all:
+            return lambda term, values, start, end, after: act(
+                term, values, start, end, dispatcher.ground(), solved, after
+            )
+        code = self._plain.code
+        machine = self.rule.network.logic.machine
+        step, done, trail = machine.step, machine.done, machine.trail
+
+        def acted(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+            event = dispatcher.current
+            if not code.steady or not event.ground or event.depth > AT_ONCE:
+                return act(term, values, start, end, dispatcher.ground(), solved, after)
+            mark = len(trail)
+            try:  # as `act`
+                found = step((code, *values, done))
+            except PrologError as error:
+                dispatcher.current = event
+                self._failed(error)
+                return after
+            if len(trail) > mark:
+                undo(trail, mark)
+            return solved(term, values, start, end, after) if found else after
+
+        return acted
 
     def act_on_all(
         self, term: Term, values: Values, start: int, end: int, ground: bool, solved: Solved, after: Frame

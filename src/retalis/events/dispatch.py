@@ -14,6 +14,7 @@ from ..logic import Goal, PrologError
 from ..terms import Atom, Functor, Lazy, Term, Var, copy, deref, is_ground, is_plain
 from ..terms.keys import term_key
 from ._plans import Choice, make_plan
+from .gates import Gate
 from .matching import Matcher, Values, compile_matcher
 
 Frame = Any
@@ -117,6 +118,7 @@ class Dispatcher:
         self._machine: Any = None if logic is None else logic.machine
         self._listeners: Dict[Optional[Functor], Dict[Listener, None]] = {}
         self._plans: Dict[Functor, Any] = {}
+        self._gates: Dict[Functor, Dict[Tuple[int, ...], Gate]] = {}
         self._matchers: WeakValueDictionary[Any, Matcher] = WeakValueDictionary()
         self._order = count()
         self._tokens = count(1)
@@ -161,6 +163,20 @@ class Dispatcher:
     def wanted(self, functor: Functor) -> bool:
         """Tell whether anybody listens to events of this functor."""
         return functor in self._listeners or None in self._listeners
+
+    def gate(self, functor: Functor, positions: Tuple[int, ...] = ()) -> Gate:
+        """Return what tells whether an event of a functor can concern anybody, see `Gate`.
+
+        Args:
+            functor: of the events.
+            positions: which of their arguments are looked at, counted from 1.
+        """
+        gates = self._gates.setdefault(functor, {})
+        gate = gates.get(positions)
+        if gate is None:
+            gate = gates[positions] = Gate(positions)
+            gate.plan = self._plans.get(functor)
+        return gate
 
     def dispatch(
         self,
@@ -324,6 +340,9 @@ class Dispatcher:
             self._plans.clear()
         else:
             self._plans.pop(functor, None)
+        for gates in self._gates.values() if functor is None else (self._gates.get(functor, {}),):
+            for gate in gates.values():
+                gate.plan = None
 
     def _plan(self, functor: Functor) -> Any:
         listeners = [*self._listeners.get(functor, ()), *self._listeners.get(None, ())]
@@ -331,6 +350,8 @@ class Dispatcher:
         if len(self._plans) >= _PLANS:
             self._plans.clear()
         plan = self._plans[functor] = make_plan(listeners)
+        for gate in self._gates.get(functor, {}).values():
+            gate.plan = plan
         return plan
 
 

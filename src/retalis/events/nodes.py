@@ -220,22 +220,25 @@ class Acting(Node):
 
     def bind_alone(self, complete: Action) -> None:
         """Connect the node; see `Node.bind_alone`."""
-        act = self.call.act_on_all if self.every else self.call.act
+        call = self.call
+        act = call.act_on_all if self.every else call.act
         span = self.span
         # Values of conditions and goals below may have variables where the event has none.
         only_of_event = isinstance(self.child, Leaf)
-        dispatcher = self.call.rule.network.dispatcher
+        dispatcher = call.rule.network.dispatcher
 
         def arrive(term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
             ground = only_of_event and (dispatcher.current.ground or dispatcher.ground())
             return act(term, values, start, end, ground, complete, after)
 
+        once = call.action(complete) if only_of_event and not self.every else arrive
+
         def arrive_in_span(term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
             if span is not None and end - start > span:
                 return after
-            return arrive(term, values, start, end, after)
+            return once(term, values, start, end, after)
 
-        self.child.bind_alone(arrive if span is None else arrive_in_span)
+        self.child.bind_alone(once if span is None else arrive_in_span)
 
 
 class Never(Node):

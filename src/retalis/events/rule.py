@@ -5,6 +5,7 @@ from typing import Any, Deque, List, NamedTuple, Optional, Tuple
 
 from ..errors import Place, RuleError, UsageError
 from ..terms import Atom, Term, deref, is_ground
+from ._plans import NOBODY
 from .alarms import alarm_of
 from .building import compile_builder
 from .compiling import Compiler
@@ -230,17 +231,20 @@ class Rule:
 
     def _completing(self) -> Action:
         """Return what takes the values of a whole match; with nothing to test it fires at once."""
-        build = self.builder
-        if build is None:
+        build, head = self.builder, self.definition.head
+        if build is None or head is None:
             return lambda term, values, start, end, after: after
-        head = self.definition.head
         plain = head.__class__ is Atom or (head.__class__ is tuple and head[0].name not in _ALARMS)
         if self.window is not None or not plain:
             return self._complete_values
-        dispatch = self.network.dispatcher.dispatch
+        dispatcher = self.network.dispatcher
+        dispatch = dispatcher.dispatch
+        gate = dispatcher.gate(head.functor if head.__class__ is Atom else head[0])
         constant = build(()) if is_ground(head) else None
 
         def complete(term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
+            if gate.plan is NOBODY:
+                return after
             try:
                 return dispatch(build(values) if constant is None else constant, start, end, after)
             except UsageError as error:

@@ -56,7 +56,9 @@ class Database:
         predicate.kind = kind
         predicate.function = function
         predicate.functional = None
+        predicate.gate = None
         predicate.run = run
+        predicate.steady = False
         predicate.library = True
         predicate.clauses = []
         return predicate

@@ -18,6 +18,7 @@ class Goal:
     Attributes:
         straight: a Python function of the inputs that returns the outputs of the first solution or None;
             `BAIL` where it cannot tell, and None where the goal needs the machine.
+        code: runs the goal without its outputs, by frames ``(code, inputs..., next)``.
         name: who asks, for errors.
         term: the goal.
         place: where it was read.
@@ -48,9 +49,9 @@ class Goal:
         source.parse()
         self.straight: Any = self._first_straight
         self._bailed = 0
-        self._code = Code(self.name, self._first_enter)
+        self._handing_over = Code(self.name, self._first_enter)
         called = source.call()
-        self._plain_code = Code(self.name, self._first_plain) if called is None else called
+        self.code: Any = Code(self.name, self._first_plain) if called is None else called
 
     def _first_straight(self, *values: Term) -> Any:
         # Not before it is first called: the predicates that it calls may be defined after it.
@@ -64,12 +65,12 @@ class Goal:
             self.straight = None
 
     def _first_enter(self, frame: Frame) -> Optional[Frame]:
-        self._code.run = self._source.enter(True)
-        return self._code.run(frame)
+        self._handing_over.run, _ = self._source.enter(True)
+        return self._handing_over.run(frame)
 
     def _first_plain(self, frame: Frame) -> Optional[Frame]:
-        self._plain_code.run = self._source.enter(False)
-        return self._plain_code.run(frame)
+        self.code.run, self.code.steady = self._source.enter(False)
+        return self.code.run(frame)
 
     def enter(self, values: Sequence[Term], collector: Frame) -> Frame:
         """Return the frame that runs the goal and hands its resolved outputs over.
@@ -77,7 +78,7 @@ class Goal:
         For each solution it calls ``collector[0].take(collector, outputs)``, which returns the frame to go
         on with.
         """
-        return (self._code, *values, collector)
+        return (self._handing_over, *values, collector)
 
     def test(self, values: Sequence[Term]) -> Optional[Tuple[Term, ...]]:
         """Run the goal at once.
@@ -107,12 +108,14 @@ class Goal:
                     raise
                 raise error from exc
         if not self._outputs:
-            succeeded = machine.run((self._plain_code, *values, machine.done))
+            code = self.code
+            run = machine.step if code.steady else machine.run
+            succeeded = run((code, *values, machine.done))
             if len(machine.trail) > mark:
                 undo(machine.trail, mark)
             return () if succeeded else None
         found: List[Tuple[Term, ...]] = []
-        if not machine.run((self._code, *values, (_STORE, found, machine.done))):
+        if not machine.run((self._handing_over, *values, (_STORE, found, machine.done))):
             return None
         undo(machine.trail, mark)
         return found[0]
@@ -122,7 +125,7 @@ class Goal:
         machine = self._machine
         mark = len(machine.trail)
         found: List[Tuple[Term, ...]] = []
-        machine.run((self._code, *values, (_STORE_ALL, found)))
+        machine.run((self._handing_over, *values, (_STORE_ALL, found)))
         undo(machine.trail, mark)
         return found
 

@@ -151,18 +151,34 @@ class Logic:
         return self.database.define(key, None, run, "control")
 
     def define_control(
-        self, name: str, arity: int, function: Callable[..., Optional[Frame]], at_once: bool = False
+        self,
+        name: str,
+        arity: int,
+        function: Callable[..., Optional[Frame]],
+        at_once: bool = False,
+        gate: Optional[Callable[[Functor, Tuple[int, ...]], Any]] = None,
     ) -> Predicate:
         """Define a predicate that decides what runs next: ``function(machine, args, next)`` returns a frame.
 
         One that most often does all ``at_once`` and returns ``next`` is called in line by compiled clauses.
+
+        Args:
+            name: of the predicate.
+            arity: of the predicate.
+            function: does a call.
+            at_once: whether it most often does all at once.
+            gate: for a predicate that often has nothing to do: takes the functor of a first argument and positions
+                in that; returns an object whose ``passes``, called with the other arguments and those at
+                the positions, is false where a call would do nothing, so that compiled clauses make none.
         """
         machine = self.machine
 
         def run(frame: Frame) -> Optional[Frame]:
             return function(machine, frame[1:-1], frame[-1])
 
-        return self.database.define(functor(name, arity), function if at_once else None, run, "control")
+        predicate = self.database.define(functor(name, arity), function if at_once else None, run, "control")
+        predicate.gate = gate
+        return predicate
 
     # Clauses
 

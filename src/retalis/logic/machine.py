@@ -7,7 +7,7 @@ There is no recursion: the depth of a program is the length of a chain of frames
 """
 
 from sys import getrefcount
-from typing import Any, Callable, Iterator, List, Optional, Tuple
+from typing import Any, Callable, Iterator, List, NoReturn, Optional, Tuple
 
 from ..errors import RetalisError, TermTooLarge
 from ..terms import Atom, Term, Var, copy, deref, undo, unify
@@ -32,14 +32,23 @@ LAST = object()
 
 
 class Code:
-    """A step given by a Python function."""
+    """A step given by a Python function.
 
-    __slots__ = ("name", "run", "functor")
+    Attributes:
+        name: for errors.
+        run: does the step.
+        functor: of what is run, for errors.
+        steady: whether the step leaves the stack of choice points alone, so that it may be done before a run,
+            see `Machine.step`.
+    """
+
+    __slots__ = ("name", "run", "functor", "steady")
 
     def __init__(self, name: str, run: Callable[[Frame], Optional[Frame]]):
         self.name = name
         self.run = run
         self.functor: Any = None
+        self.steady = False
 
     def __repr__(self) -> str:
         return f"<{self.name}>"
@@ -183,6 +192,40 @@ class Machine:
                     watched_by(before)
                 if self.budget.used:
                     self.budget.start_anew()
+
+    def step(self, frame: Frame) -> bool:
+        """As `run`, for a frame whose code is steady: most often its step is all there is to do."""
+        budget = self.budget
+        if budget.limited:
+            return self.run(frame)
+        mark = len(self.trail)
+        try:
+            after = frame[0].run(frame)
+        except Exception as exc:
+            self._handle_alone(exc, frame, mark)
+        if after is not self.done:
+            return after is not None and self._go_on(after, mark)
+        if budget.used and not self.choices:
+            budget.start_anew()
+        return True
+
+    def _handle_alone(self, exc: Exception, frame: Frame, mark: int) -> NoReturn:
+        """Raise what a step outside of a run raised, as a run does."""
+        try:
+            self._handle(exc, frame, len(self.choices))
+            raise exc
+        finally:
+            undo(self.trail, mark)
+            if not self.choices:
+                self.budget.start_anew()
+
+    def _go_on(self, frame: Frame, mark: int) -> bool:
+        """Run what is left after a step outside of a run."""
+        try:
+            return self.run(frame)
+        except BaseException:
+            undo(self.trail, mark)
+            raise
 
     def solutions(self, frame: Optional[Frame]) -> Iterator[None]:
         """Run a frame that ends in `done`; yield at each solution, with its bindings in place.

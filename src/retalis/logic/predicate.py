@@ -64,9 +64,11 @@ class Predicate:
 
     Attributes:
         run: the function that does a call; exchanged as the predicate changes.
+        steady: whether that leaves the stack of choice points alone, see `Code.steady`.
         kind: "user", "builtin" (deterministic Python), "control" (anything else in Python), or "undefined".
         function: the Python function of a built-in that compiled clauses call in line.
         direct: its functions, where something calls it as a function.
+        gate: what tells calls apart that have nothing to do, see `Logic.define_control`.
         functional: what it computes, where it is a function of some of its arguments.
         dynamic: clauses may be asserted and retracted by the program.
         library: belongs to the system; programs may redefine it unless it is ``locked``.
@@ -77,6 +79,7 @@ class Predicate:
         self.functor = functor
         self.kind = "undefined"
         self.function: Any = None
+        self.gate: Any = None
         self.functional: Optional[Functional] = None
         self.dynamic = False
         self.discontiguous = False
@@ -95,6 +98,7 @@ class Predicate:
         self.indexes: Dict[int, Tuple[Dict[Any, List[Clause]], List[Clause]]] = {}
         self.poor: Dict[int, int] = {}
         self.run: Callable[[Frame], Optional[Frame]] = self._call
+        self.steady = False
         self._retry = Code(str(functor), self._next)
         self._retry.functor = functor
 
@@ -151,7 +155,7 @@ class Predicate:
     def changed(self) -> None:
         """Go back to interpretation: the clauses are not what was compiled."""
         if self.compiled:
-            self.compiled = False
+            self.compiled = self.steady = False
             self.run = self._call
             self.compile_after *= 2
         self.calls = 0
@@ -165,13 +169,14 @@ class Predicate:
         self.clauses = []
         self.indexes.clear()
         self.run = run
+        self.steady = False
 
     def forget(self) -> None:
         """Drop compiled code whose references to other predicates are out of date."""
         if self.direct is not None:
             self.direct.reset(None)
         if self.kind == "user":
-            self.compiled = False
+            self.compiled = self.steady = False
             self.run = self._call
             self.calls = 0
             for clause in self.clauses:
@@ -339,7 +344,9 @@ class Predicate:
             self.compile_after = NEVER
             return False
         rules = [Rule(_args(clause.head), clause.body, clause.place) for clause in clauses]
-        self.run = Generator(self._view(), self.functor, rules, self).main()
+        generator = Generator(self._view(), self.functor, rules, self)
+        self.run = generator.main()
+        self.steady = generator.steady
         self.compiled = True
         return True
 

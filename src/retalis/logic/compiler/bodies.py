@@ -2,13 +2,16 @@
 
 from typing import Any, FrozenSet, List, Optional, Sequence
 
-from ...terms import Functor, Var, functor
+from ...terms import Atom, Functor, Var, deref, functor
 from .inline import forget, write_inline, write_test
 from .nodes import Condition, Cut, Either, Fail, Goal, Height, Interpret, Node, needed_by
 from .scope import Clause, Scope, Unit
 
 _MOST_CALLS = 12
 """Frames of more calls than this are built in several steps."""
+
+_MOST_LOOKED_AT = 4
+"""Arguments of an event that its gate looks at."""
 
 _OUTPUTS = functor("outputs", 0)
 _EMPTY: FrozenSet[Any] = frozenset()
@@ -72,10 +75,9 @@ class Bodies:
     def _flush(self, scope: Scope, needed: FrozenSet[Any] = _EMPTY) -> None:
         """Write what has to happen before a frame is returned or a choice point pushed."""
         if self.entry in needed and self.entry not in scope.names:
-            scope.line(f"{self.entry.name} = len(choices)")
-            scope.names[self.entry] = self.entry.name
+            self._enter(scope)
         if scope.pending is not None:
-            scope.line(scope.pending)
+            scope.push(scope.pending)
             scope.pending = None
             scope.fail = "return None"
 
@@ -112,18 +114,45 @@ class Bodies:
         assert isinstance(first, Goal)
         for other in reversed(others):
             frame = self._frame(scope, other, frame)
+        depth = scope.depth
+        gate = self._gate(scope, first)
+        if gate is not None:
+            scope.line(f"if {gate}:")
+            scope.depth += 1
         args = "".join(f"{scope.build(arg)}, " for arg in first.args)
         call = f"{self.unit.builtin(first.key)}(M, ({args}), "
-        if not others:
+        if others:
+            then, found = scope.temp("then"), scope.temp("r")
+            scope.line(f"{then} = {frame}")
+            scope.line(f"{found} = {call}{then})")
+            scope.line(f"if {found} is not {then}:")
+            scope.line(f"    return {found}")
+        else:
             scope.line(f"return {call}{frame})")
-            return
-        then, found = scope.temp("then"), scope.temp("r")
-        scope.line(f"{then} = {frame}")
-        scope.line(f"{found} = {call}{then})")
-        scope.line(f"if {found} is not {then}:")
-        scope.line(f"    return {found}")
-        if not (last and len(others) == 1 and self._loops(scope, others[0])):
-            scope.line(f"return {then}")
+        scope.depth = depth
+        if not (last and len(others) == 1 and self._loops(scope, others[0])) and (others or gate is not None):
+            scope.line(f"return {frame}")
+
+    def _gate(self, scope: Scope, call: Goal) -> Optional[str]:
+        """Return the condition under which a call can have anything to do, where that can be told beforehand."""
+        term = deref(call.args[0])
+        positions: List[int] = []
+        known: List[str] = []
+        if term.__class__ is tuple:
+            for at, arg in enumerate(term[1:], 1):
+                arg = deref(arg)
+                is_known = arg.__class__ is Var and arg in scope.names and arg not in scope.fresh
+                if arg.__class__ is Atom or is_known:
+                    positions.append(at)
+                    known.append(scope.build(arg))
+        elif term.__class__ is not Atom:
+            return None
+        key = term.functor if term.__class__ is Atom else term[0]
+        gate = self.unit.gate(call.key, key, tuple(positions[:_MOST_LOOKED_AT]))
+        if gate is None:
+            return None
+        values = [*[scope.build(arg) for arg in call.args[1:]], *known[:_MOST_LOOKED_AT]]
+        return f"{gate}({', '.join(values)})"
 
     def _frame(self, scope: Scope, call: Node, after: str) -> str:
         if isinstance(call, Interpret):
@@ -217,11 +246,11 @@ class Bodies:
         """Write the pushing of a choice point that runs ``nodes``."""
         if nodes:
             if isinstance(nodes[0], Fail):
-                scope.line("choose((DEAD, len(trail)))")
+                scope.push("choose((DEAD, len(trail)))")
             else:
-                scope.line(f"choose({self._continuation(scope, nodes, scope.after, True)})")
+                scope.push(f"choose({self._continuation(scope, nodes, scope.after, True)})")
         else:
-            scope.line(f"choose((RESUME, {scope.after}, len(trail)))")
+            scope.push(f"choose((RESUME, {scope.after}, len(trail)))")
 
     # Control
 
@@ -244,11 +273,11 @@ class Bodies:
         self._join(scope, rest)
         height = Height(scope.temp("h"))
         height.name = f"g{self.clause.number(height)}"
-        scope.line(f"{height.name} = len(choices)")
+        scope.push(f"{height.name} = len(choices)")
         scope.names[height] = height.name
         self._alternative(scope, node.otherwise)
         if node.inner is not None:
-            scope.line(f"{node.inner.name} = len(choices)")
+            scope.push(f"{node.inner.name} = len(choices)")
             scope.names[node.inner] = node.inner.name
         scope.fail = "return None"
         self.write(scope, [*node.test, Cut(height, node.soft), *node.then])
@@ -273,5 +302,9 @@ class Bodies:
 
     def _height(self, scope: Scope, nodes: Sequence[Node]) -> None:
         if self.entry in needed_by(nodes) and self.entry not in scope.names:
-            scope.line(f"{self.entry.name} = len(choices)")
-            scope.names[self.entry] = self.entry.name
+            self._enter(scope)
+
+    def _enter(self, scope: Scope) -> None:
+        """Write the remembering of the height at entry."""
+        scope.push(f"{self.entry.name} = len(choices)")
+        scope.names[self.entry] = self.entry.name

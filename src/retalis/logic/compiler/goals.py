@@ -115,8 +115,8 @@ class GoalCode:
         unit.add([f"def main({parameters}):", *lines, f"    return {result}"])
         return self._finish(unit)
 
-    def enter(self, hands_over: bool) -> Callable[..., Any]:
-        """Return the function of the goal's frame."""
+    def enter(self, hands_over: bool) -> Tuple[Callable[..., Any], bool]:
+        """Return the function of the goal's frame, and whether it is steady, see `Code.steady`."""
         unit = Unit(self._database.machine, self._database)
         scope = self._scope(unit)
         locals_ = [scope.names[var] for var in self._inputs]
@@ -124,14 +124,14 @@ class GoalCode:
         if hands_over:
             nodes = [*nodes, HandOver("call", _OUTPUTS, self._outputs, False)]
         if self._entry in needed_by(nodes):
-            scope.line("height = len(choices)")
+            scope.push("height = len(choices)")
             scope.names[self._entry] = "height"
         bodies = Bodies(
             unit, scope.clause, self._entry, self._database.interpret, self._name, None, HAND_OVER
         )
         bodies.write(scope, nodes)
         unit.add(["def main(frame):", f"    {', '.join(['_', *locals_, 'after'])} = frame", *scope.lines])
-        return self._finish(unit)
+        return self._finish(unit), not scope.pushes
 
 
 _FAIL = "return undo(trail, mark)"

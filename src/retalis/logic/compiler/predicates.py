@@ -46,11 +46,13 @@ class Generator:
         self.locals = [f"a{at}" for at in range(1, key.arity + 1)]
         self.position = _switch_position(rules, key.arity)
         self._retries: Dict[Tuple[int, ...], Code] = {}
+        self.steady = False
 
     def main(self) -> Callable[[Any], Any]:
-        """Return the function of the predicate."""
+        """Return the function of the predicate; `steady` then tells whether it is as `Code.steady` says."""
         unit = Unit(self.database.machine, self.database)
         body = self._switch(unit)
+        self.steady = not body.pushes
         head = self._unpack("")
         if body.looped:
             loop = ["    for _ in LOOP:", *["    " + line for line in body.lines]]
@@ -92,8 +94,8 @@ class Generator:
         out.dereference(local)
         self._tuple_case(out, groups, local)
         out.line("elif k is Var:")
-        retry = ", ".join(["None", *self.locals, "after", "len(trail)"])
-        out.line(f"    return {unit.constant(self._retry(everything))}.run(({retry}))")
+        retry = ", ".join([unit.constant(self._retry(everything)), *self.locals, "after", "len(trail)"])
+        out.line(f"    return ({retry})")
         self._atomic_case(out, groups, local, Atom, "is")
         self._atomic_case(out, groups, local, int, "==")
         out.line("elif k is Lazy:")
@@ -189,14 +191,15 @@ class Generator:
             rest = chain[at + 1 :]
             scope = self._clause(unit, index, rest, key, out.depth, not retried, len(chain) == 1)
             out.looped |= scope.looped
+            out.pushes |= scope.pushes
             out.lines += scope.lines
             if rest and scope.binds:
                 out.line("if len(trail) > mark:")
                 out.line("    undo(trail, mark)")
         rest = chain[_TOGETHER:]
         if rest:
-            frame = ", ".join(["None", *self.locals, "after", "mark"])
-            out.line(f"return {unit.constant(self._retry(rest))}.run(({frame}))")
+            frame = ", ".join([unit.constant(self._retry(rest)), *self.locals, "after", "mark"])
+            out.line(f"return ({frame})")
 
     def _retry(self, chain: Tuple[int, ...]) -> Code:
         """Return the code of a choice point for a chain; its function is generated when it is first run."""

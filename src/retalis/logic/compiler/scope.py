@@ -91,6 +91,11 @@ class Unit:
         predicate = self.database.predicate(key)
         return predicate.kind == "control" and predicate.function is not None
 
+    def gate(self, key: Functor, argument: Functor, positions: Tuple[int, ...]) -> Optional[str]:
+        """Return the name of the function that tells whether a call can have anything to do; see `Predicate.gate`."""
+        gate = self.database.predicate(key).gate
+        return None if gate is None else self.constant(gate(argument, positions).passes)
+
     def builtin(self, key: Functor) -> str:
         """Return the name of the Python function of a built-in that is called in line."""
         return self.constant(self.database.predicate(key).function)
@@ -168,6 +173,7 @@ class Scope:
         give_up: the statement that has the goal run on the machine instead, where functions are called.
         pending: the statement that pushes the choice point for the clauses that follow, until it is written.
         after: expression for the frame that follows the clause.
+        pushes: whether it deals with the stack of choice points.
         at_one_go: whether a pattern was unpacked as a whole, and this is what is done if that did not work.
     """
 
@@ -189,12 +195,18 @@ class Scope:
         self.loop: Optional[Tuple[Functor, List[str], str]] = None
         self.looped = False
         self.binds = False
+        self.pushes = False
         self.later: FrozenSet[Any] = frozenset()
         self._temps = 0
 
     def line(self, text: str) -> None:
         """Write a line."""
         self.lines.append("    " * self.depth + text)
+
+    def push(self, text: str) -> None:
+        """Write a line that pushes a choice point, or looks at how many there are."""
+        self.line(text)
+        self.pushes = True
 
     def temp(self, stem: str = "t") -> str:
         """Return a new local name."""
