@@ -1,16 +1,50 @@
-"""Synchronized queries: when they are called, how often, with which interval."""
+"""Synchronized queries: when they are called, how often, with which interval.
+
+Where nobody but the queries listens to the synchronized events of a rule, these are not made: most tests run
+both ways.
+"""
 
 import logging
+import re
 import sys
 from pathlib import Path
 
 import pytest
+
+from retalis.engine import Engine, Settings
+from retalis.events import Stage
+from retalis.terms import Var, atom, functor
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 from watched import Watched  # noqa: E402
 
 ASK = "syncronized(answer(X, V), (prev(m, v(V), _, _, T)), [[m, T]]) <- ask(X, T).\n"
 MEMORY = "memorize(v(_), [], _, m, 10)\n"
+SYNCHRONIZED = functor("syncronized", 3)
+
+
+class Overheard(Engine):
+    """An engine whose events of a few kinds are kept as text, and of which nobody hears the others."""
+
+    def __init__(self, rules="", goals="", **settings):
+        super().__init__(settings=Settings(**settings))
+        self.events = []
+        for name, arity in KINDS:
+            pattern = functor(name, arity)(*(Var() for _ in range(arity))) if arity else atom(name)
+            self.dispatcher.listen(Stage.TRACE, pattern, self._note)
+        self.load(rules=rules, goals=goals)
+
+    def _note(self, term, values, start, end, after):
+        self.events.append((self.show(term), int(start), int(end)))
+        return after
+
+
+KINDS = (("a", 0), ("done", 0), ("answer", 2), ("done", 1), ("done", 2), ("v", 1))
+
+
+@pytest.fixture(params=[Watched, Overheard], ids=["heard by others too", "not made"])
+def run(request):
+    return request.param
 
 
 def answers(engine):
@@ -21,15 +55,15 @@ def names(engine):
     return [event for event, _, _ in answers(engine)]
 
 
-def test_a_query_that_has_its_data_is_called_at_once():
-    engine = Watched(ASK, MEMORY)
+def test_a_query_that_has_its_data_is_called_at_once(run):
+    engine = run(ASK, MEMORY)
     engine.event("v(1)", 10)
     engine.event("ask(a, 10)", 3, 4)
     assert answers(engine) == [("answer(a,1)", 3 * 10**9, 4 * 10**9)]
 
 
-def test_another_waits_and_is_called_once_with_the_interval_of_its_own_event():
-    engine = Watched(ASK, MEMORY)
+def test_another_waits_and_is_called_once_with_the_interval_of_its_own_event(run):
+    engine = run(ASK, MEMORY)
     engine.event("v(1)", 10)
     engine.event("ask(a, 20)", 3)
     engine.event("v(2)", 19)
@@ -40,16 +74,16 @@ def test_another_waits_and_is_called_once_with_the_interval_of_its_own_event():
     assert len(engine.knowledge.waiting) == 0
 
 
-def test_both_spellings_hold():
-    engine = Watched(ASK.replace("syncronized", "synchronized"), MEMORY)
+def test_both_spellings_hold(run):
+    engine = run(ASK.replace("syncronized", "synchronized"), MEMORY)
     engine.event("v(1)", 10)
     engine.event("ask(a, 10)", 3)
     assert names(engine) == ["answer(a,1)"]
 
 
-def test_all_memories_have_to_be_there():
+def test_all_memories_have_to_be_there(run):
     rules = "syncronized(done(X), true, [[m, 10], [n, 20]]) <- ask(X)."
-    engine = Watched(rules, MEMORY + "memorize(w(_), [], _, n, 10)")
+    engine = run(rules, MEMORY + "memorize(w(_), [], _, n, 10)")
     engine.event("ask(a)", 1)
     engine.event("v(1)", 30)
     engine.event("w(1)", 19)
@@ -58,42 +92,42 @@ def test_all_memories_have_to_be_there():
     assert names(engine) == ["done(a)"]
 
 
-def test_the_first_solution_counts_and_none_triggers_nothing():
+def test_the_first_solution_counts_and_none_triggers_nothing(run):
     rules = (
         "syncronized(done(Y), member(Y, [1, 2]), [[m, T]]) <- ask(T).\n"
         "syncronized(done(no), fail, [[m, T]]) <- ask(T).\n"
     )
-    engine = Watched(rules, MEMORY)
+    engine = run(rules, MEMORY)
     engine.event("ask(20)", 1)
     engine.event("v(1)", 20)
     engine.event("ask(20)", 2)
     assert names(engine) == ["done(1)", "done(1)"]
 
 
-def test_queries_are_released_in_the_order_they_came_in():
-    engine = Watched("syncronized(done(X), true, [[m, T]]) <- ask(X, T).", MEMORY)
+def test_queries_are_released_in_the_order_they_came_in(run):
+    engine = run("syncronized(done(X), true, [[m, T]]) <- ask(X, T).", MEMORY)
     for name, time in (("a", 30), ("b", 10), ("c", 20), ("d", 99)):
         engine.event(f"ask({name}, {time})", 1)
     engine.event("v(1)", 40)
     assert names(engine) == ["done(a)", "done(b)", "done(c)"]
 
 
-def test_each_is_finished_before_the_next_is_called():
+def test_each_is_finished_before_the_next_is_called(run):
     rules = (
         "syncronized(done(X), note(X), [[m, T]]) <- ask(X, T).\n"
         "note(X) :- findall(Y, seen(Y), L), assertz(seen(X)), assertz(before(X, L)).\n"
         "null do assertz(seen(after(X))) <- done(X).\n"
         ":- dynamic(seen/1). :- dynamic(before/2).\n"
     )
-    engine = Watched(rules, MEMORY)
+    engine = run(rules, MEMORY)
     engine.event("ask(a, 10)", 1)
     engine.event("ask(b, 10)", 1)
     engine.event("v(1)", 10)
     assert engine.query("before(b, [a, after(a)])") == [{}]
 
 
-def test_a_query_is_called_before_the_rules_of_the_event_that_releases_it():
-    engine = Watched("syncronized(done(X), true, [[m, 10]]) <- ask(X).\ndone(rule) <- v(_).", MEMORY)
+def test_a_query_is_called_before_the_rules_of_the_event_that_releases_it(run):
+    engine = run("syncronized(done(X), true, [[m, 10]]) <- ask(X).\ndone(rule) <- v(_).", MEMORY)
     engine.event("ask(a)", 1)
     engine.event("v(1)", 10)
     assert names(engine) == ["done(a)", "done(rule)"]
@@ -104,12 +138,12 @@ def test_a_query_is_called_before_the_rules_of_the_event_that_releases_it():
     ["Z", "[S, NS]", "D"],
     ids=["float", "ros time", "datime"],
 )
-def test_times_are_floats_ros_times_or_stamps(time):
+def test_times_are_floats_ros_times_or_stamps(run, time):
     rules = (
         f"syncronized(done(X), true, [[m, {time}]]) <- ask(X, S, NS) "
         "where (Z is S + (NSX), convert_to_datime([S, NS], D)).".replace("NSX", "NS * 0.000000001")
     )
-    engine = Watched(rules, MEMORY)
+    engine = run(rules, MEMORY)
     engine.event("ask(a, 1413748205, 981209993)", 1)
     engine.post_text("new_event(v(0), 1413748205, 981209000)")
     assert names(engine) == []
@@ -126,8 +160,8 @@ def test_times_are_floats_ros_times_or_stamps(time):
         ("[[m, soon]]", "datime"),
     ],
 )
-def test_wrong_conditions_are_reported_and_the_event_is_dropped(conditions, message, caplog):
-    engine = Watched(f"syncronized(done, true, {conditions}) <- ask.", MEMORY)
+def test_wrong_conditions_are_reported_and_the_event_is_dropped(run, conditions, message, caplog):
+    engine = run(f"syncronized(done, true, {conditions}) <- ask.", MEMORY)
     with caplog.at_level(logging.WARNING, "retalis"):
         engine.event("ask", 1)
     assert message in caplog.text
@@ -135,8 +169,8 @@ def test_wrong_conditions_are_reported_and_the_event_is_dropped(conditions, mess
     assert len(engine.knowledge.waiting) == 0
 
 
-def test_a_query_that_raises_is_reported(caplog):
-    engine = Watched("syncronized(done, X is a + 1, []) <- ask.", MEMORY)
+def test_a_query_that_raises_is_reported(run, caplog):
+    engine = run("syncronized(done, X is a + 1, []) <- ask.", MEMORY)
     with caplog.at_level(logging.WARNING, "retalis"):
         engine.event("ask", 1)
     assert "evaluable" in caplog.text
@@ -144,8 +178,8 @@ def test_a_query_that_raises_is_reported(caplog):
 
 
 @pytest.mark.parametrize("when", ["[]", "[[m, 10]]"])
-def test_a_query_that_gives_no_event_is_reported_and_the_rest_goes_on(when, caplog):
-    engine = Watched(f"syncronized(X, X = 1, {when}) <- ask. done <- ask. done(V) <- v(V).", MEMORY)
+def test_a_query_that_gives_no_event_is_reported_and_the_rest_goes_on(run, when, caplog):
+    engine = run(f"syncronized(X, X = 1, {when}) <- ask. done <- ask. done(V) <- v(V).", MEMORY)
     with caplog.at_level(logging.WARNING, "retalis"):
         engine.event("ask", 1)
         engine.event("v(1)", 10)
@@ -154,16 +188,16 @@ def test_a_query_that_gives_no_event_is_reported_and_the_rest_goes_on(when, capl
     assert engine.dispatcher.current is None
 
 
-def test_a_chain_of_synchronized_events_without_end_is_an_error_of_its_own(caplog):
-    engine = Watched("syncronized(a, true, []) <- a. done <- b. b <- c. a <- c. done <- c.", max_depth=20)
+def test_a_chain_of_synchronized_events_without_end_is_an_error_of_its_own(run, caplog):
+    engine = run("syncronized(a, true, []) <- a. done <- b. b <- c. a <- c. done <- c.", max_depth=20)
     with caplog.at_level(logging.WARNING, "retalis"):
         engine.event("c", 1)
     assert "20 events" in caplog.text
     assert names(engine) == ["done", "done"]
 
 
-def test_deleting_a_memory_drops_its_waiting_queries_with_a_warning(caplog):
-    engine = Watched("syncronized(done(X), true, [[m, 10]]) <- ask(X).", MEMORY)
+def test_deleting_a_memory_drops_its_waiting_queries_with_a_warning(run, caplog):
+    engine = run("syncronized(done(X), true, [[m, 10]]) <- ask(X).", MEMORY)
     engine.event("ask(a)", 1)
     with caplog.at_level(logging.WARNING, "retalis"):
         engine.call("delete_memory(m)")
@@ -173,12 +207,12 @@ def test_deleting_a_memory_drops_its_waiting_queries_with_a_warning(caplog):
     assert answers(engine) == []
 
 
-def test_a_chain_of_synchronized_events_waits_for_each_anew():
+def test_a_chain_of_synchronized_events_waits_for_each_anew(run):
     rules = (
         "syncronized(done(1, T2), true, [[m, T1]]) <- ask(T1, T2).\n"
         "syncronized(done(2), true, [[m, T2]]) <- done(1, T2).\n"
     )
-    engine = Watched(rules, MEMORY)
+    engine = run(rules, MEMORY)
     engine.event("v(1)", 10)
     engine.event("ask(10, 20)", 11)
     assert names(engine) == ["done(1,20)"]
@@ -186,8 +220,8 @@ def test_a_chain_of_synchronized_events_waits_for_each_anew():
     assert names(engine) == ["done(1,20)", "done(2)"]
 
 
-def test_those_that_wait_are_bounded(caplog):
-    engine = Watched("syncronized(done(X), true, [[m, 10]]) <- ask(X).", MEMORY)
+def test_those_that_wait_are_bounded(run, caplog):
+    engine = run("syncronized(done(X), true, [[m, 10]]) <- ask(X).", MEMORY)
     engine.knowledge.waiting._limit = 3
     with caplog.at_level(logging.WARNING, "retalis"):
         for number in range(5):
@@ -197,22 +231,142 @@ def test_those_that_wait_are_bounded(caplog):
     assert names(engine) == ["done(2)", "done(3)", "done(4)"]
 
 
-def test_a_memory_without_events_does_not_pile_up_what_was_dropped():
-    engine = Watched("syncronized(done(X), true, [[m, 10], [m, 11]]) <- ask(X).", MEMORY)
+def test_a_memory_without_events_does_not_pile_up_what_was_dropped(run):
+    engine = run("syncronized(done(X), true, [[m, 10], [m, 11]]) <- ask(X).", MEMORY)
     engine.knowledge.waiting._limit = 3
     for number in range(50):
         engine.event(f"ask({number})", 1)
     (memory,) = engine.knowledge.memories
-    assert len(memory.waiting) <= 2 * 3
+    assert len(memory._times) <= 2 * 3 + 16
     engine.event("v(1)", 10)
     assert names(engine) == []
     engine.event("v(1)", 11)
     assert names(engine) == ["done(47)", "done(48)", "done(49)"]
 
 
-def test_what_is_dropped_again_and_again_is_no_flood(caplog):
-    engine = Watched("syncronized(done(X), true, [[nothing, 1]]) <- ask(X).", MEMORY)
+def test_what_is_dropped_again_and_again_is_no_flood(run, caplog):
+    engine = run("syncronized(done(X), true, [[nothing, 1]]) <- ask(X).", MEMORY)
     with caplog.at_level(logging.WARNING, "retalis"):
         for number in range(100):
             engine.event(f"ask({number})", 1)
     assert len(caplog.records) == 7
+
+
+def test_events_that_only_queries_listen_to_are_not_made():
+    engine = Overheard("syncronized(done(X), true, [[m, 10]]) <- ask(X).", MEMORY)
+    engine.event("ask(a)", 1)
+    engine.event("v(1)", 10)
+    assert names(engine) == ["done(a)"]
+    assert SYNCHRONIZED not in engine.dispatcher._plans
+    engine.event("syncronized(done(b), true, [[m, 10]])", 1)
+    engine.load(rules="done(heard) <- syncronized(_, _, _).")
+    engine.event("ask(c)", 1)
+    assert names(engine) == ["done(a)", "done(b)", "done(c)", "done(heard)"]
+
+
+def unnumbered(text):
+    """Return a report without the numbers of variables, and without what calls a built-in of compiled code."""
+    return re.sub(r"_G?\d+", "_", text).replace(" (in (is)/2)", "")
+
+
+@pytest.mark.parametrize("depth", range(1, 12))
+def test_events_that_are_not_made_count_in_a_chain(depth, caplog):
+    rules = "syncronized(a, true, []) <- a. syncronized(done, true, []) <- a. done(1) <- done. a <- done(1)."
+    found = []
+    for kind in (Watched, Overheard):
+        engine = kind(rules, max_depth=depth)
+        with caplog.at_level(logging.WARNING, "retalis"):
+            engine.event("a", 1)
+        seen = [event for event in engine.events if not event[0].startswith("sync")]
+        found.append((seen, [record.message for record in caplog.records]))
+        caplog.clear()
+    assert found[0] == found[1]
+
+
+@pytest.mark.parametrize(
+    ("head", "told"),
+    [
+        ("done(X), X = f(Y), []", ["done(f(_))"]),
+        ("done(Y), member(X, [1, 2]), [[m, 0]]", ["done(_)"]),
+        ("Query, (Query = done(X), X = 2), []", ["done(2)"]),
+        ("done(X), T, []", ["done(_)"]),
+        ("done(X), Unknown, []", []),
+        ("done(T), 3, []", []),
+        ("done(T), (true, 3), []", []),
+        ("done(T), (! ; fail), []", ["done(true)"]),
+        ("done(T), undefined_predicate(T), []", []),
+        ("done(T), deeper, []", []),
+        ("done(X), X is foo + 1, []", []),
+        ("3, true, []", []),
+        ("done(T), true, [[X, 0]]", []),
+        ("done(T), true, [[m, X]]", []),
+        ("done(T), true, [[m, datime(1970, 1, 1, 0, 0, 0, 1)], [m, 0.5], [m, [0, 1]]]", ["done(true)"]),
+        ("done(T), true, T", []),
+        ("done(A), A = T, [[m, 1], [m, 1]]", ["done(true)"]),
+    ],
+)
+def test_what_a_rule_asks_is_the_same_whether_its_event_is_made_or_not(head, told, caplog):
+    reports = []
+    for kind in (Watched, Overheard):
+        engine = kind(f"syncronized({head}) <- ask(T).\ndeeper :- missing.", MEMORY)
+        engine.event("v(1)", 5)
+        caplog.clear()  # what was said about the rule
+        with caplog.at_level(logging.WARNING, "retalis"):
+            engine.event("ask(true)", 1)
+        assert [unnumbered(name) for name in names(engine)] == told
+        reports.append([unnumbered(record.message) for record in caplog.records])
+    assert reports[0] == reports[1]
+    assert bool(reports[0]) == (not told)
+
+
+def test_events_with_variables_are_asked_with_variables(run):
+    engine = run("syncronized(done(X), X = Y, [[m, 10]]) <- ask(X, Y).", MEMORY)
+    engine.event("ask(p(A, B), p(B, c))", 1)
+    engine.event("v(1)", 10)
+    assert names(engine) == ["done(p(c,c))"]
+
+
+def test_a_query_waits_for_one_memory_after_the_other():
+    goals = "".join(f"memorize(e({name}), [], _, {name}, 10)\n" for name in "pqr")
+    engine = Overheard("syncronized(done(X), true, [[p, 10], [q, T], [r, 30]]) <- ask(X, T).", goals)
+    engine.event("ask(a, 20)", 1)
+    engine.event("ask(b, 25)", 1)
+    for name, time in (("r", 30), ("p", 9), ("q", 20), ("p", 10), ("q", 24)):
+        assert names(engine) == []
+        engine.event(f"e({name})", time)
+        if (name, time) == ("p", 10):
+            assert names(engine) == ["done(a)"]
+            engine.events.clear()
+    engine.event("e(q)", 25)
+    assert names(engine) == ["done(b)"]
+    assert len(engine.knowledge.waiting) == 0
+
+
+def test_deleting_a_memory_drops_what_waits_for_it_among_others_but_not_what_has_got_its_data(run):
+    rules = "syncronized(done(X), true, [[m, T], [n, 50]]) <- ask(X, T)."
+    engine = run(rules, MEMORY + "memorize(w(_), [], _, n, 10)")
+    engine.event("v(1)", 20)
+    engine.event("ask(a, 20)", 1)
+    engine.event("ask(b, 30)", 1)
+    engine.call("delete_memory(m)")
+    assert len(engine.knowledge.waiting) == 1
+    engine.event("w(1)", 50)
+    assert names(engine) == ["done(a)"]
+
+
+@pytest.mark.parametrize(
+    ("rules", "goals"),
+    [
+        ("syncronized(done, loop, []) <- in.", ""),
+        ("", "memorize(in, [loop], _, m, 10)"),
+        ("", "subscribe(in, [loop], _, t, s)"),
+    ],
+    ids=["query", "memory", "subscription"],
+)
+def test_a_limit_of_a_caller_that_runs_out_meanwhile_is_that_of_the_caller(run, rules, goals, caplog):
+    engine = run("loop :- loop.\ndone(1) <- in.\n" + rules, goals)
+    goal = "catch(call_with_time_limit(0.05, new_event(in, [1, 1])), R, true)"
+    (found,) = engine.query(goal)
+    assert engine.show(found["R"]) == "time_limit_exceeded"
+    assert names(engine) == ["done(1)"]
+    assert "the time limit of a call that led here has run out" in caplog.text

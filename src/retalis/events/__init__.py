@@ -1,9 +1,22 @@
 """Event rules: dispatch, patterns, operators, consumption policies, and the network that runs them."""
 
 from ..terms.keys import term_key
+from ._source import compile_function
 from .building import compile_builder
-from .dispatch import Dispatcher, Listener, Stage
+from .dispatch import AT_ONCE, Dispatcher, Listener, Stage
 from .network import Rules
+from .nodes import Leaf
 from .policy import Policy
 
-__all__ = ["Dispatcher", "Listener", "Policy", "Rules", "Stage", "compile_builder", "term_key"]
+__all__ = [
+    "AT_ONCE",
+    "Dispatcher",
+    "Leaf",
+    "Listener",
+    "Policy",
+    "Rules",
+    "Stage",
+    "compile_builder",
+    "compile_function",
+    "term_key",
+]

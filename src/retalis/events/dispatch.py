@@ -111,6 +111,9 @@ class Dispatcher:
         current: the `Event` whose listeners are being served, or None.
         mark: makes the token of an event; tracking replaces it.
         cause: the rule and match whose goal is running, where that is tracked.
+        shortcuts: by the functor of an event, what can take the values of a rule's match in place of the event:
+            takes the rule and the action that makes the event; gives an action, or None where the rule's head does
+            not allow it.
     """
 
     def __init__(self, logic: Any = None, max_depth: int = 1000) -> None:
@@ -124,6 +127,7 @@ class Dispatcher:
         self._tokens = count(1)
         self.current: Optional[Event] = None
         self.cause: Any = None
+        self.shortcuts: Dict[Functor, Callable[[Any, Action], Optional[Action]]] = {}
         self.mark: Callable[[Event], Any] = lambda event: next(self._tokens)
 
     def listen(self, stage: Stage, pattern: Term, action: Action, rank: Tuple[int, ...] = ()) -> Listener:
@@ -261,6 +265,21 @@ class Dispatcher:
                     return next_frame
         self.current = parent
         return after
+
+    def left_out(self, functor: Functor) -> Optional[Event]:
+        """Return the current event where one that follows from it need not be made; else None.
+
+        That is where just one listens to it, and may do at once what there is to do.
+        """
+        event = self.current
+        if (
+            event is None
+            or event.depth >= AT_ONCE
+            or len(self._listeners[functor]) > 1
+            or None in self._listeners
+        ):
+            return None
+        return event
 
     def call(
         self,

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Tuple
 
 from ..errors import Place, RetalisError, RuleError
-from ..logic import LimitPassed, Logic
+from ..logic import Logic, keep_back
 from ..terms import Term, atom, copy, deref, unify
 from ..terms.keys import term_key
 from ..timestamps import SECOND, from_seconds
@@ -315,8 +315,7 @@ class Rules:
 
     def goal_failed(self, rule: Rule, goal: Term, error: RetalisError) -> None:
         """Report an error that a goal of a rule raised, or stopped for."""
-        if isinstance(error, LimitPassed):
-            error.kept_back = error.open
+        keep_back(error)
         self.rule_failed(rule, RuleError(f"goal {self.logic.show(goal)}: {error.message}"))
 
     def dropped(self, rule: Rule) -> None:

@@ -251,7 +251,8 @@ class Rule:
                 self.network.rule_failed(self, RuleError(error.message))
                 return after
 
-        return complete
+        shortcut = dispatcher.shortcuts.get(head[0]) if head.__class__ is tuple else None
+        return complete if shortcut is None else shortcut(self, complete) or complete
 
     def _complete_tracked(self, match: Match, after: Frame) -> Frame:
         window = self.window

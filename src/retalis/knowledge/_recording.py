@@ -3,7 +3,7 @@
 from typing import Any, Callable, List, Optional, Tuple
 
 from ..events import Dispatcher, compile_builder
-from ..logic import Logic, PrologError, instantiation_error, type_error
+from ..logic import Logic, PrologError, instantiation_error, keep_back, type_error
 from ..terms import (
     COMMA,
     EMPTY_BLOCK,
@@ -72,7 +72,7 @@ def recording(
     if not whole and form.__class__ not in (tuple, Atom, Var):
         raise type_error("callable", form)
     if whole:
-        return (_tested(logic, dispatcher, goals, inputs, name) if goals else _whole), True
+        return (_tested(logic, dispatcher, goals, inputs, name) if goals else itself), True
     if goals:
         return _solved(logic, dispatcher, goals, inputs, form, name), False
     build = compile_builder(form, inputs, name)
@@ -81,7 +81,8 @@ def recording(
     return lambda term, values, problem: build(values), set(variables(form)) <= set(inputs)
 
 
-def _whole(term: Term, values: Tuple[Term, ...], problem: Warn) -> Term:
+def itself(term: Term, values: Tuple[Term, ...], problem: Warn) -> Term:
+    """Return the event, as the recording of a form that stands for it."""
     return term
 
 
@@ -121,6 +122,7 @@ def _solved(
             dispatcher.current = (
                 event  # the conditions may have been in the middle of an event that they made
             )
+            keep_back(error)
             problem(f"{name}: event {logic.show(term)}: {error}", name)
             return None
         return None if solution is None else solution[0]

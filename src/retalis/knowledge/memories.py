@@ -27,6 +27,7 @@ class Memories:
         problem: takes a report about a condition that raised an error.
 
     Attributes:
+        instances: by key of their names.
         on_update: called with an instance whose next waiting query is due, the end of the event that was
             recorded, and the next frame; returns the frame to go on with.
         on_delete: called with an instance that is deleted.
@@ -43,27 +44,27 @@ class Memories:
         self._dispatcher = dispatcher
         self._stamp = stamp
         self._problem = problem
-        self._instances: Dict[Any, Instance] = {}
+        self.instances: Dict[Any, Instance] = {}
         self._newest: Optional[Recorder] = None
         self.on_update: Callable[[Instance, int, Any], Any] = lambda instance, end, after: after
         self.on_delete: Callable[[Instance], None] = lambda instance: None
 
     def __iter__(self) -> Iterator[Instance]:
-        return iter(list(self._instances.values()))
+        return iter(list(self.instances.values()))
 
     def find(self, name: Term) -> Optional[Instance]:
         """Return the instance of this name, or None."""
         if name.__class__ is Atom:
-            return self._instances.get(name)
+            return self.instances.get(name)
         name = deref(name)
         try:
-            return self._instances.get(freeze(name))
+            return self.instances.get(freeze(name))
         except ValueError:
             return None
 
     def clear(self) -> None:
         """Forget all records (the clock went back); the instances stay."""
-        for instance in self._instances.values():
+        for instance in self.instances.values():
             instance.memory.clear()
 
     def create(self, definition: Term, active: bool, after: Any) -> Any:
@@ -75,7 +76,7 @@ class Memories:
         definition = copy(definition)
         pattern, conditions, form, name, size = (deref(part) for part in definition[1:])
         key = key_of(name)
-        if key in self._instances:
+        if key in self.instances:
             raise permission_error("create", "memory", name)
         if size.__class__ is not int:
             raise type_error("integer", size)
@@ -83,7 +84,7 @@ class Memories:
             raise domain_error("not_less_than_zero", size)
         instance = Instance(name, size, active)
         self._recorder(pattern, conditions, form, name).add(instance)
-        self._instances[key] = instance
+        self.instances[key] = instance
         if not active:
             return after
         kept = pattern if is_whole(pattern, conditions, form) else form
@@ -101,7 +102,7 @@ class Memories:
         instance = self.find(name)
         if instance is None:
             raise UsageError(f"there is no memory {self._logic.show(name)}")
-        del self._instances[key_of(instance.id)]
+        del self.instances[key_of(instance.id)]
         instance.recorder.remove(instance)
         self.on_delete(instance)
         if not instance.active:
@@ -132,8 +133,7 @@ class Memories:
             instant = self._stamp()
             update = (UPDATED, instance.id, timestamps.to_term(end))
             after = (self, update, instant, after)
-        waiting = instance.waiting
-        if waiting and waiting[0][0] <= end:
+        if instance.due <= end:
             return self.on_update(instance, end, after)
         return after
 

@@ -1,6 +1,7 @@
 """Recording: from an event to the memories that take it."""
 
-from typing import Any, Callable, Iterator, List, Tuple
+from heapq import heapify, heappop, heappush
+from typing import Any, Callable, Dict, Iterator, List, Tuple
 
 from ..events import Dispatcher, Stage
 from ..terms import Term, Var, deref, functor, is_ground
@@ -10,10 +11,19 @@ from .memory import Memory, Record
 UPDATED = functor("memory_updated", 2)
 
 
-class Instance:
-    """A memory with its name, its recorder, and the queries that wait for it."""
+NEVER = 1 << 100
+"""Later than all instants."""
 
-    __slots__ = ("id", "active", "memory", "recorder", "waiting", "open")
+
+class Instance:
+    """A memory with its name, its recorder, and the queries that wait for it.
+
+    Attributes:
+        due: the least instant that a query waits for.
+        open: whether a record may have variables, so that a reader needs a copy.
+    """
+
+    __slots__ = ("id", "active", "memory", "recorder", "open", "due", "_times", "_waiting")
 
     recorder: "Recorder"
 
@@ -21,10 +31,57 @@ class Instance:
         self.id = name
         self.memory = Memory(size)
         self.active = active
-        self.waiting: List[Tuple[int, int, Any]] = []
-        """A heap of those who wait: the instant to reach, their order, and the query."""
         self.open = False
-        """Whether a record may have variables, so that a reader needs a copy."""
+        self.due = NEVER
+        self._times: List[int] = []
+        """A heap of the instants waited for; some may have no query any more."""
+        self._waiting: Dict[int, Dict[int, Any]] = {}
+        """The queries by instant and order."""
+
+    def has(self, instant: int) -> bool:
+        """Tell whether it has taken an event that ends at an instant or later."""
+        ends = self.memory.ends
+        return bool(ends) and ends[-1] >= instant
+
+    def wait(self, instant: int, order: int, query: Any) -> None:
+        """Keep a query, known by its order, until `reached` is called with its instant or a later one."""
+        group = self._waiting.get(instant)
+        if group is not None:
+            group[order] = query
+            return
+        self._waiting[instant] = {order: query}
+        heappush(self._times, instant)
+        if instant < self.due:
+            self.due = instant
+
+    def reached(self, end: int) -> List[Any]:
+        """Return the queries that wait for nothing later than an instant; they are kept no more."""
+        times = self._times
+        found: List[Any] = []
+        while times and times[0] <= end:
+            found += self._waiting.pop(heappop(times), _NOBODY).values()
+        self.due = times[0] if times else NEVER
+        return found
+
+    def forget(self, instant: int, order: int) -> None:
+        """Keep a query no more."""
+        group = self._waiting[instant]
+        del group[order]
+        if not group:
+            del self._waiting[instant]
+            if len(self._times) > 2 * len(self._waiting) + _SPARE:
+                self._times = list(self._waiting)
+                heapify(self._times)
+
+    def forget_waiting(self) -> None:
+        """Keep none of the queries any more."""
+        self.due = NEVER
+        self._times = []
+        self._waiting = {}
+
+
+_NOBODY: Dict[int, Any] = {}
+_SPARE = 16
 
 
 class Recorder:
@@ -99,9 +156,11 @@ class Recorder:
                     memory.cut()
             if opens:
                 instance.open = True
-            waiting = instance.waiting
-            if (telling and instance.active) or (waiting and waiting[0][0] <= end):
-                return self._follow(instance, end, (self, record, opens, instances, after))
+            if instance.due <= end or (telling and instance.active):
+                frame = (self, record, opens, instances, after)
+                result = self._follow(instance, end, frame)
+                if result is not frame:
+                    return result
         return after
 
     def _is_own_update(self, term: Term) -> bool:

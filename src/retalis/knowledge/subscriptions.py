@@ -5,7 +5,7 @@ from typing import Any, Callable, Dict, Iterator, Tuple
 from ..events import Dispatcher, Stage
 from ..logic import Logic, permission_error
 from ..terms import MINUS, Atom, Term, copy, deref
-from ._recording import Warn, key_of, recording
+from ._recording import Warn, itself, key_of, recording
 
 Deliver = Callable[[Term, str, Term], None]
 
@@ -48,13 +48,19 @@ class Subscriptions:
         deliver = self._deliver
         problem = self._problem
 
+        def send(term: Term, values: Tuple[Term, ...], start: int, end: int, after: Any) -> Any:
+            deliver(term, topic_text, name)
+            return after
+
         def action(term: Term, values: Tuple[Term, ...], start: int, end: int, after: Any) -> Any:
             shaped = shape(term, values, problem)
             if shaped is not None:
                 deliver(shaped, topic_text, name)
             return after
 
-        self._listeners[key] = self._dispatcher.listen(Stage.SUBSCRIPTIONS, pattern, action)
+        self._listeners[key] = self._dispatcher.listen(
+            Stage.SUBSCRIPTIONS, pattern, send if shape is itself else action
+        )
 
     def has(self, topic: Term, name: Term) -> bool:
         """Tell whether there is a subscription of this topic and id."""

@@ -1,17 +1,25 @@
 """Synchronized queries: goals that are called when the memories they read have the data."""
 
-import heapq
-from collections import OrderedDict
 from itertools import count
-from typing import Any, Dict, Iterable, List, Tuple
+from typing import Any, Dict, Iterator, List, Tuple
 
-from .. import timestamps
 from ..errors import UsageError
-from ..events import Dispatcher, Stage
-from ..logic import Logic, PrologError
-from ..terms import CONS, Term, Var, deref, functor, list_items
+from ..events import Dispatcher, Leaf, Stage
+from ..logic import Logic
+from ..terms import Term, Var, functor
+from ._conditions import Behind, behind, compile_conditions
+from ._question import (
+    Question,
+    Surroundings,
+    Values,
+    compile_question,
+    general_question,
+    kind_of,
+    without_variables,
+)
 from ._recording import Warn
-from .memories import Instance, Memories
+from .memories import Memories
+from .recorder import Instance
 
 LIMIT = 200_000
 """How many queries may wait at once; past that the oldest is dropped with a warning."""
@@ -20,19 +28,8 @@ LIMIT = 200_000
 NAMED = 20
 """How many dropped queries one warning names."""
 
-
-class Waiting:
-    """A query that waits: the event to trigger, the goal, the interval, and how many memories it waits for."""
-
-    __slots__ = ("order", "event", "query", "start", "end", "missing")
-
-    def __init__(self, order: int, event: Term, query: Term, start: int, end: int, missing: int):
-        self.order = order
-        self.event = event
-        self.query = query
-        self.start = start
-        self.end = end
-        self.missing = missing
+Waiting = Tuple[int, Question, Values, int, int, Behind]
+"""A query that waits: its order, the question, its values, the interval, and where it has to wait: the last first."""
 
 
 class WaitingQueries:
@@ -42,7 +39,8 @@ class WaitingQueries:
     memory named has taken an event that ends at or after its time, and triggers Event with the interval of
     the synchronized event, once, for the first solution.
 
-    Each memory has a heap of those who wait for it, by time, so an event costs one comparison however many wait.
+    A query waits for one memory at a time, in a heap by time, so an event costs one comparison however many wait.
+    Where a rule makes the synchronized event and nobody else listens to it, the event itself is not made.
     """
 
     def __init__(
@@ -59,15 +57,16 @@ class WaitingQueries:
         self._warn = warn
         self._limit = limit
         self._order = count()
-        self._all: OrderedDict[int, Waiting] = OrderedDict()
-        event, query = Var(), Var()
-        call = (functor("call", 1), query)
-        self._goal = logic.compile_goal(call, [event, query], [event], name="synchronized query")
+        self._all: Dict[int, Waiting] = {}
+        self._oldest = 0
+        self._around = Surroundings(logic, dispatcher, warn)
+        self._general = general_question(self._around)
         memories.on_update = self._release
         memories.on_delete = self._drop_waiting_for
         for name in ("syncronized", "synchronized"):
-            pattern = functor(name, 3)(Var(), Var(), Var())
-            dispatcher.listen(Stage.QUERIES, pattern, self._arrive)
+            key = functor(name, 3)
+            dispatcher.listen(Stage.QUERIES, key(Var(), Var(), Var()), self._arrive)
+            dispatcher.shortcuts[key] = self._shortcut
 
     def __len__(self) -> int:
         return len(self._all)
@@ -76,133 +75,126 @@ class WaitingQueries:
         """Drop all that wait (the clock went back)."""
         self._all.clear()
         for instance in self._memories:
-            instance.waiting.clear()
+            instance.forget_waiting()
 
-    def _arrive(self, term: Term, values: Tuple[Term, ...], start: int, end: int, after: Any) -> Any:
+    def _arrive(self, term: Term, values: Values, start: int, end: int, after: Any) -> Any:
         event, query, conditions = values
         try:
-            behind = [
-                (instance, instant)
-                for instance, instant in self._conditions(conditions)
-                if not instance.memory.ends or instance.memory.ends[-1] < instant
-            ]
+            missing = behind(self._logic, self._memories, conditions)
         except UsageError as error:
-            self._warn(f"{self._logic.show(event)} is dropped: {error}", ("dropped", _kind(event)))
+            self._drop(event, error)
             return after
-        if not behind:
-            return self._ask(event, query, start, end, after)
-        waiting = Waiting(next(self._order), event, query, start, end, len(behind))
+        if missing:
+            self._wait(self._general, (event, query), start, end, missing)
+            return after
+        return self._general.ask((event, query), start, end, after)
+
+    def _shortcut(self, rule: Any, otherwise: Any) -> Any:
+        """Return what takes the values of a rule's match in place of its head; see `Dispatcher.shortcuts`."""
+        key, event, query, conditions = rule.definition.head
+        names = rule.root.vars
+        find = compile_conditions(self._logic, self._memories, conditions, names)
+        asked = compile_question(self._around, event, query, names, rule.place)
+        if find is None or asked is None:
+            return None
+        left_out = self._dispatcher.left_out
+        only_of_event = isinstance(rule.root, Leaf)  # then its values have variables only where the event has
+
+        def take(term: Term, values: Values, start: int, end: int, after: Any) -> Any:
+            event = left_out(key)
+            if event is None or not (only_of_event and event.ground or without_variables(values)):
+                return otherwise(term, values, start, end, after)
+            try:
+                missing = find(values)
+            except UsageError as error:
+                self._drop(asked.event(values), error)
+                return after
+            if missing:
+                self._wait(asked, values, start, end, missing)
+                return after
+            event.depth += 1  # it stands for the event that is left out
+            try:
+                return asked.ask(values, start, end, after)
+            finally:
+                event.depth -= 1
+
+        return take
+
+    def _drop(self, event: Term, error: UsageError) -> None:
+        self._warn(f"{self._logic.show(event)} is dropped: {error}", ("dropped", kind_of(event)))
+
+    def _wait(self, asked: Question, values: Values, start: int, end: int, missing: Behind) -> None:
         if len(self._all) >= self._limit:
             self._drop_oldest()
-        self._all[waiting.order] = waiting
-        for instance, instant in behind:
-            heapq.heappush(instance.waiting, (instant, waiting.order, waiting))
-            if len(instance.waiting) > 2 * self._limit:
-                self._forget_dropped(instance)
-        return after
-
-    def _conditions(self, conditions: Term) -> Iterable[Tuple[Instance, int]]:
-        """Return the memories and the instants they have to reach.
-
-        Raises:
-            UsageError: for an unknown memory or something that is no ``[Id, Time]``.
-        """
-        pairs = list_items(conditions)
-        if pairs is None:
-            raise UsageError("expected a list of [MemoryId, Time]")
-        found: Dict[Instance, int] = {}
-        time, instant = None, 0  # most often all wait for one time
-        for pair in pairs:
-            parts = list_items(pair)
-            if parts is None or len(parts) != 2:
-                raise UsageError(f"expected [MemoryId, Time], found {self._logic.show(pair)}")
-            instance = self._memories.find(parts[0])
-            if instance is None:
-                raise UsageError(f"there is no memory {self._logic.show(parts[0])}")
-            if parts[1] is not time:
-                time, instant = parts[1], _reach(parts[1])
-            found[instance] = max(instant, found.get(instance, instant))
-        return found.items()
-
-    def _ask(self, event: Term, query: Term, start: int, end: int, after: Any) -> Any:
-        """Return the frame that calls the query and triggers the event where it has a solution."""
-        dispatch = self._dispatcher.dispatch
-
-        def solved(outputs: Tuple[Term, ...]) -> Any:
-            try:
-                return dispatch(outputs[0], start, end, after)
-            except UsageError as error:
-                self._warn(f"{self._logic.show(outputs[0])} is dropped: {error}", ("dropped", _kind(event)))
-                return after
-
-        def failed(error: PrologError) -> None:
-            self._warn(
-                f"{self._logic.show(event)} is dropped, its query raised: {error}", ("raised", _kind(event))
-            )
-
-        return self._dispatcher.call(self._goal, (event, query), solved, after, failed)
+        order = next(self._order)
+        waiting = self._all[order] = (order, asked, values, start, end, missing)
+        instance, instant = missing[-1]
+        instance.wait(instant, order, waiting)
 
     def _release(self, instance: Instance, end: int, after: Any) -> Any:
         """Return the frame that asks what has waited for this memory alone, in order of registration."""
-        heap = instance.waiting
         ready: List[Waiting] = []
-        while heap and heap[0][0] <= end:
-            waiting = heapq.heappop(heap)[2]
-            waiting.missing -= 1
-            if waiting.missing == 0 and self._all.pop(waiting.order, None) is not None:
+        for waiting in instance.reached(end):
+            missing = waiting[5]
+            missing.pop()
+            while missing and missing[-1][0].has(missing[-1][1]):
+                missing.pop()
+            if missing:
+                other, instant = missing[-1]
+                other.wait(instant, waiting[0], waiting)
+            else:
+                del self._all[waiting[0]]
                 ready.append(waiting)
         if len(ready) > 1:
-            ready.sort(key=lambda waiting: waiting.order, reverse=True)
-        for waiting in ready:
-            after = (self, waiting, after)
-        return after
+            ready.sort()
+        elif not ready:
+            return after
+        return self._ask((self, iter(ready), after))
 
     def run(self, frame: Any) -> Any:
-        """Ask a query that has all its data, as code of a frame: one is done with before the next is asked."""
-        _, waiting, after = frame
-        return self._ask(waiting.event, waiting.query, waiting.start, waiting.end, after)
+        """Ask the queries that are left, as code of a frame: one is done with before the next is asked."""
+        return self._ask(frame)
+
+    @staticmethod
+    def _ask(frame: Any) -> Any:
+        ready: Iterator[Waiting] = frame[1]
+        for _, asked, values, start, end, _ in ready:
+            result = asked.ask(values, start, end, frame)
+            if result is not frame:
+                return result
+        return frame[2]
 
     def _drop_oldest(self) -> None:
-        waiting = self._all.popitem(last=False)[1]
+        oldest = self._oldest
+        while oldest not in self._all:
+            oldest += 1
+        self._oldest = oldest
+        event = self._forget(oldest)
         self._warn(
-            f"more than {self._limit} queries wait; the oldest is dropped: {self._logic.show(waiting.event)}",
+            f"more than {self._limit} queries wait; the oldest is dropped: {self._logic.show(event)}",
             "waiting",
         )
 
-    def _forget_dropped(self, instance: Instance) -> None:
-        """Take out of a memory's heap what no longer waits: a memory that gets no event never does."""
-        instance.waiting[:] = [entry for entry in instance.waiting if entry[1] in self._all]
-        heapq.heapify(instance.waiting)
+    def _forget(self, order: int) -> Term:
+        """Have a query wait no more; return its event."""
+        _, asked, values, _, _, missing = self._all.pop(order)
+        instance, instant = missing[-1]
+        instance.forget(instant, order)
+        return asked.event(values)
 
     def _drop_waiting_for(self, instance: Instance) -> None:
         """Drop the queries that wait for a memory that is deleted, with one warning that names them."""
-        show = self._logic.show
-        dropped = [
-            waiting.event
-            for _, order, waiting in sorted(instance.waiting, key=lambda entry: entry[1])
-            if self._all.pop(order, None) is not None
+        orders = [
+            waiting[0]
+            for waiting in self._all.values()
+            if any(one is instance and not one.has(instant) for one, instant in waiting[5])
         ]
-        instance.waiting.clear()
+        dropped = [self._forget(order) for order in orders]
         if dropped:
+            show = self._logic.show
             named = ", ".join(show(event) for event in dropped[:NAMED])
             more = f" and {len(dropped) - NAMED} more" if len(dropped) > NAMED else ""
             self._warn(
                 f"the memory {show(instance.id)} is deleted; dropped is what waits for it: {named}{more}",
                 ("deleted", instance),
             )
-
-
-def _kind(event: Term) -> Any:
-    """Return what events of one kind share: the functor, or the atom."""
-    event = deref(event)
-    return event[0] if event.__class__ is tuple else event
-
-
-def _reach(time: Term) -> int:
-    """Return the instant that a memory has to reach for a time condition."""
-    time = deref(time)
-    if time.__class__ is float:
-        return timestamps.first_reaching(time)
-    if time.__class__ is tuple and time[0] is CONS:
-        return timestamps.from_any(time)
-    return timestamps.from_term(time)

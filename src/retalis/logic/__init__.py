@@ -15,7 +15,7 @@ from .faults import (
     type_error,
 )
 from .goal import Goal
-from .limits import LimitPassed, Limits
+from .limits import Limits, keep_back
 from .logic import Logic
 from .machine import LAST, Code, Machine
 from .predicate import Predicate
@@ -24,7 +24,6 @@ __all__ = [
     "LAST",
     "Code",
     "Goal",
-    "LimitPassed",
     "Limits",
     "Logic",
     "Machine",
@@ -36,6 +35,7 @@ __all__ = [
     "instant_of",
     "instantiation_error",
     "integer",
+    "keep_back",
     "permission_error",
     "resource_error",
     "type_error",

@@ -66,6 +66,12 @@ class LimitPassed(PrologError):
             raise self
 
 
+def keep_back(error: Exception) -> None:
+    """Note that somebody stops for an error and goes on; where it is the limit of a call around, that ends later."""
+    if isinstance(error, LimitPassed):
+        error.kept_back = error.open
+
+
 class Budget:
     """What the goals of one machine have used and may still use.
 

@@ -18,7 +18,7 @@ from ...terms import (
     list_items,
 )
 from ..compiler.nodes import ARROW, NOT, SEMICOLON, SOFT_ARROW
-from ..faults import ERROR, indicator
+from ..faults import ERROR
 from ..messages import describe
 from ..predicate import Predicate
 from .arguments import atom_of, indicator_of
@@ -192,28 +192,20 @@ def _named(machine: Any, which: Term) -> List[Predicate]:
 @deterministic("listing/0")
 def listing_all(machine: Any) -> bool:
     """Write all clauses of the program."""
-    found = list(machine.logic.database.predicates.values())
-    hidden = {predicate.tabled for predicate in found}
-    for predicate in found:
-        if not predicate.library and predicate not in hidden:
+    for predicate in list(machine.logic.database.predicates.values()):
+        if not predicate.library:
             _list_predicate(machine, predicate)
     return True
 
 
-def _with_clauses(predicate: Predicate) -> Predicate:
-    """Return the predicate that has the clauses of one: for a tabled one that which its tables call."""
-    return predicate if predicate.tabled is None else predicate.tabled  # type: ignore[no-any-return]
-
-
 def _list_predicate(machine: Any, predicate: Predicate) -> None:
-    own = _with_clauses(predicate)
-    if own.kind != "user" and not predicate.dynamic:
+    if predicate.kind != "user" and not predicate.dynamic:
         return
     logic = machine.logic
-    declared = "table" if own is not predicate else "dynamic" if predicate.dynamic else None
-    if declared is not None:
-        logic.write(f":- {declared} {logic.show(indicator(predicate.functor))}.\n\n")
-    for clause in own.live():
+    if predicate.dynamic:
+        indicator = (SLASH, atom(predicate.functor.name), predicate.functor.arity)
+        logic.write(f":- dynamic {logic.show(indicator)}.\n\n")
+    for clause in predicate.live():
         logic.write(clause_text(machine, (_NECK, clause.head, clause.body)))
     logic.write("\n")
 
@@ -252,11 +244,10 @@ def _properties(predicate: Predicate) -> Iterator[Term]:
         yield atom("system" if predicate.locked else "library")
         if predicate.locked:
             yield atom("built_in")
-    own = _with_clauses(predicate)
-    if own.kind != "user" and not predicate.dynamic:
+    if predicate.kind != "user" and not predicate.dynamic:
         yield atom("foreign")
     else:
-        yield (functor("number_of_clauses", 1), len(own))
+        yield (functor("number_of_clauses", 1), len(predicate))
     if predicate.discontiguous:
         yield atom("discontiguous")
     if predicate.multifile:
@@ -271,6 +262,6 @@ def nth_clause(machine: Any, head: Term, number: Term, reference: Term) -> Itera
     head = deref(head)
     key = head[0] if head.__class__ is tuple else atom_of(head).functor
     predicate = machine.logic.lookup(key)
-    for at, clause in enumerate([] if predicate is None else _with_clauses(predicate).live(), 1):
+    for at, clause in enumerate([] if predicate is None else predicate.live(), 1):
         if machine.unify_all((number, at), (reference, copy((_NECK, clause.head, clause.body)))):
             yield None

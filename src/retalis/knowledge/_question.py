@@ -1,0 +1,149 @@
+"""A query with the event that its first solution triggers."""
+
+from typing import Any, Callable, NamedTuple, Optional, Sequence, Tuple
+
+from ..errors import Place, UsageError
+from ..events import AT_ONCE, Dispatcher, compile_builder
+from ..logic import Goal, Logic, PrologError, keep_back
+from ..terms import TRUE, Atom, String, Term, Var, deref, functor, is_ground, variables
+from ._recording import Warn
+
+Values = Tuple[Term, ...]
+_CALL = functor("call", 1)
+_NAME = "synchronized query"
+_PLAIN = frozenset((Atom, int, float, String))
+
+
+class Surroundings(NamedTuple):
+    """Where questions are asked: whose goals, where their events go, and who takes warnings."""
+
+    logic: Logic
+    dispatcher: Dispatcher
+    warn: Warn
+
+
+class Question:
+    """A query and the event that it triggers, compiled for values that are known when it is asked.
+
+    Args:
+        around: where it is asked.
+        goal: the query; None where it has a solution always.
+        inputs: places of the goal's inputs among the values.
+        build: makes the event from the values and, behind them, what the goal has given.
+        unsolved: makes from the values alone what the event is before, for reports.
+    """
+
+    __slots__ = ("_around", "_dispatcher", "_dispatch", "_goal", "_inputs", "_build", "event")
+
+    def __init__(
+        self,
+        around: Surroundings,
+        goal: Optional[Goal],
+        inputs: Tuple[int, ...],
+        build: Callable[[Values], Term],
+        unsolved: Callable[[Values], Term],
+    ):
+        self._around = around
+        self._dispatcher = around.dispatcher
+        self._dispatch = around.dispatcher.dispatch
+        self._goal = goal
+        self._inputs = inputs
+        self._build = build
+        self.event = unsolved
+
+    def ask(self, values: Values, start: int, end: int, after: Any) -> Any:
+        """Return the frame that calls the query and triggers the event where it has a solution."""
+        goal = self._goal
+        if goal is None:
+            return self._trigger(values, values, start, end, after)
+        dispatcher = self._dispatcher
+        given = tuple([values[at] for at in self._inputs])
+        event = dispatcher.current
+        if event is not None and event.depth > AT_ONCE:
+            return dispatcher.call(
+                goal,
+                given,
+                lambda found: self._trigger(values, values + found, start, end, after),
+                after,
+                lambda error: self._failed(values, error),
+            )
+        try:  # as `Dispatcher.call`, without functions made for each query
+            found = goal.test(given)
+        except PrologError as error:
+            dispatcher.current = event
+            self._failed(values, error)
+            return after
+        return after if found is None else self._trigger(values, values + found, start, end, after)
+
+    def _trigger(self, values: Values, found: Values, start: int, end: int, after: Any) -> Any:
+        event = self._build(found)
+        try:
+            return self._dispatch(event, start, end, after)
+        except UsageError as error:
+            self._around.warn(
+                f"{self._around.logic.show(event)} is dropped: {error}",
+                ("dropped", kind_of(self.event(values))),
+            )
+            return after
+
+    def _failed(self, values: Values, error: PrologError) -> None:
+        keep_back(error)
+        event = self.event(values)
+        self._around.warn(
+            f"{self._around.logic.show(event)} is dropped, its query raised: {error}",
+            ("raised", kind_of(event)),
+        )
+
+
+def general_question(around: Surroundings) -> Question:
+    """Return the question whose values are an event and a query, whatever they are."""
+    event, query = Var(), Var()
+    goal = around.logic.compile_goal((_CALL, query), [event, query], [event], name=_NAME)
+    return Question(around, goal, (0, 1), lambda values: values[2], lambda values: values[0])
+
+
+def compile_question(
+    around: Surroundings, event: Term, query: Term, names: Sequence[Var], place: Optional[Place]
+) -> Optional[Question]:
+    """Return the question for values of ``names`` without variables; None where only the values tell what it is.
+
+    Args:
+        around: where it is asked.
+        event: what it triggers.
+        query: its goal.
+        names: the variables that are known.
+        place: where it was read.
+    """
+    event, query = deref(event), deref(query)
+    mentioned = variables(query)
+    if query.__class__ is Var:
+        if query not in names:
+            return None
+        query = (_CALL, query)
+    found = [var for var in variables(event) if var in mentioned and var not in names]
+    build = compile_builder(event, [*names, *found], f"event of a {_NAME}")
+    inputs = [at for at, name in enumerate(names) if name in mentioned]
+    goal = None
+    if query is not TRUE:
+        try:
+            goal = around.logic.compile_goal(query, [names[at] for at in inputs], found, place, _NAME)
+        except PrologError:  # reported for each event that asks it
+            return None
+    return Question(
+        around, goal, tuple(inputs), build, lambda values: build((*values, *[Var() for _ in found]))
+    )
+
+
+def without_variables(values: Values) -> bool:
+    """Tell whether values have no variables."""
+    for value in values:
+        kind = value.__class__
+        if kind not in _PLAIN and (kind is Var or (kind is tuple and not is_ground(value))):
+            return False
+    return True
+
+
+def kind_of(event: Term) -> Any:
+    """Return what events of one kind share: the functor, or the atom."""
+    event = deref(event)
+    return event[0] if event.__class__ is tuple else event
