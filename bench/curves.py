@@ -19,6 +19,7 @@ HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent / "src")]
 
 import workload as work  # noqa: E402
+from arguments import positive, target  # noqa: E402
 from fitting import exponent  # noqa: E402
 from processes import machine  # noqa: E402
 
@@ -216,10 +217,10 @@ def main(given: Optional[List[str]] = None) -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--curve", nargs="+", choices=list(CURVES))
-    parser.add_argument("--most", type=int, default=10**6, help="the largest size")
-    parser.add_argument("--runs", type=int, default=3, help="the least of so many runs counts")
-    parser.add_argument("--json", help="write the figures there")
-    parser.add_argument("--plot", help="draw them there")
+    parser.add_argument("--most", type=positive, default=10**6, help="the largest size")
+    parser.add_argument("--runs", type=positive, default=3, help="the least of so many runs counts")
+    parser.add_argument("--json", type=target, help="write the figures there")
+    parser.add_argument("--plot", type=target, help="draw them there")
     options = parser.parse_args(given)
     result = measure(options)
     if options.json:

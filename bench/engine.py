@@ -19,6 +19,7 @@ HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent / "src"), str(HERE.parent / "examples" / "nao")]
 
 import workload as work  # noqa: E402
+from arguments import existing, interpreter, positive, target  # noqa: E402
 from renamed import renamed  # noqa: E402
 
 from retalis.collector import relax  # noqa: E402
@@ -297,11 +298,11 @@ def main() -> int:
     parser.add_argument("case", nargs="?", choices=[*CASES, *MORE])
     parser.add_argument("--messages", action="store_true", help="feed message bytes, and count decoding in")
     parser.add_argument("--all", action="store_true", help="all cases, and what they take as a table")
-    parser.add_argument("--against", help="folder of the reference's bench.pl")
-    parser.add_argument("--python", nargs="+", default=[], help="further interpreters")
-    parser.add_argument("--runs", type=int, default=5)
-    parser.add_argument("--json", help="write the figures there")
-    parser.add_argument("--plot", help="draw them there")
+    parser.add_argument("--against", type=existing, help="folder of the reference's bench.pl")
+    parser.add_argument("--python", type=interpreter, nargs="+", default=[], help="further interpreters")
+    parser.add_argument("--runs", type=positive, default=5)
+    parser.add_argument("--json", type=target, help="write the figures there")
+    parser.add_argument("--plot", type=target, help="draw them there")
     options = parser.parse_args()
     if options.all:
         from comparison import compare

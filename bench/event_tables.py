@@ -11,10 +11,13 @@ def joined(files: Sequence[Path]) -> Dict[str, Any]:
     """Return the figures of several files as those of one."""
     figures: Dict[str, Any] = {"rows": [], "memory": {}}
     for file in files:
-        found = json.loads(file.read_text())
-        figures["rows"] += found["rows"]
-        figures["memory"].update(found["memory"])
-        figures["python"] = found["python"]
+        try:
+            found = json.loads(file.read_text())
+            figures["rows"] += found["rows"]
+            figures["memory"].update(found["memory"])
+            figures["python"] = found["python"]
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise SystemExit(f"{file} has not the figures that --json writes: {error!r}") from error
     return figures
 
 

@@ -33,6 +33,7 @@ sys.path[:0] = [str(HERE), str(HERE.parent / "src")]
 
 import event_memory  # noqa: E402
 import event_tables  # noqa: E402
+from arguments import existing, positive, target  # noqa: E402
 
 from retalis.clock import StreamClock  # noqa: E402
 from retalis.engine import Engine  # noqa: E402
@@ -363,19 +364,19 @@ def main(arguments: Optional[List[str]] = None) -> int:
     add("--operator", action="append", choices=[*CASES, *MORE])
     add("--policy", action="append", choices=POLICIES)
     add("--setting", action="append", choices=SETTINGS)
-    add("--most", type=int, default=10**5, help="the largest number that waits")
+    add("--most", type=positive, default=10**5, help="the largest number that waits")
     add("--seconds", type=float, default=2.0, help="how long the next size of a cell may take")
     add("--half", type=int, default=10**6, help="how many half matches the memory is measured with")
     add("--markdown", action="store_true", help="print the tables as they stand in the documentation")
-    add("--json", type=Path, help="write the figures there")
+    add("--json", type=target, help="write the figures there")
     add(
         "--from",
         dest="sources",
-        type=Path,
+        type=existing,
         nargs="+",
         help="take the figures from there instead of measuring",
     )
-    add("--plot", help="draw plots into files whose names start so")
+    add("--plot", type=target, help="draw plots into files whose names start so")
     options = parser.parse_args(arguments)
     figures = event_tables.joined(options.sources) if options.sources else run(options)
     table = event_tables.markdown if options.markdown else event_tables.plain
@@ -388,7 +389,7 @@ def main(arguments: Optional[List[str]] = None) -> int:
     if options.plot:
         import event_plots
 
-        event_plots.draw(figures, options.plot)
+        event_plots.draw(figures, str(options.plot))
     return 0
 
 

@@ -24,6 +24,7 @@ HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent / "src")]
 
 import others  # noqa: E402
+from arguments import interpreter, positive, target  # noqa: E402
 
 from retalis.collector import relax  # noqa: E402
 from retalis.logic import Logic  # noqa: E402
@@ -180,14 +181,19 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("cases", nargs="*", metavar="CASE", help=", ".join(CASES))
-    parser.add_argument("--python", action="append", default=[], help="another interpreter for ours")
-    parser.add_argument("--runs", type=int, default=5, help="runs of each cell")
-    parser.add_argument("--json", metavar="FILE", help="write the figures to a file")
+    parser.add_argument(
+        "--python", type=interpreter, action="append", default=[], help="another interpreter for ours"
+    )
+    parser.add_argument("--runs", type=positive, default=5, help="runs of each cell")
+    parser.add_argument("--json", type=target, metavar="FILE", help="write the figures to a file")
     parser.add_argument("--one", nargs=2, metavar=("ENGINE", "CASE"), help="print seconds of a repetition")
     options = parser.parse_args()
-    unknown = [case for case in options.cases if case not in CASES]
+    engine, *named = options.one or [OURS]
+    unknown = [case for case in (*options.cases, *named) if case not in CASES]
     if unknown:
         parser.error(f"there is no case {unknown[0]}")
+    if engine != OURS and not (engine in COLUMNS and can_run(engine, named[0])):
+        parser.error(f"there is no engine {engine}, or not for this case")
     if options.one:
         print(one(*options.one))
     else:

@@ -16,9 +16,10 @@ from time import perf_counter
 from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple
 
 ROOT = Path(__file__).resolve().parent.parent
-sys.path[:0] = [str(ROOT / "src"), str(ROOT / "examples" / "nao")]
+sys.path[:0] = [str(ROOT / "bench"), str(ROOT / "src"), str(ROOT / "examples" / "nao")]
 
 import nao_messages  # noqa: E402
+from arguments import positive, target  # noqa: E402
 from nao_robot import Robot  # noqa: E402
 
 from retalis.messages import Definition, Definitions  # noqa: E402
@@ -124,9 +125,9 @@ def report(result: Dict[str, Any]) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument(
-        "--repeats", type=int, default=7, help="batches of which the fastest counts (default 7)"
+        "--repeats", type=positive, default=7, help="batches of which the fastest counts (default 7)"
     )
-    parser.add_argument("--json", metavar="FILE", help="also write the results there")
+    parser.add_argument("--json", type=target, metavar="FILE", help="also write the results there")
     given = parser.parse_args()
     results = measure(given.repeats)
     if given.json:

@@ -28,6 +28,7 @@ from typing import Any, Callable, Dict, Iterator, List, Optional
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent / "test" / "ros"), str(HERE.parent / "examples" / "nao")]
 
+from arguments import positive, target  # noqa: E402
 from player import Player  # noqa: E402
 from processes import ROSPY_IDLE, Started, build_roscpp, cpu, free_port, machine, resident  # noqa: E402
 
@@ -340,11 +341,11 @@ def arguments(given: Optional[List[str]] = None) -> argparse.Namespace:
     parser.add_argument("--seconds", type=float, default=20.0, help="length of the bag")
     parser.add_argument("--speed", type=float, nargs="+", default=[1.0, 5.0, 10.0, 20.0])
     parser.add_argument("--way", nargs="+", choices=list(WAYS), default=list(WAYS))
-    parser.add_argument("--runs", type=int, default=1)
+    parser.add_argument("--runs", type=positive, default=1)
     parser.add_argument("--memory", type=int, default=0, help="messages through which memory is watched")
     parser.add_argument("--starts", type=int, default=0, help="how often the node's start is timed")
-    parser.add_argument("--json", help="write the figures there")
-    parser.add_argument("--plot", help="draw them there")
+    parser.add_argument("--json", type=target, help="write the figures there")
+    parser.add_argument("--plot", type=target, help="draw them there")
     return parser.parse_args(given)
 
 

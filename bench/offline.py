@@ -19,8 +19,10 @@ from typing import Any, Dict, List, Optional
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent / "src"), str(HERE.parent / "examples" / "nao")]
 
+from arguments import existing, interpreter, positive, target  # noqa: E402
 
-def once(bag: str) -> Dict[str, float]:
+
+def once(bag: Path) -> Dict[str, float]:
     """Run the program over a bag in this process; return the figures."""
     from retalis.bags import BagReader
     from retalis.collector import relax
@@ -77,11 +79,11 @@ def main(given: Optional[List[str]] = None) -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--seconds", type=float, default=60.0, help="length of the bag")
-    parser.add_argument("--runs", type=int, default=5)
-    parser.add_argument("--python", nargs="+", default=[], help="further interpreters")
-    parser.add_argument("--json", help="write the figures there")
-    parser.add_argument("--plot", help="draw them there")
-    parser.add_argument("--once", metavar="BAG", help=argparse.SUPPRESS)
+    parser.add_argument("--runs", type=positive, default=5)
+    parser.add_argument("--python", type=interpreter, nargs="+", default=[], help="further interpreters")
+    parser.add_argument("--json", type=target, help="write the figures there")
+    parser.add_argument("--plot", type=target, help="draw them there")
+    parser.add_argument("--once", type=existing, metavar="BAG", help=argparse.SUPPRESS)
     options = parser.parse_args(given)
     if options.once:
         version = ".".join(map(str, sys.version_info[:3]))

@@ -19,6 +19,10 @@ from pathlib import Path
 from typing import Any, Callable, Dict, Iterator, List, Optional
 
 HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE))
+
+from arguments import existing, interpreter, positive  # noqa: E402
+
 DOCS = HERE.parent / "docs"
 PAGE = DOCS / "performance.md"
 NAMES = ("engine", "offline", "curves", "node")
@@ -27,7 +31,7 @@ NAMES = ("engine", "offline", "curves", "node")
 def commands(options: argparse.Namespace) -> Dict[str, List[str]]:
     """Return the command of each benchmark."""
     others = ["--python", *options.python] if options.python else []
-    against = ["--against", options.against] if options.against else []
+    against = ["--against", str(options.against)] if options.against else []
     runs = ["--runs", str(options.runs)]
     found = {
         "engine": [sys.executable, str(HERE / "engine.py"), "--all", *against, *others, *runs],
@@ -36,7 +40,7 @@ def commands(options: argparse.Namespace) -> Dict[str, List[str]]:
     }
     if options.ros:
         node = ["python3", str(HERE / "node.py"), "--memory", "1000000", "--starts", "5", *runs]
-        found["node"] = ["bash", "-c", 'source "$0" && exec "$@"', options.ros, *node]
+        found["node"] = ["bash", "-c", 'source "$0" && exec "$@"', str(options.ros), *node]
     return found
 
 
@@ -192,10 +196,10 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--against")
-    parser.add_argument("--python", nargs="+", default=[])
-    parser.add_argument("--ros")
-    parser.add_argument("--runs", type=int, default=5)
+    parser.add_argument("--against", type=existing)
+    parser.add_argument("--python", type=interpreter, nargs="+", default=[])
+    parser.add_argument("--ros", type=existing)
+    parser.add_argument("--runs", type=positive, default=5)
     parser.add_argument("--only", nargs="+", choices=[*NAMES, "none"], default=list(NAMES))
     parser.add_argument("--figures", type=Path, default=HERE / "figures")
     options = parser.parse_args()

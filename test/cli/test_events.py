@@ -440,3 +440,10 @@ def test_ends_without_a_word_when_nobody_reads_on(tmp_path):
         child.kill()
         child.wait()
         child.stderr.close()
+
+
+def test_with_nothing_to_do_it_says_what_is_missing(capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(["events", "--json"])
+    assert caught.value.code == 2
+    assert "there is nothing to do: give --rules, --goals, --stream or --queries" in capsys.readouterr().err

@@ -6,6 +6,7 @@ from events.running import Program, show
 from retalis.clock import StreamClock
 from retalis.engine import Engine, Settings
 from retalis.errors import ProgramErrors
+from retalis.logic import PrologError
 
 
 @pytest.fixture
@@ -255,3 +256,17 @@ def test_a_refused_file_leaves_the_librarys_predicates(program):
     program.engine.load(rules="memberchk(zz, _).")
     assert not program.engine.call("memberchk(1, [1])")
     assert show(program.seen) == ""
+
+
+@pytest.mark.parametrize(
+    "goal",
+    ["consult({})", "[{}]", "use_module({})", "compile_event_file({})", "execute_event_stream_file({})"],
+)
+def test_a_file_that_is_not_there_is_an_existence_error_with_its_name(goal, tmp_path):
+    engine = Engine()
+    name = f"'{tmp_path}/no.txt'"
+    caught = f"catch({goal.format(name)}, error(existence_error(source_sink, Name), _), true)"
+    (found,) = engine.query(caught)
+    assert engine.show(found["Name"]) == name
+    with pytest.raises(PrologError, match=f"cannot read {tmp_path}/no.txt: No such file or directory"):
+        engine.call(goal.format(name))

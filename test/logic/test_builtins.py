@@ -237,3 +237,19 @@ def test_malformed_poses(goal, error):
 
 def test_the_empty_product_is_the_identity():
     assert first(prolog(), "transform_quaternion([], X)") == "[[0.0,0.0,0.0],[0.0,0.0,0.0,1.0]]"
+
+
+def test_listing_of_tabled_predicates():
+    logic = prolog(
+        ":- table path/2.\npath(X, Y) :- edge(X, Y).\npath(X, Y) :- path(X, Z), edge(Z, Y).\nedge(1, 2)."
+    )
+    written = []
+    logic.output = written.append
+    clauses = "path(A, B) :-\n    edge(A, B).\npath(A, B) :-\n    path(A, C),\n    edge(C, B).\n\n"
+    assert answers(logic, "listing(path/2)")
+    assert "".join(written) == f":- table path/2.\n\n{clauses}"
+    written.clear()
+    assert answers(logic, "listing")
+    assert "".join(written).count("path(A, B) :-") == 2
+    assert answers(logic, "predicate_property(path(_, _), number_of_clauses(N))") == [{"N": "2"}]
+    assert answers(logic, "nth_clause(path(_, _), 2, (H :- _)), H = path(A, A)")

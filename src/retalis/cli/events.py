@@ -77,11 +77,13 @@ def add_parser(commands: Any) -> None:
     )
     add("--clock", metavar="TERM", help="pin the clock to an instant: datime(2001,1,1,0,0,0,0) or seconds")
     add("--json", action="store_true", help="print one JSON object a line instead of terms")
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run, wrong=parser.error)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; the status is 1 if there was an error."""
+    if not (options.rules or options.goals or options.stream or options.queries or options.explain):
+        options.wrong("there is nothing to do: give --rules, --goals, --stream or --queries")
     report = Report().listen()
     with ExitStack() as stack:
         printer = Printer(options.json, options.memory_events, _opened(options.outputs, stack))

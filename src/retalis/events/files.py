@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, Iterable, Iterator, List, Optional, Set
 
 from ..errors import UsageError
-from ..logic import permission_error
+from ..logic import existence_error, permission_error
 from ..terms import Term, atom
 from .libraries import file_name
 
@@ -114,12 +114,15 @@ def text_of(path: Path) -> str:
     """Return the text of a file.
 
     Raises:
+        PrologError: an existence error where it is not there.
         UsageError: where it cannot be read.
     """
     try:
         return path.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
         raise UsageError(f"cannot read {path}: no UTF-8 text") from error
+    except FileNotFoundError as error:
+        raise existence_error("source_sink", atom(str(path))) from error
     except OSError as error:
         raise UsageError(f"cannot read {path}: {error.strerror}") from error
     except ValueError as error:

@@ -272,10 +272,7 @@ class _Streams:
 
     def execute_file(self, machine: Any, arguments: Sequence[Term], after: Frame) -> Frame:
         path: Path = self.rules.files.resolve(_path(arguments[0]))
-        try:
-            text = text_of(path)
-        except UsageError as error:
-            raise existence_error("source_sink", arguments[0]) from error
+        text = text_of(path)
         goals: List[Term] = []
         errors: List[RetalisError] = []
         for read in read_program(text, self.rules.logic.operators, str(path)):

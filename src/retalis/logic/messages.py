@@ -30,6 +30,8 @@ def _formal(formal: Term) -> str:
     name, args = formal[0].name, [deref(arg) for arg in formal[1:]]
     if name == "existence_error" and _name(args[0]) == "procedure":
         return f"{_UNKNOWN}{writeq(args[1])}"
+    if name == "existence_error" and _name(args[0]) == "source_sink":
+        return f"cannot read {_name(args[1])}: No such file or directory"
     if name == "system_error":
         return _name(args[0])  # a sentence
     template = _TEMPLATES.get(name)

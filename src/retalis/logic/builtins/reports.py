@@ -18,7 +18,7 @@ from ...terms import (
     list_items,
 )
 from ..compiler.nodes import ARROW, NOT, SEMICOLON, SOFT_ARROW
-from ..faults import ERROR
+from ..faults import ERROR, indicator
 from ..messages import describe
 from ..predicate import Predicate
 from .arguments import atom_of, indicator_of
@@ -192,20 +192,28 @@ def _named(machine: Any, which: Term) -> List[Predicate]:
 @deterministic("listing/0")
 def listing_all(machine: Any) -> bool:
     """Write all clauses of the program."""
-    for predicate in list(machine.logic.database.predicates.values()):
-        if not predicate.library:
+    found = list(machine.logic.database.predicates.values())
+    hidden = {predicate.tabled for predicate in found}
+    for predicate in found:
+        if not predicate.library and predicate not in hidden:
             _list_predicate(machine, predicate)
     return True
 
 
+def _with_clauses(predicate: Predicate) -> Predicate:
+    """Return the predicate that has the clauses of one: for a tabled one that which its tables call."""
+    return predicate if predicate.tabled is None else predicate.tabled  # type: ignore[no-any-return]
+
+
 def _list_predicate(machine: Any, predicate: Predicate) -> None:
-    if predicate.kind != "user" and not predicate.dynamic:
+    own = _with_clauses(predicate)
+    if own.kind != "user" and not predicate.dynamic:
         return
     logic = machine.logic
-    if predicate.dynamic:
-        indicator = (SLASH, atom(predicate.functor.name), predicate.functor.arity)
-        logic.write(f":- dynamic {logic.show(indicator)}.\n\n")
-    for clause in predicate.live():
+    declared = "table" if own is not predicate else "dynamic" if predicate.dynamic else None
+    if declared is not None:
+        logic.write(f":- {declared} {logic.show(indicator(predicate.functor))}.\n\n")
+    for clause in own.live():
         logic.write(clause_text(machine, (_NECK, clause.head, clause.body)))
     logic.write("\n")
 
@@ -244,10 +252,11 @@ def _properties(predicate: Predicate) -> Iterator[Term]:
         yield atom("system" if predicate.locked else "library")
         if predicate.locked:
             yield atom("built_in")
-    if predicate.kind != "user" and not predicate.dynamic:
+    own = _with_clauses(predicate)
+    if own.kind != "user" and not predicate.dynamic:
         yield atom("foreign")
     else:
-        yield (functor("number_of_clauses", 1), len(predicate))
+        yield (functor("number_of_clauses", 1), len(own))
     if predicate.discontiguous:
         yield atom("discontiguous")
     if predicate.multifile:
@@ -262,6 +271,6 @@ def nth_clause(machine: Any, head: Term, number: Term, reference: Term) -> Itera
     head = deref(head)
     key = head[0] if head.__class__ is tuple else atom_of(head).functor
     predicate = machine.logic.lookup(key)
-    for at, clause in enumerate([] if predicate is None else predicate.live(), 1):
+    for at, clause in enumerate([] if predicate is None else _with_clauses(predicate).live(), 1):
         if machine.unify_all((number, at), (reference, copy((_NECK, clause.head, clause.body)))):
             yield None

@@ -1,0 +1,35 @@
+"""Types of arguments that the benchmarks check before they begin, for ``argparse``."""
+
+import argparse
+import shutil
+from pathlib import Path
+
+
+def positive(text: str) -> int:
+    """Return a whole number above zero."""
+    if not text.isdecimal() or int(text) == 0:
+        raise argparse.ArgumentTypeError(f"{text} is no whole number above zero")
+    return int(text)
+
+
+def interpreter(text: str) -> str:
+    """Return a program that can be started."""
+    if shutil.which(text) is None:
+        raise argparse.ArgumentTypeError(f"there is no program {text}")
+    return text
+
+
+def existing(text: str) -> Path:
+    """Return the path of a file or folder that is there."""
+    path = Path(text)
+    if not path.exists():
+        raise argparse.ArgumentTypeError(f"there is no {text}")
+    return path
+
+
+def target(text: str) -> Path:
+    """Return the path of a file that can be written: its folder is there."""
+    path = Path(text)
+    if not path.parent.is_dir():
+        raise argparse.ArgumentTypeError(f"there is no folder {path.parent}")
+    return path

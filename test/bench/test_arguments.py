@@ -1,0 +1,41 @@
+"""What the benchmarks are called with wrongly is said in one line, before anything is measured."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+BENCH = Path(__file__).resolve().parents[2] / "bench"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        ("events.py --from nofile", "there is no nofile"),
+        ("events.py --json nofolder/figures.json", "there is no folder nofolder"),
+        ("curves.py --runs 0", "0 is no whole number above zero"),
+        ("engine.py --all --python nosuch", "there is no program nosuch"),
+        ("engine.py --all --against nofolder", "there is no nofolder"),
+        ("logic.py --one nosuch nrev", "there is no engine nosuch"),
+        ("logic.py --one retalis nosuch", "there is no case nosuch"),
+        ("offline.py --runs many", "many is no whole number above zero"),
+        ("performance.py --ros nofile", "there is no nofile"),
+    ],
+)
+def test_a_wrong_argument_is_named(arguments, problem, tmp_path):
+    program, *rest = arguments.split()
+    ran = subprocess.run(
+        [sys.executable, str(BENCH / program), *rest], cwd=tmp_path, stderr=subprocess.PIPE, text=True
+    )
+    assert ran.returncode == 2
+    assert problem in ran.stderr.splitlines()[-1]
+    assert "Traceback" not in ran.stderr
+
+
+def test_a_file_without_figures_is_named(tmp_path):
+    (tmp_path / "wrong.json").write_text('{"rows": []}')
+    command = [sys.executable, str(BENCH / "events.py"), "--from", "wrong.json"]
+    ran = subprocess.run(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    assert ran.returncode == 1
+    assert ran.stderr == "wrong.json has not the figures that --json writes: KeyError('memory')\n"
