@@ -156,3 +156,38 @@ def test_events_with_variables_match_what_they_unify_with():
     assert fired("c(X,Y) <- a(f(X), Y).", "a(Z,Z)@1") == "c(A,f(A))@1-1"
     assert fired("c(X) <- a(X) where X = 3.", "a(Z)@1 a(4)@2") == "c(3)@1-1"
     assert fired("c(X) do X = 3 <- a(X).", "a(Z)@1 a(4)@2") == "c(3)@1-1"
+
+
+def test_a_rule_that_is_deleted_meanwhile_gets_the_event_that_is_served_and_no_more():
+    program = Program("one do del_event_rule(two) <- a. two : b <- a.")
+    assert program.feed("a@1 a@2") == "one@1-1 b@1-1 one@2-2"
+    program = Program("one do (ins_event_rule(c <- a), del_event_rule(c <- a)) <- a.")
+    assert program.feed("a@1") == "one@1-1"
+
+
+def test_a_subscription_that_is_deleted_meanwhile_gets_the_event_that_is_served_and_no_more():
+    program = Program()
+    got = []
+    program.engine.on_output(lambda term, topic, name: got.append(name))
+    program.engine.call("subscribe(a, [delete_subscription(t, 2)], _, t, 1)")
+    program.engine.call("subscribe(a, [], _, t, 2)")
+    program.feed("a@1 a@2")
+    assert got == [1, 2, 1]
+
+
+def test_a_memory_that_is_deleted_meanwhile_is_gone_for_good():
+    program = Program()
+    program.engine.call("memorize(a, [delete_memory(2)], _, 1, 5)")
+    program.engine.call("memorize(a, [], _, 2, 5)")
+    assert "memory_updated(2" not in program.feed("a@1 a@2")
+    assert not program.engine.call("access_mem(2, _, _)")
+    assert program.engine.call("memory_size(1, 5)")
+
+
+def test_a_memory_that_is_added_meanwhile_gets_later_events_only():
+    program = Program()
+    program.engine.call("subscribe(a(1), [memorize(a(X), [], _, m, 5)], _, t, 1)")
+    program.feed("a(1)@1")
+    assert not program.engine.call("access_mem(m, _, _)")
+    program.feed("a(2)@2")
+    assert program.engine.query("access_mem(m, a(X), _)") == [{"X": 2}]

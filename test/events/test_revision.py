@@ -137,6 +137,11 @@ def test_alarm_at_an_instant():
     assert alarming("exceptionAlarmAbsoluteDatime(ding,7) <- a.", "a@1", 8)[0] == "ding@1-7"
 
 
+def test_an_alarm_that_is_set_rings_after_its_rule_was_deleted():
+    rules = "l : exceptionAlarm(ding, 5) <- a. gone do del_event_rule(l) <- b."
+    assert alarming(rules, "a@1 b@2 a@3", 10)[0] == "ding@1-6"
+
+
 def test_alarm_in_no_time_is_reported():
     program = Program("exceptionAlarm(ding,N) <- a(N).")
     assert program.feed("a(0)@1") == ""
