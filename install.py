@@ -8,14 +8,14 @@ import argparse
 import hashlib
 import os
 import shlex
-import signal
 import subprocess
 import sys
-import time
 import urllib.error
 import urllib.request
 from pathlib import Path
-from typing import IO, Callable, Dict, Iterable, List, Mapping, NamedTuple, Optional, Sequence
+from typing import Dict, Iterable, List, Mapping, NamedTuple, Optional, Sequence
+
+from install_shell import Problem, Shell
 
 HERE = Path(__file__).resolve().parent
 PYTHON = "/usr/bin/python3"  # the one interpreter that sees the distribution's ROS modules
@@ -24,11 +24,6 @@ INSTRUCTIONS = "http://wiki.ros.org/noetic/Installation/Ubuntu"
 KEY_URL = "https://raw.githubusercontent.com/ros/rosdistro/master/ros.asc"
 KEY_FILE = "/usr/share/keyrings/ros-archive-keyring.asc"
 SOURCE_FILE = "/etc/apt/sources.list.d/ros-noetic.list"
-TAIL = 15  # lines of a log shown when a step fails
-
-
-class Problem(Exception):
-    """Something that ends the run; its text is one line for the user."""
 
 
 class Platform(NamedTuple):
@@ -116,106 +111,6 @@ def as_root(command: Sequence[str], uid: int) -> List[str]:
 def digest(*parts: str) -> str:
     """Return a short name for these texts together; it changes when one of them does."""
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:16]
-
-
-def tail(text: str, count: int = TAIL) -> str:
-    """Return the last lines of a text, indented."""
-    return "\n".join("    " + line for line in text.rstrip().splitlines()[-count:])
-
-
-def stop(process: "subprocess.Popen[bytes]") -> None:
-    """End a process that was started here, first asking, then telling it."""
-    for number, patience in ((signal.SIGINT, 20), (signal.SIGTERM, 5), (signal.SIGKILL, 5)):
-        try:
-            process.send_signal(number)
-        except PermissionError:  # sudo's: the terminal has told it
-            pass
-        try:
-            process.wait(patience)
-            return
-        except subprocess.TimeoutExpired:
-            continue
-
-
-class Line:
-    """A line for the user that says what is being done; on a terminal also for how many seconds."""
-
-    def __init__(self, title: str) -> None:
-        self._title = title
-        self._begin = time.monotonic()
-        print(title + " ...", end="", flush=True)
-
-    def tick(self) -> None:
-        """Show the seconds so far."""
-        if sys.stdout.isatty():
-            print(f"\r{self._title} ... {self._seconds()}", end="", flush=True)
-
-    def end(self, result: str) -> None:
-        """Show the result and end the line."""
-        begin = f"\r{self._title} ..." if sys.stdout.isatty() else ""
-        print(f"{begin} {result} ({self._seconds()})", flush=True)
-
-    def _seconds(self) -> str:
-        return f"{time.monotonic() - self._begin:.0f} s"
-
-
-class Shell:
-    """Runs commands: quietly with a log for each, or before the user's eyes."""
-
-    def __init__(self, logs: Path, dry: bool = False) -> None:
-        self.logs = logs
-        self.dry = dry
-
-    def step(self, title: str, name: str, command: Sequence[str], cwd: Optional[Path] = None) -> None:
-        """Run a command with its output in a log, one line for the user.
-
-        Raises:
-            Problem: It failed; the end of its log is printed and the log named.
-        """
-        if self.dry:
-            print("would run: " + " ".join(map(shlex.quote, command)))
-            return
-        self.logs.mkdir(parents=True, exist_ok=True)
-        log = self.logs / (name + ".log")
-        line = Line(title)
-        with log.open("wb") as output:
-            code = self._wait(command, cwd, output, line.tick)
-        line.end("failed" if code else "done")
-        if code:
-            print(tail(log.read_text(errors="replace")), file=sys.stderr)
-            raise Problem(f"{name} failed with exit status {code}; all of its output is in {log}")
-
-    def show(self, command: Sequence[str], cwd: Optional[Path] = None) -> int:
-        """Run a command before the user's eyes and return its exit status."""
-        if self.dry:
-            print("would run: " + " ".join(map(shlex.quote, command)))
-            return 0
-        return self._wait(command, cwd)
-
-    @staticmethod
-    def _wait(
-        command: Sequence[str],
-        cwd: Optional[Path],
-        output: Optional[IO[bytes]] = None,
-        tick: Callable[[], None] = lambda: None,
-    ) -> int:
-        errors = None if output is None else subprocess.STDOUT
-        try:
-            process = subprocess.Popen(command, cwd=cwd, stdout=output, stderr=errors)
-        except FileNotFoundError:
-            raise Problem(f"{command[0]} is not installed") from None
-        try:
-            while True:
-                try:
-                    return process.wait(1)
-                except subprocess.TimeoutExpired:
-                    tick()
-        except KeyboardInterrupt:
-            try:
-                process.wait(5)  # the terminal has told the command as well
-            except subprocess.TimeoutExpired:
-                stop(process)
-            raise
 
 
 class Installation:
@@ -337,6 +232,7 @@ def arguments(argv: Sequence[str]) -> argparse.Namespace:
     commands.add_parser("build", help="install what is needed and build (the default)")
     commands.add_parser("demo", help="... and run the NAO example (see demo --help)", add_help=False)
     commands.add_parser("test", help="... and run every test; options go to pytest", add_help=False)
+    commands.add_parser("where", help="print the setup.bash of the workspace that was built")
     commands.add_parser("lint", help="... and check the style: ruff, mypy, catkin_lint")
     options, rest = parser.parse_known_args(argv)
     options.rest = rest
@@ -375,6 +271,12 @@ def main(argv: Sequence[str]) -> int:
     os.environ["PATH"] = "/usr/bin" + os.pathsep + os.environ.get("PATH", "")
     if options.command == "demo" and {"-h", "--help"} & set(options.rest):
         return subprocess.call([sys.executable, DEMO, "--help"])
+    setup = options.workspace / "devel" / "setup.bash"
+    if options.command == "where":
+        if not setup.exists():
+            raise Problem("nothing is built yet; ./install.py builds it")
+        print(setup)
+        return 0
     shell = Shell(options.workspace / "log", options.dry_run)
     platform = choose_platform(parse_os_release(Path("/etc/os-release").read_text()))
     installation = Installation(platform, options.workspace, shell, not options.no_system)
@@ -389,7 +291,7 @@ def main(argv: Sequence[str]) -> int:
         return installation.run([PYTHON, "-m", "pytest", *options.rest])
     if options.command == "lint":
         return lint(installation)
-    print(f"retalis is built. To use it:  source {options.workspace}/devel/setup.bash")
+    print(f"retalis is built. To use it:  source {setup}")
     return 0
 
 

@@ -1,8 +1,7 @@
-import importlib.util
+import importlib
 import io
 import os
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -12,10 +11,9 @@ HERE = Path(__file__).resolve().parents[1]
 
 @pytest.fixture(scope="module")
 def install():
-    spec = importlib.util.spec_from_file_location("install", str(HERE / "install.py"))
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(HERE))
+        yield importlib.import_module("install")
 
 
 def test_os_release_with_and_without_quotes(install):
@@ -64,10 +62,6 @@ def test_digest_tells_texts_apart(install):
     assert install.digest("ab", "c") == install.digest("ab", "c")
 
 
-def test_tail_is_the_end_indented(install):
-    assert install.tail("1\n2\n3\n\n", 2) == "    2\n    3"
-
-
 def test_bash_keeps_arguments_apart(install):
     command = install.bash(["X=1", 'exec "$@"'], ["printf", "%s|", "a b", "$X", "'"])
     assert subprocess.check_output(command) == b"a b|$X|'|"
@@ -104,82 +98,6 @@ def test_wrong_arguments_are_refused(install, argv, capsys):
         install.arguments(argv)
     assert raised.value.code == 2
     assert "install.py: error:" in capsys.readouterr().err
-
-
-def test_step_logs_and_says_so(install, tmp_path, capfd):
-    install.Shell(tmp_path / "log").step("Talking", "talk", [sys.executable, "-c", "print('hello')"])
-    assert (tmp_path / "log" / "talk.log").read_text() == "hello\n"
-    out, err = capfd.readouterr()
-    assert out.startswith("Talking ... done (") and "hello" not in out
-    assert err == ""
-
-
-def test_failed_step_shows_its_end_and_names_its_log(install, tmp_path, capfd):
-    failing = [sys.executable, "-c", "print('reason'); raise SystemExit(3)"]
-    with pytest.raises(install.Problem, match=r"talk failed with exit status 3; .*talk\.log"):
-        install.Shell(tmp_path).step("Talking", "talk", failing)
-    out, err = capfd.readouterr()
-    assert "failed (" in out
-    assert err == "    reason\n"
-
-
-def test_unknown_program_is_one_line(install, tmp_path):
-    with pytest.raises(install.Problem, match="no-such-program is not installed"):
-        install.Shell(tmp_path).step("Talking", "talk", ["no-such-program"])
-
-
-def test_dry_run_runs_nothing(install, tmp_path, capsys):
-    shell = install.Shell(tmp_path / "log", dry=True)
-    shell.step("Talking", "talk", ["touch", str(tmp_path / "a b")])
-    assert shell.show(["touch", str(tmp_path / "c")]) == 0
-    assert list(tmp_path.iterdir()) == []
-    assert capsys.readouterr().out.startswith("would run: touch '")
-
-
-PATIENT = """
-import signal, sys, time
-signal.signal(signal.SIGINT, signal.default_int_handler)
-try:
-    print("up", flush=True)
-    time.sleep(60)
-except KeyboardInterrupt:
-    sys.exit(7)
-"""
-
-
-def test_stop_asks_first(install):
-    process = subprocess.Popen([sys.executable, "-c", PATIENT], stdout=subprocess.PIPE)
-    process.stdout.readline()
-    install.stop(process)
-    process.stdout.close()
-    assert process.returncode == 7
-
-
-def test_interrupt_ends_the_command(install, tmp_path, monkeypatch):
-    ended = []
-
-    def stop(process):
-        ended.append(process)
-        process.kill()
-        process.wait()
-
-    monkeypatch.setattr(install, "stop", stop)
-
-    class Interrupted(subprocess.Popen):
-        asked = 0
-
-        def wait(self, timeout=None):
-            self.asked += 1
-            if self.asked == 1:
-                raise KeyboardInterrupt
-            if self.asked == 2:
-                raise subprocess.TimeoutExpired(self.args, timeout)
-            return super().wait(timeout)
-
-    monkeypatch.setattr(install.subprocess, "Popen", Interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        install.Shell(tmp_path).show([sys.executable, "-c", "import time; time.sleep(60)"])
-    assert len(ended) == 1 and ended[0].returncode is not None
 
 
 class Recorder:
@@ -249,3 +167,12 @@ def test_an_option_behind_the_command_is_refused_before_anything_is_done(install
     with pytest.raises(SystemExit):
         install.arguments(["demo", "--workspace=/somewhere"])
     assert "--workspace stands before the command" in capsys.readouterr().err
+
+
+def test_where_prints_the_script_to_source_and_nothing_else(install, tmp_path, capsys):
+    with pytest.raises(install.Problem, match="nothing is built yet"):
+        install.main(["--workspace", str(tmp_path), "where"])
+    (tmp_path / "devel").mkdir()
+    (tmp_path / "devel" / "setup.bash").touch()
+    assert install.main(["--workspace", str(tmp_path), "where"]) == 0
+    assert capsys.readouterr().out == f"{tmp_path}/devel/setup.bash\n"

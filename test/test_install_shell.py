@@ -1,0 +1,97 @@
+"""How shell.py runs commands."""
+
+import importlib
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+HERE = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="module")
+def shell():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(HERE))
+        yield importlib.import_module("install_shell")
+
+
+def test_tail_is_the_end_indented(shell):
+    assert shell.tail("1\n2\n3\n\n", 2) == "    2\n    3"
+
+
+def test_step_logs_and_says_so(shell, tmp_path, capfd):
+    shell.Shell(tmp_path / "log").step("Talking", "talk", [sys.executable, "-c", "print('hello')"])
+    assert (tmp_path / "log" / "talk.log").read_text() == "hello\n"
+    out, err = capfd.readouterr()
+    assert out.startswith("Talking ... done (") and "hello" not in out
+    assert err == ""
+
+
+def test_failed_step_shows_its_end_and_names_its_log(shell, tmp_path, capfd):
+    failing = [sys.executable, "-c", "print('reason'); raise SystemExit(3)"]
+    with pytest.raises(shell.Problem, match=r"talk failed with exit status 3; .*talk\.log"):
+        shell.Shell(tmp_path).step("Talking", "talk", failing)
+    out, err = capfd.readouterr()
+    assert "failed (" in out
+    assert err == "    reason\n"
+
+
+def test_unknown_program_is_one_line(shell, tmp_path):
+    with pytest.raises(shell.Problem, match="no-such-program is not installed"):
+        shell.Shell(tmp_path).step("Talking", "talk", ["no-such-program"])
+
+
+def test_dry_run_runs_nothing(shell, tmp_path, capsys):
+    runs = shell.Shell(tmp_path / "log", dry=True)
+    runs.step("Talking", "talk", ["touch", str(tmp_path / "a b")])
+    assert runs.show(["touch", str(tmp_path / "c")]) == 0
+    assert list(tmp_path.iterdir()) == []
+    assert capsys.readouterr().out.startswith("would run: touch '")
+
+
+PATIENT = """
+import signal, sys, time
+signal.signal(signal.SIGINT, signal.default_int_handler)
+try:
+    print("up", flush=True)
+    time.sleep(60)
+except KeyboardInterrupt:
+    sys.exit(7)
+"""
+
+
+def test_stop_asks_first(shell):
+    process = subprocess.Popen([sys.executable, "-c", PATIENT], stdout=subprocess.PIPE)
+    process.stdout.readline()
+    shell.stop(process)
+    process.stdout.close()
+    assert process.returncode == 7
+
+
+def test_interrupt_ends_the_command(shell, tmp_path, monkeypatch):
+    ended = []
+
+    def stop(process):
+        ended.append(process)
+        process.kill()
+        process.wait()
+
+    monkeypatch.setattr(shell, "stop", stop)
+
+    class Interrupted(subprocess.Popen):
+        asked = 0
+
+        def wait(self, timeout=None):
+            self.asked += 1
+            if self.asked == 1:
+                raise KeyboardInterrupt
+            if self.asked == 2:
+                raise subprocess.TimeoutExpired(self.args, timeout)
+            return super().wait(timeout)
+
+    monkeypatch.setattr(shell.subprocess, "Popen", Interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        shell.Shell(tmp_path).show([sys.executable, "-c", "import time; time.sleep(60)"])
+    assert len(ended) == 1 and ended[0].returncode is not None
