@@ -1,6 +1,6 @@
 """Built-in predicates by theme; importing this package registers all of them."""
 
-from .. import functions  # noqa: F401  (registers evaluable functions)
+from .. import bits, functions  # noqa: F401  (registers evaluable functions)
 from . import (  # noqa: F401  (imported for what they register)
     atoms,
     calling,
