@@ -1,6 +1,7 @@
 """Memories made, fed, read and deleted by goals."""
 
 import logging
+import re
 import sys
 from pathlib import Path
 
@@ -218,3 +219,53 @@ def test_a_condition_that_fails_in_an_event_of_its_own_leaves_the_event_as_it_wa
     assert engine.dispatcher.current is None
     assert engine.query("access_mem(first, R, _)") == []
     assert len(engine.query("access_mem(second, R, _)")) == 1
+
+
+@pytest.mark.parametrize(
+    ("definition", "kept"),
+    [
+        ("v(X), [X = 1], v(X)", ["v(1)"]),
+        ("v(X), [X = 1], _", ["v(A)"]),
+        ("v(X), [Y = X], pair(X, Y)", ["pair(A,A)"]),
+        ("v(X), [nonvar(X)], v(X)", []),
+        ("E, [E = v(1)], seen(E)", ["seen(v(1))"]),
+    ],
+)
+def test_conditions_see_the_variables_of_an_event(definition, kept):
+    engine = Watched(goals=f"memorize({definition}, m, 10)")
+    engine.event("v(_)", 1)
+    assert [re.sub(r"_\w+", "A", record) for record in records(engine)] == kept
+
+
+def test_a_form_under_conditions_has_what_they_found_and_variables_of_its_own():
+    engine = Watched(goals="memorize(v(X), [member(Y-Z, [X-_, 3-4])], w(Y, Z, _), m, 10)")
+    engine.event("v(1)", 1)
+    assert engine.query("prev(m, w(1, a, b), _, _, 5), prev(m, w(1, c, d), _, _, 5)") == [{}]
+
+
+SIZES = """
+full(N) :- memory_counter(m, C), C >= N.
+full(Id, N) :- memory_counter(Id, C), C >= N.
+"""
+
+
+def test_how_many_records_there_were_is_known_of_one_memory_or_of_each():
+    engine = Watched(SIZES, "memorize(v(_), [], _, m, 2)\nmemorize(w(_), [], _, n(1), 5)")
+    for number in range(4):
+        engine.event(f"v({number})", number)
+    for _ in range(20):  # until it is compiled
+        assert engine.call("full(4)")
+        assert not engine.call("full(5)")
+        assert [engine.show(found["Id"]) for found in engine.query("full(Id, 0)")] == ["m", "n(1)"]
+    assert not engine.call("memory_counter(nothing, _)")
+    assert not engine.call("memory_counter(m, 5)")
+    assert not engine.call("memory_counter(n(_), _)")
+    assert engine.query("Id = n(1), memory_size(Id, 5)") != []
+    assert [found["N"] for found in engine.query("memory_size(_, N)")] == [2, 5]
+
+
+def test_a_memory_may_look_at_itself_to_stop_when_it_is_full():
+    engine = Watched(goals="memorize(v(X), [memory_counter(m, N), N < 2], _, m, 5)")
+    for number in range(4):
+        engine.event(f"v({number})", number)
+    assert records(engine) == ["v(1)", "v(0)"]

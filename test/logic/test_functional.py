@@ -85,3 +85,26 @@ def test_a_predicate_that_replaces_it_counts():
     assert answers(logic, "twice(X, 8)") == [{"X": "4"}]
     logic.define("half_of", 2, lambda machine, left, right: machine.unify(left, atom("replaced")))
     assert answers(logic, "twice(X, Y)") == [{"X": "A", "Y": "replaced"}]
+
+
+@pytest.mark.parametrize("compile_after", [0, NEVER], ids=["compiled", "interpreted"])
+def test_a_predicate_may_be_a_function_where_its_first_argument_is_known(compile_after):
+    logic = prolog("one(Y) :- number_of(b, Y).\nall(X, Y) :- number_of(X, Y).\n", compile_after)
+    numbers = {"a": 1, "b": 2}
+    asked = []
+
+    def each(machine, name, value):
+        asked.append(name)
+        for key, number in numbers.items():
+            if machine.unify_all((name, atom(key)), (value, number)):
+                yield True
+
+    logic.define_nondeterministic("number_of", 2, each, lambda name: numbers.get(deref(name).name))
+    assert answers(logic, "one(Y)") == [{"Y": "2"}]
+    assert answers(logic, "X = a, number_of(X, Y)") == [{"X": "a", "Y": "1"}]
+    assert answers(logic, "number_of(a, 2)") == []
+    assert answers(logic, "number_of(c, _)") == []
+    assert asked == []
+    assert answers(logic, "all(X, Y)") == [{"X": "a", "Y": "1"}, {"X": "b", "Y": "2"}]
+    assert answers(logic, "all(X, 2)") == [{"X": "b"}]
+    assert len(asked) == 2

@@ -22,8 +22,9 @@ from ..terms import (
 Warn = Callable[..., None]
 """Takes a warning as text and what kind it is: those of one kind are shown ever more seldom."""
 
-Recording = Callable[[Term, Tuple[Term, ...], Warn], Optional[Term]]
-"""Takes an event, the values of the pattern's variables, and where to report; gives the record or None."""
+Values = Tuple[Term, ...]
+Recording = Callable[[Term, Values, bool], Optional[Term]]
+"""Takes an event, the values of the pattern's variables, and whether it has none; gives the record or None."""
 
 
 def key_of(name: Term) -> Any:
@@ -44,7 +45,13 @@ def is_whole(pattern: Term, conditions: Term, form: Term) -> bool:
 
 
 def recording(
-    logic: Logic, dispatcher: Dispatcher, pattern: Term, conditions: Term, form: Term, name: str
+    logic: Logic,
+    dispatcher: Dispatcher,
+    pattern: Term,
+    conditions: Term,
+    form: Term,
+    name: str,
+    problem: Warn,
 ) -> Tuple[Recording, bool]:
     """Compile ``conditions`` and ``form``, which share their variables with ``pattern``.
 
@@ -57,6 +64,7 @@ def recording(
         conditions: a list of goals.
         form: what to make of the event.
         name: who asks, for reports.
+        problem: takes a report about a condition that raised an error.
 
     Returns:
         The function, and whether it makes a ground record of every ground event.
@@ -66,58 +74,26 @@ def recording(
     """
     if pattern.__class__ not in (tuple, Atom, Var):
         raise type_error("callable", pattern)
-    goals = _goals(conditions)
+    body = conjunction(_goals(conditions))
     inputs = variables(pattern)
     whole = is_whole(pattern, conditions, form)
     if not whole and form.__class__ not in (tuple, Atom, Var):
         raise type_error("callable", form)
-    if whole:
-        return (_tested(logic, dispatcher, goals, inputs, name) if goals else itself), True
-    if goals:
-        return _solved(logic, dispatcher, goals, inputs, form, name), False
-    build = compile_builder(form, inputs, name)
-    if compare(form, pattern) == 0:
-        return _same(dispatcher, build), True
-    return lambda term, values, problem: build(values), set(variables(form)) <= set(inputs)
+    found = [] if whole else [var for var in variables(form) if var not in inputs and var in variables(body)]
+    keep: Recording = itself
+    if not whole:
+        keep = _same_or_built(compile_builder(form, inputs, name), compare(form, pattern) == 0)
+    closed = whole or set(variables(form)) <= set(inputs)
+    if body is TRUE:
+        return keep, closed
+    test = logic.compile_goal(body, inputs, found, name=name).test
+    test_open = logic.compile_goal(body, inputs, [TRUE if whole else form], name=name).test
+    build = compile_builder(form, [*inputs, *found], name)
 
-
-def itself(term: Term, values: Tuple[Term, ...], problem: Warn) -> Term:
-    """Return the event, as the recording of a form that stands for it."""
-    return term
-
-
-def _same(dispatcher: Dispatcher, build: Callable[[Tuple[Term, ...]], Term]) -> Recording:
-    """Return the recording for a form that is the pattern: the event itself, where it has no variables."""
-    ground = dispatcher.ground
-
-    def record(term: Term, values: Tuple[Term, ...], problem: Warn) -> Term:
-        return term if ground() else build(values)
-
-    return record
-
-
-def _tested(
-    logic: Logic, dispatcher: Dispatcher, goals: List[Term], inputs: List[Var], name: str
-) -> Recording:
-    """Return the recording of the event itself, under conditions."""
-    solved = _solved(logic, dispatcher, goals, inputs, TRUE, name)
-
-    def record(term: Term, values: Tuple[Term, ...], problem: Warn) -> Optional[Term]:
-        return None if solved(term, values, problem) is None else term
-
-    return record
-
-
-def _solved(
-    logic: Logic, dispatcher: Dispatcher, goals: List[Term], inputs: List[Var], form: Term, name: str
-) -> Recording:
-    """Return the recording of a form under conditions, which may bind what is in it."""
-    test = logic.compile_goal(conjunction(goals), inputs, [form], name=name).test
-
-    def record(term: Term, values: Tuple[Term, ...], problem: Warn) -> Optional[Term]:
+    def record(term: Term, values: Values, ground: bool) -> Optional[Term]:
         event = dispatcher.current
         try:
-            solution = test(values)
+            solution = test(values) if ground else test_open(values)
         except PrologError as error:
             dispatcher.current = (
                 event  # the conditions may have been in the middle of an event that they made
@@ -125,9 +101,25 @@ def _solved(
             keep_back(error)
             problem(f"{name}: event {logic.show(term)}: {error}", name)
             return None
-        return None if solution is None else solution[0]
+        if solution is None:
+            return None
+        if whole or ground and not found:
+            return keep(term, values, ground)
+        return build(values + solution) if ground else solution[0]
 
-    return record
+    return record, closed
+
+
+def itself(term: Term, values: Values, ground: bool) -> Term:
+    """Return the event, as the recording of a form that stands for it."""
+    return term
+
+
+def _same_or_built(build: Callable[[Values], Term], same: bool) -> Recording:
+    """Return the recording of a form: one that is the same as the pattern is the event itself, if that is ground."""
+    if not same:
+        return lambda term, values, ground: build(values)
+    return lambda term, values, ground: term if ground else build(values)
 
 
 def _goals(conditions: Term) -> List[Term]:

@@ -1,6 +1,6 @@
 """Memories, waiting queries and subscriptions of one program, and the goals that reach them."""
 
-from typing import Any, Callable, Iterator
+from typing import Any, Callable, Iterator, Optional
 
 from ..errors import UsageError
 from ..events import Dispatcher
@@ -54,10 +54,8 @@ class Knowledge:
         logic = self._logic
         define_read_access(logic, self.memories)
         logic.define_nondeterministic("access_mem", 3, enumerate_records(self.memories))
-        logic.define_nondeterministic("memory_size", 2, self._sizes(lambda instance: instance.memory.size))
-        logic.define_nondeterministic(
-            "memory_counter", 2, self._sizes(lambda instance: instance.memory.added)
-        )
+        self._define_size("memory_size", lambda instance: instance.memory.size)
+        self._define_size("memory_counter", lambda instance: instance.memory.added)
         logic.define_control("memorize", 5, self._memorize(True))
         logic.define_control("memorize_diactive", 5, self._memorize(False))
         logic.define_control("memorize", 6, self._memorize_by_flag)
@@ -103,15 +101,17 @@ class Knowledge:
             self._warn(f"there is no subscription {show(deref(name))} of topic {show(deref(topic))}")
         return True
 
-    def _sizes(self, number: Callable[[Instance], int]) -> Callable[..., Iterator[bool]]:
-        def solutions(machine: Machine, name: Term, value: Term) -> Iterator[bool]:
-            if deref(name).__class__ is Var:
-                found = list(self.memories)
-            else:
-                instance = self.memories.find(name)
-                found = [] if instance is None else [instance]
-            for instance in found:
-                if machine.unify(name, instance.id) and machine.unify(value, number(instance)):
+    def _define_size(self, name: str, number: Callable[[Instance], int]) -> None:
+        """Define a predicate of a memory's id and a number."""
+        find = self.memories.find
+
+        def of_one(name: Term) -> Optional[int]:
+            instance = find(name)
+            return None if instance is None else number(instance)
+
+        def of_all(machine: Machine, name: Term, value: Term) -> Iterator[bool]:
+            for instance in list(self.memories):
+                if machine.unify_all((name, instance.id), (value, number(instance))):
                     yield True
 
-        return solutions
+        self._logic.define_nondeterministic(name, 2, of_all, of_one)

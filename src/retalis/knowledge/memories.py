@@ -123,8 +123,8 @@ class Memories:
         if may_join and last is not None and last.instances and key == last.key:
             return last
         title = f"memory {self._logic.show(name)}"
-        take = recording(self._logic, self._dispatcher, pattern, conditions, form, title)
-        self._newest = Recorder(self._dispatcher, pattern, take, self._problem, self._follow, key)
+        take = recording(self._logic, self._dispatcher, pattern, conditions, form, title, self._problem)
+        self._newest = Recorder(self._dispatcher, pattern, take, self._follow, key)
         return self._newest
 
     def _follow(self, instance: Instance, end: int, after: Any) -> Any:

@@ -5,7 +5,7 @@ from typing import Any, Callable, Dict, Iterator, List, Tuple
 
 from ..events import Dispatcher, Stage
 from ..terms import Term, Var, deref, functor, is_ground
-from ._recording import Recording, Warn
+from ._recording import Recording
 from .memory import Memory, Record
 
 UPDATED = functor("memory_updated", 2)
@@ -93,7 +93,6 @@ class Recorder:
         dispatcher: whose events come.
         pattern: which events.
         take: what is kept of one, and whether that of a ground event is ground.
-        problem: takes a report about a condition that raised an error.
         follow: returns the frame for what a memory's update leads to: takes instance, end and next frame.
         key: equal for recorders that keep the same of the same events; None where that cannot be known.
     """
@@ -103,7 +102,6 @@ class Recorder:
         dispatcher: Dispatcher,
         pattern: Term,
         take: Tuple[Recording, bool],
-        problem: Warn,
         follow: Callable[[Instance, int, Any], Any],
         key: Any,
     ):
@@ -111,7 +109,6 @@ class Recorder:
         self.instances: Tuple[Instance, ...] = ()
         self._dispatcher = dispatcher
         self._take, self._closed = take
-        self._problem = problem
         self._follow = follow
         self._everything = pattern.__class__ is Var
         self._listener = dispatcher.listen(Stage.MEMORIES, pattern, self._arrive)
@@ -130,10 +127,11 @@ class Recorder:
     def _arrive(self, term: Term, values: Tuple[Term, ...], start: int, end: int, after: Any) -> Any:
         if self._everything and self._is_own_update(term):
             return after
-        kept = self._take(term, values, self._problem)
+        ground = self._dispatcher.ground()
+        kept = self._take(term, values, ground)
         if kept is None:
             return after
-        opens = not (self._closed and self._dispatcher.ground()) and not is_ground(kept)
+        opens = not (self._closed and ground) and not is_ground(kept)
         return self._record((kept, start, end), opens, iter(self.instances), after)
 
     def run(self, frame: Any) -> Any:

@@ -43,17 +43,23 @@ class Subscriptions:
         if key in self._listeners:
             raise permission_error("create", "subscription", (MINUS, topic, name))
         shape, _ = recording(
-            self._logic, self._dispatcher, pattern, conditions, form, f"subscription {self._logic.show(name)}"
+            self._logic,
+            self._dispatcher,
+            pattern,
+            conditions,
+            form,
+            f"subscription {self._logic.show(name)}",
+            self._problem,
         )
         deliver = self._deliver
-        problem = self._problem
+        ground = self._dispatcher.ground
 
         def send(term: Term, values: Tuple[Term, ...], start: int, end: int, after: Any) -> Any:
             deliver(term, topic_text, name)
             return after
 
         def action(term: Term, values: Tuple[Term, ...], start: int, end: int, after: Any) -> Any:
-            shaped = shape(term, values, problem)
+            shaped = shape(term, values, ground())
             if shaped is not None:
                 deliver(shaped, topic_text, name)
             return after

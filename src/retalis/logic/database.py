@@ -56,6 +56,7 @@ class Database:
         predicate.kind = kind
         predicate.function = function
         predicate.functional = None
+        predicate.known = None
         predicate.gate = None
         predicate.run = run
         predicate.steady = False

@@ -121,12 +121,25 @@ class Logic:
         predicate.functional = form
         return predicate
 
-    def define_nondeterministic(self, name: str, arity: int, function: Callable[..., Any]) -> Predicate:
+    def define_nondeterministic(
+        self,
+        name: str,
+        arity: int,
+        function: Callable[..., Any],
+        known: Optional[Callable[..., Any]] = None,
+    ) -> Predicate:
         """Define a predicate by a generator ``function(machine, *args)`` that yields at each solution.
 
         It unifies before each yield; the bindings are undone before it goes on. What it binds for a
         solution that does not work out it has to undo itself: `Machine.unify_all` does. Yielding `LAST`
         says that there are no more solutions.
+
+        Args:
+            name: of the predicate.
+            arity: of the predicate.
+            function: the generator.
+            known: for a predicate that is a function of its other arguments where the first is known: gives
+                the last one, or None where it fails. Then ``function`` is called for a variable only.
         """
         machine = self.machine
         choices, trail = machine.choices, machine.trail
@@ -148,7 +161,16 @@ class Logic:
         def run(frame: Frame) -> Optional[Frame]:
             return resume((retry, iter(function(machine, *frame[1:-1])), frame[-1], 0))
 
-        return self.database.define(key, None, run, "control")
+        if known is None:
+            return self.database.define(key, None, run, "control")
+        alone = self.define_function(f"${name}", arity, known)
+
+        def run_known(frame: Frame) -> Optional[Frame]:
+            return run(frame) if deref(frame[1]).__class__ is Var else alone.run((alone, *frame[1:]))
+
+        predicate = self.database.define(key, None, run_known, "control")
+        predicate.known = alone.functor
+        return predicate
 
     def define_control(
         self,

@@ -70,6 +70,7 @@ class Predicate:
         direct: its functions, where something calls it as a function.
         gate: what tells calls apart that have nothing to do, see `Logic.define_control`.
         functional: what it computes, where it is a function of some of its arguments.
+        known: the deterministic built-in that it is where its first argument is known, if there is one.
         dynamic: clauses may be asserted and retracted by the program.
         library: belongs to the system; programs may redefine it unless it is ``locked``.
     """
@@ -81,6 +82,7 @@ class Predicate:
         self.function: Any = None
         self.gate: Any = None
         self.functional: Optional[Functional] = None
+        self.known: Optional[Functor] = None
         self.dynamic = False
         self.discontiguous = False
         self.multifile = False

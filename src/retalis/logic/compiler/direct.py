@@ -158,7 +158,7 @@ def parser(database: Any, entry: Height, path: Tuple[Functor, ...] = ()) -> Pars
             known[key] = work(database, key, path) is not None
         return known[key]
 
-    return Parser(database.is_inline, entry, direct)
+    return Parser(database, entry, direct)
 
 
 def choose_functions(nodes: Sequence[Node], once: bool) -> None:

@@ -57,7 +57,7 @@ class GoalCode:
             PrologError: a type error where it is no goal.
         """
         self._entry = Height("height")
-        self._nodes = Parser(self._database.is_inline, self._entry).parse(self._term)
+        self._nodes = Parser(self._database, self._entry).parse(self._term)
 
     def call(self) -> Optional[Any]:
         """Return the predicate, where the goal is one call of it with the inputs as they are; else None."""

@@ -190,18 +190,18 @@ class Parser:
     """Turns a body into nodes.
 
     Args:
-        deterministic: tells whether a predicate is a deterministic built-in, which is called in line.
+        database: tells which predicates are deterministic built-ins, which are called in line.
         clause: the height at entry of the clause, which its cuts cut to.
         direct: tells whether a predicate of the program can be called as a function.
     """
 
     def __init__(
         self,
-        deterministic: Callable[[Functor], bool],
+        database: Any,
         clause: Height,
         direct: Optional[Callable[[Functor], bool]] = None,
     ):
-        self._deterministic = deterministic
+        self._database = database
         self._direct = direct
         self._heights: Dict[str, int] = {}
         self.clause = clause
@@ -263,7 +263,11 @@ class Parser:
             return Goal(form, key, args, True)
         if key is _ARG and deref(args[0]).__class__ is int:
             key = _KNOWN_ARG
-        inline = self._deterministic(key)
+        inline = self._database.is_inline(key)
+        if not inline and args and deref(args[0]).__class__ is not Var:
+            known = self._database.predicate(key).known
+            if known is not None:
+                key, inline = known, True
         if not inline and self._direct is not None and self._direct(key):
             return Goal("direct", key, args, True)
         return Goal("builtin" if inline else "call", key, args, inline)

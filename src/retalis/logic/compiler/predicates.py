@@ -248,7 +248,7 @@ class Generator:
         if loops and alone and key.__class__ is Functor:
             self._build(scope, rule, entry)
         self._head(scope, rule, key, self._own_locals(scope, rule, key) if rest else self.locals)
-        nodes = Parser(self.database.is_inline, entry).parse(rule.body)
+        nodes = Parser(self.database, entry).parse(rule.body)
         bodies = Bodies(unit, clause, entry, self.database.interpret, str(self.key), self.key)
         bodies.write(scope, nodes)
         if rest:
@@ -267,7 +267,7 @@ class Generator:
     def _build(self, scope: Scope, rule: Rule, entry: Height) -> None:
         """Write a loop of its own for a clause that builds a list as it recurses."""
         assert self.position is not None
-        nodes = Parser(self.database.is_inline, entry).parse(rule.body)
+        nodes = Parser(self.database, entry).parse(rule.body)
         shape = shape_of(scope.clause, rule.args, nodes, self.key, self.position)
         if shape is not None:
             write_building(scope, self.locals, rule.args, nodes, shape, self.position)
