@@ -3,6 +3,8 @@
 import pytest
 from logic.support import answers, first, prolog
 
+from retalis.logic.builtins import recorded
+
 
 @pytest.fixture
 def logic():
@@ -55,3 +57,38 @@ def test_errors(logic, goal, error):
 def test_who_enumerates_does_not_see_what_is_added_or_erased_meanwhile(logic):
     goal = "recordz(k, 1), recordz(k, 2), findall(X, (recorded(k, X), recordz(k, 3)), L)"
     assert first(logic, goal) == {"X": "A", "L": "[1,2]"}
+    goal = "recordz(m, 1), recordz(m, 2, R), findall(X, (recorded(m, X), (X =:= 1 -> erase(R) ; true)), L)"
+    assert first(logic, goal)["L"] == "[1,2]"
+    assert first(logic, "findall(X, recorded(m, X), L)") == {"X": "A", "L": "[1]"}
+
+
+def test_keys_whose_records_are_erased_are_gone(logic):
+    assert first(logic, "recordz(k, 1), recordz(k, 2), forall(recorded(k, _, R), erase(R))") is not None
+    assert answers(logic, "recorded(_, _)") == []
+    assert answers(logic, "current_key(_)") == []
+    goal = "recorda(k, 1, A), recordz(k, 2, B), recorda(k, 0), erase(A), erase(B), recordz(k, 3)"
+    assert first(logic, f"{goal}, findall(X, recorded(k, X), L)")["L"] == "[0,3]"
+
+
+@pytest.mark.parametrize("add", ["recorda", "recordz"])
+def test_a_record_is_added_found_and_erased_without_walking_over_the_others(logic, monkeypatch, add):
+    looked = []
+
+    class Noting(recorded._Record):
+        @property
+        def number(self):
+            looked.append(self)
+            return self.own
+
+        @number.setter
+        def number(self, value):
+            self.own = value
+
+    monkeypatch.setattr(recorded, "_Record", Noting)
+    found = []
+    for size in (10, 1000):
+        assert first(logic, f"forall(between(1, {size}, N), {add}(k, N))") is not None
+        looked.clear()
+        assert first(logic, f"{add}(k, x, R), once(recorded(k, _)), erase(R)") is not None
+        found.append(len(looked))
+    assert found[0] == found[1]

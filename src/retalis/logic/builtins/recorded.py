@@ -9,33 +9,79 @@ from ..machine import LAST
 from .registry import deterministic, nondeterministic
 
 _REFERENCE = functor("$record", 1)
+_NEVER = 1 << 62
 
 
 class _Record:
-    __slots__ = ("key", "value", "reference")
+    __slots__ = ("key", "value", "number", "erased", "before", "behind")
 
-    def __init__(self, key: Any, value: Term, reference: Term):
+    def __init__(self, key: Any, value: Term, number: int):
         self.key = key
         self.value = value
-        self.reference = reference
+        self.number = number
+        self.erased = _NEVER
+        """The number of the newest record when it was erased."""
+        self.before: Optional[_Record] = None
+        self.behind: Optional[_Record] = None
+
+    @property
+    def reference(self) -> Term:
+        """The term by which programs name it."""
+        return (_REFERENCE, self.number)
+
+
+class _Chain:
+    """The records of one key, linked in their order; what is erased stays linked while somebody walks along them."""
+
+    __slots__ = ("first", "last", "readers", "leaving")
+
+    def __init__(self) -> None:
+        self.first: Optional[_Record] = None
+        self.last: Optional[_Record] = None
+        self.readers = 0
+        self.leaving: List[_Record] = []
+
+    def add(self, record: _Record, first: bool) -> None:
+        if self.first is None or self.last is None:
+            self.first = self.last = record
+        elif first:
+            record.behind, self.first.before = self.first, record
+            self.first = record
+        else:
+            record.before, self.last.behind = self.last, record
+            self.last = record
+
+    def let_go(self) -> None:
+        """Take out what was erased, if nobody reads."""
+        if self.readers:
+            return
+        for record in self.leaving:
+            before, behind = record.before, record.behind
+            if before is None:
+                self.first = behind
+            else:
+                before.behind = behind
+            if behind is None:
+                self.last = before
+            else:
+                behind.before = before
+        self.leaving.clear()
 
 
 class _Records:
     """All records of a program."""
 
     def __init__(self) -> None:
-        self.by_key: Dict[Any, List[_Record]] = {}
+        self.by_key: Dict[Any, _Chain] = {}
         self.by_number: Dict[int, _Record] = {}
         self._last = 0
 
     def add(self, key: Term, value: Term, first: bool) -> Term:
         """Record a copy of a term under a key; return the reference."""
         self._last += 1
-        record = _Record(_key(key), copy(value), (_REFERENCE, self._last))
+        record = _Record(_key(key), copy(value), self._last)
         self.by_number[self._last] = record
-        same = self.by_key.setdefault(record.key, [])
-        # A list of its own: who enumerates the records sees those that were there.
-        self.by_key[record.key] = [record, *same] if first else [*same, record]
+        self.by_key.setdefault(record.key, _Chain()).add(record, first)
         return record.reference
 
     def erase(self, number: int) -> bool:
@@ -43,12 +89,35 @@ class _Records:
         record = self.by_number.pop(number, None)
         if record is None:
             return False
-        left = [one for one in self.by_key[record.key] if one is not record]
-        if left:
-            self.by_key[record.key] = left
-        else:
-            del self.by_key[record.key]
+        self._last += 1  # a number that no record has: the record was there at all numbers before
+        record.erased = self._last - 1
+        self.by_key[record.key].leaving.append(record)
+        self._tidy(record.key)
         return True
+
+    def of_keys(self, keys: List[Any]) -> Iterator[_Record]:
+        """Yield the records of keys as they are now, whatever comes and goes meanwhile."""
+        newest = self._last
+        chains = [(key, self.by_key[key]) for key in keys if key in self.by_key]
+        for _, chain in chains:
+            chain.readers += 1
+        try:
+            for _, chain in chains:
+                record = chain.first
+                while record is not None:
+                    if record.number <= newest <= record.erased:
+                        yield record
+                    record = record.behind
+        finally:
+            for key, chain in chains:
+                chain.readers -= 1
+                self._tidy(key)
+
+    def _tidy(self, key: Any) -> None:
+        chain = self.by_key[key]
+        chain.let_go()
+        if chain.first is None:
+            del self.by_key[key]
 
 
 def _key(term: Term) -> Any:
@@ -97,15 +166,16 @@ def recorded(machine: Any, key: Term, value: Term, reference: Any = None) -> Ite
     reference = Var() if reference is None else deref(reference)
     if reference.__class__ is not Var:
         record = records.by_number.get(_number(reference))
-        candidates = [] if record is None else [record]
-    elif deref(key).__class__ is Var:
-        candidates = [record for same in records.by_key.values() for record in same]
+        found = iter([] if record is None else [record])
     else:
-        candidates = records.by_key.get(_key(key), [])
-    for record in candidates:
+        found = records.of_keys(list(records.by_key) if deref(key).__class__ is Var else [_key(key)])
+    record = next(found, None)
+    while record is not None:
+        following = next(found, None)
         pairs = (key, _term(record.key)), (value, copy(record.value)), (reference, record.reference)
         if machine.unify_all(*(pairs if deref(key).__class__ is Var else pairs[1:])):
-            yield LAST if record is candidates[-1] else None
+            yield LAST if following is None else None
+        record = following
 
 
 @nondeterministic("current_key/1")
