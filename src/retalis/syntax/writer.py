@@ -34,6 +34,7 @@ class WriteOptions(NamedTuple):
         wide: a blank on either side of the infix operators that bind least: of rules and conditions.
         variable_names: variable -> name; others are ``_G1`` and so on.
         priority: a term of a higher priority is put in brackets.
+        portray: gives the text of a term that is written in a way of its own, and None for others.
     """
 
     quoted: bool = True
@@ -44,6 +45,7 @@ class WriteOptions(NamedTuple):
     wide: bool = False
     variable_names: Optional[Dict[Var, str]] = None
     priority: int = 1200
+    portray: Optional[Callable[[Term], Optional[str]]] = None
 
 
 class _Writer:
@@ -56,6 +58,7 @@ class _Writer:
         self.names = options.variable_names or {}
         self.atom: Callable[[str], str] = atom_text if options.quoted else str
         self.comma = ", " if options.spacing else ","
+        self.portray = options.portray
         self.stack: List[Any] = []
         self.counted = 0
         self.size = 0
@@ -110,6 +113,11 @@ class _Writer:
 
     def _term(self, term: Term, limit: int, is_operand: bool) -> None:
         kind = term.__class__
+        if self.portray is not None and kind is not Var:
+            text = self.portray(term)
+            if text is not None:
+                self._put(text)
+                return
         if kind is tuple:
             self._compound(term, limit)
         elif kind is Atom:

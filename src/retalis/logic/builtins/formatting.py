@@ -5,6 +5,7 @@ from typing import Any, Callable, Dict, List, Optional, Tuple
 from ...terms import Atom, String, Term, atom, deref, functor
 from ..arithmetic import bounded, evaluate
 from ..faults import domain_error, error, existence_error, resource_error
+from .portraying import caught, printed
 from .text import LARGEST_CODE, constant_text, is_text_list, long_text, number_text, text_of
 
 _FORMAT = functor("format", 1)
@@ -191,15 +192,7 @@ def _atomic(machine: Any, term: Term, number: Optional[int]) -> str:
 
 def _called(machine: Any, goal: Term, number: Optional[int]) -> str:
     """Return what a goal writes, whether it succeeds or not."""
-    logic = machine.logic
-    output, column = logic.output, logic.column
-    written: List[str] = []
-    logic.output = written.append
-    try:
-        logic.once(goal)
-    finally:
-        logic.output, logic.column = output, column
-    return "".join(written)
+    return caught(machine, goal)[1]
 
 
 def _write(machine: Any, term: Term, number: Optional[int]) -> str:
@@ -208,6 +201,10 @@ def _write(machine: Any, term: Term, number: Optional[int]) -> str:
 
 def _quoted(machine: Any, term: Term, number: Optional[int]) -> str:
     return machine.logic.show(term)  # type: ignore[no-any-return]
+
+
+def _printed(machine: Any, term: Term, number: Optional[int]) -> str:
+    return printed(machine, term)
 
 
 def _text(machine: Any, term: Term, number: Optional[int]) -> str:
@@ -289,7 +286,7 @@ _CONVERSIONS: Dict[str, Callable[..., str]] = {
     "@": _called,
     "a": _atomic,
     "w": _write,
-    "p": _quoted,
+    "p": _printed,
     "q": _quoted,
     "s": _text,
     "d": _decimal(""),

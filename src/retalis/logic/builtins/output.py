@@ -16,6 +16,7 @@ from ..faults import (
 from ..machine import Code, Frame, Guard
 from .arguments import integer, is_iso, option_values
 from .formatting import Formatter
+from .portraying import portray_of, printed
 from .registry import control, deterministic
 from .text import LARGEST_CODE, fill_sink, is_sink, long_text, make_text, whole_text
 
@@ -79,7 +80,7 @@ def _canonical(machine: Any, term: Term) -> str:
 
 _WRITERS: Dict[str, Any] = {
     "write": _writer(quoted=False, numbervars=True),
-    "print": _writer(quoted=True, numbervars=True),
+    "print": printed,
     "writeln": _writer(quoted=False, numbervars=True),
     "writeq": _writer(quoted=True, numbervars=True),
     "write_canonical": _canonical,
@@ -197,7 +198,7 @@ def write_options(machine: Any, options: Term) -> Dict[str, Any]:
         name, value = option[0].name, deref(option[1])
         if value.__class__ is Var:
             raise instantiation_error()
-        if name in ("quoted", "ignore_ops", "numbervars", "brace_terms"):
+        if name in ("quoted", "ignore_ops", "numbervars", "brace_terms", "portray"):
             if value.__class__ is not Atom or value.name not in ("true", "false"):
                 raise domain_error("write_option", option) if iso else type_error("bool", value)
             found[name] = value.name == "true"
@@ -209,6 +210,8 @@ def write_options(machine: Any, options: Term) -> Dict[str, Any]:
             found["priority"] = integer(value)
         elif name == "variable_names":
             found["variable_names"] = _variable_names(option)
+    if "portray" in found:
+        found["portray"] = portray_of(machine) if found["portray"] else None
     return found
 
 

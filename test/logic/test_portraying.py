@@ -1,0 +1,52 @@
+"""The program's say in how terms are printed."""
+
+import pytest
+from logic.support import answers, prolog
+
+PROGRAM = """
+portray(secret(_)) :- write('***').
+portray(X) :- X == 42, write(answer).
+portray([a|_]) :- write('A-list').
+portray(p(X)) :- write('<'), print(X), write('>').
+portray(q(X)) :- write(no), X = 1, fail.
+portray(r(X)) :- X = 1, write(one).
+portray(wrong) :- throw(oops).
+"""
+
+
+def written(goal, program=PROGRAM):
+    logic = prolog(program)
+    out = []
+    logic.output = out.append
+    found = answers(logic, goal)
+    assert found
+    return "".join(out), found
+
+
+@pytest.mark.parametrize(
+    ("goal", "text"),
+    [
+        ("print([b, secret(1), f(secret(2))])", "[b,***,f(***)]"),
+        ("print(f([a, b], [c, a, b], [x|secret(1)]))", "f(A-list,[c,a,b],[x|***])"),
+        ("print(p(p(42)))", "<<answer>>"),
+        ("print(q(2))", "q(2)"),
+        ("print(user_output, 'A b'-42)", "'A b'-answer"),
+        ('format("~p ~w ~q", [secret(1), secret(1), 42])', "*** secret(1) 42"),
+        ("write_term(secret(1), [portray(true)]), write_term(42, [portray(false)])", "***42"),
+        ("writeq(secret(1))", "secret(1)"),
+        ("print(r(X)), var(X)", "one"),
+    ],
+)
+def test_what_the_program_portrays(goal, text):
+    assert written(goal)[0] == text
+
+
+def test_without_portray_print_is_writeq():
+    assert written("print('A b')", "")[0] == "'A b'"
+    assert written("print(a)", ":- dynamic(portray/1).")[0] == "a"
+
+
+def test_an_error_and_a_portray_without_end_are_errors_of_print():
+    assert written("catch(print(f(wrong)), E, true)")[1] == [{"E": "oops"}]
+    (found,) = written("catch(print(f(1)), error(E, _), true)", "portray(X) :- print(X).")[1]
+    assert found["E"].startswith("resource_error(")
