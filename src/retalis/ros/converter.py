@@ -18,6 +18,9 @@ from .parameters import Parameters, direct_topics
 from .running import run_node
 from .services import InterfaceServices
 
+HOLD = 0.002
+"""Seconds for which a message may wait for the next ones, to be read and sent on together."""
+
 
 class Converter:
     """The node: messages go out as text to node retalis, texts that come back go out as messages."""
@@ -26,7 +29,7 @@ class Converter:
         self._texts = TextPublisher(INPUT, parameters.queue)
         self._reader = EventReader()
         self._reading = threading.Lock()  # rospy has a thread for each publisher
-        self._interface = Interface(self._sender, parameters.queue)
+        self._interface = Interface(self._sender, parameters.queue, done=self._texts.flush, hold=HOLD)
         try:
             topics = read_topics(parameters.program / TOPICS)
         except RetalisError as error:
@@ -41,11 +44,11 @@ class Converter:
 
     def _sender(self, decoder: Decoder) -> Take:
         """Return what sends the messages of a type as text."""
-        write, stamp, send = text_writer(decoder), decoder.stamp, self._texts.send
+        write, stamp, add = text_writer(decoder), decoder.stamp, self._texts.add
 
         def take(data: bytes) -> None:
             instant = stamp(data)
-            send(event_text(write(data), ros_now() if instant is None else instant))
+            add(event_text(write(data), ros_now() if instant is None else instant))
 
         return take
 

@@ -1,6 +1,8 @@
 """Between ROS topics and events: messages become terms, terms become messages."""
 
 import threading
+import traceback
+from struct import Struct
 from typing import Any, Callable, Dict, Iterable, List, Optional, Set, Tuple
 
 import rospy
@@ -11,7 +13,9 @@ from ..errors import MessageError, RetalisError, UsageError
 from ..messages import Decoder, Definitions, Encoder
 from ..program import TopicType
 from ..terms import Term
-from ._raw import raw_bytes, raw_class, raw_message
+from ._raw import raw_bytes, raw_class
+from ._receiving import read_by
+from ._sending import Outlet
 from ._texts import text_taker
 
 Take = Callable[[bytes], None]
@@ -27,11 +31,21 @@ OUTPUT = "retalisOutputEvents"
 LINKS = 1000
 """Connections of a topic that are remembered."""
 
-_Link = Tuple[Dict[str, str], Optional[Take]]
-"""A connection's header, and who takes its messages: None where they are of another type."""
+_Link = Tuple[Dict[str, str], Take]
+"""A connection's header, and who takes its messages."""
+
+HOLD = 0.001
+"""Seconds for which a message may wait for the next ones, where they come fast."""
 
 PERIOD = 5.0
 """Seconds between two warnings of the same kind."""
+
+
+_SIZE = Struct("<I")
+
+
+def nothing() -> None:
+    """Do nothing."""
 
 
 class Interface:
@@ -41,14 +55,25 @@ class Interface:
         taker: gives what takes the messages of a type.
         queue: length of the queues.
         definitions: the message types that are known.
+        done: called after messages that were received together.
+        hold: seconds for which a message may wait for the next ones, where they come fast.
     """
 
-    def __init__(self, taker: Taker, queue: int, definitions: Optional[Definitions] = None):
+    def __init__(
+        self,
+        taker: Taker,
+        queue: int,
+        definitions: Optional[Definitions] = None,
+        done: Callable[[], Any] = nothing,
+        hold: float = HOLD,
+    ):
         self._taker = taker
+        self._done = done
+        self._hold = hold
         self._queue = queue
         self._definitions = Definitions() if definitions is None else definitions
         self._inputs: Dict[str, Input] = {}
-        self._outputs: Dict[str, Tuple[Any, Any, Encoder]] = {}
+        self._outputs: Dict[str, Tuple[Outlet, Encoder]] = {}
         self._texts: List[Input] = []
         self._elsewhere: Set[str] = set()
         self._reserved = {rospy.resolve_name(topic) for topic in (INPUT, OUTPUT)}
@@ -72,7 +97,9 @@ class Interface:
         with self._lock:
             if name in self._inputs:
                 raise UsageError(f"topic {topic} is subscribed already (as {self._inputs[name].kind})")
-            self._inputs[name] = Input(self._definitions, name, kind, self._taker, self._queue)
+            self._inputs[name] = Input(
+                self._definitions, name, kind, self._taker, self._queue, self._done, self._hold
+            )
 
     def subscribe_texts(self, topic: str, take: Callable[[str], Any]) -> None:
         """Have the texts of one of the topics between the nodes taken."""
@@ -107,12 +134,11 @@ class Interface:
         with self._lock:
             known = self._outputs.get(name)
             if known is not None:
-                if known[2].definition.name != kind:
-                    raise UsageError(f"topic {topic} has the type {known[2].definition.name} already")
+                if known[1].definition.name != kind:
+                    raise UsageError(f"topic {topic} has the type {known[1].definition.name} already")
                 return
-            message = raw_class(definition)
-            publisher = rospy.Publisher(name, message, queue_size=self._queue)
-            self._outputs[name] = (publisher, message, self._definitions.encoder(definition))
+            outlet = Outlet(name, raw_class(definition), self._queue)
+            self._outputs[name] = (outlet, self._definitions.encoder(definition))
 
     def publish(self, term: Term, topic: str) -> None:
         """Publish a term as a message; what does not fit the topic's type is logged and not published."""
@@ -122,8 +148,9 @@ class Interface:
                 raise MessageError(
                     f"nothing is published on {topic}: pub_sub.xml has no <publish_to> that gives its type"
                 )
-            publisher, message, encoder = found
-            send(publisher, raw_message(message, encoder.encode(term, topic)))
+            outlet, encoder = found
+            data = encoder.encode(term, topic)
+            outlet.send(_SIZE.pack(len(data)) + data)
         except RetalisError as error:
             self._reports.error(error, ("out", topic))
 
@@ -134,8 +161,18 @@ class Input:
     A type that is not installed is learned from the publisher's connection header.
     """
 
-    def __init__(self, definitions: Definitions, name: str, kind: str, taker: Taker, queue: int):
+    def __init__(
+        self,
+        definitions: Definitions,
+        name: str,
+        kind: str,
+        taker: Taker,
+        queue: int,
+        done: Callable[[], Any] = nothing,
+        hold: float = HOLD,
+    ):
         self.kind = kind
+        self._done = done
         self._definitions = definitions
         self._name = name
         self._taker = taker
@@ -144,31 +181,45 @@ class Input:
         self._subscriber = rospy.Subscriber(
             name, rospy.AnyMsg, self._receive, queue_size=queue, tcp_nodelay=True
         )
+        read_by(self._subscriber, self._take_of, done, hold)
 
     def close(self) -> None:
         """Stop receiving."""
         self._subscriber.unregister()
 
     def _receive(self, message: Any) -> None:
+        """Take a message that rospy has read."""
         header = message._connection_header  # the connection's own, the same object for each of its messages
+        self._take_of(header)(message._buff if message.__class__ is rospy.AnyMsg else raw_bytes(message))
+        self._done()
+
+    def _take_of(self, header: Dict[str, str]) -> Take:
+        """Return what takes the messages of a connection."""
         link = self._links.get(id(header))
         if link is None:
             link = self._connected(header)
-        take = link[1]
-        if take is None:
-            self._refuse(header)
-            return
-        try:
-            take(message._buff if message.__class__ is rospy.AnyMsg else raw_bytes(message))
-        except MessageError as error:
-            rospy.logerr_throttle(PERIOD, f"a message on {self._name} is dropped: {error}")
+        return link[1]
+
+    def _guarded(self, take: Take) -> Take:
+        """Return what takes messages and reports those that it cannot take."""
+
+        def guarded(data: bytes) -> None:
+            try:
+                take(data)
+            except MessageError as error:
+                rospy.logerr_throttle(PERIOD, f"a message on {self._name} is dropped: {error}")
+            except Exception:  # one message must not end the connection
+                rospy.logerr("a message on %s is dropped: %s", self._name, traceback.format_exc())
+
+        return guarded
 
     def _connected(self, header: Dict[str, str]) -> _Link:
         """Note who takes the messages of a connection; its header is kept, so that its id stays its own."""
         decoder = self._learn(header)
         if len(self._links) >= LINKS:  # publishers that come and go
             self._links.clear()
-        link = self._links[id(header)] = (header, None if decoder is None else self._taker(decoder))
+        take = self._refuser(header) if decoder is None else self._guarded(self._taker(decoder))
+        link = self._links[id(header)] = (header, take)
         return link
 
     def _learn(self, header: Dict[str, str]) -> Optional[Decoder]:
@@ -192,22 +243,18 @@ class Input:
             )
         return self._definitions.decoder(definition)
 
-    def _refuse(self, header: Dict[str, str]) -> None:
-        self.refused += 1
-        rospy.logwarn_throttle(
-            PERIOD,
-            f"topic {self._name} is subscribed as {self.kind}, but {header.get('callerid', 'somebody')} publishes "
-            f"{header.get('type', 'another type')}: {self.refused} messages dropped",
-        )
+    def _refuser(self, header: Dict[str, str]) -> Take:
+        """Return what counts the messages of a publisher of another type."""
 
+        def refuse(data: bytes) -> None:
+            self.refused += 1
+            rospy.logwarn_throttle(
+                PERIOD,
+                f"topic {self._name} is subscribed as {self.kind}, but {header.get('callerid', 'somebody')} "
+                f"publishes {header.get('type', 'another type')}: {self.refused} messages dropped",
+            )
 
-def send(publisher: rospy.Publisher, message: Any) -> None:
-    """Publish a message; while the node is being shut down its topics are closed, and nothing is published."""
-    try:
-        publisher.publish(message)
-    except rospy.ROSException:
-        if not rospy.core.is_shutdown_requested():
-            raise
+        return refuse
 
 
 def resolve(topic: str) -> str:

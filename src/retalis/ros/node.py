@@ -13,8 +13,10 @@ from ..program import TOPICS, Topics, read_topics
 from ..syntax import to_text
 from ..terms import Term, atom, functor
 from ._log import shown
+from ._sending import Outlet
+from ._texts import text_frame
 from ._time import ros_now
-from .interface import INPUT, OUTPUT, Interface, Take, send
+from .interface import INPUT, OUTPUT, Interface, Take
 from .parameters import Parameters, direct_topics
 from .running import run_node
 from .services import EngineServices, InterfaceServices
@@ -75,7 +77,7 @@ class Node:
         rospy.on_shutdown(self.engine.reports.sum_up)
         self._load()
         topics = self._topics()
-        self._texts = rospy.Publisher(OUTPUT, String, queue_size=parameters.queue)
+        self._texts = Outlet(OUTPUT, String, parameters.queue)
         self._interface = Interface(self._poster, parameters.queue)
         self.engine.on_output(self._send_text)
         direct = direct_topics(parameters.direct, topics)
@@ -123,8 +125,8 @@ class Node:
         return lambda data: post(decode(data), stamp(data))
 
     def _send_text(self, term: Term, topic: str, name: Term) -> None:
-        if not self._parameters.embedded or self._texts.get_num_connections():
-            send(self._texts, String(to_text((OUTPUT_EVENT, term, atom(topic), name))))
+        if self._texts.links():
+            self._texts.send(text_frame(to_text((OUTPUT_EVENT, term, atom(topic), name))))
 
 
 def connect(interface: Interface, topics: Topics, direct: Any = ()) -> None:

@@ -1,0 +1,163 @@
+"""Writing messages to the subscribers of a topic, from the thread that has them.
+
+rospy hands each message to a thread of its connection: two more wake-ups on the way, and the interpreter's lock
+goes to and fro. Here what a connection takes at once is written at once; a thread writes the rest only for one
+that does not keep up.
+"""
+
+import socket
+import threading
+import time
+from collections import deque
+from typing import Any, Deque, Dict, Tuple
+
+import rospy
+from rospy.exceptions import TransportException
+from rospy.rostime import wallsleep
+
+PATIENCE = 1.0
+"""Seconds to wait for a receiver that does not keep up, where that is wanted."""
+
+PAUSE = 0.002
+"""Seconds between two looks at it."""
+
+PERIOD = 5.0
+"""Seconds between two warnings."""
+
+MOST = 64
+"""Writes that the thread of a slow connection puts together."""
+
+
+class Outlet:
+    """A published topic.
+
+    Args:
+        topic: its name.
+        kind: the class of its messages.
+        queue: how many messages may wait for one receiver; past that the oldest are dropped for it alone.
+        patient: whether those who send are held up for a moment before anything is dropped, so that a burst
+            loses nothing.
+    """
+
+    def __init__(self, topic: str, kind: Any, queue: int, patient: bool = False):
+        self.publisher = rospy.Publisher(topic, kind, queue_size=queue)
+        self._queue = queue
+        self._patient = patient
+        self._lines: Dict[Any, _Line] = {}
+
+    def links(self) -> Any:
+        """Return rospy's connections to those who listen."""
+        topic = self.publisher.impl  # None once the publisher is taken away
+        return () if topic is None else topic.connections
+
+    def send(self, frames: bytes, number: int = 1) -> None:
+        """Write messages, framed as on the wire, to all connections."""
+        links = self.links()
+        if len(self._lines) > len(links):
+            self._lines = {link: line for link, line in self._lines.items() if link in links}
+        for link in links:
+            line = self._lines.get(link)
+            if line is None:
+                line = self._lines.setdefault(
+                    link, _Line(link, self.publisher.name, self._queue, self._patient)
+                )
+            try:
+                line.write(frames, number)
+            except (TransportException, OSError) as error:
+                rospy.logdebug("a connection of %s has ended: %s", self.publisher.name, error)
+                link.close()
+
+
+class _Line:
+    """What goes to one receiver."""
+
+    def __init__(self, link: Any, topic: str, queue: int, patient: bool):
+        self._outer = link
+        self._link = getattr(
+            link, "_connection", link
+        )  # of rospy's QueuedConnection, whose thread stays asleep
+        self._topic = topic
+        self._queue = queue
+        self._patient = patient
+        self._lock = threading.Lock()
+        self._waiting: Deque[Tuple[bytes, int]] = deque()
+        self._held = 0
+        self._slow = False
+        self._busy = False
+        """Whether a thread is writing; nobody else writes then."""
+        self._dropped = 0
+
+    def write(self, frames: bytes, number: int) -> None:
+        """Write messages, or keep them for later."""
+        sock = getattr(self._link, "socket", None)
+        if sock is None:  # closed; or something else than expected, which knows how
+            self._outer.write_data(frames)
+            return
+        if self._held >= self._queue:
+            self._make_room()
+        with self._lock:
+            if self._busy:
+                self._waiting.append((frames, number))
+                self._held += number
+                return
+            rest = self._write_now(sock, frames, number)
+            if rest:
+                self._busy = True
+                work = threading.Thread(target=self._run, args=(sock, rest, number), daemon=True)
+                work.name = f"to {self._topic}"
+                work.start()
+            else:
+                self._slow = False
+
+    def _write_now(self, sock: Any, frames: bytes, number: int) -> bytes:
+        """Write what goes without waiting; return the rest."""
+        try:
+            sent: int = sock.send(frames, socket.MSG_DONTWAIT)
+        except BlockingIOError:
+            return frames
+        self._count(sent, number if sent == len(frames) else 0)
+        return frames[sent:]
+
+    def _count(self, size: int, number: int) -> None:
+        self._link.stat_bytes += size
+        self._link.stat_num_msg += number
+
+    def _make_room(self) -> None:
+        """Wait for the receiver where that is wanted, but not again for one that is slow; then drop the oldest."""
+        if self._patient and not self._slow:
+            deadline = time.monotonic() + PATIENCE
+            while self._held >= self._queue and time.monotonic() < deadline and not rospy.is_shutdown():
+                wallsleep(PAUSE)
+            self._slow = self._held >= self._queue
+        before = self._dropped
+        with self._lock:
+            while self._held >= self._queue and self._waiting:
+                number = self._waiting.popleft()[1]
+                self._held -= number
+                self._dropped += number
+        if self._dropped > before:
+            rospy.logwarn_throttle(
+                PERIOD,
+                f"{self._link.endpoint_id} does not keep up with topic {self._topic}: {self._dropped} messages "
+                "dropped for it so far",
+            )
+
+    def _run(self, sock: Any, frames: bytes, number: int) -> None:
+        """Write, and then what waits, until nothing does."""
+        try:
+            while frames:
+                sock.sendall(frames)
+                self._count(len(frames), number)
+                frames, number = self._next()
+        except OSError as error:
+            rospy.logdebug("a connection of %s has ended: %s", self._topic, error)
+            self._outer.close()
+
+    def _next(self) -> Tuple[bytes, int]:
+        """Take what waits, and how many messages that is."""
+        with self._lock:
+            taken = [self._waiting.popleft() for _ in range(min(MOST, len(self._waiting)))]
+            number = sum(one[1] for one in taken)
+            self._held -= number
+            self._busy = bool(taken)
+        return b"".join([one[0] for one in taken]), number

@@ -1,0 +1,201 @@
+"""Writing messages to connections in rospy's place. Needs rospy, no master."""
+
+import socket
+import threading
+from struct import pack, unpack_from
+from types import SimpleNamespace
+
+import pytest
+
+rospy = pytest.importorskip("rospy", reason="ROS is not installed")
+
+from rospy.exceptions import TransportTerminated  # noqa: E402
+
+from retalis.ros import _sending, _texts  # noqa: E402
+from retalis.ros._sending import Outlet  # noqa: E402
+from retalis.ros._texts import TextPublisher, text_frame  # noqa: E402
+
+BODY = b"b" * 20_000
+
+
+class Link:
+    """A connection of rospy's, and the other end of it."""
+
+    def __init__(self):
+        self.socket, self.other = socket.socketpair()
+        self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 5000)
+        self.other.settimeout(20)
+        self.stat_bytes = self.stat_num_msg = 0
+        self.endpoint_id = "/listener"
+        self.closed = False
+
+    def close(self):
+        self.closed = True
+
+    def read(self, upto):
+        """Return the numbers of the messages until that one."""
+        numbers, data = [], b""
+        while upto not in numbers:
+            received = self.other.recv(1 << 16)
+            assert received
+            data += received
+            while len(data) >= 4 and len(data) >= 4 + unpack_from("<I", data)[0]:
+                size, number = unpack_from("<II", data)
+                assert data[8 : 4 + size] == BODY
+                numbers.append(number)
+                data = data[4 + size :]
+        assert not data
+        return numbers
+
+
+def numbered(number):
+    return pack("<II", len(BODY) + 4, number) + BODY
+
+
+@pytest.fixture
+def link():
+    it = Link()
+    yield it
+    it.socket.close()
+    it.other.close()
+
+
+@pytest.fixture
+def warnings(monkeypatch):
+    found = []
+    monkeypatch.setattr(rospy, "logwarn_throttle", lambda period, text: found.append(text))
+    return found
+
+
+@pytest.fixture
+def outlet(monkeypatch, link, warnings):
+    """Return a function that makes an outlet with the connection."""
+
+    def publisher(topic, kind, queue_size):
+        return SimpleNamespace(name=topic, impl=SimpleNamespace(connections=[link]))
+
+    monkeypatch.setattr(rospy, "Publisher", publisher)
+    return lambda queue=1000, patient=False: Outlet("/topic", object, queue, patient)
+
+
+def test_what_a_connection_takes_is_written_at_once(outlet, link):
+    outlet().send(b"frame", 3)
+    assert link.other.recv(100) == b"frame"
+    assert (link.stat_bytes, link.stat_num_msg) == (5, 3)
+
+
+def test_a_receiver_that_comes_late_gets_all_in_order(outlet, link, warnings):
+    it = outlet()
+    for number in range(30):
+        it.send(numbered(number))
+    assert link.read(29) == list(range(30))
+    it.send(numbered(30))
+    assert link.read(30) == [30]
+    assert warnings == []
+
+
+def test_for_a_receiver_that_does_not_keep_up_the_oldest_are_dropped_and_no_message_is_cut(
+    outlet, link, warnings
+):
+    it = outlet(queue=5)
+    for number in range(100):
+        it.send(numbered(number))
+    numbers = link.read(99)
+    assert numbers == sorted(set(numbers))
+    assert numbers[0] == 0
+    assert numbers[-5:] == [95, 96, 97, 98, 99]
+    assert warnings
+    assert f"{100 - len(numbers)} messages dropped" in warnings[-1]
+
+
+def test_who_sends_patiently_loses_nothing(outlet, link, warnings):
+    it = outlet(queue=5, patient=True)
+    numbers = []
+    receiving = threading.Thread(target=lambda: numbers.extend(link.read(99)))
+    receiving.start()
+    for number in range(100):
+        it.send(numbered(number))
+    receiving.join()
+    assert numbers == list(range(100))
+    assert warnings == []
+
+
+def test_patience_is_tried_once(outlet, link, warnings, monkeypatch):
+    monkeypatch.setattr(_sending, "PATIENCE", 0.01)
+    waits = []
+    monkeypatch.setattr(_sending, "wallsleep", lambda seconds: waits.append(seconds))
+    it = outlet(queue=5, patient=True)
+    while not warnings:
+        it.send(numbered(0))
+    count = len(waits)
+    assert count > 0
+    it.send(numbered(1))
+    assert len(waits) == count
+
+
+def test_a_connection_that_has_ended_is_closed(outlet, link):
+    link.other.close()
+    outlet().send(b"frame")
+    assert link.closed
+
+
+def test_a_connection_that_ends_while_it_is_slow_is_closed(outlet, link):
+    it = outlet()
+    for number in range(5):
+        it.send(numbered(number))
+    writing = [one for one in threading.enumerate() if one.name == "to /topic"]
+    assert writing
+    link.other.close()
+    for one in writing:
+        one.join(20)
+    assert link.closed
+
+
+def test_connections_of_another_make_get_their_messages_by_their_own_way(outlet, link):
+    class Other:
+        def __init__(self):
+            self.sent = []
+            self.closed = False
+
+        def write_data(self, data):
+            if self.sent:
+                raise TransportTerminated("connection closed")
+            self.sent.append(data)
+
+        def close(self):
+            self.closed = True
+
+    other, it = Other(), outlet()
+    it.publisher.impl.connections = [other]
+    it.send(b"frame")
+    assert other.sent == [b"frame"]
+    assert not other.closed
+    it.send(b"frame")
+    assert other.closed
+
+
+def test_connections_that_are_gone_are_forgotten(outlet, link):
+    it = outlet()
+    it.send(b"frame")
+    it.publisher.impl.connections = []
+    it.send(b"frame")
+    assert it._lines == {}
+    it.publisher.impl = None
+    it.send(b"frame")
+    assert list(it.links()) == []
+
+
+def test_texts_go_out_together_in_order(outlet, link, monkeypatch):
+    it = TextPublisher("/topic", 1000)
+    it.add("a")
+    it.add("b\udcff")
+    link.other.setblocking(False)
+    with pytest.raises(BlockingIOError):
+        link.other.recv(100)
+    it.flush()
+    assert link.other.recv(100) == text_frame("a") + pack("<II", 6, 2) + b"b\xff"
+    assert link.stat_num_msg == 2
+    monkeypatch.setattr(_texts, "MOST", 2)
+    it.add("c")
+    it.add("d")
+    assert link.other.recv(100) == text_frame("c") + text_frame("d")
