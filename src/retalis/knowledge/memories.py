@@ -6,7 +6,7 @@ from .. import timestamps
 from ..errors import UsageError
 from ..events import Dispatcher, term_key
 from ..logic import Logic, Machine, domain_error, instant_of, permission_error, type_error
-from ..terms import MINUS, NIL, Atom, Functor, Term, Var, copy, deref, freeze, functor
+from ..terms import MINUS, NIL, Atom, Functor, Lazy, Term, Var, copy, deref, freeze, functor
 from ._recording import Warn, is_whole, key_of, recording
 from .recorder import UPDATED, Instance, Recorder
 
@@ -149,30 +149,29 @@ class Memories:
 
 def define_read_access(logic: Logic, memories: Memories) -> None:
     """Define the deterministic predicates that read memories."""
+    known, to_term = memories.instances.get, timestamps.to_term
 
     def prev(name: Term, at: Term) -> Optional[Found]:
-        instance = memories.find(name)
+        instance = known(name) if name.__class__ is Atom else memories.find(name)
         if instance is None:
             return None
-        found = instance.memory.at_or_before(instant_of(at))
+        is_new = at.__class__ is Lazy and at.make is to_term and at.made is None  # as in `instant_of`
+        found = instance.memory.at_or_before(at.source if is_new else instant_of(at))
         return found if not instance.open or found is None else _fresh(found)
 
     def next_inf(name: Term, at: Term) -> Optional[Found]:
-        instance = memories.find(name)
+        instance = known(name) if name.__class__ is Atom else memories.find(name)
         if instance is None:
             return None
-        found = instance.memory.at_or_after(instant_of(at))
+        is_new = at.__class__ is Lazy and at.make is to_term and at.made is None  # as in `instant_of`
+        found = instance.memory.at_or_after(at.source if is_new else instant_of(at))
         return found if not instance.open or found is None else _fresh(found)
 
     def following(name: Term, low: Term, high: Term) -> Optional[Found]:
-        instance = memories.find(name)
-        if instance is None:
+        if memories.find(name) is None:
             return None
-        first, last = instant_of(low), instant_of(high)
-        found = instance.memory.at_or_after(first)
-        if found is None or found[2] > last:
-            return None
-        return found if not instance.open else _fresh(found)
+        found, last = next_inf(name, low), instant_of(high)
+        return None if found is None or found[2] > last else found
 
     record_and_interval = (1, 2, 3)
     shows = (None, timestamps.shown, timestamps.shown)

@@ -21,7 +21,8 @@ class Memory:
         size: how many records are kept at most.
         room: how long the lists may become.
         late: how many events were refused because they were older than all records of a full memory.
-        ends: the ends of the records; read-only outside of this package.
+        ends: the ends of the records, as plain integers, which compare faster than other forms of instants;
+            read-only outside of this package.
         records: the records, at the same places.
     """
 
@@ -57,7 +58,7 @@ class Memory:
     def add(self, record: Record) -> bool:
         """Take a record; returns False where it is older than all records of a full memory."""
         ends = self.ends
-        end = record[2]
+        end = int(record[2])
         if ends and end < ends[-1]:
             return self._insert(record, end)
         ends.append(end)
@@ -86,18 +87,19 @@ class Memory:
 
     def at_or_before(self, instant: int) -> Optional[Record]:
         """Return the last record whose end is not after ``instant``."""
-        at = bisect_right(self.ends, instant) - 1
-        if at < 0 or at < len(self.ends) - self.size:
+        ends = self.ends
+        at = bisect_right(ends, instant) - 1
+        if at < 0 or at < len(ends) - self.size:
             return None
         return self.records[at]
 
     def at_or_after(self, instant: int) -> Optional[Record]:
         """Return the first record whose end is not before ``instant``."""
         ends = self.ends
-        size = self.size
-        first = len(ends) - size
-        at = bisect_left(ends, instant, first if first > 0 else 0)
-        return self.records[at] if at < len(ends) else None
+        held = len(ends)
+        first = held - self.size
+        at = bisect_left(ends, instant) if first <= 0 else bisect_left(ends, instant, first)
+        return self.records[at] if at < held else None
 
     def newest_first(self) -> Iterator[Record]:
         """Yield the records there are at this moment, newest first."""

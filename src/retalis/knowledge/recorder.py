@@ -139,7 +139,7 @@ class Recorder:
         return self._record(*frame[1:])
 
     def _record(self, record: Record, opens: bool, instances: Iterator[Instance], after: Any) -> Any:
-        end = record[2]
+        end = int(record[2])
         telling = self._dispatcher.wanted(UPDATED)
         for instance in instances:
             memory = instance.memory
@@ -156,7 +156,7 @@ class Recorder:
                 instance.open = True
             if instance.due <= end or (telling and instance.active):
                 frame = (self, record, opens, instances, after)
-                result = self._follow(instance, end, frame)
+                result = self._follow(instance, record[2], frame)
                 if result is not frame:
                     return result
         return after

@@ -72,6 +72,11 @@ def quaternion(term: Term) -> Vector:
 
 def pose(term: Term) -> Pose:
     """Return position and rotation of a pose."""
+    term = deref(term)
+    if term.__class__ is tuple and len(term) == 3 and term[0] is CONS:
+        rest = term[2]
+        if rest.__class__ is tuple and rest[0] is CONS and rest[2] is NIL:
+            return vector(term[1]), quaternion(rest[1])
     parts = list_items(term)
     if parts is None or len(parts) != 2:
         raise instantiation_error() if deref(term).__class__ is Var else type_error("pose", term)
@@ -186,7 +191,10 @@ def list_term(values: Sequence[Any]) -> Term:
 
 def pose_term(value: Pose) -> Term:
     """Return the term of a pose."""
-    return (CONS, list_term(value[0]), (CONS, list_term(value[1]), NIL))
+    (px, py, pz), (x, y, z, w) = value
+    position = (CONS, float(px), (CONS, float(py), (CONS, float(pz), NIL)))
+    rotation = (CONS, float(x), (CONS, float(y), (CONS, float(z), (CONS, float(w), NIL))))
+    return (CONS, position, (CONS, rotation, NIL))
 
 
 def matrix_term(value: Matrix) -> Term:
@@ -215,6 +223,8 @@ def transform_matrix(term: Term) -> Matrix:
 
 
 def _fraction(term: Term) -> float:
+    if term.__class__ is tuple and term[0] is CONS and term[1].__class__ is float and term[2] is NIL:
+        return term[1]  # type: ignore[no-any-return]
     return numbers(term, 1, "[Fraction]")[0]
 
 
