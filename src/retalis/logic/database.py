@@ -1,8 +1,8 @@
 """All predicates of a program and of the system."""
 
-from typing import Any, Callable, Dict, Optional
+from typing import Any, Callable, Dict, Iterable, Optional, Set
 
-from ..terms import Functor, Term
+from ..terms import Functor, Term, deref
 from .compiler.direct import Direct
 from .faults import indicator, permission_error
 from .machine import Frame, Machine
@@ -33,6 +33,25 @@ class Database:
         if found is None:
             found = self.predicates[key] = Predicate(self, key)
         return found
+
+    def compile_named(self, terms: Iterable[Term]) -> None:
+        """Compile the program's predicates that are named in terms, and those that their clauses name.
+
+        Any of them would be compiled when it has been called often enough; those that events lead to are
+        so from the first event on.
+        """
+        seen: Set[Functor] = set()
+        stack = list(terms)
+        while stack:
+            term = deref(stack.pop())
+            if term.__class__ is not tuple:
+                continue
+            stack += term[1:]
+            predicate = self.predicates.get(term[0])
+            if predicate is not None and predicate.is_fixed and term[0] not in seen:
+                seen.add(term[0])
+                predicate.prepare()
+                stack += [clause.body for clause in predicate.live()]
 
     def direct(self, key: Functor) -> Direct:
         """Return the functions of a predicate."""

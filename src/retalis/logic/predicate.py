@@ -12,6 +12,7 @@ from ..watching import look
 from .compiler import Generator, Rule
 from .compiler.direct import Direct
 from .compiler.facts import fact_search
+from .faults import PrologError
 from .functional import Functional
 from .keys import key_of
 from .machine import Code, Frame, Machine
@@ -111,6 +112,11 @@ class Predicate:
     def defined(self) -> bool:
         """Tell whether calling it is no existence error."""
         return self.kind != "undefined" or self.dynamic
+
+    @property
+    def is_fixed(self) -> bool:
+        """Tell whether it is the program's and made of clauses that no goal may change."""
+        return self.kind == "user" and not self.dynamic and not self.library
 
     def live(self) -> Iterator[Clause]:
         """Yield the clauses that are there, in order."""
@@ -335,6 +341,15 @@ class Predicate:
         return self.database.solve(copy(clause.body, fresh), height, frame[-1])
 
     # Compilation
+
+    def prepare(self) -> None:
+        """Compile it before it is called, unless it has been compiled and has changed since."""
+        if self.compiled or self.compile_after != self.database.compile_after:
+            return
+        try:
+            self._compile()
+        except (PrologError, RecursionError):  # who calls it gets the error
+            self.compiled = False
 
     def _compile(self) -> bool:
         """Compile all clauses as one function if that suits the predicate."""
