@@ -360,12 +360,12 @@ class Engine:
 
         dispatch = self.dispatcher.dispatch
 
-        def at_instant(machine: Any, arguments: Sequence[Term], after: Any) -> Any:
+        def at_instant(machine: Any, arguments: Sequence[Term], after: Any, plain: bool = False) -> Any:
             event, seconds, nanoseconds = arguments
             if seconds.__class__ is int and nanoseconds.__class__ is int:
                 instant = seconds * SECOND + nanoseconds
                 if FIRST <= instant < LAST:
-                    return dispatch(event, instant, instant, after, None, None, False)
+                    return dispatch(event, instant, instant, after, None, plain or None, plain)
             return general(machine, arguments, after)
 
         def general(machine: Any, arguments: Sequence[Term], after: Any) -> Any:

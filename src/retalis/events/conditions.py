@@ -117,22 +117,25 @@ class Call:
             )
         code = self._plain.code
         machine = self.rule.network.logic.machine
-        step, done, trail = machine.step, machine.done, machine.trail
+        budget, done, trail = machine.budget, machine.done, machine.trail
 
         def acted(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
             event = dispatcher.current
-            if not code.steady or not event.ground or event.depth > AT_ONCE:
+            if not code.steady or budget.limited or not event.ground or event.depth > AT_ONCE:
                 return act(term, values, start, end, dispatcher.ground(), solved, after)
             mark = len(trail)
-            try:  # as `act`
-                found = step((code, *values, done))
-            except PrologError as error:
+            frame = (code, *values, done)
+            try:  # as `Machine.step`, and `act`
+                left = code.run(frame)
+                if left is not done and not machine.go_on(left, mark):
+                    return after
+            except Exception as exc:
                 dispatcher.current = event
-                self._failed(error)
+                self._failed(machine.error(exc, frame, mark))
                 return after
             if len(trail) > mark:
                 undo(trail, mark)
-            return solved(term, values, start, end, after) if found else after
+            return solved(term, values, start, end, after)
 
         return acted
 

@@ -178,8 +178,7 @@ class Dispatcher:
         gates = self._gates.setdefault(functor, {})
         gate = gates.get(positions)
         if gate is None:
-            gate = gates[positions] = Gate(positions)
-            gate.plan = self._plans.get(functor)
+            gate = gates[positions] = Gate(positions, self._plans.get(functor))
         return gate
 
     def dispatch(
@@ -361,7 +360,7 @@ class Dispatcher:
             self._plans.pop(functor, None)
         for gates in self._gates.values() if functor is None else (self._gates.get(functor, {}),):
             for gate in gates.values():
-                gate.plan = None
+                gate.set(None)
 
     def _plan(self, functor: Functor) -> Any:
         listeners = [*self._listeners.get(functor, ()), *self._listeners.get(None, ())]
@@ -370,7 +369,7 @@ class Dispatcher:
             self._plans.clear()
         plan = self._plans[functor] = make_plan(listeners)
         for gate in self._gates.get(functor, {}).values():
-            gate.plan = plan
+            gate.set(plan)
         return plan
 
 

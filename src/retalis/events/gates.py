@@ -12,31 +12,48 @@ from ..timestamps import LAST, SECOND
 from ._plans import NOBODY, Choice
 from ._source import compile_function
 
+Passes = Callable[..., bool]
+"""Takes seconds, nanoseconds and the arguments at a gate's positions."""
+
 
 class Gate:
     """The gate for the events of one functor; made by `Dispatcher.gate`.
 
     Attributes:
         plan: what the dispatcher does with such events; None while that is not known.
-        passes: takes seconds, nanoseconds and the arguments at the gate's positions; tells whether the event may
-            concern anybody, or its time is unusual or none.
+        passes: tells whether an event may concern anybody, or its time is unusual or none.
     """
 
-    __slots__ = ("plan", "passes")
+    __slots__ = ("plan", "passes", "_positions", "_walk")
 
     plan: Any
-    passes: Callable[..., bool]
+    passes: Passes
 
-    def __init__(self, positions: Tuple[int, ...]):
-        self.plan = None
-        self.passes = _passing(positions)(self)
+    def __init__(self, positions: Tuple[int, ...], plan: Any):
+        self._positions = positions
+        self._walk = _walking(positions)(self)
+        self.set(plan)
+
+    def set(self, plan: Any) -> None:
+        """Take the dispatcher's plan, or None where that is not known any more."""
+        self.plan = plan
+        self.passes = self._walk
+        if plan.__class__ is Choice and plan.at in self._positions and not plan.any:
+            self.passes = _looking(self._positions, plan.at)(plan.table, self._walk)
+
+
+_TIME = "seconds.__class__ is nanoseconds.__class__ is int and 0 <= seconds < LAST and 0 <= nanoseconds < SECOND"
+_NAMES = {"Choice": Choice, "Atom": Atom, "NOBODY": NOBODY, "LAST": LAST // SECOND, "SECOND": SECOND}
+
+
+def _parameters(positions: Tuple[int, ...]) -> str:
+    return ", ".join(["seconds", "nanoseconds", *[f"a{at}" for at in positions]])
 
 
 @lru_cache(maxsize=256)
-def _passing(positions: Tuple[int, ...]) -> Callable[[Gate], Callable[..., bool]]:
+def _walking(positions: Tuple[int, ...]) -> Callable[[Gate], Passes]:
     """Return what makes the function of a gate: it walks the plan as far as known arguments are tested."""
-    parameters = ", ".join(["seconds", "nanoseconds", *[f"a{at}" for at in positions]])
-    lines = [f"    def passes({parameters}):", "        plan = gate.plan"]
+    lines = [f"    def passes({_parameters(positions)}):", "        plan = gate.plan"]
     if positions:
         lines += ["        while plan.__class__ is Choice:", "            at = plan.at"]
         word = "if"
@@ -50,11 +67,22 @@ def _passing(positions: Tuple[int, ...]) -> Callable[[Gate], Callable[..., bool]
             "                return True",
             "            plan = plan.table.get(value, plan.default)",
         ]
-    lines += [
-        "        return (plan is not NOBODY or seconds.__class__ is not int or nanoseconds.__class__ is not int",
-        "                or not 0 <= seconds < LAST or not 0 <= nanoseconds < SECOND)",
+    lines.append(f"        return plan is not NOBODY or not ({_TIME})")
+    return _made("gate", lines)
+
+
+@lru_cache(maxsize=256)
+def _looking(positions: Tuple[int, ...], at: int) -> Callable[[Any, Passes], Passes]:
+    """Return what makes a function that first looks whether anybody wants the constant at one place."""
+    lines = [
+        f"    def passes({_parameters(positions)}):",
+        f"        if a{at}.__class__ is Atom and a{at} not in table and {_TIME}:",
+        "            return False",
+        f"        return walk({_parameters(positions)})",
     ]
-    source = "\n".join(["def made(gate):", *lines, "    return passes", ""])
-    names = {"Choice": Choice, "Atom": Atom, "NOBODY": NOBODY, "LAST": LAST // SECOND, "SECOND": SECOND}
-    made: Callable[[Gate], Callable[..., bool]] = compile_function(source, names, "gate")
-    return made
+    return _made("table, walk", lines)
+
+
+def _made(parameters: str, lines: Any) -> Any:
+    source = "\n".join([f"def made({parameters}):", *lines, "    return passes", ""])
+    return compile_function(source, _NAMES, "gate")

@@ -99,6 +99,7 @@ class Budget:
 
     def allow(self, limits: Limits) -> None:
         """Set what each outermost run and each attempt may use."""
+        self._spent = 0
         self.limits = limits
         self.limited = limits != NO_LIMITS
 

@@ -191,7 +191,8 @@ class Logic:
             at_once: whether it most often does all at once.
             gate: for a predicate that often has nothing to do: takes the functor of a first argument and positions
                 in that; returns an object whose ``passes``, called with the other arguments and those at
-                the positions, is false where a call would do nothing, so that compiled clauses make none.
+                the positions, is false where a call would do nothing, so that compiled clauses make none. Then
+                ``function`` is called with whether the first argument has surely no variables as well.
         """
         machine = self.machine
 

@@ -7,7 +7,7 @@ There is no recursion: the depth of a program is the length of a chain of frames
 """
 
 from sys import getrefcount
-from typing import Any, Callable, Iterator, List, NoReturn, Optional, Tuple
+from typing import Any, Callable, Iterator, List, Optional, Tuple
 
 from ..errors import RetalisError, TermTooLarge
 from ..terms import Atom, Term, Var, copy, deref, undo, unify
@@ -195,37 +195,45 @@ class Machine:
 
     def step(self, frame: Frame) -> bool:
         """As `run`, for a frame whose code is steady: most often its step is all there is to do."""
-        budget = self.budget
-        if budget.limited:
+        if self.budget.limited:
             return self.run(frame)
         mark = len(self.trail)
         try:
             after = frame[0].run(frame)
         except Exception as exc:
-            self._handle_alone(exc, frame, mark)
-        if after is not self.done:
-            return after is not None and self._go_on(after, mark)
-        if budget.used and not self.choices:
-            budget.start_anew()
-        return True
+            raise self.error(exc, frame, mark) from exc
+        return after is self.done or self.go_on(after, mark)
 
-    def _handle_alone(self, exc: Exception, frame: Frame, mark: int) -> NoReturn:
-        """Raise what a step outside of a run raised, as a run does."""
+    def error(self, exc: Exception, frame: Frame, mark: int) -> PrologError:
+        """Return the error of an exception that the step of a frame raised outside of a run.
+
+        Args:
+            exc: what was raised; no error of the program is raised again.
+            frame: whose step it was.
+            mark: the length of the trail before it; what was bound since is undone.
+        """
         try:
             self._handle(exc, frame, len(self.choices))
-            raise exc
+        except PrologError as error:
+            return error
         finally:
             undo(self.trail, mark)
-            if not self.choices:
-                self.budget.start_anew()
+        raise exc
 
-    def _go_on(self, frame: Frame, mark: int) -> bool:
-        """Run what is left after a step outside of a run."""
+    def go_on(self, frame: Optional[Frame], mark: int) -> bool:
+        """Run what is left after a step outside of a run; where that has no solution, nothing stays bound.
+
+        Args:
+            frame: what the step returned.
+            mark: the length of the trail before the step.
+        """
+        found = False
         try:
-            return self.run(frame)
-        except BaseException:
-            undo(self.trail, mark)
-            raise
+            found = frame is not None and self.run(frame)
+            return found
+        finally:
+            if not found:
+                undo(self.trail, mark)
 
     def solutions(self, frame: Optional[Frame]) -> Iterator[None]:
         """Run a frame that ends in `done`; yield at each solution, with its bindings in place.

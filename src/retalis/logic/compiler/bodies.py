@@ -2,7 +2,7 @@
 
 from typing import Any, FrozenSet, List, Optional, Sequence
 
-from ...terms import Atom, Functor, Var, deref, functor
+from ...terms import Atom, Functor, Term, Var, deref, functor, variables
 from .inline import forget, write_inline, write_test
 from .nodes import Condition, Cut, Either, Fail, Goal, Height, Interpret, Node, needed_by
 from .scope import Clause, Scope, Unit
@@ -12,6 +12,9 @@ _MOST_CALLS = 12
 
 _MOST_LOOKED_AT = 4
 """Arguments of an event that its gate looks at."""
+
+_MOST_LEAVES = 16
+"""Variables of an event that are looked at to tell whether it has a variable."""
 
 _OUTPUTS = functor("outputs", 0)
 _EMPTY: FrozenSet[Any] = frozenset()
@@ -121,14 +124,15 @@ class Bodies:
             scope.depth += 1
         args = "".join(f"{scope.build(arg)}, " for arg in first.args)
         call = f"{self.unit.builtin(first.key)}(M, ({args}), "
+        plain = "" if gate is None else f", {self._plain(scope, first.args[0])}"
         if others:
             then, found = scope.temp("then"), scope.temp("r")
             scope.line(f"{then} = {frame}")
-            scope.line(f"{found} = {call}{then})")
+            scope.line(f"{found} = {call}{then}{plain})")
             scope.line(f"if {found} is not {then}:")
             scope.line(f"    return {found}")
         else:
-            scope.line(f"return {call}{frame})")
+            scope.line(f"return {call}{frame}{plain})")
         scope.depth = depth
         if not (last and len(others) == 1 and self._loops(scope, others[0])) and (others or gate is not None):
             scope.line(f"return {frame}")
@@ -153,6 +157,15 @@ class Bodies:
             return None
         values = [*[scope.build(arg) for arg in call.args[1:]], *known[:_MOST_LOOKED_AT]]
         return f"{gate}({', '.join(values)})"
+
+    @staticmethod
+    def _plain(scope: Scope, term: Term) -> str:
+        """Return the condition under which a term that is built has surely no variables."""
+        found = variables(term)
+        names = [scope.names.get(var) for var in found]
+        if len(names) > _MOST_LEAVES or None in names or any(var in scope.fresh for var in found):
+            return "False"
+        return " and ".join(f"{name}.__class__ in PLAIN" for name in names) or "True"
 
     def _frame(self, scope: Scope, call: Node, after: str) -> str:
         if isinstance(call, Interpret):

@@ -30,6 +30,7 @@ def base_namespace(machine: Machine) -> Dict[str, Any]:
         "Lazy": Lazy,
         "Atom": Atom,
         "String": String,
+        "PLAIN": _PLAIN,
         "M": machine,
         "BUDGET": machine.budget,
         "trail": machine.trail,
@@ -56,6 +57,9 @@ def base_namespace(machine: Machine) -> Dict[str, Any]:
         "RESUME": RESUME,
         "DEAD": DEAD,
     }
+
+
+_PLAIN = frozenset((Atom, int, float, String))
 
 
 class Unit:
@@ -92,9 +96,9 @@ class Unit:
         return predicate.kind == "control" and predicate.function is not None
 
     def gate(self, key: Functor, argument: Functor, positions: Tuple[int, ...]) -> Optional[str]:
-        """Return the name of the function that tells whether a call can have anything to do; see `Predicate.gate`."""
+        """Return what tells whether a call can have anything to do, as an expression; see `Predicate.gate`."""
         gate = self.database.predicate(key).gate
-        return None if gate is None else self.constant(gate(argument, positions).passes)
+        return None if gate is None else f"{self.constant(gate(argument, positions))}.passes"
 
     def builtin(self, key: Functor) -> str:
         """Return the name of the Python function of a built-in that is called in line."""
