@@ -12,13 +12,13 @@ BULK = (None,) * 1024
 """Pieces of work, each as small as an inference, between two calls of `look`."""
 
 
-class _Watch(local):
+class Watch(local):
     """Whom to ask in a thread; local, because each thread may run a machine of its own."""
 
     ask: Optional[Callable[[int], None]] = None
 
 
-_watch = _Watch()
+WATCH = Watch()
 
 
 def look(work: int = len(BULK)) -> None:
@@ -27,13 +27,13 @@ def look(work: int = len(BULK)) -> None:
     Args:
         work: pieces of work since the last call, to be counted as inferences.
     """
-    ask = _watch.ask
+    ask = WATCH.ask
     if ask is not None:
         ask(work)
 
 
 def watched_by(ask: Optional[Callable[[int], None]]) -> Optional[Callable[[int], None]]:
     """Have `look` call a function in this thread; return the one before, to be put back."""
-    before = _watch.ask
-    _watch.ask = ask
+    before = WATCH.ask
+    WATCH.ask = ask
     return before

@@ -3,7 +3,7 @@
 from typing import Any, Callable, Dict, Optional, Sequence, Tuple
 
 from ..logic import PrologError, resource_error
-from ..terms import Atom, String, Term, Var, functor, is_ground, list_items, make_list, undo, variables
+from ..terms import Atom, String, Term, Var, functor, is_ground, list_items, make_list, variables
 from .dispatch import AT_ONCE
 from .matches import Match
 from .policy import Frame, emit_each
@@ -117,25 +117,19 @@ class Call:
             )
         code = self._plain.code
         machine = self.rule.network.logic.machine
-        budget, done, trail = machine.budget, machine.done, machine.trail
+        check, done = machine.check, machine.done
 
         def acted(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
             event = dispatcher.current
-            if not code.steady or budget.limited or not event.ground or event.depth > AT_ONCE:
+            if not code.steady or not event.ground or event.depth > AT_ONCE:
                 return act(term, values, start, end, dispatcher.ground(), solved, after)
-            mark = len(trail)
-            frame = (code, *values, done)
-            try:  # as `Machine.step`, and `act`
-                left = code.run(frame)
-                if left is not done and not machine.go_on(left, mark):
-                    return after
-            except Exception as exc:
+            try:  # as `act`
+                found = check((code, *values, done))
+            except PrologError as error:
                 dispatcher.current = event
-                self._failed(machine.error(exc, frame, mark))
+                self._failed(error)
                 return after
-            if len(trail) > mark:
-                undo(trail, mark)
-            return solved(term, values, start, end, after)
+            return solved(term, values, start, end, after) if found else after
 
         return acted
 

@@ -93,32 +93,43 @@ class Goal:
             PrologError: what the goal threw.
         """
         machine = self._machine
+        if self.straight is not None:
+            result: Any = self._ask_straight(values)
+            if result is not BAIL:
+                return result  # type: ignore[no-any-return]
+            self.bail()
         mark = len(machine.trail)
-        # A run is what looks at the limits of the goals in it.
-        if self.straight is not None and (machine.choices or not machine.budget.limited):
-            try:
-                result: Any = self.straight(*values)
-                if result is not BAIL:
-                    return result  # type: ignore[no-any-return]
-                self.bail()
-            except Exception as exc:
-                undo(machine.trail, mark)
-                error = from_python(exc)
-                if error is None or error is exc:
-                    raise
-                raise error from exc
         if not self._outputs:
-            code = self.code
-            run = machine.step if code.steady else machine.run
-            succeeded = run((code, *values, machine.done))
-            if len(machine.trail) > mark:
-                undo(machine.trail, mark)
+            frame = (self.code, *values, machine.done)
+            if self.code.steady:
+                return () if machine.check(frame) else None
+            succeeded = machine.run(frame)
+            undo(machine.trail, mark)
             return () if succeeded else None
         found: List[Tuple[Term, ...]] = []
         if not machine.run((self._handing_over, *values, (_STORE, found, machine.done))):
             return None
         undo(machine.trail, mark)
         return found[0]
+
+    def _ask_straight(self, values: Sequence[Term]) -> Any:
+        """Return what the function says, with the errors and under the limits of a run."""
+        machine = self._machine
+        budget = machine.budget
+        limited = budget.limited
+        saved = budget.enter() if limited else None
+        mark = len(machine.trail)
+        try:
+            return self.straight(*values)
+        except Exception as exc:
+            undo(machine.trail, mark)
+            error = from_python(exc)
+            if error is None or error is exc:
+                raise
+            raise error from exc
+        finally:
+            if limited:
+                budget.leave(saved)
 
     def all(self, values: Sequence[Term]) -> List[Tuple[Term, ...]]:
         """Run the goal at once and return the resolved outputs of all its solutions."""

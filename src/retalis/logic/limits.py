@@ -5,6 +5,7 @@ from time import monotonic
 from typing import Any, Dict, List, NamedTuple, Optional, Tuple
 
 from ..terms import Term
+from ..watching import WATCH
 from .faults import PrologError, resource_error
 
 SLICE = (None,) * 1024
@@ -82,10 +83,13 @@ class Budget:
         alarms: times (of the monotonic clock) with what is to be thrown then.
         ceilings: counts of inferences with what is to be thrown past them.
         used: whether anything was counted since `start_anew`.
+        running: whether a run is under way that has limits.
     """
 
     def __init__(self) -> None:
         self.allow(NO_LIMITS)
+        self.running = False
+        self._ask = self.look
         self.inferences = 0
         self.alarms: List[Tuple[float, LimitPassed]] = []
         self._loops = 0  # inferences that are not counted yet, in units of `LOOP`
@@ -102,6 +106,29 @@ class Budget:
         self._spent = 0
         self.limits = limits
         self.limited = limits != NO_LIMITS
+
+    def enter(self) -> Any:
+        """Begin a run with limits; return what `leave` needs at its end.
+
+        Long steps look at the limits too, see `watching`. A run inside another, of a goal that a rule asks in
+        between, say, has the limits to itself.
+        """
+        if self.running:
+            return self.part()
+        self.running = True
+        before = WATCH.ask
+        WATCH.ask = self._ask
+        return before
+
+    def leave(self, saved: Any) -> None:
+        """End a run with limits."""
+        if saved.__class__ is tuple:
+            self.whole(saved)
+            return
+        self.running = False
+        WATCH.ask = saved
+        if self.used:
+            self.start_anew()
 
     def start_anew(self) -> None:
         """Forget what an outermost run has used."""

@@ -157,13 +157,9 @@ class Machine:
             return True
         choices = self.choices
         base = len(choices)
-        limited = self.budget.limited
-        if not limited:
-            before = None
-        elif base:  # a goal that a rule, say, asks in between has the limits to itself
-            before = self.budget.part()
-        else:
-            before = watched_by(self.budget.look)
+        budget = self.budget
+        limited = budget.limited
+        saved = budget.enter() if limited else None
         mark = len(self.trail)
         choices.append((STOP, mark))
         try:
@@ -184,56 +180,29 @@ class Machine:
                 choices.pop()
             else:
                 del choices[base:]
-            if base:
-                if limited:
-                    self.budget.whole(before)
-            else:
-                if limited:
-                    watched_by(before)
-                if self.budget.used:
-                    self.budget.start_anew()
+            if limited:
+                budget.leave(saved)
+            elif budget.used and not base:
+                budget.start_anew()
 
-    def step(self, frame: Frame) -> bool:
-        """As `run`, for a frame whose code is steady: most often its step is all there is to do."""
-        if self.budget.limited:
-            return self.run(frame)
-        mark = len(self.trail)
+    def check(self, frame: Frame) -> bool:
+        """As `run`, for a frame whose code is steady: most often its step is all there is to do. No bindings stay."""
+        budget = self.budget
+        limited = budget.limited
+        saved = budget.enter() if limited else None
+        trail = self.trail
+        mark = len(trail)
         try:
             after = frame[0].run(frame)
+            return after is self.done or (after is not None and self.run(after))
         except Exception as exc:
-            raise self.error(exc, frame, mark) from exc
-        return after is self.done or self.go_on(after, mark)
-
-    def error(self, exc: Exception, frame: Frame, mark: int) -> PrologError:
-        """Return the error of an exception that the step of a frame raised outside of a run.
-
-        Args:
-            exc: what was raised; no error of the program is raised again.
-            frame: whose step it was.
-            mark: the length of the trail before it; what was bound since is undone.
-        """
-        try:
-            self._handle(exc, frame, len(self.choices))
-        except PrologError as error:
-            return error
+            self._handle(exc, frame, len(self.choices))  # where nothing has been pushed, it raises
+            raise
         finally:
-            undo(self.trail, mark)
-        raise exc
-
-    def go_on(self, frame: Optional[Frame], mark: int) -> bool:
-        """Run what is left after a step outside of a run; where that has no solution, nothing stays bound.
-
-        Args:
-            frame: what the step returned.
-            mark: the length of the trail before the step.
-        """
-        found = False
-        try:
-            found = frame is not None and self.run(frame)
-            return found
-        finally:
-            if not found:
-                undo(self.trail, mark)
+            if len(trail) > mark:
+                undo(trail, mark)
+            if limited:
+                budget.leave(saved)
 
     def solutions(self, frame: Optional[Frame]) -> Iterator[None]:
         """Run a frame that ends in `done`; yield at each solution, with its bindings in place.
@@ -243,10 +212,11 @@ class Machine:
         """
         choices = self.choices
         base = len(choices)
+        inside = base or self.budget.running
         mark = len(self.trail)
         choices.append((STOP, mark))
         try:
-            while self._loop(frame, base) if base else self._watched(frame):
+            while self._loop(frame, base) if inside else self._watched(frame):
                 height = len(choices)
                 yield None
                 if len(choices) != height or choices[base][0] is not STOP:
@@ -258,7 +228,7 @@ class Machine:
             self._leave(base)
             del choices[base:]
             undo(self.trail, mark)
-            if not base:
+            if not inside:
                 self.budget.start_anew()
 
     def _leave(self, base: int) -> None:
@@ -271,10 +241,13 @@ class Machine:
 
     def _watched(self, frame: Optional[Frame]) -> bool:
         """Go on with an outermost run; long steps in it look at the limits too."""
-        before = watched_by(self.budget.look)
+        budget = self.budget
+        before = watched_by(budget.look)
+        budget.running = budget.limited
         try:
             return self._loop(frame, 0)
         finally:
+            budget.running = False
             watched_by(before)
 
     def _loop(self, frame: Optional[Frame], base: int) -> bool:
