@@ -293,6 +293,10 @@ class Engine:
         dispatcher = self.dispatcher
         current, cause = dispatcher.current, dispatcher.cause
         try:  # as `Dispatcher.undisturbed`
+            if ground and term.__class__ is tuple:
+                lane = dispatcher.lanes.get(term[0])
+                if lane is not None and lane(term, start, end):
+                    return
             frame = dispatcher.dispatch(term, start, end, self._done, None, ground)
             if frame is not self._done:
                 self.logic.machine.run(frame)

@@ -4,7 +4,7 @@ from typing import Any, Callable, Dict, Optional, Sequence, Tuple
 
 from ..logic import PrologError, resource_error
 from ..terms import Atom, String, Term, Var, functor, is_ground, list_items, make_list, variables
-from .dispatch import AT_ONCE
+from .dispatch import AT_ONCE, Lane
 from .matches import Match
 from .policy import Frame, emit_each
 
@@ -91,7 +91,7 @@ class Call:
         else:
             goal, given, kept = self._open(), values, ()
         dispatcher = self._dispatcher
-        event = dispatcher.current
+        event = dispatcher.event()
         if event is None or event.depth > AT_ONCE:
             return dispatcher.call(
                 goal, given, lambda found: solved(term, kept + found, start, end, after), after, self._failed
@@ -104,17 +104,19 @@ class Call:
             return after
         return after if found is None else solved(term, kept + found, start, end, after)
 
-    def action(self, solved: Solved) -> Solved:
-        """Return `act` for an event alone: takes event, values, interval and the next frame.
+    def alone(self, solved: Solved) -> Tuple[Solved, Optional[Lane]]:
+        """Return what calls the goal for an event alone and goes on with ``solved``, and its `Lane`.
 
         Most often the event has no variables, and the goal is a call that is done in one step.
         """
         act = self.act
         dispatcher = self._dispatcher
         if self.outputs or not self._takes_all:
-            return lambda term, values, start, end, after: act(
-                term, values, start, end, dispatcher.ground(), solved, after
-            )
+            return (
+                lambda term, values, start, end, after: act(
+                    term, values, start, end, dispatcher.ground(), solved, after
+                )
+            ), None
         code = self._plain.code
         machine = self.rule.network.logic.machine
         check, done = machine.check, machine.done
@@ -131,7 +133,25 @@ class Call:
                 return after
             return solved(term, values, start, end, after) if found else after
 
-        return acted
+        def lane(term: Term, start: int, end: int) -> bool:
+            if not code.steady:
+                return False
+            dispatcher.current = event = (term, start, end)
+            values = term[1:]  # type: ignore[index]
+            try:
+                found = check((code, *values, done))
+            except PrologError as error:
+                dispatcher.current = event
+                self._failed(error)
+                found = False
+            if found:
+                left = solved(term, values, start, end, done)
+                if left is not done:
+                    machine.run(left)
+            dispatcher.current = None
+            return True
+
+        return acted, lane
 
     def act_on_all(
         self, term: Term, values: Values, start: int, end: int, ground: bool, solved: Solved, after: Frame

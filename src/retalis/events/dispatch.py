@@ -20,6 +20,8 @@ from .matching import Matcher, Values, compile_matcher
 Frame = Any
 Action = Callable[[Term, Values, int, int, Frame], Frame]
 """Takes the event, the values of the pattern's variables, start, end and the next frame; gives a frame."""
+Lane = Callable[[Term, int, int], bool]
+"""Takes an event without variables that follows from no other, start and end; tells whether it has been served."""
 
 
 class Stage(IntEnum):
@@ -36,7 +38,7 @@ class Stage(IntEnum):
 class Listener:
     """One pattern with what to do for each event that matches it; made by `Dispatcher.listen`."""
 
-    __slots__ = ("order", "pattern", "functor", "matcher", "action")
+    __slots__ = ("order", "pattern", "functor", "matcher", "action", "lane")
 
     def __init__(
         self,
@@ -45,12 +47,14 @@ class Listener:
         functor: Optional[Functor],
         matcher: Matcher,
         action: Action,
+        lane: Optional[Lane],
     ):
         self.order = order
         self.pattern = pattern
         self.functor = functor
         self.matcher = matcher
         self.action = action
+        self.lane = lane
 
 
 _PLANS = 10_000
@@ -108,7 +112,8 @@ class Dispatcher:
         max_depth: how long a chain of derived events may be.
 
     Attributes:
-        current: the `Event` whose listeners are being served, or None.
+        current: what is being served, or None: an `Event`, or term, start and end of one, see `event`.
+        lanes: for events of a functor that one listener only takes, all of them, what serves them faster.
         mark: makes the token of an event; tracking replaces it.
         cause: the rule and match whose goal is running, where that is tracked.
         shortcuts: by the functor of an event, what can take the values of a rule's match in place of the event:
@@ -121,16 +126,24 @@ class Dispatcher:
         self._machine: Any = None if logic is None else logic.machine
         self._listeners: Dict[Optional[Functor], Dict[Listener, None]] = {}
         self._plans: Dict[Functor, Any] = {}
+        self.lanes: Dict[Functor, Lane] = {}
         self._gates: Dict[Functor, Dict[Tuple[int, ...], Gate]] = {}
         self._matchers: WeakValueDictionary[Any, Matcher] = WeakValueDictionary()
         self._order = count()
         self._tokens = count(1)
-        self.current: Optional[Event] = None
+        self.current: Any = None
         self.cause: Any = None
         self.shortcuts: Dict[Functor, Callable[[Any, Action], Optional[Action]]] = {}
         self.mark: Callable[[Event], Any] = lambda event: next(self._tokens)
 
-    def listen(self, stage: Stage, pattern: Term, action: Action, rank: Tuple[int, ...] = ()) -> Listener:
+    def listen(
+        self,
+        stage: Stage,
+        pattern: Term,
+        action: Action,
+        rank: Tuple[int, ...] = (),
+        lane: Optional[Lane] = None,
+    ) -> Listener:
         """Have ``action`` called for every event that unifies with ``pattern``.
 
         A listener added while an event is dispatched sees later events only.
@@ -140,6 +153,8 @@ class Dispatcher:
             pattern: an atom, a compound term, or a variable for any event. It is copied.
             action: does its part and returns the frame to go on with, ``next`` if there is nothing more to do.
             rank: place within the stage; by default behind all there are.
+            lane: does the same as ``action`` for an event without variables whose arguments are the
+                values, where nobody else listens; it may leave ``current`` to `event`.
 
         Raises:
             UsageError: for a pattern that no event can match (a number, a string).
@@ -151,7 +166,7 @@ class Dispatcher:
         if matcher is None:
             matcher = self._matchers[key] = compile_matcher(pattern)
         order = (int(stage), *(rank or (next(self._order),)), next(self._order))
-        listener = Listener(order, pattern, functor, matcher, action)
+        listener = Listener(order, pattern, functor, matcher, action, lane)
         self._listeners.setdefault(functor, {})[listener] = None
         self._changed(functor)
         return listener
@@ -248,7 +263,10 @@ class Dispatcher:
         event.token = token
         event.cause = self.cause
         event.ground = ground
-        event.parent = parent = self.current
+        parent = self.current
+        if parent.__class__ is tuple:
+            parent = self.event()
+        event.parent = parent
         event.depth = depth = 1 if parent is None else parent.depth + 1
         frame = (event, after)
         if depth > AT_ONCE:
@@ -297,7 +315,7 @@ class Dispatcher:
             otherwise: the frame to go on with where there is none, or the goal raised an error.
             on_error: is told of that error.
         """
-        event = self.current
+        event = self.event()
 
         def failed(error: PrologError) -> None:
             self.current = event
@@ -330,9 +348,24 @@ class Dispatcher:
         finally:
             self.current, self.cause = current, cause
 
+    def event(self) -> Optional[Event]:
+        """Return the event that is being served, or None."""
+        current = self.current
+        if current.__class__ is not tuple:
+            return current  # type: ignore[no-any-return]
+        event = self.current = Event()
+        event.dispatcher = self
+        event.steps = iter(())
+        event.term, event.start, event.end = current
+        event.token = event.parent = None
+        event.cause = self.cause
+        event.ground = True
+        event.depth = 1
+        return event
+
     def ground(self) -> bool:
         """Tell whether the event that is being served has no variables."""
-        event = self.current
+        event = self.event()
         assert event is not None
         known = event.ground
         if known is None:
@@ -341,12 +374,12 @@ class Dispatcher:
 
     def is_of_ground(self, match: Any) -> bool:
         """Tell whether a match is of the event alone that is being served, and that has no variables."""
-        event = self.current
+        event = self.event()
         return match.parts is None and event is not None and match.term is event.term and self.ground()
 
     def token(self) -> Any:
         """Return what tells the event that is being served from all others."""
-        event = self.current
+        event = self.event()
         assert event is not None
         token = event.token
         if token is None:
@@ -356,8 +389,10 @@ class Dispatcher:
     def _changed(self, functor: Optional[Functor]) -> None:
         if functor is None:
             self._plans.clear()
+            self.lanes.clear()
         else:
             self._plans.pop(functor, None)
+            self.lanes.pop(functor, None)
         for gates in self._gates.values() if functor is None else (self._gates.get(functor, {}),):
             for gate in gates.values():
                 gate.set(None)
@@ -367,10 +402,21 @@ class Dispatcher:
         listeners.sort(key=lambda listener: listener.order)
         if len(self._plans) >= _PLANS:
             self._plans.clear()
+            self.lanes.clear()
         plan = self._plans[functor] = make_plan(listeners)
         for gate in self._gates.get(functor, {}).values():
             gate.set(plan)
+        if len(listeners) == 1 and listeners[0].lane is not None and _takes_all(listeners[0].pattern):
+            self.lanes[functor] = listeners[0].lane
         return plan
+
+
+def _takes_all(pattern: Term) -> bool:
+    """Tell whether a pattern's arguments are variables, all different."""
+    if pattern.__class__ is not tuple:
+        return False
+    found = set(pattern[1:])
+    return len(found) == len(pattern) - 1 and all(item.__class__ is Var for item in found)
 
 
 def _functor_of(term: Term) -> Optional[Functor]:

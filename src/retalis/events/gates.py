@@ -42,7 +42,9 @@ class Gate:
             self.passes = _looking(self._positions, plan.at)(plan.table, self._walk)
 
 
-_TIME = "seconds.__class__ is nanoseconds.__class__ is int and 0 <= seconds < LAST and 0 <= nanoseconds < SECOND"
+_TIME = (
+    "seconds.__class__ is nanoseconds.__class__ is int and 0 <= seconds < LAST and 0 <= nanoseconds < SECOND"
+)
 _NAMES = {"Choice": Choice, "Atom": Atom, "NOBODY": NOBODY, "LAST": LAST // SECOND, "SECOND": SECOND}
 
 

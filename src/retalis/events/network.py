@@ -309,7 +309,7 @@ class Rules:
 
     def rule_failed(self, rule: Rule, error: RuleError) -> None:
         """Report what stopped a rule from firing."""
-        event = self.dispatcher.current
+        event = self.dispatcher.event()
         met = "" if event is None else f", at event {self.logic.show(event.term)}"
         self.on_error(RuleError(f"{rule.name}{met}: {error.message}", rule.place))
 

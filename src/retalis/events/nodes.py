@@ -8,7 +8,7 @@ from typing import Any, Dict, List, Optional, Sequence
 
 from ..terms import Term, Var, variables
 from .conditions import Test
-from .dispatch import Action
+from .dispatch import Action, Lane
 from .matches import Found, Match
 from .places import Place
 from .policy import Emit, Frame, Mode
@@ -32,8 +32,13 @@ class Node:
         """Send matches to ``out`` from now on, by the policy and flags of ``mode``; what waits stays."""
         raise NotImplementedError
 
-    def bind_alone(self, complete: Action) -> None:
-        """Send values to ``complete`` from now on, without making matches; for nodes that are `alone`."""
+    def bind_alone(self, complete: Action, lane: Optional[Lane] = None) -> None:
+        """Send values to ``complete`` from now on, without making matches; for nodes that are `alone`.
+
+        Args:
+            complete: takes them.
+            lane: does the same for an event whose arguments are the values, see `Dispatcher.listen`.
+        """
         raise NotImplementedError
 
     def places(self) -> Sequence[Place]:
@@ -77,9 +82,9 @@ class Leaf(Node):
         known = rule.double or mode.tracked
         rule.listen(self, arrive_known if known else arrive_timed if rule.timed else arrive)
 
-    def bind_alone(self, complete: Action) -> None:
+    def bind_alone(self, complete: Action, lane: Optional[Lane] = None) -> None:
         """Listen for a rule whose pattern is one event; see `Node.alone`."""
-        self.rule.listen(self, complete)
+        self.rule.listen(self, complete, lane)
 
 
 class Filter(Node):
@@ -119,7 +124,7 @@ class Filter(Node):
 
         self.child.bind(arrive, mode)
 
-    def bind_alone(self, complete: Action) -> None:
+    def bind_alone(self, complete: Action, lane: Optional[Lane] = None) -> None:
         """Connect the node; see `Node.bind_alone`."""
         tests = self.tests
         span = self.span
@@ -218,7 +223,7 @@ class Acting(Node):
 
         self.child.bind(arrive, mode)
 
-    def bind_alone(self, complete: Action) -> None:
+    def bind_alone(self, complete: Action, lane: Optional[Lane] = None) -> None:
         """Connect the node; see `Node.bind_alone`."""
         call = self.call
         act = call.act_on_all if self.every else call.act
@@ -228,17 +233,19 @@ class Acting(Node):
         dispatcher = call.rule.network.dispatcher
 
         def arrive(term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
-            ground = only_of_event and (dispatcher.current.ground or dispatcher.ground())
-            return act(term, values, start, end, ground, complete, after)
+            return act(term, values, start, end, only_of_event and dispatcher.ground(), complete, after)
 
-        once = call.action(complete) if only_of_event and not self.every else arrive
+        once, fast = call.alone(complete) if only_of_event and not self.every else (arrive, None)
 
         def arrive_in_span(term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
             if span is not None and end - start > span:
                 return after
             return once(term, values, start, end, after)
 
-        self.child.bind_alone(once if span is None else arrive_in_span)
+        if span is None:
+            self.child.bind_alone(once, fast)
+        else:
+            self.child.bind_alone(arrive_in_span)
 
 
 class Never(Node):

@@ -9,7 +9,7 @@ from ._plans import NOBODY
 from .alarms import alarm_of
 from .building import compile_builder
 from .compiling import Compiler
-from .dispatch import Action, Listener, Stage
+from .dispatch import Action, Lane, Listener, Stage
 from .expiry import Expiries
 from .matches import Match
 from .policy import Frame, Mode
@@ -110,10 +110,10 @@ class Rule:
             if match.place is not None:
                 self._file(match, match.place.span)
 
-    def listen(self, leaf: Any, action: Any) -> None:
-        """Have a leaf's action called for its events."""
-        dispatcher = self.network.dispatcher
-        self._listeners.append(dispatcher.listen(Stage.RULES, leaf.term, action, (self.serial, leaf.rank)))
+    def listen(self, leaf: Any, action: Action, lane: Optional[Lane] = None) -> None:
+        """Have a leaf's action called for its events; see `Dispatcher.listen`."""
+        listen = self.network.dispatcher.listen
+        self._listeners.append(listen(Stage.RULES, leaf.term, action, (self.serial, leaf.rank), lane))
 
     @property
     def active(self) -> bool:

@@ -58,7 +58,7 @@ class Question:
             return self._trigger(values, values, start, end, after)
         dispatcher = self._dispatcher
         given = tuple([values[at] for at in self._inputs])
-        event = dispatcher.current
+        event = dispatcher.event()
         if event is not None and event.depth > AT_ONCE:
             return dispatcher.call(
                 goal,
