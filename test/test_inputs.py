@@ -67,3 +67,11 @@ def test_stamps_of_many_seconds_keep_their_instants():
             assert made.start == made.end == (minute * 60 + second) * 10**9 + 5
             assert type(made.start) is WholeSeconds
     assert len(reader._seconds) <= 64
+
+
+def test_events_without_variables_are_told_from_others():
+    reader = InputReader(Operators.prolog())
+    stamp = "datime(2014,10,19,19,50,5,1)"
+    assert reader.event(f"event(a(1),[{stamp},{stamp}])").ground is True
+    assert reader.event(f"event(a(X),[{stamp},{stamp}])").ground is False
+    assert reader.event("event(a(1))").ground is None

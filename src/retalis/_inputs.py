@@ -17,11 +17,16 @@ _SECONDS = 64
 
 
 class Input(NamedTuple):
-    """An event and the two instants of its interval; None where the clock is to stamp it."""
+    """An event and the two instants of its interval; None where the clock is to stamp it.
+
+    Attributes:
+        ground: whether the event has no variables; None where nobody has looked.
+    """
 
     term: Term
     start: Any
     end: Any
+    ground: Optional[bool] = None
 
 
 class InputReader:
@@ -80,7 +85,7 @@ class InputReader:
         if goal.__class__ is not tuple or goal[0] is not EVENT1:
             return None
         instant = WholeSeconds(second + int(stamp[last:-1]))
-        return Input(callable_of(goal[1]), instant, instant)
+        return Input(callable_of(goal[1]), instant, instant, self._reader.ground)
 
     def _learn(self, text: str) -> Optional[int]:
         """Return the instant of a datime's text up to its nanoseconds, and remember it; None where it is none."""

@@ -236,3 +236,15 @@ def test_the_originals_spelling_of_a_bool_is_read():
         term = EventReader().read("event(p(True,False,Truth))")
         assert term[1][1:3] == (TRUE, FALSE)
         assert term[1][3].__class__ is Var
+
+
+def test_it_knows_whether_a_term_has_variables():
+    reader = EventReader()
+    told = []
+    for text in ("e(1,'a')", "e(2,'b')", "e(X,[1])", "e(Y,[2])", "e(1 + 2)", "e(1"):
+        try:
+            reader.read(text)
+        except SyntaxFault:
+            pass
+        told.append(reader.ground)
+    assert told == [True, True, False, False, True, None]

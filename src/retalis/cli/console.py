@@ -180,7 +180,7 @@ class Console:
             made = event_of(goal) if goal.__class__ is tuple and goal[0].name == "event" else None
             if made is None:
                 return False
-            self.engine.event_at(*made)
+            self.engine.event_at(made.term, made.start, made.end)
             print("true.")
         except RetalisError as error:
             self._report(error)

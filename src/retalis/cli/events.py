@@ -226,7 +226,7 @@ class Session:
             return
         if made.end is not None:
             self._clock.move_to(made.end)
-        self.engine.event_at(*made)
+        self.engine.event_at(made.term, made.start, made.end)
 
     def ask(self) -> None:
         """Print the solutions of the queries, and the explanation."""

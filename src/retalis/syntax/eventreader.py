@@ -61,6 +61,8 @@ class EventReader:
         """Take the operators that hold in the texts; Prolog's by default. They must not change later."""
         self._operators = Operators.prolog() if operators is None else operators
         self._builders: Dict[str, Optional[Builder]] = {}
+        self.ground: Optional[bool] = None
+        """Whether the term that was read last has no variables; None where that is not known."""
 
     def read(self, text: str) -> Term:
         """Return the term of a text.
@@ -68,6 +70,7 @@ class EventReader:
         Raises:
             SyntaxFault: where the text is not exactly one term.
         """
+        self.ground = None
         if "\\" in text or "''" in text or "\n" in text:
             parts = _split_escaped(text)
         else:
@@ -86,7 +89,9 @@ class EventReader:
         except (ValueError, StopIteration):  # nan, inf or leading zeros
             values = [_number(number) for number in numbers]
         try:
-            return builder(values, quoted, strings)
+            term = builder.build(values, quoted, strings)
+            self.ground = builder.ground
+            return term
         except ValueError:  # the text has a character that marks places in skeletons
             return self._read_fully(text)
 

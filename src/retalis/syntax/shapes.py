@@ -1,10 +1,22 @@
 """Compiles the function that builds all terms of one shape."""
 
-from typing import Any, Callable, Dict, List, Optional, Tuple
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
 
 from ..terms import CONS, NIL, Atom, Functor, Term, Var, atom, make_list
 
-Builder = Callable[[List[Any], List[str], List[str]], Term]
+
+class Builder(NamedTuple):
+    """Builds the terms of a shape.
+
+    Attributes:
+        build: makes one from its numbers, its quoted and its double-quoted texts; raises ValueError where they are
+            not as many.
+        ground: whether there is no variable in them.
+    """
+
+    build: Callable[[List[Any], List[str], List[str]], Term]
+    ground: bool
+
 
 _LINES = 3000
 """A shape of more compound terms is not worth a function."""
@@ -29,15 +41,14 @@ class ShapeCompiler:
         self._lines: List[str] = []
 
     def compile(self, term: Term) -> Optional[Builder]:
-        """Return the function; None where a mark is missing, stands twice, or the term is too large."""
+        """Return what builds it; None where a mark is missing, stands twice, or the term is too large."""
         result = self._expression(term)
         if result is None or any(count != 1 for count in self._used.values()):
             return None
         body = [*self._unpacking(), *(f"{name} = Var()" for name in self._variables.values()), *self._lines]
         source = "def build(n, q, s):\n " + "\n ".join([*body, f"return {result}"])
         exec(compile(source, "<event text>", "exec"), self._names)
-        builder: Builder = self._names["build"]
-        return builder
+        return Builder(self._names["build"], not self._variables)
 
     def _unpacking(self) -> List[str]:
         lines = []
