@@ -315,7 +315,7 @@ class Compiler:
         logic = self.rule.network.logic
         if core.value is None:
             return Collector(core.kind, lambda values: None, lambda term: None)
-        value = compile_builder(core.value, names, f"aggregate in {self.rule.name}")
+        value = compile_builder(core.value, names, "value of an aggregate")
         number, expression = Var(), Var()
         goal: List[Any] = []
 

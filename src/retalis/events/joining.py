@@ -180,7 +180,7 @@ class Joining(Node):
         parts = f"(l, r, Found(values[{known}:]))" if len(self.vars) > known else "(l, r)"
         lines.append(f"    return Match(values, start, end, None, None, {parts})")
         made: Callable[[Match, Match], Optional[Match]] = compile_function(
-            "\n".join(lines) + "\n", names, f"{operator.name} of {self.rule.name}"
+            "\n".join(lines) + "\n", names, f"join by {operator.name}"
         )
         if self.rule.network.mode.tracked and (self.absences or self.carried):
             return self._noting_what_is_suppressed(made, left_arrives)

@@ -65,7 +65,7 @@ class _Compiler:
         values = ", ".join(self.places[var] for var in order)
         self.lines.append(f"    return ({values}{',' if len(order) == 1 else ''})")
         source = "def made(term):\n" + "\n".join(self.lines) + "\n"
-        made: Matcher = compile_function(source, self.names, f"matcher of {self.pattern[0]}")
+        made: Matcher = compile_function(source, self.names, "matcher")
         return made
 
     def _take_apart(self, name: str, pattern: Term) -> List[Tuple[str, Term]]:

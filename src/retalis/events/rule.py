@@ -77,7 +77,7 @@ class Rule:
         self.root = compiler.build()
         self.nodes = compiler.nodes
         self.double = any(getattr(node, "double", False) for node, _, _ in self.nodes)
-        self.builder = None if head is None else compile_builder(head, self.root.vars, f"head of {name}")
+        self.builder = None if head is None else compile_builder(head, self.root.vars, "head of a rule")
 
     def configure(self, mode: Mode, window: Optional[int], garbage: Optional[Tuple[int, int]]) -> None:
         """Connect the nodes for a mode, a window and a garbage control (window and step, in ns)."""

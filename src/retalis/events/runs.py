@@ -111,7 +111,7 @@ class Running(Node):
             self.result_new = [var for var in variables(result) if var not in known]
             self._result_at = len(known)
             known += self.result_new
-            self.make_result = compile_builder(result, known, f"result in {self.rule.name}")
+            self.make_result = compile_builder(result, known, "result of an aggregate")
         self.vars = known
 
     def test(self, test: Test, names: Sequence[Var], late: bool) -> None:

@@ -82,13 +82,13 @@ def recording(
     found = [] if whole else [var for var in variables(form) if var not in inputs and var in variables(body)]
     keep: Recording = itself
     if not whole:
-        keep = _same_or_built(compile_builder(form, inputs, name), compare(form, pattern) == 0)
+        keep = _same_or_built(compile_builder(form, inputs, "form"), compare(form, pattern) == 0)
     closed = whole or set(variables(form)) <= set(inputs)
     if body is TRUE:
         return keep, closed
     test = logic.compile_goal(body, inputs, found, name=name).test
     test_open = logic.compile_goal(body, inputs, [TRUE if whole else form], name=name).test
-    build = compile_builder(form, [*inputs, *found], name)
+    build = compile_builder(form, [*inputs, *found], "form")
 
     def record(term: Term, values: Values, ground: bool) -> Optional[Term]:
         event = dispatcher.current

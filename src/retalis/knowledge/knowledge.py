@@ -1,11 +1,12 @@
 """Memories, waiting queries and subscriptions of one program, and the goals that reach them."""
 
+from operator import attrgetter
 from typing import Any, Callable, Iterator, Optional
 
 from ..errors import UsageError
 from ..events import Dispatcher
 from ..logic import Logic, Machine, instantiation_error, type_error
-from ..terms import Term, Var, deref, functor
+from ..terms import Atom, Term, Var, deref, functor
 from ._recording import Warn, key_of
 from .memories import Instance, Memories, define_read_access, enumerate_records
 from .subscriptions import Deliver, Subscriptions
@@ -54,8 +55,8 @@ class Knowledge:
         logic = self._logic
         define_read_access(logic, self.memories)
         logic.define_nondeterministic("access_mem", 3, enumerate_records(self.memories))
-        self._define_size("memory_size", lambda instance: instance.memory.size)
-        self._define_size("memory_counter", lambda instance: instance.memory.added)
+        self._define_size("memory_size", attrgetter("memory.size"))
+        self._define_size("memory_counter", attrgetter("memory.added"))
         logic.define_control("memorize", 5, self._memorize(True))
         logic.define_control("memorize_diactive", 5, self._memorize(False))
         logic.define_control("memorize", 6, self._memorize_by_flag)
@@ -103,10 +104,10 @@ class Knowledge:
 
     def _define_size(self, name: str, number: Callable[[Instance], int]) -> None:
         """Define a predicate of a memory's id and a number."""
-        find = self.memories.find
+        known, find = self.memories.instances.get, self.memories.find
 
         def of_one(name: Term) -> Optional[int]:
-            instance = find(name)
+            instance = known(name) if name.__class__ is Atom else find(name)
             return None if instance is None else number(instance)
 
         def of_all(machine: Machine, name: Term, value: Term) -> Iterator[bool]:
