@@ -9,7 +9,7 @@ import pytest
 
 from retalis import timestamps
 from retalis.clock import StreamClock
-from retalis.engine import Engine
+from retalis.engine import Engine, Settings
 from retalis.errors import ProgramErrors, RetalisError, SyntaxFault, UsageError
 from retalis.logic import PrologError
 from retalis.terms import atom, deref
@@ -331,3 +331,34 @@ def test_conditions_in_a_file_may_call_what_the_rest_of_the_file_has(caplog):
     assert [record.getMessage() for record in caplog.records] == [
         "memory m: there is no predicate cold/1 yet"
     ]
+
+
+def test_each_refused_event_is_shown_with_what_is_wrong(caplog):
+    engine = Engine()
+    for text in ("event(X)", "event(a,[2,1])", "foo", "event(a", "halt(" + "x" * 1000 + ")"):
+        engine.post_text(text)
+    shown = [record.getMessage() for record in caplog.records]
+    assert shown[0] == "an event is refused: event(X): Arguments are not sufficiently instantiated"
+    assert shown[1] == "an event is refused: event(a,[2,1]): Type error: `interval' expected, found `[2,1]'"
+    assert shown[2] == "an event is refused: foo: only event/1,2 and new_event/2,3,5 are taken"
+    assert shown[3].startswith("an event is refused: event text:1:8: expected")
+    assert len(shown[4]) < 300
+
+
+def test_a_goal_that_is_taken_as_input_and_goes_wrong_is_named(caplog):
+    engine = Engine(settings=Settings(allow_goals=True))
+    for text in ("fail", "nosuch(1)"):
+        engine.post_text(text)
+    assert [record.getMessage() for record in caplog.records] == [
+        "the goal fail fails",
+        "the goal nosuch(1) ends with an error: Unknown procedure: nosuch/1",
+    ]
+
+
+def test_an_error_of_a_rule_has_the_names_of_its_variables_and_its_place_once(caplog):
+    engine = Engine()
+    engine.load(rules="hot(Who, T) <- temp(Who, T) where T > 38.", source="r.txt")
+    engine.event("temp(bob, x)", 1)
+    assert caplog.records[0].getMessage().split("\n")[0] == (
+        "r.txt:1:1: rule hot(Who,T), at event temp(bob,x): goal T>38: Type error: `evaluable' expected, found `x/0'"
+    )

@@ -63,3 +63,18 @@ def test_of_more_kinds_than_are_remembered_the_number_is_said_at_the_end(logged)
         "3 times in all: kind 1000",
         "1000 more problems were not shown",
     ]
+
+
+def test_some_texts_of_a_kind_are_logged_in_any_case(logged):
+    reports = Reports()
+    for number in (1, 2, 3, 3, 3, 4, 5):
+        reports.warning(f"number {number}", "refused", 4)
+    reports.sum_up()
+    assert [record.message for record in logged.records] == [
+        "number 1",
+        "number 2",
+        "number 3",
+        "number 3\n(4 times so far)",
+        "number 4",
+        "7 times in all: number 1",
+    ]

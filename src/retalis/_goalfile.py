@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any, Iterator, List, NamedTuple, Optional, Union
 
-from .errors import Place, RetalisError, RuleError, SyntaxFault
+from .errors import Place, ProgramErrors, RetalisError, RuleError, SyntaxFault
 from .program import read_text
 from .syntax import Operators, ReadTerm, read_term
 from .terms import Term, deref, functor
@@ -109,3 +109,10 @@ def _read(lines: List[str], start: int, end: int, operators: Operators, source: 
         return read_term("\n".join(lines[start:end]), operators, source, first_line=start + 1)
     except SyntaxFault as fault:
         return fault
+
+
+def errors_in(error: RetalisError, place: Place) -> List[RetalisError]:
+    """Return the errors that a goal of a goal file met: those of the file that it loads, or its own."""
+    if isinstance(error.__cause__, ProgramErrors):
+        return error.__cause__.errors
+    return [error if error.place else RuleError(error.message, place)]

@@ -2,7 +2,7 @@
 
 import logging
 import traceback
-from typing import Any, Dict
+from typing import Any, Dict, Set
 
 from .errors import RetalisError
 
@@ -40,10 +40,14 @@ class Reports:
         trace = "".join(traceback.format_exception(type(error), error, error.__traceback__))
         self._log(logging.ERROR, kind or repr(error), f"internal error\n{trace}")
 
-    def warning(self, problem: Any, kind: Any = None) -> None:
-        """Log a warning; those of one ``kind`` (its place or text by default) count together."""
+    def warning(self, problem: Any, kind: Any = None, texts: int = 1) -> None:
+        """Log a warning; those of one ``kind`` (its place or text by default) count together.
+
+        So many ``texts`` of a kind that read differently are logged in any case.
+        """
         self.warnings += 1
-        self._log(logging.WARNING, kind or getattr(problem, "place", None) or str(problem), str(problem))
+        key = kind or getattr(problem, "place", None) or str(problem)
+        self._log(logging.WARNING, key, str(problem), texts)
 
     def sum_up(self) -> None:
         """Say of all that came more often than was logged how often it came."""
@@ -55,7 +59,7 @@ class Reports:
             log.warning("%d more problems were not shown", self._others)
             self._others = 0
 
-    def _log(self, level: int, key: Any, text: str) -> None:
+    def _log(self, level: int, key: Any, text: str, texts: int = 1) -> None:
         kind = self._kinds.get(key)
         if kind is None:
             if len(self._kinds) >= _KINDS:
@@ -63,19 +67,23 @@ class Reports:
                 self._kinds.clear()
             kind = self._kinds[key] = _Kind(level, text.split("\n", 1)[0])
         kind.times = times = kind.times + 1
-        if times & (times - 1) or (self.once and times > 1):
+        is_new = len(kind.texts) < texts and text not in kind.texts
+        if is_new:
+            kind.texts.add(text)
+        elif times & (times - 1) or self.once:
             return
         kind.told = times
-        log.log(level, "%s", text if times == 1 else f"{text}\n({times} times so far)")
+        log.log(level, "%s", text if is_new else f"{text}\n({times} times so far)")
 
 
 class _Kind:
     """What came again and again: how often, how much of that was told, and the first line of the first one."""
 
-    __slots__ = ("first", "level", "times", "told")
+    __slots__ = ("first", "level", "texts", "times", "told")
 
     def __init__(self, level: int, first: str):
         self.level = level
         self.first = first
         self.times = 0
         self.told = 0
+        self.texts: Set[str] = set()

@@ -7,12 +7,12 @@ from typing import Any, Callable, Dict, Generator, List, NamedTuple, Optional, S
 
 from . import timestamps
 from ._foreign import define_foreign, load_module
-from ._goalfile import goals_of
-from ._inputs import READERS, InputReader
+from ._goalfile import errors_in, goals_of
+from ._inputs import READERS, InputReader, beginning
 from ._reports import Reports
 from ._runner import Runner
 from .clock import Clock, StreamClock
-from .errors import Place, ProgramErrors, RetalisError, RuleError, UsageError
+from .errors import ProgramErrors, RetalisError, RuleError, UsageError
 from .events import Dispatcher, Rules, Stage
 from .knowledge import Knowledge
 from .logic import Limits, Logic, instantiation_error, permission_error, type_error
@@ -137,7 +137,7 @@ class Engine:
                 if not self._trusted(goal.folder, lambda: self.logic.once(goal.term)):  # noqa: B023
                     errors.append(RuleError("this goal fails", goal.place))
             except RetalisError as error:
-                errors += _in_goal(error, goal.place)
+                errors += errors_in(error, goal.place)
         if errors:
             raise ProgramErrors(errors)
 
@@ -316,16 +316,25 @@ class Engine:
         try:
             made = self._texts.event(text)
         except RetalisError as error:
-            self.reports.warning(f"an event is refused: {error}", "refused")
+            self._refuse(error if error.place else f"{beginning(text)}: {error}")
             return
         if made is not None:
             self._take(*made)
         elif self.settings.allow_goals:
-            goal = self._texts.goal(text)
-            if not self.dispatcher.undisturbed(lambda: self.logic.once(goal)):
-                self.reports.warning(f"the goal {self.show(goal)} fails")
+            self._take_goal(text)
         else:
-            self.reports.warning(f"refused: {text} (only event/1,2 and new_event/2,3,5 are taken)", "refused")
+            self._refuse(f"{beginning(text)}: only event/1,2 and new_event/2,3,5 are taken")
+
+    def _take_goal(self, text: str) -> None:
+        goal = self._texts.goal(text)
+        try:
+            if not self.dispatcher.undisturbed(lambda: self.logic.once(goal)):
+                self.reports.warning(f"the goal {beginning(text)} fails")
+        except RetalisError as error:
+            self.reports.warning(f"the goal {beginning(text)} ends with an error: {error}")
+
+    def _refuse(self, reason: Any) -> None:
+        self.reports.warning(f"an event is refused: {reason}", "refused", texts=20)
 
     def _watch_clock(self) -> None:
         """Start anew where time went back, and let alarms ring that are due."""
@@ -393,10 +402,3 @@ class Engine:
         name: str = module.name if module.__class__ is Atom else module.text  # type: ignore[assignment]
         define_foreign(self.logic, load_module(name, self.rules.files.resolve))
         return True
-
-
-def _in_goal(error: RetalisError, place: Place) -> List[RetalisError]:
-    """Return the errors that a goal of a goal file met: those of the file that it loads, or its own."""
-    if isinstance(error.__cause__, ProgramErrors):
-        return error.__cause__.errors
-    return [error if error.place else RuleError(error.message, place)]

@@ -19,7 +19,9 @@ def logic(monkeypatch):
     assert bench.__file__ == str(BENCH / "logic.py")
     monkeypatch.setattr(bench, "relax", lambda: None)
     monkeypatch.setattr(bench.others, "relax", lambda: None)
+    deepest = sys.getrecursionlimit()
     yield bench
+    sys.setrecursionlimit(deepest)  # ProbLog raises it for all
     for name in ("logic", "others"):
         sys.modules.pop(name, None)
 

@@ -143,7 +143,7 @@ class Checker:
         reader = Reader(lambda part, number=0: spot(part, number) or place, self.warnings.append)
         if rule[0] not in ARROWS:  # P do G
             pattern = reader.read((_RULE, rule), 1)
-            definition = Definition(rule, None, pattern, label, place)
+            definition = Definition(rule, None, pattern, label, place, self._names)
         else:
             head, goal = deref(rule[1]), None
             if head.__class__ is tuple and SPELLINGS.get(head[0]) == "do":
@@ -154,7 +154,7 @@ class Checker:
             pattern = reader.read(rule, 2)
             if goal is not None:
                 pattern = Action(pattern, goal, False)
-            definition = Definition(rule, head, pattern, label, place)
+            definition = Definition(rule, head, pattern, label, place, self._names)
             self._unbound(head, pattern, at or place)
         self._goals(reader.goals, pattern, spot, place)
         for one in reader.inner:

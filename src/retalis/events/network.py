@@ -206,10 +206,10 @@ class Rules:
         return [*(rule.definition.term for rule in self.rules), *bodies]
 
     def _name(self, definition: Definition) -> str:
-        head = "(no head)" if definition.head is None else self.logic.show(definition.head)
-        label = "" if definition.label is None else f"{self.logic.show(definition.label)}: "
-        where = "" if definition.place is None else f" at {definition.place}"
-        return f"rule {label}{head}{where}"
+        show, names = self.logic.show, definition.names
+        head = "(no head)" if definition.head is None else show(definition.head, names=names)
+        label = "" if definition.label is None else f"{show(definition.label)}: "
+        return f"rule {label}{head}"
 
     # ---- how they run --------------------------------------------------------------------------------
 
@@ -316,7 +316,8 @@ class Rules:
     def goal_failed(self, rule: Rule, goal: Term, error: RetalisError) -> None:
         """Report an error that a goal of a rule raised, or stopped for."""
         keep_back(error)
-        self.rule_failed(rule, RuleError(f"goal {self.logic.show(goal)}: {error.message}"))
+        shown = self.logic.show(goal, names=rule.definition.names)
+        self.rule_failed(rule, RuleError(f"goal {shown}: {error.message}"))
 
     def dropped(self, rule: Rule) -> None:
         """Report that a rule has too many partial matches."""

@@ -1,10 +1,11 @@
 """Event rules at run time: their clock, what waits for them, and what they fire."""
 
 from collections import deque
-from typing import Any, Deque, List, NamedTuple, Optional, Tuple
+from types import MappingProxyType
+from typing import Any, Deque, List, Mapping, NamedTuple, Optional, Tuple
 
 from ..errors import Place, RuleError, UsageError
-from ..terms import Atom, Term, deref, is_ground
+from ..terms import Atom, Term, Var, deref, is_ground
 from ._plans import NOBODY
 from .alarms import alarm_of
 from .building import compile_builder
@@ -26,6 +27,7 @@ class Definition(NamedTuple):
         pattern: its pattern, the goals of the head included.
         label: its label, or None.
         place: where it stands.
+        names: of its variables.
     """
 
     term: Term
@@ -33,6 +35,7 @@ class Definition(NamedTuple):
     pattern: Any
     label: Optional[Term]
     place: Optional[Place]
+    names: Mapping[Var, str] = MappingProxyType({})
 
 
 class Rule:

@@ -2,7 +2,7 @@
 
 import sys
 from time import time_ns
-from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, Iterator, List, Mapping, Optional, Sequence, Tuple
 
 from ..errors import Place
 from ..syntax import Operators, write_term
@@ -307,9 +307,9 @@ class Logic:
     def _to_error_output(self, kind: str, text: str) -> None:
         self.error_output(text)
 
-    def show(self, term: Term, quoted: bool = True) -> str:
-        """Return a term as text that reads back with the program's operators."""
-        return write_term(term, self.operators, quoted=quoted, numbervars=True)
+    def show(self, term: Term, quoted: bool = True, names: Optional[Mapping[Var, str]] = None) -> str:
+        """Return a term as text that reads back with the program's operators; names are those of variables."""
+        return write_term(term, self.operators, quoted=quoted, numbervars=True, variable_names=names)
 
     # Internals
 

@@ -4,7 +4,7 @@ Works without recursion: a stack holds what is still to be written. Two tokens t
 parted by a blank, and nothing else is, as SWI-Prolog 9 does it.
 """
 
-from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
+from typing import Any, Callable, List, Mapping, NamedTuple, Optional, Tuple
 
 from ..errors import TermTooLarge
 from ..terms import CONS, NIL, Atom, Functor, String, Term, Var, deref, functor, list_parts, resolve, serial
@@ -43,7 +43,7 @@ class WriteOptions(NamedTuple):
     numbervars: bool = False
     spacing: bool = False
     wide: bool = False
-    variable_names: Optional[Dict[Var, str]] = None
+    variable_names: Optional[Mapping[Var, str]] = None
     priority: int = 1200
     portray: Optional[Callable[[Term], Optional[str]]] = None
 
