@@ -370,3 +370,14 @@ def test_a_limit_of_a_caller_that_runs_out_meanwhile_is_that_of_the_caller(run, 
     assert engine.show(found["R"]) == "time_limit_exceeded"
     assert names(engine) == ["done(1)"]
     assert "the time limit of a call that led here has run out" in caplog.text
+
+
+@pytest.mark.parametrize("goal", ["", "do noted(X) ", "do noted(X, T) "])
+def test_messages_may_ask(run, goal):
+    rule = f"syncronized(done(X), true, [[m, T]]) {goal}<- ask(X, T).\n"
+    engine = run(rule + "noted(_).\nnoted(X, T) :- noted(X), noted(T).", MEMORY)
+    ask, value = functor("ask", 2), functor("v", 1)
+    for second in range(1, 21):
+        engine.post(value(second), second * 10**9)
+        engine.post(ask(second, float(second + second % 2)), second * 10**9)
+    assert names(engine) == [f"done({second})" for second in range(1, 21)]

@@ -288,7 +288,7 @@ class Dispatcher:
 
         That is where just one listens to it, and may do at once what there is to do.
         """
-        event = self.current
+        event = self.event()
         if (
             event is None
             or event.depth >= AT_ONCE
