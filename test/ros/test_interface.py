@@ -1,6 +1,7 @@
 """What node `retalis_ros_interface` says of types. Needs rospy, no master."""
 
 import struct
+import threading
 
 import pytest
 
@@ -23,7 +24,12 @@ def receive(monkeypatch):
         definitions = Definitions()
         taken = []
         found = Input(
-            definitions, "/heat", wanted, lambda decoder: lambda data: taken.append(decoder.decode(data)), 5
+            definitions,
+            "/heat",
+            wanted,
+            lambda decoder: lambda data: taken.append(decoder.decode(data)),
+            5,
+            threading.Lock(),
         )
         md5sum = Definitions().add(sent, TEXT).md5sum
         message = rospy.AnyMsg()

@@ -2,6 +2,7 @@
 
 import socket
 import struct
+import threading
 from io import BytesIO
 from types import SimpleNamespace
 
@@ -52,7 +53,7 @@ def new_link(receiver, read=b"", latched=False):
 
 def new_reader(link, taken, done=lambda: None, callbacks=1):
     topic = SimpleNamespace(callbacks=[None] * callbacks)
-    return Reader(link, topic, lambda header: taken.append, done, 0.001)
+    return Reader(link, topic, lambda header: taken.append, done, 0.001, threading.Lock())
 
 
 def send_in_pieces(sender, data, size):
@@ -146,7 +147,7 @@ def ignore(header):
 def test_connections_present_and_future_are_read(pair):
     present, future = new_link(pair[1]), new_link(pair[1])
     found, added = subscriber(connections=[present])
-    read_by(found, ignore, lambda: None, 0.001)
+    read_by(found, ignore, lambda: None, 0.001, threading.Lock())
     found.impl.add_connection(future)
     assert isinstance(present.receive_once, Reader)
     assert isinstance(future.receive_once, Reader)
@@ -157,16 +158,16 @@ def test_connections_present_and_future_are_read(pair):
 def test_topics_that_are_rospys_own_are_left_to_it(pair, options):
     link = new_link(pair[1])
     found, _ = subscriber(connections=[link], **options)
-    read_by(found, ignore, lambda: None, 0.001)
+    read_by(found, ignore, lambda: None, 0.001, threading.Lock())
     assert link.receive_once is None
 
 
 def test_connections_of_another_make_are_left_to_rospy():
     link = SimpleNamespace(receive_once=None)
     found, _ = subscriber(connections=[link])
-    read_by(found, ignore, lambda: None, 0.001)
+    read_by(found, ignore, lambda: None, 0.001, threading.Lock())
     assert link.receive_once is None
-    read_by(SimpleNamespace(), ignore, lambda: None, 0.001)
+    read_by(SimpleNamespace(), ignore, lambda: None, 0.001, threading.Lock())
 
 
 class Options:

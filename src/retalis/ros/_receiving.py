@@ -11,7 +11,7 @@ import socket
 import sys
 import time
 from struct import Struct, pack
-from typing import Any, Callable, List
+from typing import Any, Callable, ContextManager, List
 
 import rospy
 from rospy.core import is_shutdown
@@ -119,16 +119,24 @@ class Reader:
         taker: gives what takes a message's bytes, by the connection's header.
         done: called after the messages of a wake-up.
         hold: see `Pace`.
+        gate: held while messages are handed on.
     """
 
     def __init__(
-        self, link: Any, topic: Any, taker: Callable[[Any], Any], done: Callable[[], Any], hold: float
+        self,
+        link: Any,
+        topic: Any,
+        taker: Callable[[Any], Any],
+        done: Callable[[], Any],
+        hold: float,
+        gate: ContextManager[Any],
     ):
         self._link = link
         self._topic = topic
         self._taker = taker
         self._done = done
         self._hold = hold
+        self._gate = gate
         self._socket: Any = None
 
     def __call__(self) -> List[Any]:
@@ -141,13 +149,16 @@ class Reader:
         take = self._taker(link.header)
         while not (link.done or is_shutdown()):
             found = self._read()
-            if link.is_latched and found:
+            if not found:
+                continue
+            if link.is_latched:
                 link.latch = self._message(found[-1])
             if len(self._topic.callbacks or ()) != 1:
                 return [self._message(one) for one in found]
-            for one in found:
-                take(one)
-            done()
+            with self._gate:
+                for one in found:
+                    take(one)
+                done()
         return []
 
     def _open(self) -> None:
@@ -218,7 +229,13 @@ class Reader:
         return message
 
 
-def read_by(subscriber: Any, taker: Callable[[Any], Any], done: Callable[[], Any], hold: float) -> None:
+def read_by(
+    subscriber: Any,
+    taker: Callable[[Any], Any],
+    done: Callable[[], Any],
+    hold: float,
+    gate: ContextManager[Any],
+) -> None:
     """Have the connections of a subscriber read by a `Reader`, if they are what is expected of rospy."""
     topic = getattr(subscriber, "impl", None)
     add = getattr(topic, "add_connection", None)
@@ -229,7 +246,7 @@ def read_by(subscriber: Any, taker: Callable[[Any], Any], done: Callable[[], Any
 
     def prepare(link: Any) -> None:
         if all(hasattr(link, name) for name in _NEEDED):
-            link.receive_once = Reader(link, topic, taker, done, hold)
+            link.receive_once = Reader(link, topic, taker, done, hold, gate)
 
     def add_connection(link: Any) -> Any:
         prepare(link)

@@ -1,9 +1,7 @@
 """Events as text on the String topics between the nodes."""
 
-import threading
-from collections import deque
 from struct import Struct
-from typing import Any, Callable, Deque
+from typing import Any, Callable, List
 
 from std_msgs.msg import String
 
@@ -25,7 +23,7 @@ def text_frame(text: str) -> bytes:
 
 
 class TextPublisher:
-    """Publishes texts on a topic: those that are made together with one write.
+    """Publishes texts on a topic: those that are made together with one write. Not for use by two threads at once.
 
     Args:
         topic: its name.
@@ -34,8 +32,7 @@ class TextPublisher:
 
     def __init__(self, topic: str, queue: int):
         self._outlet = Outlet(topic, String, queue, patient=True)
-        self._waiting: Deque[bytes] = deque()
-        self._lock = threading.Lock()  # so that texts go out in the order in which they came
+        self._waiting: List[bytes] = []
 
     def add(self, text: str) -> None:
         """Add a text to those that go out next."""
@@ -45,11 +42,10 @@ class TextPublisher:
 
     def flush(self) -> None:
         """Write the texts that were added."""
-        with self._lock:
-            waiting = self._waiting
-            while waiting:
-                frames = [waiting.popleft() for _ in range(min(MOST, len(waiting)))]
-                self._outlet.send(b"".join(frames), len(frames))
+        waiting = self._waiting
+        if waiting:
+            self._outlet.send(b"".join(waiting), len(waiting))
+            waiting.clear()
 
 
 def text_taker(take: Callable[[str], Any]) -> Callable[[Any], Callable[[bytes], None]]:

@@ -1,7 +1,5 @@
 """Node ``retalis_ros_interface``: between ROS topics and events as text."""
 
-import threading
-
 import rospy
 
 from ..errors import RetalisError
@@ -28,7 +26,6 @@ class Converter:
     def __init__(self, parameters: Parameters):
         self._texts = TextPublisher(INPUT, parameters.queue)
         self._reader = EventReader()
-        self._reading = threading.Lock()  # rospy has a thread for each publisher
         self._interface = Interface(self._sender, parameters.queue, done=self._texts.flush, hold=HOLD)
         try:
             topics = read_topics(parameters.program / TOPICS)
@@ -54,8 +51,7 @@ class Converter:
 
     def _receive(self, text: str) -> None:
         try:
-            with self._reading:
-                event = self._reader.read(text)
+            event = self._reader.read(text)
         except RetalisError as error:
             rospy.logerr("an output is not published: %s", error)
             return

@@ -3,7 +3,7 @@
 import threading
 import traceback
 from struct import Struct
-from typing import Any, Callable, Dict, Iterable, List, Optional, Set, Tuple
+from typing import Any, Callable, ContextManager, Dict, Iterable, List, Optional, Set, Tuple
 
 import rospy
 from rosgraph.names import is_legal_name
@@ -78,6 +78,7 @@ class Interface:
         self._elsewhere: Set[str] = set()
         self._reserved = {rospy.resolve_name(topic) for topic in (INPUT, OUTPUT)}
         self._lock = threading.Lock()
+        self._gate = threading.Lock()
         self._reports = Reports()
         rospy.on_shutdown(self._reports.sum_up)
 
@@ -98,14 +99,15 @@ class Interface:
             if name in self._inputs:
                 raise UsageError(f"topic {topic} is subscribed already (as {self._inputs[name].kind})")
             self._inputs[name] = Input(
-                self._definitions, name, kind, self._taker, self._queue, self._done, self._hold
+                self._definitions, name, kind, self._taker, self._queue, self._gate, self._done, self._hold
             )
 
     def subscribe_texts(self, topic: str, take: Callable[[str], Any]) -> None:
         """Have the texts of one of the topics between the nodes taken."""
         name = rospy.resolve_name(topic)
         taker = text_taker(take)
-        self._texts.append(Input(self._definitions, name, "std_msgs/String", taker, self._queue))
+        gate = threading.Lock()
+        self._texts.append(Input(self._definitions, name, "std_msgs/String", taker, self._queue, gate))
 
     def leave(self, topics: Iterable[TopicType]) -> None:
         """Refuse topics that node retalis subscribes by itself, so that none enters twice."""
@@ -159,6 +161,9 @@ class Input:
     """One subscribed topic: its messages are read by the type it was given.
 
     A type that is not installed is learned from the publisher's connection header.
+
+    rospy has a thread for each publisher. The gate lets one of them at a time hand on what it has: the others wait,
+    and those who send to them, instead of piling up messages before the engine.
     """
 
     def __init__(
@@ -168,10 +173,12 @@ class Input:
         kind: str,
         taker: Taker,
         queue: int,
+        gate: ContextManager[Any],
         done: Callable[[], Any] = nothing,
         hold: float = HOLD,
     ):
         self.kind = kind
+        self._gate = gate
         self._done = done
         self._definitions = definitions
         self._name = name
@@ -181,7 +188,7 @@ class Input:
         self._subscriber = rospy.Subscriber(
             name, rospy.AnyMsg, self._receive, queue_size=queue, tcp_nodelay=True
         )
-        read_by(self._subscriber, self._take_of, done, hold)
+        read_by(self._subscriber, self._take_of, done, hold, gate)
 
     def close(self) -> None:
         """Stop receiving."""
@@ -190,8 +197,10 @@ class Input:
     def _receive(self, message: Any) -> None:
         """Take a message that rospy has read."""
         header = message._connection_header  # the connection's own, the same object for each of its messages
-        self._take_of(header)(message._buff if message.__class__ is rospy.AnyMsg else raw_bytes(message))
-        self._done()
+        data = message._buff if message.__class__ is rospy.AnyMsg else raw_bytes(message)
+        with self._gate:
+            self._take_of(header)(data)
+            self._done()
 
     def _take_of(self, header: Dict[str, str]) -> Take:
         """Return what takes the messages of a connection."""
