@@ -381,3 +381,29 @@ def test_messages_may_ask(run, goal):
         engine.post(value(second), second * 10**9)
         engine.post(ask(second, float(second + second % 2)), second * 10**9)
     assert names(engine) == [f"done({second})" for second in range(1, 21)]
+
+
+def test_an_error_in_the_query_of_a_message_leaves_nothing_behind(run, caplog):
+    engine = run("syncronized(done(X), X > 1, [[m, T]]) <- ask(X, T).\ndone(rule) <- v(_).", MEMORY)
+    ask, value = functor("ask", 2), functor("v", 1)
+    engine.post(value(0), 10**9)
+    for at, asked in enumerate((2, atom("a"), 3, atom("b")), 1):
+        engine.post(ask(asked, 1.0), at * 10**9)
+        assert engine.dispatcher.current is None
+    engine.post(value(1), 20 * 10**9)
+    assert names(engine) == ["done(rule)", "done(2)", "done(3)", "done(rule)"]
+    assert "done(a) is dropped, its query raised" in caplog.text
+
+
+@pytest.mark.parametrize("query", ["member(X, [1, 2])", "(new_event(v(2), 20, 0), X = 1)"])
+def test_queries_of_messages_may_need_the_machine(run, query):
+    engine = run(
+        f"syncronized(done(X), {query}, [[m, T]]) <- ask(T).\nnull do member(_, [1]) <- done(_).", MEMORY
+    )
+    ask, value = functor("ask", 1), functor("v", 1)
+    engine.post(value(0), 10**9)
+    engine.post(ask(1.0), 2 * 10**9)
+    engine.post(ask(10.0), 3 * 10**9)
+    engine.post(value(1), 11 * 10**9)
+    assert names(engine) == ["done(1)", "done(1)"]
+    assert engine.dispatcher.current is None

@@ -3,13 +3,14 @@
 from ..terms.keys import term_key
 from ._source import compile_function
 from .building import compile_builder
-from .dispatch import AT_ONCE, Dispatcher, Listener, Stage
+from .dispatch import AT_ONCE, LEFT_OUT, Dispatcher, Listener, Stage
 from .network import Rules
 from .nodes import Leaf
 from .policy import Policy
 
 __all__ = [
     "AT_ONCE",
+    "LEFT_OUT",
     "Dispatcher",
     "Leaf",
     "Listener",

@@ -11,7 +11,7 @@ from weakref import WeakValueDictionary
 
 from ..errors import UsageError
 from ..logic import Goal, PrologError
-from ..terms import Atom, Functor, Lazy, Term, Var, copy, deref, is_ground, is_plain
+from ..terms import TRUE, Atom, Functor, Lazy, Term, Var, copy, deref, is_ground, is_plain
 from ..terms.keys import term_key
 from ._plans import Choice, make_plan
 from .gates import Gate
@@ -104,6 +104,21 @@ class Event:
         return frame[1]
 
 
+def _left_out(depth: int) -> Event:
+    event = Event()
+    event.steps = iter(())
+    event.term = TRUE
+    event.token = event.parent = event.cause = None
+    event.start = event.end = 0
+    event.ground = True
+    event.depth = depth
+    return event
+
+
+LEFT_OUT = [_left_out(depth) for depth in range(1, AT_ONCE + 1)]
+"""What is current in place of events that are not made, by the depth of what they follow from: at 0 of nothing."""
+
+
 class Dispatcher:
     """Hands events to listeners.
 
@@ -117,8 +132,8 @@ class Dispatcher:
         mark: makes the token of an event; tracking replaces it.
         cause: the rule and match whose goal is running, where that is tracked.
         shortcuts: by the functor of an event, what can take the values of a rule's match in place of the event:
-            takes the rule and the action that makes the event; gives an action, or None where the rule's head does
-            not allow it.
+            takes the rule and the action that makes the event; gives an action and a lane for a rule of one event,
+            or None where the rule's head does not allow it.
     """
 
     def __init__(self, logic: Any = None, max_depth: int = 1000) -> None:
@@ -133,7 +148,7 @@ class Dispatcher:
         self._tokens = count(1)
         self.current: Any = None
         self.cause: Any = None
-        self.shortcuts: Dict[Functor, Callable[[Any, Action], Optional[Action]]] = {}
+        self.shortcuts: Dict[Functor, Callable[[Any, Action], Optional[Tuple[Action, Lane]]]] = {}
         self.mark: Callable[[Event], Any] = lambda event: next(self._tokens)
 
     def listen(
@@ -283,20 +298,20 @@ class Dispatcher:
         self.current = parent
         return after
 
-    def left_out(self, functor: Functor) -> Optional[Event]:
-        """Return the current event where one that follows from it need not be made; else None.
+    def one_listens(self, functor: Functor) -> bool:
+        """Tell whether just one listens to events of this functor, where there is any."""
+        return len(self._listeners[functor]) == 1 and None not in self._listeners
 
-        That is where just one listens to it, and may do at once what there is to do.
+    def left_out(self, functor: Functor) -> Optional[Event]:
+        """Return what is to be current in place of an event that need not be made; None where it has to be.
+
+        It need not where just one listens to it, and may do at once what there is to do.
         """
-        event = self.event()
-        if (
-            event is None
-            or event.depth >= AT_ONCE
-            or len(self._listeners[functor]) > 1
-            or None in self._listeners
-        ):
+        current = self.current
+        if current is None or not self.one_listens(functor):
             return None
-        return event
+        depth = 1 if current.__class__ is tuple else current.depth
+        return LEFT_OUT[depth] if depth < AT_ONCE else None
 
     def call(
         self,

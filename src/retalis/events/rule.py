@@ -95,11 +95,11 @@ class Rule:
         self._resettle()
         self.unlisten()
         root: Any = self.root
-        complete = self._completing()
+        complete, lane = self._completing()
         if mode.tracked:
             root.bind(self._complete_tracked, mode)
         elif root.alone and not self.timed:
-            root.bind_alone(complete)
+            root.bind_alone(complete, lane)
         else:
             root.bind(
                 lambda match, after: complete(match.term, match.values, match.start, match.end, after), mode
@@ -232,14 +232,14 @@ class Rule:
             return after
         return self.fire(self.builder(values), start, end, after)  # type: ignore[misc]
 
-    def _completing(self) -> Action:
-        """Return what takes the values of a whole match; with nothing to test it fires at once."""
+    def _completing(self) -> Tuple[Action, Optional[Lane]]:
+        """Return what takes the values of a whole match, and its lane; with nothing to test it fires at once."""
         build, head = self.builder, self.definition.head
         if build is None or head is None:
-            return lambda term, values, start, end, after: after
+            return (lambda term, values, start, end, after: after), None
         plain = head.__class__ is Atom or (head.__class__ is tuple and head[0].name not in _ALARMS)
         if self.window is not None or not plain:
-            return self._complete_values
+            return self._complete_values, None
         dispatcher = self.network.dispatcher
         dispatch = dispatcher.dispatch
         gate = dispatcher.gate(head.functor if head.__class__ is Atom else head[0])
@@ -255,7 +255,7 @@ class Rule:
                 return after
 
         shortcut = dispatcher.shortcuts.get(head[0]) if head.__class__ is tuple else None
-        return complete if shortcut is None else shortcut(self, complete) or complete
+        return (shortcut and shortcut(self, complete)) or (complete, None)
 
     def _complete_tracked(self, match: Match, after: Frame) -> Frame:
         window = self.window

@@ -31,9 +31,16 @@ class Question:
         inputs: places of the goal's inputs among the values.
         build: makes the event from the values and, behind them, what the goal has given.
         unsolved: makes from the values alone what the event is before, for reports.
+
+    Attributes:
+        event: makes from the values alone what the event is before it is asked.
+        ask: takes values, start, end and next frame; returns the frame that calls the query and triggers the
+            event where it has a solution.
     """
 
-    __slots__ = ("_around", "_dispatcher", "_dispatch", "_goal", "_inputs", "_build", "event")
+    __slots__ = ("_around", "_dispatcher", "_dispatch", "_goal", "_inputs", "_build", "event", "ask")
+
+    ask: Callable[[Values, int, int, Any], Any]
 
     def __init__(
         self,
@@ -50,12 +57,10 @@ class Question:
         self._inputs = inputs
         self._build = build
         self.event = unsolved
+        self.ask = self._trigger if goal is None else self._call
 
-    def ask(self, values: Values, start: int, end: int, after: Any) -> Any:
-        """Return the frame that calls the query and triggers the event where it has a solution."""
-        goal = self._goal
-        if goal is None:
-            return self._trigger(values, values, start, end, after)
+    def _call(self, values: Values, start: int, end: int, after: Any) -> Any:
+        goal: Any = self._goal
         dispatcher = self._dispatcher
         given = tuple([values[at] for at in self._inputs])
         event = dispatcher.event()
@@ -63,7 +68,7 @@ class Question:
             return dispatcher.call(
                 goal,
                 given,
-                lambda found: self._trigger(values, values + found, start, end, after),
+                lambda found: self._trigger(values + found, start, end, after),
                 after,
                 lambda error: self._failed(values, error),
             )
@@ -73,17 +78,15 @@ class Question:
             dispatcher.current = event
             self._failed(values, error)
             return after
-        return after if found is None else self._trigger(values, values + found, start, end, after)
+        return after if found is None else self._trigger(values + found, start, end, after)
 
-    def _trigger(self, values: Values, found: Values, start: int, end: int, after: Any) -> Any:
-        event = self._build(found)
+    def _trigger(self, values: Values, start: int, end: int, after: Any) -> Any:
+        event = self._build(values)
         try:
             return self._dispatch(event, start, end, after)
         except UsageError as error:
-            self._around.warn(
-                f"{self._around.logic.show(event)} is dropped: {error}",
-                ("dropped", kind_of(self.event(values))),
-            )
+            show = self._around.logic.show
+            self._around.warn(f"{show(event)} is dropped: {error}", ("dropped", kind_of(event)))
             return after
 
     def _failed(self, values: Values, error: PrologError) -> None:

@@ -1,10 +1,10 @@
 """Synchronized queries: goals that are called when the memories they read have the data."""
 
 from itertools import count
-from typing import Any, Dict, Iterator, List, Tuple
+from typing import Any, Dict, Iterator, List, Optional, Tuple
 
 from ..errors import UsageError
-from ..events import Dispatcher, Leaf, Stage
+from ..events import LEFT_OUT, Dispatcher, Leaf, Stage
 from ..logic import Logic
 from ..terms import Term, Var, functor
 from ._conditions import Behind, behind, compile_conditions
@@ -89,7 +89,7 @@ class WaitingQueries:
             return after
         return self._general.ask((event, query), start, end, after)
 
-    def _shortcut(self, rule: Any, otherwise: Any) -> Any:
+    def _shortcut(self, rule: Any, otherwise: Any) -> Optional[Tuple[Any, Any]]:
         """Return what takes the values of a rule's match in place of its head; see `Dispatcher.shortcuts`."""
         key, event, query, conditions = rule.definition.head
         names = rule.root.vars
@@ -97,13 +97,11 @@ class WaitingQueries:
         asked = compile_question(self._around, event, query, names, rule.place)
         if find is None or asked is None:
             return None
-        left_out = self._dispatcher.left_out
+        dispatcher, machine = self._dispatcher, self._logic.machine
+        left_out, one_listens, done = dispatcher.left_out, dispatcher.one_listens, machine.done
         only_of_event = isinstance(rule.root, Leaf)  # then its values have variables only where the event has
 
-        def take(term: Term, values: Values, start: int, end: int, after: Any) -> Any:
-            event = left_out(key)
-            if event is None or not (only_of_event and event.ground or without_variables(values)):
-                return otherwise(term, values, start, end, after)
+        def ask_or_wait(values: Values, start: int, end: int, after: Any) -> Any:
             try:
                 missing = find(values)
             except UsageError as error:
@@ -112,13 +110,29 @@ class WaitingQueries:
             if missing:
                 self._wait(asked, values, start, end, missing)
                 return after
-            event.depth += 1  # it stands for the event that is left out
-            try:
-                return asked.ask(values, start, end, after)
-            finally:
-                event.depth -= 1
+            return asked.ask(values, start, end, after)
 
-        return take
+        def take(term: Term, values: Values, start: int, end: int, after: Any) -> Any:
+            current = dispatcher.current
+            instead = left_out(key)
+            if instead is None or not (only_of_event and dispatcher.ground() or without_variables(values)):
+                return otherwise(term, values, start, end, after)
+            dispatcher.current = instead
+            frame = ask_or_wait(values, start, end, after)
+            dispatcher.current = current
+            return frame
+
+        def lane(term: Term, start: int, end: int) -> bool:
+            if not one_listens(key):
+                return False
+            dispatcher.current = LEFT_OUT[1]
+            frame = ask_or_wait(term[1:], start, end, done)
+            if frame is not done:
+                machine.run(frame)
+            dispatcher.current = None
+            return True
+
+        return take, lane
 
     def _drop(self, event: Term, error: UsageError) -> None:
         self._warn(f"{self._logic.show(event)} is dropped: {error}", ("dropped", kind_of(event)))
