@@ -44,6 +44,9 @@ def errors_of(rules):
         ("c < - a.", 1, "without a blank"),
         ("r([property(window,x)]) : c <- a.", 4, "number of seconds"),
         ("atom(x).", 1, "permission"),
+        ("c -> a.", 1, "arrow is written <-"),
+        (":- set_etalis_flag(garbage_control, all).", 1, "garbage_control takes off, general, pattern"),
+        (":- set_etalis_flag(garbage_contrl, general).", 1, "did you mean garbage_control?"),
     ],
 )
 def test_refused(rule, column, part):
@@ -83,6 +86,10 @@ def test_all_errors_at_once():
         ("c do no_such <- a.", "no predicate no_such/0"),
         ("c <- a seq (b check no_such(1)).", "no predicate no_such/1"),
         ("c <- (a, b).", "comma"),
+        ("c <- a ; b.", "semicolon"),
+        ("c <- (a -> b).", "arrow"),
+        ("c <- a and not(b).", "cnot or fnot"),
+        ("c <- \\+ b.", "cnot or fnot"),
         ("r([property(color,red)]) : c <- a.", "no property color"),
         ("r1 'rule:' r2 'rule:' c <- a.", "kept as a fact"),
         (":- fail.", "directive fails"),

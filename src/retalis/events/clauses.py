@@ -265,6 +265,9 @@ def _is_negative(term: Term) -> bool:
     return term.__class__ is tuple and term[0] is _MINUS
 
 
+_NEARLY_ARROWS = frozenset((functor("->", 2), functor("=", 2)))
+
+
 def clause_error(logic: Any, term: Term) -> Optional[str]:
     """Return why a term cannot be added as a clause, or None."""
     try:
@@ -275,5 +278,6 @@ def clause_error(logic: Any, term: Term) -> Optional[str]:
             return "this compares two terms; the arrow of an event rule is <-, without a blank"
         logic.database.require_writable(head.functor if head.__class__ is Atom else head[0], "modify")
     except PrologError as error:
-        return error.message
+        is_near = term.__class__ is tuple and term[0] in _NEARLY_ARROWS
+        return error.message + ("; a rule's arrow is written <-, a clause's :-" if is_near else "")
     return None

@@ -1,5 +1,6 @@
 """Flags of the event language: their values, defaults, and what they do to the network."""
 
+from difflib import get_close_matches
 from typing import Callable, Dict, List, NamedTuple, Optional, Tuple
 
 from ..errors import UsageError
@@ -69,7 +70,8 @@ class Flags:
         """
         flag = FLAGS.get(name)
         if flag is None:
-            raise UsageError(f"there is no flag {name}")
+            meant = get_close_matches(name, FLAGS, 1)
+            raise UsageError(f"there is no flag {name}{f'; did you mean {meant[0]}?' if meant else ''}")
         if flag.values:
             if value.__class__ is not Atom or value.name not in flag.values:
                 raise UsageError(f"{name} takes {', '.join(flag.values)}")

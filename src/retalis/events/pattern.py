@@ -3,10 +3,10 @@
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Set, Tuple, Union
 
 from ..errors import Place, RuleError
-from ..terms import COMMA, Atom, String, Term, Var, deref, functor, variables
+from ..terms import Atom, String, Term, Var, deref, functor, variables
 from ..timestamps import from_seconds
 from .calls import Call, calls
-from .operators import OPERATORS
+from .operators import MEANT, OPERATORS
 
 Spot = Callable[..., Optional[Place]]
 """Gives the place of a compound term: that of its functor, or with a number that of an argument."""
@@ -204,8 +204,8 @@ class Reader:
 
     def _suspect(self, term: Any) -> None:
         """Warn of an event that was probably meant as something else."""
-        if term[0] is COMMA:
-            self._warn(self._error("a comma between patterns makes one event of them; use and or seq", term))
+        if term[0] in MEANT:
+            self._warn(self._error(MEANT[term[0]], term))
         elif term[0].name in _ARITIES and len(term) - 1 != _ARITIES[term[0].name]:
             arity = _ARITIES[term[0].name]
             self._warn(

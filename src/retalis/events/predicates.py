@@ -180,12 +180,14 @@ class _Settings:
         name, value = callable_of(name), deref(value)
         if value.__class__ is Var:
             raise instantiation_error()
-        if name.__class__ is not Atom or self.rules.flags.get(name.name) is None:
+        if name.__class__ is not Atom:
             raise domain_error("etalis_flag", name)
         try:
             self.rules.flags.set(name.name, value)
-        except UsageError:
-            raise domain_error("etalis_flag_value", (functor("+", 2), name, value)) from None
+        except UsageError as error:
+            if self.rules.flags.get(name.name) is None:
+                raise domain_error("etalis_flag", name, error.message) from None
+            raise domain_error("etalis_flag_value", (functor("+", 2), name, value), error.message) from None
         return True
 
     def get_flag(self, machine: Any, name: Term, value: Term) -> Iterator[bool]:

@@ -61,9 +61,10 @@ def type_error(kind: str, culprit: Term) -> PrologError:
     return error((_TYPE_ERROR, atom(kind), culprit))
 
 
-def domain_error(domain: str, culprit: Term) -> PrologError:
+def domain_error(domain: str, culprit: Term, reason: Optional[str] = None) -> PrologError:
     """Return the error for a term of the right type outside the values that are allowed."""
-    return error((_DOMAIN_ERROR, atom(domain), culprit))
+    context = None if reason is None else (CONTEXT, Var(), atom(reason))
+    return error((_DOMAIN_ERROR, atom(domain), culprit), context)
 
 
 def existence_error(kind: str, culprit: Term, context: Optional[Term] = None) -> PrologError:

@@ -29,6 +29,8 @@ _ELSEWHERE = {
 }
 """Operators of other languages."""
 
+_SEQUENCE = frozenset(("before", "after", "then", "followed_by"))
+
 
 def no_operand(parser: "Open", innermost: List[Any]) -> SyntaxFault:
     """Return the error about a token that stands where a term should begin."""
@@ -111,7 +113,13 @@ def _unknown_operator(parser: "Open", name: str) -> str:
         return _ELSEWHERE[name]
     words = [known for known in {**parser.operators.infix, **parser.operators.postfix} if known[0].isalpha()]
     close = get_close_matches(name, words, 1, 0.75)
-    return f'did you mean "{close[0]}"?' if close else f'"{name}" is no operator here; is a comma missing?'
+    if close:
+        return f'did you mean "{close[0]}"?'
+    if parser.table is not parser.patterns:
+        return f'"{name}" is no operator here; is a comma missing?'
+    if name in _SEQUENCE:
+        return 'that an event ends before another starts is written "seq", the earlier one first'
+    return f'"{name}" is no operator; between two patterns stands "seq", "and", "or" or another'
 
 
 def unbalanced(parser: "Open", opened: Optional[int]) -> SyntaxFault:
