@@ -1,6 +1,7 @@
 """Event rules: dispatch, patterns, operators, consumption policies, and the network that runs them."""
 
 from ..terms.keys import term_key
+from ._plans import NOBODY
 from ._source import compile_function
 from .building import compile_builder
 from .dispatch import AT_ONCE, LEFT_OUT, Dispatcher, Listener, Stage
@@ -13,6 +14,7 @@ __all__ = [
     "LEFT_OUT",
     "Dispatcher",
     "Leaf",
+    "NOBODY",
     "Listener",
     "Policy",
     "Rules",

@@ -194,10 +194,6 @@ class Dispatcher:
                 del self._listeners[listener.functor]
             self._changed(listener.functor)
 
-    def wanted(self, functor: Functor) -> bool:
-        """Tell whether anybody listens to events of this functor."""
-        return functor in self._listeners or None in self._listeners
-
     def gate(self, functor: Functor, positions: Tuple[int, ...] = ()) -> Gate:
         """Return what tells whether an event of a functor can concern anybody, see `Gate`.
 

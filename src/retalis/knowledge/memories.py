@@ -4,7 +4,7 @@ from typing import Any, Callable, Dict, Iterator, Optional, Tuple
 
 from .. import timestamps
 from ..errors import UsageError
-from ..events import Dispatcher, term_key
+from ..events import NOBODY, Dispatcher, term_key
 from ..logic import Logic, Machine, domain_error, instant_of, permission_error, type_error
 from ..terms import MINUS, NIL, Atom, Functor, Lazy, Term, Var, copy, deref, freeze, functor
 from ._recording import Warn, is_whole, key_of, recording
@@ -46,6 +46,7 @@ class Memories:
         self._problem = problem
         self.instances: Dict[Any, Instance] = {}
         self._newest: Optional[Recorder] = None
+        self._updates = dispatcher.gate(UPDATED)
         self.on_update: Callable[[Instance, int, Any], Any] = lambda instance, end, after: after
         self.on_delete: Callable[[Instance], None] = lambda instance: None
 
@@ -129,7 +130,7 @@ class Memories:
 
     def _follow(self, instance: Instance, end: int, after: Any) -> Any:
         """Return the frame for what an update leads to: queries that waited for it, then who is told of it."""
-        if instance.active and self._dispatcher.wanted(UPDATED):
+        if instance.active and self._updates.plan is not NOBODY:
             instant = self._stamp()
             update = (UPDATED, instance.id, timestamps.to_term(end))
             after = (self, update, instant, after)

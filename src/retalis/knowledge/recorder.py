@@ -3,7 +3,7 @@
 from heapq import heapify, heappop, heappush
 from typing import Any, Callable, Dict, Iterator, List, Tuple
 
-from ..events import Dispatcher, Stage
+from ..events import NOBODY, Dispatcher, Stage
 from ..terms import Term, Var, deref, functor, is_ground
 from ._recording import Recording
 from .memory import Memory, Record
@@ -110,6 +110,7 @@ class Recorder:
         self._dispatcher = dispatcher
         self._take, self._closed = take
         self._follow = follow
+        self._updates = dispatcher.gate(UPDATED)
         self._everything = pattern.__class__ is Var
         self._listener = dispatcher.listen(Stage.MEMORIES, pattern, self._arrive)
 
@@ -127,7 +128,9 @@ class Recorder:
     def _arrive(self, term: Term, values: Tuple[Term, ...], start: int, end: int, after: Any) -> Any:
         if self._everything and self._is_own_update(term):
             return after
-        ground = self._dispatcher.ground()
+        ground = self._dispatcher.current.ground
+        if ground is None:
+            ground = self._dispatcher.ground()
         kept = self._take(term, values, ground)
         if kept is None:
             return after
@@ -140,7 +143,7 @@ class Recorder:
 
     def _record(self, record: Record, opens: bool, instances: Iterator[Instance], after: Any) -> Any:
         end = int(record[2])
-        telling = self._dispatcher.wanted(UPDATED)
+        telling = self._updates.plan is not NOBODY
         for instance in instances:
             memory = instance.memory
             ends = memory.ends
