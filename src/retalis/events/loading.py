@@ -99,9 +99,9 @@ class Loader:
             self._load(text, str(path))
 
     def _load(self, text: str, source: str) -> None:
-        self._finish(lambda errors: self._plan(text, source, errors), [])
         rules = self._rules
-        rules.logic.database.compile_named([rule.definition.term for rule in rules.rules])
+        with rules.logic.preparing(lambda: [rule.definition.term for rule in rules.rules]):
+            self._finish(lambda errors: self._plan(text, source, errors), [])
 
     def _plan(self, text: str, source: str, errors: List[RetalisError]) -> Plan:
         reading = _Reading(Checker(), self._rules.logic.operators.copy(), errors)

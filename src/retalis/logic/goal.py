@@ -6,7 +6,7 @@ from ..errors import Place
 from ..terms import Term, Var, undo
 from .compiler.goals import GoalCode
 from .database import Database
-from .faults import from_python
+from .faults import PrologError, from_python
 from .machine import BAIL, Code, Frame
 
 _MOST_BAILS = 20
@@ -57,6 +57,15 @@ class Goal:
         # Not before it is first called: the predicates that it calls may be defined after it.
         self.straight = self._source.straight()
         return BAIL if self.straight is None else self.straight(*values)
+
+    def prepare(self) -> None:
+        """Make the function before the goal is first asked, where all that it calls is there."""
+        if self.straight != self._first_straight:
+            return
+        try:
+            self.straight = self._source.straight() or self._first_straight
+        except (PrologError, RecursionError):  # whoever asks the goal gets the error
+            return
 
     def bail(self) -> None:
         """Note that the function could not tell; where that happens often it is not asked any more."""

@@ -1,8 +1,9 @@
 """The façade of the logic room: a machine, its predicates, flags and operators."""
 
 import sys
+from contextlib import contextmanager
 from time import time_ns
-from typing import Any, Callable, Dict, Iterator, List, Mapping, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
 
 from ..errors import Place
 from ..syntax import Operators, write_term
@@ -71,6 +72,7 @@ class Logic:
             }[entry.kind]
             define(name, arity, entry.function).locked = entry.locked
         self._library = builtins.library_index()
+        self._new_goals: Optional[List[Goal]] = None
 
     # Limits
 
@@ -284,7 +286,27 @@ class Logic:
         goal = deref(goal)
         if goal.__class__ is not Var:
             goal = check_body(goal)
-        return Goal(self.database, goal, inputs, outputs, place, name)
+        compiled = Goal(self.database, goal, inputs, outputs, place, name)
+        if self._new_goals is not None:
+            self._new_goals.append(compiled)
+        return compiled
+
+    @contextmanager
+    def preparing(self, terms: Callable[[], Iterable[Term]]) -> Iterator[None]:
+        """Have what is compiled meanwhile be ready at the end, so that the first events need not wait for it.
+
+        Args:
+            terms: returns, at the end, the terms whose predicates will be called.
+        """
+        outer = self._new_goals
+        new = self._new_goals = []
+        try:
+            yield
+        finally:
+            self._new_goals = outer
+        self.database.compile_named(terms())
+        for goal in new:
+            goal.prepare()
 
     def once(self, goal: Term) -> bool:
         """Run a goal for its first solution, whose bindings stay. Return whether there is one.

@@ -38,14 +38,14 @@ _PURE = frozenset(
 
 
 class Direct:
-    """A predicate as functions of its arguments, generated when they are first called.
+    """A predicate as functions of its arguments, generated with what calls them, or when they are first called.
 
     Attributes:
         first: tells whether there is a solution, whose bindings stay.
         only: the same, where there is no other one.
     """
 
-    __slots__ = ("first", "only", "_database", "_key", "_facts")
+    __slots__ = ("first", "only", "_database", "_key", "_facts", "_missing")
 
     first: Callable[..., Optional[bool]]
     only: Callable[..., Optional[bool]]
@@ -60,11 +60,18 @@ class Direct:
         """Forget the functions; those that look facts up go on as long as there are facts only."""
         if not self._facts or predicate is None or not predicate.ground:
             self._facts = False
+            self._missing = {True, False}
             self.first = lambda *args: self._make(True)(*args)
             self.only = lambda *args: self._make(False)(*args)
 
+    def prepare(self, once: bool) -> None:
+        """Generate a function before it is called: `first`, or `only`."""
+        if once in self._missing:
+            self._make(once)
+
     def _make(self, once: bool) -> Callable[..., Optional[bool]]:
         database, key = self._database, self._key
+        self._missing.discard(once)
         predicate = database.predicate(key)
         function: Callable[..., Optional[bool]]
         if work(database, key) is None:
@@ -72,6 +79,7 @@ class Direct:
         elif is_facts(predicate):
             self._facts = True
             self.first, self.only = predicate.fact_finder(True), predicate.fact_finder(False)
+            self._missing.clear()
             return self.first if once else self.only
         else:
             function = Functions(database, key, rules_of(predicate), predicate).function(once)

@@ -142,7 +142,9 @@ def _direct(scope: Scope, node: Goal) -> None:
     args = ", ".join([scope.build(arg) for arg in node.args])
     for arg in node.args:
         forget_fresh(scope, arg)
-    function = scope.unit.constant(scope.unit.database.direct(node.key))
+    direct = scope.unit.database.direct(node.key)
+    direct.prepare(node.once)
+    function = scope.unit.constant(direct)
     scope.line(f"{result} = {function}.{'first' if node.once else 'only'}({args})")
     scope.line(f"if not {result}:")
     scope.line(f"    if {result} is None:")
