@@ -4,6 +4,7 @@ from typing import Any, Callable, Dict, Optional, Sequence, Tuple
 
 from ..logic import PrologError, resource_error
 from ..terms import Atom, String, Term, Var, functor, is_ground, list_items, make_list, variables
+from ._source import compile_function
 from .dispatch import AT_ONCE, Lane
 from .matches import Match
 from .policy import Frame, emit_each
@@ -111,7 +112,7 @@ class Call:
         """
         act = self.act
         dispatcher = self._dispatcher
-        if self.outputs or not self._takes_all:
+        if self.outputs or not self._takes_all or not self.known:
             return (
                 lambda term, values, start, end, after: act(
                     term, values, start, end, dispatcher.ground(), solved, after
@@ -133,25 +134,8 @@ class Call:
                 return after
             return solved(term, values, start, end, after) if found else after
 
-        def lane(term: Term, start: int, end: int) -> bool:
-            if not code.steady:
-                return False
-            dispatcher.current = event = (term, start, end)
-            values = term[1:]  # type: ignore[index]
-            try:
-                found = check((code, *values, done))
-            except PrologError as error:
-                dispatcher.current = event
-                self._failed(error)
-                found = False
-            if found:
-                left = solved(term, values, start, end, done)
-                if left is not done:
-                    machine.run(left)
-            dispatcher.current = None
-            return True
-
-        return acted, lane
+        names = {"code": code, "machine": machine, "check": check, "done": done, "dispatcher": dispatcher}
+        return acted, _lane(len(self.known), {**names, "failed": self._failed, "solved": solved})
 
     def act_on_all(
         self, term: Term, values: Values, start: int, end: int, ground: bool, solved: Solved, after: Frame
@@ -208,6 +192,34 @@ class Call:
 
     def _failed(self, error: PrologError) -> None:
         self.rule.network.goal_failed(self.rule, self.goal, error)
+
+
+_LANE = """
+def made(term, start, end):
+    if not code.steady:
+        return False
+    dispatcher.current = event = (term, start, end)
+    _, {values} = term
+    try:  # as `Call.act`
+        found = check((code, {values}, done))
+    except PrologError as error:
+        dispatcher.current = event
+        failed(error)
+        found = False
+    if found:
+        left = solved(term, ({values},), start, end, done)
+        if left is not done:
+            machine.run(left)
+    dispatcher.current = None
+    return True
+"""
+
+
+def _lane(arity: int, names: Dict[str, Any]) -> Lane:
+    """Return the `Lane` of a goal whose inputs are the arguments of the event."""
+    values = ", ".join(f"a{at}" for at in range(arity))
+    found: Lane = compile_function(_LANE.format(values=values), {**names, "PrologError": PrologError}, "lane")
+    return found
 
 
 class _Restore:

@@ -183,10 +183,13 @@ class Bodies:
         """Write a last call of the predicate itself as another turn of the loop around it."""
         if scope.loop is None or not isinstance(call, Goal) or scope.after != "after":
             return False
-        key, locals_, statement = scope.loop
+        key, locals_, statement, end = scope.loop
         if call.key is not key:
             return False
         values = [scope.build(arg) for arg in call.args]
+        if end is not None:
+            scope.line(f"if {values[end[0]]} is {end[1]}:")
+            scope.line(f"    return {scope.after}")
         changed = [(local, value) for local, value in zip(locals_, values) if local != value]
         if changed:
             targets, sources = zip(*changed)

@@ -4,13 +4,13 @@ import linecache
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 from ...errors import Place
-from ...terms import Atom, Functor, Term, Var, deref
+from ...terms import TRUE, Atom, Functor, Term, Var, deref
 from ..keys import key_of
 from ..machine import Code
 from .bodies import Bodies
 from .building import shape_of, write_building
 from .nodes import Height, Parser
-from .scope import Clause, Scope, Unit
+from .scope import Clause, Loop, Scope, Unit
 from .unification import match, take_apart
 
 _TOGETHER = 4
@@ -242,7 +242,7 @@ class Generator:
             frame = ", ".join([unit.constant(self._retry(rest)), *self.locals, "after", "mark"])
             scope.pending = f"choose(({frame}))"
         if loops:
-            scope.loop = (self.key, self.locals, "" if rest else "continue")
+            scope.loop = Loop(self.key, self.locals, "" if rest else "continue", self._end(unit))
         if height is not None:
             scope.names[entry] = height
         if loops and alone and key.__class__ is Functor:
@@ -263,6 +263,19 @@ class Generator:
             else:
                 scope.lines = [f"{indent}while True:", *scope.lines]
         return scope
+
+    def _end(self, unit: Unit) -> Optional[Tuple[int, str]]:
+        """Return the switched argument and an atom for which the predicate is true whatever the other arguments are."""
+        if self.position is None:
+            return None
+        for key, clauses in self._groups().items():
+            rule = self.rules[clauses[0]] if clauses else None
+            if key.__class__ is not Atom or rule is None or len(clauses) > 1 or rule.body is not TRUE:
+                continue
+            others = [deref(arg) for at, arg in enumerate(rule.args) if at != self.position]
+            if len(set(others)) == len(others) and all(arg.__class__ is Var for arg in others):
+                return self.position, unit.constant(key)
+        return None
 
     def _build(self, scope: Scope, rule: Rule, entry: Height) -> None:
         """Write a loop of its own for a clause that builds a list as it recurses."""

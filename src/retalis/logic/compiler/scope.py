@@ -1,7 +1,7 @@
 """The source being written: units (what one ``exec`` makes) and scopes (one Python function each)."""
 
 import math
-from typing import Any, Callable, Dict, FrozenSet, List, Optional, Set, Tuple
+from typing import Any, Callable, Dict, FrozenSet, List, NamedTuple, Optional, Set, Tuple
 
 from ... import terms
 from ...terms import Atom, Functor, Lazy, String, Term, Var, copy, deref, is_ground
@@ -165,6 +165,22 @@ class Clause:
         return self.counts.get(var, 0) == 1
 
 
+class Loop(NamedTuple):
+    """The loop that a clause is in: its last call of the predicate itself is another turn.
+
+    Attributes:
+        key: the predicate.
+        locals: its arguments.
+        statement: what goes to the next turn.
+        end: an argument and the constant with which another turn would just succeed.
+    """
+
+    key: Functor
+    locals: List[str]
+    statement: str
+    end: Optional[Tuple[int, str]]
+
+
 class Scope:
     """A Python function being written, and what is known at this point of it.
 
@@ -196,7 +212,7 @@ class Scope:
         self.after = "after"
         self.entry = True
         self.at_one_go = False
-        self.loop: Optional[Tuple[Functor, List[str], str]] = None
+        self.loop: Optional[Loop] = None
         self.looped = False
         self.binds = False
         self.pushes = False
