@@ -265,7 +265,7 @@ class Generator:
         return scope
 
     def _end(self, unit: Unit) -> Optional[Tuple[int, str]]:
-        """Return the switched argument and an atom for which the predicate is true whatever the other arguments are."""
+        """Return the switched argument and an atom for which the predicate is true whatever the others are."""
         if self.position is None:
             return None
         for key, clauses in self._groups().items():
