@@ -59,3 +59,17 @@ def test_the_first_stamp_is_the_present_and_not_later():
     clock.move_to(0, back=True)
     assert clock.went_back()
     assert clock.stamp() == 0
+
+
+def test_a_stamp_at_once_is_the_next_stamp_where_nothing_else_is_due():
+    clock = StreamClock(0)
+    assert [clock.stamp_at_once(), clock.stamp(), clock.stamp_at_once()] == [0, 1, 2]
+    clock.move_to(50)
+    assert clock.stamp_at_once() == 50
+    clock.call_at(60, lambda instant: None)
+    assert clock.stamp_at_once() is None, "the alarm may be due"
+    clock.due(60)
+    assert clock.stamp_at_once() == 51
+    clock.move_to(40, back=True)
+    assert clock.stamp_at_once() is None, "time went back"
+    assert clock.stamp() == 52

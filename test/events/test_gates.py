@@ -1,0 +1,207 @@
+"""Gates and lanes: what is not made or set up because nobody could notice, and what has to be all the same."""
+
+import logging
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from retalis.engine import Engine, Settings
+from retalis.events import Dispatcher, Stage
+from retalis.logic import Limits
+from retalis.terms import Var, atom, functor, make_list
+
+TF, A, PACK = functor("tf", 2), functor("a", 1), functor("pack", 1)
+X, Y = atom("x"), atom("y")
+
+SPLIT = """
+null do split(L) <- pack(L).
+split([]).
+split([[P, C, S, N]|Rest]) :- new_event(tf(P, C), S, N), split(Rest).
+"""
+
+
+class Counting:
+    """An engine that tells how many events were handed to its dispatcher."""
+
+    def __init__(self, rules, goals="", settings=None):
+        self.engine = Engine(settings=settings)
+        self.engine.load(rules=rules, goals=goals)
+        self.outputs = []
+        self.engine.on_output(lambda term, topic, name: self.outputs.append(self.engine.show(term)))
+
+    def post(self, *items):
+        self.engine.post(PACK(make_list([make_list(item) for item in items])))
+
+
+def listen(dispatcher, pattern):
+    return dispatcher.listen(Stage.MEMORIES, pattern, lambda term, values, start, end, after: after)
+
+
+def plan(dispatcher, term):
+    dispatcher.dispatch(term, 1, 1, None)
+
+
+def test_a_gate_lets_all_pass_while_nothing_is_known():
+    gate = Dispatcher().gate(TF, (1,))
+    assert gate.passes(1, 1, X)
+
+
+def test_a_gate_tells_by_constants_who_is_not_wanted():
+    dispatcher = Dispatcher()
+    listen(dispatcher, TF(X, Var()))
+    gate, blind = dispatcher.gate(TF, (1, 2)), dispatcher.gate(TF)
+    plan(dispatcher, TF(X, Y))
+    plan(dispatcher, TF(Y, Y))
+    assert gate.passes(1, 1, X, Y)
+    assert not gate.passes(1, 1, Y, X)
+    assert gate.passes(1, 1, Var(), X), "a variable may stand for any constant"
+    assert gate.passes(1, 1, 7, X), "what is no atom is left to the dispatcher"
+    assert blind.passes(1, 1)
+
+
+def test_a_gate_looks_at_the_second_constant_too():
+    dispatcher = Dispatcher()
+    listen(dispatcher, TF(X, Y))
+    gate = dispatcher.gate(TF, (1, 2))
+    for parent in (X, Y):
+        for child in (X, Y):
+            plan(dispatcher, TF(parent, child))
+    assert [gate.passes(1, 1, p, c) for p in (X, Y) for c in (X, Y)] == [False, True, False, False]
+
+
+@pytest.mark.parametrize("time", [(1.5, 0), (-1, 0), (1, 10**9), (1, -1), (10**12, 0), (Var(), 0), (1, X)])
+def test_what_is_wrong_or_unusual_about_a_time_passes(time):
+    dispatcher = Dispatcher()
+    gate = dispatcher.gate(TF, (1, 2))
+    plan(dispatcher, TF(X, Y))
+    assert not gate.passes(1, 0, X, Y)
+    assert gate.passes(*time, X, Y)
+
+
+def test_gates_follow_those_who_come_and_go():
+    dispatcher = Dispatcher()
+    gate = dispatcher.gate(A, (1,))
+    plan(dispatcher, A(X))
+    assert not gate.passes(1, 1, X)
+    one = listen(dispatcher, A(X))
+    assert gate.passes(1, 1, X)
+    plan(dispatcher, A(X))
+    plan(dispatcher, A(Y))
+    assert gate.passes(1, 1, X) and not gate.passes(1, 1, Y)
+    everything = listen(dispatcher, Var())
+    dispatcher.remove(one)
+    plan(dispatcher, A(Y))
+    assert gate.passes(1, 1, X) and gate.passes(1, 1, Y)
+    dispatcher.remove(everything)
+    plan(dispatcher, A(Y))
+    assert not gate.passes(1, 1, X)
+
+
+def test_clauses_that_were_compiled_before_somebody_listens_make_the_events():
+    program = Counting(SPLIT)
+    program.post((X, Y, 1, 1))
+    program.engine.call("subscribe(tf(x, C), [], _, t, i)")
+    program.post((X, Y, 2, 0), (Y, Y, 3, 0), (X, X, 4, 0))
+    assert program.outputs == ["tf(x,y)", "tf(x,x)"]
+    program.engine.call("delete_subscription(t, i)")
+    program.post((X, Y, 5, 0))
+    assert len(program.outputs) == 2
+
+
+def test_a_wrong_time_is_an_error_though_nobody_listens(caplog):
+    caplog.set_level(logging.ERROR, "retalis")
+    program = Counting(SPLIT)
+    for _ in range(3):
+        program.post((X, Y, X, 1))
+    assert [record.getMessage() for record in caplog.records] != []
+
+
+def test_an_error_in_a_lane_names_the_event_and_the_next_one_is_served(caplog):
+    caplog.set_level(logging.ERROR, "retalis")
+    rules = "null do check(X) <- a(X).\ncheck(X) :- Y is X + 1, new_event(b(Y), 1, 1)."
+    program = Counting(rules, "subscribe(b(_), [], _, t, i)")
+    program.engine.post(A(1))
+    program.engine.post(A(X))
+    program.engine.post(A(2))
+    assert program.outputs == ["b(2)", "b(3)"]
+    assert program.engine.dispatcher.current is None
+    (message,) = [record.getMessage() for record in caplog.records]
+    assert "at event a(x)" in message and "x/0" in message
+
+
+def test_who_comes_while_an_event_is_served_in_a_lane_sees_the_next_one():
+    rules = "null do more(X) <- a(X).\nmore(X) :- new_event(go, 1, 1), subscribe(a(_), [], _, t, X)."
+    program = Counting(rules)
+    program.engine.post(A(X))
+    assert program.outputs == []
+    program.engine.post(A(Y))
+    assert program.outputs == ["a(y)"]
+
+
+def test_a_head_behind_a_lane_is_served_with_all_that_follows():
+    rules = "b(X) do new_event(c(X), 1, 1) <- a(X).\nd(X) <- c(X) and b(X)."
+    program = Counting(rules, "subscribe(d(_), [], _, t, i)")
+    program.engine.post(A(X))
+    assert program.outputs == ["d(x)"]
+
+
+def test_a_rule_on_an_event_twice_takes_it_as_one():
+    """The token of an event that a lane serves is asked for by what its goal leads to only."""
+    rules = "null do new_event(b(X), 1, 1) <- a(X).\nc <- b(X) and b(X)."
+    plain, observed = (
+        Counting(rules, "subscribe(c, [], _, t, i)"),
+        Counting(rules, "subscribe(c, [], _, t, i)"),
+    )
+    observed.engine.on_event(lambda term, start, end: None)
+    for program in (plain, observed):
+        program.engine.post(A(X))
+        program.engine.post(A(Y))
+    assert plain.outputs == observed.outputs
+
+
+@pytest.mark.parametrize("goal", ["loop(X)", "events(X)", "build(X, _)"])
+def test_limits_end_a_goal_that_runs_in_a_lane(goal, caplog):
+    caplog.set_level(logging.ERROR, "retalis")
+    rules = f"""
+    null do {goal} <- a(X).
+    loop(X) :- loop(X).
+    events(X) :- new_event(b(X), 1, 1), events(X).
+    build(X, [X|Rest]) :- build(X, Rest).
+    c(X) do note(X) <- b(X).
+    note(X) :- atom_length(X, _).
+    """
+    program = Counting(rules, settings=Settings(Limits(inferences=20_000)))
+    for _ in range(2):
+        program.engine.post(A(X))
+    messages = [record.getMessage() for record in caplog.records]
+    assert len(messages) == 2 and all("inferences" in message for message in messages), messages
+
+
+CONSTANTS = st.sampled_from([atom(name) for name in "xyz"])
+ITEMS = st.lists(st.tuples(CONSTANTS, CONSTANTS, st.integers(0, 3), st.integers(0, 9)), max_size=4)
+PATTERNS = ["tf(x, C)", "tf(P, y)", "tf(x, y)", "tf(P, P)", "tf(P, C)", "pack(_)"]
+
+
+@given(
+    st.lists(ITEMS, min_size=1, max_size=6),
+    st.lists(st.sampled_from(PATTERNS), max_size=3),
+    st.lists(st.sampled_from(PATTERNS), max_size=2),
+)
+def test_the_same_comes_out_where_somebody_sees_every_event(stream, wanted, later):
+    """Who sees every event keeps all gates open and all lanes unused."""
+    rules = SPLIT + "e(P) <- tf(P, x) seq tf(P, y).\nnull do new_event(f(P), 1, 1) <- e(P)."
+    programs = [
+        Counting(rules, "subscribe(f(_), [], _, t, f)"),
+        Counting(rules, "subscribe(f(_), [], _, t, f)"),
+    ]
+    programs[1].engine.on_event(lambda term, start, end: None)
+    for program in programs:
+        for at, pattern in enumerate(wanted):
+            program.engine.call(f"subscribe({pattern}, [], _, t, s{at})")
+        for at, items in enumerate(stream):
+            program.post(*items)
+            if at == 0:
+                for number, pattern in enumerate(later):
+                    program.engine.call(f"subscribe({pattern}, [], _, t, l{number})")
+    assert programs[0].outputs == programs[1].outputs
