@@ -33,7 +33,7 @@ def test_what_a_term_names_is_compiled_with_what_it_calls():
 def test_a_goal_is_ready_at_the_end_of_preparing():
     logic = prolog(PROGRAM, 12)
     x = Var()
-    with logic.preparing(lambda: []):
+    with logic.preparing(list):
         ready = logic.compile_goal((GO, x), [x])
     later = logic.compile_goal((GO, x), [x])
     for goal in (ready, later):
@@ -76,7 +76,8 @@ def test_preparing_that_fails_prepares_nothing():
 
 def test_a_list_is_walked_to_its_end_whatever_that_is():
     logic = prolog(
-        "walk([], _). walk([_|Rest], N) :- M is N + 1, walk(Rest, M).\nsum([], 0). sum([X|R], S) :- sum(R, T), S is T + X."
+        "walk([], _). walk([_|Rest], N) :- M is N + 1, walk(Rest, M).\n"
+        "sum([], 0). sum([X|R], S) :- sum(R, T), S is T + X."
     )
     assert answers(logic, "walk([a, b], 0)") == [{}]
     assert answers(logic, "walk([a|b], 0)") == []
