@@ -5,6 +5,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Union
 
+from ._slots import misfits
 from .bags import BagReader, Topic
 from .clock import StreamClock
 from .engine import Engine, Settings
@@ -85,6 +86,10 @@ class Playback:
         """
         clock, outputs = self.clock, self._outputs
         self._learn_all(bag)
+        for warning in misfits(
+            self.engine, self.definitions, {*self._types.values(), *self._published.values()}
+        ):
+            log.warning("%s", warning)
         wanted = {topic.name for topic in bag.topics if _plain(topic.name) in self._types}
         decoders = {id(topic): self._decoders.get(topic) for topic in bag.topics}
         for done, (topic, instant, data) in enumerate(bag.records(wanted), 1):

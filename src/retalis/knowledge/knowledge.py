@@ -1,7 +1,7 @@
 """Memories, waiting queries and subscriptions of one program, and the goals that reach them."""
 
 from operator import attrgetter
-from typing import Any, Callable, Iterator, Optional
+from typing import Any, Callable, Iterator, Optional, Tuple
 
 from ..errors import UsageError
 from ..events import Dispatcher
@@ -50,6 +50,13 @@ class Knowledge:
         """Forget records and waiting queries (the clock went back); instances and subscriptions stay."""
         self.memories.clear()
         self.waiting.clear()
+
+    def patterns(self) -> Iterator[Tuple[Term, str]]:
+        """Yield the pattern of each memory and subscription, and what to call it."""
+        for instance in self.memories:
+            yield instance.recorder.pattern, f"memory {self._logic.show(instance.id)}"
+        for pattern, (topic, _) in self.subscriptions.patterns():
+            yield pattern, f"a subscription of topic {topic}"
 
     def _define(self) -> None:
         logic = self._logic

@@ -114,6 +114,11 @@ class Recorder:
         self._everything = pattern.__class__ is Var
         self._listener = dispatcher.listen(Stage.MEMORIES, pattern, self._arrive)
 
+    @property
+    def pattern(self) -> Term:
+        """Which events it takes."""
+        return self._listener.pattern
+
     def add(self, instance: Instance) -> None:
         """Record into one more memory."""
         instance.recorder = self

@@ -30,6 +30,10 @@ class Subscriptions:
     def __iter__(self) -> Iterator[Tuple[Any, Any]]:
         return iter(list(self._listeners))
 
+    def patterns(self) -> Iterator[Tuple[Term, Tuple[Any, Any]]]:
+        """Yield the pattern of each subscription with topic and id."""
+        return ((listener.pattern, key) for key, listener in list(self._listeners.items()))
+
     def create(self, definition: Term) -> None:
         """Add a subscription of ``Pattern, Conditions, Format, Topic, Id``.
 

@@ -5,6 +5,7 @@ from typing import Any, Optional, Tuple
 import rospy
 from std_msgs.msg import String
 
+from .._slots import misfits
 from ..clock import Alarm, Clock
 from ..engine import Engine
 from ..errors import RetalisError
@@ -79,6 +80,9 @@ class Node:
         topics = self._topics()
         self._texts = Outlet(OUTPUT, String, parameters.queue)
         self._interface = Interface(self._poster, parameters.queue)
+        kinds = {kind for _, kind in (*topics.subscribed, *topics.published)}
+        for warning in misfits(self.engine, self._interface.definitions, kinds):
+            rospy.logwarn("%s", warning)
         self.engine.on_output(self._send_text)
         direct = direct_topics(parameters.direct, topics)
         if parameters.embedded:
