@@ -116,7 +116,11 @@ class Services(unittest.TestCase):
         self.assert_error(self.add_subscription("a(X)", "", "f(]", "t", "e1"), "format", "line 1, column 3")
         self.assert_error(self.add_subscription("a(X)", "X > 1, X >", "_", "t", "e1"), "line 1, column 11")
         self.assert_error(self.add_subscription("", "", "_", "t", "e1"), "event")
-        self.assert_error(self.add_subscription("3", "", "_", "t", "e1"))
+        self.assert_error(
+            self.add_subscription("3", "", "_", "t", "e1"), "event: expected an event", "found 3"
+        )
+        self.assert_error(self.add_subscription("a(X)", "X", "_", "t", "e1"), "conditions: expected goals")
+        self.assert_error(self.add_subscription("a(X)", "", "7", "t", "e1"), "format: expected", "found 7")
         self.assert_error(self.add_subscription("a),b(X)", "", "_", "t", "e1"), "event")
         self.assert_error(self.add_subscription("a),(b", "", "_", "t", "e1"), "event", "column 2")
         self.assert_error(self.delete_subscription("t", "e1"), "e1")
@@ -135,7 +139,9 @@ class Services(unittest.TestCase):
     def test_bad_memories_are_errors_and_nothing_is_half_added(self):
         self.assert_error(self.add_memory("v(X)", "", "_", "bad", "many"), "size", "many")
         self.assert_error(self.add_memory("v(X)", "", "_", "bad", "-1"), "size")
-        self.assert_error(self.add_memory("v(X)", "1", "_", "bad", "5"))
+        self.assert_error(
+            self.add_memory("v(X)", "1", "_", "bad", "5"), "conditions: expected goals", "found 1"
+        )
         self.assert_error(self.add_memory("v(X)", "", "_", "", "5"), "id")
         self.assert_error(self.delete_memory("bad"), "bad")
 
@@ -153,6 +159,14 @@ class Services(unittest.TestCase):
             lambda messages: any("topic nothing/there has no type" in m.msg for m in messages), "the warning"
         )
         self.assertEqual(self.delete_subscription("nothing/there", "u").result, "ok")
+
+    def test_a_memory_that_can_record_nothing_is_warned_of(self):
+        told = Collector("/rosout", Log)
+        wait_until(told.connected, "the log")
+        self.assertEqual(self.add_memory("v(X)", "no_such(X)", "kept(Y)", "odd", "2").result, "ok")
+        for text in ("memory odd: there is no predicate no_such/1 yet", "gives Y of the format a value"):
+            told.wait_for(lambda messages, text=text: any(text in one.msg for one in messages), text)
+        self.assertEqual(self.delete_memory("odd").result, "ok")
 
     def test_input_subscriptions(self):
         number = rospy.Publisher("number", Float64, queue_size=10)

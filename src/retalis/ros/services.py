@@ -1,6 +1,6 @@
 """The six services: texts in, ``ok`` or ``error: ...`` out."""
 
-from typing import Any, Callable, Dict, Iterable, List
+from typing import Any, Callable, Dict, Iterable, List, Tuple
 
 import rospy
 
@@ -8,7 +8,7 @@ from ..engine import Engine
 from ..errors import RetalisError, SyntaxFault, UsageError
 from ..program import TOPICS
 from ..syntax import Operators, read_term
-from ..terms import TRUE, Atom, Term, Var, atom, conjuncts, functor, make_list
+from ..terms import COMMA, TRUE, Atom, Term, Var, atom, conjuncts, deref, functor, make_list, variables
 from .interface import OUTPUT, Interface, resolve
 
 OK = "ok"
@@ -97,11 +97,28 @@ class EngineServices:
 
     def _add(self, request: Any, goal: str, fourth: Term, fifth: Term) -> None:
         fields = {"event": request.event, "conditions": request.conditions.strip() or "true"}
-        event, conditions, form = self._read_together({**fields, "format": request.format})
-        goals = make_list(() if conditions is TRUE else conjuncts(conditions))
-        self._call((functor(goal, 5), event, goals, form, fourth, fifth))
+        (event, conditions, form), names = self._read_together({**fields, "format": request.format})
+        goals = [] if conditions is TRUE else list(conjuncts(conditions))
+        self._check("event", "an event: an atom or a compound term", event, (Atom, tuple, Var))
+        for one in goals:
+            self._check("conditions", "goals: atoms or compound terms", one, (Atom, tuple))
+        self._check("format", "an atom or a compound term, or _ for the event", form, (Atom, tuple, Var))
+        self._call((functor(goal, 5), event, make_list(goals), form, fourth, fifth))
+        bound = variables((COMMA, event, conditions))
+        free = [name for name, var in names.items() if var in variables(form) and var not in bound]
+        if free and not isinstance(form, Var):
+            rospy.logwarn(
+                "%s %s: nothing in event and conditions gives %s of the format a value",
+                goal,
+                request.id.strip(),
+                " and ".join(free),
+            )
 
-    def _read_together(self, fields: Dict[str, str]) -> List[Term]:
+    def _check(self, field: str, expected: str, term: Term, kinds: Any) -> None:
+        if not isinstance(deref(term), kinds):
+            raise UsageError(f"{field}: expected {expected}, found {self._engine.show(term)}")
+
+    def _read_together(self, fields: Dict[str, str]) -> Tuple[List[Term], Dict[str, Var]]:
         """Read fields each by itself, and have variables of one name be the same in all of them."""
         shared: Dict[str, Var] = {}
         terms: List[Term] = []
@@ -117,7 +134,7 @@ class EngineServices:
                 if known is not var:
                     var.ref = known
             terms.append(read.term)
-        return terms
+        return terms, shared
 
     def _size(self, text: str) -> int:
         try:
