@@ -362,3 +362,11 @@ def test_an_error_of_a_rule_has_the_names_of_its_variables_and_its_place_once(ca
     assert caplog.records[0].getMessage().split("\n")[0] == (
         "r.txt:1:1: rule hot(Who,T), at event temp(bob,x): goal T>38: Type error: `evaluable' expected, found `x/0'"
     )
+
+
+@pytest.mark.parametrize("goal", ["memorize(a, [], _, m, 5)", "subscribe(a, [], _, t, m)"])
+def test_an_id_that_is_taken_is_said_to_be(goal):
+    engine = Engine()
+    assert engine.call(goal)
+    with pytest.raises(PrologError, match="there is one already"):
+        engine.call(goal)

@@ -33,7 +33,13 @@ def test_elements_stand_at_any_depth_and_comments_count_for_nothing(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message", "line", "column"),
     [
-        ("<publish_subscribe>\n  <group>\n", "no XML", 3, 1),
+        (
+            "<publish_subscribe>\n  <group>\n",
+            "no XML: no element found; <group> of line 2 is not closed",
+            3,
+            1,
+        ),
+        ("<publish_subscribe>\n  <group>\n</publish_subscribe>", "<group> of line 2 is not closed", 3, 3),
         ("<root/>", "the root has to be <publish_subscribe>, found <root>", 1, 1),
         ('<publish_subscribe>\n <publish_to name="x"/>\n</publish_subscribe>', 'needs msg_type="..."', 2, 2),
         (

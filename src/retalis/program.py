@@ -57,6 +57,8 @@ class _TopicReader:
         self.lines = text.splitlines()
         self.parser = expat.ParserCreate()
         self.parser.StartElementHandler = self.element
+        self.parser.EndElementHandler = lambda tag: self.open.pop()
+        self.open: List[Tuple[str, int]] = []
         self.inside = False
         self.found: Dict[str, List[TopicType]] = {"subscribe_to": [], "publish_to": []}
         self.errors: List[RetalisError] = []
@@ -66,6 +68,8 @@ class _TopicReader:
             self.parser.Parse(self.text, True)
         except expat.ExpatError as error:
             message = f"this is no XML: {expat.errors.messages[error.code]}"
+            if self.open:
+                message += "; <{}> of line {} is not closed".format(*self.open[-1])
             self.errors.append(SyntaxFault(message, self.place(error.lineno, error.offset)))
         if self.errors:
             raise ProgramErrors(self.errors)
@@ -77,6 +81,7 @@ class _TopicReader:
 
     def element(self, tag: str, attributes: Dict[str, str]) -> None:
         place = self.place(self.parser.CurrentLineNumber, self.parser.CurrentColumnNumber)
+        self.open.append((tag, place.line))
         if not self.inside:
             self.inside = True
             if tag != "publish_subscribe":

@@ -89,3 +89,14 @@ def test_auto_subscribes_what_the_file_does_not_name():
 @pytest.mark.parametrize("value", [["scan", "sensor_msgs/LaserScan"], [["scan", "sensor_msgs/LaserScan"]]])
 def test_a_list_of_topics_and_types(read, value):
     assert direct_topics(read(direct=value).direct, Topics()) == (TopicType("scan", "sensor_msgs/LaserScan"),)
+
+
+def test_an_unknown_parameter_is_warned_of(monkeypatch):
+    given = {"~": {"max_second": 1, "queue": 5, "quick": True}}
+    warned = []
+    monkeypatch.setattr(rospy, "get_param", lambda name, default: given.get(name, default))
+    monkeypatch.setattr(rospy, "logwarn", lambda text, *values: warned.append(text % values))
+    read_parameters(["node", "/some/package"])
+    assert warned[0] == "there is no parameter ~max_second; did you mean ~max_seconds?"
+    assert warned[1].startswith("there is no parameter ~quick; there are ~program, ~direct, ")
+    assert len(warned) == 2

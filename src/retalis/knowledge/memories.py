@@ -78,7 +78,7 @@ class Memories:
         pattern, conditions, form, name, size = (deref(part) for part in definition[1:])
         key = key_of(name)
         if key in self.instances:
-            raise permission_error("create", "memory", name)
+            raise permission_error("create", "memory", name, "there is one already")
         if size.__class__ is not int:
             raise type_error("integer", size)
         if size < 0:

@@ -45,7 +45,7 @@ class Subscriptions:
         topic_text = self._topic(topic)
         key = (topic_text, key_of(name))
         if key in self._listeners:
-            raise permission_error("create", "subscription", (MINUS, topic, name))
+            raise permission_error("create", "subscription", (MINUS, topic, name), "there is one already")
         shape, _ = recording(
             self._logic,
             self._dispatcher,

@@ -63,8 +63,11 @@ def type_error(kind: str, culprit: Term) -> PrologError:
 
 def domain_error(domain: str, culprit: Term, reason: Optional[str] = None) -> PrologError:
     """Return the error for a term of the right type outside the values that are allowed."""
-    context = None if reason is None else (CONTEXT, Var(), atom(reason))
-    return error((_DOMAIN_ERROR, atom(domain), culprit), context)
+    return error((_DOMAIN_ERROR, atom(domain), culprit), _because(reason))
+
+
+def _because(reason: Optional[str]) -> Optional[Term]:
+    return None if reason is None else (CONTEXT, Var(), atom(reason))
 
 
 def existence_error(kind: str, culprit: Term, context: Optional[Term] = None) -> PrologError:
@@ -82,9 +85,9 @@ def no_matching_rule(module: str, goal: Term) -> PrologError:
     return existence_error("matching_rule", (_QUALIFIED, atom(module), goal))
 
 
-def permission_error(action: str, kind: str, culprit: Term) -> PrologError:
+def permission_error(action: str, kind: str, culprit: Term, reason: Optional[str] = None) -> PrologError:
     """Return the error for something that may not be done."""
-    return error((_PERMISSION_ERROR, atom(action), atom(kind), culprit))
+    return error((_PERMISSION_ERROR, atom(action), atom(kind), culprit), _because(reason))
 
 
 def representation_error(limit: str) -> PrologError:

@@ -1,6 +1,6 @@
 """Node ``retalis``: the engine behind its services and topics."""
 
-from typing import Any, Optional, Tuple
+from typing import Any, Callable, Optional, Tuple
 
 import rospy
 from std_msgs.msg import String
@@ -137,17 +137,17 @@ def connect(interface: Interface, topics: Topics, direct: Any = ()) -> None:
     """Subscribe and advertise what ``pub_sub.xml`` names, but for what node retalis subscribes by itself."""
     apart = {rospy.resolve_name(topic) for topic, _ in direct}
     for topic, kind in topics.published:
-        _try(lambda topic=topic, kind=kind: interface.advertise(topic, kind))  # type: ignore[misc]
+        _try(interface.advertise, topic, kind)
     for topic, kind in topics.subscribed:
         if rospy.resolve_name(topic) not in apart:
-            _try(lambda topic=topic, kind=kind: interface.subscribe(topic, kind))  # type: ignore[misc]
+            _try(interface.subscribe, topic, kind)
 
 
-def _try(work: Any) -> None:
+def _try(work: Callable[[str, str], None], topic: str, kind: str) -> None:
     try:
-        work()
+        work(topic, kind)
     except RetalisError as error:
-        rospy.logerr("%s: %s", TOPICS, error)
+        rospy.logerr("%s: topic %s: %s", TOPICS, topic, error)
 
 
 def main() -> int:

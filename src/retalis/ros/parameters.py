@@ -1,6 +1,7 @@
 """The parameters of the two nodes, checked."""
 
 import sys
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Dict, List, NamedTuple, Optional, Tuple
 
@@ -19,6 +20,19 @@ LIMITS = (
     ("seconds", "max_seconds", float),
     ("inferences", "max_inferences", int),
     ("megabytes", "max_megabytes", int),
+)
+
+
+KNOWN = (
+    "program",
+    "direct",
+    "embedded",
+    "queue",
+    "allow_goals",
+    "allow_foreign",
+    "folders",
+    "max_depth",
+    *(name for _, name, _ in LIMITS),
 )
 
 
@@ -47,6 +61,7 @@ def read_parameters(arguments: Optional[List[str]] = None) -> Parameters:
         UsageError: for a value of the wrong kind, naming the parameter.
     """
     argv = rospy.myargv(sys.argv if arguments is None else arguments)
+    _warn_of_unknown()
     limits: Dict[str, Any] = {}
     for field, name, kind in LIMITS:
         value = _number(f"~{name}", kind)
@@ -65,6 +80,14 @@ def read_parameters(arguments: Optional[List[str]] = None) -> Parameters:
     if queue is not None:
         settings = settings._replace(queue=queue)
     return Parameters(_program(argv), _direct(), _flag("~embedded"), settings.queue, settings)
+
+
+def _warn_of_unknown() -> None:
+    for name in rospy.get_param("~", {}):
+        if name not in KNOWN:
+            meant = get_close_matches(name, KNOWN, 1)
+            hint = f"did you mean ~{meant[0]}?" if meant else f"there are ~{', ~'.join(KNOWN)}"
+            rospy.logwarn("there is no parameter ~%s; %s", name, hint)
 
 
 def direct_topics(direct: Any, topics: Topics) -> Tuple[TopicType, ...]:
