@@ -99,7 +99,7 @@ class WaitingQueries:
             return None
         dispatcher, machine = self._dispatcher, self._logic.machine
         left_out, one_listens, done = dispatcher.left_out, dispatcher.one_listens, machine.done
-        only_of_event = isinstance(rule.root, Leaf)  # then its values have variables only where the event has
+        known = _known_of_event(rule)
 
         def ask_or_wait(values: Values, start: int, end: int, after: Any) -> Any:
             try:
@@ -115,7 +115,7 @@ class WaitingQueries:
         def take(term: Term, values: Values, start: int, end: int, after: Any) -> Any:
             current = dispatcher.current
             instead = left_out(key)
-            if instead is None or not (only_of_event and dispatcher.ground() or without_variables(values)):
+            if instead is None or not without_variables(values[known:] if dispatcher.ground() else values):
                 return otherwise(term, values, start, end, after)
             dispatcher.current = instead
             frame = ask_or_wait(values, start, end, after)
@@ -212,3 +212,13 @@ class WaitingQueries:
                 f"the memory {show(instance.id)} is deleted; dropped is what waits for it: {named}{more}",
                 ("deleted", instance),
             )
+
+
+def _known_of_event(rule: Any) -> int:
+    """Return how many of the values of a rule, the first ones, have variables only where the event has some."""
+    node = rule.root
+    if not node.alone:
+        return 0
+    while not isinstance(node, Leaf):
+        node = node.child
+    return len(node.vars)

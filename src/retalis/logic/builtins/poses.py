@@ -59,11 +59,12 @@ def quaternion(term: Term) -> Vector:
     """Return the numbers of a rotation ``[QX,QY,QZ,QW]``."""
     try:  # as in `vector`
         one, x, (two, y, (three, z, (four, w, end))) = term
-        plain = one is two is three is four is CONS and end is NIL
-        found: Vector = x, y, z, w
     except (TypeError, ValueError):
-        plain, found = False, ()
-    if not plain or not x.__class__ is y.__class__ is z.__class__ is w.__class__ is float:
+        found = numbers(term, 4, "quaternion")
+    else:
+        floats = x.__class__ is y.__class__ is z.__class__ is w.__class__ is float
+        if floats and (x or y or z or w) and one is two is three is four is CONS and end is NIL:
+            return x, y, z, w
         found = numbers(term, 4, "quaternion")
     if not any(found):
         raise domain_error("quaternion", term)
@@ -72,11 +73,15 @@ def quaternion(term: Term) -> Vector:
 
 def pose(term: Term) -> Pose:
     """Return position and rotation of a pose."""
-    term = deref(term)
-    if term.__class__ is tuple and len(term) == 3 and term[0] is CONS:
-        rest = term[2]
-        if rest.__class__ is tuple and rest[0] is CONS and rest[2] is NIL:
-            return vector(term[1]), quaternion(rest[1])
+    if term.__class__ is not tuple:
+        term = deref(term)
+    try:  # as in `vector`
+        one, position, (two, rotation, end) = term
+    except (TypeError, ValueError):
+        pass
+    else:
+        if one is two is CONS and end is NIL:
+            return vector(position), quaternion(rotation)
     parts = list_items(term)
     if parts is None or len(parts) != 2:
         raise instantiation_error() if deref(term).__class__ is Var else type_error("pose", term)
@@ -139,8 +144,10 @@ def slerp(first: Vector, second: Vector, ratio: float) -> Vector:
         bx, by, bz, bw = -bx, -by, -bz, -bw
     scale = sqrt((ax * ax + ay * ay + az * az + aw * aw) / (bx * bx + by * by + bz * bz + bw * bw))
     sx, sy, sz, sw = bx * scale, by * scale, bz * scale, bw * scale
-    apart = sqrt((ax - sx) ** 2 + (ay - sy) ** 2 + (az - sz) ** 2 + (aw - sw) ** 2)
-    along = sqrt((ax + sx) ** 2 + (ay + sy) ** 2 + (az + sz) ** 2 + (aw + sw) ** 2)
+    dx, dy, dz, dw = ax - sx, ay - sy, az - sz, aw - sw
+    mx, my, mz, mw = ax + sx, ay + sy, az + sz, aw + sw
+    apart = sqrt(dx * dx + dy * dy + dz * dz + dw * dw)
+    along = sqrt(mx * mx + my * my + mz * mz + mw * mw)
     angle = 2 * atan2(apart, along)
     whole = sin(angle)
     if whole == 0:
