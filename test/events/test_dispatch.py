@@ -4,7 +4,7 @@ import pytest
 from events.running import Program, fired
 
 from retalis.errors import UsageError
-from retalis.events import Dispatcher, Stage
+from retalis.events import AT_ONCE, Dispatcher, Stage
 from retalis.terms import NIL, Lazy, Var, atom, functor, make_list
 
 A, B, F = functor("a", 1), functor("b", 2), functor("f", 1)
@@ -191,3 +191,30 @@ def test_a_memory_that_is_added_meanwhile_gets_later_events_only():
     assert not program.engine.call("access_mem(m, _, _)")
     program.feed("a(2)@2")
     assert program.engine.query("access_mem(m, a(X), _)") == [{"X": 2}]
+
+
+@pytest.mark.parametrize("looks_on", [False, True])
+@pytest.mark.parametrize("depth", [3, 5, 6, 9])
+def test_onlookers_are_served_as_others_are(looks_on, depth):
+    dispatcher = Dispatcher(max_depth=depth)
+    seen = []
+
+    def note(term, values, start, end, after):
+        seen.append((term, values, start, end))
+        return after
+
+    def derive(functor, more):
+        return lambda term, values, start, end, after: dispatcher.dispatch(
+            (functor, values[0] + more), start, end, after
+        )
+
+    dispatcher.listen(Stage.RULES, (A, Var()), derive(F, 0))
+    dispatcher.listen(Stage.RULES, (A, Var()), derive(A, 1))
+    dispatcher.listen(Stage.SUBSCRIPTIONS, (F, Var()), note, looks_on=looks_on)
+    dispatcher.listen(Stage.SUBSCRIPTIONS, (F, 1), note, looks_on=looks_on)
+    with pytest.raises(UsageError, match=f"more than {depth} events"):
+        frame = dispatcher.dispatch((A, 1), 5, 6, DONE)
+        while frame is not DONE:
+            frame = frame[0].run(frame)
+    assert seen[:2] == [((F, 1), (1,), 5, 6), ((F, 1), (), 5, 6)]
+    assert seen[2:] == [((F, at), (at,), 5, 6) for at in range(2, max(depth, AT_ONCE))]

@@ -11,6 +11,12 @@ Steps = Tuple[Any, ...]
 """What is left of a plan when all tests are made: pairs of matcher and action, in order."""
 
 NOBODY: Steps = ()
+
+
+class Onlookers(tuple):  # type: ignore[type-arg]
+    """The steps of listeners that only look on: they are served without setting up the event's dispatch."""
+
+
 _OTHER = object()
 _DEEPEST = 6
 """How many tests a plan makes at most; the matchers make the rest."""
@@ -85,7 +91,8 @@ def _plan(listeners: List[Any], tested: Tuple[Path, ...], depth: int) -> Any:
         return NOBODY
     path = _best_path(listeners, tested) if depth > 0 else None
     if path is None:
-        return tuple((listener.matcher, listener.action) for listener in listeners)
+        steps = [(listener.matcher, listener.action) for listener in listeners]
+        return Onlookers(steps) if all(listener.looks_on for listener in listeners) else tuple(steps)
     return Choice(path, listeners, tested, depth)
 
 

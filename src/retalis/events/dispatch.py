@@ -13,7 +13,7 @@ from ..errors import UsageError
 from ..logic import Goal, PrologError
 from ..terms import TRUE, Atom, Functor, Lazy, Term, Var, copy, deref, is_ground, is_plain
 from ..terms.keys import term_key
-from ._plans import Choice, make_plan
+from ._plans import Choice, Onlookers, make_plan
 from .gates import Gate
 from .matching import Matcher, Values, compile_matcher
 
@@ -38,7 +38,7 @@ class Stage(IntEnum):
 class Listener:
     """One pattern with what to do for each event that matches it; made by `Dispatcher.listen`."""
 
-    __slots__ = ("order", "pattern", "functor", "matcher", "action", "lane")
+    __slots__ = ("order", "pattern", "functor", "matcher", "action", "lane", "looks_on")
 
     def __init__(
         self,
@@ -48,6 +48,7 @@ class Listener:
         matcher: Matcher,
         action: Action,
         lane: Optional[Lane],
+        looks_on: bool,
     ):
         self.order = order
         self.pattern = pattern
@@ -55,6 +56,7 @@ class Listener:
         self.matcher = matcher
         self.action = action
         self.lane = lane
+        self.looks_on = looks_on
 
 
 _PLANS = 10_000
@@ -158,6 +160,7 @@ class Dispatcher:
         action: Action,
         rank: Tuple[int, ...] = (),
         lane: Optional[Lane] = None,
+        looks_on: bool = False,
     ) -> Listener:
         """Have ``action`` called for every event that unifies with ``pattern``.
 
@@ -170,6 +173,8 @@ class Dispatcher:
             rank: place within the stage; by default behind all there are.
             lane: does the same as ``action`` for an event without variables whose arguments are the
                 values, where nobody else listens; it may leave ``current`` to `event`.
+            looks_on: whether ``action`` always returns the next frame and asks nothing about the event that is
+                being served; where all do so, that may be another one.
 
         Raises:
             UsageError: for a pattern that no event can match (a number, a string).
@@ -181,7 +186,7 @@ class Dispatcher:
         if matcher is None:
             matcher = self._matchers[key] = compile_matcher(pattern)
         order = (int(stage), *(rank or (next(self._order),)), next(self._order))
-        listener = Listener(order, pattern, functor, matcher, action, lane)
+        listener = Listener(order, pattern, functor, matcher, action, lane, looks_on)
         self._listeners.setdefault(functor, {})[listener] = None
         self._changed(functor)
         return listener
@@ -265,6 +270,15 @@ class Dispatcher:
                 fresh: Dict[Var, Term] = {}
                 term = copy(term, fresh)
                 ground = not fresh
+        if plan.__class__ is Onlookers:
+            current = self.current
+            if current.__class__ is Event and AT_ONCE <= current.depth >= self.max_depth:
+                raise self._too_deep()
+            for matcher, action in plan:
+                values = matcher(term)
+                if values is not None:
+                    action(term, values, start, end, after)
+            return after
         event = Event()
         event.dispatcher = self
         event.steps = steps = iter(plan)
@@ -282,7 +296,7 @@ class Dispatcher:
         frame = (event, after)
         if depth > AT_ONCE:
             if depth > self.max_depth:
-                raise UsageError(f"more than {self.max_depth} events were derived one from the other")
+                raise self._too_deep()
             return frame
         self.current = event
         for matcher, action in steps:  # as `Event.run`
@@ -293,6 +307,9 @@ class Dispatcher:
                     return next_frame
         self.current = parent
         return after
+
+    def _too_deep(self) -> UsageError:
+        return UsageError(f"more than {self.max_depth} events were derived one from the other")
 
     def one_listens(self, functor: Functor) -> bool:
         """Tell whether just one listens to events of this functor, where there is any."""

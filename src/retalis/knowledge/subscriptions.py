@@ -69,7 +69,7 @@ class Subscriptions:
             return after
 
         self._listeners[key] = self._dispatcher.listen(
-            Stage.SUBSCRIPTIONS, pattern, send if shape is itself else action
+            Stage.SUBSCRIPTIONS, pattern, send if shape is itself else action, looks_on=shape is itself
         )
 
     def has(self, topic: Term, name: Term) -> bool:
