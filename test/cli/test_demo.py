@@ -28,6 +28,9 @@ def test_plays_a_bag_that_is_given(tmp_path, capsys):
 
 def test_a_bag_that_is_not_there_is_an_error(tmp_path, capsys):
     assert main(["demo", "--bag", str(tmp_path / "no.bag")]) == 1
+    assert "no.bag: there is no such file" in capsys.readouterr().err
+    (tmp_path / "no.bag").touch()
+    assert main(["demo", "--bag", str(tmp_path / "no.bag")]) == 1
     assert "no.truth.json" in capsys.readouterr().err
 
 
@@ -41,3 +44,11 @@ def test_wrong_options_end_with_status_2(capsys):
             main(arguments)
         assert ended.value.code == 2
     assert "usage: retalis" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("seconds", ["-1", "0", "nan", "inf", "some"])
+def test_a_length_that_is_none_is_refused(seconds, capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(["demo", "--seconds", seconds])
+    assert caught.value.code == 2
+    assert f"expected a positive number of seconds, found {seconds}" in capsys.readouterr().err

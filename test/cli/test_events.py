@@ -171,7 +171,7 @@ def test_a_pinned_clock_stands_still(run):
 def test_a_clock_that_is_none_is_refused(run):
     status, _, error = run("--clock", "monday", stream="event(a).")
     assert status == 1
-    assert "datime" in error
+    assert "--clock monday: expected datime" in error
 
 
 # ---- errors ---------------------------------------------------------------------------------------------

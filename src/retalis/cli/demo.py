@@ -24,9 +24,20 @@ def add_parser(commands: Any) -> None:
         "was located last, beside its true position. Exit status 0 when all markers were located.",
     )
     parser.add_argument("--bag", type=Path, help="play this bag instead (made by examples/nao/make_bag.py)")
-    parser.add_argument("--seconds", type=float, default=20.0, help="length of the bag that is made (20)")
+    parser.add_argument("--seconds", type=_positive, default=20.0, help="length of the bag that is made (20)")
     parser.add_argument("--seed", type=int, default=1, help="seed of the bag that is made (1)")
     parser.set_defaults(run=run)
+
+
+def _positive(text: str) -> float:
+    """Return a number of seconds above zero."""
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = 0.0
+    if not 0 < seconds < float("inf"):
+        raise argparse.ArgumentTypeError(f"expected a positive number of seconds, found {text}")
+    return seconds
 
 
 def run(options: argparse.Namespace) -> int:
@@ -40,6 +51,8 @@ def run(options: argparse.Namespace) -> int:
         if bag is None:
             bag = Path(temporary) / "nao.bag"
             importlib.import_module("make_bag").make_bag(bag, options.seconds, options.seed)
+        elif not bag.exists():
+            raise UsageError(f"{bag}: there is no such file")
         try:
             truth = truth_module.load(bag)
         except OSError as error:

@@ -177,7 +177,10 @@ class Session:
             prepare(self.engine)
         if options.clock:
             stamp = read_term(options.clock, Operators.prolog(), "--clock").term
-            self._clock.pin(timestamps.from_term(stamp))
+            try:
+                self._clock.pin(timestamps.from_term(stamp))
+            except UsageError as error:
+                raise UsageError(f"--clock {options.clock}: {error.message}") from error
 
     def load(self) -> None:
         """Call the goals and load the rules; of a file with an error nothing is active, all else goes on."""
