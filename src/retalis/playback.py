@@ -5,7 +5,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Union
 
-from ._slots import misfits
+from ._lint import unknown_memories, wrong_messages
 from .bags import BagReader, Topic
 from .clock import StreamClock
 from .engine import Engine, Settings
@@ -86,8 +86,10 @@ class Playback:
         """
         clock, outputs = self.clock, self._outputs
         self._learn_all(bag)
-        for warning in misfits(
-            self.engine, self.definitions, {*self._types.values(), *self._published.values()}
+        kinds = {*self._types.values(), *self._published.values()}
+        for warning in (
+            *wrong_messages(self.engine, self.definitions, kinds),
+            *unknown_memories(self.engine),
         ):
             log.warning("%s", warning)
         wanted = {topic.name for topic in bag.topics if _plain(topic.name) in self._types}

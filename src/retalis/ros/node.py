@@ -5,7 +5,7 @@ from typing import Any, Callable, Optional, Tuple
 import rospy
 from std_msgs.msg import String
 
-from .._slots import misfits
+from .._lint import unknown_memories, wrong_messages
 from ..clock import Alarm, Clock
 from ..engine import Engine
 from ..errors import RetalisError
@@ -80,9 +80,7 @@ class Node:
         topics = self._topics()
         self._texts = Outlet(OUTPUT, String, parameters.queue)
         self._interface = Interface(self._poster, parameters.queue)
-        kinds = {kind for _, kind in (*topics.subscribed, *topics.published)}
-        for warning in misfits(self.engine, self._interface.definitions, kinds):
-            rospy.logwarn("%s", warning)
+        self._lint(topics)
         self.engine.on_output(self._send_text)
         direct = direct_topics(parameters.direct, topics)
         if parameters.embedded:
@@ -94,6 +92,12 @@ class Node:
         EngineServices(self.engine, (topic for topic, _ in topics.published))
         self._interface.subscribe_texts(INPUT, self.engine.post_text)
         rospy.loginfo("%s: %s", parameters.program, self._summary())
+
+    def _lint(self, topics: Topics) -> None:
+        kinds = {kind for _, kind in (*topics.subscribed, *topics.published)}
+        definitions = self._interface.definitions
+        for warning in (*wrong_messages(self.engine, definitions, kinds), *unknown_memories(self.engine)):
+            rospy.logwarn("%s", warning)
 
     def _summary(self) -> str:
         knowledge = self.engine.knowledge

@@ -1,8 +1,8 @@
-"""Terms that are meant as messages and are none."""
+"""What a program was probably not meant to say."""
 
 import pytest
 
-from retalis._slots import misfits
+from retalis._lint import unknown_memories, wrong_messages
 from retalis.engine import Engine
 from retalis.messages import Definitions
 
@@ -21,7 +21,7 @@ def definitions():
 def warnings(definitions, rules="", goals=""):
     engine = Engine()
     engine.load(rules=rules, goals=goals)
-    return [str(found) for found in misfits(engine, definitions, ["my_msgs/Warm", "my_msgs/Empty"])]
+    return [str(found) for found in wrong_messages(engine, definitions, ["my_msgs/Warm", "my_msgs/Empty"])]
 
 
 @pytest.mark.parametrize(
@@ -58,3 +58,36 @@ def test_patterns_of_memories_and_subscriptions_are_looked_at(definitions):
 def test_right_and_foreign_terms_are_left_alone(definitions):
     rules = "a(X) <- my_msgs__0__Warm(std_msgs__0__Header(_, _, _), X)."
     assert warnings(definitions, f"{rules} b <- other__0__Thing(_) or my_msgs__0__Empty.") == []
+
+
+@pytest.mark.parametrize(
+    ("rules", "found"),
+    [
+        (
+            "a <- b where prev(odom_bas, _, 1, 2, 3).",
+            "there is no memory odom_bas yet; did you mean odom_base?",
+        ),
+        ("synchronized(a(T), true, [[odom_base, T], [heap, T]]) <- b(T).", "there is no memory heap yet"),
+        ("a <- b where seen(_). seen(X) :- access_mem(haed, X, _).", "there is no memory haed yet"),
+    ],
+)
+def test_memories_that_are_read_and_not_there_are_warned_of(rules, found):
+    engine = Engine()
+    engine.load(rules=rules, goals="memorize(t(X), [], _, odom_base, 5)")
+    (warning,) = unknown_memories(engine)
+    assert warning.message == found
+
+
+@pytest.mark.parametrize(
+    "rules",
+    [
+        "a(X) <- b(X) where prev(X, _, 1, 2, 3).",
+        "a <- b where (memorize(t(X), [], _, here, 5), access_mem(here, _, _)).",
+        "a <- b where access_mem(odom_base, _, _). c :- next_inf(odom_base, _, 1, 2, 3).",
+        "a(N) <- b(N) do memorize(t(X), [], _, N, 5). c <- d where access_mem(there, _, _).",
+    ],
+)
+def test_memories_that_are_there_or_may_come_are_left_alone(rules):
+    engine = Engine()
+    engine.load(rules=rules, goals="memorize(t(X), [], _, odom_base, 5)")
+    assert list(unknown_memories(engine)) == []

@@ -1,0 +1,113 @@
+"""What a program that reads well was probably not meant to say: wrong messages, memories that are not there."""
+
+from difflib import get_close_matches
+from typing import Any, Collection, Iterator, List, NamedTuple, Optional, Set
+
+from .errors import Place, RuleError
+from .messages import Definitions, type_name
+from .terms import Atom, Functor, Term, deref, functor, list_items
+
+_READS = frozenset(
+    functor(name, arity)
+    for name, arity in (
+        ("prev", 5),
+        ("prev_binary", 5),
+        ("next", 6),
+        ("next_binary", 6),
+        ("next_inf", 5),
+        ("access_mem", 3),
+        ("memory_size", 2),
+        ("memory_counter", 2),
+    )
+)
+_WAITS = frozenset(functor(name, 3) for name in ("synchronized", "syncronized"))
+_MAKES = frozenset((functor("memorize", 5), functor("memorize", 6), functor("memorize_diactive", 5)))
+
+
+class _Text(NamedTuple):
+    """A term of the program, what to call it, and its place."""
+
+    term: Term
+    who: str
+    place: Optional[Place]
+
+
+def wrong_messages(engine: Any, definitions: Definitions, types: Collection[str]) -> Iterator[RuleError]:
+    """Yield a warning for each kind of term in rules and patterns that is no message of a type that is known.
+
+    Args:
+        engine: whose program it is.
+        definitions: the message types that are known.
+        types: those that the program's topics have.
+    """
+    known = [definitions.find(kind) for kind in types if kind in definitions]
+    near = sorted({*types, *(nested.name for one in known for nested in one.dependencies())})
+    seen: Set[Functor] = set()
+    patterns = [_Text(pattern, f"{who}: ", None) for pattern, who in engine.knowledge.patterns()]
+    for text in [*_rules(engine), *patterns]:
+        for part in _parts(text.term):
+            key = part.functor if isinstance(part, Atom) else part[0]
+            kind = None if key in seen else type_name(key.name)
+            seen.add(key)
+            wrong = kind and _wrong(key, kind, definitions, near)
+            if wrong:
+                yield RuleError(f"{text.who}{wrong}", text.place)
+
+
+def unknown_memories(engine: Any) -> Iterator[RuleError]:
+    """Yield a warning for each memory that rules and clauses read and that is not there, nor made by a goal."""
+    made = {instance.id for instance in engine.knowledge.memories if isinstance(instance.id, Atom)}
+    asked: List[_Text] = []
+    bodies = [_Text(term, "", None) for term in engine.rules.terms()]
+    for text in [*_rules(engine), *bodies]:
+        for part in _parts(text.term):
+            if part.__class__ is tuple and part[0] in _MAKES:
+                made.add(deref(part[4]))
+            asked += [_Text(name, "", text.place) for name in _memories_in(part)]
+    if any(not isinstance(name, Atom) for name in made):  # which ones are made is known only then
+        return
+    for name, _, place in asked:
+        if name not in made:
+            made.add(name)
+            meant = get_close_matches(name.name, [known.name for known in made if known is not name], 1)
+            hint = f"; did you mean {meant[0]}?" if meant else ""
+            yield RuleError(f"there is no memory {name.name} yet{hint}", place)
+
+
+def _rules(engine: Any) -> List[_Text]:
+    return [_Text(rule.definition.term, "", rule.place) for rule in engine.rules.rules]
+
+
+def _parts(term: Term) -> Iterator[Any]:
+    """Yield the atoms and compound terms in a term."""
+    stack = [term]
+    while stack:
+        item = deref(stack.pop())
+        if item.__class__ is tuple:
+            yield item
+            stack.extend(item[:0:-1])
+        elif item.__class__ is Atom:
+            yield item
+
+
+def _memories_in(part: Any) -> Iterator[Atom]:
+    """Yield the memories that a goal reads or a query waits for, where they are named."""
+    if part.__class__ is not tuple:
+        return
+    names = [part[1]] if part[0] in _READS else []
+    if part[0] in _WAITS:
+        names = [pair[0] for pair in map(list_items, list_items(part[3]) or ()) if pair]
+    for name in map(deref, names):
+        if isinstance(name, Atom):
+            yield name
+
+
+def _wrong(key: Functor, kind: str, definitions: Definitions, near: Collection[str]) -> str:
+    """Return what is wrong with a term that is meant as a message, "" where it is right or cannot be told."""
+    if kind not in definitions:
+        meant = get_close_matches(kind, near, 1, 0.8)
+        return f"there is no message type {kind} here; did you mean {meant[0]}?" if meant else ""
+    slots = [slot.name for slot in definitions.find(kind).fields]
+    if len(slots) == key.arity:
+        return ""
+    return f"{key} is no message: {kind} has {len(slots)} slots{': ' if slots else ''}{', '.join(slots)}"
