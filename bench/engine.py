@@ -20,7 +20,6 @@ sys.path[:0] = [str(HERE), str(HERE.parent / "src"), str(HERE.parent / "examples
 
 import workload as work  # noqa: E402
 from arguments import existing, interpreter, positive, target  # noqa: E402
-from renamed import renamed  # noqa: E402
 
 from retalis.collector import relax  # noqa: E402
 from retalis.engine import Engine  # noqa: E402
@@ -100,7 +99,7 @@ def nao(name: str, messages: bool, extra: str = "", seconds: int = 10) -> Result
 def nao_renamed(name: str, messages: bool) -> Result:
     """S1 with other message types, functors and orders of slots; terms only."""
     engine = work.nao_engine(other_names=True)
-    items = [item._replace(term=renamed(item.term)) for item in work.nao_stream(10)]
+    items = work.nao_stream(10, other_names=True)
     cpu, outputs = feed(engine, items, False)
     return Result(name, len(items), cpu, outputs)
 

@@ -30,11 +30,16 @@ def renamed(term: Term) -> Term:
     term = deref(term)
     if term.__class__ is not tuple:
         return term
-    found = NAMES.get((term[0].name, term[0].arity))
+    return make_renamed(term[0].name, *map(renamed, term[1:]))
+
+
+def make_renamed(name: str, *arguments: Term) -> Term:
+    """Return a compound term whose name and order of arguments are the other ones."""
+    found = NAMES.get((name, len(arguments)))
     if found is None:
-        return (term[0], *map(renamed, term[1:]))
+        return functor(name, len(arguments))(*arguments)
     name, order = found
-    return functor(name, len(order))(*(renamed(term[at]) for at in order))
+    return functor(name, len(order))(*[arguments[at - 1] for at in order])
 
 
 def renamed_program(text: str) -> List[str]:

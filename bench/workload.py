@@ -2,9 +2,9 @@
 
 import math
 from pathlib import Path
-from typing import Iterator, List, NamedTuple, Tuple
+from typing import Callable, Iterator, List, NamedTuple, Tuple
 
-from renamed import renamed_program
+from renamed import make_renamed, renamed_program
 
 from retalis.engine import Engine
 from retalis.messages import Definitions
@@ -37,45 +37,62 @@ def quoted(text: str) -> Term:
     return atom(f'"{text}"')
 
 
-def point(name: str, *values: float) -> Term:
-    """Return a message of numbers."""
-    return functor(f"geometry_msgs__0__{name}", len(values))(*values)
+def make_term(name: str, *arguments: Term) -> Term:
+    """Return a compound term."""
+    return functor(name, len(arguments))(*arguments)
 
 
-def header(seconds: int, nanoseconds: int, frame: str) -> Term:
-    """Return a header."""
-    return functor("std_msgs__0__Header", 3)(1, make_list([seconds, nanoseconds]), quoted(frame))
+class Messages:
+    """The NAO's messages as terms.
+
+    Args:
+        make: makes a compound term of a name and arguments.
+    """
+
+    def __init__(self, make: Callable[..., Term] = make_term):
+        self.make = make
+
+    def numbers(self, name: str, *values: float) -> Term:
+        """Return a message of numbers."""
+        return self.make(f"geometry_msgs__0__{name}", *values)
+
+    def header(self, seconds: int, nanoseconds: int, frame: str) -> Term:
+        """Return a header."""
+        return self.make("std_msgs__0__Header", 1, make_list([seconds, nanoseconds]), quoted(frame))
+
+    def transform(self, time: float, parent: str, child: str) -> Term:
+        """Return the tf message of one transform at a time after `BASE`."""
+        seconds, nanoseconds = BASE + int(time), int((time - int(time)) * 1e9)
+        x = math.sin(time)
+        pose = self.make(
+            "geometry_msgs__0__Transform",
+            self.numbers("Vector3", x, x / 10, 0.2),
+            self.numbers("Quaternion", 0.0, 0.0, math.sin(x / 2), math.cos(x / 2)),
+        )
+        header = self.header(seconds, nanoseconds, parent)
+        stamped = self.make("geometry_msgs__0__TransformStamped", header, quoted(child), pose)
+        return self.make("tf__0__tfMessage", make_list([stamped]))
+
+    def marker(self, time: float, number: int) -> Tuple[Term, int]:
+        """Return the message of one observation, and its instant."""
+        seconds, nanoseconds = BASE + int(time), int((time - int(time)) * 1e9)
+        pose = self.make(
+            "geometry_msgs__0__Pose",
+            self.numbers("Point", 1.0, 0.5, 0.2),
+            self.numbers("Quaternion", 0.0, 0.0, 0.0, 1.0),
+        )
+        with_covariance = self.make("geometry_msgs__0__PoseWithCovariance", pose, make_list([0.0] * 36))
+        header = self.header(seconds, nanoseconds, f"4x4_{number}")
+        one = self.make("ar_pose__0__ARMarker", header, number, with_covariance, 50)
+        message = self.make("ar_pose__0__ARMarkers", self.header(seconds, nanoseconds, ""), make_list([one]))
+        return message, seconds * 10**9 + nanoseconds
 
 
-def transform(time: float, parent: str, child: str) -> Term:
-    """Return the tf message of one transform at a time after `BASE`."""
-    seconds, nanoseconds = BASE + int(time), int((time - int(time)) * 1e9)
-    x = math.sin(time)
-    pose = functor("geometry_msgs__0__Transform", 2)(
-        point("Vector3", x, x / 10, 0.2), point("Quaternion", 0.0, 0.0, math.sin(x / 2), math.cos(x / 2))
-    )
-    stamped = functor("geometry_msgs__0__TransformStamped", 3)(
-        header(seconds, nanoseconds, parent), quoted(child), pose
-    )
-    return functor("tf__0__tfMessage", 1)(make_list([stamped]))
+def nao_stream(seconds: int, other_names: bool = False) -> List[Item]:
+    """Return the NAO's messages in the order of time: 1,880 transforms and 7 markers a second.
 
-
-def marker(time: float, number: int) -> Tuple[Term, int]:
-    """Return the message of one observation, and its instant."""
-    seconds, nanoseconds = BASE + int(time), int((time - int(time)) * 1e9)
-    pose = functor("geometry_msgs__0__Pose", 2)(
-        point("Point", 1.0, 0.5, 0.2), point("Quaternion", 0.0, 0.0, 0.0, 1.0)
-    )
-    with_covariance = functor("geometry_msgs__0__PoseWithCovariance", 2)(pose, make_list([0.0] * 36))
-    one = functor("ar_pose__0__ARMarker", 4)(
-        header(seconds, nanoseconds, f"4x4_{number}"), number, with_covariance, 50
-    )
-    message = functor("ar_pose__0__ARMarkers", 2)(header(seconds, nanoseconds, ""), make_list([one]))
-    return message, seconds * 10**9 + nanoseconds
-
-
-def nao_stream(seconds: int) -> List[Item]:
-    """Return the NAO's messages in the order of time: 1,880 transforms and 7 markers a second."""
+    Those with other names are made with them, not renamed: how terms lie in memory tells in the time they take.
+    """
     pairs = [(parent, child, rate) for parent, child, _, rate in CHAIN]
     pairs += [(f"link{i}", f"link{i}_child", 50) for i in range(1, 36)]
     timed = []
@@ -85,12 +102,13 @@ def nao_stream(seconds: int) -> List[Item]:
     for k in range(1, seconds * 7 + 1):
         timed.append(((k - 1) / 7 + 0.01, 1, str(k % 8 + 1), ""))
     timed.sort(key=lambda entry: entry[0])
+    messages = Messages(make_renamed if other_names else make_term)
     items = []
     for time, kind, first, second in timed:
         if kind == 0:
-            items.append(Item(transform(time, first, second), None, "tf/tfMessage"))
+            items.append(Item(messages.transform(time, first, second), None, "tf/tfMessage"))
         else:
-            items.append(Item(*marker(time, int(first)), "ar_pose/ARMarkers"))
+            items.append(Item(*messages.marker(time, int(first)), "ar_pose/ARMarkers"))
     return items
 
 

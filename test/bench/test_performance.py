@@ -40,13 +40,14 @@ def test_a_case_is_one_line(bench, capsys, monkeypatch):
 
 def test_other_names_are_the_same_work(bench):
     engine, work, renamed = bench("engine"), bench("workload"), bench("renamed")
-    items = work.nao_stream(3)
+    streams = [work.nao_stream(3), work.nao_stream(3, other_names=True)]
+    assert [renamed.renamed(item.term) for item in streams[0]] == [item.term for item in streams[1]]
     counts = []
     for other in (False, True):
         machine = work.nao_engine(other)
         outputs = engine.Outputs(machine)
-        for item in items:
-            machine.post(renamed.renamed(item.term) if other else item.term, item.instant)
+        for item in streams[other]:
+            machine.post(item.term, item.instant)
         counts.append(outputs.number)
     assert counts[0] == counts[1] == 21
 
