@@ -60,6 +60,13 @@ def test_right_and_foreign_terms_are_left_alone(definitions):
     assert warnings(definitions, f"{rules} b <- other__0__Thing(_) or my_msgs__0__Empty.") == []
 
 
+def test_types_that_are_learned_later_are_left_alone(definitions):
+    engine = Engine()
+    engine.load(rules="a(X) <- far_msgs__0__WarmFeedback(far_msgs__0__Warm(X), my_msgs__0__Warm(_, _)).")
+    types = ["my_msgs/Warm", "far_msgs/WarmFeedback"]
+    assert list(wrong_messages(engine, definitions, types)) == []
+
+
 @pytest.mark.parametrize(
     ("rules", "found"),
     [

@@ -41,7 +41,12 @@ def wrong_messages(engine: Any, definitions: Definitions, types: Collection[str]
         types: those that the program's topics have.
     """
     known = [definitions.find(kind) for kind in types if kind in definitions]
-    near = sorted({*types, *(nested.name for one in known for nested in one.dependencies())})
+    near = sorted(
+        {name for one in known for name in (one.name, *(nested.name for nested in one.dependencies()))}
+    )
+    later = {
+        kind.partition("/")[0] for kind in types if kind not in definitions
+    }  # learned from their publishers
     seen: Set[Functor] = set()
     patterns = [_Text(pattern, f"{who}: ", None) for pattern, who in engine.knowledge.patterns()]
     for text in [*_rules(engine), *patterns]:
@@ -49,7 +54,9 @@ def wrong_messages(engine: Any, definitions: Definitions, types: Collection[str]
             key = part.functor if isinstance(part, Atom) else part[0]
             kind = None if key in seen else type_name(key.name)
             seen.add(key)
-            wrong = kind and _wrong(key, kind, definitions, near)
+            if kind is None or kind.partition("/")[0] in later:
+                continue
+            wrong = _wrong(key, kind, definitions, near)
             if wrong:
                 yield RuleError(f"{text.who}{wrong}", text.place)
 
