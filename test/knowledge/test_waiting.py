@@ -13,6 +13,7 @@ import pytest
 
 from retalis.engine import Engine, Settings
 from retalis.events import Stage
+from retalis.logic import Limits
 from retalis.terms import Var, atom, functor
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
@@ -407,3 +408,17 @@ def test_queries_of_messages_may_need_the_machine(run, query):
     engine.post(value(1), 11 * 10**9)
     assert names(engine) == ["done(1)", "done(1)"]
     assert engine.dispatcher.current is None
+
+
+@pytest.mark.parametrize("goal", ["loop", "length(_, 3000000)"])
+def test_limits_hold_for_each_query(run, goal, caplog):
+    rules = f"loop :- loop.\nsyncronized(done(X), {goal}, [[m, T]]) <- ask(X, T).\ndone(rule) <- v(_)."
+    engine = run(rules, MEMORY, limits=Limits(inferences=3000))
+    ask, value = functor("ask", 2), functor("v", 1)
+    engine.post(value(0), 10**9)
+    for number, second in ((1, 1.0), (2, 2.0), (3, 2.0)):
+        engine.post(ask(number, second), 10**9)
+    engine.post(value(1), 2 * 10**9)
+    assert names(engine) == ["done(rule)", "done(rule)"]
+    assert "done(1) is dropped, its query raised: Not enough resources: inferences" in caplog.text
+    assert "done(2) is dropped, its query raised: Not enough resources: inferences" in caplog.text
