@@ -3,12 +3,13 @@
 import logging
 from contextlib import closing
 from pathlib import Path
-from typing import Any, Callable, Dict, Generator, List, NamedTuple, Optional, Sequence, Tuple, Union, cast
+from typing import Any, Callable, Dict, Generator, List, NamedTuple, Optional, Tuple, Union, cast
 
 from . import timestamps
 from ._foreign import define_foreign, load_module
 from ._goalfile import errors_in, goals_of
-from ._inputs import READERS, InputReader, beginning
+from ._inputs import InputReader, beginning
+from ._making import define_new_event
 from ._reports import Reports
 from ._runner import Runner
 from .clock import Clock, StreamClock
@@ -18,8 +19,8 @@ from .knowledge import Knowledge
 from .logic import Limits, Logic, instantiation_error, permission_error, type_error
 from .program import GOALS, read_text
 from .syntax import read_term
-from .terms import Atom, Functor, String, Term, Var, copy, deref, functor, variables
-from .timestamps import FIRST, LAST, SECOND, WholeSeconds
+from .terms import Atom, Functor, String, Term, Var, copy, deref, variables
+from .timestamps import WholeSeconds
 
 log = logging.getLogger("retalis")
 
@@ -89,7 +90,8 @@ class Engine:
         self._texts = InputReader(self.logic.operators)
         self._outputs: List[OnOutput] = []
         self._done = self.logic.machine.done
-        self._define()
+        define_new_event(self.logic, self.dispatcher)
+        self.logic.define("use_foreign", 1, self._use_foreign).locked = True
 
     # ---- loading -------------------------------------------------------------------------------------
 
@@ -381,29 +383,6 @@ class Engine:
         self.reports.warning(
             f"events come faster than they are worked off: {dropped} dropped so far", "dropped"
         )
-
-    def _define(self) -> None:
-        """Define the goals that make events."""
-        logic = self.logic
-
-        dispatch = self.dispatcher.dispatch
-
-        def at_instant(machine: Any, arguments: Sequence[Term], after: Any, plain: bool = False) -> Any:
-            event, seconds, nanoseconds = arguments
-            if seconds.__class__ is int and nanoseconds.__class__ is int:
-                instant = seconds * SECOND + nanoseconds
-                if FIRST <= instant < LAST:
-                    return dispatch(event, instant, instant, after, None, plain or None, plain)
-            return general(machine, arguments, after)
-
-        def general(machine: Any, arguments: Sequence[Term], after: Any) -> Any:
-            made = READERS[functor("new_event", len(arguments))](arguments)
-            return dispatch(made.term, made.start, made.end, after, own=False)
-
-        logic.define_control("new_event", 2, general, at_once=True)
-        logic.define_control("new_event", 3, at_instant, at_once=True, gate=self.dispatcher.gate)
-        logic.define_control("new_event", 5, general, at_once=True)
-        logic.define("use_foreign", 1, self._use_foreign).locked = True
 
     def _use_foreign(self, machine: Any, module: Term) -> bool:
         """Load a Python module and define its predicates: ``use_foreign(Module)``."""

@@ -9,6 +9,7 @@ from ..errors import Place
 from ..syntax import Operators, write_term
 from ..terms import TRUE, Atom, Functor, Term, Var, copy, deref, functor
 from . import builtins
+from .clause import Clause
 from .control import Control, check_body, control_predicates
 from .database import Database
 from .faults import PrologError, instantiation_error, type_error
@@ -16,7 +17,7 @@ from .functional import functional
 from .goal import Goal
 from .limits import Limits
 from .machine import LAST, Code, Frame, Machine
-from .predicate import COMPILE_AFTER, Clause, Predicate
+from .predicate import COMPILE_AFTER, Predicate
 from .unknown import similar, undefined
 
 _NECK = functor(":-", 2)

@@ -7,8 +7,9 @@ again and again without changing is compiled.
 
 from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple
 
-from ..terms import TRUE, Functor, Term, Var, copy, is_ground, undo, unify
+from ..terms import Functor, Term, Var, copy, undo, unify
 from ..watching import look
+from .clause import NEVER, Clause, may_match
 from .compiler import Generator, Rule
 from .compiler.direct import Direct
 from .compiler.facts import fact_search
@@ -31,33 +32,6 @@ _INDEX_FROM = 8
 
 _MANY = 1000
 """Clauses from which on a search among them may take as long as many inferences."""
-
-NEVER = 1 << 62
-
-
-class Clause:
-    """A clause of a predicate.
-
-    Attributes:
-        head, body: its term; the variables are its own and never bound.
-        died: the generation that retracted it.
-        keys: first-level key of each argument, None for variables.
-        place: where it was read.
-    """
-
-    __slots__ = ("head", "body", "died", "keys", "ground", "fact", "code", "uses", "place", "predicate")
-
-    def __init__(self, predicate: "Predicate", head: Term, body: Term, place: Any):
-        self.predicate = predicate
-        self.head = head
-        self.body = body
-        self.died = NEVER
-        self.place = place
-        self.keys = tuple([key_of(arg) for arg in head[1:]]) if head.__class__ is tuple else ()
-        self.fact = body is TRUE
-        self.ground = self.fact and is_ground(head)
-        self.code: Optional[Callable[[Frame], Optional[Frame]]] = None
-        self.uses = 0
 
 
 class Predicate:
@@ -403,14 +377,6 @@ def fact_names(machine: Machine) -> Dict[str, Any]:
 
 
 _NEXT_FACT = Code("facts", lambda entry: entry[1](*entry[2:8]))
-
-
-def may_match(keys: List[Any], others: Tuple[Any, ...]) -> bool:
-    """Tell whether the first-level keys of a call and of a clause's head agree."""
-    for key, other in zip(keys, others):
-        if key is not other and key is not None and other is not None and key != other:
-            return False
-    return True
 
 
 def _args(head: Term) -> Tuple[Term, ...]:

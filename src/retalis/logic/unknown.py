@@ -4,9 +4,10 @@ from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any, Dict, List
 
 from ..terms import FALSE, Atom, Functor, Term, atom, copy, deref, undo, unify
+from .clause import Clause
 from .faults import CONTEXT, existence_error, indicator
 from .machine import Frame
-from .predicate import Clause, Predicate
+from .predicate import Predicate
 
 if TYPE_CHECKING:
     from .logic import Logic

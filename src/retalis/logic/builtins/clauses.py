@@ -19,11 +19,12 @@ from ...terms import (
     undo,
     unify,
 )
+from ..clause import NEVER, may_match
 from ..compiler.nodes import CONTROL
 from ..faults import indicator, instantiation_error, permission_error, type_error
 from ..keys import key_of
 from ..machine import LAST
-from ..predicate import NEVER, Predicate, may_match
+from ..predicate import Predicate
 from .arguments import indicator_of
 from .registry import control, deterministic, nondeterministic
 

@@ -9,7 +9,8 @@ from ...errors import SyntaxFault
 from ...syntax import Operators, read_program
 from ...terms import Atom, deref
 from ...watching import watched_by
-from ..predicate import Clause, Predicate
+from ..clause import Clause
+from ..predicate import Predicate
 
 if TYPE_CHECKING:
     from ..logic import Logic

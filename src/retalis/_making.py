@@ -1,0 +1,30 @@
+"""The goals with which a program makes events at times of its own: ``new_event/2,3,5``."""
+
+from typing import Any, Sequence
+
+from ._inputs import READERS
+from .events import Dispatcher
+from .logic import Logic
+from .terms import Term, functor
+from .timestamps import FIRST, LAST, SECOND
+
+
+def define_new_event(logic: Logic, dispatcher: Dispatcher) -> None:
+    """Define ``new_event``: with a list of two stamps, with seconds and nanoseconds, with those of start and end."""
+    dispatch = dispatcher.dispatch
+
+    def at_instant(machine: Any, arguments: Sequence[Term], after: Any, plain: bool = False) -> Any:
+        event, seconds, nanoseconds = arguments
+        if seconds.__class__ is int and nanoseconds.__class__ is int:
+            instant = seconds * SECOND + nanoseconds
+            if FIRST <= instant < LAST:
+                return dispatch(event, instant, instant, after, None, plain or None, plain)
+        return general(machine, arguments, after)
+
+    def general(machine: Any, arguments: Sequence[Term], after: Any) -> Any:
+        made = READERS[functor("new_event", len(arguments))](arguments)
+        return dispatch(made.term, made.start, made.end, after, own=False)
+
+    logic.define_control("new_event", 2, general, at_once=True)
+    logic.define_control("new_event", 3, at_instant, at_once=True, gate=dispatcher.gate)
+    logic.define_control("new_event", 5, general, at_once=True)
