@@ -7,10 +7,12 @@ import pytest
 
 rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 
+from retalis._reports import Reports  # noqa: E402
 from retalis.messages import Definitions  # noqa: E402
 from retalis.ros.interface import Input  # noqa: E402
 
 TEXT = "float32 degrees\n"
+WARM = struct.pack("<f", 36.5)
 
 
 @pytest.fixture
@@ -20,7 +22,7 @@ def receive(monkeypatch):
     monkeypatch.setattr(rospy, "Subscriber", lambda *arguments, **options: None)
     monkeypatch.setattr(rospy, "logwarn", lambda text, *values: warnings.append(text % values))
 
-    def receive(wanted, sent):
+    def receive(wanted, sent, times=1, data=WARM):
         definitions = Definitions()
         taken = []
         found = Input(
@@ -30,19 +32,23 @@ def receive(monkeypatch):
             lambda decoder: lambda data: taken.append(decoder.decode(data)),
             5,
             threading.Lock(),
+            reports,
         )
         md5sum = Definitions().add(sent, TEXT).md5sum
         message = rospy.AnyMsg()
-        message._buff = struct.pack("<f", 36.5)
+        message._buff = data
         message._connection_header = {
             "type": sent,
             "md5sum": md5sum,
             "message_definition": TEXT,
             "callerid": "/thermometer",
         }
-        found._receive(message)
+        for _ in range(times):
+            found._receive(message)
         return taken, warnings
 
+    reports = Reports()
+    receive.reports = reports
     return receive
 
 
@@ -58,3 +64,23 @@ def test_a_type_that_only_the_publisher_knows_is_taken_without_a_word(receive):
     taken, warnings = receive("lab/Temperature", "lab/Temperature")
     assert [term[0].name for term in taken] == ["lab__0__Temperature"]
     assert warnings == []
+
+
+def test_messages_of_another_type_are_counted(receive, caplog):
+    taken, _ = receive("std_msgs/String", "lab/Temperature", times=7)
+    receive.reports.sum_up()
+    shown = [record.getMessage() for record in caplog.records]
+    text = (
+        "topic /heat: expected std_msgs/String, found lab/Temperature: a message of /thermometer is dropped"
+    )
+    assert taken == []
+    assert (shown[0], shown[-1]) == (text, f"7 times in all: {text}")
+
+
+def test_messages_that_do_not_fit_their_type_are_counted(receive, caplog):
+    taken, _ = receive("lab/Temperature", "lab/Temperature", times=7, data=b"12")
+    receive.reports.sum_up()
+    shown = [record.getMessage() for record in caplog.records]
+    assert taken == []
+    assert shown[0].startswith("a message on /heat is dropped: ")
+    assert shown[-1] == f"7 times in all: {shown[0]}"

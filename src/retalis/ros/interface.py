@@ -37,9 +37,6 @@ _Link = Tuple[Dict[str, str], Take]
 HOLD = 0.001
 """Seconds for which a message may wait for the next ones, where they come fast."""
 
-PERIOD = 5.0
-"""Seconds between two warnings of the same kind."""
-
 
 _SIZE = Struct("<I")
 
@@ -102,7 +99,15 @@ class Interface:
             if name in self._inputs:
                 raise UsageError(f"topic {topic} is subscribed already (as {self._inputs[name].kind})")
             self._inputs[name] = Input(
-                self.definitions, name, kind, self._taker, self._queue, self._gate, self._done, self._hold
+                self.definitions,
+                name,
+                kind,
+                self._taker,
+                self._queue,
+                self._gate,
+                self._reports,
+                self._done,
+                self._hold,
             )
 
     def subscribe_texts(self, topic: str, take: Callable[[str], Any]) -> None:
@@ -110,7 +115,9 @@ class Interface:
         name = rospy.resolve_name(topic)
         taker = text_taker(take)
         gate = threading.Lock()
-        self._texts.append(Input(self.definitions, name, "std_msgs/String", taker, self._queue, gate))
+        self._texts.append(
+            Input(self.definitions, name, "std_msgs/String", taker, self._queue, gate, self._reports)
+        )
 
     def leave(self, topics: Iterable[TopicType]) -> None:
         """Refuse topics that node retalis subscribes by itself, so that none enters twice."""
@@ -177,17 +184,18 @@ class Input:
         taker: Taker,
         queue: int,
         gate: ContextManager[Any],
+        reports: Reports,
         done: Callable[[], Any] = nothing,
         hold: float = HOLD,
     ):
         self.kind = kind
+        self._reports = reports
         self._gate = gate
         self._done = done
         self._definitions = definitions
         self._name = name
         self._taker = taker
         self._links: Dict[int, _Link] = {}
-        self.refused = 0
         self._subscriber = rospy.Subscriber(
             name, rospy.AnyMsg, self._receive, queue_size=queue, tcp_nodelay=True
         )
@@ -219,7 +227,9 @@ class Input:
             try:
                 take(data)
             except MessageError as error:
-                rospy.logerr_throttle(PERIOD, f"a message on {self._name} is dropped: {error}")
+                self._reports.error(
+                    RetalisError(f"a message on {self._name} is dropped: {error}"), ("in", self._name)
+                )
             except Exception:  # one message must not end the connection
                 rospy.logerr("a message on %s is dropped: %s", self._name, traceback.format_exc())
 
@@ -227,24 +237,31 @@ class Input:
 
     def _connected(self, header: Dict[str, str]) -> _Link:
         """Note who takes the messages of a connection; its header is kept, so that its id stays its own."""
-        decoder = self._learn(header)
         if len(self._links) >= LINKS:  # publishers that come and go
             self._links.clear()
-        take = self._refuser(header) if decoder is None else self._guarded(self._taker(decoder))
+        try:
+            take = self._guarded(self._taker(self._learn(header)))
+        except MessageError as error:
+            publisher = header.get("callerid", "somebody")
+            take = self._refuser(f"topic {self._name}: {error.message}: a message of {publisher} is dropped")
         link = self._links[id(header)] = (header, take)
         return link
 
-    def _learn(self, header: Dict[str, str]) -> Optional[Decoder]:
-        """Return the decoder for a publisher's messages, None where they are of another type."""
+    def _refuser(self, reason: str) -> Take:
+        """Return what drops messages, and reports and counts them."""
+        return lambda data: self._reports.warning(reason)
+
+    def _learn(self, header: Dict[str, str]) -> Decoder:
+        """Return the decoder for a publisher's messages.
+
+        Raises:
+            MessageError: where they are of another type.
+        """
         sent = header.get("type", "*")
         is_known = self.kind in self._definitions
-        try:
-            definition = self._definitions.received(
-                self.kind, sent, header.get("message_definition", ""), header["md5sum"]
-            )
-        except MessageError as error:
-            rospy.logerr("topic %s: %s", self._name, error)
-            return None
+        definition = self._definitions.received(
+            self.kind, sent, header.get("message_definition", ""), header["md5sum"]
+        )
         if not is_known and sent != self.kind:
             rospy.logwarn(
                 "topic %s is subscribed as %s, which is unknown here; %s publishes %s: taken under that name",
@@ -254,19 +271,6 @@ class Input:
                 sent,
             )
         return self._definitions.decoder(definition)
-
-    def _refuser(self, header: Dict[str, str]) -> Take:
-        """Return what counts the messages of a publisher of another type."""
-
-        def refuse(data: bytes) -> None:
-            self.refused += 1
-            rospy.logwarn_throttle(
-                PERIOD,
-                f"topic {self._name} is subscribed as {self.kind}, but {header.get('callerid', 'somebody')} "
-                f"publishes {header.get('type', 'another type')}: {self.refused} messages dropped",
-            )
-
-        return refuse
 
 
 def resolve(topic: str) -> str:
