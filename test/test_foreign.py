@@ -218,7 +218,7 @@ def test_use_foreign(tmp_path):
     (tmp_path / "rules.txt").write_text(rules)
     (tmp_path / "goalPredicates.txt").write_text("compile_event_file('rules.txt')\n")
     refused = Engine()
-    with pytest.raises(ProgramErrors, match="No permission to load foreign_module"):
+    with pytest.raises(ProgramErrors, match="load foreign_module .*: the setting allow_foreign is off"):
         refused.load_program(tmp_path)
     engine = Engine(settings=Settings(allow_foreign=True))
     engine.load_program(tmp_path)

@@ -2,8 +2,10 @@ from pathlib import Path
 
 import pytest
 
+from retalis.engine import Engine
 from retalis.errors import ProgramErrors, UsageError
-from retalis.program import TopicType, read_topics
+from retalis.logic import PrologError
+from retalis.program import TopicType, read_text, read_topics
 
 APPLICATION = Path(__file__).parent.parent / "application_source"
 
@@ -73,3 +75,13 @@ def test_all_errors_come_at_once(tmp_path):
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(UsageError, match="nothing.xml"):
         read_topics(tmp_path / "nothing.xml")
+
+
+def test_where_a_text_is_no_utf_8_is_said(tmp_path):
+    path = tmp_path / "latin.txt"
+    path.write_bytes("a.\nb. % gr\u00fcn\n".encode("latin-1"))
+    with pytest.raises(UsageError, match=r"latin.txt: no UTF-8 text \(line 2: invalid start byte 0xfc\)"):
+        read_text(path)
+    engine = Engine()
+    with pytest.raises(PrologError, match=r"no UTF-8 text \(line 2: invalid start byte 0xfc\)"):
+        engine.call(f"compile_event_file('{path}')")

@@ -392,7 +392,7 @@ class Engine:
         if module.__class__ not in (Atom, String):
             raise type_error("atom", module)
         if not self.settings.allow_foreign:
-            raise permission_error("load", "foreign_module", module)
+            raise permission_error("load", "foreign_module", module, "the setting allow_foreign is off")
         name: str = module.name if module.__class__ is Atom else module.text  # type: ignore[assignment]
         define_foreign(self.logic, load_module(name, self.rules.files.resolve))
         return True

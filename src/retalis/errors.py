@@ -31,6 +31,12 @@ def place_at(source: str, text: str, offset: int) -> Place:
     return Place(source, text.count("\n", 0, start) + 1, offset - start + 1, line)
 
 
+def undecodable(error: UnicodeDecodeError) -> str:
+    """Return what is wrong with a text that is no UTF-8, and where."""
+    line = error.object.count(b"\n", 0, error.start) + 1
+    return f"no UTF-8 text (line {line}: {error.reason} 0x{error.object[error.start]:02x})"
+
+
 class RetalisError(Exception):
     """Root of all errors that this package raises on purpose.
 

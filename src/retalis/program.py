@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Dict, List, NamedTuple, Tuple, Union
 from xml.parsers import expat
 
-from .errors import Place, ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
+from .errors import Place, ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError, undecodable
 
 GOALS = "goalPredicates.txt"
 TOPICS = "pub_sub.xml"
@@ -33,7 +33,7 @@ def read_text(path: Union[str, Path]) -> str:
     try:
         return Path(path).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else f"no UTF-8 text ({error.reason})"
+        reason = error.strerror if isinstance(error, OSError) else undecodable(error)
         raise UsageError(f"cannot read {path}: {reason}") from error
 
 

@@ -4,7 +4,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Iterable, Iterator, List, Optional, Set
 
-from ..errors import UsageError
+from ..errors import UsageError, undecodable
 from ..logic import existence_error, permission_error
 from ..terms import Term, atom
 from .libraries import file_name
@@ -120,7 +120,7 @@ def text_of(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
-        raise UsageError(f"cannot read {path}: no UTF-8 text") from error
+        raise UsageError(f"cannot read {path}: {undecodable(error)}") from error
     except FileNotFoundError as error:
         raise existence_error("source_sink", atom(str(path))) from error
     except OSError as error:
