@@ -60,6 +60,23 @@ def test_right_and_foreign_terms_are_left_alone(definitions):
     assert warnings(definitions, f"{rules} b <- other__0__Thing(_) or my_msgs__0__Empty.") == []
 
 
+@pytest.mark.parametrize("text", ["ann", '"ann"'])
+def test_texts_without_their_quotes_are_warned_of(definitions, text):
+    header = f"std_msgs__0__Header(_, _, {text})"
+    wrong = """frame_id of std_msgs/Header is a text, which events have with its quotes: write '"ann"'"""
+    rules = f"a <- b seq (my_msgs__0__Warm({header}, _) where true)."
+    assert [found.split("\n")[0] for found in warnings(definitions, rules)] == [f"text:1:1: {wrong}"]
+    goals = f"memorize(my_msgs__0__Warm({header}, _), [], _, m, 5)"
+    assert warnings(definitions, goals=goals) == [f"memory m: {wrong}"]
+
+
+def test_texts_with_their_quotes_and_in_heads_and_goals_are_left_alone(definitions):
+    header = "std_msgs__0__Header(0, [0,0], {})".format
+    right = header("""'"ann"'""")
+    rules = f"my_msgs__0__Warm({header('ann')}, 1) <- my_msgs__0__Warm({right}, X) where X = {header('b')}."
+    assert warnings(definitions, rules) == []
+
+
 def test_types_that_are_learned_later_are_left_alone(definitions):
     engine = Engine()
     engine.load(rules="a(X) <- far_msgs__0__WarmFeedback(far_msgs__0__Warm(X), my_msgs__0__Warm(_, _)).")

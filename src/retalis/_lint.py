@@ -1,9 +1,10 @@
 """What a program that reads well was probably not meant to say: wrong messages, memories that are not there."""
 
 from difflib import get_close_matches
-from typing import Any, Collection, Iterator, List, NamedTuple, Optional, Set
+from typing import Any, Collection, Iterable, Iterator, List, NamedTuple, Optional, Set
 
 from .errors import Place, RuleError
+from .events.pattern import Occurs, walk
 from .messages import Definitions, type_name
 from .terms import Atom, Functor, Term, deref, functor, list_items
 
@@ -49,6 +50,7 @@ def wrong_messages(engine: Any, definitions: Definitions, types: Collection[str]
     }  # learned from their publishers
     seen: Set[Functor] = set()
     patterns = [_Text(pattern, f"{who}: ", None) for pattern, who in engine.knowledge.patterns()]
+    yield from _bare_texts([*_events(engine), *patterns], definitions)
     for text in [*_rules(engine), *patterns]:
         for part in _parts(text.term):
             key = part.functor if isinstance(part, Atom) else part[0]
@@ -83,6 +85,28 @@ def unknown_memories(engine: Any) -> Iterator[RuleError]:
 
 def _rules(engine: Any) -> List[_Text]:
     return [_Text(rule.definition.term, "", rule.place) for rule in engine.rules.rules]
+
+
+def _events(engine: Any) -> Iterator[_Text]:
+    """Yield the events in the patterns of rules."""
+    for rule in engine.rules.rules:
+        for node in walk(rule.definition.pattern, negated=True):
+            if isinstance(node, Occurs):
+                yield _Text(node.term, "", rule.place)
+
+
+def _bare_texts(texts: Iterable[_Text], definitions: Definitions) -> Iterator[RuleError]:
+    """Yield a warning for each text in a pattern that stands there without its quotes."""
+    for text in texts:
+        for part in _parts(text.term):
+            kind = type_name(part[0].name) if part.__class__ is tuple else None
+            if kind is None or kind not in definitions:
+                continue
+            for slot, value in zip(definitions.find(kind).fields, map(deref, part[1:])):
+                bare = getattr(value, "name" if isinstance(value, Atom) else "text", None)
+                if slot.describe() == "string" and bare is not None and not bare.startswith('"'):
+                    wrong = f"{slot.name} of {kind} is a text, which events have with its quotes"
+                    yield RuleError(f"{text.who}{wrong}: write '\"{bare}\"'", text.place)
 
 
 def _parts(term: Term) -> Iterator[Any]:
