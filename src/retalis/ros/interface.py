@@ -48,9 +48,6 @@ def nothing() -> None:
 class Interface:
     """Subscribes topics for an engine and publishes what comes out of it.
 
-    Attributes:
-        definitions: the message types that are known.
-
     Args:
         taker: gives what takes the messages of a type.
         queue: length of the queues.
@@ -71,7 +68,7 @@ class Interface:
         self._done = done
         self._hold = hold
         self._queue = queue
-        self.definitions = Definitions() if definitions is None else definitions
+        self._definitions = Definitions() if definitions is None else definitions
         self._inputs: Dict[str, Input] = {}
         self._outputs: Dict[str, Tuple[Outlet, Encoder]] = {}
         self._texts: List[Input] = []
@@ -99,7 +96,7 @@ class Interface:
             if name in self._inputs:
                 raise UsageError(f"topic {topic} is subscribed already (as {self._inputs[name].kind})")
             self._inputs[name] = Input(
-                self.definitions,
+                self._definitions,
                 name,
                 kind,
                 self._taker,
@@ -116,7 +113,7 @@ class Interface:
         taker = text_taker(take)
         gate = threading.Lock()
         self._texts.append(
-            Input(self.definitions, name, "std_msgs/String", taker, self._queue, gate, self._reports)
+            Input(self._definitions, name, "std_msgs/String", taker, self._queue, gate, self._reports)
         )
 
     def leave(self, topics: Iterable[TopicType]) -> None:
@@ -142,7 +139,7 @@ class Interface:
             RetalisError: where the type or the topic's name is wrong, or the topic has another type already.
         """
         name = resolve(topic)
-        definition = self.definitions.find(kind)
+        definition = self._definitions.find(kind)
         with self._lock:
             known = self._outputs.get(name)
             if known is not None:
@@ -150,7 +147,7 @@ class Interface:
                     raise UsageError(f"topic {topic} has the type {known[1].definition.name} already")
                 return
             outlet = Outlet(name, raw_class(definition), self._queue)
-            self._outputs[name] = (outlet, self.definitions.encoder(definition))
+            self._outputs[name] = (outlet, self._definitions.encoder(definition))
 
     def publish(self, term: Term, topic: str) -> None:
         """Publish a term as a message; what does not fit the topic's type is logged and not published."""

@@ -9,7 +9,7 @@ from .._lint import unknown_memories, wrong_messages
 from ..clock import Alarm, Clock
 from ..engine import Engine
 from ..errors import RetalisError
-from ..messages import Decoder
+from ..messages import Decoder, Definitions, Installed
 from ..program import TOPICS, Topics, read_topics
 from ..syntax import to_text
 from ..terms import Term, atom, functor
@@ -95,7 +95,7 @@ class Node:
 
     def _lint(self, topics: Topics) -> None:
         kinds = {kind for _, kind in (*topics.subscribed, *topics.published)}
-        definitions = self._interface.definitions
+        definitions = Definitions(Installed(rosbags=False))  # which the node has no other need of
         for warning in (*wrong_messages(self.engine, definitions, kinds), *unknown_memories(self.engine)):
             rospy.logwarn("%s", warning)
 
