@@ -71,6 +71,41 @@ def test_an_error_leaves_no_half_table():
     assert logic.machine.choices == []
 
 
+def test_what_a_caught_error_ended_is_not_looked_for_again_and_again():
+    logic = prolog(
+        ":- table p/1, c/1.\np(X) :- p(Y), X is Y + 1, X < 3.\np(0).\np(9) :- catch(c(_), _, true).\n"
+        "c(1).\nc(_) :- p(_), throw(oops)."
+    )
+    logic.limits = Limits(inferences=100_000)
+    assert first(logic, "findall(_X, p(_X), _L), msort(_L, L)") == "[0,1,2,9]"
+    assert answers(logic, "c(_)") == ["oops"]
+
+
+@pytest.mark.parametrize(
+    ("clauses", "call", "found"),
+    [
+        ("p :- p.\np.", "(p, p)", "[(p,p)]"),
+        ("p :- p.", "p", "[]"),
+        ("p(A, A).\np(1, 2).", "p(X, Y)", "[p(A,A),p(1,2)]"),
+        ("p(A, A).\np(1, 2).", "p(X, X)", "[p(A,A)]"),
+        ("p(A, A).\np(1, 2).", "p(1, X)", "[p(1,1),p(1,2)]"),
+        ("p(A, f(B, A, B)).", "(p(1, f(X, Y, Z)), X = 2)", "[(p(1,f(2,1,2)),2=2)]"),
+        ("p(A, f(B, A, B)).", "(p(X, f(X, Y, Z)), Z = 3)", "[(p(3,f(3,3,3)),3=3)]"),
+        (
+            "p(1).\np(1.0).\np(\"1\").\np('1').\np(0.0).\np(-0.0).\np([X|X]).\np([a]).\np(1).",
+            "p(X)",
+            "[p(1),p(1.0),p(\"1\"),p('1'),p(0.0),p(-0.0),p([A|A]),p([a])]",
+        ),
+        ("p(1).\np(1.0).", "(p(1), p(1.0), p(1))", "[(p(1),p(1.0),p(1))]"),
+        ("p(1).", "p(1.0)", "[]"),
+    ],
+)
+def test_calls_and_answers_with_terms_of_all_kinds(clauses, call, found):
+    logic = prolog(f":- table p/0, p/1, p/2.\n{clauses}")
+    for _ in range(2):  # evaluated, and from the table
+        assert first(logic, f"term_to_atom(_G, `{call}`), findall(_G, _G, L)") == found
+
+
 @pytest.mark.parametrize("seed", range(30))
 def test_closure_of_a_random_graph(seed):
     """Symmetry and transitivity of the same predicate: many calls depend on each other."""

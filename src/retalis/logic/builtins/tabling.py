@@ -3,11 +3,14 @@
 A call that is new is evaluated until no more answers come: calls of itself meanwhile see the answers found so
 far, and where they have been looked at, the evaluation is repeated as long as it finds new ones (all calls
 that depend on each other together). Everything runs as frames of the machine.
+
+An answer is what the call's unbound variables stand for, in the order in which they are met. A call that finds
+them gives its variables these values, which cannot fail: nothing is unified.
 """
 
-from typing import Any, Dict, List, Optional
+from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
-from ...terms import Functor, Term, copy, deref, functor, is_plain
+from ...terms import Atom, Functor, String, Term, Var, copy, functor, is_plain, variables
 from ...terms.keys import term_key
 from ..machine import Code, Frame, Guard
 from ..predicate import Predicate
@@ -15,26 +18,40 @@ from .clauses import _each
 from .registry import control, deterministic
 
 _ANSWER = functor("answer", 0)
+_PLAIN = frozenset((Atom, int, String))
+"""Kinds of terms that are their own keys."""
+
+Call = Callable[[Frame], Optional[Frame]]
 
 
 class Table:
     """Answers to one variant of a call.
 
     Attributes:
-        answers: instances of the call, in the order found.
+        answers: values of the call's variables, in the order found.
+        known: the answers' keys.
+        ground: whether no answer has a variable.
         state: "new", "active", "waiting" (evaluated in this round of an older table, which decides whether
             there is another one) or "complete".
         low: position on the stack of active tables of the oldest one that it depends on.
         members: tables that can be complete only together with this one.
+        consulted: whether a call has been given answers of this table while it was active.
     """
 
+    __slots__ = ("answers", "known", "ground", "state", "index", "low", "members", "consulted")
+
     def __init__(self) -> None:
-        self.answers: List[Term] = []
-        self.known: Dict[Any, None] = {}
         self.state = "new"
         self.index = self.low = 0
-        self.members: List[Table] = []
+        self.members: Sequence[Table] = ()
         self.consulted = False
+        self.empty()
+
+    def empty(self) -> None:
+        """Forget the answers."""
+        self.answers: List[Tuple[Term, ...]] = []
+        self.known: Dict[Any, None] = {}
+        self.ground = True
 
 
 class Tables:
@@ -46,108 +63,157 @@ class Tables:
         self.active: List[Table] = []
         self.added = 0
         self._guard = Guard("table", self._abandon)
-        self._next = Code("table", lambda entry: self._enumerate(*entry[1:5]))
+        self._round = Code("table", self._end_of_round)
+        self._next = Code("table", lambda entry: self._enumerate(*entry[1:6]))
+        self._answer = Code("answer", self._add)
 
     def clear(self) -> None:
         """Forget all answers."""
         self.by_call.clear()
         self.active.clear()
 
-    def call(self, predicate: Predicate, frame: Frame) -> Optional[Frame]:
-        """Return the frame that gives the answers to a call."""
-        goal = (predicate.functor, *map(deref, frame[1:-1]))
-        after = frame[-1]
-        key = term_key(goal)
-        table = self.by_call.get(key)
-        if table is None:
-            table = self.by_call[key] = Table()
-        if table.state == "complete":
-            return self._enumerate(goal, table.answers, 0, after)
-        if table.state != "new":
-            at = table.index if table.state == "active" else table.low
-            self.active[at].consulted = True
-            for other in self.active[at:]:
-                other.low = min(other.low, at)
-            return self._enumerate(goal, list(table.answers), 0, after)
-        return self._evaluate(predicate, goal, table, after)
+    def caller(self, predicate: Predicate) -> Call:
+        """Return the function that does calls of a predicate."""
+        key_of_call = predicate.functor
+        find = self.by_call.get
+        bound = self.machine.trail.append
 
-    def _evaluate(self, predicate: Predicate, goal: Term, table: Table, after: Frame) -> Optional[Frame]:
-        table.state = "active"
-        table.index = table.low = len(self.active)
-        table.members = []
-        self.active.append(table)
-        general = copy(goal)
+        def call(frame: Frame) -> Optional[Frame]:
+            key: Any = [key_of_call]
+            free: List[Var] = []
+            for arg in frame[1:-1]:
+                while arg.__class__ is Var and arg.ref is not None:
+                    arg = arg.ref
+                if arg.__class__ in _PLAIN:
+                    key.append(arg)
+                elif arg.__class__ is Var and arg not in free:
+                    free.append(arg)
+                    key.append(None)
+                else:  # a key that takes a walk
+                    goal = (key_of_call, *frame[1:-1])
+                    key = term_key(goal)
+                    free = variables(goal)
+                    break
+            else:
+                key = tuple(key)
+            table = find(key)
+            if table is None:
+                table = self.by_call[key] = Table()
+            elif table.state == "complete":
+                if len(table.answers) != 1 or not table.ground:
+                    return self._enumerate(table.answers, table.ground, 0, free, frame[-1])
+                for var, value in zip(free, table.answers[0]):
+                    var.ref = value
+                    bound(var)
+                return frame[-1]  # type: ignore[no-any-return]
+            if table.state == "new":
+                return self._evaluate(predicate, frame, table, free)
+            return self._consult(table, free, frame[-1])
+
+        return call
+
+    def _consult(self, table: Table, free: List[Var], after: Frame) -> Optional[Frame]:
+        """Give the answers of a table that is not complete: all on the stack from there on depend on it."""
+        at = table.index if table.state == "active" else table.low
+        self.active[at].consulted = True
+        for other in self.active[at:]:
+            other.low = min(other.low, at)
+        return self._enumerate(list(table.answers), table.ground, 0, free, after)
+
+    def _evaluate(self, predicate: Predicate, frame: Frame, table: Table, free: List[Var]) -> Frame:
+        """Evaluate the clauses once, with the caller's variables: all bindings are undone in the end."""
         machine = self.machine
-        machine.choices.append((self._guard, table.index, len(machine.trail)))
-        return self._round(predicate, general, table, goal, after)
+        active = self.active
+        index = len(active)
+        mark = len(machine.trail)
+        machine.choices.append((self._guard, index, self.added, mark))
+        table.index = table.low = index
+        table.members = ()
+        table.consulted = False
+        active.append(table)
+        table.state = "active"
+        clauses = (predicate.tabled, *frame[1:-1], (self._answer, table, free))
+        machine.choices.append((self._round, table, clauses, free, frame[-1], self.added, mark))
+        return clauses
 
-    def _round(
-        self, predicate: Predicate, general: Term, table: Table, goal: Term, after: Frame
-    ) -> Optional[Frame]:
-        """Evaluate the clauses once; then again, or done."""
-        before = self.added
-        plain = predicate.tabled.functor
-        template = general if len(general) > 1 else plain
-
-        def then(found: List[Term]) -> Optional[Frame]:
-            for answer in found:
-                self._add(table, answer)
-            del self.active[table.index + 1 :]
-            if table.low < table.index:
-                return self._hand_on(table, goal, after)
-            if self.added > before and table.consulted:
-                for member in table.members:
-                    member.state = "new"
-                table.members = []
-                return self._round(predicate, general, table, goal, after)
-            for member in (table, *table.members):
-                member.state = "complete"
-            return self._leave(table, goal, table.answers, after)
-
-        call = (plain, *general[1:])
-        return self.machine.logic.control.collect(call, (_ANSWER, *template[1:]), then)  # type: ignore[no-any-return]
-
-    def _add(self, table: Table, answer: Term) -> None:
-        key = term_key(answer)
+    def _add(self, frame: Frame) -> None:
+        """Note an answer, and look for the next one."""
+        _, table, free = frame
+        answer: Any = []
+        for var in free:
+            value = var.ref
+            while value.__class__ is Var and value.ref is not None:
+                value = value.ref
+            if value.__class__ not in _PLAIN:
+                whole = copy((_ANSWER, *free))
+                key = term_key(whole)
+                answer = whole[1:]
+                break
+            answer.append(value)
+        else:
+            key = answer = tuple(answer)
         if key not in table.known:
             table.known[key] = None
             table.answers.append(answer)
             self.added += 1
+            if key is not answer and table.ground:
+                table.ground = all(map(is_plain, answer))
 
-    def _hand_on(self, table: Table, goal: Term, after: Frame) -> Optional[Frame]:
+    def _end_of_round(self, entry: Frame) -> Optional[Frame]:
+        """Evaluate the clauses again, or be done."""
+        _, table, clauses, free, after, before, mark = entry
+        if table.low < table.index:
+            self._hand_on(table)
+        elif table.consulted and self.added > before:
+            for member in table.members:
+                member.state = "new"
+            table.members = ()
+            self.machine.choices.append((self._round, table, clauses, free, after, self.added, mark))
+            return clauses  # type: ignore[no-any-return]
+        else:
+            for member in (table, *table.members):
+                member.state = "complete"
+                member.known.clear()
+        del self.active[table.index :]
+        self.machine.choices.pop()  # the guard
+        answers = table.answers if table.state == "complete" else list(table.answers)
+        return self._enumerate(answers, table.ground, 0, free, after)
+
+    def _hand_on(self, table: Table) -> None:
         """Leave a table that depends on an older one: that decides when both are complete."""
         parent = self.active[table.index - 1]
         parent.low = min(parent.low, table.low)
-        for member in (table, *table.members):
+        members = [table, *table.members]
+        for member in members:
             member.state = "waiting"
             member.low = table.low
-            parent.members.append(member)
-        return self._leave(table, goal, list(table.answers), after)
+        parent.members = [*parent.members, *members]
 
-    def _leave(self, table: Table, goal: Term, answers: List[Term], after: Frame) -> Optional[Frame]:
-        del self.active[table.index :]
-        self.machine.choices.pop()  # the guard
-        return self._enumerate(goal, answers, 0, after)
-
-    def _enumerate(self, goal: Term, answers: List[Term], at: int, after: Frame) -> Optional[Frame]:
-        machine = self.machine
-        while at < len(answers):
-            mark = len(machine.trail)
-            answer = answers[at]
-            if not is_plain(answer):
-                answer = copy(answer)
-            at += 1
-            if machine.unify_all(*zip(goal[1:], answer[1:])):
-                if at < len(answers):
-                    machine.choices.append((self._next, goal, answers, at, after, mark))
-                return after
-        return None
+    def _enumerate(
+        self, answers: List[Tuple[Term, ...]], ground: bool, at: int, free: List[Var], after: Frame
+    ) -> Optional[Frame]:
+        """Give variables the values of an answer; the next ones on backtracking."""
+        count = len(answers)
+        if at == count:
+            return None
+        trail = self.machine.trail
+        answer = answers[at]
+        if not ground:
+            answer = copy((_ANSWER, *answer))[1:]
+        if at + 1 < count:
+            self.machine.choices.append((self._next, answers, ground, at + 1, free, after, len(trail)))
+        for var, value in zip(free, answer):
+            var.ref = value
+            trail.append(var)
+        return after
 
     def _abandon(self, entry: Frame) -> None:
-        """Forget evaluations that an error has ended."""
+        """Forget evaluations that an error has ended, and that they found anything."""
+        self.added = entry[2]
         for table in self.active[entry[1] :]:
             for member in (table, *table.members):
                 member.state = "new"
+                member.empty()
         del self.active[entry[1] :]
 
 
@@ -177,7 +243,7 @@ def declare(machine: Any, key: Functor) -> None:
     for clause in list(predicate.live()):
         hidden.add(clause)
     tables = tables_of(machine)
-    predicate.table(hidden, lambda frame: tables.call(predicate, frame))
+    predicate.table(hidden, tables.caller(predicate))
     database.forget()
 
 
