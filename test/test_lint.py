@@ -2,8 +2,9 @@
 
 import pytest
 
-from retalis._lint import unknown_memories, wrong_messages
+from retalis._lint import unknown_memories, unread_rules, wrong_messages
 from retalis.engine import Engine
+from retalis.errors import ProgramErrors
 from retalis.messages import Definitions
 
 HEADER = "uint32 seq\ntime stamp\nstring frame_id\n"
@@ -115,3 +116,22 @@ def test_memories_that_are_there_or_may_come_are_left_alone(rules):
     engine = Engine()
     engine.load(rules=rules, goals="memorize(t(X), [], _, odom_base, 5)")
     assert list(unknown_memories(engine)) == []
+
+
+def test_rules_that_no_goal_reads_are_warned_of(tmp_path):
+    engine = Engine()
+    assert list(unread_rules(engine, tmp_path)) == []
+    (tmp_path / "eventRules.txt").write_text("a <- b.")
+    (warning,) = unread_rules(engine, tmp_path)
+    assert warning.message == (
+        f"{tmp_path}/eventRules.txt is not read: no goal of goalPredicates.txt says "
+        "compile_event_file('eventRules.txt')"
+    )
+    (tmp_path / "goalPredicates.txt").write_text("compile_event_file('eventRules.txt')")
+    engine.load_program(tmp_path)
+    assert list(unread_rules(engine, tmp_path)) == []
+    (tmp_path / "eventRules.txt").write_text("a <- .")
+    engine = Engine()
+    with pytest.raises(ProgramErrors):
+        engine.load_program(tmp_path)
+    assert list(unread_rules(engine, tmp_path)) == []  # that they cannot be read is said already

@@ -1,11 +1,13 @@
 """What a program that reads well was probably not meant to say: wrong messages, memories that are not there."""
 
 from difflib import get_close_matches
+from pathlib import Path
 from typing import Any, Collection, Iterable, Iterator, List, NamedTuple, Optional, Set
 
-from .errors import Place, RuleError
+from .errors import Place, RuleError, UsageError
 from .events.pattern import Occurs, walk
 from .messages import Definitions, type_name
+from .program import GOALS, RULES, read_text
 from .terms import Atom, Functor, Term, deref, functor, list_items
 
 _READS = frozenset(
@@ -81,6 +83,21 @@ def unknown_memories(engine: Any) -> Iterator[RuleError]:
             meant = get_close_matches(name.name, [known.name for known in made if known is not name], 1)
             hint = f"; did you mean {meant[0]}?" if meant else ""
             yield RuleError(f"there is no memory {name.name} yet{hint}", place)
+
+
+def unread_rules(engine: Any, folder: Path) -> Iterator[RuleError]:
+    """Yield a warning where a program's folder has rules that no goal has read."""
+    path, goals = folder / RULES, folder / GOALS
+    if path.is_file() and path.resolve() not in engine.rules.files.loaded and RULES not in _text(goals):
+        yield RuleError(f"{path} is not read: no goal of {GOALS} says compile_event_file('{RULES}')")
+
+
+def _text(path: Path) -> str:
+    """Return the text of a file, nothing where it cannot be read, which is said elsewhere."""
+    try:
+        return read_text(path)
+    except UsageError:
+        return ""
 
 
 def _rules(engine: Any) -> List[_Text]:

@@ -5,7 +5,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Union
 
-from ._lint import unknown_memories, wrong_messages
+from ._lint import unknown_memories, unread_rules, wrong_messages
 from .bags import BagReader, Topic
 from .clock import StreamClock
 from .engine import Engine, Settings
@@ -58,7 +58,7 @@ class Playback:
         topics: Iterable[TopicType] = (),
         settings: Optional[Settings] = None,
     ):
-        folder = Path(program)
+        self._folder = folder = Path(program)
         self.clock = StreamClock()
         self.engine = Engine(self.clock, Settings() if settings is None else settings)
         self.engine.reports.once = True
@@ -88,6 +88,7 @@ class Playback:
         self._learn_all(bag)
         kinds = {*self._types.values(), *self._published.values()}
         for warning in (
+            *unread_rules(self.engine, self._folder),
             *wrong_messages(self.engine, self.definitions, kinds),
             *unknown_memories(self.engine),
         ):

@@ -8,6 +8,7 @@ from .errors import Place, ProgramErrors, RetalisError, RuleError, SyntaxFault, 
 
 GOALS = "goalPredicates.txt"
 TOPICS = "pub_sub.xml"
+RULES = "eventRules.txt"
 
 
 class TopicType(NamedTuple):

@@ -5,7 +5,7 @@ from typing import Any, Callable, Optional, Tuple
 import rospy
 from std_msgs.msg import String
 
-from .._lint import unknown_memories, wrong_messages
+from .._lint import unknown_memories, unread_rules, wrong_messages
 from ..clock import Alarm, Clock
 from ..engine import Engine
 from ..errors import RetalisError
@@ -96,7 +96,11 @@ class Node:
     def _lint(self, topics: Topics) -> None:
         kinds = {kind for _, kind in (*topics.subscribed, *topics.published)}
         definitions = Definitions(Installed(rosbags=False))  # which the node has no other need of
-        for warning in (*wrong_messages(self.engine, definitions, kinds), *unknown_memories(self.engine)):
+        for warning in (
+            *unread_rules(self.engine, self._parameters.program),
+            *wrong_messages(self.engine, definitions, kinds),
+            *unknown_memories(self.engine),
+        ):
             rospy.logwarn("%s", warning)
 
     def _summary(self) -> str:
