@@ -5,10 +5,23 @@ import time
 import rospy
 from rospy.rostime import is_wallclock
 
+PATIENCE = 5.0
+"""Seconds after which a clock that nobody has set is worth a warning."""
+
+_began = time.monotonic()
+
 
 def ros_now() -> int:
     """Return ROS time, simulated or not.
 
     Every event asks: rospy makes its object of the system's time out of a float, in ten times the time.
     """
-    return time.time_ns() if is_wallclock() else int(rospy.get_rostime().to_nsec())
+    if is_wallclock():
+        return time.time_ns()
+    now = int(rospy.get_rostime().to_nsec())
+    if not now and time.monotonic() > _began + PATIENCE:
+        rospy.logwarn_once(
+            "/use_sim_time is true and nobody publishes /clock: time stands still, so nothing follows from what "
+            "comes one after the other; on a robot start with use_sim_time:=false"
+        )
+    return now
