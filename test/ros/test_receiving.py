@@ -88,6 +88,21 @@ def test_messages_that_come_together_are_done_together(pair):
     assert counts == [2]
 
 
+def test_only_one_connection_at_a_time_hands_on(pair):
+    sender, receiver = pair
+    gate, held = threading.Lock(), []
+    topic = SimpleNamespace(callbacks=[None])
+
+    def note(data=None):
+        held.append(gate.locked())
+
+    send_in_pieces(sender, frame(b"one") + frame(b"two"), 1000)
+    with pytest.raises(TransportTerminated):
+        Reader(new_link(receiver), topic, lambda header: note, note, 0.001, gate)()
+    assert held == [True, True, True]
+    assert not gate.locked()
+
+
 def test_messages_go_to_rospy_where_others_have_called_for_them(pair):
     sender, receiver = pair
     taken = []
