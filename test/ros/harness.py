@@ -7,7 +7,7 @@ import rospy
 from std_msgs.msg import String
 
 from retalis.messages import Definitions
-from retalis.ros._raw import raw_class, raw_message
+from retalis.ros._raw import raw_class
 from retalis.srv import AddInputSubscription, AddOutputSubscription
 
 PATIENCE = 30.0
@@ -62,7 +62,9 @@ class RawPublisher:
         self.publisher = rospy.Publisher(topic, self.kind, queue_size=10_000)
 
     def publish(self, data):
-        self.publisher.publish(raw_message(self.kind, data))
+        message = self.kind()
+        message._buff = data
+        self.publisher.publish(message)
 
     def connected(self):
         return self.publisher.get_num_connections() > 0

@@ -8,6 +8,7 @@ import pytest
 rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 
 from retalis._reports import Reports  # noqa: E402
+from retalis.errors import MessageError  # noqa: E402
 from retalis.messages import Definitions  # noqa: E402
 from retalis.ros.interface import Input  # noqa: E402
 
@@ -84,3 +85,39 @@ def test_messages_that_do_not_fit_their_type_are_counted(receive, caplog):
     assert taken == []
     assert shown[0].startswith("a message on /heat is dropped: ")
     assert shown[-1] == f"7 times in all: {shown[0]}"
+
+
+def test_messages_of_a_wake_up_are_taken_one_connection_at_a_time_and_none_cuts_off_the_others(
+    monkeypatch, caplog
+):
+    monkeypatch.setattr(rospy, "Subscriber", lambda *arguments, **options: None)
+    gate, done = threading.Lock(), []
+
+    def take(data):
+        assert gate.locked()
+        if data == b"wrong":
+            raise MessageError("too short")
+        if data == b"worse":
+            raise KeyError("no such thing")
+        done.append(data)
+
+    found = Input(
+        Definitions(),
+        "/heat",
+        "lab/Temperature",
+        lambda decoder: take,
+        5,
+        gate,
+        Reports(),
+        lambda: done.append("done"),
+    )
+    md5sum = Definitions().add("lab/Temperature", TEXT).md5sum
+    header = {"type": "lab/Temperature", "md5sum": md5sum, "message_definition": TEXT}
+    take_all = found._taking(header)
+    take_all([b"one", b"wrong", b"worse", b"two"])
+    take_all([b"three"])
+    assert done == [b"one", b"two", "done", b"three", "done"]
+    assert not gate.locked()
+    errors = [record.getMessage() for record in caplog.records]
+    assert errors[0] == "a message on /heat is dropped: too short"
+    assert "no such thing" in errors[1]

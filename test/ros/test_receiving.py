@@ -2,7 +2,6 @@
 
 import socket
 import struct
-import threading
 from io import BytesIO
 from types import SimpleNamespace
 
@@ -51,9 +50,9 @@ def new_link(receiver, read=b"", latched=False):
     )
 
 
-def new_reader(link, taken, done=lambda: None, callbacks=1):
+def new_reader(link, taken, callbacks=1):
     topic = SimpleNamespace(callbacks=[None] * callbacks)
-    return Reader(link, topic, lambda header: taken.append, done, 0.001, threading.Lock())
+    return Reader(link, topic, lambda header: taken.append, 0.001)
 
 
 def send_in_pieces(sender, data, size):
@@ -74,33 +73,18 @@ def test_messages_are_handed_on_wherever_they_are_cut(pair, monkeypatch, size, r
     send_in_pieces(sender, stream[len(read) :], 7)
     with pytest.raises(TransportTerminated):
         new_reader(link, taken)()
-    assert taken == messages
+    assert [one for found in taken for one in found] == messages
     assert link.stat_num_msg == len(messages)
     assert link.stat_bytes == len(stream) - len(read)
 
 
-def test_messages_that_come_together_are_done_together(pair):
+def test_messages_that_come_together_are_handed_on_together(pair):
     sender, receiver = pair
-    taken, counts = [], []
+    taken = []
     send_in_pieces(sender, frame(b"one") + frame(b"two"), 1000)
     with pytest.raises(TransportTerminated):
-        new_reader(new_link(receiver), taken, lambda: counts.append(len(taken)))()
-    assert counts == [2]
-
-
-def test_only_one_connection_at_a_time_hands_on(pair):
-    sender, receiver = pair
-    gate, held = threading.Lock(), []
-    topic = SimpleNamespace(callbacks=[None])
-
-    def note(data=None):
-        held.append(gate.locked())
-
-    send_in_pieces(sender, frame(b"one") + frame(b"two"), 1000)
-    with pytest.raises(TransportTerminated):
-        Reader(new_link(receiver), topic, lambda header: note, note, 0.001, gate)()
-    assert held == [True, True, True]
-    assert not gate.locked()
+        new_reader(new_link(receiver), taken)()
+    assert taken == [[b"one", b"two"]]
 
 
 def test_messages_go_to_rospy_where_others_have_called_for_them(pair):
@@ -135,7 +119,12 @@ def test_a_connection_that_is_closed_ends(pair):
 def test_a_message_alone_arrives_where_several_are_waited_for(pair):
     sender, receiver = pair
     link, taken = new_link(receiver), []
-    reader = new_reader(link, taken, lambda: setattr(link, "done", bool(taken)))
+
+    def take(messages):
+        taken.extend(messages)
+        link.done = True
+
+    reader = Reader(link, SimpleNamespace(callbacks=[None]), lambda header: take, 0.001)
     reader._open()
     reader._pace._wait_for(1000)
     sender.sendall(frame(b"alone"))
@@ -156,13 +145,13 @@ def subscriber(data_class=rospy.AnyMsg, connections=(), statistics=None):
 
 
 def ignore(header):
-    return lambda data: None
+    return lambda messages: None
 
 
 def test_connections_present_and_future_are_read(pair):
     present, future = new_link(pair[1]), new_link(pair[1])
     found, added = subscriber(connections=[present])
-    read_by(found, ignore, lambda: None, 0.001, threading.Lock())
+    read_by(found, ignore, 0.001)
     found.impl.add_connection(future)
     assert isinstance(present.receive_once, Reader)
     assert isinstance(future.receive_once, Reader)
@@ -173,16 +162,16 @@ def test_connections_present_and_future_are_read(pair):
 def test_topics_that_are_rospys_own_are_left_to_it(pair, options):
     link = new_link(pair[1])
     found, _ = subscriber(connections=[link], **options)
-    read_by(found, ignore, lambda: None, 0.001, threading.Lock())
+    read_by(found, ignore, 0.001)
     assert link.receive_once is None
 
 
 def test_connections_of_another_make_are_left_to_rospy():
     link = SimpleNamespace(receive_once=None)
     found, _ = subscriber(connections=[link])
-    read_by(found, ignore, lambda: None, 0.001, threading.Lock())
+    read_by(found, ignore, 0.001)
     assert link.receive_once is None
-    read_by(SimpleNamespace(), ignore, lambda: None, 0.001, threading.Lock())
+    read_by(SimpleNamespace(), ignore, 0.001)
 
 
 class Options:

@@ -33,10 +33,3 @@ def raw_bytes(message: Any) -> bytes:
     buffer = BytesIO()
     message.serialize(buffer)
     return buffer.getvalue()
-
-
-def raw_message(kind: Type[rospy.AnyMsg], data: bytes) -> Any:
-    """Return a message of a class made by `raw_class`."""
-    message = kind()
-    message._buff = data
-    return message

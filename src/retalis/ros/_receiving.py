@@ -11,7 +11,7 @@ import socket
 import sys
 import time
 from struct import Struct, pack
-from typing import Any, Callable, ContextManager, List
+from typing import Any, Callable, Dict, List
 
 import rospy
 from rospy.core import is_shutdown
@@ -33,6 +33,9 @@ NEVER = pack("ll", 0, 0)
 
 MOST = 64
 """Windows at most without another try to wait for several messages."""
+
+Taker = Callable[[Dict[str, str]], Callable[[List[bytes]], Any]]
+"""Gives what takes messages, by the header of their connection."""
 
 _NEEDED = (
     "socket",
@@ -116,32 +119,20 @@ class Reader:
     Args:
         link: rospy's connection.
         topic: its topic.
-        taker: gives what takes a message's bytes, by the connection's header.
-        done: called after the messages of a wake-up.
+        taker: gives what takes the messages of a wake-up, as a list of bytes, by the connection's header.
         hold: see `Pace`.
-        gate: held while messages are handed on.
     """
 
-    def __init__(
-        self,
-        link: Any,
-        topic: Any,
-        taker: Callable[[Any], Any],
-        done: Callable[[], Any],
-        hold: float,
-        gate: ContextManager[Any],
-    ):
+    def __init__(self, link: Any, topic: Any, taker: Taker, hold: float):
         self._link = link
         self._topic = topic
         self._taker = taker
-        self._done = done
         self._hold = hold
-        self._gate = gate
         self._socket: Any = None
 
     def __call__(self) -> List[Any]:
         """Read and hand on until the connection ends; return messages only where others have called for them."""
-        link, done = self._link, self._done
+        link = self._link
         if link.socket is None:
             raise TransportException("connection not initialized")
         if link.socket is not self._socket:
@@ -155,10 +146,7 @@ class Reader:
                 link.latch = self._message(found[-1])
             if len(self._topic.callbacks or ()) != 1:
                 return [self._message(one) for one in found]
-            with self._gate:
-                for one in found:
-                    take(one)
-                done()
+            take(found)
         return []
 
     def _open(self) -> None:
@@ -229,13 +217,7 @@ class Reader:
         return message
 
 
-def read_by(
-    subscriber: Any,
-    taker: Callable[[Any], Any],
-    done: Callable[[], Any],
-    hold: float,
-    gate: ContextManager[Any],
-) -> None:
+def read_by(subscriber: Any, taker: Taker, hold: float) -> None:
     """Have the connections of a subscriber read by a `Reader`, if they are what is expected of rospy."""
     topic = getattr(subscriber, "impl", None)
     add = getattr(topic, "add_connection", None)
@@ -246,7 +228,7 @@ def read_by(
 
     def prepare(link: Any) -> None:
         if all(hasattr(link, name) for name in _NEEDED):
-            link.receive_once = Reader(link, topic, taker, done, hold, gate)
+            link.receive_once = Reader(link, topic, taker, hold)
 
     def add_connection(link: Any) -> Any:
         prepare(link)

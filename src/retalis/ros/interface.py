@@ -1,7 +1,6 @@
 """Between ROS topics and events: messages become terms, terms become messages."""
 
 import threading
-import traceback
 from struct import Struct
 from typing import Any, Callable, ContextManager, Dict, Iterable, List, Optional, Set, Tuple
 
@@ -31,7 +30,10 @@ OUTPUT = "retalisOutputEvents"
 LINKS = 1000
 """Connections of a topic that are remembered."""
 
-_Link = Tuple[Dict[str, str], Take]
+TakeAll = Callable[[List[bytes]], None]
+"""Takes messages that were received together."""
+
+_Link = Tuple[Dict[str, str], TakeAll]
 """A connection's header, and who takes its messages."""
 
 HOLD = 0.001
@@ -196,7 +198,7 @@ class Input:
         self._subscriber = rospy.Subscriber(
             name, rospy.AnyMsg, self._receive, queue_size=queue, tcp_nodelay=True
         )
-        read_by(self._subscriber, self._take_of, done, hold, gate)
+        read_by(self._subscriber, self._taking, hold)
 
     def close(self) -> None:
         """Stop receiving."""
@@ -206,47 +208,53 @@ class Input:
         """Take a message that rospy has read."""
         header = message._connection_header  # the connection's own, the same object for each of its messages
         data = message._buff if message.__class__ is rospy.AnyMsg else raw_bytes(message)
-        with self._gate:
-            self._take_of(header)(data)
-            self._done()
+        self._taking(header)([data])
 
-    def _take_of(self, header: Dict[str, str]) -> Take:
+    def _taking(self, header: Dict[str, str]) -> TakeAll:
         """Return what takes the messages of a connection."""
         link = self._links.get(id(header))
         if link is None:
             link = self._connected(header)
         return link[1]
 
-    def _guarded(self, take: Take) -> Take:
-        """Return what takes messages and reports those that it cannot take."""
+    def _one_by_one(self, take: Take) -> TakeAll:
+        """Return what takes messages that were received together, and reports those that cannot be taken."""
+        gate, done = self._gate, self._done
 
-        def guarded(data: bytes) -> None:
-            try:
-                take(data)
-            except MessageError as error:
-                self._reports.error(
-                    RetalisError(f"a message on {self._name} is dropped: {error}"), ("in", self._name)
-                )
-            except Exception:  # one message must not end the connection
-                rospy.logerr("a message on %s is dropped: %s", self._name, traceback.format_exc())
+        def take_all(messages: List[bytes]) -> None:
+            with gate:
+                for data in messages:
+                    try:
+                        take(data)
+                    except MessageError as error:
+                        text = f"a message on {self._name} is dropped: {error}"
+                        self._reports.error(RetalisError(text), ("in", self._name))
+                    except Exception as error:  # one message must not end the connection
+                        self._reports.error(error)
+                done()
 
-        return guarded
+        return take_all
 
     def _connected(self, header: Dict[str, str]) -> _Link:
         """Note who takes the messages of a connection; its header is kept, so that its id stays its own."""
         if len(self._links) >= LINKS:  # publishers that come and go
             self._links.clear()
         try:
-            take = self._guarded(self._taker(self._learn(header)))
+            take = self._one_by_one(self._taker(self._learn(header)))
         except MessageError as error:
             publisher = header.get("callerid", "somebody")
             take = self._refuser(f"topic {self._name}: {error.message}: a message of {publisher} is dropped")
         link = self._links[id(header)] = (header, take)
         return link
 
-    def _refuser(self, reason: str) -> Take:
+    def _refuser(self, reason: str) -> TakeAll:
         """Return what drops messages, and reports and counts them."""
-        return lambda data: self._reports.warning(reason)
+
+        def refuse(messages: List[bytes]) -> None:
+            for _ in messages:
+                self._reports.warning(reason)
+
+        return refuse
 
     def _learn(self, header: Dict[str, str]) -> Decoder:
         """Return the decoder for a publisher's messages.
