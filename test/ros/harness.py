@@ -48,7 +48,11 @@ class Collector:
             return list(self.messages)
 
     def connected(self):
-        return self._subscriber.get_num_connections() > 0
+        """Tell whether a publisher has answered: rospy counts a connection that it is only trying to make.
+
+        Of many that are made at once some have to be tried again, a second later.
+        """
+        return any(link.header for link in self._subscriber.impl.connections)
 
     def close(self):
         self._subscriber.unregister()

@@ -156,6 +156,9 @@ def test_connections_present_and_future_are_read(pair):
     assert isinstance(present.receive_once, Reader)
     assert isinstance(future.receive_once, Reader)
     assert added == [future]
+    reader = present.receive_once
+    found.impl.add_connection(present)
+    assert present.receive_once is reader
 
 
 @pytest.mark.parametrize("options", [{"data_class": rospy.Header}, {"statistics": object()}])

@@ -227,7 +227,8 @@ def read_by(subscriber: Any, taker: Taker, hold: float) -> None:
         return  # it wants to see each message
 
     def prepare(link: Any) -> None:
-        if all(hasattr(link, name) for name in _NEEDED):
+        known = getattr(link, "receive_once", None).__class__ is Reader
+        if not known and all(hasattr(link, name) for name in _NEEDED):
             link.receive_once = Reader(link, topic, taker, hold)
 
     def add_connection(link: Any) -> Any:
