@@ -4,6 +4,7 @@ import pytest
 from events.running import Program, fired
 
 from retalis.errors import ProgramErrors
+from retalis.logic import Predicate
 
 
 def errors_of(rules):
@@ -215,3 +216,19 @@ def test_stored_events():
     program.feed("a@1")
     assert len(program.engine.query("fired_event(E,I)")) == 2
     assert program.engine.call("stored_event(event(c,[1,1]))")
+
+
+def test_rules_that_come_and_go_at_run_time_do_not_cost_more_with_what_there_is(monkeypatch):
+    program = Program("\n".join(f"f({at}). c <- a({at}) and b." for at in range(50)))
+    engine = program.engine
+    looked = []
+    live = Predicate.live
+    monkeypatch.setattr(Predicate, "live", lambda one: looked.append(one) or live(one))
+    monkeypatch.setattr(type(engine.rules), "rules", property(lambda rules: looked.append(rules) or []))
+    assert engine.call("ins_event_rule(r([property(window,5)]) : (d(X) <- e(X) and f(X)))")
+    assert program.feed("e(1)@1 f(1)@2") == "d(1)@1-2"
+    assert engine.call("del_event_rule(r)")
+    assert engine.call("ins_event_rule((d(X) <- e(X)))")
+    assert engine.call("del_event_rule((d(Y) <- e(Y)))")
+    assert program.feed("e(1)@3") == ""
+    assert looked == []

@@ -25,6 +25,12 @@ class Plan(NamedTuple):
     rules: List[Rule]
     calls: List[Unknown]
 
+    @property
+    def may_stop_half_way(self) -> bool:
+        """Whether something may be left to undo when it raises an error; not rules, labels, or one clause."""
+        kinds = ["" if isinstance(step, Plan) else step.kind for step in self.steps]
+        return kinds != ["clause"] and any(kind != "property" for kind in kinds)
+
 
 class _Reading(NamedTuple):
     """A file that is being read: its terms so far, how the next ones read, and the errors."""
@@ -209,15 +215,18 @@ class Loader:
 
     def _finish(self, plan: Callable[[List[RetalisError]], Plan], errors: List[RetalisError]) -> None:
         """Check all of a program, then have it act; what is refused leaves nothing behind."""
-        before = _Snapshot(self._rules)
         loaded = set(self._files.loaded)
+        before: Optional[_Snapshot] = None
         try:
-            steps = plan(errors)
+            checked = plan(errors)
             if errors:
                 raise ProgramErrors(_in_order(errors))
-            self._act(steps)
+            if checked.may_stop_half_way:
+                before = _Snapshot(self._rules)
+            self._act(checked)
         except RetalisError as error:
-            before.restore()
+            if before is not None:
+                before.restore()
             self._files.loaded = loaded
             if isinstance(error, ProgramErrors):
                 raise

@@ -17,7 +17,6 @@ from .files import Files
 from .flags import Flags
 from .justification import Justifier
 from .loading import Loader
-from .pattern import same_rule_key
 from .policy import Mode
 from .predicates import define_predicates
 from .rule import Definition, Rule
@@ -70,7 +69,9 @@ class Rules:
         self.on_warning: Callable[[RetalisError], None] = lambda error: log.warning("%s", error)
         self.nested = 0
         self.checked: Optional[Tuple[int, int]] = None
-        self.rules: List[Rule] = []
+        self._rules: Dict[Rule, None] = {}
+        self._by_label: Dict[Any, Dict[Rule, None]] = {}
+        self._by_key: Dict[Any, Dict[Rule, None]] = {}
         self.flags = Flags(self._flag_changed)
         self.mode: Mode = self.flags.mode()
         self.tracker = Tracker(self)
@@ -79,7 +80,7 @@ class Rules:
         self.files = Files()
         self.loader = Loader(self)
         self._properties: Dict[Any, List[Property]] = {}
-        self._serial = 0
+        self.serial = 0
         define_predicates(self)
 
     # ---- loading -------------------------------------------------------------------------------------
@@ -117,6 +118,11 @@ class Rules:
 
     # ---- rules ---------------------------------------------------------------------------------------
 
+    @property
+    def rules(self) -> List[Rule]:
+        """The rules that take events, oldest first."""
+        return list(self._rules)
+
     def add(self, definition: Definition) -> Rule:
         """Add a rule behind all others; it sees later events only."""
         rule = self.compile(definition)
@@ -129,12 +135,14 @@ class Rules:
         Raises:
             RetalisError: where a goal or pattern cannot be compiled.
         """
-        self._serial += 1
-        return Rule(self, definition, self._serial, self._name(definition))
+        self.serial += 1
+        return Rule(self, definition, self.serial, self._name(definition))
 
     def activate(self, rule: Rule) -> None:
         """Have a rule take events."""
-        self.rules.append(rule)
+        self._rules[rule] = None
+        self._by_label.setdefault(term_key(_label_of(rule)), {})[rule] = None
+        self._by_key.setdefault(rule.definition.key, {})[rule] = None
         self._configure(rule)
 
     def insert(self, term: Term) -> bool:
@@ -157,8 +165,7 @@ class Rules:
         if is_rule(term):
             found = self._same_rules(term)[:1]
         else:
-            key = term_key(term)
-            found = [one for one in self.rules if term_key(_label_of(one)) == key]
+            found = self._labelled(term)
         for rule in found:
             self.remove(rule)
         return bool(found)
@@ -179,7 +186,13 @@ class Rules:
         """Take a rule out, with its partial matches."""
         rule.unlisten()
         rule.clear()
-        self.rules = [one for one in self.rules if one is not rule]
+        if rule in self._rules:
+            del self._rules[rule]
+            _take_out(self._by_label, term_key(_label_of(rule)), rule)
+            _take_out(self._by_key, rule.definition.key, rule)
+
+    def _labelled(self, label: Term) -> List[Rule]:
+        return list(self._by_label.get(term_key(label), ()))
 
     def _same_rules(self, term: Term) -> List[Rule]:
         checker = Checker()
@@ -187,13 +200,8 @@ class Rules:
         if not checker.rules:
             return []
         wanted = checker.rules[0]
-        key = same_rule_key(wanted.head, wanted.pattern)
-        return [
-            rule
-            for rule in self.rules
-            if same_rule_key(rule.definition.head, rule.definition.pattern) == key
-            and (wanted.label is None or _label_of(rule) is wanted.label)
-        ]
+        found = self._by_key.get(wanted.key, ())
+        return [rule for rule in found if wanted.label is None or _label_of(rule) is wanted.label]
 
     def note_conditions(self, conditions: Term, caller: str) -> None:
         """Warn of predicates that the conditions of a memory or subscription call and that are not there."""
@@ -216,9 +224,8 @@ class Rules:
     def set_property(self, one: Property) -> None:
         """Give a label a property; it holds for the rules that have the label, at once."""
         self._properties.setdefault(term_key(one.label), []).append(one)
-        for rule in self.rules:
-            if _label_of(rule) is one.label:
-                self._configure(rule)
+        for rule in self._labelled(one.label):
+            self._configure(rule)
 
     def all_properties(self) -> Dict[Any, List[Property]]:
         """Return the properties of all labels, as `restore_properties` takes them."""
@@ -328,6 +335,13 @@ class Rules:
         """Report what has happened to a rule a number of times; at 1, 2, 4, 8 ... of them."""
         if number & (number - 1) == 0:
             self.on_warning(RuleError(f"{rule.name}{text}", rule.place))
+
+
+def _take_out(table: Dict[Any, Dict[Rule, None]], key: Any, rule: Rule) -> None:
+    """Take a rule out from among those of a key."""
+    del table[key][rule]
+    if not table[key]:
+        del table[key]
 
 
 def _label_of(rule: Rule) -> Term:

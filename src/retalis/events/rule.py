@@ -13,6 +13,7 @@ from .compiling import Compiler
 from .dispatch import Action, Lane, Listener, Stage
 from .expiry import Expiries
 from .matches import Match
+from .pattern import same_rule_key
 from .policy import Frame, Mode
 
 _SPARE = 1000
@@ -36,6 +37,11 @@ class Definition(NamedTuple):
     label: Optional[Term]
     place: Optional[Place]
     names: Mapping[Var, str] = MappingProxyType({})
+
+    @property
+    def key(self) -> Any:
+        """Equal for rules that are the same but for the names of variables, spellings and labels."""
+        return same_rule_key(self.head, self.pattern)
 
 
 class Rule:
