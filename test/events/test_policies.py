@@ -122,6 +122,15 @@ def test_garbage_control_general():
     assert collected.engine.rules.waiting < 10
 
 
+def test_garbage_control_counts_a_run_from_its_last_repetition():
+    flags = [("garbage_window", 10), ("garbage_window_step", 1), ("garbage_control", "general")]
+    program = Program("s(N) <- i seq aggregate(count, j, N). t <- i seq j star_times.", flags)
+    assert program.feed("i@1 j@8") == "s(0)@1-1 t@1-1 s(1)@1-8 t@1-8"
+    assert program.feed("j@17 j@26") == "s(2)@1-17 t@1-17 s(3)@1-26 t@1-26"
+    assert program.feed("j@38") == ""
+    assert program.engine.rules.waiting == 0
+
+
 def test_garbage_control_pattern():
     rules = (
         "r([property(window,50), property(window_step,1)]) : c(X) <- a(X) seq b(X). d(X) <- a(X) seq e(X)."

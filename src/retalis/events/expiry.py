@@ -51,3 +51,13 @@ class Expiries:
         heap = self._heap
         while heap and heap[0][0] < clock:
             heapq.heappop(heap)[2].leave()
+
+    def take(self, clock: int) -> List[Match]:
+        """Take out all whose instant is before ``clock``; return those of them that still wait."""
+        found = []
+        queue, heap = self._queue, self._heap
+        while queue and queue[0][0] < clock:
+            found.append(queue.popleft()[1])
+        while heap and heap[0][0] < clock:
+            found.append(heapq.heappop(heap)[2])
+        return [match for match in found if match.place is not None]

@@ -59,16 +59,63 @@ class Match:
         self.place: Any = None
         self.used = False
 
+    @property
+    def latest(self) -> int:
+        """The largest end so far: what waits is as old as that."""
+        return self.end
+
     def leave(self) -> None:
         """Take the match out of where it waits, if it does."""
         if self.place is not None:
             self.place.remove(self)
 
 
-class Held(NamedTuple):
-    """Matches that one was made of without being told apart by them: the repetitions of a run."""
+class Held:
+    """Matches that one was made of without being told apart by them: the repetitions of a run.
 
-    matches: Tuple["Match", ...]
+    Each repetition has one, which knows the one before it: what a run has given on, again and again, shares them.
+
+    Attributes:
+        match: the last of the repetitions; None where there is none.
+        earlier: what is held of those before it.
+        linked: whether what it came from knows it, where events are tracked.
+        derived, held, suppressed, gone, reported, forgotten: as of an event that is tracked.
+    """
+
+    __slots__ = (
+        "match",
+        "earlier",
+        "linked",
+        "derived",
+        "held",
+        "suppressed",
+        "gone",
+        "reported",
+    )
+
+    forgotten = False
+
+    def __init__(self, match: Optional[Match], earlier: Optional["Held"]):
+        self.match = match
+        self.earlier = earlier
+        self.linked = self.gone = self.reported = False
+        self.derived: List[Any] = []
+        self.held: List[Any] = []
+        self.suppressed: List[Any] = []
+
+    @property
+    def matches(self) -> List[Match]:
+        """All of the repetitions, oldest first."""
+        found = []
+        one: Optional[Held] = self
+        while one is not None and one.match is not None:
+            found.append(one.match)
+            one = one.earlier
+        found.reverse()
+        return found
+
+
+NOTHING_HELD = Held(None, None)
 
 
 class Found(NamedTuple):

@@ -190,7 +190,11 @@ class Rule:
         if clock - self._collected_at < step:
             return
         self._collected_at = clock
-        self._by_end.expire(clock - window)
+        for match in self._by_end.take(clock - window):
+            if match.latest < clock - window:
+                match.leave()
+            else:  # a run that was extended since
+                self._by_end.add(match.latest, match, self.waiting)
 
     def keep(self, match: Match, span: Optional[int]) -> None:
         """Count a match that begins to wait; with too many the oldest goes."""
@@ -219,8 +223,7 @@ class Rule:
         if span is not None:
             self._expiries.add(match.start + span, match, self.waiting)
         if self._garbage is not None:
-            end = match.last if hasattr(match, "last") else match.end
-            self._by_end.add(end, match, self.waiting)
+            self._by_end.add(match.latest, match, self.waiting)
 
     def _drop_oldest(self) -> None:
         arrivals = self._arrivals
