@@ -184,3 +184,16 @@ def test_a_pattern_inside_a_pattern_is_a_rule_of_its_own():
 @pytest.mark.parametrize("spelling", ["seq", "'seq'", "'Seq'", "'SEQ'", "*"])
 def test_spellings(spelling):
     assert fired(f"c <- a {spelling} b.", "a@1 b@2") == "c@1-2"
+
+
+@pytest.mark.parametrize(
+    ("rules", "stream", "wanted"),
+    [
+        ("c(V,L) <- s seq aggregate(list(V), a(_), L).", "s@1 a(0)@2 a(1)@3", "c(A,[A,A])@1-3"),
+        ("c(V,L) <- (s seq aggregate(list(f(V)), a(_), L)) where V = 5.", "s@1 a(0)@2", "c(5,[f(5)])@1-2"),
+        ("c(V,L) <- (s seq aggregate(list(V), a(_), L)) seq e(V).", "s@1 a(0)@2 e(7)@4", "c(7,[7])@1-4"),
+        ("c(L) <- s seq aggregate(list(V), a(_), L).", "s@1 a(0)@2 a(1)@3", "c([A,B])@1-3"),
+    ],
+)
+def test_a_variable_that_no_repetition_gives_a_value_is_one_where_it_stands_elsewhere(rules, stream, wanted):
+    assert fired(rules, stream, "unrestricted").split(" ")[-1] == wanted

@@ -5,6 +5,7 @@ from events.running import Program, fired, show
 
 from retalis.clock import StreamClock
 from retalis.events import tracking
+from retalis.events.matches import Held
 from retalis.timestamps import SECOND
 
 
@@ -158,3 +159,13 @@ def test_what_is_too_old_to_be_taken_back_does_not_gather_what_follows_from_it(m
     assert program.feed(" ".join(f"b@{instant}" for instant in range(3, 40))).count("c@") == 37
     assert oldest.derived == []
     assert program.feed("rev(a)@50") == ""
+
+
+@pytest.mark.parametrize("pattern", ["s seq aggregate(count, a(_), N)", "(s seq a(_) star_times) and b(N)"])
+def test_what_many_repetitions_have_made_is_kept_once_for_each(pattern):
+    program = Program(f"c(N) <- {pattern}.", ["etalis_justification"], "unrestricted")
+    program.feed("s@0 b(7)@0 " + " ".join(f"a({at})@{at}" for at in range(1, 301)))
+    kept = program.engine.rules.tracker.all()
+    links = [*kept, *(one for event in kept for one in event.derived if isinstance(one, Held))]
+    assert len(kept) > 600
+    assert sum(len(one.derived) + len(one.held) for one in links) < 4000

@@ -267,6 +267,8 @@ class Compiler:
         node = Running(self.rule, first.node, repeated.node, _meet(first, repeated))
         self._add(node, wrapping.span, limit)
         outside = self._outside(pattern, core.value if isinstance(core, Aggregate) else None)
+        if isinstance(core, Aggregate) and core.value is not None:
+            node.open([var for var in variables(core.value) if var in outside])
         items = Items(outside)
         sure = surely_bound_by(core.first, False) | surely_bound_by(pattern, False)
         ready, further = ready_where(repeated.deferred, sure, context)

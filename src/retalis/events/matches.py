@@ -155,6 +155,21 @@ def leaves(match: Match) -> Iterator[Any]:
                     stack.extend(reversed(inner.matches))
 
 
+def sources(match: Match) -> Iterator[Any]:
+    """Yield the tokens of the events that a match was made of; for those of repetitions the last `Held`."""
+    stack = [match]
+    while stack:
+        part = stack.pop()
+        if part.parts is None:
+            yield part.event
+            continue
+        for inner in reversed(part.parts):
+            if isinstance(inner, Match):
+                stack.append(inner)
+            elif inner.__class__ is Held and inner.match is not None:
+                yield inner
+
+
 def taken_back(match: Match) -> bool:
     """Tell whether an event of a match was taken back."""
     return any(getattr(token, "gone", False) for token in leaves(match))

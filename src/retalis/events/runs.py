@@ -13,40 +13,9 @@ from .nodes import Node
 from .places import Place, surely_same
 from .policy import Emit, Frame, Mode, emit_each
 from .reach import reach_of
+from .run import Run, by_occurrence, by_term
 
 Values = Tuple[Term, ...]
-
-
-class Run(Match):
-    """A first match with what extended it.
-
-    Attributes:
-        last: the largest end so far.
-        fixed: the values, set by the first repetition, of variables that stand elsewhere in the rule; or None.
-        state: what an aggregate has collected.
-        items: what conditions further up look at in each repetition.
-        taken: the matches that extended it, where they are tracked.
-        steps: the values of the start and of the repetition, for each of them.
-        sound: how many of them are still those that its results were made of.
-    """
-
-    __slots__ = ("last", "fixed", "state", "items", "taken", "steps", "sound", "first")
-
-    def __init__(self, first: Match, state: Any):
-        super().__init__(first.values, first.start, first.end, first.event, None, (first,))
-        self.first = first
-        self.restart(state)
-
-    def restart(self, state: Any) -> None:
-        """Have no repetitions, with the state of an aggregate that has no values."""
-        self.values = self.first.values
-        self.last = self.first.end
-        self.fixed: Optional[Values] = None
-        self.state = state
-        self.items: Term = NO_ITEMS
-        self.taken: List[Match] = []
-        self.steps: List[Tuple[Values, Values]] = []
-        self.sound = 0
 
 
 class Running(Node):
@@ -81,6 +50,12 @@ class Running(Node):
         self.carried: List[Tuple[Any, Node]] = []
         self.step_vars = [*first.vars, *(var for var in repeated.vars if var not in first.vars)]
         self._step_at = [at for at, var in enumerate(repeated.vars) if var not in first.vars]
+        self.open_vars: List[Var] = []
+
+    def open(self, names: Sequence[Var]) -> None:
+        """Have variables that no repetition gives a value, and that stand elsewhere, be the same in all."""
+        self.open_vars = [var for var in names if var not in self.step_vars]
+        self.step_vars = [*self.step_vars, *self.open_vars]
 
     def finish(
         self, outside: Any, collector: Optional[Collector], result: Term, items: Optional[Items]
@@ -106,6 +81,7 @@ class Running(Node):
             self._items_at = [self.step_vars.index(var) for var in items.names]
             known.insert(self._same_at, items.var)
             self._same_at += 1
+        self._open_at = [known.index(var) for var in self.open_vars]
         if collector is not None:
             self.result_is_open = result.__class__ is Var and result not in known
             self.result_new = [var for var in variables(result) if var not in known]
@@ -141,7 +117,7 @@ class Running(Node):
         self.waits_later = self.double and policy.replacing
         self.place.reach = reach_of("seq", self.span, False)
         self.incoming.reach = reach_of("seq", self.span, True)
-        self.place.identify(_by_term if policy.replacing else _by_occurrence)
+        self.place.identify(by_term if policy.replacing else by_occurrence)
         self.incoming.identify(identity if policy.replacing else None)
         self.out = out
         if policy.consuming:
@@ -158,7 +134,7 @@ class Running(Node):
         fires = collector is None or collector.initial is not None
 
         def arrive(match: Match, after: Frame) -> Frame:
-            run = Run(match, self.empty)
+            run = Run(match, self.empty, len(self.open_vars))
             key = place.key_of(run)
             older = place.namesake(run, key)
             if older is not None and older.start == run.start and older.end == run.end:
@@ -249,7 +225,7 @@ class Running(Node):
             if sides is None:
                 return False, None
             values, match = sides[0].values, sides[1]
-        step: Any = values + tuple([match.values[at] for at in self._step_at])
+        step: Any = values + tuple([match.values[at] for at in self._step_at]) + run.open
         for test in self.step_tests:
             step = test(step, match.start, match.end)
             if step is None:
@@ -286,6 +262,7 @@ class Running(Node):
         run.values = values
         if self.tracked:
             run.taken.append(match)
+            run.held = Held(match, run.held)
             run.steps.append((values, step))
             run.sound += 1
         return True, self.result_of(run, found)
@@ -337,7 +314,10 @@ class Running(Node):
         start, end = run.start, run.last
         collector = self.collector
         if collector is not None:
-            found = self._with_result(found, collector.result(run.state))
+            value = collector.result(run.state)
+            if self.open_vars:
+                found, value = self._with_open(run, found, value)
+            found = self._with_result(found, value)
             for test in self.late_tests:
                 if found is None:
                     return None
@@ -345,10 +325,18 @@ class Running(Node):
             if found is None:
                 return None
         own = Found(found[self._same_at :])
-        # Without what is held the start would look like a condition around a match.
-        held = (Held(tuple(run.taken)),)
         event = run.event if run.fixed is None else None
-        return Match(found, start, end, event, None, (run.first, *held, own))
+        # Without what is held the start would look like a condition around a match.
+        return Match(found, start, end, event, None, (run.first, run.held, own))
+
+    def _with_open(self, run: Run, values: Values, value: Term) -> Tuple[Values, Term]:
+        """Have a result say what conditions have made of the variables that no repetition gives a value."""
+        trail: List[Any] = []
+        for var, at in zip(run.open, self._open_at):
+            unify(var, values[at], trail)
+        found = tuple([resolve(one) for one in values]), resolve(value)
+        undo(trail, 0)
+        return found
 
     def _with_result(self, values: Values, value: Term) -> Optional[Values]:
         """Put the result where its variables stand among the values."""
@@ -365,12 +353,3 @@ class Running(Node):
             result = tuple([resolve(one) for one in values])
         undo(trail, 0)
         return result
-
-
-def _by_term(run: Match) -> Any:
-    return identity(run.first)  # type: ignore[attr-defined]
-
-
-def _by_occurrence(run: Match) -> Any:
-    first = run.first  # type: ignore[attr-defined]
-    return (identity(first), int(first.start), int(first.end))

@@ -6,9 +6,9 @@ from typing import Any, Deque, Dict, Iterator, List, Optional, Tuple
 from ..terms import Term, Var, functor
 from ..terms.keys import term_key
 from .dispatch import Event, Listener, Stage
-from .matches import Match, leaves, taken_back
+from .matches import Held, Match, leaves, sources, taken_back
 from .policy import Frame
-from .runs import Run
+from .run import Run
 
 KEPT = 100_000
 """How many events are remembered."""
@@ -62,15 +62,27 @@ class Occurrence:
         self.takes_back: Optional[List[Occurrence]] = None
         self.suppressed: List[Suppressed] = []
 
-    def follows(self, sources: List["Occurrence"]) -> None:
-        """Have occurrences that it came from know it."""
-        for source in sources:
+    def follows(self, found: List[Any]) -> None:
+        """Have what it came from know it."""
+        for source in found:
             if not source.forgotten:
                 source.derived.append(self)
 
     def sources(self) -> List["Occurrence"]:
         """Return the occurrences that it came from."""
         return [] if self.match is None else occurrences_in(self.match)
+
+    def following(self) -> Iterator["Occurrence"]:
+        """Yield the events that came from it and that nobody has been told of; what has been is not gone into."""
+        stack = self.derived[::-1]
+        while stack:
+            one = stack.pop()
+            if not one.reported:
+                one.reported = True
+                if one.__class__ is Held:
+                    stack += reversed(one.derived)
+                else:
+                    yield one
 
 
 class Suppressed:
@@ -98,6 +110,36 @@ class Suppressed:
 def occurrences_in(match: Match) -> List[Occurrence]:
     """Return the events of a match, as far as they were tracked."""
     return [token for token in leaves(match) if isinstance(token, Occurrence)]
+
+
+def known_in(match: Match) -> List[Any]:
+    """Return the events of a match, as far as they were tracked; in place of repetitions the last `Held`, linked."""
+    found: List[Any] = []
+    for one in sources(match):
+        if one.__class__ is Held:
+            _link(one)
+            found.append(one)
+        elif isinstance(one, Occurrence):
+            found.append(one)
+    return found
+
+
+def _link(last: Held) -> None:
+    """Have what repetitions came from know them, and each of them the next one."""
+    new = []
+    one: Any = last
+    while one.match is not None and not one.linked:
+        one.linked = True
+        new.append(one)
+        one = one.earlier
+    for one in reversed(new):
+        known = known_in(one.match)
+        if one.earlier.match is not None:
+            known.append(one.earlier)
+        for source in known:
+            one.gone = one.gone or source.gone
+            if not source.forgotten:
+                source.derived.append(one)
 
 
 class Tracker:
@@ -141,11 +183,11 @@ class Tracker:
         """Return the token of an event that has none: one from outside, or made by a goal."""
         rule, match = event.cause or (None, None)
         occurrence = Occurrence(event.term, event.start, event.end, rule, match)
-        sources = occurrence.sources()
+        known = [] if match is None else known_in(match)
         parent = event.parent
-        if not sources and parent is not None and _is_synchronized(parent.term) and parent.token is not None:
-            sources = [parent.token]
-        occurrence.follows(sources)
+        if not known and parent is not None and _is_synchronized(parent.term) and parent.token is not None:
+            known = [parent.token]
+        occurrence.follows(known)
         return occurrence
 
     def _note(self, term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
@@ -156,6 +198,7 @@ class Tracker:
             oldest = self._recent.popleft()
             oldest.derived = []
             oldest.forgotten = True
+            _unlink(oldest)
             key = term_key(oldest.term)
             found = self._by_term[key]
             found.remove(oldest)
@@ -166,12 +209,12 @@ class Tracker:
     def fire(self, rule: Any, match: Match, head: Term, after: Frame) -> Frame:
         """Fire a rule and keep what its event came from."""
         occurrence = Occurrence(head, match.start, match.end, rule, match)
-        occurrence.follows(occurrence.sources())
+        occurrence.follows(known_in(match))
         return rule.fire(head, match.start, match.end, after, occurrence)
 
     def hold(self, match: Match) -> None:
         """Remember that a partial match holds its events."""
-        for occurrence in occurrences_in(match):
+        for occurrence in known_in(match):
             if occurrence.gone:
                 match.leave()
                 return
@@ -182,14 +225,14 @@ class Tracker:
 
     def hold_repetition(self, run: Run, match: Match, node: Any) -> None:
         """Remember that a run was extended by a match."""
-        for occurrence in occurrences_in(match):
+        for occurrence in known_in(match):
             occurrence.held.append((node, run, match))
 
     def suppressed(self, node: Any, what: Any) -> None:
         """Remember what the last negated match has kept from firing."""
         if self.blocker is not None:
             kept = Suppressed(node, what)
-            for occurrence in occurrences_in(self.blocker):
+            for occurrence in known_in(self.blocker):
                 occurrence.suppressed.append(kept)
 
     # ---- taking back ---------------------------------------------------------------------------------
@@ -212,8 +255,8 @@ class Tracker:
         Returns what fires without them, each with its node: what they kept from firing, and the later results
         of runs that they were part of.
         """
-        gone: List[Occurrence] = []
-        stack = found[::-1]
+        gone: List[Any] = []
+        stack: List[Any] = found[::-1]
         for one in found:
             one.reported = True
         while stack:
@@ -241,10 +284,8 @@ class Tracker:
     ) -> Iterator[Any]:
         """Yield functions from a frame to a frame: what is to be done one after the other."""
         for occurrence in found:
-            for one in occurrence.derived:
-                if not one.reported:
-                    one.reported = True
-                    yield self._dispatch_rev(one, start, end)
+            for one in occurrence.following():
+                yield self._dispatch_rev(one, start, end)
         for node, what in again:
             yield lambda after, node=node, what=what: node.retry(what, after)
 
@@ -259,6 +300,14 @@ class Tracker:
     def all(self) -> List[Occurrence]:
         """Return the remembered events that were not taken back, oldest first."""
         return [one for one in self._recent if not one.gone]
+
+
+def _unlink(oldest: Occurrence) -> None:
+    """Have repetitions that an occurrence came from forget it: they may stay as long as their run does."""
+    if oldest.match is not None:
+        for one in sources(oldest.match):
+            if one.__class__ is Held:
+                one.derived = [derived for derived in one.derived if derived is not oldest]
 
 
 def _is_synchronized(term: Term) -> bool:

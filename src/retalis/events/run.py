@@ -1,0 +1,61 @@
+"""A run of a repetition or aggregate: a first match, and what has extended it so far."""
+
+from typing import Any, List, Optional, Tuple
+
+from ..terms import Term, Var
+from .deferred import NO_ITEMS
+from .matches import NOTHING_HELD, Match, identity
+
+Values = Tuple[Term, ...]
+
+
+class Run(Match):
+    """A first match with what extended it.
+
+    Attributes:
+        last: the largest end so far.
+        fixed: the values, set by the first repetition, of variables that stand elsewhere in the rule; or None.
+        state: what an aggregate has collected.
+        items: what conditions further up look at in each repetition.
+        taken: the matches that extended it, where they are tracked.
+        held: the same for its results.
+        steps: the values of the start and of the repetition, for each of them.
+        sound: how many of them are still those that its results were made of.
+        open: variables that its repetitions have in common and that none of them gives a value.
+    """
+
+    __slots__ = ("last", "fixed", "state", "items", "taken", "held", "steps", "sound", "first", "open")
+
+    def __init__(self, first: Match, state: Any, free: int):
+        super().__init__(first.values, first.start, first.end, first.event, None, (first,))
+        self.first = first
+        self.open = tuple([Var() for _ in range(free)])
+        self.restart(state)
+
+    @property
+    def latest(self) -> int:
+        """The largest end so far; see `Match.latest`."""
+        return self.last
+
+    def restart(self, state: Any) -> None:
+        """Have no repetitions, with the state of an aggregate that has no values."""
+        self.values = self.first.values
+        self.last = self.first.end
+        self.fixed: Optional[Values] = None
+        self.state = state
+        self.items: Term = NO_ITEMS
+        self.taken: List[Match] = []
+        self.held = NOTHING_HELD
+        self.steps: List[Tuple[Values, Values]] = []
+        self.sound = 0
+
+
+def by_term(run: Match) -> Any:
+    """Return what tells the starts of runs apart: their terms."""
+    return identity(run.first)  # type: ignore[attr-defined]
+
+
+def by_occurrence(run: Match) -> Any:
+    """Return what tells the starts of runs apart: their terms and stamps."""
+    first = run.first  # type: ignore[attr-defined]
+    return (identity(first), int(first.start), int(first.end))
