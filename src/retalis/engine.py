@@ -90,6 +90,8 @@ class Engine:
         self._texts = InputReader(self.logic.operators)
         self._outputs: List[OnOutput] = []
         self._done = self.logic.machine.done
+        self._message = self._take_message
+        self._lanes = self.dispatcher.lanes
         define_new_event(self.logic, self.dispatcher)
         self.logic.define("use_foreign", 1, self._use_foreign).locked = True
 
@@ -188,7 +190,7 @@ class Engine:
             instant: when it happened, in nanoseconds; by default now, by the clock.
         """
         if instant is None:
-            self._runner.post(self._take_message, term)
+            self._runner.post(self._message, term)
         else:
             instant = WholeSeconds(instant)  # the form in which the converter writes it
             self._runner.post(self._take, term, instant, instant, True)
@@ -309,15 +311,14 @@ class Engine:
 
     def _take_message(self, term: Term) -> None:
         """Dispatch a message that has come now: as `_take`, in the fewest steps where a `Lane` serves it."""
-        dispatcher = self.dispatcher
-        lane = dispatcher.lanes.get(term[0]) if term.__class__ is tuple else None
+        lane = self._lanes.get(term[0]) if term.__class__ is tuple else None
         stamp = None if lane is None else self.clock.stamp_at_once()
         if lane is not None and stamp is not None:
             try:
                 if lane(term, stamp, stamp):
                     return
             except BaseException:
-                dispatcher.current = None
+                self.dispatcher.current = None
                 raise
         self._take(term, stamp, stamp, True)
 

@@ -4,8 +4,8 @@ from typing import Any, Callable, Dict, Optional, Sequence, Tuple
 
 from ..logic import PrologError, resource_error
 from ..terms import Atom, String, Term, Var, functor, is_ground, list_items, make_list, variables
-from ._source import compile_function
-from .dispatch import AT_ONCE, Lane
+from .dispatch import AT_ONCE
+from .lanes import Completion, goal_lane
 from .matches import Match
 from .policy import Frame, emit_each
 
@@ -95,30 +95,35 @@ class Call:
         event = dispatcher.event()
         if event is None or event.depth > AT_ONCE:
             return dispatcher.call(
-                goal, given, lambda found: solved(term, kept + found, start, end, after), after, self._failed
+                goal, given, lambda found: solved(term, kept + found, start, end, after), after, self.failed
             )
         try:  # as `Dispatcher.call`, without functions made for each event
             found = goal.test(given)
         except PrologError as error:
             dispatcher.current = event
-            self._failed(error)
+            self.failed(error)
             return after
         return after if found is None else solved(term, kept + found, start, end, after)
 
-    def alone(self, solved: Solved) -> Tuple[Solved, Optional[Lane]]:
-        """Return what calls the goal for an event alone and goes on with ``solved``, and its `Lane`.
+    @property
+    def code(self) -> Any:
+        """What runs the goal for inputs without variables."""
+        return self._plain.code
+
+    def alone(self, completion: Completion) -> Completion:
+        """Return what calls the goal for an event alone and goes on with a completion.
 
         Most often the event has no variables, and the goal is a call that is done in one step.
         """
-        act = self.act
+        act, solved = self.act, completion.action
         dispatcher = self._dispatcher
         if self.outputs or not self._takes_all or not self.known:
-            return (
+            return Completion(
                 lambda term, values, start, end, after: act(
                     term, values, start, end, dispatcher.ground(), solved, after
                 )
-            ), None
-        code = self._plain.code
+            )
+        code = self.code
         machine = self.rule.network.logic.machine
         check, done = machine.check, machine.done
 
@@ -130,12 +135,11 @@ class Call:
                 found = check((code, *values, done))
             except PrologError as error:
                 dispatcher.current = event
-                self._failed(error)
+                self.failed(error)
                 return after
             return solved(term, values, start, end, after) if found else after
 
-        names = {"code": code, "machine": machine, "check": check, "done": done, "dispatcher": dispatcher}
-        return acted, _lane(len(self.known), {**names, "failed": self._failed, "solved": solved})
+        return Completion(acted, goal_lane(self, completion))
 
     def act_on_all(
         self, term: Term, values: Values, start: int, end: int, ground: bool, solved: Solved, after: Frame
@@ -153,7 +157,7 @@ class Call:
                 iter(solutions), lambda solution, then: solved(term, solution, start, end, then), after
             )
 
-        return self._dispatcher.call(goal, given if ground else values, each, after, self._failed)
+        return self._dispatcher.call(goal, given if ground else values, each, after, self.failed)
 
     def noting_cause(self, match: Match, solved: Solved, after: Frame) -> Tuple[Solved, Frame]:
         """Have events that the goal makes know what it was called for, until it is over.
@@ -190,36 +194,9 @@ class Call:
             )
         return found
 
-    def _failed(self, error: PrologError) -> None:
+    def failed(self, error: PrologError) -> None:
+        """Report an error that the goal raised."""
         self.rule.network.goal_failed(self.rule, self.goal, error)
-
-
-_LANE = """
-def made(term, start, end):
-    if not code.steady:
-        return False
-    dispatcher.current = event = (term, start, end)
-    _, {values} = term
-    try:  # as `Call.act`
-        found = check((code, {values}, done))
-    except PrologError as error:
-        dispatcher.current = event
-        failed(error)
-        found = False
-    if found:
-        left = solved(term, ({values},), start, end, done)
-        if left is not done:
-            machine.run(left)
-    dispatcher.current = None
-    return True
-"""
-
-
-def _lane(arity: int, names: Dict[str, Any]) -> Lane:
-    """Return the `Lane` of a goal whose inputs are the arguments of the event."""
-    values = ", ".join(f"a{at}" for at in range(arity))
-    found: Lane = compile_function(_LANE.format(values=values), {**names, "PrologError": PrologError}, "lane")
-    return found
 
 
 class _Restore:

@@ -8,7 +8,7 @@ from typing import Any, Dict, List, Optional, Sequence
 
 from ..terms import Term, Var, variables
 from .conditions import Test
-from .dispatch import Action, Lane
+from .lanes import Completion
 from .matches import Found, Match
 from .places import Place
 from .policy import Emit, Frame, Mode
@@ -32,13 +32,8 @@ class Node:
         """Send matches to ``out`` from now on, by the policy and flags of ``mode``; what waits stays."""
         raise NotImplementedError
 
-    def bind_alone(self, complete: Action, lane: Optional[Lane] = None) -> None:
-        """Send values to ``complete`` from now on, without making matches; for nodes that are `alone`.
-
-        Args:
-            complete: takes them.
-            lane: does the same for an event whose arguments are the values, see `Dispatcher.listen`.
-        """
+    def bind_alone(self, completion: Completion) -> None:
+        """Send values to ``completion`` from now on, without making matches; for nodes that are `alone`."""
         raise NotImplementedError
 
     def places(self) -> Sequence[Place]:
@@ -82,9 +77,9 @@ class Leaf(Node):
         known = rule.double or mode.tracked
         rule.listen(self, arrive_known if known else arrive_timed if rule.timed else arrive)
 
-    def bind_alone(self, complete: Action, lane: Optional[Lane] = None) -> None:
+    def bind_alone(self, completion: Completion) -> None:
         """Listen for a rule whose pattern is one event; see `Node.alone`."""
-        self.rule.listen(self, complete, lane)
+        self.rule.listen(self, completion.action, completion.lane)
 
 
 class Filter(Node):
@@ -124,8 +119,9 @@ class Filter(Node):
 
         self.child.bind(arrive, mode)
 
-    def bind_alone(self, complete: Action, lane: Optional[Lane] = None) -> None:
+    def bind_alone(self, completion: Completion) -> None:
         """Connect the node; see `Node.bind_alone`."""
+        complete = completion.action
         tests = self.tests
         span = self.span
 
@@ -138,7 +134,7 @@ class Filter(Node):
                     return after
             return complete(term, values, start, end, after)
 
-        self.child.bind_alone(arrive)
+        self.child.bind_alone(Completion(arrive))
 
 
 class Capture(Node):
@@ -223,10 +219,11 @@ class Acting(Node):
 
         self.child.bind(arrive, mode)
 
-    def bind_alone(self, complete: Action, lane: Optional[Lane] = None) -> None:
+    def bind_alone(self, completion: Completion) -> None:
         """Connect the node; see `Node.bind_alone`."""
         call = self.call
         act = call.act_on_all if self.every else call.act
+        complete = completion.action
         span = self.span
         # Values of conditions and goals below may have variables where the event has none.
         only_of_event = isinstance(self.child, Leaf)
@@ -235,17 +232,15 @@ class Acting(Node):
         def arrive(term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
             return act(term, values, start, end, only_of_event and dispatcher.ground(), complete, after)
 
-        once, fast = call.alone(complete) if only_of_event and not self.every else (arrive, None)
+        done = call.alone(completion) if only_of_event and not self.every else Completion(arrive)
+        once = done.action
 
         def arrive_in_span(term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
             if span is not None and end - start > span:
                 return after
             return once(term, values, start, end, after)
 
-        if span is None:
-            self.child.bind_alone(once, fast)
-        else:
-            self.child.bind_alone(arrive_in_span)
+        self.child.bind_alone(done if span is None else Completion(arrive_in_span))
 
 
 class Never(Node):

@@ -12,6 +12,7 @@ from .building import compile_builder
 from .compiling import Compiler
 from .dispatch import Action, Lane, Listener, Stage
 from .expiry import Expiries
+from .lanes import Completion
 from .matches import Match
 from .pattern import same_rule_key
 from .policy import Frame, Mode
@@ -101,11 +102,12 @@ class Rule:
         self._resettle()
         self.unlisten()
         root: Any = self.root
-        complete, lane = self._completing()
+        completion = self._completing()
+        complete = completion.action
         if mode.tracked:
             root.bind(self._complete_tracked, mode)
         elif root.alone and not self.timed:
-            root.bind_alone(complete, lane)
+            root.bind_alone(completion)
         else:
             root.bind(
                 lambda match, after: complete(match.term, match.values, match.start, match.end, after), mode
@@ -241,14 +243,14 @@ class Rule:
             return after
         return self.fire(self.builder(values), start, end, after)  # type: ignore[misc]
 
-    def _completing(self) -> Tuple[Action, Optional[Lane]]:
-        """Return what takes the values of a whole match, and its lane; with nothing to test it fires at once."""
+    def _completing(self) -> Completion:
+        """Return what takes the values of a whole match; with nothing to test it fires at once."""
         build, head = self.builder, self.definition.head
         if build is None or head is None:
-            return (lambda term, values, start, end, after: after), None
+            return Completion(lambda term, values, start, end, after: after)
         plain = head.__class__ is Atom or (head.__class__ is tuple and head[0].name not in _ALARMS)
         if self.window is not None or not plain:
-            return self._complete_values, None
+            return Completion(self._complete_values)
         dispatcher = self.network.dispatcher
         dispatch = dispatcher.dispatch
         gate = dispatcher.gate(head.functor if head.__class__ is Atom else head[0])
@@ -264,7 +266,8 @@ class Rule:
                 return after
 
         shortcut = dispatcher.shortcuts.get(head[0]) if head.__class__ is tuple else None
-        return (shortcut and shortcut(self, complete)) or (complete, None)
+        action, lane = (shortcut and shortcut(self, complete)) or (complete, None)
+        return Completion(action, lane, gate)
 
     def _complete_tracked(self, match: Match, after: Frame) -> Frame:
         window = self.window

@@ -190,19 +190,39 @@ class Machine:
         budget = self.budget
         limited = budget.limited
         saved = budget.enter() if limited else None
-        trail = self.trail
-        mark = len(trail)
+        mark = len(self.trail)
         try:
-            after = frame[0].run(frame)
-            return after is self.done or (after is not None and self.run(after))
+            return self.settle(frame[0].run(frame), mark)
         except Exception as exc:
-            self._handle(exc, frame, len(self.choices))  # where nothing has been pushed, it raises
-            raise
+            error = self.error(exc, frame, mark)
+            if error is exc:
+                raise
+            raise error from exc
         finally:
-            if len(trail) > mark:
-                undo(trail, mark)
+            if len(self.trail) > mark:
+                undo(self.trail, mark)
             if limited:
                 budget.leave(saved)
+
+    def settle(self, frame: Optional[Frame], mark: int) -> bool:
+        """Run what is left after a step outside of a run, and take back the bindings since ``mark``."""
+        found = frame is self.done or (frame is not None and self.run(frame))
+        if len(self.trail) > mark:
+            undo(self.trail, mark)
+        return found
+
+    def error(self, exc: Exception, frame: Frame, mark: int) -> PrologError:
+        """Return the error of an exception that a step outside of a run raised, and take back its bindings.
+
+        What is no error of the program is raised again.
+        """
+        try:
+            self._handle(exc, frame, len(self.choices))
+        except PrologError as error:
+            return error
+        finally:
+            undo(self.trail, mark)
+        raise exc
 
     def solutions(self, frame: Optional[Frame]) -> Iterator[None]:
         """Run a frame that ends in `done`; yield at each solution, with its bindings in place.

@@ -1,0 +1,76 @@
+"""Lanes: how a message that one rule takes whole is served in the fewest steps."""
+
+from typing import Any, NamedTuple, Optional
+
+from ..terms import undo
+from ._plans import NOBODY
+from ._source import compile_function
+from .dispatch import Action, Lane
+from .gates import Gate
+
+OPEN = Gate((), None)
+
+
+class Completion(NamedTuple):
+    """What is done with the values of a match of one event.
+
+    Attributes:
+        action: does it.
+        lane: does it for an event whose arguments are the values, see `Dispatcher.listen`.
+        gate: that of the event that the action makes: where nobody wants it, the action has nothing to do.
+    """
+
+    action: Action
+    lane: Optional[Lane] = None
+    gate: Gate = OPEN
+
+
+_LANE = """
+def made(term, start, end):
+    if not code.steady:
+        return False
+    dispatcher.current = event = (term, start, end)
+    _, {values} = term
+    frame = (code, {values}, done)
+    mark = len(trail)
+    try:
+        if budget.limited:
+            found = machine.check(frame)
+        else:  # as `Machine.check`
+            left = code.run(frame)
+            found = (left is done and len(trail) == mark) or machine.settle(left, mark)
+    except Exception as exc:
+        dispatcher.current = event
+        failed(machine.error(exc, frame, mark))
+        found = False
+    except BaseException:
+        undo(trail, mark)
+        raise
+    if found and gate.plan is not NOBODY:
+        left = action(term, ({values},), start, end, done)
+        if left is not done:
+            machine.run(left)
+    dispatcher.current = None
+    return True
+"""
+
+
+def goal_lane(call: Any, completion: Completion) -> Lane:
+    """Return the lane of a goal whose inputs are the arguments of the event; see `conditions.Call`."""
+    machine = call.rule.network.logic.machine
+    names = {
+        "code": call.code,
+        "failed": call.failed,
+        "dispatcher": call.rule.network.dispatcher,
+        "machine": machine,
+        "budget": machine.budget,
+        "trail": machine.trail,
+        "done": machine.done,
+        "action": completion.action,
+        "gate": completion.gate,
+        "NOBODY": NOBODY,
+        "undo": undo,
+    }
+    values = ", ".join(f"a{at}" for at in range(len(call.known)))
+    found: Lane = compile_function(_LANE.format(values=values), names, "lane")
+    return found
