@@ -53,6 +53,8 @@ def revised(rules, stream, policy=None):
         ),
         ("c do new_event(m,[5,5]) <- a.", "a@1 rev(a)@2", "m@5-5 c@1-1 rev(m)@2-2 rev(c)@2-2"),
         ("c(X) <- a(X) or b(X).", "a(1)@1 b(1)@2 rev(b(1))@3", "c(1)@1-1 c(1)@2-2 rev(c(1))@3-3"),
+        ("c(X) <- (a(X) seq d) cnot b.", "a(0)@15-20 a(1)@13-23 b@23 b@24 d@25 rev(b)@30", "c(1)@13-25"),
+        ("c <- a(X) fnot b(Y).", "b(1)@1 a(0)@9 b(2)@5 rev(b(1))@20", ""),
     ],
 )
 def test_revision(rules, stream, wanted):

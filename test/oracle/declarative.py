@@ -10,7 +10,7 @@ Star_times, aggregates and forall_seq are not here: their results depend on runs
 from collections import Counter
 from dataclasses import replace
 from itertools import accumulate
-from typing import Any, Iterable, List, NamedTuple, Sequence, Tuple
+from typing import Any, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
 from typing import Counter as CounterOf
 
 from retalis.terms import Term, copy
@@ -62,12 +62,19 @@ def has_outer_absence(rule: Rule) -> bool:
 
 
 class Combinations:
-    """All matches of one rule's pattern in a list of events."""
+    """All matches of one rule's pattern in a list of events.
+
+    Attributes:
+        now: where events are taken back, the number of the last arrival. What was suppressed by something that is
+            gone looks then at all there is, also at what has come after it; what has held before goes on to hold.
+    """
 
     def __init__(self, rule: Rule, out_of_order: bool):
         self.rule = rule
         self.out_of_order = out_of_order
         self.tests = Conditions(rule)
+        self.now: Optional[int] = None
+        self._held: Set[Any] = set()
 
     def found(self, node: Pattern, events: Sequence[Event]) -> List[Found]:
         """Return all matches of a pattern."""
@@ -122,21 +129,36 @@ class Combinations:
             tests = [self.tests.test_of(condition) for condition in between]
             for p, q, (match, at) in self._pairs(inner, events):
                 passed = self.tests.passes(match, tests)
-                if passed is not None and not any(
-                    r_at <= at
-                    and p.end < r.start
-                    and r.end < q.start
-                    and self.tests.agree(r, passed.bindings)
-                    for r, r_at in absent
+                if passed is not None and self._is_free(
+                    node,
+                    passed,
+                    at,
+                    [
+                        r_at
+                        for r, r_at in absent
+                        if p.end < r.start and r.end < q.start and self.tests.agree(r, passed.bindings)
+                    ],
                 ):
                     yield Found(passed, at)
         else:
             for match, at in self.found(node.pattern, events):
-                if not any(
-                    r_at <= at and r.end < match.start and self.tests.agree(r, match.bindings)
-                    for r, r_at in absent
-                ):
+                in_the_way = [
+                    r_at for r, r_at in absent if r.end < match.start and self.tests.agree(r, match.bindings)
+                ]
+                if self._is_free(node, match, at, in_the_way):
                     yield Found(match, at)
+
+    def _is_free(self, node: Any, match: Match, at: int, in_the_way: List[int]) -> bool:
+        """Tell whether nothing suppresses a match; given when what is in its way arrived."""
+        if any(r_at <= at for r_at in in_the_way):
+            return False
+        key = (id(node), match.variant(), tuple(sorted(match.numbers)))
+        if self.now is None or key in self._held:
+            return True
+        if at < self.now and in_the_way:
+            return False
+        self._held.add(key)
+        return True
 
 
 def firings(

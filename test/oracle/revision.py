@@ -75,6 +75,7 @@ class Recombined:
 
     def _step(self, number: int, term: Term, start: Any, end: Any) -> Step:
         step: Step = Counter([(show(term), start, end)])
+        self.combinations.now = number
         if term.__class__ is tuple and term[0] is REV:
             gone = show(term[1])
             self.events = [event for event in self.events if show(event.term) != gone]

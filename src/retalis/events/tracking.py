@@ -1,6 +1,7 @@
 """What events came from: kept for revision and justification, bounded, and only while a flag asks for it."""
 
 from collections import deque
+from itertools import count
 from typing import Any, Deque, Dict, Iterator, List, Optional, Tuple
 
 from ..terms import Term, Var, functor
@@ -91,11 +92,12 @@ class Suppressed:
     Several occurrences may make up the negated match: taking back any of them sets it free, once.
     """
 
-    __slots__ = ("node", "what", "freed")
+    __slots__ = ("node", "what", "number", "freed")
 
-    def __init__(self, node: Any, what: Any):
+    def __init__(self, node: Any, what: Any, number: int):
         self.node = node
         self.what = what
+        self.number = number
         self.freed = False
 
     def free(self) -> bool:
@@ -156,6 +158,7 @@ class Tracker:
         self._listeners: List[Listener] = []
         self._plain_mark = rules.dispatcher.mark
         self.blocker: Optional[Match] = None
+        self._numbers = count()
 
     def configure(self) -> None:
         """Follow the flags."""
@@ -231,7 +234,7 @@ class Tracker:
     def suppressed(self, node: Any, what: Any) -> None:
         """Remember what the last negated match has kept from firing."""
         if self.blocker is not None:
-            kept = Suppressed(node, what)
+            kept = Suppressed(node, what, next(self._numbers))
             for occurrence in known_in(self.blocker):
                 occurrence.suppressed.append(kept)
 
@@ -276,6 +279,7 @@ class Tracker:
                     runs[match[1]] = match[0]
             kept += one.suppressed
             one.suppressed = []
+        kept.sort(key=_number)  # as they were tried, which the policy says
         again = [(node, result) for run, node in runs.items() for result in node.results_again(run)]
         return again + [(one.node, one.what) for one in kept if one.free()]
 
@@ -300,6 +304,10 @@ class Tracker:
     def all(self) -> List[Occurrence]:
         """Return the remembered events that were not taken back, oldest first."""
         return [one for one in self._recent if not one.gone]
+
+
+def _number(one: Suppressed) -> int:
+    return one.number
 
 
 def _unlink(oldest: Occurrence) -> None:
