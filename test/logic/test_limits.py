@@ -1,11 +1,14 @@
 """What runs away ends with a resource error, and the engine goes on."""
 
 import pytest
+from logic.support import first, prolog
 
 from retalis.engine import Engine, Settings
 from retalis.errors import ProgramErrors
 from retalis.logic import Limits, PrologError
 from retalis.syntax import writeq
+from retalis.terms import Var, functor
+from retalis.watching import look
 
 PROGRAM = """
 loop :- loop.
@@ -282,3 +285,23 @@ def test_an_interrupt_leaves_no_limit_behind():
             engine.call(goal)
         assert not budget.alarms
         assert not budget.ceilings
+
+
+def test_a_limit_that_runs_out_in_a_function_is_not_run_into_again():
+    logic = prolog("p(X, Y) :- q(X, Y).\nq(X, Y) :- long(X, Y).")
+    calls = []
+
+    def long(value):
+        calls.append(value)
+        look(1_000_000)
+        return value
+
+    logic.define_function("long", 2, long)
+    logic.limits = Limits(inferences=10_000)
+    x, y = Var(), Var()
+    goal = logic.compile_goal((functor("p", 2), x, y), [x], [y])
+    for number in (1, 2):
+        with pytest.raises(PrologError, match="inferences"):
+            goal.test((number,))
+    assert calls == [1, 2]
+    assert first(logic, "catch(p(3, _), error(resource_error(inferences), _), true)") == {}

@@ -35,7 +35,17 @@ class Limits(NamedTuple):
 NO_LIMITS = Limits()
 
 
-class LimitPassed(PrologError):
+class LimitError(PrologError):
+    """A limit has run out.
+
+    Attributes:
+        final: whether no program can catch it.
+    """
+
+    final = False
+
+
+class LimitPassed(LimitError):
     """The ball of a call that has a limit of its own.
 
     Attributes:
@@ -224,8 +234,8 @@ class Budget:
         self._spent -= (self.limits.inferences or 0) // 10
         self._deadline = None
         self._memory = None
-        error = resource_error(what)
-        error.final = self._exceeded  # type: ignore[attr-defined]
+        error = LimitError(resource_error(what).term)
+        error.final = self._exceeded
         self._exceeded = True
         raise error
 

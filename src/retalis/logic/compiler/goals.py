@@ -4,6 +4,7 @@ from typing import Any, Callable, List, Optional, Sequence, Tuple
 
 from ...errors import Place
 from ...terms import Term, Var, deref, functor, resolve, variables
+from ..limits import LimitError
 from ..machine import Code
 from .bodies import Bodies
 from .direct import choose_functions, give_up, goals_of, parser, work_of
@@ -85,7 +86,7 @@ class GoalCode:
         """Return the function of the inputs, or None where there can be none.
 
         Bindings that it makes are undone, also where it fails. It returns `BAIL` where the goal has to be run
-        by frames, also to find an error again with its context.
+        by frames, also to find an error again with its context; limits that run out are not looked for twice.
         """
         entry = Height("height")
         nodes = parser(self._database, entry).parse(self._term)
@@ -97,7 +98,7 @@ class GoalCode:
         scope = self._scope(unit)
         scope.fail = scope.cut = _FAIL
         if calls:
-            unit.namespace["give_up"] = give_up
+            unit.namespace.update(give_up=give_up, LimitError=LimitError)
             scope.give_up = _GIVE_UP
         write_sequence(scope, nodes, frozenset(variables((_OUTPUTS, *self._outputs))))
         values = [_resolved(scope, output) for output in self._outputs]
@@ -107,7 +108,13 @@ class GoalCode:
             lines = ["    mark = len(trail)", *lines, f"    result = {result}", "    undo(trail, mark)"]
             if calls:
                 lines = [lines[0], "    try:", *["    " + line for line in lines[1:]]]
-                lines += ["    except Exception:", f"        {_GIVE_UP}"]
+                lines += [
+                    "    except LimitError:",
+                    "        undo(trail, mark)",
+                    "        raise",
+                    "    except Exception:",
+                    f"        {_GIVE_UP}",
+                ]
             result = "result"
         else:
             lines = [line.replace(_FAIL, "return None") for line in lines]
