@@ -24,7 +24,7 @@ from retalis.terms import String, copy, functor, variables  # noqa: E402
 
 RECORD = Path(__file__).with_name("goals_kinds.tsv")
 MOST = 5
-_FREE_NAME = re.compile(r"\b_G?[0-9]+\b")
+_FREE_NAME = re.compile(r"_G?[0-9]+")
 _SYNTAX_ERROR = re.compile(r"(?<=^error\()syntax_error\(.*\)(?=\)$)")
 _ERROR = functor("error", 2)
 _RESOURCE = functor("resource_error", 1)

@@ -19,8 +19,9 @@ def differing():
 
 
 def recorded():
-    """Return the recorded goals with SWI-Prolog's answers: of any arguments, and of arguments by kind."""
-    texts = [(FOLDER / name).read_text(encoding="utf-8") for name in ("goals.tsv", "goals_kinds.tsv")]
+    """Return the recorded goals with SWI-Prolog's answers: any arguments, arguments by kind, wrong ones chosen."""
+    names = ("goals.tsv", "goals_kinds.tsv", "goals_wrong_arguments.tsv")
+    texts = [(FOLDER / name).read_text(encoding="utf-8") for name in names]
     return dict(line.split("\t", 1) for text in texts for line in text.rstrip("\n").split("\n"))
 
 

@@ -120,14 +120,13 @@ def _character(item: Term) -> int:
     first = deref(item[1])
     if first.__class__ is Var:
         raise instantiation_error()
+    is_code = first.__class__ is int and first >= 0
+    text = first.name if first.__class__ is Atom and first is not NIL else ""
+    if len(text) != 1 and not is_code:
+        raise type_error("character", first)
     if deref(item[2]) is not NIL:
         raise type_error("[]", item)
-    if first.__class__ is int and first >= 0:
-        return first  # type: ignore[no-any-return]
-    text = first.name if first.__class__ is Atom and first is not NIL else ""
-    if len(text) != 1:
-        raise type_error("character", first)
-    return ord(text)
+    return first if is_code else ord(text)
 
 
 def _constant(item: Term, kind: type) -> Number:

@@ -158,7 +158,7 @@ class Control:
     def _ignore(self, goal: Term, height: int, after: Frame) -> Optional[Frame]:
         here = len(self._choices)
         self._choices.append((RESUME, after, len(self._trail)))
-        return self.solve(goal[1], here + 1, (self._cut_code, here, after))
+        return self.call(goal[1], (self._cut_code, here, after))
 
     # Exceptions
 
@@ -198,7 +198,7 @@ class Control:
 
     def forall(self, condition: Term, action: Term, after: Frame) -> Optional[Frame]:
         """Return the frame of ``forall/2``."""
-        goal = (NOT, (COMMA, (CALL, condition), (NOT, action)))
+        goal = (NOT, (COMMA, (CALL, condition), (NOT, (CALL, action))))
         return self.solve(goal, 0, after)
 
 

@@ -132,10 +132,11 @@ def atom_number(machine: Any, text: Term, number: Term) -> bool:
             raise type_error("number", number)
         return unify(text, atom(number_text(number)), machine.trail)
     if text.__class__ not in (Atom, String):
-        raise type_error(
-            "atom" if number.__class__ in (Var, int, float) else "number",
-            text if number.__class__ in (Var, int, float) else number,
-        )
+        if number.__class__ is Var:
+            raise type_error("atom", text)
+        if number.__class__ not in (int, float):
+            raise type_error("number", number)
+        return False
     found = parse_number(atomic_text(text), machine.logic.operators)
     return found is not None and unify(number, found, machine.trail)
 

@@ -37,8 +37,9 @@ def not_provable(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
 @control("apply/2")
 def apply(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
     """Call a goal with the items of a list as further arguments."""
+    goal = callable_of(args[0])
     extra = tuple(items(args[1]))
-    goal = add_arguments(args[0], extra) if extra else args[0]
+    goal = add_arguments(goal, extra) if extra else goal
     return machine.logic.control.call(goal, after)  # type: ignore[no-any-return]
 
 
@@ -48,9 +49,6 @@ def apply(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
 @control("phrase/2", "phrase/3")
 def phrase(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
     """Parse a list by a grammar body."""
-    body = deref(args[0])
-    if body.__class__ is not String:
-        callable_of(body)
     rest = args[2] if len(args) == 3 else NIL
     for term in (args[1], rest):
         kind = deref(term)
@@ -60,6 +58,9 @@ def phrase(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
             and (kind.__class__ is not tuple or kind[0] is not CONS)
         ):
             raise type_error("list", kind)
+    body = deref(args[0])
+    if body.__class__ is not String:
+        callable_of(body)
     goal = translate_body(body, args[1], rest)
     check_body(goal)
     return machine.logic.control.call(goal, after)  # type: ignore[no-any-return]

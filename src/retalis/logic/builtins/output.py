@@ -274,14 +274,18 @@ def formatted(machine: Any, form: Term, arguments: Term, column: int) -> str:
 @deterministic("format/1")
 def format_1(machine: Any, form: Term) -> bool:
     """Write formatted text."""
-    machine.logic.write(formatted(machine, form, NIL, machine.logic.column))
-    return True
+    return format_2(machine, form, NIL)
 
 
 @deterministic("format/2")
 def format_2(machine: Any, form: Term, arguments: Term) -> bool:
     """Write formatted text."""
-    machine.logic.write(formatted(machine, form, arguments, machine.logic.column))
+    logic = machine.logic
+    formatter = Formatter(machine, logic.column)
+    try:
+        formatter.format(_format_text(form), _arguments(arguments))
+    finally:  # what comes before an error is written
+        logic.write(formatter.line.text())
     return True
 
 

@@ -1,6 +1,6 @@
 """Reading terms from text."""
 
-from typing import Any
+from typing import Any, List
 
 from ...errors import SyntaxFault
 from ...syntax import ReadFlags, read_term
@@ -67,8 +67,9 @@ def atom_to_term(machine: Any, text: Term, term: Term, bindings: Term) -> bool:
     """Read a term and its variables' names from a text."""
     if deref(text).__class__ is Var:
         raise instantiation_error()
-    found = read(machine, text_of(text))
+    whole = text_of(text)
     partial_items(bindings)
+    found = read(machine, whole)
     names = make_list([(_EQUAL, atom(name), var) for name, var in found.names.items()])
     return machine.unify_all((term, found.term), (bindings, names))  # type: ignore[no-any-return]
 
@@ -76,15 +77,18 @@ def atom_to_term(machine: Any, text: Term, term: Term, bindings: Term) -> bool:
 @deterministic("read_term_from_atom/3")
 def read_term_from_atom(machine: Any, text: Term, term: Term, options: Term) -> bool:
     """Read a term from a text."""
-    found = read(machine, text_of(text, numbers=False))
-    return unify(term, found.term, machine.trail) and _unify_options(machine, found, options)
-
-
-def _unify_options(machine: Any, found: Any, options: Term) -> bool:
-    """Unify what the options of ``read_term`` ask for."""
-    for option in option_values(options):
+    whole = text_of(text, numbers=False)
+    asked = option_values(options)
+    for option in asked:
         if option.__class__ is not tuple:
             raise type_error("option", option)
+    found = read(machine, whole)
+    return unify(term, found.term, machine.trail) and _unify_options(machine, found, asked)
+
+
+def _unify_options(machine: Any, found: Any, options: List[Any]) -> bool:
+    """Unify what the options of ``read_term`` ask for."""
+    for option in options:
         name = option[0].name
         if name == "variables":
             value = make_list(variables(found.term))

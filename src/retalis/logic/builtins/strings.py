@@ -15,6 +15,7 @@ from .text import (
     constant_text,
     fill_sink,
     is_sink,
+    is_text_list,
     long_text,
     number_text,
     parse_number,
@@ -48,22 +49,27 @@ deterministic("string_chars/2")(_converter(chars))
 deterministic("string_codes/2")(_converter(codes))
 
 
-def _same_text(left: str, right: str, make: Any) -> Any:
-    """Return a relation of two texts: the second one is made from the first where it is not bound."""
-
-    def run(machine: Any, first: Term, second: Term) -> bool:
-        if deref(first).__class__ is Var:
-            return unify(first, make[0](whole_text(second, right)), machine.trail)
-        text = whole_text(first, left)
-        if deref(second).__class__ is Var:
-            return unify(second, make[1](text), machine.trail)
-        return text == whole_text(second, right)
-
-    return run
+def _is_no_text(term: Term) -> bool:
+    term = deref(term)
+    return term.__class__ is tuple and not is_text_list(term)
 
 
-deterministic("atom_string/2")(_same_text("atom", "string", (atom, String)))
-deterministic("string_to_atom/2")(_same_text("string", "atom", (String, atom)))
+@deterministic("atom_string/2")
+def atom_string(machine: Any, name: Term, text: Term) -> bool:
+    """Relate the text of an atom or a number with a string."""
+    if deref(name).__class__ is Var:
+        return unify(name, atom(whole_text(text, "string")), machine.trail)
+    if deref(text).__class__ is Var:
+        return unify(text, String(whole_text(name, "atom")), machine.trail)
+    if _is_no_text(name) != _is_no_text(text):
+        return False
+    return whole_text(text, "string") == whole_text(name, "atom")
+
+
+@deterministic("string_to_atom/2")
+def string_to_atom(machine: Any, text: Term, name: Term) -> bool:
+    """Do what ``atom_string/2`` does."""
+    return atom_string(machine, name, text)
 
 
 @deterministic("number_string/2")
@@ -91,18 +97,31 @@ def text_to_string(machine: Any, text: Term, result: Term) -> bool:
     return unify(result, String(found), machine.trail)
 
 
+def _wanted_code(term: Term) -> Term:
+    """Return the code that is looked for in a text: it may be given as a character."""
+    term = deref(term)
+    if term.__class__ is Var or (term.__class__ is int and term >= 0):
+        return term
+    if term.__class__ is Atom or term.__class__ is String or is_text_list(term):
+        text = text_of(term)
+        if len(text) == 1:
+            return ord(text)
+    raise type_error("character", term)
+
+
 @nondeterministic("string_code/3")
 def string_code(machine: Any, index: Term, text: Term, code: Term) -> Iterator[Any]:
     """Relate the characters' codes with their positions from 1."""
     at = integer_or_var(index)
     whole = text_of(text, numbers=False)
     if at is None:
+        wanted = _wanted_code(code)
         for at, char in enumerate(whole, 1):
-            if machine.unify_all((index, at), (code, ord(char))):
+            if machine.unify_all((index, at), (wanted, ord(char))):
                 yield LAST if at == len(whole) else None
         return
     if at < 0:
-        raise type_error("not_less_than_zero", at)
+        raise domain_error("not_less_than_zero", at)
     if 0 < at <= len(whole) and machine.unify(code, ord(whole[at - 1])):
         yield LAST
 
@@ -139,18 +158,26 @@ def _same(given: Term, text: str, make: Any) -> Term:
 def split_string(machine: Any, text: Term, separators: Term, pad: Term, parts: Term) -> bool:
     """Split a text at any of the separators and strip the pad characters from each part."""
     whole, between, strip = (text_of(given, numbers=False) for given in (text, separators, pad))
-    found = []
-    start = 0
     long_text(len(whole))
-    for at, char in enumerate(whole):
-        if char in between:
-            found.append(whole[start:at])
-            start = at + 1
-    found.append(whole[start:])
     partial_items(parts)
-    return unify(
-        parts, make_list([String(part.strip(strip) if strip else part) for part in found]), machine.trail
-    )
+    return unify(parts, make_list(list(map(String, _split(whole, between, strip)))), machine.trail)
+
+
+def _split(text: str, separators: str, pad: str) -> Iterator[str]:
+    """Yield the parts of a text; separators that are pad characters too count once, and not at the ends."""
+    text = _strip(text, pad)
+    start = 0
+    for at, char in enumerate(text):
+        if at >= start and char in separators:
+            yield _strip(text[start:at], pad)
+            start = at + 1
+            while char in pad and text[start] in pad:  # what is left does not end with one
+                start += 1
+    yield _strip(text[start:], pad)
+
+
+def _strip(text: str, pad: str) -> str:
+    return text.strip(pad) if pad else text
 
 
 @deterministic("normalize_space/2")
