@@ -149,14 +149,7 @@ class WaitingQueries:
         """Return the frame that asks what has waited for this memory alone, in order of registration."""
         ready: List[Waiting] = []
         for waiting in instance.reached(end):
-            missing = waiting[5]
-            missing.pop()
-            while missing and missing[-1][0].has(missing[-1][1]):
-                missing.pop()
-            if missing:
-                other, instant = missing[-1]
-                other.wait(instant, waiting[0], waiting)
-            else:
+            if len(waiting[5]) == 1 or not self._waits_on(waiting):
                 del self._all[waiting[0]]
                 ready.append(waiting)
         if len(ready) > 1:
@@ -164,6 +157,19 @@ class WaitingQueries:
         elif not ready:
             return after
         return self._ask((self, iter(ready), after))
+
+    @staticmethod
+    def _waits_on(waiting: Waiting) -> bool:
+        """Have a query wait for the next memory that has not got there, and tell whether there is one."""
+        missing = waiting[5]
+        missing.pop()
+        while missing:
+            instance, instant = missing[-1]
+            if not instance.has(instant):
+                instance.wait(instant, waiting[0], waiting)
+                return True
+            missing.pop()
+        return False
 
     def run(self, frame: Any) -> Any:
         """Ask the queries that are left, as code of a frame: one is done with before the next is asked."""
