@@ -91,6 +91,8 @@ class Bench:
         if way in ("idle", "roscpp"):
             return {"/" + name.strip("/"): pid for name, pid in running("/idle")}
         wait_until(lambda: all(one.get_num_connections() for one in listening))
+        number = 1 if way == "embedded" else 2
+        wait_until(lambda: len(list(running("/retalis"))) >= number)
         nodes = dict(running("/retalis"))
         topics = {one.resolved_name for one in listening}
         wait_until(lambda: topics <= {topic for name in nodes for topic in heard(name)})
