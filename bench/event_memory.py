@@ -37,6 +37,13 @@ CASES = {
         f"w([property(window, {SECONDS}), property(window_step, 100)]) : {_PATTERN}",
     ),
 }
+CASES.update(
+    (
+        f"window, {policy}",
+        (f"set_etalis_flag(event_consumption_policy, {policy})", CASES["window"][1]),
+    )
+    for policy in ("recent_2", "chronological", "chronological_2", "unrestricted")
+)
 
 
 def feed(name: str, number: int) -> List[List[int]]:

@@ -1,6 +1,6 @@
 import gc
 
-from retalis.collector import relax
+from retalis.collector import paused, relax
 
 
 def test_what_is_loaded_is_not_walked_again():
@@ -14,3 +14,13 @@ def test_what_is_loaded_is_not_walked_again():
     finally:
         gc.unfreeze()
         gc.set_threshold(*thresholds)
+
+
+def test_paused_while_something_is_built_and_as_before_then():
+    assert gc.isenabled()
+    with paused():
+        assert not gc.isenabled()
+        with paused():
+            pass
+        assert not gc.isenabled()
+    assert gc.isenabled()

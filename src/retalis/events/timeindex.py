@@ -9,6 +9,8 @@ import heapq
 from bisect import bisect_left, bisect_right, insort
 from typing import Any, Iterable, Iterator, List, Optional, Tuple
 
+from ..collector import paused
+
 Limits = Tuple[int, int, int, int]
 """The least and the largest start, the least and the largest end; all of them inclusive."""
 
@@ -115,7 +117,10 @@ class TimeIndex:
         self.by_end = by_end
         self.changes = 0
         self.searched = 0
-        entries = sorted(map(self._entry, matches))
+        with paused():
+            self._build(sorted(map(self._entry, matches)))
+
+    def _build(self, entries: List[Any]) -> None:
         self.size = len(entries)
         half = _FULL // 2
         nodes = [_Node(entries[at : at + half], None) for at in range(0, len(entries), half)]
