@@ -4,10 +4,11 @@ from ..terms.keys import term_key
 from ._plans import NOBODY
 from ._source import compile_function
 from .building import compile_builder
-from .dispatch import AT_ONCE, LEFT_OUT, Dispatcher, Listener, Stage
+from .dispatch import Dispatcher
 from .network import Rules
 from .nodes import Leaf
 from .policy import Policy
+from .serving import AT_ONCE, LEFT_OUT, Listener, Stage
 
 __all__ = [
     "AT_ONCE",

@@ -4,10 +4,10 @@ from typing import Any, Callable, Dict, Optional, Sequence, Tuple
 
 from ..logic import PrologError, resource_error
 from ..terms import Atom, String, Term, Var, functor, is_ground, list_items, make_list, variables
-from .dispatch import AT_ONCE
 from .lanes import Completion, goal_lane
 from .matches import Match
 from .policy import Frame, emit_each
+from .serving import AT_ONCE
 
 Values = Tuple[Term, ...]
 Test = Callable[[Values, int, int], Optional[Values]]

@@ -4,121 +4,21 @@ Listeners are found by the event's functor and then by the constants in their pa
 dictionaries, so an event costs nothing for listeners whose constants differ.
 """
 
-from enum import IntEnum
 from itertools import count
-from typing import Any, Callable, Dict, Iterator, Optional, Tuple
+from typing import Any, Callable, Dict, Optional, Tuple
 from weakref import WeakValueDictionary
 
 from ..errors import UsageError
 from ..logic import Goal, PrologError
-from ..terms import TRUE, Atom, Functor, Lazy, Term, Var, copy, deref, is_ground, is_plain
+from ..terms import Atom, Functor, Lazy, Term, Var, copy, deref, is_ground, is_plain
 from ..terms.keys import term_key
 from ._plans import Choice, Onlookers, make_plan
 from .gates import Gate
 from .matching import Matcher, Values, compile_matcher
-
-Frame = Any
-Action = Callable[[Term, Values, int, int, Frame], Frame]
-"""Takes the event, the values of the pattern's variables, start, end and the next frame; gives a frame."""
-Lane = Callable[[Term, int, int], bool]
-"""Takes an event without variables that follows from no other, start and end; tells whether it has been served."""
-
-
-class Stage(IntEnum):
-    """When a listener is served: lower stages first, in a stage the oldest first."""
-
-    TRACE = 0
-    """Those who only look on: recorded streams, logs."""
-    SUBSCRIPTIONS = 1
-    MEMORIES = 2
-    QUERIES = 3
-    RULES = 4
-
-
-class Listener:
-    """One pattern with what to do for each event that matches it; made by `Dispatcher.listen`."""
-
-    __slots__ = ("order", "pattern", "functor", "matcher", "action", "lane", "looks_on")
-
-    def __init__(
-        self,
-        order: Tuple[int, ...],
-        pattern: Term,
-        functor: Optional[Functor],
-        matcher: Matcher,
-        action: Action,
-        lane: Optional[Lane],
-        looks_on: bool,
-    ):
-        self.order = order
-        self.pattern = pattern
-        self.functor = functor
-        self.matcher = matcher
-        self.action = action
-        self.lane = lane
-        self.looks_on = looks_on
-
+from .serving import AT_ONCE, LEFT_OUT, Action, Event, Frame, Lane, Listener, Stage, event_of
 
 _PLANS = 10_000
 """How many kinds of events have a plan; past that all are made anew."""
-
-AT_ONCE = 5
-"""To this depth derived events are served inside the call that makes them; deeper ones by the machine's loop."""
-
-
-class Event:
-    """The dispatch of one event; as ``code`` of a frame it serves the listeners that are left.
-
-    Attributes:
-        token: what tells this event from all others, given by `Dispatcher.token`.
-        depth: how many events it was derived through, itself included.
-        cause: the rule and match whose goal made it, where that is tracked.
-        ground: whether it has no variables; None while nobody has looked.
-    """
-
-    __slots__ = ("dispatcher", "steps", "term", "start", "end", "parent", "depth", "token", "cause", "ground")
-
-    dispatcher: "Dispatcher"
-    steps: Iterator[Any]
-    term: Term
-    start: int
-    end: int
-    parent: Optional["Event"]
-    depth: int
-    token: Any
-    cause: Any
-    ground: Optional[bool]
-
-    def run(self, frame: Frame) -> Frame:
-        """Serve listeners until one of them has something to do first, or none is left."""
-        dispatcher = self.dispatcher
-        dispatcher.current = self
-        term = self.term
-        start = self.start
-        end = self.end
-        for matcher, action in self.steps:
-            values = matcher(term)
-            if values is not None:
-                after = action(term, values, start, end, frame)
-                if after is not frame:
-                    return after
-        dispatcher.current = self.parent
-        return frame[1]
-
-
-def _left_out(depth: int) -> Event:
-    event = Event()
-    event.steps = iter(())
-    event.term = TRUE
-    event.token = event.parent = event.cause = None
-    event.start = event.end = 0
-    event.ground = True
-    event.depth = depth
-    return event
-
-
-LEFT_OUT = [_left_out(depth) for depth in range(1, AT_ONCE + 1)]
-"""What is current in place of events that are not made, by the depth of what they follow from: at 0 of nothing."""
 
 
 class Dispatcher:
@@ -381,14 +281,8 @@ class Dispatcher:
         current = self.current
         if current.__class__ is not tuple:
             return current  # type: ignore[no-any-return]
-        event = self.current = Event()
-        event.dispatcher = self
-        event.steps = iter(())
-        event.term, event.start, event.end = current
-        event.token = event.parent = None
+        event = self.current = event_of(self, *current)
         event.cause = self.cause
-        event.ground = True
-        event.depth = 1
         return event
 
     def ground(self) -> bool:

@@ -5,8 +5,8 @@ from typing import Any, NamedTuple, Optional
 from ..terms import undo
 from ._plans import NOBODY
 from ._source import compile_function
-from .dispatch import Action, Lane
 from .gates import Gate
+from .serving import Action, Lane
 
 OPEN = Gate((), None)
 

@@ -10,12 +10,12 @@ from ._plans import NOBODY
 from .alarms import alarm_of
 from .building import compile_builder
 from .compiling import Compiler
-from .dispatch import Action, Lane, Listener, Stage
 from .expiry import Expiries
 from .lanes import Completion
 from .matches import Match
 from .pattern import same_rule_key
 from .policy import Frame, Mode
+from .serving import Action, Lane, Listener, Stage
 
 _SPARE = 1000
 

@@ -8,7 +8,7 @@ from ..errors import UsageError
 from ..logic import Predicate
 from ..terms import SLASH, Atom, Functor, Term, Var, copy, deref, functor, undo, unify
 from ..timestamps import interval_term
-from .dispatch import Listener, Stage
+from .serving import Listener, Stage
 
 log = logging.getLogger("retalis.events")
 
