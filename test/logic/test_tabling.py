@@ -151,3 +151,87 @@ def test_a_call_with_a_cyclic_argument_ends():
     logic = prolog(":- table p/1.\np(_).")
     logic.limits = Limits(inferences=100_000)
     assert answers(logic, "X = f(Y, X), p(X)") == ["resource_error(inferences)"]
+
+
+MODED = """
+:- table path(_, _, min), a(_, first), b(_, last), c(index, max), d(+, -), p(_, po(better/2)), n(_, lattice(n)).
+:- table w(_, lattice(shorter/3)), two(_, min, max), front(min, _), m:q(min, lattice(user:shorter(_, _, _))).
+edge(a, b, 1). edge(b, c, 2). edge(a, c, 5). edge(c, a, 1).
+path(X, Y, C) :- edge(X, Y, C).
+path(X, Y, C) :- path(X, Z, A), edge(Z, Y, B), C is A + B.
+v(a, 3). v(a, x). v(a, 1). v(b, 2). v(a, 4). v(a, 1).
+a(X, Y) :- v(X, Y).
+b(X, Y) :- v(X, Y).
+b(X, Y) :- b(_, _), v(X, Y).
+c(X, Y) :- v(X, Y).
+d(X, Y) :- v(X, Y).
+p(X, Y) :- v(X, Y).
+better(A, B) :- A @< B.
+n(X, Y) :- v(X, Y).
+n(_, new, _) :- fail.
+n(1, _, _) :- throw(worse).
+w(X, [X]).
+w(X, [X|T]) :- edge(X, Y, _), w(Y, T).
+w(z, [a, b, c]). w(z, [A|A]). w(z, [a, b]).
+shorter(A, B, C) :- ( is_list(A), is_list(B), length(A, N), length(B, M), M < N -> C = B ; C = A ).
+two(X, Y, Z) :- v(X, Y), v(X, Z).
+front(Y, X) :- v(X, Y).
+q(1, []).
+"""
+
+
+@pytest.mark.parametrize(
+    ("call", "found"),
+    [
+        ("path(a, X, Y)", "[path(a,a,4),path(a,b,1),path(a,c,3)]"),
+        ("path(X, c, Y)", "[path(a,c,3),path(b,c,2),path(c,c,4)]"),
+        ("path(a, c, 3)", "error(uninstantiation_error(3),context(path/3,A))"),
+        ("path(X, X, Y)", "[path(a,a,4),path(b,b,4),path(c,c,4)]"),
+        ("path(X, Y, Y)", "[]"),
+        ("a(X, Y)", "[a(a,3),a(b,2)]"),
+        ("b(X, Y)", "[b(a,1),b(b,2)]"),
+        ("c(X, Y)", "[c(a,x),c(b,2)]"),
+        ("d(X, Y)", "[d(a,3),d(b,2)]"),
+        ("p(X, Y)", "[p(a,1),p(b,2)]"),
+        ("n(b, Y)", "[n(b,2)]"),
+        ("n(a, Y)", "[n(a,3)]"),
+        ("w(a, Y)", "[w(a,[a])]"),
+        ("w(X, [Y|Z])", "error(uninstantiation_error([A|B]),context(w/2,C))"),
+        ("w(z, Y)", "[w(z,[z])]"),
+        ("two(X, Y, Z)", "[two(a,1,x),two(b,2,2)]"),
+        ("two(X, 1, Z)", "error(uninstantiation_error(1),context(two/3,A))"),
+        ("front(Y, X)", "[front(1,a),front(2,b)]"),
+        ("q(X, Y)", "[q(1,[])]"),
+    ],
+)
+def test_modes_keep_the_best_answer(call, found):
+    """The answers are SWI-Prolog's."""
+    logic = prolog(MODED)
+    logic.limits = Limits(inferences=1_000_000)
+    goal = f"term_to_atom(_G, `{call}`), catch((findall(_G, _G, _L), msort(_L, L)), L, true)"
+    for _ in range(2):
+        assert first(logic, goal) == found
+
+
+def test_an_error_of_a_lattice_is_that_of_the_call():
+    logic = prolog(":- table n(_, lattice(n)).\nn(a, 1).\nn(a, 2).\nn(_, _, _) :- throw(worse).")
+    for _ in range(2):
+        assert answers(logic, "n(a, X)") == ["worse"]
+    assert logic.machine.choices == []
+
+
+@pytest.mark.parametrize(
+    ("spec", "error"),
+    [
+        ("p(_, bar)", "domain_error(tabled_mode,bar)"),
+        ("p(1, _)", "domain_error(tabled_mode,1)"),
+        ("p(sum)", "domain_error(tabled_mode,sum)"),
+        ("p(_, lattice(x/2))", "domain_error(lattice_arity,2)"),
+        ("p(_, lattice(f(_, _)))", "domain_error(lattice_arity,2)"),
+        ("p(_, po(x/3))", "domain_error(po_arity,3)"),
+        ("p(_, po(1))", "type_error(atom,1)"),
+        ("p(_, lattice(_))", "instantiation_error"),
+    ],
+)
+def test_modes_that_there_are_not(spec, error):
+    assert answers(prolog(), f"table({spec})") == [error]

@@ -177,6 +177,11 @@ def abolish_named(machine: Any, name: Term, arity: Term) -> bool:
 
 def _each(term: Term) -> Iterator[Functor]:
     """Yield the functors that a declaration names: indicators in lists and conjunctions."""
+    return map(indicator_of, declared(term))
+
+
+def declared(term: Term) -> Iterator[Term]:
+    """Yield what a declaration names: items of lists and conjunctions."""
     stack = [term]
     while stack:
         item = deref(stack.pop())
@@ -187,7 +192,7 @@ def _each(term: Term) -> Iterator[Functor]:
         elif item.__class__ is tuple and item[0].name == "as":
             stack.append(item[1])
         elif item is not NIL:
-            yield indicator_of(item)
+            yield item
 
 
 def _declaration(attribute: Optional[str]) -> Any:

@@ -10,11 +10,27 @@ them gives its variables these values, which cannot fail: nothing is unified.
 
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
-from ...terms import Atom, Functor, String, Term, Var, copy, functor, is_plain, variables
+from ...terms import (
+    SLASH,
+    Atom,
+    Functor,
+    String,
+    Term,
+    Var,
+    conjunction,
+    copy,
+    deref,
+    functor,
+    is_plain,
+    variables,
+)
 from ...terms.keys import term_key
+from ..faults import uninstantiation_error
 from ..machine import Code, Frame, Guard
 from ..predicate import Predicate
-from .clauses import _each
+from .arguments import indicator_of
+from .clauses import declared
+from .modes import Mode, modes_of
 from .registry import control, deterministic
 
 _ANSWER = functor("answer", 0)
@@ -29,7 +45,7 @@ class Table:
 
     Attributes:
         answers: values of the call's variables, in the order found.
-        known: the answers' keys.
+        known: the answers' keys, with their positions.
         ground: whether no answer has a variable.
         state: "new", "active", "waiting" (evaluated in this round of an older table, which decides whether
             there is another one) or "complete".
@@ -50,7 +66,7 @@ class Table:
     def empty(self) -> None:
         """Forget the answers."""
         self.answers: List[Tuple[Term, ...]] = []
-        self.known: Dict[Any, None] = {}
+        self.known: Dict[Any, int] = {}
         self.ground = True
 
 
@@ -66,19 +82,39 @@ class Tables:
         self._round = Code("table", self._end_of_round)
         self._next = Code("table", lambda entry: self._enumerate(*entry[1:6]))
         self._answer = Code("answer", self._add)
+        self._better = Code("answer", self._improve)
+        self._kept = Code("answer", self._keep)
+        self._moded = Code("table", lambda frame: frame[3] if machine.unify_all(*zip(*frame[1:3])) else None)
 
     def clear(self) -> None:
         """Forget all answers."""
         self.by_call.clear()
         self.active.clear()
 
-    def caller(self, predicate: Predicate) -> Call:
-        """Return the function that does calls of a predicate."""
+    def moded_caller(self, predicate: Predicate, modes: Dict[int, Mode]) -> Call:
+        """Return the function that does calls of a predicate some of whose arguments have modes."""
+        plain = self.caller(predicate, list(modes.values()))
+
+        def call(frame: Frame) -> Optional[Frame]:
+            inner = list(frame)
+            for at in modes:
+                value = deref(frame[at])
+                if value.__class__ is not Var:
+                    raise uninstantiation_error(value)
+                inner[at] = Var()
+            given, fresh = [frame[at] for at in modes], [inner[at] for at in modes]
+            inner[-1] = (self._moded, given, fresh, frame[-1])
+            return plain(tuple(inner), fresh)
+
+        return call
+
+    def caller(self, predicate: Predicate, modes: Sequence[Mode] = ()) -> Any:
+        """Return the function that does calls of a predicate, given the variables of arguments with modes."""
         key_of_call = predicate.functor
         find = self.by_call.get
         bound = self.machine.trail.append
 
-        def call(frame: Frame) -> Optional[Frame]:
+        def call(frame: Frame, moded: Sequence[Var] = ()) -> Optional[Frame]:
             key: Any = [key_of_call]
             free: List[Var] = []
             for arg in frame[1:-1]:
@@ -107,7 +143,10 @@ class Tables:
                     bound(var)
                 return frame[-1]  # type: ignore[no-any-return]
             if table.state == "new":
-                return self._evaluate(predicate, frame, table, free)
+                collect: Frame = (self._answer, table, free)
+                if modes:
+                    collect = (self._better, table, free, list(map(free.index, moded)), modes)
+                return self._evaluate((predicate.tabled, *frame[1:-1], collect), table, free, frame[-1])
             return self._consult(table, free, frame[-1])
 
         return call
@@ -120,7 +159,7 @@ class Tables:
             other.low = min(other.low, at)
         return self._enumerate(list(table.answers), table.ground, 0, free, after)
 
-    def _evaluate(self, predicate: Predicate, frame: Frame, table: Table, free: List[Var]) -> Frame:
+    def _evaluate(self, clauses: Frame, table: Table, free: List[Var], after: Frame) -> Frame:
         """Evaluate the clauses once, with the caller's variables: all bindings are undone in the end."""
         machine = self.machine
         active = self.active
@@ -132,8 +171,7 @@ class Tables:
         table.consulted = False
         active.append(table)
         table.state = "active"
-        clauses = (predicate.tabled, *frame[1:-1], (self._answer, table, free))
-        machine.choices.append((self._round, table, clauses, free, frame[-1], self.added, mark))
+        machine.choices.append((self._round, table, clauses, free, after, self.added, mark))
         return clauses
 
     def _add(self, frame: Frame) -> None:
@@ -153,11 +191,45 @@ class Tables:
         else:
             key = answer = tuple(answer)
         if key not in table.known:
-            table.known[key] = None
+            table.known[key] = len(table.answers)
             table.answers.append(answer)
             self.added += 1
             if key is not answer and table.ground:
                 table.ground = all(map(is_plain, answer))
+
+    def _improve(self, frame: Frame) -> Optional[Frame]:
+        """Note an answer of a table with modes, or what is better of it and the one that is there."""
+        _, table, free, places, modes = frame
+        answer = copy((_ANSWER, *free))[1:]
+        key = term_key((_ANSWER, *[value for at, value in enumerate(answer) if at not in places]))
+        at = table.known.get(key)
+        if at is None:
+            table.known[key] = len(table.answers)
+            table.answers.append(answer)
+            self.added += 1
+            table.ground = table.ground and all(map(is_plain, answer))
+            return None
+        kept = list(answer)
+        goals = []
+        for place, mode in zip(places, modes):
+            old, new = table.answers[at][place], answer[place]
+            if mode.pick is not None:
+                kept[place] = mode.pick(old, new)
+            else:
+                kept[place] = Var()
+                goals.append(mode.goal(old, new, kept[place]))
+        grows = any(mode.grows for mode in modes)
+        after = (self._kept, table, at, kept, grows)
+        return self.machine.logic.control.once(conjunction(goals), after) if goals else after
+
+    def _keep(self, frame: Frame) -> None:
+        """Put an answer in the place of another."""
+        _, table, at, kept, grows = frame
+        answer = copy((_ANSWER, *kept))
+        if term_key(answer) != term_key((_ANSWER, *table.answers[at])):
+            table.answers[at] = answer[1:]
+            table.ground = table.ground and is_plain(answer)
+            self.added += grows
 
     def _end_of_round(self, entry: Frame) -> Optional[Frame]:
         """Evaluate the clauses again, or be done."""
@@ -228,12 +300,17 @@ def tables_of(machine: Any) -> Tables:
 @deterministic("table/1")
 def table_declaration(machine: Any, which: Term) -> bool:
     """Declare predicates tabled."""
-    for key in _each(which):
-        declare(machine, key)
+    for item in declared(which):
+        if item.__class__ is tuple and item[0].name == ":" and len(item) == 3:
+            item = deref(item[2])
+        if item.__class__ is tuple and item[0] is not SLASH:
+            declare(machine, *modes_of(item))
+        else:
+            declare(machine, indicator_of(item), {})
     return True
 
 
-def declare(machine: Any, key: Functor) -> None:
+def declare(machine: Any, key: Functor, modes: Dict[int, Mode]) -> None:
     """Make a predicate tabled: its clauses go to a hidden predicate that the tables call."""
     database = machine.logic.database
     predicate = database.writable(key, "modify")
@@ -243,7 +320,7 @@ def declare(machine: Any, key: Functor) -> None:
     for clause in list(predicate.live()):
         hidden.add(clause)
     tables = tables_of(machine)
-    predicate.table(hidden, tables.caller(predicate))
+    predicate.table(hidden, tables.moded_caller(predicate, modes) if modes else tables.caller(predicate))
     database.forget()
 
 
