@@ -121,3 +121,21 @@ def test_messages_of_a_wake_up_are_taken_one_connection_at_a_time_and_none_cuts_
     errors = [record.getMessage() for record in caplog.records]
     assert errors[0] == "a message on /heat is dropped: too short"
     assert "no such thing" in errors[1]
+
+
+def test_a_connection_whose_messages_cannot_be_taken_is_refused_once_and_for_all(monkeypatch, caplog):
+    monkeypatch.setattr(rospy, "Subscriber", lambda *arguments, **options: None)
+
+    def taker(decoder):
+        raise KeyError("no such thing")
+
+    reports = Reports()
+    found = Input(Definitions(), "/heat", "lab/Temperature", taker, 5, threading.Lock(), reports)
+    md5sum = Definitions().add("lab/Temperature", TEXT).md5sum
+    header = {"type": "lab/Temperature", "md5sum": md5sum, "message_definition": TEXT}
+    for _ in range(3):
+        found._taking(header)([WARM])
+    assert (reports.errors, reports.warnings) == (1, 3)
+    shown = [record.getMessage() for record in caplog.records]
+    assert "no such thing" in shown[0]
+    assert shown[1] == "topic /heat: internal error: a message of somebody is dropped"

@@ -50,9 +50,17 @@ def new_link(receiver, read=b"", latched=False):
     )
 
 
-def new_reader(link, taken, callbacks=1):
-    topic = SimpleNamespace(callbacks=[None] * callbacks)
-    return Reader(link, topic, lambda header: taken.append, 0.001)
+def callback(message):
+    raise AssertionError("rospy calls it, the reader does not")
+
+
+def subscribed(callbacks=(callback,), **topic):
+    topic = SimpleNamespace(callbacks=[(one, None) for one in callbacks], **topic)
+    return SimpleNamespace(impl=topic, callback=callback)
+
+
+def new_reader(link, taken, callbacks=(callback,)):
+    return Reader(link, subscribed(callbacks), lambda header: taken.append, 0.001)
 
 
 def send_in_pieces(sender, data, size):
@@ -87,11 +95,12 @@ def test_messages_that_come_together_are_handed_on_together(pair):
     assert taken == [[b"one", b"two"]]
 
 
-def test_messages_go_to_rospy_where_others_have_called_for_them(pair):
+@pytest.mark.parametrize("callbacks", [(callback, print), (print,)], ids=["too", "only"])
+def test_messages_go_to_rospy_where_others_have_called_for_them(pair, callbacks):
     sender, receiver = pair
     taken = []
     sender.sendall(frame(b"one") + frame(b"two"))
-    messages = new_reader(new_link(receiver), taken, callbacks=2)()
+    messages = new_reader(new_link(receiver), taken, callbacks)()
     assert [message._buff for message in messages] == [b"one", b"two"]
     assert all(message._connection_header is HEADER for message in messages)
     assert taken == []
@@ -124,7 +133,7 @@ def test_a_message_alone_arrives_where_several_are_waited_for(pair):
         taken.extend(messages)
         link.done = True
 
-    reader = Reader(link, SimpleNamespace(callbacks=[None]), lambda header: take, 0.001)
+    reader = Reader(link, subscribed(), lambda header: take, 0.001)
     reader._open()
     reader._pace._wait_for(1000)
     sender.sendall(frame(b"alone"))
@@ -134,14 +143,13 @@ def test_a_message_alone_arrives_where_several_are_waited_for(pair):
 
 def subscriber(data_class=rospy.AnyMsg, connections=(), statistics=None):
     added = []
-    topic = SimpleNamespace(
+    found = subscribed(
         data_class=data_class,
         connections=list(connections),
         statistics_logger=statistics,
-        callbacks=[None],
         add_connection=added.append,
     )
-    return SimpleNamespace(impl=topic), added
+    return found, added
 
 
 def ignore(header):

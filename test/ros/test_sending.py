@@ -11,6 +11,7 @@ rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 
 from rospy.exceptions import TransportTerminated  # noqa: E402
 
+from retalis._reports import Reports  # noqa: E402
 from retalis.ros import _sending, _texts  # noqa: E402
 from retalis.ros._sending import Outlet  # noqa: E402
 from retalis.ros._texts import TextPublisher, text_frame  # noqa: E402
@@ -61,21 +62,19 @@ def link():
 
 
 @pytest.fixture
-def warnings(monkeypatch):
-    found = []
-    monkeypatch.setattr(rospy, "logwarn_throttle", lambda period, text: found.append(text))
-    return found
+def reports():
+    return Reports()
 
 
 @pytest.fixture
-def outlet(monkeypatch, link, warnings):
+def outlet(monkeypatch, link, reports):
     """Return a function that makes an outlet with the connection."""
 
     def publisher(topic, kind, queue_size):
         return SimpleNamespace(name=topic, impl=SimpleNamespace(connections=[link]))
 
     monkeypatch.setattr(rospy, "Publisher", publisher)
-    return lambda queue=1000, patient=False: Outlet("/topic", object, queue, patient)
+    return lambda queue=1000, patient=False: Outlet("/topic", object, queue, reports, patient)
 
 
 def test_what_a_connection_takes_is_written_at_once(outlet, link):
@@ -84,18 +83,18 @@ def test_what_a_connection_takes_is_written_at_once(outlet, link):
     assert (link.stat_bytes, link.stat_num_msg) == (5, 3)
 
 
-def test_a_receiver_that_comes_late_gets_all_in_order(outlet, link, warnings):
+def test_a_receiver_that_comes_late_gets_all_in_order(outlet, link, reports):
     it = outlet()
     for number in range(30):
         it.send(numbered(number))
     assert link.read(29) == list(range(30))
     it.send(numbered(30))
     assert link.read(30) == [30]
-    assert warnings == []
+    assert reports.warnings == 0
 
 
 def test_for_a_receiver_that_does_not_keep_up_the_oldest_are_dropped_and_no_message_is_cut(
-    outlet, link, warnings
+    outlet, link, reports, caplog
 ):
     it = outlet(queue=5)
     for number in range(100):
@@ -104,11 +103,13 @@ def test_for_a_receiver_that_does_not_keep_up_the_oldest_are_dropped_and_no_mess
     assert numbers == sorted(set(numbers))
     assert numbers[0] == 0
     assert numbers[-5:] == [95, 96, 97, 98, 99]
-    assert warnings
-    assert f"{100 - len(numbers)} messages dropped" in warnings[-1]
+    reports.sum_up()
+    text = "/listener does not keep up with topic /topic: a message is dropped for it"
+    shown = [record.getMessage() for record in caplog.records]
+    assert (shown[0], shown[-1]) == (text, f"{100 - len(numbers)} times in all: {text}")
 
 
-def test_who_sends_patiently_loses_nothing(outlet, link, warnings):
+def test_who_sends_patiently_loses_nothing(outlet, link, reports):
     it = outlet(queue=5, patient=True)
     numbers = []
     receiving = threading.Thread(target=lambda: numbers.extend(link.read(99)))
@@ -117,15 +118,15 @@ def test_who_sends_patiently_loses_nothing(outlet, link, warnings):
         it.send(numbered(number))
     receiving.join()
     assert numbers == list(range(100))
-    assert warnings == []
+    assert reports.warnings == 0
 
 
-def test_patience_is_tried_once(outlet, link, warnings, monkeypatch):
+def test_patience_is_tried_once(outlet, link, reports, monkeypatch):
     monkeypatch.setattr(_sending, "PATIENCE", 0.01)
     waits = []
     monkeypatch.setattr(_sending, "wallsleep", lambda seconds: waits.append(seconds))
     it = outlet(queue=5, patient=True)
-    while not warnings:
+    while not reports.warnings:
         it.send(numbered(0))
     count = len(waits)
     assert count > 0
@@ -186,7 +187,7 @@ def test_connections_that_are_gone_are_forgotten(outlet, link):
 
 
 def test_texts_go_out_together_in_order(outlet, link, monkeypatch):
-    it = TextPublisher("/topic", 1000)
+    it = TextPublisher("/topic", 1000, Reports())
     it.add("a")
     it.add("b\udcff")
     link.other.setblocking(False)

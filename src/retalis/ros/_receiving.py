@@ -118,14 +118,15 @@ class Reader:
 
     Args:
         link: rospy's connection.
-        topic: its topic.
+        subscriber: whose it is; where others have subscribed the topic in this process too, rospy calls all of them.
         taker: gives what takes the messages of a wake-up, as a list of bytes, by the connection's header.
         hold: see `Pace`.
     """
 
-    def __init__(self, link: Any, topic: Any, taker: Taker, hold: float):
+    def __init__(self, link: Any, subscriber: Any, taker: Taker, hold: float):
         self._link = link
-        self._topic = topic
+        self._topic = subscriber.impl
+        self._callback = subscriber.callback
         self._taker = taker
         self._hold = hold
         self._socket: Any = None
@@ -144,7 +145,7 @@ class Reader:
                 continue
             if link.is_latched:
                 link.latch = self._message(found[-1])
-            if len(self._topic.callbacks or ()) != 1:
+            if [one for one, _ in self._topic.callbacks or ()] != [self._callback]:
                 return [self._message(one) for one in found]
             take(found)
         return []
@@ -229,7 +230,7 @@ def read_by(subscriber: Any, taker: Taker, hold: float) -> None:
     def prepare(link: Any) -> None:
         known = getattr(link, "receive_once", None).__class__ is Reader
         if not known and all(hasattr(link, name) for name in _NEEDED):
-            link.receive_once = Reader(link, topic, taker, hold)
+            link.receive_once = Reader(link, subscriber, taker, hold)
 
     def add_connection(link: Any) -> Any:
         prepare(link)

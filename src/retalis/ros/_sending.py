@@ -15,14 +15,13 @@ import rospy
 from rospy.exceptions import TransportException
 from rospy.rostime import wallsleep
 
+from .._reports import Reports
+
 PATIENCE = 1.0
 """Seconds to wait for a receiver that does not keep up, where that is wanted."""
 
 PAUSE = 0.002
 """Seconds between two looks at it."""
-
-PERIOD = 5.0
-"""Seconds between two warnings."""
 
 MOST = 64
 """Writes that the thread of a slow connection puts together."""
@@ -35,13 +34,15 @@ class Outlet:
         topic: its name.
         kind: the class of its messages.
         queue: how many messages may wait for one receiver; past that the oldest are dropped for it alone.
+        reports: takes a warning of each message that is dropped.
         patient: whether those who send are held up for a moment before anything is dropped, so that a burst
             loses nothing.
     """
 
-    def __init__(self, topic: str, kind: Any, queue: int, patient: bool = False):
+    def __init__(self, topic: str, kind: Any, queue: int, reports: Reports, patient: bool = False):
         self.publisher = rospy.Publisher(topic, kind, queue_size=queue)
         self._queue = queue
+        self._reports = reports
         self._patient = patient
         self._lines: Dict[Any, _Line] = {}
 
@@ -58,9 +59,8 @@ class Outlet:
         for link in links:
             line = self._lines.get(link)
             if line is None:
-                line = self._lines.setdefault(
-                    link, _Line(link, self.publisher.name, self._queue, self._patient)
-                )
+                made = _Line(link, self.publisher.name, self._queue, self._reports, self._patient)
+                line = self._lines.setdefault(link, made)
             try:
                 line.write(frames, number)
             except (TransportException, OSError) as error:
@@ -71,13 +71,14 @@ class Outlet:
 class _Line:
     """What goes to one receiver."""
 
-    def __init__(self, link: Any, topic: str, queue: int, patient: bool):
+    def __init__(self, link: Any, topic: str, queue: int, reports: Reports, patient: bool):
         self._outer = link
         self._link = getattr(
             link, "_connection", link
         )  # of rospy's QueuedConnection, whose thread stays asleep
         self._topic = topic
         self._queue = queue
+        self._reports = reports
         self._patient = patient
         self._lock = threading.Lock()
         self._waiting: Deque[Tuple[bytes, int]] = deque()
@@ -85,7 +86,6 @@ class _Line:
         self._slow = False
         self._busy = False
         """Whether a thread is writing; nobody else writes then."""
-        self._dropped = 0
 
     def write(self, frames: bytes, number: int) -> None:
         """Write messages, or keep them for later."""
@@ -129,17 +129,15 @@ class _Line:
             while self._held >= self._queue and time.monotonic() < deadline and not rospy.is_shutdown():
                 wallsleep(PAUSE)
             self._slow = self._held >= self._queue
-        before = self._dropped
+        dropped = 0
         with self._lock:
             while self._held >= self._queue and self._waiting:
                 number = self._waiting.popleft()[1]
                 self._held -= number
-                self._dropped += number
-        if self._dropped > before:
-            rospy.logwarn_throttle(
-                PERIOD,
-                f"{self._link.endpoint_id} does not keep up with topic {self._topic}: {self._dropped} messages "
-                "dropped for it so far",
+                dropped += number
+        for _ in range(dropped):
+            self._reports.warning(
+                f"{self._link.endpoint_id} does not keep up with topic {self._topic}: a message is dropped for it"
             )
 
     def _run(self, sock: Any, frames: bytes, number: int) -> None:

@@ -5,6 +5,7 @@ from typing import Any, Callable, List
 
 from std_msgs.msg import String
 
+from .._reports import Reports
 from ..errors import MessageError
 from ._sending import Outlet
 
@@ -28,10 +29,11 @@ class TextPublisher:
     Args:
         topic: its name.
         queue: how many texts may wait.
+        reports: takes a warning of each text that is dropped.
     """
 
-    def __init__(self, topic: str, queue: int):
-        self._outlet = Outlet(topic, String, queue, patient=True)
+    def __init__(self, topic: str, queue: int, reports: Reports):
+        self._outlet = Outlet(topic, String, queue, reports, patient=True)
         self._waiting: List[bytes] = []
 
     def add(self, text: str) -> None:

@@ -2,7 +2,8 @@
 
 import rospy
 
-from ..errors import RetalisError
+from .._reports import Reports
+from ..errors import RetalisError, UsageError
 from ..messages import Decoder, text_writer
 from ..program import TOPICS, Topics, read_topics
 from ..syntax import EventReader, event_text, to_text
@@ -24,9 +25,13 @@ class Converter:
     """The node: messages go out as text to node retalis, texts that come back go out as messages."""
 
     def __init__(self, parameters: Parameters):
-        self._texts = TextPublisher(INPUT, parameters.queue)
+        self._reports = reports = Reports()
+        rospy.on_shutdown(reports.sum_up)
+        self._texts = TextPublisher(INPUT, parameters.queue, reports)
         self._reader = EventReader()
-        self._interface = Interface(self._sender, parameters.queue, done=self._texts.flush, hold=HOLD)
+        self._interface = Interface(
+            self._sender, parameters.queue, reports, done=self._texts.flush, hold=HOLD
+        )
         try:
             topics = read_topics(parameters.program / TOPICS)
         except RetalisError as error:
@@ -52,11 +57,10 @@ class Converter:
     def _receive(self, text: str) -> None:
         try:
             event = self._reader.read(text)
+            if event.__class__ is not tuple or event[0] is not OUTPUT_EVENT:
+                raise UsageError(f"expected event(Term,Topic,Id), found {text}")
         except RetalisError as error:
-            rospy.logerr("an output is not published: %s", error)
-            return
-        if event.__class__ is not tuple or event[0] is not OUTPUT_EVENT:
-            rospy.logerr("an output is not published: expected event(Term,Topic,Id), found %s", text)
+            self._reports.error(RetalisError(f"an output is not published: {error}"), OUTPUT)
             return
         topic = deref(event[2])
         self._interface.publish(deref(event[1]), getattr(topic, "name", None) or to_text(topic))

@@ -53,6 +53,7 @@ class Interface:
     Args:
         taker: gives what takes the messages of a type.
         queue: length of the queues.
+        reports: takes what goes wrong while messages flow.
         definitions: the message types that are known.
         done: called after messages that were received together.
         hold: seconds for which a message may wait for the next ones, where they come fast.
@@ -62,6 +63,7 @@ class Interface:
         self,
         taker: Taker,
         queue: int,
+        reports: Reports,
         definitions: Optional[Definitions] = None,
         done: Callable[[], Any] = nothing,
         hold: float = HOLD,
@@ -78,8 +80,7 @@ class Interface:
         self._reserved = {rospy.resolve_name(topic) for topic in (INPUT, OUTPUT)}
         self._lock = threading.Lock()
         self._gate = threading.Lock()
-        self._reports = Reports()
-        rospy.on_shutdown(self._reports.sum_up)
+        self._reports = reports
 
     def subscribe(self, topic: str, kind: str) -> None:
         """Have the messages of a topic become events.
@@ -148,7 +149,7 @@ class Interface:
                 if known[1].definition.name != kind:
                     raise UsageError(f"topic {topic} has the type {known[1].definition.name} already")
                 return
-            outlet = Outlet(name, raw_class(definition), self._queue)
+            outlet = Outlet(name, raw_class(definition), self._queue, self._reports)
             self._outputs[name] = (outlet, self._definitions.encoder(definition))
 
     def publish(self, term: Term, topic: str) -> None:
@@ -241,9 +242,12 @@ class Input:
             self._links.clear()
         try:
             take = self._one_by_one(self._taker(self._learn(header)))
-        except MessageError as error:
+        except Exception as error:  # rospy would try again at once, and for ever
+            if not isinstance(error, MessageError):
+                self._reports.error(error)
+            reason = getattr(error, "message", "internal error")
             publisher = header.get("callerid", "somebody")
-            take = self._refuser(f"topic {self._name}: {error.message}: a message of {publisher} is dropped")
+            take = self._refuser(f"topic {self._name}: {reason}: a message of {publisher} is dropped")
         link = self._links[id(header)] = (header, take)
         return link
 
