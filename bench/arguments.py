@@ -12,6 +12,17 @@ def positive(text: str) -> int:
     return int(text)
 
 
+def above_zero(text: str) -> float:
+    """Return a number above zero."""
+    try:
+        number = float(text)
+    except ValueError:
+        number = 0.0
+    if not 0 < number < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text} is no number above zero")
+    return number
+
+
 def interpreter(text: str) -> str:
     """Return a program that can be started."""
     if shutil.which(text) is None:

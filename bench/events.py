@@ -33,7 +33,7 @@ sys.path[:0] = [str(HERE), str(HERE.parent / "src")]
 
 import event_memory  # noqa: E402
 import event_tables  # noqa: E402
-from arguments import existing, positive, target  # noqa: E402
+from arguments import above_zero, existing, positive, target  # noqa: E402
 
 from retalis.clock import StreamClock  # noqa: E402
 from retalis.engine import Engine  # noqa: E402
@@ -365,7 +365,7 @@ def main(arguments: Optional[List[str]] = None) -> int:
     add("--policy", action="append", choices=POLICIES)
     add("--setting", action="append", choices=SETTINGS)
     add("--most", type=positive, default=10**5, help="the largest number that waits")
-    add("--seconds", type=float, default=2.0, help="how long the next size of a cell may take")
+    add("--seconds", type=above_zero, default=2.0, help="how long the next size of a cell may take")
     add("--half", type=int, default=10**6, help="how many half matches the memory is measured with")
     add("--markdown", action="store_true", help="print the tables as they stand in the documentation")
     add("--json", type=target, help="write the figures there")

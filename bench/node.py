@@ -28,7 +28,7 @@ from typing import Any, Callable, Dict, Iterator, List, Optional
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent / "test" / "ros"), str(HERE.parent / "examples" / "nao")]
 
-from arguments import positive, target  # noqa: E402
+from arguments import above_zero, positive, target  # noqa: E402
 from player import Player  # noqa: E402
 from processes import ROSPY_IDLE, Started, build_roscpp, cpu, free_port, machine, resident  # noqa: E402
 
@@ -340,8 +340,8 @@ def arguments(given: Optional[List[str]] = None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--seconds", type=float, default=20.0, help="length of the bag")
-    parser.add_argument("--speed", type=float, nargs="+", default=[1.0, 5.0, 10.0, 20.0])
+    parser.add_argument("--seconds", type=above_zero, default=20.0, help="length of the bag")
+    parser.add_argument("--speed", type=above_zero, nargs="+", default=[1.0, 5.0, 10.0, 20.0])
     parser.add_argument("--way", nargs="+", choices=list(WAYS), default=list(WAYS))
     parser.add_argument("--runs", type=positive, default=1)
     parser.add_argument("--memory", type=int, default=0, help="messages through which memory is watched")
@@ -354,14 +354,18 @@ def arguments(given: Optional[List[str]] = None) -> argparse.Namespace:
 def main() -> int:
     """Run what the command line asks for."""
     options = arguments()
+    try:
+        import rosgraph
+        import rospy
+
+        import retalis.srv  # noqa: F401
+    except ImportError as error:
+        raise SystemExit(f"needs ROS and the built package (source devel/setup.bash): {error}") from error
     os.environ["ROS_MASTER_URI"] = f"http://127.0.0.1:{free_port()}"
     os.environ["ROS_HOSTNAME"] = "127.0.0.1"
     started = Started()
     started(["roscore", "-p", os.environ["ROS_MASTER_URI"].rsplit(":", 1)[1]])
     try:
-        import rosgraph
-        import rospy
-
         while not rosgraph.is_master_online():
             time.sleep(0.1)
         rospy.init_node("bench", disable_signals=True)

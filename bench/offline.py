@@ -19,7 +19,9 @@ from typing import Any, Dict, List, Optional
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent / "src"), str(HERE.parent / "examples" / "nao")]
 
-from arguments import existing, interpreter, positive, target  # noqa: E402
+from arguments import above_zero, existing, interpreter, positive, target  # noqa: E402
+
+from retalis.errors import RetalisError  # noqa: E402
 
 
 def once(bag: Path) -> Dict[str, float]:
@@ -78,7 +80,7 @@ def main(given: Optional[List[str]] = None) -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--seconds", type=float, default=60.0, help="length of the bag")
+    parser.add_argument("--seconds", type=above_zero, default=60.0, help="length of the bag")
     parser.add_argument("--runs", type=positive, default=5)
     parser.add_argument("--python", type=interpreter, nargs="+", default=[], help="further interpreters")
     parser.add_argument("--json", type=target, help="write the figures there")
@@ -89,7 +91,10 @@ def main(given: Optional[List[str]] = None) -> int:
         version = ".".join(map(str, sys.version_info[:3]))
         print(json.dumps({"python": version, **once(options.once)}))
         return 0
-    result = measure(options)
+    try:
+        result = measure(options)
+    except RetalisError as error:  # no bag can be made
+        raise SystemExit(str(error)) from error
     for python, row in result["rows"].items():
         print(line(python, row))
     if options.json:

@@ -19,7 +19,9 @@ BENCH = Path(__file__).resolve().parents[2] / "bench"
         ("engine.py --all --against nofolder", "there is no nofolder"),
         ("logic.py --one nosuch nrev", "there is no engine nosuch"),
         ("logic.py --one retalis nosuch", "there is no case nosuch"),
+        ("offline.py --seconds 0", "0 is no number above zero"),
         ("offline.py --runs many", "many is no whole number above zero"),
+        ("node.py --speed fast", "fast is no number above zero"),
         ("performance.py --ros nofile", "there is no nofile"),
     ],
 )
