@@ -318,7 +318,7 @@ class Engine:
                 if lane(term, stamp, stamp):
                     return
             except BaseException:
-                self.dispatcher.current = None
+                self.dispatcher.current = self.dispatcher.cause = None
                 raise
         self._take(term, stamp, stamp, True)
 

@@ -284,6 +284,22 @@ def test_events_that_are_not_made_count_in_a_chain(depth, caplog):
     assert found[0] == found[1]
 
 
+def test_what_follows_an_event_that_is_not_made_is_of_the_event_before():
+    engine = Overheard(
+        "syncronized(done(Y), true, []) <- a event_multiply member(Y, [1, 2, 3, 4, 5, 6]).\nt <- memory_updated(m, _).",
+        "memorize(done(_), [], _, m, 10)",
+    )
+    depths = []
+
+    def measure(term, values, start, end, after):
+        depths.append(engine.dispatcher.event().depth)
+        return after
+
+    engine.dispatcher.listen(Stage.TRACE, functor("done", 1)(Var()), measure)
+    engine.event("a", 1)
+    assert depths == [3] * 6
+
+
 @pytest.mark.parametrize(
     ("head", "told"),
     [

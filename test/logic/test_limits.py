@@ -287,6 +287,20 @@ def test_an_interrupt_leaves_no_limit_behind():
         assert not budget.ceilings
 
 
+@pytest.mark.parametrize("limits", [Limits(), Limits(inferences=1000)])
+def test_an_interrupt_leaves_no_binding_behind(limits):
+    engine = Engine(settings=Settings(limits=limits))
+
+    def interrupt(machine, term):
+        raise KeyboardInterrupt
+
+    engine.logic.define("interrupt", 1, interrupt)
+    engine.load(rules="b <- a(X) where (Y = f(X, Z), Z = 3, interrupt(Y)).")
+    with pytest.raises(KeyboardInterrupt):
+        engine.event("a(1)", 1)
+    assert not engine.logic.machine.trail
+
+
 def test_a_limit_that_runs_out_in_a_function_is_not_run_into_again():
     logic = prolog("p(X, Y) :- q(X, Y).\nq(X, Y) :- long(X, Y).")
     calls = []

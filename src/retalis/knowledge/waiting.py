@@ -118,9 +118,12 @@ class WaitingQueries:
             if instead is None or not without_variables(values[known:] if dispatcher.ground() else values):
                 return otherwise(term, values, start, end, after)
             dispatcher.current = instead
-            frame = ask_or_wait(values, start, end, after)
+            then = (_BACK, dispatcher, current, after)
+            frame = ask_or_wait(values, start, end, then)
+            if frame is not then:
+                return frame
             dispatcher.current = current
-            return frame
+            return after
 
         def lane(term: Term, start: int, end: int) -> bool:
             if not one_listens(key):
@@ -218,6 +221,19 @@ class WaitingQueries:
                 f"the memory {show(instance.id)} is deleted; dropped is what waits for it: {named}{more}",
                 ("deleted", instance),
             )
+
+
+class _Back:
+    """Code of a frame behind what an event has led to that is left out: goes back to the one that led to it."""
+
+    @staticmethod
+    def run(frame: Any) -> Any:
+        _, dispatcher, current, after = frame
+        dispatcher.current = current
+        return after
+
+
+_BACK = _Back()
 
 
 def _known_of_event(rule: Any) -> int:

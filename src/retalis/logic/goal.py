@@ -130,7 +130,7 @@ class Goal:
         mark = len(machine.trail)
         try:
             return self.straight(*values)
-        except Exception as exc:
+        except BaseException as exc:
             undo(machine.trail, mark)
             error = from_python(exc)
             if error is None or error is exc:

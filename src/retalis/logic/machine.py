@@ -39,7 +39,7 @@ class Code:
         run: does the step.
         functor: of what is run, for errors.
         steady: whether the step leaves the stack of choice points alone, so that it may be done before a run,
-            see `Machine.step`.
+            see `Machine.check`.
     """
 
     __slots__ = ("name", "run", "functor", "steady")
