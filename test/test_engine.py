@@ -217,6 +217,22 @@ def test_an_interrupt_leaves_no_event_behind(goal):
     assert engine.dispatcher.current is None
 
 
+def test_events_that_a_subscriber_makes_of_its_own_follow_from_what_it_was_sent(caplog):
+    engine = Engine(settings=Settings(max_depth=10))
+    engine.load(goals="subscribe(n(_), [], _, out, s)")
+    seen = []
+
+    def next_one(term, topic, name):
+        seen.append(engine.show(term))
+        engine.event(f"n({len(seen)})", 1)
+
+    engine.on_output(next_one)
+    engine.event("n(0)", 1)
+    assert seen == [f"n({number})" for number in range(10)]
+    assert "more than 10 events were derived one from the other" in caplog.text
+    assert engine.dispatcher.current is None
+
+
 def test_a_query_and_events_from_many_threads():
     engine = Watched("n(X) <- e(X).", "memorize(n(X), [], _, m, 10000)")
     threads = [

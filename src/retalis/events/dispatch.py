@@ -29,7 +29,8 @@ class Dispatcher:
         max_depth: how long a chain of derived events may be.
 
     Attributes:
-        current: what is being served, or None: an `Event`, or term, start and end of one, see `event`.
+        current: what is being served, or None: an `Event`, or what `event` makes one of where somebody asks:
+            term, start and end of one, and what was being served before.
         lanes: for events of a functor that one listener only takes, all of them, what serves them faster.
         mark: makes the token of an event; tracking replaces it.
         cause: the rule and match whose goal is running, where that is tracked.
@@ -73,8 +74,8 @@ class Dispatcher:
             rank: place within the stage; by default behind all there are.
             lane: does the same as ``action`` for an event without variables whose arguments are the
                 values, where nobody else listens; it may leave ``current`` to `event`.
-            looks_on: whether ``action`` always returns the next frame and asks nothing about the event that is
-                being served; where all do so, that may be another one.
+            looks_on: whether ``action`` always returns the next frame; where all do so, it may leave ``current``
+                to `event`.
 
         Raises:
             UsageError: for a pattern that no event can match (a number, a string).
@@ -172,12 +173,16 @@ class Dispatcher:
                 ground = not fresh
         if plan.__class__ is Onlookers:
             current = self.current
+            if current.__class__ is tuple and current[3] is not None:
+                current = self.event()
             if current.__class__ is Event and AT_ONCE <= current.depth >= self.max_depth:
                 raise self._too_deep()
+            self.current = (term, start, end, current)
             for matcher, action in plan:
                 values = matcher(term)
                 if values is not None:
                     action(term, values, start, end, after)
+            self.current = current
             return after
         event = Event()
         event.dispatcher = self
@@ -281,7 +286,14 @@ class Dispatcher:
         current = self.current
         if current.__class__ is not tuple:
             return current  # type: ignore[no-any-return]
-        event = self.current = event_of(self, *current)
+        made = self.current = self._made(*current)
+        return made
+
+    def _made(self, term: Term, start: int, end: int, before: Any) -> Event:
+        """Return the event of its parts, and of what was served when it came."""
+        parent = self._made(*before) if before.__class__ is tuple else before
+        event = event_of(self, term, start, end, 1 if parent is None else parent.depth + 1)
+        event.parent = parent
         event.cause = self.cause
         return event
 

@@ -29,7 +29,7 @@ _LANE = """
 def made(term, start, end):
     if not code.steady:
         return False
-    dispatcher.current = event = (term, start, end)
+    dispatcher.current = event = (term, start, end, None)
     _, {values} = term
     frame = (code, {values}, done)
     mark = len(trail)
