@@ -1,5 +1,7 @@
 """Event files: forms, errors with their places, directives, what is left when a file is refused."""
 
+import linecache
+
 import pytest
 from events.running import Program, fired
 
@@ -232,3 +234,14 @@ def test_rules_that_come_and_go_at_run_time_do_not_cost_more_with_what_there_is(
     assert engine.call("del_event_rule((d(Y) <- e(Y)))")
     assert program.feed("e(1)@3") == ""
     assert looked == []
+
+
+def test_rules_of_one_form_that_come_and_go_at_run_time_keep_no_code():
+    program = Program("k(_).")
+    kept = []
+    for second in range(1, 6):
+        assert program.engine.call("ins_event_rule(b(X) do k(X) <- a(X))")
+        assert program.feed(f"a(1)@{second}") == f"b(1)@{second}-{second}"
+        assert program.engine.call("del_event_rule(b(X) do k(X) <- a(X))")
+        kept.append(len(linecache.cache))
+    assert kept[1:] == [kept[1]] * 4

@@ -286,7 +286,8 @@ def test_events_that_are_not_made_count_in_a_chain(depth, caplog):
 
 def test_what_follows_an_event_that_is_not_made_is_of_the_event_before():
     engine = Overheard(
-        "syncronized(done(Y), true, []) <- a event_multiply member(Y, [1, 2, 3, 4, 5, 6]).\nt <- memory_updated(m, _).",
+        "syncronized(done(Y), true, []) <- a event_multiply member(Y, [1, 2, 3, 4, 5, 6]).\n"
+        "t <- memory_updated(m, _).",
         "memorize(done(_), [], _, m, 10)",
     )
     depths = []

@@ -7,7 +7,7 @@ from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Tupl
 
 from ..errors import Place, RetalisError, RuleError
 from ..logic import Logic, keep_back
-from ..terms import Term, atom, copy, deref, unify
+from ..terms import Term, atom, copy, deref, unify, variables
 from ..terms.keys import term_key
 from ..timestamps import SECOND, from_seconds
 from .calls import called_by
@@ -214,8 +214,13 @@ class Rules:
         return [*(rule.definition.term for rule in self.rules), *bodies]
 
     def _name(self, definition: Definition) -> str:
-        show, names = self.logic.show, definition.names
-        head = "(no head)" if definition.head is None else show(definition.head, names=names)
+        show = self.logic.show
+        head = "(no head)"
+        if (
+            definition.head is not None
+        ):  # a rule made at run time has no names; its own would be ever new ones
+            unnamed = dict.fromkeys(variables(definition.head), "_")
+            head = show(definition.head, names={**unnamed, **definition.names})
         label = "" if definition.label is None else f"{show(definition.label)}: "
         return f"rule {label}{head}"
 
