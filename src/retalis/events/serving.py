@@ -92,7 +92,7 @@ class Event:
         return frame[1]
 
 
-def event_of(dispatcher: Any, term: Term, start: int, end: int, depth: int = 1) -> Event:
+def event_of(dispatcher: Any, term: Term, start: int, end: int, depth: int) -> Event:
     """Return an event without variables whose listeners have been served, or are by others."""
     event = Event()
     event.dispatcher = dispatcher
