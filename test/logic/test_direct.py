@@ -7,7 +7,7 @@ from logic.support import NEVER, prolog, show
 from logic.test_compiled import term
 
 from retalis.logic import PrologError
-from retalis.logic.machine import BAIL
+from retalis.logic.codes import BAIL
 from retalis.syntax import read_term
 from retalis.terms import Var, functor
 

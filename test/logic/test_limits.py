@@ -7,7 +7,7 @@ from retalis.engine import Engine, Settings
 from retalis.errors import ProgramErrors
 from retalis.logic import Limits, PrologError
 from retalis.syntax import writeq
-from retalis.terms import Var, functor
+from retalis.terms import Var, atom, functor
 from retalis.watching import look
 
 PROGRAM = """
@@ -319,3 +319,18 @@ def test_a_limit_that_runs_out_in_a_function_is_not_run_into_again():
             goal.test((number,))
     assert calls == [1, 2]
     assert first(logic, "catch(p(3, _), error(resource_error(inferences), _), true)") == {}
+
+
+def test_what_runs_between_two_solutions_does_not_give_their_goal_its_limits_anew():
+    logic = prolog("work(0) :- !.\nwork(N) :- M is N - 1, work(M).\nmany :- repeat, work(6000).")
+    logic.limits = Limits(inferences=20_000)
+    solutions = logic.solutions(functor("call", 1)(atom("many")))
+    found = 0
+    with pytest.raises(PrologError, match="inferences"):
+        for _ in solutions:
+            found += 1
+            assert logic.once(functor("work", 1)(6000))
+            assert found < 10
+    assert found >= 1
+    assert not logic.machine.budget.running
+    assert logic.once(functor("work", 1)(6000))

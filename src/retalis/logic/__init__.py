@@ -5,6 +5,7 @@
 
 from .builtins.arguments import callable_of, integer
 from .builtins.datimes import instant_of
+from .codes import LAST, Code
 from .faults import (
     PrologError,
     domain_error,
@@ -17,7 +18,7 @@ from .faults import (
 from .goal import Goal
 from .limits import Limits, keep_back
 from .logic import Logic
-from .machine import LAST, Code, Machine
+from .machine import Machine
 from .predicate import Predicate
 
 __all__ = [

@@ -3,8 +3,8 @@
 from typing import Any, Callable, List, Optional, Tuple
 
 from ..terms import TRUE, Term, is_ground
+from .codes import Frame
 from .keys import key_of
-from .machine import Frame
 
 NEVER = 1 << 62
 """A generation that does not come."""

@@ -22,10 +22,10 @@ from ..terms import (
     make_list,
 )
 from ..watching import BULK, look
+from .codes import DEAD, RESUME, CatchMark, Code, Frame
 from .compiler.nodes import ARROW, BAR, CALL, IGNORE, NOT, ONCE, SEMICOLON, SOFT_ARROW
 from .database import Database
 from .faults import PrologError, instantiation_error, type_error
-from .machine import DEAD, RESUME, CatchMark, Code, Frame
 
 _CUT = functor("!", 0)
 _FAIL = functor("fail", 0)

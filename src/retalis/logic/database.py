@@ -3,9 +3,10 @@
 from typing import Any, Callable, Dict, Iterable, Optional, Set
 
 from ..terms import Functor, Term, deref
+from .codes import Frame
 from .compiler.direct import Direct
 from .faults import indicator, permission_error
-from .machine import Frame, Machine
+from .machine import Machine
 from .predicate import COMPILE_AFTER, Predicate
 
 

@@ -4,10 +4,10 @@ from typing import Any, List, Optional, Sequence, Tuple
 
 from ..errors import Place
 from ..terms import Term, Var, undo
+from .codes import BAIL, Code, Frame
 from .compiler.goals import GoalCode
 from .database import Database
 from .faults import PrologError, from_python
-from .machine import BAIL, Code, Frame
 
 _MOST_BAILS = 20
 

@@ -10,13 +10,14 @@ from ..syntax import Operators, write_term
 from ..terms import TRUE, Atom, Functor, Term, Var, copy, deref, functor
 from . import builtins
 from .clause import Clause
+from .codes import LAST, Code, Frame
 from .control import Control, check_body, control_predicates
 from .database import Database
 from .faults import PrologError, instantiation_error, type_error
 from .functional import functional
 from .goal import Goal
 from .limits import Limits
-from .machine import LAST, Code, Frame, Machine
+from .machine import Machine
 from .predicate import COMPILE_AFTER, Predicate
 from .unknown import similar, undefined
 

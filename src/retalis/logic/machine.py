@@ -12,91 +12,20 @@ from typing import Any, Callable, Iterator, List, Optional, Tuple
 from ..errors import RetalisError, TermTooLarge
 from ..terms import Atom, Term, Var, copy, deref, undo, unify
 from ..watching import watched_by
+from .codes import BAIL, DEAD, STOP, Code, Frame, Guard, fail
 from .faults import CONTEXT, ERROR, PrologError, from_python, indicator, resource_error
 from .limits import SLICE, Budget
-
-Frame = Any
-"""A tuple ``(code, argument..., next)``."""
 
 _FEW = (None,) * 16
 """Steps that a run begins with: most events and goals are done with sooner, without setting up the loop."""
 
 _COMPACT_AT = 20_000
 
-
-BAIL = object()
-"""What the function of a `Goal` returns where the goal has to be run by frames after all."""
-
-LAST = object()
-"""What a nondeterministic built-in yields at a solution after which there is surely none."""
-
-
-class Code:
-    """A step given by a Python function.
-
-    Attributes:
-        name: for errors.
-        run: does the step.
-        functor: of what is run, for errors.
-        steady: whether the step leaves the stack of choice points alone, so that it may be done before a run,
-            see `Machine.check`.
-    """
-
-    __slots__ = ("name", "run", "functor", "steady")
-
-    def __init__(self, name: str, run: Callable[[Frame], Optional[Frame]]):
-        self.name = name
-        self.run = run
-        self.functor: Any = None
-        self.steady = False
-
-    def __repr__(self) -> str:
-        return f"<{self.name}>"
-
-
-class Guard(Code):
-    """A choice point that has to be told when it goes, by failure or by an exception.
-
-    Args:
-        name: for errors.
-        unwind: called with the choice point. Where a goal exits, whoever cuts the choice point calls it.
-    """
-
-    __slots__ = ("unwind",)
-
-    def __init__(self, name: str, unwind: Callable[[Frame], None]):
-        super().__init__(name, unwind)
-        self.unwind = unwind
-
-
-def _fail(frame: Frame) -> None:
-    return None
-
-
-STOP = Code("stop", _fail)
-"""Choice point below a run: reached when the run has no (more) solution."""
-
 _FINISHED: Frame = (STOP, 1 << 62)
 """What `Machine.done` pushes before it fails: leaving the loop that way costs its steps no test."""
 
-DEAD = Code("dead", _fail)
-"""Choice point that was taken back where the stack could not be cut."""
-
-RESUME = Code("resume", lambda frame: frame[1])
-"""Choice point that goes on with the frame that it holds."""
-
-
 _GO_ON = Code("go on", lambda frame: frame[1](frame[2]))
 """Code of a frame that calls a function for the frame to go on with."""
-
-
-class CatchMark:
-    """State of a ``catch/3``; goes on the trail when its goal has exited, so that backtracking reopens it."""
-
-    __slots__ = ("ref",)
-
-    def __init__(self) -> None:
-        self.ref: Any = None
 
 
 class Machine:
@@ -120,7 +49,7 @@ class Machine:
         self._enter_code = Code("attempt", self._enter_attempt)
         self._attempt_code = Code("attempt", self._attempt_failed)
         self._exit_code = _AttemptExit(self)
-        self.catch_code = Code("catch", _fail)
+        self.catch_code = Code("catch", fail)
         self.goal_code: Any = None
         self.logic: Any = None
 
@@ -232,7 +161,9 @@ class Machine:
         """
         choices = self.choices
         base = len(choices)
-        inside = base or self.budget.running
+        budget = self.budget
+        inside = base or budget.running
+        budget.running = budget.running or budget.limited
         mark = len(self.trail)
         choices.append((STOP, mark))
         try:
@@ -249,7 +180,8 @@ class Machine:
             del choices[base:]
             undo(self.trail, mark)
             if not inside:
-                self.budget.start_anew()
+                budget.running = False
+                budget.start_anew()
 
     def _leave(self, base: int) -> None:
         """Tell the guards of a run that it is over, also by what no program can catch, as an interrupt."""
@@ -261,13 +193,10 @@ class Machine:
 
     def _watched(self, frame: Optional[Frame]) -> bool:
         """Go on with an outermost run; long steps in it look at the limits too."""
-        budget = self.budget
-        before = watched_by(budget.look)
-        budget.running = budget.limited
+        before = watched_by(self.budget.look)
         try:
             return self._loop(frame, 0)
         finally:
-            budget.running = False
             watched_by(before)
 
     def _loop(self, frame: Optional[Frame], base: int) -> bool:

@@ -10,13 +10,14 @@ from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple
 from ..terms import Functor, Term, Var, copy, undo, unify
 from ..watching import look
 from .clause import NEVER, Clause, may_match
+from .codes import Code, Frame
 from .compiler import Generator, Rule
 from .compiler.direct import Direct
 from .compiler.facts import fact_search
 from .faults import PrologError
 from .functional import Functional
 from .keys import key_of
-from .machine import Code, Frame, Machine
+from .machine import Machine
 
 COMPILE_AFTER = 12
 """Calls without a change after which a predicate is compiled."""

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any, Callable, Iterator, Optional
 
 from ..syntax import write_term
 from ..terms import COLON, COMMA, Atom, Functor, Term, copy, deref, functor, undo, unify
-from .machine import Code, Frame, Guard
+from .codes import Code, Frame, Guard
 
 if TYPE_CHECKING:
     from .logic import Logic

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Any, Dict, List
 
 from ..terms import FALSE, Atom, Functor, Term, atom, copy, deref, undo, unify
 from .clause import Clause
+from .codes import Frame
 from .faults import CONTEXT, existence_error, indicator
-from .machine import Frame
 from .predicate import Predicate
 
 if TYPE_CHECKING:

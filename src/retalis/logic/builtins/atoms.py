@@ -4,8 +4,8 @@ from typing import Any, Iterator, List
 
 from ...terms import Atom, String, Term, Var, atom, deref, is_ground, list_items, make_list, unify
 from ...watching import look
+from ..codes import LAST
 from ..faults import domain_error, instantiation_error, representation_error, type_error
-from ..machine import LAST
 from .arguments import atom_of, integer_or_var, is_iso, items, partial_items
 from .registry import deterministic, nondeterministic
 from .text import (

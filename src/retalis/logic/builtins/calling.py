@@ -6,11 +6,11 @@ from typing import Any, Optional
 from ...terms import CONS, NIL, TRUE, String, Var, atom, deref, functor, unify
 from ...watching import watched_by
 from ..arithmetic import evaluate
+from ..codes import Code, Frame, Guard
 from ..compiler.nodes import CALL, NOT
 from ..control import add_arguments, check_body
 from ..faults import PrologError, domain_error, type_error
 from ..limits import LimitPassed
-from ..machine import Code, Frame, Guard
 from .arguments import callable_of, integer, items
 from .dcg import translate_body
 from .registry import control, deterministic

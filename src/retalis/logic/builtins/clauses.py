@@ -20,10 +20,10 @@ from ...terms import (
     unify,
 )
 from ..clause import NEVER, may_match
+from ..codes import LAST
 from ..compiler.nodes import CONTROL
 from ..faults import indicator, instantiation_error, permission_error, type_error
 from ..keys import key_of
-from ..machine import LAST
 from ..predicate import Predicate
 from .arguments import indicator_of
 from .registry import control, deterministic, nondeterministic

@@ -3,9 +3,9 @@
 from typing import Any, Optional
 
 from ...terms import Term, Var, atom, deref, undo
+from ..codes import Code, Frame, Guard
 from ..compiler.nodes import IGNORE
 from ..faults import PrologError, instantiation_error
-from ..machine import Code, Frame, Guard
 from .registry import control
 
 

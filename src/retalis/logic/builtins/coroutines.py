@@ -9,8 +9,8 @@ from typing import Any, List, Optional, Tuple
 from ...errors import TermTooLarge
 from ...terms import COMMA, ROUNDS, Term, Var, deref, functor, is_ground, undo, unify
 from ...watching import BULK, look
+from ..codes import Frame
 from ..faults import domain_error, instantiation_error
-from ..machine import Frame
 from .comparing import different
 from .registry import control, deterministic
 

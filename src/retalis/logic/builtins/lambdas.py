@@ -3,8 +3,8 @@
 from typing import Any, Optional
 
 from ...terms import CONS, SLASH, Term, copy, deref, functor, make_list, variables
+from ..codes import Frame
 from ..control import add_arguments
-from ..machine import Frame
 from .registry import control
 
 _ARROW = functor(">>", 2)

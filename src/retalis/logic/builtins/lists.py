@@ -23,6 +23,7 @@ from ...terms import (
 )
 from ...watching import BULK, look
 from ..arithmetic import EVALUABLE, add, evaluate
+from ..codes import LAST, Code, Frame
 from ..faults import (
     domain_error,
     instantiation_error,
@@ -31,7 +32,6 @@ from ..faults import (
     resource_error,
     type_error,
 )
-from ..machine import LAST, Code, Frame
 from .arguments import integer, is_iso, items, natural, partial_items
 from .ordering import by_age, sort_terms, sort_unique
 from .ordering import sort_by as by_keys

@@ -5,7 +5,7 @@ from zlib import crc32
 
 from ...terms import Term, Var, atom, deref, functor, is_ground, make_list, unify, variables
 from ..arithmetic import evaluate
-from ..machine import LAST
+from ..codes import LAST
 from .arguments import atom_of, integer
 from .checking import is_acyclic
 from .registry import deterministic, nondeterministic

@@ -5,6 +5,7 @@ from typing import Any, Dict, List, Optional
 from ...syntax import write_term
 from ...terms import CONS, NIL, Atom, Term, Var, atom, deref, list_items, resolve, unify
 from ..arithmetic import evaluate
+from ..codes import Code, Frame, Guard
 from ..faults import (
     domain_error,
     existence_error,
@@ -13,7 +14,6 @@ from ..faults import (
     resource_error,
     type_error,
 )
-from ..machine import Code, Frame, Guard
 from .arguments import integer, is_iso, option_values
 from .formatting import Formatter
 from .portraying import portray_of, printed

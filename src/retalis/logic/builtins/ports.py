@@ -2,7 +2,7 @@
 
 from typing import Any, Optional
 
-from ..machine import Code, Frame, Guard
+from ..codes import Code, Frame, Guard
 from ..tracing import Tracer
 from .registry import control
 

@@ -3,9 +3,9 @@
 from typing import Any, Dict, Iterator, List, Optional
 
 from ...terms import Functor, Term, Var, copy, deref, functor, unify
+from ..codes import LAST
 from ..faults import existence_error, instantiation_error, type_error, uninstantiation_error
 from ..keys import key_of
-from ..machine import LAST
 from .registry import deterministic, nondeterministic
 
 _REFERENCE = functor("$record", 1)

@@ -20,8 +20,8 @@ from ...terms import (
     variables,
 )
 from ..arithmetic import EVALUABLE, add, evaluate
+from ..codes import Code, Frame
 from ..faults import domain_error, instantiation_error, type_error
-from ..machine import Code, Frame
 from .arguments import is_iso, natural, partial_items
 from .comparing import is_variant
 from .ordering import sort_by, sort_unique

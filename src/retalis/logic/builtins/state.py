@@ -4,6 +4,7 @@ from typing import Any, Dict, Iterator
 
 from ...errors import UsageError
 from ...terms import CONS, FALSE, NIL, TRUE, Atom, Term, Var, atom, copy, deref, functor, unify
+from ..codes import LAST
 from ..faults import (
     domain_error,
     existence_error,
@@ -12,7 +13,6 @@ from ..faults import (
     representation_error,
     type_error,
 )
-from ..machine import LAST
 from .arguments import atom_of, integer, is_iso, items
 from .registry import control, deterministic, nondeterministic
 

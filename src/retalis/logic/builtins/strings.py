@@ -3,8 +3,8 @@
 from typing import Any, Iterator, Optional
 
 from ...terms import NIL, Atom, String, Term, Var, atom, deref, functor, is_ground, make_list, unify
+from ..codes import LAST
 from ..faults import domain_error, existence_error, instantiation_error, type_error
-from ..machine import LAST
 from .arguments import integer_or_var, partial_items
 from .registry import deterministic, nondeterministic
 from .text import (

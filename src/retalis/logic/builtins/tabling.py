@@ -25,8 +25,8 @@ from ...terms import (
     variables,
 )
 from ...terms.keys import term_key
+from ..codes import Code, Frame, Guard
 from ..faults import uninstantiation_error
-from ..machine import Code, Frame, Guard
 from ..predicate import Predicate
 from .arguments import indicator_of
 from .clauses import declared

@@ -16,8 +16,8 @@ from ...terms import (
     unify,
 )
 from ...watching import BULK, look
+from ..codes import LAST
 from ..faults import domain_error, instantiation_error, permission_error, resource_error, type_error
-from ..machine import LAST
 from .arguments import check_tail, integer, is_iso, items, natural, partial_items
 from .registry import deterministic, nondeterministic
 

@@ -10,8 +10,8 @@ from datetime import date, datetime, timedelta, timezone
 from typing import Any, Callable, Dict, Iterator, Tuple
 
 from ...terms import Atom, Term, Var, atom, deref, functor, make_list, unify
+from ..codes import LAST
 from ..faults import domain_error, instantiation_error, type_error
-from ..machine import LAST
 from .arguments import integer
 from .output import write_to
 from .registry import deterministic, nondeterministic

@@ -9,8 +9,8 @@ of unification, arithmetic, comparison, pure built-ins, facts, and other such pr
 from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Tuple
 
 from ...terms import Functor, functor, undo
+from ..codes import BAIL
 from ..keys import key_of
-from ..machine import BAIL
 from .inline import write_inline
 from .nodes import Condition, Cut, Goal, Height, Node, Parser, needed_by
 from .predicates import Generator, Rule, register

@@ -4,8 +4,8 @@ from typing import Any, Callable, List, Optional, Sequence, Tuple
 
 from ...errors import Place
 from ...terms import Term, Var, deref, functor, resolve, variables
+from ..codes import Code
 from ..limits import LimitError
-from ..machine import Code
 from .bodies import Bodies
 from .direct import choose_functions, give_up, goals_of, parser, work_of
 from .inline import write_sequence

@@ -5,8 +5,8 @@ from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 from ...errors import Place
 from ...terms import TRUE, Atom, Functor, Term, Var, deref
+from ..codes import Code
 from ..keys import key_of
-from ..machine import Code
 from .bodies import Bodies
 from .building import shape_of, write_building
 from .nodes import Height, Parser

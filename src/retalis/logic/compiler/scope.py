@@ -6,8 +6,9 @@ from typing import Any, Callable, Dict, FrozenSet, List, NamedTuple, Optional, S
 from ... import terms
 from ...terms import Atom, Functor, Lazy, String, Term, Var, copy, deref, is_ground
 from .. import arithmetic
+from ..codes import DEAD, RESUME, Code
 from ..limits import LOOP
-from ..machine import DEAD, RESUME, Code, Machine
+from ..machine import Machine
 
 _LARGEST = 60
 """Compound terms with more parts than this are copied from a template, not built by an expression."""

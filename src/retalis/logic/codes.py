@@ -1,0 +1,74 @@
+"""Steps and choice points: what frames run. See `machine`."""
+
+from typing import Any, Callable, Optional
+
+Frame = Any
+"""A tuple ``(code, argument..., next)``."""
+
+BAIL = object()
+"""What the function of a `Goal` returns where the goal has to be run by frames after all."""
+
+LAST = object()
+"""What a nondeterministic built-in yields at a solution after which there is surely none."""
+
+
+class Code:
+    """A step given by a Python function.
+
+    Attributes:
+        name: for errors.
+        run: does the step.
+        functor: of what is run, for errors.
+        steady: whether the step leaves the stack of choice points alone, so that it may be done before a run,
+            see `Machine.check`.
+    """
+
+    __slots__ = ("name", "run", "functor", "steady")
+
+    def __init__(self, name: str, run: Callable[[Frame], Optional[Frame]]):
+        self.name = name
+        self.run = run
+        self.functor: Any = None
+        self.steady = False
+
+    def __repr__(self) -> str:
+        return f"<{self.name}>"
+
+
+class Guard(Code):
+    """A choice point that has to be told when it goes, by failure or by an exception.
+
+    Args:
+        name: for errors.
+        unwind: called with the choice point. Where a goal exits, whoever cuts the choice point calls it.
+    """
+
+    __slots__ = ("unwind",)
+
+    def __init__(self, name: str, unwind: Callable[[Frame], None]):
+        super().__init__(name, unwind)
+        self.unwind = unwind
+
+
+def fail(frame: Frame) -> None:
+    """Fail: what a choice point without another solution does."""
+    return
+
+
+STOP = Code("stop", fail)
+"""Choice point below a run: reached when the run has no (more) solution."""
+
+DEAD = Code("dead", fail)
+"""Choice point that was taken back where the stack could not be cut."""
+
+RESUME = Code("resume", lambda frame: frame[1])
+"""Choice point that goes on with the frame that it holds."""
+
+
+class CatchMark:
+    """State of a ``catch/3``; goes on the trail when its goal has exited, so that backtracking reopens it."""
+
+    __slots__ = ("ref",)
+
+    def __init__(self) -> None:
+        self.ref: Any = None
