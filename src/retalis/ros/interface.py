@@ -36,7 +36,7 @@ TakeAll = Callable[[List[bytes]], None]
 _Link = Tuple[Dict[str, str], TakeAll]
 """A connection's header, and who takes its messages."""
 
-HOLD = 0.001
+HOLD = 0.0012
 """Seconds for which a message may wait for the next ones, where they come fast."""
 
 
