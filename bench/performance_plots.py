@@ -48,15 +48,16 @@ def draw_node(result: Dict[str, Any], path: str) -> None:
         late = [(rate, row) for rate, row in zip(rates, found) if row.get("delay_ms_median")]
         if late:
             at = [rate for rate, _ in late]
-            middle.plot(at, [row["delay_ms_median"] for _, row in late], "o-", label=way, color=colour)
+            middle.plot(at, [row["delay_ms_median"] for _, row in late], "o-", color=colour)
             middle.plot(at, [row["delay_ms_99"] for _, row in late], "^:", color=colour)
     _axes(left, "messages a second", "CPU, percent of a core")
-    _axes(middle, "messages a second", "delay in ms: median, 99 % (dotted)")
-    for axis in (left, middle):
+    _axes(middle, "messages a second", "delay in ms: median, 99 % (dotted)", legend=False)
+    for axis, marks in ((left, [2, 5, 10, 20, 50, 100]), (middle, [0.2, 0.5, 1, 2, 5, 10])):
         axis.set_xscale("log")
         axis.set_yscale("log")
         axis.minorticks_off()
         axis.set_xticks([1880, 9400, 18800, 37600], ["1,880", "9,400", "18,800", "37,600"])
+        axis.set_yticks(marks, [f"{mark:g}" for mark in marks])
     held = result.get("memory", [])
     right.plot([done / 1e6 for done, _ in held], [value for _, value in held], "-", color=COLOURS[0])
     right.set_ylim(0, 100)
