@@ -8,11 +8,12 @@ from .dispatch import Dispatcher
 from .network import Rules
 from .nodes import Leaf
 from .policy import Policy
-from .serving import AT_ONCE, LEFT_OUT, Listener, Stage
+from .serving import AT_ONCE, LEFT_OUT, RESTORE, Listener, Stage
 
 __all__ = [
     "AT_ONCE",
     "LEFT_OUT",
+    "RESTORE",
     "Dispatcher",
     "Leaf",
     "NOBODY",

@@ -3,11 +3,11 @@
 from typing import Any, Callable, Dict, Optional, Sequence, Tuple
 
 from ..logic import PrologError, resource_error
-from ..terms import Atom, String, Term, Var, functor, is_ground, list_items, make_list, variables
+from ..terms import Term, Var, are_ground, functor, list_items, make_list, variables
 from .lanes import Completion, goal_lane
 from .matches import Match
 from .policy import Frame, emit_each
-from .serving import AT_ONCE
+from .serving import AT_ONCE, RESTORE
 
 Values = Tuple[Term, ...]
 Test = Callable[[Values, int, int], Optional[Values]]
@@ -16,7 +16,6 @@ Test = Callable[[Values, int, int], Optional[Values]]
 Solved = Callable[[Term, Values, int, int, Frame], Frame]
 """Takes the event, values, start, end and the next frame; gives the frame to go on with."""
 
-_PLAIN = frozenset((Atom, int, float, String))
 _DEEPEST = 30
 """How often a condition may make an event whose rules have a condition that makes an event, and so on."""
 _FINDALL = functor("findall", 3)
@@ -59,7 +58,7 @@ class Call:
             if network.nested > _DEEPEST:
                 raise resource_error("conditions_that_make_events")
             given = tuple([values[at] for at in self.positions])
-            if _all_ground(given):
+            if are_ground(given):
                 found = self._plain.test(given)
                 if found is None:
                     return None
@@ -87,7 +86,7 @@ class Call:
             after: the frame to go on with.
         """
         given = values if self._takes_all else tuple([values[at] for at in self.positions])
-        if ground or _all_ground(given):
+        if ground or are_ground(given):
             goal, kept = self._plain, values
         else:
             goal, given, kept = self._open(), values, ()
@@ -146,7 +145,7 @@ class Call:
     ) -> Frame:
         """Return the frame that goes on with ``solved`` for every solution of the goal, in order; see `act`."""
         given = tuple([values[at] for at in self.positions])
-        ground = ground or _all_ground(given)
+        ground = ground or are_ground(given)
         goal = self._compile(self._inputs, self.outputs, True) if ground else self._open(True)
 
         def each(found: Any) -> Frame:
@@ -173,7 +172,7 @@ class Call:
             return solved(term, values, start, end, then)
 
         dispatcher.cause = (self.rule, match)
-        return over, (_RESTORE, dispatcher, before, after)
+        return over, (RESTORE, dispatcher, "cause", before, after)
 
     def _open(self, every: bool = False) -> Any:
         """Return the goal for values with variables: it gives all values anew, as its solution leaves them."""
@@ -197,27 +196,6 @@ class Call:
     def failed(self, error: PrologError) -> None:
         """Report an error that the goal raised."""
         self.rule.network.goal_failed(self.rule, self.goal, error)
-
-
-class _Restore:
-    """Code of a frame that goes back to the cause of events that was before a goal."""
-
-    @staticmethod
-    def run(frame: Frame) -> Frame:
-        _, dispatcher, before, after = frame
-        dispatcher.cause = before
-        return after
-
-
-_RESTORE = _Restore()
-
-
-def _all_ground(values: Sequence[Term]) -> bool:
-    for value in values:
-        kind = value.__class__
-        if kind not in _PLAIN and (kind is Var or (kind is tuple and not is_ground(value))):
-            return False
-    return True
 
 
 def goal_test(call: Call, timed: bool, captured: Optional[Tuple[int, int]]) -> Test:

@@ -106,3 +106,16 @@ def event_of(dispatcher: Any, term: Term, start: int, end: int, depth: int) -> E
 
 LEFT_OUT = [event_of(None, TRUE, 0, 0, depth) for depth in range(1, AT_ONCE + 1)]
 """What is current in place of events that are not made, by the depth of what they follow from: at 0 of nothing."""
+
+
+class _Restore:
+    """Code of a frame that gives the dispatcher's ``current`` or ``cause`` back what it was before."""
+
+    @staticmethod
+    def run(frame: Frame) -> Frame:
+        _, dispatcher, name, before, after = frame
+        setattr(dispatcher, name, before)
+        return after
+
+
+RESTORE = _Restore()

@@ -5,13 +5,12 @@ from typing import Any, Callable, NamedTuple, Optional, Sequence, Tuple
 from ..errors import Place, UsageError
 from ..events import AT_ONCE, Dispatcher, compile_builder
 from ..logic import Goal, Logic, PrologError, keep_back
-from ..terms import TRUE, Atom, String, Term, Var, deref, functor, is_ground, variables
+from ..terms import TRUE, Term, Var, deref, functor, variables
 from ._recording import Warn
 
 Values = Tuple[Term, ...]
 _CALL = functor("call", 1)
 _NAME = "synchronized query"
-_PLAIN = frozenset((Atom, int, float, String))
 
 
 class Surroundings(NamedTuple):
@@ -135,15 +134,6 @@ def compile_question(
     return Question(
         around, goal, tuple(inputs), build, lambda values: build((*values, *[Var() for _ in found]))
     )
-
-
-def without_variables(values: Values) -> bool:
-    """Tell whether values have no variables."""
-    for value in values:
-        kind = value.__class__
-        if kind not in _PLAIN and (kind is Var or (kind is tuple and not is_ground(value))):
-            return False
-    return True
 
 
 def kind_of(event: Term) -> Any:

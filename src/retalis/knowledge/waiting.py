@@ -4,9 +4,9 @@ from itertools import count
 from typing import Any, Dict, Iterator, List, Optional, Tuple
 
 from ..errors import UsageError
-from ..events import LEFT_OUT, Dispatcher, Leaf, Stage
+from ..events import LEFT_OUT, RESTORE, Dispatcher, Leaf, Stage
 from ..logic import Logic
-from ..terms import Term, Var, functor
+from ..terms import Term, Var, are_ground, functor
 from ._conditions import Behind, behind, compile_conditions
 from ._question import (
     Question,
@@ -15,7 +15,6 @@ from ._question import (
     compile_question,
     general_question,
     kind_of,
-    without_variables,
 )
 from ._recording import Warn
 from .memories import Memories
@@ -115,10 +114,10 @@ class WaitingQueries:
         def take(term: Term, values: Values, start: int, end: int, after: Any) -> Any:
             current = dispatcher.current
             instead = left_out(key)
-            if instead is None or not without_variables(values[known:] if dispatcher.ground() else values):
+            if instead is None or not are_ground(values[known:] if dispatcher.ground() else values):
                 return otherwise(term, values, start, end, after)
             dispatcher.current = instead
-            then = (_BACK, dispatcher, current, after)
+            then = (RESTORE, dispatcher, "current", current, after)
             frame = ask_or_wait(values, start, end, then)
             if frame is not then:
                 return frame
@@ -221,19 +220,6 @@ class WaitingQueries:
                 f"the memory {show(instance.id)} is deleted; dropped is what waits for it: {named}{more}",
                 ("deleted", instance),
             )
-
-
-class _Back:
-    """Code of a frame behind what an event has led to that is left out: goes back to the one that led to it."""
-
-    @staticmethod
-    def run(frame: Any) -> Any:
-        _, dispatcher, current, after = frame
-        dispatcher.current = current
-        return after
-
-
-_BACK = _Back()
 
 
 def _known_of_event(rule: Any) -> int:

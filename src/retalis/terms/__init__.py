@@ -42,7 +42,7 @@ from .kinds import (
 from .lists import conjunction, conjuncts, list_items, list_parts, make_list
 from .order import compare
 from .unification import same_constant, undo, unify
-from .walking import copy, freeze, is_ground, is_plain, rebuild, resolve, variables
+from .walking import ATOMIC, are_ground, copy, freeze, is_ground, is_plain, rebuild, resolve, variables
 
 __all__ = [
     "Atom",
@@ -70,6 +70,8 @@ __all__ = [
     "deref",
     "freeze",
     "functor",
+    "ATOMIC",
+    "are_ground",
     "is_ground",
     "is_plain",
     "list_items",

@@ -1,6 +1,6 @@
 """Walks over terms: variables, copies, keys."""
 
-from typing import Any, Callable, Dict, List, Optional
+from typing import Any, Callable, Dict, List, Optional, Sequence
 
 from ..errors import TermTooLarge
 from ..watching import BULK, look
@@ -48,6 +48,19 @@ def is_ground(term: Term) -> bool:
                 stack.extend(item[1:])
         look()
     raise TermTooLarge
+
+
+ATOMIC = frozenset((Atom, int, float, String))
+"""Classes of terms that are constants, with nothing inside and no variable."""
+
+
+def are_ground(values: Sequence[Term]) -> bool:
+    """Tell whether terms have no variables, not even bound ones at their tops."""
+    for value in values:
+        kind = value.__class__
+        if kind not in ATOMIC and (kind is Var or (kind is tuple and not is_ground(value))):
+            return False
+    return True
 
 
 def is_plain(term: Term) -> bool:

@@ -31,7 +31,7 @@ def base_namespace(machine: Machine) -> Dict[str, Any]:
         "Lazy": Lazy,
         "Atom": Atom,
         "String": String,
-        "PLAIN": _PLAIN,
+        "PLAIN": terms.ATOMIC,
         "M": machine,
         "BUDGET": machine.budget,
         "trail": machine.trail,
@@ -58,9 +58,6 @@ def base_namespace(machine: Machine) -> Dict[str, Any]:
         "RESUME": RESUME,
         "DEAD": DEAD,
     }
-
-
-_PLAIN = frozenset((Atom, int, float, String))
 
 
 class Unit:
