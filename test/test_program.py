@@ -46,7 +46,7 @@ def test_elements_stand_at_any_depth_and_comments_count_for_nothing(tmp_path):
         ('<publish_subscribe>\n <publish_to name="x"/>\n</publish_subscribe>', 'needs msg_type="..."', 2, 2),
         (
             '<publish_subscribe><publish_to name="x" msg_type="String"/></publish_subscribe>',
-            'has to be "package/Type", found "String"',
+            'expected a message type "package/Type"',
             1,
             20,
         ),

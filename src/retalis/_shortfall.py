@@ -5,11 +5,12 @@ is what was missing.
 """
 
 from contextlib import closing
+from functools import lru_cache
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
-from . import timestamps
+from . import codegen, timestamps
 from .errors import RetalisError
-from .events.operators import OPERATORS
+from .events.operators import OPERATORS, Operator
 from .events.pattern import Absent, Action, Aggregate, Condition, Either, Occurs, Pair, Star, Within
 from .syntax import write_term
 from .terms import Term, Var, copy, functor, undo, unify, variables
@@ -114,9 +115,7 @@ class Shortfall:
 
     def _pair(self, pattern: Any) -> Part:
         left, right = self.of(pattern.left), self.of(pattern.right)
-        fits = compile(OPERATORS[pattern.operator].fits, pattern.operator, "eval")
-        operator = OPERATORS[pattern.operator]
-        spans = compile(f"({operator.start}), ({operator.end})", pattern.operator, "eval")
+        spans = _spans(OPERATORS[pattern.operator])
         agree = False
         found = []
         for one in left.found:
@@ -125,10 +124,9 @@ class Shortfall:
                 if values is None or (one.event is not None and one.event is two.event):
                     continue
                 agree = True
-                names = {"s1": int(one.start), "e1": int(one.end), "s2": int(two.start), "e2": int(two.end)}
-                if eval(fits, {}, names):  # the operator's own definition
-                    start, end = eval(spans, {"s1": one.start, "e1": one.end, "s2": two.start, "e2": two.end})
-                    found.append(Found(values, start, end, None, (one.end, two.start)))
+                span = spans(one.start, one.end, two.start, two.end)
+                if span is not None:
+                    found.append(Found(values, *span, None, (one.end, two.start)))
         reason = "a side of it is missing"
         if left.found and right.found:
             reason = (
@@ -242,6 +240,18 @@ class Shortfall:
     def _show(self, term: Term) -> str:
         names = {**names_of(term), **self._names}
         return write_term(term, self._engine.logic.operators, quoted=True, wide=True, variable_names=names)
+
+
+@lru_cache(maxsize=len(OPERATORS))
+def _spans(operator: Operator) -> Callable[[int, int, int, int], Optional[Tuple[int, int]]]:
+    """Return the function from the intervals of a pair to that of the result, None where they do not fit."""
+    lines = [
+        "def made(s1, e1, s2, e2):",
+        f"    if not ({operator.fits}):",
+        "        return None",
+        f"    return ({operator.start}), ({operator.end})",
+    ]
+    return codegen.function(lines, {}, f"pairs of {operator.name}")
 
 
 def names_of(term: Term) -> Dict[Var, str]:

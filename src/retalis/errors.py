@@ -31,6 +31,15 @@ def place_at(source: str, text: str, offset: int) -> Place:
     return Place(source, text.count("\n", 0, start) + 1, offset - start + 1, line)
 
 
+SHOWN = 200
+"""Characters of a refused text that an error shows."""
+
+
+def shortened(text: str) -> str:
+    """Return a text from outside as an error shows it: quoted, in ASCII, its first characters."""
+    return ascii(text) if len(text) <= SHOWN else f"{ascii(text[:SHOWN])}... ({len(text)} characters)"
+
+
 def undecodable(error: UnicodeDecodeError) -> str:
     """Return what is wrong with a text that is no UTF-8, and where."""
     line = error.object.count(b"\n", 0, error.start) + 1

@@ -9,9 +9,10 @@ from ._lint import unknown_memories, unread_rules, wrong_messages
 from .bags import BagReader, Topic
 from .clock import StreamClock
 from .engine import Engine, Settings
-from .errors import MessageError, ProgramErrors, RetalisError
+from .errors import MessageError, ProgramErrors, RetalisError, shortened
 from .messages import Decoder, Definition, Definitions
 from .program import TOPICS, TopicType, read_topics
+from .rosnames import topic_fault, type_fault
 from .terms import Term
 
 log = logging.getLogger("retalis")
@@ -126,7 +127,7 @@ class Playback:
                 "%s has no messages on %s; it has %s",
                 bag.path,
                 ", ".join(dict.fromkeys(missing)),
-                ", ".join(sorted({f"{topic.name} ({topic.type})" for topic in bag.topics})) or "none at all",
+                ", ".join(_shown(bag.topics)) or "none at all",
             )
         dropped: Dict[str, int] = Counter()
         for topic in bag.topics:
@@ -172,6 +173,17 @@ class Playback:
             return self.definitions.find(kind)
         except MessageError as error:
             raise MessageError(f"topic {topic}: {error.message}", error.place) from error
+
+
+def _shown(topics: Iterable[Topic]) -> List[str]:
+    """Return names and types of a bag's topics, as ROS allows them or quoted."""
+    return sorted(
+        {
+            f"{topic.name if topic_fault(topic.name) is None else shortened(topic.name)} "
+            f"({topic.type if type_fault(topic.type) is None else shortened(topic.type)})"
+            for topic in topics
+        }
+    )
 
 
 def _plain(topic: str) -> str:

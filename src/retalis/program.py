@@ -5,6 +5,7 @@ from typing import Dict, List, NamedTuple, Tuple, Union
 from xml.parsers import expat
 
 from .errors import Place, ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError, undecodable
+from .rosnames import topic_fault, type_fault
 
 GOALS = "goalPredicates.txt"
 TOPICS = "pub_sub.xml"
@@ -16,6 +17,18 @@ class TopicType(NamedTuple):
 
     topic: str
     type: str
+
+
+def topic_type(topic: str, kind: str) -> TopicType:
+    """Return a topic and its type, as they came from outside.
+
+    Raises:
+        UsageError: where one of them is no name that ROS allows.
+    """
+    fault = topic_fault(topic) or type_fault(kind)
+    if fault is not None:
+        raise UsageError(fault)
+    return TopicType(topic, kind)
 
 
 class Topics(NamedTuple):
@@ -96,11 +109,10 @@ class _TopicReader:
             if not attributes.get(name, "").strip():
                 self.wrong(f'<{tag}> needs {name}="..."', place)
                 return
-        topic = TopicType(attributes["name"].strip(), attributes["msg_type"].strip())
-        if topic.type.count("/") != 1:
-            self.wrong(f'msg_type has to be "package/Type", found "{topic.type}"', place)
-            return
-        self.found[tag].append(topic)
+        try:
+            self.found[tag].append(topic_type(attributes["name"].strip(), attributes["msg_type"].strip()))
+        except UsageError as error:
+            self.wrong(f"<{tag}>: {error.message}", place)
 
     def wrong(self, message: str, place: Place) -> None:
         self.errors.append(RuleError(message, place))

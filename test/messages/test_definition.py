@@ -92,7 +92,7 @@ def test_full_text_reads_back():
         ("int32 x\nnonsense\n", "expected 'type name' or 'type NAME=value', found 'nonsense'", 2, 1),
         ("int32 x y\n", "expected 'type name' or 'type NAME=value', found 'int32 x y'", 1, 1),
         ("int32 x\n  int32 x\n", "x is defined twice", 2, 9),
-        ("int32 1x\n", "'1x' is not a slot's name", 1, 7),
+        ("int32 1x\n", "expected a name of ASCII letters", 1, 7),
         ("uint8 BIG=256\n", "'256' is not a value of type uint8", 1, 11),
         ("bool B=maybe\n", "'maybe' is not a value of type bool", 1, 8),
         ("time T=3\n", "a constant cannot be of type time", 1, 1),
@@ -126,7 +126,7 @@ def test_broken_sections():
 
 @pytest.mark.parametrize("name", ["Type", "pkg/", "pkg/a/b", "1pkg/Type", ""])
 def test_wrong_names_of_types(name):
-    with pytest.raises(MessageError, match="is not the name of a message type"):
+    with pytest.raises(MessageError, match="expected a message type"):
         parse(name, "int8 x\n", lambda written, package: None)
 
 

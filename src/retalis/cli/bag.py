@@ -7,9 +7,9 @@ from typing import Any, Dict, List
 
 from ..bags import BagReader, BagWriter
 from ..collector import relax
-from ..errors import UsageError
+from ..errors import UsageError, shortened
 from ..playback import Output, Playback
-from ..program import TopicType
+from ..program import TopicType, topic_type
 from ..syntax import to_text
 from ..terms import atom, functor
 from ._progress import progress
@@ -65,10 +65,13 @@ def run(options: argparse.Namespace) -> int:
 def _topics(texts: List[str]) -> List[TopicType]:
     topics = []
     for text in texts:
-        name, found, kind = text.partition("=")
-        if not found or kind.count("/") != 1:
-            raise UsageError(f"--topic {text}: expected TOPIC=package/Type")
-        topics.append(TopicType(name, kind))
+        name, _, kind = text.partition("=")
+        try:
+            topics.append(topic_type(name, kind))
+        except UsageError as error:
+            raise UsageError(
+                f"--topic {shortened(text)}: expected TOPIC=package/Type: {error.message}"
+            ) from None
     return topics
 
 

@@ -2,7 +2,6 @@
 
 from ..terms.keys import term_key
 from ._plans import NOBODY
-from ._source import compile_function
 from .building import compile_builder
 from .dispatch import Dispatcher
 from .network import Rules
@@ -22,6 +21,5 @@ __all__ = [
     "Rules",
     "Stage",
     "compile_builder",
-    "compile_function",
     "term_key",
 ]

@@ -2,8 +2,8 @@
 
 from typing import Any, Callable, Dict, List, Sequence, Tuple
 
+from ..codegen import shared_function
 from ..terms import Term, Var, deref, is_ground, resolve
-from ._source import compile_function
 
 Values = Tuple[Term, ...]
 
@@ -32,7 +32,7 @@ def compile_builder(term: Term, order: Sequence[Var], title: str) -> Callable[[V
 
     result = _build(deref(term), leaf, constant, lines)
     source = "def made(v):\n" + "\n".join(lines) + f"\n    return {result}\n"
-    made: Callable[[Values], Term] = compile_function(source, names, title)
+    made: Callable[[Values], Term] = shared_function(source, names, title)
     return made
 
 

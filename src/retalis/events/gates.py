@@ -7,10 +7,10 @@ are at hand already, by the same tests that the dispatcher makes, which events n
 from functools import lru_cache
 from typing import Any, Callable, Tuple
 
+from ..codegen import shared_function
 from ..terms import Atom
 from ..timestamps import LAST, SECOND
 from ._plans import NOBODY, Choice
-from ._source import compile_function
 
 Passes = Callable[..., bool]
 """Takes seconds, nanoseconds and the arguments at a gate's positions."""
@@ -87,4 +87,4 @@ def _looking(positions: Tuple[int, ...], at: int) -> Callable[[Any, Passes], Pas
 
 def _made(parameters: str, lines: Any) -> Any:
     source = "\n".join([f"def made({parameters}):", *lines, "    return passes", ""])
-    return compile_function(source, _NAMES, "gate")
+    return shared_function(source, _NAMES, "gate")

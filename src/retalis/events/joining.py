@@ -2,8 +2,8 @@
 
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
+from ..codegen import shared_function
 from ..terms import Var
-from ._source import compile_function
 from .conditions import Test
 from .matches import Found, Match, identity, taken_back
 from .nodes import Node
@@ -179,7 +179,7 @@ class Joining(Node):
         names["Found"] = Found
         parts = f"(l, r, Found(values[{known}:]))" if len(self.vars) > known else "(l, r)"
         lines.append(f"    return Match(values, start, end, None, None, {parts})")
-        made: Callable[[Match, Match], Optional[Match]] = compile_function(
+        made: Callable[[Match, Match], Optional[Match]] = shared_function(
             "\n".join(lines) + "\n", names, f"join by {operator.name}"
         )
         if self.rule.network.mode.tracked and (self.absences or self.carried):

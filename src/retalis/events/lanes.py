@@ -2,9 +2,9 @@
 
 from typing import Any, NamedTuple, Optional
 
+from ..codegen import shared_function
 from ..terms import undo
 from ._plans import NOBODY
-from ._source import compile_function
 from .gates import Gate
 from .serving import Action, Lane
 
@@ -72,5 +72,5 @@ def goal_lane(call: Any, completion: Completion) -> Lane:
         "undo": undo,
     }
     values = ", ".join(f"a{at}" for at in range(len(call.known)))
-    found: Lane = compile_function(_LANE.format(values=values), names, "lane")
+    found: Lane = shared_function(_LANE.format(values=values), names, "lane")
     return found

@@ -2,6 +2,7 @@
 
 from typing import Any, Callable, Dict, List, Optional, Tuple
 
+from ..codegen import shared_function
 from ..terms import (
     Atom,
     Lazy,
@@ -17,7 +18,6 @@ from ..terms import (
     unify,
     variables,
 )
-from ._source import compile_function
 
 Values = Tuple[Term, ...]
 Matcher = Callable[[Term], Optional[Values]]
@@ -65,7 +65,7 @@ class _Compiler:
         values = ", ".join(self.places[var] for var in order)
         self.lines.append(f"    return ({values}{',' if len(order) == 1 else ''})")
         source = "def made(term):\n" + "\n".join(self.lines) + "\n"
-        made: Matcher = compile_function(source, self.names, "matcher")
+        made: Matcher = shared_function(source, self.names, "matcher")
         return made
 
     def _take_apart(self, name: str, pattern: Term) -> List[Tuple[str, Term]]:

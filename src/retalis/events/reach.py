@@ -3,7 +3,7 @@
 from functools import lru_cache
 from typing import Callable, Dict, List, NamedTuple, Optional, Tuple
 
-from ._source import compile_function
+from ..codegen import shared_function
 from .operators import OPERATORS, Operator
 from .timeindex import LEAST, MOST, Limits
 
@@ -46,7 +46,7 @@ def reach_of(name: str, span: Optional[int], left: bool) -> Optional[Reach]:
         parts += [_tightest("max", lower[instant]) or "LEAST", _tightest("min", upper[instant]) or "MOST"]
     given = "s1, e1" if left else "s2, e2"
     source = f"def made({given}):\n    return ({', '.join(parts)})\n"
-    limits = compile_function(source, {"LEAST": LEAST, "MOST": MOST}, f"partners of {operator.name}")
+    limits = shared_function(source, {"LEAST": LEAST, "MOST": MOST}, f"partners of {operator.name}")
     by_end = len(lower["e"]) + len(upper["e"]) > len(lower["s"]) + len(upper["s"])
     return Reach(limits, by_end)
 

@@ -3,8 +3,9 @@
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 from .. import timestamps
+from ..codegen import shared_function
 from ..errors import UsageError
-from ..events import compile_builder, compile_function
+from ..events import compile_builder
 from ..logic import Logic, PrologError
 from ..terms import CONS, Term, Var, deref, list_items, variables
 from ._recording import key_of
@@ -72,7 +73,7 @@ def compile_conditions(
             "        missing.append((memory, instant))",
         ]
     source = "\n".join(["def made(values):", *lines, "    return missing", ""])
-    found: Callable[[Values], Behind] = compile_function(source, given, "conditions of a synchronized query")
+    found: Callable[[Values], Behind] = shared_function(source, given, "conditions of a synchronized query")
     return found
 
 

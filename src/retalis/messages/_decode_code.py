@@ -4,8 +4,8 @@ from struct import Struct, calcsize
 from struct import error as StructError
 from typing import Any, Callable, Dict, List, Tuple
 
+from .. import codegen
 from ..terms import CONS, FALSE, NIL, TRUE, Lazy, Term, atom, functor
-from ._compile import compile_function
 from ._texts import read_text, texts
 from .arrays import SMALL, array_maker, record_maker, variable_array
 from .definition import PRIMITIVES, TIMES, VARIABLE, Definition, Field
@@ -33,6 +33,7 @@ class Code:
             "read_text": read_text,
             "text": text_term,
         }
+        self.constants: Dict[Any, str] = {}
         self.serial = 0
         self.base, self.shift = "o", 0
         self.format = ""
@@ -45,18 +46,19 @@ class Code:
             self.names[name] = value
         return name
 
-    def constant(self, name: str, value: Any) -> str:
-        self.names[name] = value
+    def constant(self, value: Any) -> str:
+        """Return the name of an atom or a functor."""
+        name = self.constants.get(value)
+        if name is None:
+            name = self.constants[value] = self.name("k", value)
         return name
 
     # What a message is made of; the source of the term is returned.
 
     def message(self, definition: Definition) -> str:
         if not definition.fields:
-            return self.constant("A_" + definition.functor_name, atom(definition.functor_name))
-        head = self.constant(
-            f"F_{definition.functor_name}", functor(definition.functor_name, len(definition.fields))
-        )
+            return self.constant(atom(definition.functor_name))
+        head = self.constant(functor(definition.functor_name, len(definition.fields)))
         parts = [self.slot(slot) for slot in definition.fields]
         return f"({head}, {', '.join(parts)})"
 
@@ -170,8 +172,8 @@ def _compile_element(slot: Field) -> Tuple[Callable[[bytes, int], Tuple[Term, in
     code.flush()
     lines = ["def element(data, o):", *("  " + line for line in code.lines)]
     lines.append(f"  return {result}, {code.place()}")
-    title = f"decode element {slot.type}"
-    return compile_function("element", title, lines, code.names), least_size(slot._replace(length=None))
+    element = codegen.function(lines, code.names, f"decode element {slot.type}", "element")
+    return element, least_size(slot._replace(length=None))
 
 
 def _compile_records(slot: Field) -> Callable[[bytes], Term]:

@@ -5,8 +5,8 @@ from struct import Struct, calcsize, unpack
 from struct import error as StructError
 from typing import Any, Callable, Dict, List, Tuple
 
+from .. import codegen
 from ..terms import CONS, NIL, Term
-from ._compile import compile_function
 from .layout import EMPTY_LIMIT
 
 SMALL = 4
@@ -46,7 +46,9 @@ def record_maker(title: str, layout: Struct, targets: List[str], element: str, n
         f"    term = (C, {element}, term)",
         "  return term",
     ]
-    return compile_function("make", f"decode {title}", lines, {**names, "unpack": layout.iter_unpack})
+    given = {**names, "unpack": layout.iter_unpack}
+    made: Make = codegen.function(lines, given, f"decode {title}", "make")
+    return made
 
 
 def variable_array(

@@ -10,9 +10,9 @@ from struct import Struct
 from struct import error as StructError
 from typing import Callable, Optional
 
+from .. import codegen
 from ..errors import MessageError
 from ..terms import Lazy, Term, functor
-from ._compile import compile_function
 from ._decode_code import Code
 from ._frame_code import FrameCode, Unsuited
 from .definition import HEADER, Definition
@@ -63,13 +63,13 @@ def _compile_decode(definition: Definition) -> Decode:
         "  except StructError: fail(data)",
         f"  return {result}",
     ]
-    general: Decode = compile_function("decode", f"decode {definition.name}", lines, code.names)
+    general: Decode = codegen.function(lines, code.names, f"decode {definition.name}", "decode")
     frames = FrameCode()
     try:
         lines = frames.build(definition, general)
     except Unsuited:
         return general
-    fast: Decode = compile_function("decode", f"decode {definition.name}", lines, frames.names)
+    fast: Decode = codegen.function(lines, frames.names, f"decode {definition.name}", "decode")
     return fast
 
 

@@ -5,7 +5,8 @@ import re
 from dataclasses import dataclass, field
 from typing import Callable, Container, Dict, Iterator, List, NamedTuple, Optional, Tuple, Union
 
-from ..errors import MessageError, Place, place_at
+from ..errors import SHOWN, MessageError, Place, place_at, shortened
+from ..rosnames import plain_fault, type_fault
 
 PRIMITIVES: Dict[str, str] = {
     "bool": "?",
@@ -37,9 +38,7 @@ SEPARATOR = "=" * 80
 _COMMENT = re.compile(r"#.*")
 _STRING_CONSTANT = re.compile(r"\s*string\s+(?P<name>\w+)\s*=(?P<value>.*)")
 _CONSTANT = re.compile(r"\s*(?P<type>[\w/]+)\s+(?P<name>\w+)\s*=(?P<value>.*)")
-_FIELD = re.compile(r"\s*(?P<type>[\w/]+)(?P<array>\[\s*\d*\s*\])?\s+(?P<name>\w+)\s*$")
-_NAME = re.compile(r"[A-Za-z]\w*\Z")
-_TYPE_NAME = re.compile(r"[A-Za-z]\w*/[A-Za-z]\w*\Z")
+_FIELD = re.compile(r"\s*(?P<type>[\w/]+)(?P<array>\[\s*[0-9]*\s*\])?\s+(?P<name>\w+)\s*$")
 
 Value = Union[bool, int, float, str]
 
@@ -90,6 +89,9 @@ class Definition:
         constants: the constants in order.
         text: the definition's own text.
         md5sum: the checksum by which ROS tells versions of a type apart.
+
+    Raises:
+        MessageError: for a name that is none.
     """
 
     name: str
@@ -99,6 +101,9 @@ class Definition:
     md5sum: str = field(init=False, default="")
 
     def __post_init__(self) -> None:
+        fault = type_fault(self.name)
+        if fault is not None:
+            raise MessageError(fault)
         object.__setattr__(self, "md5sum", hashlib.md5(_checksum_text(self).encode()).hexdigest())
 
     @property
@@ -189,8 +194,6 @@ def parse(name: str, text: str, find: Callable[[str, str], Definition], source: 
         MessageError: with its place, for a line that is neither slot nor constant, and for what
             ``find`` raises.
     """
-    if not _TYPE_NAME.match(name):
-        raise MessageError(f"{name!r} is not the name of a message type: expected package/Type")
     return Definition(name, *_Reader(name, text, find, source or name).read(), text)
 
 
@@ -225,18 +228,18 @@ class _Reader:
             self._constant(found["type"], found, offset)
             return
         at = offset + len(line) - len(line.lstrip())
-        raise self._error(f"expected 'type name' or 'type NAME=value', found {line.strip()!r}", at)
+        raise self._error(f"expected 'type name' or 'type NAME=value', found {shortened(line.strip())}", at)
 
     def _constant(self, kind: str, found: "re.Match[str]", offset: int) -> None:
         text = found["value"].strip()
         self._new_name(found, offset, self.constants)
         if kind not in PRIMITIVES and kind != "string":
-            raise self._error(f"a constant cannot be of type {kind}", offset + found.start())
+            raise self._error(f"a constant cannot be of type {kind[:SHOWN]}", offset + found.start())
         try:
             value = _constant_value(kind, text)
         except ValueError:
             at = offset + found.start("value")
-            raise self._error(f"{text!r} is not a value of type {kind}", at) from None
+            raise self._error(f"{shortened(text)} is not a value of type {kind}", at) from None
         self.constants[found["name"]] = Constant(kind, found["name"], text, value)
 
     def _field(self, found: "re.Match[str]", offset: int) -> None:
@@ -262,8 +265,9 @@ class _Reader:
 
     def _new_name(self, found: "re.Match[str]", offset: int, known: Container[str]) -> None:
         name = found["name"]
-        if not _NAME.match(name):
-            raise self._error(f"{name!r} is not a slot's name", offset + found.start("name"))
+        fault = plain_fault(name)
+        if fault is not None:
+            raise self._error(fault, offset + found.start("name"))
         if name in known:
             raise self._error(f"{name} is defined twice", offset + found.start("name"))
 

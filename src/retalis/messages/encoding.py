@@ -9,9 +9,9 @@ from struct import Struct, pack
 from struct import error as StructError
 from typing import Any, Callable, Dict, List
 
+from .. import codegen
 from ..errors import MessageError
 from ..terms import CONS, FALSE, NIL, TRUE, Atom, Lazy, Term, atom, functor
-from ._compile import compile_function
 from .arrays import SMALL, array_maker
 from .checking import Checker
 from .definition import PRIMITIVES, TIMES, VARIABLE, Definition, Field
@@ -185,7 +185,8 @@ def _compile_encode(definition: Definition) -> Callable[..., bytes]:
     lines = ["def encode(term, topic=''):", "  try:", *("    " + line for line in code.body())]
     lines += ["  except errors:", "    return check(term, topic)"]
     code.names["check"] = Checker(definition).encode
-    return compile_function("encode", f"encode {definition.name}", lines, code.names)
+    made: Callable[..., bytes] = codegen.function(lines, code.names, f"encode {definition.name}", "encode")
+    return made
 
 
 def _array_packer(slot: Field) -> Callable[[Term], bytes]:
@@ -195,7 +196,7 @@ def _array_packer(slot: Field) -> Callable[[Term], bytes]:
     code = _Code()
     code.single(slot._replace(length=None), "term")
     lines = ["def encode(term):", *("  " + line for line in code.body())]
-    element = compile_function("encode", f"encode element {slot.type}", lines, code.names)
+    element = codegen.function(lines, code.names, f"encode element {slot.type}", "encode")
     length = slot.length
 
     def encode(term: Term) -> bytes:

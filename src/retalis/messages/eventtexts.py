@@ -1,11 +1,11 @@
 """Message bytes to the text of their event terms, without making the terms where their form allows it."""
 
 import re
-from typing import Any, Callable, Dict, List
+from typing import Any, Callable, List
 
+from .. import codegen
 from ..syntax import float_text, to_text
 from ..terms import Term
-from ._compile import compile_function
 from ._frame_code import FrameCode, Unsuited
 from .decoding import Decoder
 
@@ -29,8 +29,8 @@ def text_writer(decoder: Decoder) -> Callable[[bytes], str]:
         lines = code.build(decoder.definition, general)
     except Unsuited:
         return general
-    made: Callable[[bytes], str] = compile_function(
-        "decode", f"text of {decoder.definition.name}", lines, code.names
+    made: Callable[[bytes], str] = codegen.function(
+        lines, code.names, f"text of {decoder.definition.name}", "decode"
     )
     return made
 
@@ -39,7 +39,7 @@ class _TextCode(FrameCode):
     """Source of a function that gives the message's text, not its term."""
 
     def finish(self, result: str) -> str:
-        """Return an f-string: the text of the term with marks for values, each mark replaced by its value."""
+        """Return an f-string: the pieces of the term's text by their names, and between them the values."""
         places = {name: f"{{{name}}}" for name in self.texts}
         for names, layout in ((self.before[1], self.before[0]), (self.targets, self.format)):
             for name, kind in zip(names, _CODE.findall(layout)):
@@ -47,22 +47,17 @@ class _TextCode(FrameCode):
                     raise Unsuited
                 places[name] = f"{{real({name})}}" if kind in "fd" else f"{{{name}}}"
         self.names["real"] = float_text
-        return _f_string(self._template(result, list(places)), list(places.values()))
+        pieces = _PLACE.split(self._template(result, list(places)))
+        values = list(places.values())
+        pieces[::2] = [f"{{{self.name('p', text)}}}" for text in pieces[::2]]
+        pieces[1::2] = [values[int(place)] for place in pieces[1::2]]
+        return f'f"{"".join(pieces)}"'
 
     def _template(self, result: str, names: List[str]) -> str:
         """Return the text of the term, with a number for each value that comes in later."""
-        marks: Dict[str, Any] = {name: _MARK + at for at, name in enumerate(names)}
-        return to_text(eval(result, dict(self.names), marks))
+        lines = [f"def made({', '.join(names)}):", f"    return {result}"]
+        make = codegen.function(lines, self.names, "a term with marks")
+        return to_text(make(*(_MARK + at for at in range(len(names)))))
 
     def kept(self, text: Term) -> Any:
         return to_text(text)
-
-
-def _f_string(template: str, values: List[str]) -> str:
-    pieces = _PLACE.split(template)
-    pieces[::2] = [
-        text.replace("\\", "\\\\").replace('"', '\\"').replace("{", "{{").replace("}", "}}")
-        for text in pieces[::2]
-    ]
-    pieces[1::2] = [values[int(place)] for place in pieces[1::2]]
-    return 'f"' + "".join(pieces) + '"'

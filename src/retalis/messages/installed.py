@@ -6,6 +6,8 @@ import sys
 from pathlib import Path
 from typing import Dict, Iterator, List, Optional, Sequence, Tuple
 
+from ..rosnames import type_fault
+
 _SHARE = ("/usr/share", "/usr/local/share")
 _MODULES = ("/usr/lib/python3/dist-packages",)
 _DEPTH = 4
@@ -39,7 +41,7 @@ class Installed:
     def text(self, name: str) -> Optional[Tuple[str, str]]:
         """Return the text of a type and where it was read, or None where it is not installed."""
         package, _, kind = name.partition("/")
-        if not package.isidentifier() or not kind.isidentifier():
+        if type_fault(name) is not None:
             return None
         for path in self._message_files(package, kind):
             if os.path.isfile(path):

@@ -3,6 +3,7 @@
 from typing import Dict, List, Optional, Sequence, Set, Tuple, Union
 
 from ..errors import MessageError
+from ..rosnames import type_fault
 from .decoding import Decoder
 from .definition import Definition, parse, split_sections
 from .encoding import Encoder
@@ -145,6 +146,9 @@ class _Resolver:
     def resolve(self, name: str) -> Definition:
         found = self.done.get(name)
         if found is None:
+            fault = type_fault(name)
+            if fault is not None:
+                raise MessageError(fault)
             if name in self.open:
                 raise MessageError(f"{name} contains itself")
             self.open.add(name)

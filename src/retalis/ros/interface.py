@@ -5,12 +5,12 @@ from struct import Struct
 from typing import Any, Callable, ContextManager, Dict, Iterable, List, Optional, Set, Tuple
 
 import rospy
-from rosgraph.names import is_legal_name
 
 from .._reports import Reports
 from ..errors import MessageError, RetalisError, UsageError
 from ..messages import Decoder, Definitions, Encoder
-from ..program import TopicType
+from ..program import TopicType, topic_type
+from ..rosnames import topic_fault
 from ..terms import Term
 from ._raw import raw_bytes, raw_class
 from ._receiving import read_by
@@ -88,9 +88,8 @@ class Interface:
         Raises:
             UsageError: for a topic that is subscribed already, or names that are none.
         """
+        topic, kind = topic_type(topic, kind)
         name = resolve(topic)
-        if kind.count("/") != 1 or not all(kind.split("/")):
-            raise UsageError(f'expected a message type "package/Type", found "{kind}"')
         if name in self._reserved:
             raise UsageError(f"topic {topic} is for events as text, between the nodes")
         if name in self._elsewhere:
@@ -269,7 +268,7 @@ class Input:
         sent = header.get("type", "*")
         is_known = self.kind in self._definitions
         definition = self._definitions.received(
-            self.kind, sent, header.get("message_definition", ""), header["md5sum"]
+            self.kind, sent, header.get("message_definition", ""), header.get("md5sum", "")
         )
         if not is_known and sent != self.kind:
             rospy.logwarn(
@@ -288,10 +287,10 @@ def resolve(topic: str) -> str:
     Raises:
         UsageError: where it is no name.
     """
+    fault = topic_fault(topic.strip())
+    if fault is not None or not topic.strip(" /"):
+        raise UsageError(fault or f'"{topic}" is no topic name')
     try:
-        name = rospy.resolve_name(topic.strip())
+        return str(rospy.resolve_name(topic.strip()))
     except (ValueError, rospy.ROSException) as error:
         raise UsageError(f'"{topic}" is no topic name: {error}') from error
-    if not topic.strip(" /") or not is_legal_name(name):
-        raise UsageError(f'"{topic}" is no topic name')
-    return name

@@ -11,7 +11,7 @@ import rospy
 from ..engine import Settings
 from ..errors import UsageError
 from ..logic import Limits
-from ..program import Topics, TopicType
+from ..program import Topics, TopicType, topic_type
 
 DIRECT = (TopicType("tf", "tf/tfMessage"), TopicType("ar_pose_marker", "ar_pose/ARMarkers"))
 """The topics that node retalis subscribes by itself by default, as the original did."""
@@ -133,7 +133,10 @@ def _direct() -> Any:
     flat = [item for entry in value for item in (entry if isinstance(entry, list) else [entry])]
     if len(flat) % 2 or not all(isinstance(item, str) for item in flat):
         raise wrong
-    return tuple(TopicType(topic, kind) for topic, kind in zip(flat[::2], flat[1::2]))
+    try:
+        return tuple(topic_type(topic, kind) for topic, kind in zip(flat[::2], flat[1::2]))
+    except UsageError as error:
+        raise UsageError(f"parameter ~direct: {error.message}") from None
 
 
 def _folders() -> Tuple[str, ...]:

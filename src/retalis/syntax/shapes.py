@@ -2,6 +2,7 @@
 
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
 
+from .. import codegen
 from ..terms import CONS, NIL, Atom, Functor, Term, Var, atom, make_list
 
 
@@ -46,9 +47,8 @@ class ShapeCompiler:
         if result is None or any(count != 1 for count in self._used.values()):
             return None
         body = [*self._unpacking(), *(f"{name} = Var()" for name in self._variables.values()), *self._lines]
-        source = "def build(n, q, s):\n " + "\n ".join([*body, f"return {result}"])
-        exec(compile(source, "<event text>", "exec"), self._names)
-        return Builder(self._names["build"], not self._variables)
+        lines = ["def build(n, q, s):", *(" " + line for line in body), f" return {result}"]
+        return Builder(codegen.function(lines, self._names, "event text", "build"), not self._variables)
 
     def _unpacking(self) -> List[str]:
         lines = []

@@ -2,6 +2,7 @@
 
 from typing import Any, Dict
 
+from ... import codegen
 from ...errors import TermTooLarge
 from ...terms import (
     CONS,
@@ -90,15 +91,13 @@ def compare_terms(machine: Any, order: Term, left: Term, right: Term) -> bool:
 
 
 def _order(test: str) -> Any:
-    code = compile(f"lambda machine, left, right: compare(left, right) {test}", f"<{test}>", "eval")
-    return eval(code, {"compare": compare})
+    lines = ["def made(machine, left, right):", f"    return compare(left, right) {test}"]
+    return codegen.function(lines, {"compare": compare}, f"comparison {test}")
 
 
 def _arithmetic(operator: str) -> Any:
-    code = compile(
-        f"lambda machine, left, right: evaluate(left) {operator} evaluate(right)", f"<{operator}>", "eval"
-    )
-    return eval(code, {"evaluate": evaluate})
+    lines = ["def made(machine, left, right):", f"    return evaluate(left) {operator} evaluate(right)"]
+    return codegen.function(lines, {"evaluate": evaluate}, f"comparison {operator}")
 
 
 for _key, _test in ORDERS.items():

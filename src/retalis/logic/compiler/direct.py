@@ -13,7 +13,7 @@ from ..codes import BAIL
 from ..keys import key_of
 from .inline import write_inline
 from .nodes import Condition, Cut, Goal, Height, Node, Parser, needed_by
-from .predicates import Generator, Rule, register
+from .predicates import Generator, Rule, title_of
 from .scope import Clause, Scope, Unit
 
 _MOST_CLAUSES = 8
@@ -197,7 +197,7 @@ class Functions(Generator):
         place = next((rule.place for rule in self.rules if rule.place is not None), None)
         source = unit.source()
         name = f"{self.key} as a function"
-        found: Callable[..., Optional[bool]] = unit.finish(source, register(source, place, name))["main"]
+        found: Callable[..., Optional[bool]] = unit.finish(source, title_of(place, name))["main"]
         return found
 
     def _keyed(self) -> List[int]:

@@ -1,8 +1,8 @@
 """Code that looks for a matching fact among many: one function for each arity and indexed argument."""
 
-from functools import lru_cache
-from types import CodeType
 from typing import Any, Callable, Dict, List, Optional
+
+from ... import codegen
 
 
 def fact_search(arity: int, indexed: Optional[int], namespace: Dict[str, Any]) -> Callable[..., Any]:
@@ -15,17 +15,15 @@ def fact_search(arity: int, indexed: Optional[int], namespace: Dict[str, Any]) -
         indexed: the argument (from 0) that the index has compared already: facts agree in its first level.
         namespace: what `search` names: ``Var``, ``unify``, ``trail``, ``choose``, ``retry``, ``may_match``.
     """
-    names = dict(namespace)
-    exec(_code(arity, indexed), names)
-    search: Callable[..., Any] = names["search"]
-    return search
+    source = "\n".join(_search(arity, indexed)) + "\n"
+    found: Callable[..., Any] = codegen.shared_function(source, namespace, f"facts of {arity} arguments")
+    return found
 
 
-@lru_cache(maxsize=64)
-def _code(arity: int, indexed: Optional[int]) -> CodeType:
+def _search(arity: int, indexed: Optional[int]) -> List[str]:
     args = "".join(f"a{at}, " for at in range(arity))
     lines = [
-        "def search(frame, clauses, at, end, generation, keys):",
+        "def made(frame, clauses, at, end, generation, keys):",
         f"    _, {args}after = frame",
         "    mark = len(trail)",
         "    while at < end:",
@@ -37,17 +35,17 @@ def _code(arity: int, indexed: Optional[int]) -> CodeType:
     ]
     for at in range(arity):
         lines += _argument(at, at == indexed)
-    lines += [
+    return [
+        *lines,
         "        while at < end:",
         "            other = clauses[at]",
         "            if other.died > generation and (keys is None or may_match(keys, other.keys)):",
-        "                choose((retry, search, frame, clauses, at, end, generation, keys, mark))",
+        "                choose((retry, made, frame, clauses, at, end, generation, keys, mark))",
         "                break",
         "            at += 1",
         "        return after",
         "    return None",
     ]
-    return compile("\n".join(lines), f"<facts of {arity} arguments>", "exec")
 
 
 def _argument(at: int, indexed: bool) -> List[str]:

@@ -10,7 +10,7 @@ from .bodies import Bodies
 from .direct import choose_functions, give_up, goals_of, parser, work_of
 from .inline import write_sequence
 from .nodes import Goal, Height, Node, Parser, needed_by
-from .predicates import register
+from .predicates import title_of
 from .scope import Clause, Scope, Unit
 
 _OUTPUTS = functor("outputs", 0)
@@ -78,8 +78,7 @@ class GoalCode:
 
     def _finish(self, unit: Unit) -> Callable[..., Any]:
         source = unit.source()
-        filename = register(source, self._place, self._name)
-        function: Callable[..., Any] = unit.finish(source, filename)["main"]
+        function: Callable[..., Any] = unit.finish(source, title_of(self._place, self._name))["main"]
         return function
 
     def straight(self) -> Optional[Callable[..., Any]]:

@@ -1,6 +1,5 @@
 """Code for predicates: the switch on an argument, and the clauses that are left one after the other."""
 
-import linecache
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 from ...errors import Place
@@ -73,9 +72,7 @@ class Generator:
     def _finish(self, unit: Unit, name: str, part: str) -> Callable[[Any], Any]:
         source = unit.source()
         place = next((rule.place for rule in self.rules if rule.place is not None), None)
-        function: Callable[[Any], Any] = unit.finish(source, register(source, place, f"{self.key}{part}"))[
-            name
-        ]
+        function: Callable[[Any], Any] = unit.finish(source, title_of(place, f"{self.key}{part}"))[name]
         return function
 
     def _unpack(self, last: str) -> str:
@@ -327,11 +324,9 @@ class Generator:
                 match(scope, local, arg)
 
 
-def register(source: str, place: Optional[Place], name: str) -> str:
-    """Make generated source known to tracebacks; return the file name to compile it under."""
-    filename = f"<{name}>" if place is None else f"<{place.source}:{place.line} {name}>"
-    linecache.cache[filename] = (len(source), None, source.splitlines(True), filename)
-    return filename
+def title_of(place: Optional[Place], name: str) -> str:
+    """Return what tracebacks call the code that is generated for something at a place."""
+    return name if place is None else f"{place.source}:{place.line} {name}"
 
 
 def _switch_position(rules: Sequence[Rule], arity: int) -> Optional[int]:

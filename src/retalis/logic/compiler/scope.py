@@ -3,7 +3,7 @@
 import math
 from typing import Any, Callable, Dict, FrozenSet, List, NamedTuple, Optional, Set, Tuple
 
-from ... import terms
+from ... import codegen, terms
 from ...terms import Atom, Functor, Lazy, String, Term, Var, copy, deref, is_ground
 from .. import arithmetic
 from ..codes import DEAD, RESUME, Code
@@ -122,9 +122,9 @@ class Unit:
             self.jobs.pop()()
         return "\n\n\n".join(self._functions) + "\n"
 
-    def finish(self, source: str, filename: str) -> Dict[str, Any]:
+    def finish(self, source: str, title: str) -> Dict[str, Any]:
         """Execute the source and give each code object its function."""
-        exec(compile(source, filename, "exec"), self.namespace)
+        codegen.define(source, self.namespace, title)
         for code, function in self._codes:
             code.run = self.namespace[function]
         return self.namespace

@@ -1,0 +1,115 @@
+"""Python made at run time: the one place where text becomes code.
+
+The names in generated source are made by the code that writes it: ``a1``, ``k7``. Whatever comes from outside (names
+of types and predicates, atoms, texts) is bound to such a name as a value and never stands in the source. Should
+something slip in all the same, the code sees only what it was given and the few functions of `_BUILTINS`: no imports,
+no files, no evaluation of texts.
+"""
+
+import builtins
+import re
+from functools import lru_cache
+from itertools import count
+from typing import Any, Callable, Dict, Iterable, Tuple
+
+from .errors import shortened
+
+_BUILTINS: Dict[str, Any] = {
+    name: getattr(builtins, name)
+    for name in (
+        "BaseException",
+        "Exception",
+        "RecursionError",
+        "TypeError",
+        "ValueError",
+        "bool",
+        "float",
+        "int",
+        "len",
+        "list",
+        "max",
+        "min",
+        "range",
+        "reversed",
+        "str",
+        "tuple",
+    )
+}
+"""What generated code may use without having been given it."""
+
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,30}\Z")
+_SHARED = 1000
+_LONGEST_SHARED = 8000
+"""Longer sources are not kept: those of two rules are hardly ever alike, and they would take megabytes."""
+
+_serials = count(1)
+
+
+class _Source:
+    """Shows generated source in tracebacks: `linecache` asks for it, and it lives as long as the code does."""
+
+    __slots__ = ("_text",)
+
+    def __init__(self, text: str):
+        self._text = text
+
+    def get_source(self, name: str) -> str:
+        return self._text
+
+
+def define(source: str, names: Dict[str, Any], title: str) -> Dict[str, Any]:
+    """Add the functions of a source to the names that they may use, and return these.
+
+    Args:
+        source: function definitions, ASCII.
+        names: what the functions may name; it is their globals from now on.
+        title: what they are, for tracebacks; any text.
+
+    Raises:
+        ValueError: where a name is none of ours, or the source holds what no source of ours does.
+    """
+    if not source.isascii():
+        raise ValueError("generated source has to be ASCII")
+    for name in names:
+        if not _NAME.match(name):
+            raise ValueError(f"{shortened(name)} is no name for generated source")
+    file = f"retalis, {_clean(title)} #{next(_serials)}"
+    names["__builtins__"] = _BUILTINS
+    names["__name__"] = file
+    names["__loader__"] = _Source(source)
+    exec(compile(source, file, "exec", dont_inherit=True), names)
+    return names
+
+
+def function(lines: Iterable[str], names: Dict[str, Any], title: str, name: str = "made") -> Any:
+    """Return the function that ``lines`` define under a name; see `define`."""
+    return define("\n".join(lines) + "\n", dict(names), title)[name]
+
+
+def shared_function(source: str, names: Dict[str, Any], title: str) -> Any:
+    """Return the function that ``source`` defines as ``made``; functions of one source share their code.
+
+    Rules that are alike but for their constants do not each wait for the interpreter to get used to theirs, nor push
+    each other's out of the processor's caches.
+    """
+    make = _shared_maker if len(source) <= _LONGEST_SHARED else _maker
+    return make(source, tuple(names), title)(*names.values())
+
+
+def _maker(source: str, names: Tuple[str, ...], title: str) -> Callable[..., Any]:
+    """Return a function that makes the function of a source for the values of names."""
+    for name in names:
+        if not _NAME.match(name):
+            raise ValueError(f"{shortened(name)} is no name for generated source")
+    lines = ["    " + line for line in source.splitlines(True)]
+    text = "".join([f"def maker({', '.join(names)}):\n", *lines, "\n    return made\n"])
+    maker: Callable[..., Any] = define(text, {}, title)["maker"]
+    return maker
+
+
+_shared_maker = lru_cache(maxsize=_SHARED)(_maker)
+
+
+def _clean(title: str) -> str:
+    """Return a title as it may stand in a file's name: no NUL, no surrogates, one line."""
+    return shortened(title).strip("'\"") if not (title.isascii() and title.isprintable()) else title[:200]

@@ -1,0 +1,45 @@
+"""What ROS allows as a name: of packages, types, slots and topics. The doors for names that come from outside."""
+
+import re
+from typing import Optional
+
+from .errors import shortened
+
+LONGEST = 255
+"""Characters that a name may have: a type's is also that of a file."""
+
+_PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+_TYPE = re.compile(r"[A-Za-z][A-Za-z0-9_]*/[A-Za-z][A-Za-z0-9_]*")
+_TOPIC = re.compile(r"[A-Za-z/~][A-Za-z0-9_/]*")
+
+_STRANGE = re.compile(r"[^A-Za-z0-9_/~]")
+
+_LETTERS = 'ASCII letters, digits and "_", a letter first'
+
+
+def plain_fault(text: str) -> Optional[str]:
+    """Return what is wrong with the name of a package, slot or constant, or None."""
+    return _fault(_PLAIN, text, f"a name of {_LETTERS}")
+
+
+def type_fault(text: str) -> Optional[str]:
+    """Return what is wrong with the name of a message type, or None."""
+    return _fault(_TYPE, text, f'a message type "package/Type", each of {_LETTERS}')
+
+
+def topic_fault(text: str) -> Optional[str]:
+    """Return what is wrong with the name of a topic, which may be relative or private, or None."""
+    fault = _fault(_TOPIC, text, 'a topic name of ASCII letters, digits, "_" and "/", no digit first')
+    if fault is None and "//" in text:
+        return f'expected a topic name, found {shortened(text)}, which has "//" in it'
+    return fault
+
+
+def _fault(form: "re.Pattern[str]", text: str, expected: str) -> Optional[str]:
+    problem = f"expected {expected}, found {shortened(text)}"
+    if len(text) > LONGEST:
+        return f"{problem}: longer than {LONGEST} characters"
+    if form.fullmatch(text):
+        return None
+    strange = _STRANGE.search(text)
+    return f"{problem}: {ascii(strange.group())} is no part of it" if strange else problem

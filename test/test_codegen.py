@@ -1,0 +1,103 @@
+"""The one place where text becomes code."""
+
+import ast
+import traceback
+from pathlib import Path
+
+import pytest
+
+from retalis import codegen
+
+ROOT = Path(__file__).resolve().parent.parent
+SOURCES = [
+    *(ROOT / "src").rglob("*.py"),
+    *(ROOT / "examples").rglob("*.py"),
+    *(path for path in (ROOT / "nodes").iterdir() if path.is_file()),
+    ROOT / "install.py",
+    ROOT / "install_shell.py",
+    ROOT / "setup.py",
+]
+FORBIDDEN = {"exec", "eval", "compile", "__import__", "execfile"}
+RUNS_TEXT = {"os.system", "os.popen", "pickle", "marshal", "shelve", "code", "codeop", "runpy"}
+
+
+def calls(tree):
+    """Yield the names of what is called, and the modules that are imported."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Name) and node.id in FORBIDDEN:
+            yield node.id
+        elif isinstance(node, ast.Attribute):
+            yield dotted(node)
+        elif isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            yield node.module
+
+
+def dotted(node):
+    inner = node.value
+    return f"{inner.id}.{node.attr}" if isinstance(inner, ast.Name) else f"?.{node.attr}"
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_nothing_else_makes_code_of_text(path):
+    if path.name == "codegen.py":
+        return
+    found = set(calls(ast.parse(path.read_text(encoding="utf-8"))))
+    assert not found & (FORBIDDEN | RUNS_TEXT | {"builtins." + name for name in FORBIDDEN})
+
+
+def test_the_search_finds_them():
+    tree = ast.parse("import pickle\nx = eval\nos.system('')\nbuiltins.exec('')\nre.compile('a')")
+    assert {"pickle", "eval", "os.system", "builtins.exec"} <= set(calls(tree))
+
+
+def test_a_function_sees_what_it_was_given():
+    made = codegen.function(["def made(x):", "    return x + k1"], {"k1": 2}, "sum")
+    assert made(1) == 3
+
+
+@pytest.mark.parametrize(
+    "name", ["open", "__import__", "eval", "exec", "compile", "getattr", "globals", "vars"]
+)
+def test_a_function_sees_nothing_else(name):
+    made = codegen.function(["def made():", f"    return {name}"], {}, "what is not given")
+    with pytest.raises(NameError):
+        made()
+
+
+@pytest.mark.parametrize("name", ["a b", "é", "", "x\0", "1x", "a" * 40, "x\n", "\u212a"])
+def test_names_are_our_own(name):
+    for make in (codegen.shared_function, lambda s, n, t: codegen.function([s], n, t)):
+        with pytest.raises(ValueError, match="no name for generated source"):
+            make("def made(): return 1\n", {name: 1}, "wrong name")
+
+
+@pytest.mark.parametrize("text", ["é", "\ud800", "ª"])
+def test_sources_are_plain(text):
+    with pytest.raises(ValueError, match="ASCII"):
+        codegen.function([f"def made(): return '{text}'"], {}, "strange source")
+
+
+@pytest.mark.parametrize("title", ["p/2", "a\0b", "\ud800", "x\ny", "'é'", "x" * 100_000, ""])
+def test_any_title_will_do_and_tracebacks_show_the_source(title):
+    made = codegen.function(["def made():", "    return missing_thing"], {}, title)
+    try:
+        made()
+    except NameError:
+        text = traceback.format_exc()
+    assert "return missing_thing" in text
+    assert len(text) < 5000
+
+
+def test_functions_of_one_source_share_their_code():
+    one, two = (codegen.shared_function("def made():\n    return k\n", {"k": k}, "constant") for k in (1, 2))
+    assert (one(), two()) == (1, 2)
+    assert one.__code__ is two.__code__
+
+
+def test_long_sources_are_not_kept():
+    source = "def made():\n" + "    k\n" * 3000 + "    return k\n"
+    one, two = (codegen.shared_function(source, {"k": k}, "constant") for k in (1, 2))
+    assert (one(), two()) == (1, 2)
+    assert one.__code__ is not two.__code__
