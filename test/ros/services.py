@@ -2,6 +2,7 @@
 """The six services, with good and bad requests, while events flow."""
 
 import sys
+import tempfile
 import threading
 import time
 import unittest
@@ -188,6 +189,36 @@ class Services(unittest.TestCase):
         self.assert_error(self.add_input("tf", "tf/tfMessage"), "tf")  # node retalis subscribes it by itself
         self.assert_error(self.add_input("", "std_msgs/Float64"))
         self.assertEqual(self.delete_subscription("t", "n").result, "ok")
+
+    def test_names_of_types_run_nothing(self):
+        harm = Path(tempfile.mkdtemp()) / "harm"
+        told = Collector("/rosout", Log)
+        wait_until(told.connected, "the log")
+        for kind in (
+            f'a/b:=__import__("os").system("touch {harm}")',
+            f"a/b(__import__('os').system('touch {harm}'))",
+            f'a/b",__import__("os").system("touch {harm}"),"',
+        ):
+            self.assert_error(self.add_input("hostile", kind), "expected a message type")
+            members = {"_type": "a/B", "_md5sum": "0" * 32, "_full_text": "int32 x\n", "__slots__": ["_buff"]}
+            hostile = type("Hostile", (rospy.AnyMsg,), members)
+            publisher = rospy.Publisher("hostile", hostile, queue_size=10)
+            hostile._type = kind  # the master looks at the type, connections say what they like
+            self.assertEqual(self.add_input("hostile", "unknown_msgs/Kind").result, "ok")
+            wait_until(lambda publisher=publisher: publisher.get_num_connections() > 0, "the connection")
+            message = hostile()
+            message._buff = b"\1\0\0\0"
+            publisher.publish(message)
+            told.wait_for(
+                lambda messages: any(
+                    "topic /hostile: expected a message type" in one.msg for one in messages
+                ),
+                "the refusal",
+            )
+            self.assertEqual(self.delete_input("hostile").result, "ok")
+            publisher.unregister()
+            told.messages.clear()
+        self.assertFalse(harm.exists())
 
 
 if __name__ == "__main__":
