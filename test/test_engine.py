@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from retalis import timestamps
+from retalis import foreign, timestamps
 from retalis.clock import StreamClock
 from retalis.engine import Engine, Settings
 from retalis.errors import ProgramErrors, RetalisError, SyntaxFault, UsageError
 from retalis.logic import PrologError
-from retalis.terms import atom, deref
+from retalis.terms import atom, deref, functor
 
 sys.path.append(str(Path(__file__).resolve().parent))
 from watched import Watched  # noqa: E402
@@ -209,10 +209,10 @@ def test_an_interrupt_leaves_no_event_behind(goal):
     engine = Watched("b <- a.", "subscribe(b, [], _, out, s)")
 
     def stop(term, topic, name):
-        raise BrokenPipeError
+        raise KeyboardInterrupt
 
     engine.on_output(stop)
-    with pytest.raises(BrokenPipeError):
+    with pytest.raises(KeyboardInterrupt):
         engine.load(goals="new_event(a, 1, 1)") if goal == "load" else engine.call(goal)
     assert engine.dispatcher.current is None
 
@@ -386,3 +386,78 @@ def test_an_id_that_is_taken_is_said_to_be(goal):
     assert engine.call(goal)
     with pytest.raises(PrologError, match="there is one already"):
         engine.call(goal)
+
+
+def test_an_error_of_a_callback_is_reported_and_what_follows_of_the_event_is_done(caplog):
+    engine = Engine()
+    engine.load(rules="b <- a.\nc <- b.", goals="subscribe(b, [], _, out, s)")
+    seen = []
+    for error in (ValueError("of the callback"), BrokenPipeError("of the callback")):
+
+        def fails(*arguments, error=error):
+            raise error
+
+        engine.on_event(fails)
+        engine.on_output(fails)
+    engine.on_event(lambda term, start, end: seen.append(engine.show(term)))
+    engine.event("a", 1)
+    engine.post(atom("a"))
+    assert seen == ["a", "b", "c"] * 2
+    assert caplog.text.count("ValueError: of the callback") >= 1
+    assert caplog.text.count("BrokenPipeError: of the callback") >= 1
+    assert engine.reports.errors == 2 * 2 * 3 + 2 * 2
+
+
+@pytest.mark.parametrize("kind", ["on_output", "on_event", "foreign"])
+def test_a_callback_that_waits_for_a_query_of_another_thread_goes_on(kind):
+    engine = Engine(settings=Settings(patience=0.01))
+    engine.load(rules="b <- a.\nc <- b where wait.\nd <- b.", goals="subscribe(b, [], _, out, s)")
+    refused, seen = [], []
+
+    def ask():
+        with pytest.raises(UsageError) as caught:
+            engine.query("X = 1")
+        refused.append(str(caught.value))
+
+    def wait(*arguments):
+        if kind == "on_event" and engine.show(arguments[0]) != "b":
+            return
+        thread = threading.Thread(target=ask)
+        thread.start()
+        thread.join(10)
+
+    @foreign(name="wait")
+    def waiting() -> bool:
+        wait()
+        return True
+
+    @foreign(name="wait")
+    def not_waiting() -> bool:
+        return True
+
+    engine.add_foreign(waiting if kind == "foreign" else not_waiting)
+    if kind != "foreign":
+        getattr(engine, kind)(wait)
+    engine.on_event(lambda term, start, end: seen.append(engine.show(term)))
+    engine.event("a", 1)
+    what = "the foreign predicate wait/0" if kind == "foreign" else f"a callback of {kind}"
+    assert [what in text for text in refused] == [True]
+    assert seen == ["a", "b", "c", "d"]
+    assert engine.call("X = 1")
+
+
+def test_a_callback_may_ask_the_engine_itself_and_other_threads_may_post():
+    engine = Engine(settings=Settings(patience=0.01))
+    engine.load(goals="subscribe(a(_), [], _, out, s)\nmemorize(b(_), [], _, m, 10)")
+    found = []
+
+    def callback(term, topic, name):
+        thread = threading.Thread(target=engine.post, args=(functor("b", 1)(1),))
+        thread.start()
+        thread.join(10)
+        found.append(engine.query("X = 1"))
+
+    engine.on_output(callback)
+    engine.event("a(1)", 1)
+    assert found == [[{"X": 1}]]
+    assert engine.call("memory_counter(m, 1)")

@@ -2,7 +2,8 @@ import threading
 
 import pytest
 
-from retalis._runner import Call, Runner
+from retalis._runner import Call, Recovery, Runner
+from retalis.errors import UsageError
 
 
 def make(size=100):
@@ -134,3 +135,76 @@ def test_an_interrupt_is_no_result():
         runner.call(interrupted)
     assert runner.call(lambda: 1) == 1
     assert errors == []
+
+
+def test_an_interrupt_gives_the_lock_back_and_who_waits_gets_its_answer():
+    runner, _, _ = make()
+    at_work, go_on = threading.Event(), threading.Event()
+    answers = []
+
+    def interrupted():
+        at_work.set()
+        assert go_on.wait(10)
+        raise KeyboardInterrupt
+
+    def first():
+        with pytest.raises(KeyboardInterrupt):
+            runner.call(interrupted)
+
+    def second():
+        answers.append(runner.call(lambda: 2))
+
+    threads = [threading.Thread(target=first), threading.Thread(target=second)]
+    threads[0].start()
+    assert at_work.wait(10)
+    threads[1].start()
+    while not runner._calls:  # until it waits
+        pass
+    go_on.set()
+    for thread in threads:
+        thread.join(10)
+    assert answers == [2]
+
+
+def test_a_mark_that_an_interrupt_has_left_is_no_work_from_inside():
+    class Noting(Recovery):
+        def restore(self, state, mend_all):
+            found.append((state, mend_all))
+
+    found = []
+    runner = Runner(10, found.append, found.append, Noting())
+    runner._lock.acquire()
+    runner._running = threading.get_ident()  # as left by an interrupt of what goes back after an interrupt
+    done = []
+    runner.post(done.append, 1)
+    assert runner.call(lambda: 2) == 2
+    assert done == [1]
+    assert found == [(None, True)]
+    thread = threading.Thread(target=runner.post, args=(done.append, 3))
+    thread.start()
+    thread.join(10)
+    assert done == [1, 3]
+
+
+def test_what_is_called_in_vain_is_not_done_later():
+    runner, _, _ = make()
+    runner._patience = 0
+    done = []
+
+    def ask():
+        with pytest.raises(UsageError, match="the engine has been in a callback for 0 s"):
+            runner.call(lambda: done.append("asked"))
+
+    def wait():
+        thread = threading.Thread(target=ask)
+        thread.start()
+        thread.join(10)
+        done.append("waited")
+
+    def work():
+        runner.callback = ("a callback",)
+        wait()
+        runner.callback = None
+
+    runner.call(work)
+    assert done == ["waited"]

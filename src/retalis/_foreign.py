@@ -118,8 +118,13 @@ def _parameters(function: Callable[..., Any]) -> List[inspect.Parameter]:
     return found
 
 
-def define_foreign(logic: Logic, *sources: Any) -> List[Functor]:
+def define_foreign(logic: Logic, runner: Any, *sources: Any) -> List[Functor]:
     """Define marked functions, and those of modules, in a program; return their functors.
+
+    Args:
+        logic: of the program.
+        runner: is told, by ``callback``, what function runs; see `Runner`.
+        sources: functions and modules.
 
     Raises:
         UsageError: for a function that is not marked, or a module without any.
@@ -137,7 +142,7 @@ def define_foreign(logic: Logic, *sources: Any) -> List[Functor]:
                 f"{getattr(source, '__name__', source)} has no function with the decorator foreign"
             )
         for function in functions:
-            done.append(_define(logic, function, getattr(function, _MARK)))
+            done.append(_define(logic, runner, function, getattr(function, _MARK)))
     return done
 
 
@@ -145,23 +150,26 @@ def _is_marked(value: Any) -> bool:
     return isinstance(getattr(value, _MARK, None), _Spec)
 
 
-def _define(logic: Logic, function: Callable[..., Any], spec: _Spec) -> Functor:
+def _define(logic: Logic, runner: Any, function: Callable[..., Any], spec: _Spec) -> Functor:
     key = functor(spec.name, spec.arity)
     known = logic.database.predicates.get(key)
     if known is not None and known.locked:
         raise permission_error("modify", "static_procedure", _indicator(key))
     if spec.many:
-        logic.define_nondeterministic(spec.name, spec.arity, _generator(function, spec, key))
+        logic.define_nondeterministic(spec.name, spec.arity, _generator(runner, function, spec, key))
     else:
-        logic.define(spec.name, spec.arity, _function(function, spec, key))
+        logic.define(spec.name, spec.arity, _function(runner, function, spec, key))
     return key
 
 
-def _function(function: Callable[..., Any], spec: _Spec, key: Functor) -> Callable[..., bool]:
+def _function(runner: Any, function: Callable[..., Any], spec: _Spec, key: Functor) -> Callable[..., bool]:
     count = len(spec.readers)
+    what = f"the foreign predicate {key}"
 
     def run(machine: Any, *arguments: Term) -> bool:
         values = [read(term) for read, term in zip(spec.readers, arguments)]
+        outer = runner.callback
+        runner.callback = (what,)
         try:
             result = function(*values)
             if not spec.outputs:
@@ -169,17 +177,24 @@ def _function(function: Callable[..., Any], spec: _Spec, key: Functor) -> Callab
             return result is not None and _unify(machine, arguments[count:], result)
         except Exception as error:  # whatever it is, it is the goal's error and no reason to end the program
             raise _raised(error, key) from error
+        finally:
+            runner.callback = outer
 
     return run
 
 
-def _generator(function: Callable[..., Any], spec: _Spec, key: Functor) -> Callable[..., Iterator[None]]:
+def _generator(
+    runner: Any, function: Callable[..., Any], spec: _Spec, key: Functor
+) -> Callable[..., Iterator[None]]:
     count = len(spec.readers)
+    what = f"the foreign predicate {key}"
 
     def run(machine: Any, *arguments: Term) -> Iterator[None]:
         values = [read(term) for read, term in zip(spec.readers, arguments)]
         solutions = function(*values)
         while True:
+            outer = runner.callback
+            runner.callback = (what,)
             try:
                 result = next(solutions)
                 solved = not spec.outputs or _unify(machine, arguments[count:], result)
@@ -187,6 +202,8 @@ def _generator(function: Callable[..., Any], spec: _Spec, key: Functor) -> Calla
                 return
             except Exception as error:  # as above
                 raise _raised(error, key) from error
+            finally:
+                runner.callback = outer
             if solved:
                 yield None
 

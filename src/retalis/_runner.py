@@ -2,11 +2,18 @@
 
 Callers append to a queue; whoever gets the lock without waiting works the queue off, the others return at
 once. Handing each event to a worker thread instead would double its cost.
+
+An interrupt (a signal, usually) may end any of this between any two of its steps. So it is not made of steps that
+each leave all in order: who comes in first and is interrupted goes back to the idle state (`Recovery`), and where
+that is interrupted as well, the next one to come in does so.
 """
 
+import sys
 import threading
 from collections import deque
 from typing import Any, Callable, Deque, Optional, Tuple
+
+from .errors import RetalisError, UsageError
 
 _this_thread = threading.get_ident
 
@@ -20,27 +27,69 @@ class Call:
 
     def __init__(self, work: Callable[[], Any]):
         self._work = work
-        self._done = threading.Event()
+        self._ticket = [None]  # whoever takes it decides what becomes of the call: it is done, or given up
+        self._woken = threading.Event()
         self._result: Any = None
-        self._error: Optional[BaseException] = None
+        self.error: Optional[BaseException] = None
+        self.over = False
 
     def __call__(self) -> None:
+        if not self.take():
+            return
         try:
             self._result = self._work()
         except Exception as error:  # handed over to the caller that waits, in `result`
-            self._error = error
+            self.error = error
         except BaseException as error:  # an interrupt, which the one who waits must not take for a result
-            self._error = error
+            self.error = error
             raise
         finally:
-            self._done.set()
+            self.end()
+
+    def take(self) -> bool:
+        """Take the call over; False where somebody has done so already."""
+        try:
+            self._ticket.pop()
+        except IndexError:
+            return False
+        return True
+
+    def end(self) -> None:
+        """Note that it has been done."""
+        self.over = True
+        self._woken.set()
+
+    def abandon(self) -> None:
+        """End it where an interrupt has ended the work on it, wherever that was."""
+        if not self._ticket and not self.over:
+            self.error = self.error or KeyboardInterrupt()
+            self.end()
+
+    def wake(self) -> None:
+        """Have who waits look again."""
+        self._woken.set()
+
+    def wait(self, seconds: float) -> bool:
+        """Wait until it is over or somebody wakes the caller; False where the time is up."""
+        woken = self._woken.wait(seconds)
+        self._woken.clear()
+        return woken or self.over
 
     def result(self) -> Any:
-        """Wait for the work and return its result, or raise what it raised."""
-        self._done.wait()
-        if self._error is not None:
-            raise self._error
+        """Return the result of work that is over, or raise what it raised."""
+        if self.error is not None:
+            raise self.error
         return self._result
+
+
+class Recovery:
+    """How to go back to a state that was before an error or an interrupt; here, for work that has no state."""
+
+    def state(self) -> Any:
+        """Return the state now, for `restore`."""
+
+    def restore(self, state: Any, mend_all: bool) -> None:
+        """Go back to a state, to the idle one with None; ``mend_all`` that may have been left half done."""
 
 
 class Runner:
@@ -50,18 +99,34 @@ class Runner:
         size: how many pieces of work may wait. Past that those who post wait for a moment; where that does
             not help the oldest goes, is counted in ``dropped``, and ``on_drop`` is called.
         on_error: called with an exception that a piece of work let out.
+        recovery: what goes back to how things were where work is interrupted.
+        patience: seconds that a call from another thread waits for one callback.
+
+    Attributes:
+        callback: what stands for the callback that runs now, with its name; another one each time. None for none.
     """
 
-    def __init__(self, size: int, on_drop: Callable[[int], None], on_error: Callable[[Exception], None]):
+    def __init__(
+        self,
+        size: int,
+        on_drop: Callable[[int], None],
+        on_error: Callable[[Exception], None],
+        recovery: Optional[Recovery] = None,
+        patience: float = 10.0,
+    ):
         self._size = size
         self._queue: Deque[Tuple[Any, ...]] = deque()
         self._calls: Deque[Call] = deque()
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()
         self._running: Optional[int] = None
+        """The thread that is at work. Where somebody comes in and it is set, the last one has not ended well."""
         self._patient = True
         """Whether it is worth while to wait for room; not after a wait in vain, until the queue was empty again."""
         self._on_drop = on_drop
         self._on_error = on_error
+        self._recovery = Recovery() if recovery is None else recovery
+        self._patience = patience
+        self.callback: Optional[Tuple[str]] = None
         self.dropped = 0
 
     def __len__(self) -> int:
@@ -69,33 +134,103 @@ class Runner:
 
     def post(self, work: Callable[..., Any], *arguments: Any) -> None:
         """Do a piece of work now if nobody is at work, else queue it."""
-        if not self._queue and not self._calls and self._lock.acquire(False):
-            try:
-                self._running = _this_thread()
-                work(*arguments)
-            except Exception as error:  # one bad event must not take the others with it
-                self._on_error(error)
-            finally:
+        me = _this_thread()
+        if self._running == me and self._is_inside():
+            self._append(work, arguments)
+            return
+        try:
+            if not self._queue and not self._calls and self._lock.acquire(False):
+                if self._running is not None:
+                    self._restore(True)
+                self._running = me
+                try:
+                    work(*arguments)
+                except Exception as error:  # one bad event must not take the others with it
+                    self._failed(error)
                 self._running = None
                 self._lock.release()
-        else:
-            if len(self._queue) >= self._size:
-                self._make_room()
-            self._queue.append((work, arguments))
-        if self._queue or self._calls:
-            self._drain()
+            else:
+                self._append(work, arguments)
+            if self._queue or self._calls:
+                self._drain()
+        except BaseException:
+            self._give_up()
+            raise
 
     def call(self, work: Callable[[], Any]) -> Any:
         """Do a piece of work, after the one that runs and before those that wait; return its result.
 
         From inside a piece of work (a subscriber that calls back) it is done at once.
+
+        Raises:
+            UsageError: where another thread is in one callback for too long: it may be waiting for this one.
         """
-        if self._running == _this_thread():
+        me = _this_thread()
+        if self._running == me and self._is_inside():
+            return self._call_inside(work)
+        try:
+            if self._calls or not self._lock.acquire(False):
+                return self._call_later(work)
+            if self._running is not None:
+                self._restore(True)
+            self._running = me
+            try:
+                result = work()
+            except Exception as error:
+                self._restore(is_unexpected(error))
+                self._leave()
+                raise
+            self._leave()
+            return result
+        except BaseException:
+            self._give_up()
+            raise
+
+    def _call_inside(self, work: Callable[[], Any]) -> Any:
+        state = self._recovery.state()
+        try:
             return work()
+        except BaseException as error:
+            self._recovery.restore(state, is_unexpected(error))
+            raise
+
+    def _call_later(self, work: Callable[[], Any]) -> Any:
+        """Have whoever is at work do a piece of work, and wait for that."""
         call = Call(work)
         self._calls.append(call)
-        self._drain()
+        try:
+            self._drain()
+            while not call.over:
+                callback = self.callback
+                if not call.wait(self._patience) and callback is not None and self.callback is callback:
+                    self._refuse(call, callback)
+                self._drain()  # whoever was at work may have been interrupted
+        except BaseException:
+            call.take()
+            raise
         return call.result()
+
+    def _refuse(self, call: Call, callback: Tuple[str]) -> None:
+        if call.take():
+            raise UsageError(
+                f"the engine has been in {callback[0]} for {self._patience:g} s and more, which may be waiting for"
+                " this thread: what a callback waits for must not ask the engine (post to it instead)"
+            )
+
+    def _is_inside(self) -> bool:
+        """Tell whether this thread is at work below, or an interrupt has left only the mark of it."""
+        frame: Any = sys._getframe(2)
+        while frame is not None:
+            if frame.f_code in _AT_WORK and frame.f_locals.get("self") is self:
+                return True
+            frame = frame.f_back
+        self._give_up()
+        return False
+
+    def _append(self, work: Callable[..., Any], arguments: Tuple[Any, ...]) -> None:
+        if len(self._queue) >= self._size:
+            self._make_room()
+        self._queue.append((work, arguments))
 
     def _make_room(self) -> None:
         """Wait until the queue is worked off, or help with it; drop the oldest where that takes too long.
@@ -106,7 +241,7 @@ class Runner:
         if self._patient and self._running != _this_thread():
             self._patient = self._lock.acquire(timeout=PATIENCE)
             if self._patient:
-                self._work_off_locked()
+                self._work_off()
                 return
         self._drop()
 
@@ -123,32 +258,69 @@ class Runner:
         while self._queue or self._calls:
             if not self._lock.acquire(False):
                 return
-            self._work_off_locked()
-
-    def _work_off_locked(self) -> None:
-        """Do all that waits, and give back the lock, which the caller has taken."""
-        try:
-            self._running = _this_thread()
             self._work_off()
-            self._patient = True
-        finally:
-            self._running = None
-            self._lock.release()
+
+    def _leave(self) -> None:
+        """Give back the lock, and do what has come meanwhile."""
+        self._running = None
+        self._lock.release()
+        if self._queue or self._calls:
+            self._drain()
 
     def _work_off(self) -> None:
+        """Do all that waits, and give back the lock, which the caller has taken."""
+        if self._running is not None:
+            self._restore(True)
+        self._running = _this_thread()
         queue, calls = self._queue, self._calls
         while True:
             if calls:
-                calls.popleft()()
+                calls[0]()
+                if calls[0].error is not None:
+                    self._restore(is_unexpected(calls[0].error))
+                calls.popleft()
                 continue
             try:
                 work, arguments = queue.popleft()
             except IndexError:
-                return
-            self._do(work, arguments)
+                break
+            try:
+                work(*arguments)
+            except Exception as error:  # one bad event must not take the others with it
+                self._failed(error)
+        self._patient = True
+        self._running = None
+        self._lock.release()
 
-    def _do(self, work: Callable[..., Any], arguments: Tuple[Any, ...]) -> None:
+    def _failed(self, error: Exception) -> None:
+        self._restore(is_unexpected(error))
+        self._on_error(error)
+
+    def _restore(self, mend: bool) -> None:
+        self.callback = None
+        self._recovery.restore(None, mend)
+
+    def _give_up(self) -> None:
+        """Be idle again after an interrupt, wherever it was, and leave the lock to others; twice is no harm."""
+        if not self._lock.acquire(False):
+            return  # it is another's
+        if self._running is not None:
+            self._restore(True)
+            if self._calls:
+                self._calls[0].abandon()
+            self._running = None
         try:
-            work(*arguments)
-        except Exception as error:  # one bad event must not take the others with it
-            self._on_error(error)
+            while True:
+                self._lock.release()
+        except RuntimeError:  # the lock is not this thread's any more
+            pass
+        for call in tuple(self._calls):
+            call.wake()
+
+
+_AT_WORK = frozenset(one.__code__ for one in (Runner.post, Runner.call, Runner._work_off))
+
+
+def is_unexpected(error: BaseException) -> bool:
+    """Tell whether an error may have come between any two steps, or is none that a program makes."""
+    return not isinstance(error, RetalisError)

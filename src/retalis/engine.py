@@ -10,6 +10,7 @@ from ._foreign import define_foreign, load_module
 from ._goalfile import errors_in, goals_of
 from ._inputs import InputReader, beginning
 from ._making import define_new_event
+from ._recovery import EngineRecovery
 from ._reports import Reports
 from ._runner import Runner
 from .clock import Clock, StreamClock
@@ -41,6 +42,7 @@ class Settings(NamedTuple):
         folders: where goals of events, queries and services may open files; None means anywhere. A program
             that is being loaded (`Engine.load` and its sisters) may name any file; the folders of
             those are allowed from then on.
+        patience: how many seconds a call from another thread waits for one callback, see `Engine`.
     """
 
     limits: Limits = Limits()
@@ -49,14 +51,23 @@ class Settings(NamedTuple):
     allow_goals: bool = False
     allow_foreign: bool = False
     folders: Optional[Tuple[str, ...]] = None
+    patience: float = 10.0
 
 
 class Engine:
     """A running program.
 
     Events go in (`event`, `post`), outputs come out (`on_output`), questions are answered (`query`). Calls may
-    come from any thread: one at a time does the work. What goes wrong in a rule or goal is logged (logger
+    come from any thread: one at a time does the work. What goes wrong in a rule, goal or callback is logged (logger
     ``retalis``) with its place, and the rest goes on.
+
+    A callback (`on_output`, `on_event`, a foreign predicate) may ask the engine itself, and `post` from any thread.
+    It must not wait for another thread that asks: that one waits for the callback. Where it does so all the same,
+    the other thread gets a `UsageError` when the one callback has taken ``settings.patience`` seconds.
+
+    An interrupt (Ctrl-C) may come at any moment. The event or goal that is worked on is over then: what it has
+    done stays done, what follows from that and has not been done is left out, no cleanup is. Everything else is as
+    if nothing had been: no event that comes later is served in another way.
 
     >>> engine = Engine()
     >>> engine.load(rules="alarm(X) <- smoke(X) seq heat(X).", goals="subscribe(alarm(_), [], _, alarms, a)")
@@ -86,7 +97,10 @@ class Engine:
             self.logic, self.dispatcher, self.clock.stamp, self._deliver, self.reports.warning
         )
         self.knowledge.on_conditions = self.rules.note_conditions
-        self._runner = Runner(settings.queue, self._report_drop, self.reports.error)
+        recovery = EngineRecovery(self.logic, self.dispatcher, self.rules, self.knowledge)
+        self._runner = Runner(
+            settings.queue, self._report_drop, self.reports.error, recovery, settings.patience
+        )
         self._texts = InputReader(self.logic.operators)
         self._outputs: List[OnOutput] = []
         self._done = self.logic.machine.done
@@ -155,7 +169,7 @@ class Engine:
             UsageError: for a function without the decorator, or a module in which none has it.
             PrologError: where a predicate of the system has that name.
         """
-        found: List[Functor] = self._runner.call(lambda: define_foreign(self.logic, *sources))
+        found: List[Functor] = self._runner.call(lambda: define_foreign(self.logic, self._runner, *sources))
         return found
 
     # ---- events --------------------------------------------------------------------------------------
@@ -255,7 +269,7 @@ class Engine:
         """Have ``callback`` called with term, start and end of each event, in the order of dispatch."""
 
         def observe(term: Term, values: Tuple[Term, ...], start: int, end: int, after: Any) -> Any:
-            callback(term, start, end)
+            self._call_back("a callback of on_event", callback, term, start, end)
             return after
 
         self.dispatcher.listen(Stage.TRACE, Var(), observe)
@@ -373,12 +387,17 @@ class Engine:
 
     def _deliver(self, term: Term, topic: str, name: Term) -> None:
         for callback in self._outputs:
-            try:
-                callback(term, topic, name)
-            except OSError:  # a pipe that nobody reads ends the run
-                raise
-            except Exception as error:  # a subscriber's own fault must not cut off what follows of the event
-                self.reports.error(error)
+            self._call_back("a callback of on_output", callback, term, topic, name)
+
+    def _call_back(self, what: str, callback: Callable[..., None], *arguments: Any) -> None:
+        runner = self._runner
+        outer = runner.callback
+        runner.callback = (what,)
+        try:
+            callback(*arguments)
+        except Exception as error:  # a subscriber's own fault must not cut off what follows of the event
+            self.reports.error(error)
+        runner.callback = outer
 
     def _report_drop(self, dropped: int) -> None:
         self.reports.warning(
@@ -395,5 +414,5 @@ class Engine:
         if not self.settings.allow_foreign:
             raise permission_error("load", "foreign_module", module, "the setting allow_foreign is off")
         name: str = module.name if module.__class__ is Atom else module.text  # type: ignore[assignment]
-        define_foreign(self.logic, load_module(name, self.rules.files.resolve))
+        define_foreign(self.logic, self._runner, load_module(name, self.rules.files.resolve))
         return True

@@ -7,7 +7,7 @@ from typing import List, Optional
 
 from ..errors import RetalisError
 from . import bag, console, demo, events
-from ._report import leave
+from ._report import NobodyReads, leave
 
 COMMANDS = (bag, console, demo, events)
 
@@ -28,7 +28,7 @@ def main(arguments: Optional[List[str]] = None) -> int:
         return 1
     except KeyboardInterrupt:
         return 130
-    except BrokenPipeError:  # whoever read our output has had enough
+    except (BrokenPipeError, NobodyReads):  # whoever read our output has had enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python complains at its end
         return 1
     finally:

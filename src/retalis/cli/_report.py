@@ -2,10 +2,27 @@
 
 import logging
 import sys
+from typing import Any, Callable
 
 from ..errors import RetalisError
 
 _log = logging.getLogger("retalis")
+
+
+class NobodyReads(BaseException):
+    """Whoever read our output has had enough: what a callback of the engine raises to end the run."""
+
+
+def to_reader(callback: Callable[..., None]) -> Callable[..., None]:
+    """Return a callback of the engine that prints, which ends the run where nobody reads any more."""
+
+    def printing(*arguments: Any) -> None:
+        try:
+            callback(*arguments)
+        except BrokenPipeError:
+            raise NobodyReads from None
+
+    return printing
 
 
 class Report(logging.Handler):

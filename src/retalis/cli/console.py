@@ -20,7 +20,7 @@ from ..syntax import ReadTerm
 from ..terms import COMMA, NIL, Atom, String, Term, Var, deref, functor, list_items
 from ._answers import bindings
 from ._prompt import Lines, Terminal, read_clause
-from ._report import Report
+from ._report import Report, to_reader
 
 _QUERY = frozenset((functor("?-", 1), functor(":-", 1)))
 _TRACE = functor("trace", 1)
@@ -94,7 +94,7 @@ class Console:
     def __init__(self, report: Report, settings: Optional[Settings] = None, most: int = 1000):
         self.engine = Engine(Clock(time.time_ns), settings)
         self.engine.rules.warn_singletons = True
-        self.engine.on_output(self._output)
+        self.engine.on_output(to_reader(self._output))
         self.logic = self.engine.logic
         self.logic.output = _show
         self._report = report

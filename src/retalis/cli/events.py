@@ -18,7 +18,7 @@ from ..explain import Explanation, Line, explain, prepare
 from ..program import read_text
 from ..syntax import Operators, read_term, write_term
 from ..terms import Term, Var, atom, deref, functor, rebuild, variables
-from ._report import Report
+from ._report import Report, to_reader
 from ._stream import read_stream
 
 EVENT = functor("event", 2)
@@ -170,8 +170,8 @@ class Session:
         self._printer = printer
         self._clock = StreamClock()
         self.engine = Engine(self._clock)
-        self.engine.on_event(printer.event)
-        self.engine.on_output(printer.output)
+        self.engine.on_event(to_reader(printer.event))
+        self.engine.on_output(to_reader(printer.output))
         self.engine.logic.define_control("sleep", 1, self._sleep)
         if options.explain:
             prepare(self.engine)

@@ -87,6 +87,11 @@ class Absence:
         self.place.reach = BEFORE if ever else BETWEEN
         self.asked = Place(rule, tuple(two for _, two in self.shared))
         self._borders: Dict[Any, _Border] = {}
+        self.place.on_mend = self._forget_borders
+
+    def _forget_borders(self) -> None:
+        """Have the borders made anew when they are asked for."""
+        self._borders = {}
 
     def arrive(self, match: Match, after: Frame) -> Frame:
         """Keep a negated match, unless others are in the way of all that it could be in the way of."""

@@ -5,7 +5,7 @@ dictionaries, so an event costs nothing for listeners whose constants differ.
 """
 
 from itertools import count
-from typing import Any, Callable, Dict, Optional, Tuple
+from typing import Any, Callable, Collection, Dict, Optional, Tuple
 from weakref import WeakValueDictionary
 
 from ..errors import UsageError
@@ -99,6 +99,18 @@ class Dispatcher:
             if not group:
                 del self._listeners[listener.functor]
             self._changed(listener.functor)
+
+    def keep_only(self, stage: Stage, chosen: Collection[Listener]) -> None:
+        """Take away all listeners of a stage but some."""
+        for group in list(self._listeners.values()):
+            for listener in list(group):
+                if listener.order[0] == stage and listener not in chosen:
+                    self.remove(listener)
+
+    def mend(self) -> None:
+        """Make the plans anew and serve nothing, after an interrupt."""
+        self._changed(None)
+        self.current = self.cause = None
 
     def gate(self, functor: Functor, positions: Tuple[int, ...] = ()) -> Gate:
         """Return what tells whether an event of a functor can concern anybody, see `Gate`.

@@ -49,6 +49,15 @@ class Files:
         finally:
             self._folder = before
 
+    def state(self) -> Any:
+        """Return where relative paths are and what is allowed, for `restore`."""
+        return self._folder, len(self._open), self._trusted
+
+    def restore(self, state: Any) -> None:
+        """Go back to a state, with None to that in which nothing is being loaded."""
+        self._folder, count, self._trusted = state or (None, 0, False)
+        del self._open[count:]
+
     def resolve(self, path: Any) -> Path:
         """Return a path, seen from the file that names it.
 
@@ -102,12 +111,13 @@ class Files:
         place = place.resolve()
         if place in self._open:
             raise UsageError(f"{place.name} loads itself")
+        depth = len(self._open)
         self._open.append(place)
         self.loaded.add(place)
         try:
             yield
         finally:
-            self._open.pop()
+            del self._open[depth:]
 
 
 def text_of(path: Path) -> str:

@@ -53,6 +53,7 @@ class Flags:
     def __init__(self, changed: Callable[[str], None]):
         self._changed = changed
         self._values: Dict[str, Term] = {name: flag.default for name, flag in FLAGS.items()}
+        self._changing: Optional[str] = None
 
     def get(self, name: str) -> Optional[Term]:
         """Return the value of a flag, or None where there is no such flag."""
@@ -78,8 +79,16 @@ class Flags:
         elif value.__class__ not in (int, float) or value != value:
             raise UsageError(f"{name} takes a number of seconds")
         if value != self._values[name]:
+            self._changing = name
             self._values[name] = value
             self._changed(name)
+            self._changing = None
+
+    def mend(self) -> None:
+        """Have what follows from a flag be done that was being set when an interrupt came."""
+        if self._changing is not None:
+            self._changed(self._changing)
+            self._changing = None
 
     def reset(self) -> None:
         """Set all flags to their defaults."""

@@ -1,7 +1,7 @@
 """Loading event files: read, check all of it, then act; what is refused leaves nothing behind."""
 
 from pathlib import Path
-from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Set, Tuple
 
 from ..errors import Place, ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
 from ..logic import PrologError
@@ -48,6 +48,8 @@ class Loader:
         self._files: Files = rules.files
         self._acting: List[Plan] = []
         """The files whose terms are being taken in, the outer ones first."""
+        self._begun: List[Any] = []
+        """What takes a load back that is under way; what comes after the first two is of loads inside it."""
 
     def note_calls(self, found: List[Unknown]) -> None:
         """Warn of calls of what is not there: at the end of the file that is being loaded, or now."""
@@ -217,20 +219,35 @@ class Loader:
         """Check all of a program, then have it act; what is refused leaves nothing behind."""
         loaded = set(self._files.loaded)
         before: Optional[_Snapshot] = None
+        outermost = not self._begun
+        if outermost:
+            self._begun = [_Beginning(self._rules, loaded)]
         try:
             checked = plan(errors)
             if errors:
                 raise ProgramErrors(_in_order(errors))
             if checked.may_stop_half_way:
                 before = _Snapshot(self._rules)
+                self._begun.append(before)
             self._act(checked)
         except RetalisError as error:
             if before is not None:
                 before.restore()
             self._files.loaded = loaded
+            if outermost:
+                self._begun = []
             if isinstance(error, ProgramErrors):
                 raise
             raise ProgramErrors([error]) from error
+        if outermost:
+            self._begun = []
+
+    def mend(self) -> None:
+        """Take back what an interrupted load has done so far."""
+        self._acting.clear()
+        for before in self._begun[:2]:
+            before.restore()
+        self._begun = []
 
     def _act(self, plan: Plan) -> None:
         self._acting.append(plan)
@@ -270,6 +287,25 @@ class Loader:
                 rules.on_warning(RuleError("this directive fails", step.place))
         except PrologError as error:
             raise RuleError(f"this directive raises an error: {error.message}", step.place) from error
+
+
+class _Beginning:
+    """What there was before a load, of what costs little to note."""
+
+    def __init__(self, rules: Any, loaded: Set[Path]):
+        self._rules = rules
+        self._loaded = loaded
+        self._serial = rules.serial
+        self._properties = rules.all_properties()
+
+    def restore(self) -> None:
+        """Take back what has come since."""
+        rules = self._rules
+        for rule in list(rules.rules):
+            if rule.serial > self._serial:
+                rules.remove(rule)
+        rules.restore_properties(self._properties)
+        rules.files.loaded = self._loaded
 
 
 class _Snapshot:

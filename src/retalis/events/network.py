@@ -20,6 +20,7 @@ from .loading import Loader
 from .policy import Mode
 from .predicates import define_predicates
 from .rule import Definition, Rule
+from .serving import Stage
 from .store import Store
 from .tracking import Tracker
 
@@ -184,12 +185,33 @@ class Rules:
 
     def remove(self, rule: Rule) -> None:
         """Take a rule out, with its partial matches."""
+        known = self._rules.pop(rule, 0) is None
         rule.unlisten()
         rule.clear()
-        if rule in self._rules:
-            del self._rules[rule]
+        if known:
             _take_out(self._by_label, term_key(_label_of(rule)), rule)
             _take_out(self._by_key, rule.definition.key, rule)
+
+    def mend(self) -> None:
+        """Put right what an interrupt may have left half done: a rule is there and listens, or neither."""
+        self._file()
+        self.loader.mend()
+        self._file()
+        self.flags.mend()
+        chosen = set(self.tracker.listeners)
+        for rule in self.rules:
+            rule.mend()
+            if not rule.sound:
+                self._configure(rule)
+            chosen.update(rule.listeners)
+        self.dispatcher.keep_only(Stage.RULES, chosen)
+        self.tracker.mend()
+
+    def _file(self) -> None:
+        self._by_label, self._by_key = {}, {}
+        for rule in self._rules:
+            self._by_label.setdefault(term_key(_label_of(rule)), {})[rule] = None
+            self._by_key.setdefault(rule.definition.key, {})[rule] = None
 
     def _labelled(self, label: Term) -> List[Rule]:
         return list(self._by_label.get(term_key(label), ()))

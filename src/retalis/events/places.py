@@ -1,7 +1,7 @@
 """Where matches wait for partners: by the values they share, in order of arrival and, where that helps, by time."""
 
 import heapq
-from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Set, Tuple
 
 from ..terms import Atom, String, freeze
 from .matches import Match, Values
@@ -37,6 +37,7 @@ class Place:
         self.reach: Optional[Reach] = None
         self._indices: Dict[Any, TimeIndex] = {}
         self._names: Dict[Any, Dict[Any, Match]] = {}
+        self.on_mend: Callable[[], None] = lambda: None
 
     def key_of(self, match: Match) -> Any:
         """Return the key of a match; None where a shared value has variables."""
@@ -76,8 +77,8 @@ class Place:
         self.rule.waiting -= 1
         key = match.key
         older, newer = match.older, match.newer
-        match.older = match.newer = None
         if older is match:
+            match.older = match.newer = None
             del self.newest[key]
             self._indices.pop(key, None)
             self._names.pop(key, None)
@@ -86,11 +87,29 @@ class Place:
         newer.older = older
         if self.newest[key] is match:
             self.newest[key] = older
+        match.older = match.newer = None
         if self._indices and key in self._indices:
             self._indices[key].remove(match)
             self._drop_if_idle(key)
         if self._names and key in self._names and self._names[key].get(match.identity) is match:
             del self._names[key][match.identity]
+
+    def mend(self) -> List[Match]:
+        """Link anew what waits, whatever an interrupt has left half linked; return it, oldest first."""
+        found = []
+        for key, last in list(self.newest.items()):
+            waiting = sorted((one for one in _linked(last) if one.place is self), key=_order)
+            if not waiting:
+                del self.newest[key]
+                continue
+            for older, newer in zip(waiting, [*waiting[1:], waiting[0]]):
+                older.newer, newer.older = newer, older
+            self.newest[key] = waiting[-1]
+            found += waiting
+        self._indices = {}
+        self._names = {}
+        self.on_mend()
+        return sorted(found, key=_order)
 
     def namesake(self, match: Match, key: Any) -> Optional[Match]:
         """Return the match that one with a key is to replace; those of one name have the same key."""
@@ -218,6 +237,19 @@ class Place:
         if name is not None:
             for match in self.all():
                 match.identity = name(match)
+
+
+def _linked(match: Match) -> Set[Match]:
+    """Return a match and all that can be reached from it by either link."""
+    found = {match}
+    stack = [match]
+    while stack:
+        one = stack.pop()
+        for other in (getattr(one, "older", None), getattr(one, "newer", None)):
+            if other is not None and other not in found:
+                found.add(other)
+                stack.append(other)
+    return found
 
 
 def _order(match: Match) -> int:

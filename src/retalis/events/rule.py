@@ -52,6 +52,8 @@ class Rule:
         name: what reports call it.
         serial: the place among the rules: older ones are served first.
         window: the longest interval that its label allows, in ns; None for no bound.
+        listeners: of its leaves.
+        sound: whether it is connected for the mode it is to run in; not where that was interrupted.
         waiting: how many partial matches it has.
         order: how many have begun to wait so far.
         timed: whether its clock has to be kept.
@@ -66,6 +68,7 @@ class Rule:
         self.serial = serial
         self.name = name
         self.window: Optional[int] = None
+        self.sound = False
         self.waiting = 0
         self.dropped = 0
         self.alarms_dropped = 0
@@ -78,7 +81,7 @@ class Rule:
         self._collected_at: Optional[int] = None
         self._garbage: Optional[Tuple[int, int]] = None
         self._by_end = Expiries()
-        self._listeners: List[Listener] = []
+        self.listeners: List[Listener] = []
         self._bound = False
         self.later: List[Tuple[Any, Match, Any]] = []
         self._later_event: Any = None
@@ -91,6 +94,7 @@ class Rule:
 
     def configure(self, mode: Mode, window: Optional[int], garbage: Optional[Tuple[int, int]]) -> None:
         """Connect the nodes for a mode, a window and a garbage control (window and step, in ns)."""
+        self.sound = False
         self.settle()
         self.window = window
         self._garbage = garbage
@@ -112,6 +116,17 @@ class Rule:
             root.bind(
                 lambda match, after: complete(match.term, match.values, match.start, match.end, after), mode
             )
+        self.sound = True
+
+    def mend(self) -> None:
+        """Put right what an interrupt may have left half done about what waits."""
+        waiting = [match for node, _, _ in self.nodes for place in node.places() for match in place.mend()]
+        waiting.sort(key=lambda match: match.order)
+        for match in waiting:
+            match.mend()
+        self.waiting = len(waiting)
+        self._arrivals = deque(waiting)
+        self._resettle()
 
     def _resettle(self) -> None:
         """File what waits already under the bounds that hold now."""
@@ -124,18 +139,18 @@ class Rule:
     def listen(self, leaf: Any, action: Action, lane: Optional[Lane] = None) -> None:
         """Have a leaf's action called for its events; see `Dispatcher.listen`."""
         listen = self.network.dispatcher.listen
-        self._listeners.append(listen(Stage.RULES, leaf.term, action, (self.serial, leaf.rank), lane))
+        self.listeners.append(listen(Stage.RULES, leaf.term, action, (self.serial, leaf.rank), lane))
 
     @property
     def active(self) -> bool:
         """Whether it takes events."""
-        return bool(self._listeners)
+        return bool(self.listeners)
 
     def unlisten(self) -> None:
         """Stop taking events."""
-        for listener in self._listeners:
+        for listener in self.listeners:
             self.network.dispatcher.remove(listener)
-        self._listeners = []
+        self.listeners = []
 
     def clear(self) -> None:
         """Remove all partial matches."""
@@ -168,12 +183,12 @@ class Rule:
 
     def settle(self, only: Any = None) -> None:
         """Let all matches wait that are to wait; with ``only``, those of one place."""
-        later, self.later = self.later, []
-        for place, match, key in later:
+        for one in list(self.later):
+            place, match, key = one
             if only is None or place is only:
-                place.add(match, key)
-            else:
-                self.later.append((place, match, key))
+                if match.place is None:  # else an interrupt came between this and the next step
+                    place.add(match, key)
+                self.later.remove(one)
 
     def tick(self, end: int) -> None:
         """Move the rule's clock and remove what is too old by it."""

@@ -24,12 +24,27 @@ class Run(Match):
         open: variables that its repetitions have in common and that none of them gives a value.
     """
 
-    __slots__ = ("last", "fixed", "state", "items", "taken", "held", "steps", "sound", "first", "open")
+    __slots__ = (
+        "last",
+        "fixed",
+        "state",
+        "items",
+        "taken",
+        "held",
+        "steps",
+        "sound",
+        "first",
+        "open",
+        "_next",
+    )
 
     def __init__(self, first: Match, state: Any, free: int):
         super().__init__(first.values, first.start, first.end, first.event, None, (first,))
         self.first = first
         self.open = tuple([Var() for _ in range(free)])
+        self._next: Any = None
+        self.fixed: Optional[Values] = None
+        self.items: Term = NO_ITEMS
         self.restart(state)
 
     @property
@@ -37,13 +52,26 @@ class Run(Match):
         """The largest end so far; see `Match.latest`."""
         return self.last
 
+    def become(self, last: int, fixed: Any, items: Term, values: Values, state: Any) -> None:
+        """Be extended, all of it or nothing, also where an interrupt comes."""
+        self._next = last, fixed, items, values, state
+        self.last, self.fixed, self.items, self.values, self.state = self._next
+        self._next = None
+
+    def mend(self) -> None:
+        """Put right what an interrupt may have left half done."""
+        if self._next is not None:
+            self.become(*self._next)
+        for var in self.open:
+            var.ref = None
+
     def restart(self, state: Any) -> None:
         """Have no repetitions, with the state of an aggregate that has no values."""
         self.values = self.first.values
         self.last = self.first.end
-        self.fixed: Optional[Values] = None
+        self.fixed = None
         self.state = state
-        self.items: Term = NO_ITEMS
+        self.items = NO_ITEMS
         self.taken: List[Match] = []
         self.held = NOTHING_HELD
         self.steps: List[Tuple[Values, Values]] = []

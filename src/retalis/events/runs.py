@@ -250,16 +250,14 @@ class Running(Node):
         found = self._fit(values, items, fixed, run.start, last)
         if found is None:
             return False, None
+        state = run.state
         if self.collector is not None:
             try:
-                run.state = self.collector.add(run.state, step)
+                state = self.collector.add(state, step)
             except RuleError as error:
                 self.rule.network.rule_failed(self.rule, error)
                 return False, None
-        run.last = last
-        run.fixed = fixed
-        run.items = items
-        run.values = values
+        run.become(last, fixed, items, values, state)
         if self.tracked:
             run.taken.append(match)
             run.held = Held(match, run.held)

@@ -155,7 +155,7 @@ class Tracker:
         self._rules = rules
         self._recent: Deque[Occurrence] = deque()
         self._by_term: Dict[Any, List[Occurrence]] = {}
-        self._listeners: List[Listener] = []
+        self.listeners: List[Listener] = []
         self._plain_mark = rules.dispatcher.mark
         self.blocker: Optional[Match] = None
         self._numbers = count()
@@ -163,17 +163,27 @@ class Tracker:
     def configure(self) -> None:
         """Follow the flags."""
         dispatcher = self._rules.dispatcher
-        for listener in self._listeners:
+        for listener in self.listeners:
             dispatcher.remove(listener)
-        self._listeners = []
+        self.listeners = []
         if not self._rules.mode.tracked:
             dispatcher.mark = self._plain_mark
             self.clear()
             return
         dispatcher.mark = self._mark
-        self._listeners.append(dispatcher.listen(Stage.TRACE, Var(), self._note))
+        self.listeners.append(dispatcher.listen(Stage.TRACE, Var(), self._note))
         if self._rules.flags.is_on("revision_flag"):
-            self._listeners.append(dispatcher.listen(Stage.RULES, (REV, Var()), self._take_back, (-1,)))
+            self.listeners.append(dispatcher.listen(Stage.RULES, (REV, Var()), self._take_back, (-1,)))
+
+    def mend(self) -> None:
+        """Put right what an interrupt may have left half done."""
+        self._by_term.clear()
+        for one in self._recent:
+            self._by_term.setdefault(term_key(one.term), []).append(one)
+            if one.gone:
+                for match in one.held:
+                    if match.__class__ is not tuple:
+                        match.leave()
 
     def clear(self) -> None:
         """Forget all."""

@@ -51,6 +51,12 @@ class Knowledge:
         self.memories.clear()
         self.waiting.clear()
 
+    def mend(self) -> None:
+        """Put right what an interrupt may have left half done."""
+        self.memories.mend()
+        self.waiting.mend()
+        self.subscriptions.mend()
+
     def patterns(self) -> Iterator[Tuple[Term, str]]:
         """Yield the pattern of each memory and subscription, and what to call it."""
         for instance in self.memories:

@@ -4,7 +4,7 @@ from typing import Any, Callable, Dict, Iterator, Optional, Tuple
 
 from .. import timestamps
 from ..errors import UsageError
-from ..events import NOBODY, Dispatcher, term_key
+from ..events import NOBODY, Dispatcher, Stage, term_key
 from ..logic import Logic, Machine, domain_error, instant_of, permission_error, type_error
 from ..terms import MINUS, NIL, Atom, Functor, Lazy, Term, Var, copy, deref, freeze, functor
 from ._recording import Warn, is_whole, key_of, recording
@@ -84,8 +84,9 @@ class Memories:
         if size < 0:
             raise domain_error("not_less_than_zero", size)
         instance = Instance(name, size, active)
-        self._recorder(pattern, conditions, form, name).add(instance)
+        recorder = self._recorder(pattern, conditions, form, name)
         self.instances[key] = instance
+        recorder.add(instance)
         if not active:
             return after
         kept = pattern if is_whole(pattern, conditions, form) else form
@@ -110,6 +111,18 @@ class Memories:
             return after
         instant = self._stamp()
         return self._dispatcher.dispatch((DELETED, instance.id), instant, instant, after)
+
+    def mend(self) -> None:
+        """Put right what an interrupt may have left half done: a memory has a name and records, or neither."""
+        for key, instance in list(self.instances.items()):
+            if hasattr(instance, "recorder"):
+                instance.mend()
+            else:
+                del self.instances[key]
+        recorders = {instance.recorder for instance in self.instances.values()}
+        for recorder in recorders:
+            recorder.keep_only(lambda one: self.find(one.id) is one)
+        self._dispatcher.keep_only(Stage.MEMORIES, {recorder.listener for recorder in recorders})
 
     def _recorder(self, pattern: Term, conditions: Term, form: Term, name: Term) -> Recorder:
         """Return the recorder of the memory made last where that keeps the same of the same events, else a new one.

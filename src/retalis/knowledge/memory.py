@@ -26,21 +26,32 @@ class Memory:
         records: the records, at the same places.
     """
 
-    __slots__ = ("size", "room", "late", "ends", "records", "_gone")
+    __slots__ = ("size", "room", "late", "ends", "records", "_gone", "_next")
 
     def __init__(self, size: int):
         self.size = size
         self.room = size + size // 4 + 16
         self.late = 0
         self._gone = 0
+        self._next: Optional[Tuple[int, List[int], List[Record]]] = None
+        """What it is becoming, where that takes several steps: an interrupt may come between them."""
         self.ends: List[int] = []
         self.records: List[Record] = []
 
     def clear(self) -> None:
         """Forget all records; the counts stay."""
-        self._gone += len(self.ends)
-        self.ends = []
-        self.records = []
+        self._become(self._gone + len(self.ends), [], [])
+
+    def _become(self, gone: int, ends: List[int], records: List[Record]) -> None:
+        self._next = gone, ends, records
+        self._gone, self.ends, self.records = gone, ends, records
+        self._next = None
+
+    def mend(self) -> None:
+        """Put right what an interrupt may have left half done."""
+        if self._next is not None:
+            self._become(*self._next)
+        del self.ends[len(self.records) :]
 
     def __len__(self) -> int:
         return min(len(self.ends), self.size)
@@ -73,17 +84,14 @@ class Memory:
         if self.size and at <= len(ends) - self.size:
             self.late += 1
             return False
-        self.ends = [*ends[:at], end, *ends[at:]]
-        self.records = [*records[:at], record, *records[at:]]
+        self._become(self._gone, [*ends[:at], end, *ends[at:]], [*records[:at], record, *records[at:]])
         self.cut()
         return True
 
     def cut(self) -> None:
         """Drop what is over the size; the newest stays, whatever the size, for what is `latest`."""
         first = max(0, len(self.ends) - max(self.size, 1))
-        self._gone += first
-        self.ends = self.ends[first:]
-        self.records = self.records[first:]
+        self._become(self._gone + first, self.ends[first:], self.records[first:])
 
     def at_or_before(self, instant: int) -> Optional[Record]:
         """Return the last record whose end is not after ``instant``."""

@@ -73,6 +73,13 @@ class Instance:
                 self._times = list(self._waiting)
                 heapify(self._times)
 
+    def mend(self) -> None:
+        """Put right what an interrupt may have left half done; what waits is put back by who keeps it."""
+        self.memory.mend()
+        self.forget_waiting()
+        if self not in self.recorder.instances:
+            self.recorder.add(self)
+
     def forget_waiting(self) -> None:
         """Keep none of the queries any more."""
         self.due = NEVER
@@ -112,12 +119,12 @@ class Recorder:
         self._follow = follow
         self._updates = dispatcher.gate(UPDATED)
         self._everything = pattern.__class__ is Var
-        self._listener = dispatcher.listen(Stage.MEMORIES, pattern, self._arrive)
+        self.listener = dispatcher.listen(Stage.MEMORIES, pattern, self._arrive)
 
     @property
     def pattern(self) -> Term:
         """Which events it takes."""
-        return self._listener.pattern
+        return self.listener.pattern
 
     def add(self, instance: Instance) -> None:
         """Record into one more memory."""
@@ -126,9 +133,13 @@ class Recorder:
 
     def remove(self, instance: Instance) -> None:
         """Record into a memory no more; without any the recorder is done."""
-        self.instances = tuple(one for one in self.instances if one is not instance)
+        self.keep_only(lambda one: one is not instance)
+
+    def keep_only(self, chosen: Callable[[Instance], bool]) -> None:
+        """Record into some of the memories; without any the recorder is done."""
+        self.instances = tuple(filter(chosen, self.instances))
         if not self.instances:
-            self._dispatcher.remove(self._listener)
+            self._dispatcher.remove(self.listener)
 
     def _arrive(self, term: Term, values: Tuple[Term, ...], start: int, end: int, after: Any) -> Any:
         if self._everything and self._is_own_update(term):
@@ -150,6 +161,8 @@ class Recorder:
         end = int(record[2])
         telling = self._updates.plan is not NOBODY
         for instance in instances:
+            if opens:
+                instance.open = True
             memory = instance.memory
             ends = memory.ends
             if ends and end < ends[-1]:
@@ -160,8 +173,6 @@ class Recorder:
                 memory.records.append(record)
                 if len(ends) >= memory.room:
                     memory.cut()
-            if opens:
-                instance.open = True
             if instance.due <= end or (telling and instance.active):
                 frame = (self, record, opens, instances, after)
                 result = self._follow(instance, record[2], frame)

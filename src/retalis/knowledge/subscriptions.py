@@ -72,6 +72,10 @@ class Subscriptions:
             Stage.SUBSCRIPTIONS, pattern, send if shape is itself else action, looks_on=shape is itself
         )
 
+    def mend(self) -> None:
+        """Have nothing delivered that no subscription asks for, which an interrupt may leave."""
+        self._dispatcher.keep_only(Stage.SUBSCRIPTIONS, set(self._listeners.values()))
+
     def has(self, topic: Term, name: Term) -> bool:
         """Tell whether there is a subscription of this topic and id."""
         return (self._topic(topic), key_of(name)) in self._listeners

@@ -186,6 +186,24 @@ class WaitingQueries:
                 return result
         return frame[2]
 
+    def mend(self) -> None:
+        """Have all that wait do so where they have to, after an interrupt; what is ready is asked at the next."""
+        there = set(self._memories)
+        for order in sorted(self._all):
+            waiting = self._all[order]
+            missing = waiting[5]
+            if any(instance not in there for instance, _ in missing):
+                self._all.pop(order)
+                event = waiting[1].event(waiting[2])
+                self._warn(f"{self._logic.show(event)} is dropped: a memory is deleted", ("deleted", None))
+                continue
+            while len(missing) > 1 and missing[-1][0].has(missing[-1][1]):
+                missing.pop()
+            if missing:
+                missing[-1][0].wait(missing[-1][1], order, waiting)
+            else:
+                del self._all[order]
+
     def _drop_oldest(self) -> None:
         oldest = self._oldest
         while oldest not in self._all:

@@ -20,6 +20,7 @@ from .limits import Limits, keep_back
 from .logic import Logic
 from .machine import Machine
 from .predicate import Predicate
+from .recovery import go_back, mend, state_of
 
 __all__ = [
     "LAST",
@@ -33,11 +34,14 @@ __all__ = [
     "callable_of",
     "domain_error",
     "existence_error",
+    "go_back",
     "instant_of",
     "instantiation_error",
     "integer",
     "keep_back",
+    "mend",
     "permission_error",
     "resource_error",
+    "state_of",
     "type_error",
 ]

@@ -150,6 +150,24 @@ class Budget:
         self.alarms.clear()
         self.ceilings.clear()
 
+    def state(self) -> Any:
+        """Return how things are, for `restore`."""
+        parts = self._spent, self._deadline, self._exceeded, self._memory
+        return self.running, WATCH.ask, parts, len(self.alarms), tuple(self.ceilings)
+
+    def restore(self, state: Any) -> None:
+        """Go back to how things were, or to nothing that runs with None, whatever an interrupt has left."""
+        if state is None:
+            self.running = False
+            if WATCH.ask == self._ask:
+                WATCH.ask = None
+            self.start_anew()
+            return
+        self.running, WATCH.ask, parts, alarms, ceilings = state
+        self._spent, self._deadline, self._exceeded, self._memory = parts
+        del self.alarms[alarms:]
+        self.ceilings = {at: error for at, error in self.ceilings.items() if at in ceilings}
+
     def part(self) -> Any:
         """Begin a part that has the limits to itself; return what `whole` needs at its end."""
         saved = self._spent, self._deadline, self._exceeded

@@ -46,6 +46,7 @@ class Logic:
         now: gives the present in nanoseconds.
         message: called with kind (error, warning, informational, ...) and text of ``print_message/2``.
         error_output: called with text printed to ``user_error``, and with warnings.
+        new_goals: what has been compiled since `preparing` began; None outside of that.
     """
 
     def __init__(self, operators: Optional[Operators] = None, compile_after: int = COMPILE_AFTER):
@@ -74,7 +75,7 @@ class Logic:
             }[entry.kind]
             define(name, arity, entry.function).locked = entry.locked
         self._library = builtins.library_index()
-        self._new_goals: Optional[List[Goal]] = None
+        self.new_goals: Optional[List[Goal]] = None
 
     # Limits
 
@@ -289,8 +290,8 @@ class Logic:
         if goal.__class__ is not Var:
             goal = check_body(goal)
         compiled = Goal(self.database, goal, inputs, outputs, place, name)
-        if self._new_goals is not None:
-            self._new_goals.append(compiled)
+        if self.new_goals is not None:
+            self.new_goals.append(compiled)
         return compiled
 
     @contextmanager
@@ -300,12 +301,12 @@ class Logic:
         Args:
             terms: returns, at the end, the terms whose predicates will be called.
         """
-        outer = self._new_goals
-        new = self._new_goals = []
+        outer = self.new_goals
+        new = self.new_goals = []
         try:
             yield
         finally:
-            self._new_goals = outer
+            self.new_goals = outer
         self.database.compile_named(terms())
         for goal in new:
             goal.prepare()

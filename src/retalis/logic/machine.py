@@ -37,11 +37,13 @@ class Machine:
         done: the frame that ends a run: the continuation of the first frame of each `run`.
         goal_code: the code that runs a goal from its term, the first argument of its frame.
         budget: what goals may use and have used.
+        idle: how long choices and trail are while nothing runs, see `recovery`.
     """
 
     def __init__(self) -> None:
         self.trail: List[Any] = []
         self.choices: List[Frame] = []
+        self.idle = (0, 0)
         finish = self.choices.append
         self.done: Frame = (Code("done", lambda frame: finish(_FINISHED)),)
         self.budget = Budget()
@@ -165,31 +167,39 @@ class Machine:
         inside = base or budget.running
         budget.running = budget.running or budget.limited
         mark = len(self.trail)
-        choices.append((STOP, mark))
+        stop = (STOP, mark)
+        choices.append(stop)
         try:
             while self._loop(frame, base) if inside else self._watched(frame):
                 height = len(choices)
+                if not inside:
+                    self.idle = (height, len(self.trail))
                 yield None
-                if len(choices) != height or choices[base][0] is not STOP:
+                if not inside:
+                    self.idle = (0, 0)
+                if len(choices) != height or choices[base] is not stop:
                     raise RetalisError(
                         "solutions of an outer goal were asked for while an inner goal is open"
                     )
                 frame = None
         finally:
-            self._leave(base)
-            del choices[base:]
-            undo(self.trail, mark)
-            if not inside:
-                budget.running = False
-                budget.start_anew()
+            if len(choices) > base and choices[base] is stop:  # else an interrupt has ended all long ago
+                self._leave(base)
+                del choices[base:]
+                undo(self.trail, mark)
+                if not inside:
+                    self.idle = (0, 0)
+                    budget.running = False
+                    budget.start_anew()
 
     def _leave(self, base: int) -> None:
         """Tell the guards of a run that it is over, also by what no program can catch, as an interrupt."""
         choices = self.choices
         while len(choices) > base + 1:
-            entry = choices.pop()
+            entry = choices[-1]
             if entry[0].__class__ is Guard:
                 entry[0].unwind(entry)
+            choices.pop()
 
     def _watched(self, frame: Optional[Frame]) -> bool:
         """Go on with an outermost run; long steps in it look at the limits too."""

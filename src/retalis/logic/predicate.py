@@ -104,15 +104,16 @@ class Predicate:
 
     def add(self, clause: Clause, first: bool = False) -> None:
         """Add a clause as the last or the first one."""
-        self.kind = "user"
         self.ground = clause.ground and self.functor.arity > 0 and (self.ground or not self.clauses)
         self.changed()
         if first:
             self.clauses = [clause, *[old for old in self.clauses if old.died == NEVER]]
+            self.kind = "user"
             self.dead = 0
             self.indexes.clear()
             return
         self.clauses.append(clause)
+        self.kind = "user"
         for position, (index, others) in self.indexes.items():
             _enter(index, others, clause.keys[position], clause)
 
@@ -144,6 +145,17 @@ class Predicate:
         self.calls = 0
         if self.direct is not None:
             self.direct.reset(self)
+
+    def mend(self) -> None:
+        """Make all anew that follows from the clauses, which an interrupt may have left half made."""
+        if self.library or not (self.kind == "user" or self.clauses):
+            return
+        self.kind = "user"
+        self.clauses = list(self.live())
+        self.dead = 0
+        self.ground = self.functor.arity > 0 and all(clause.ground for clause in self.clauses)
+        self.indexes.clear()
+        self.forget()
 
     def table(self, hidden: "Predicate", run: Callable[[Frame], Optional[Frame]]) -> None:
         """Let tables answer the calls; clauses belong to the ``hidden`` predicate from now on."""

@@ -326,20 +326,32 @@ def with_output_to(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
     if not is_sink(sink):
         raise existence_error("stream", sink) if sink.__class__ is Atom else type_error("output", sink)
     logic = machine.logic
-    captured: List[str] = []
     height = len(machine.choices)
     machine.choices.append((_CAUGHT, logic, logic.output, logic.column, len(machine.trail)))
-    size = 0
-
-    def capture(text: str) -> None:
-        nonlocal size
-        size += len(text)
-        long_text(size)
-        captured.append(text)
-
-    logic.output = capture
+    capture = logic.output = Capture(logic)
+    captured = capture.texts
     logic.column = 0
     return logic.control.call(args[1], (_RELEASE, machine, height, sink, captured, after))  # type: ignore[no-any-return]
+
+
+class Capture:
+    """Output that is kept.
+
+    Attributes:
+        texts: what was written.
+        before: where output went before, and where that stood in its line.
+    """
+
+    def __init__(self, logic: Any):
+        self.texts: List[str] = []
+        self.before = logic.output, logic.column
+        self._size = 0
+
+    def __call__(self, text: str) -> None:
+        """Keep a text."""
+        self._size += len(text)
+        long_text(self._size)
+        self.texts.append(text)
 
 
 def _give_back(entry: Frame) -> None:

@@ -1,6 +1,6 @@
 """The recorded database: terms under keys, in order, outside of clauses."""
 
-from typing import Any, Dict, Iterator, List, Optional
+from typing import Any, Dict, Iterator, List, Optional, Set
 
 from ...terms import Functor, Term, Var, copy, deref, functor, unify
 from ..codes import LAST
@@ -43,13 +43,33 @@ class _Chain:
 
     def add(self, record: _Record, first: bool) -> None:
         if self.first is None or self.last is None:
-            self.first = self.last = record
+            self.last = self.first = record
         elif first:
             record.behind, self.first.before = self.first, record
             self.first = record
         else:
             record.before, self.last.behind = self.last, record
             self.last = record
+
+    def mend(self) -> None:
+        """Link the records back as they are linked forth; nobody reads."""
+        self.readers = 0
+        self.leaving = []
+        before, record = None, self.first
+        while record is not None:
+            record.before = before
+            if record.erased != _NEVER:
+                self.leaving.append(record)
+            before, record = record, record.behind
+        self.last = before
+        self.let_go()
+
+    def all(self) -> Iterator[_Record]:
+        """Yield the records, also those that were erased and are still linked."""
+        record = self.first
+        while record is not None:
+            yield record
+            record = record.behind
 
     def let_go(self) -> None:
         """Take out what was erased, if nobody reads."""
@@ -112,6 +132,18 @@ class _Records:
             for key, chain in chains:
                 chain.readers -= 1
                 self._tidy(key)
+
+    def mend(self) -> None:
+        """Have each record be there in all respects or in none."""
+        there: Set[int] = set()
+        for key, chain in list(self.by_key.items()):
+            for record in chain.all():
+                if record.number not in self.by_number:
+                    record.erased = min(record.erased, self._last)
+            chain.mend()
+            self._tidy(key)
+            there.update(record.number for record in chain.all())
+        self.by_number = {number: one for number, one in self.by_number.items() if number in there}
 
     def _tidy(self, key: Any) -> None:
         chain = self.by_key[key]

@@ -91,6 +91,14 @@ class Tables:
         self.by_call.clear()
         self.active.clear()
 
+    def mend(self) -> None:
+        """Forget all evaluations that are not over: nothing is evaluated."""
+        self.active.clear()
+        for table in self.by_call.values():
+            if table.state != "complete":
+                table.state = "new"
+                table.empty()
+
     def moded_caller(self, predicate: Predicate, modes: Dict[int, Mode]) -> Call:
         """Return the function that does calls of a predicate some of whose arguments have modes."""
         plain = self.caller(predicate, list(modes.values()))
