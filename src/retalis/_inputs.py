@@ -4,16 +4,15 @@ import re
 from typing import Any, Callable, Dict, NamedTuple, Optional, Sequence
 
 from . import timestamps
+from .caches import Cache
 from .errors import SyntaxFault, UsageError
 from .logic import callable_of, instant_of, integer, type_error
 from .syntax import EventReader, Operators
 from .terms import Functor, Term, deref, functor, list_items
 from .timestamps import WholeSeconds
 
-_SECOND = re.compile(r"datime\((\d+),(\d+),(\d+),(\d+),(\d+),(\d+),", re.ASCII)
+_SECOND = re.compile(r"datime\((\d{1,9}),(\d{1,9}),(\d{1,9}),(\d{1,9}),(\d{1,9}),(\d{1,9}),", re.ASCII)
 _NANOSECOND = re.compile(r"\d{1,9}\)", re.ASCII)
-_SECONDS = 64
-"""Seconds whose texts are remembered."""
 
 
 class Input(NamedTuple):
@@ -38,7 +37,7 @@ class InputReader:
 
     def __init__(self, operators: Operators):
         self._reader = EventReader(operators)
-        self._seconds: Dict[str, int] = {}
+        self._seconds: Cache[str, int] = Cache(64, 1 << 16)
 
     def goal(self, text: str) -> Term:
         """Return the goal of a text.
@@ -96,10 +95,7 @@ class InputReader:
             instant = timestamps.from_term((timestamps.DATIME7, *map(int, found.groups()), 0))
         except UsageError:
             return None
-        if len(self._seconds) >= _SECONDS:
-            self._seconds.clear()
-        self._seconds[text] = instant
-        return instant
+        return self._seconds.keep(text, instant, len(text))
 
 
 def event_of(goal: Term) -> Optional[Input]:

@@ -167,7 +167,7 @@ def test_stamps():
 
 
 def test_texts_seen_before_are_the_same_atoms_and_do_not_pile_up(monkeypatch):
-    monkeypatch.setattr(_texts, "_CACHED_TEXTS", 10)
+    monkeypatch.setattr(_texts.texts, "entries", 10)
     _texts.texts.clear()  # what other tests have left there
     found = decoder("Header header\nstring child\nfloat64 x\n" + HEADER)
     tail = struct.pack("<d", 1.0)

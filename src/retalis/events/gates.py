@@ -4,7 +4,6 @@ A message that is taken apart gives many events of which few are wanted. A gate 
 are at hand already, by the same tests that the dispatcher makes, which events nobody listens to.
 """
 
-from functools import lru_cache
 from typing import Any, Callable, Tuple
 
 from ..codegen import shared_function
@@ -52,7 +51,6 @@ def _parameters(positions: Tuple[int, ...]) -> str:
     return ", ".join(["seconds", "nanoseconds", *[f"a{at}" for at in positions]])
 
 
-@lru_cache(maxsize=256)
 def _walking(positions: Tuple[int, ...]) -> Callable[[Gate], Passes]:
     """Return what makes the function of a gate: it walks the plan as far as known arguments are tested."""
     lines = [f"    def passes({_parameters(positions)}):", "        plan = gate.plan"]
@@ -73,7 +71,6 @@ def _walking(positions: Tuple[int, ...]) -> Callable[[Gate], Passes]:
     return _made("gate", lines)
 
 
-@lru_cache(maxsize=256)
 def _looking(positions: Tuple[int, ...], at: int) -> Callable[[Any, Passes], Passes]:
     """Return what makes a function that first looks whether anybody wants the constant at one place."""
     lines = [

@@ -5,7 +5,7 @@ from typing import Any, Callable, List, Optional, Tuple
 
 from ..terms import Term
 from ._decode_code import Code
-from ._texts import TextCache, read_texts
+from ._texts import keep_text, read_texts, text_cache
 from .definition import Definition, Field
 
 
@@ -84,7 +84,7 @@ class FrameCode(Code):
 
     def _cache_texts(self) -> None:
         """Have ``known`` and ``learn`` give all texts of a message by the bytes that they make up."""
-        cache = TextCache()
+        cache = text_cache()
         number = len(self.texts)
         kept = self.kept
 
@@ -93,9 +93,7 @@ class FrameCode(Code):
             if read is None:
                 return None
             texts = tuple(kept(text) for text in read)
-            found = texts if number > 1 else texts[0]
-            cache.keep(key, found)
-            return found
+            return keep_text(cache, key, texts if number > 1 else texts[0])
 
         self.names.update(known=cache.get, learn=learn)
 

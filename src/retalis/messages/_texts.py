@@ -1,27 +1,27 @@
 """Texts of messages that come again and again: frame names, mostly."""
 
 from struct import error as StructError
-from typing import Any, Dict, List, Optional, Tuple
+from typing import Any, List, Optional, Tuple
 
+from ..caches import Cache
 from ..terms import Term
 from .text import text_term
 
-_CACHED_TEXTS = 2048
-_CACHED_LENGTH = 128
+_COST = 4
+"""Bytes that a text takes for each of its own: as a key, and in atoms, in base64 at worst."""
 
 
-class TextCache(Dict[bytes, Any]):
-    """Atoms by the bytes of their texts, bounded: names come again and again, other texts do not stay."""
-
-    def keep(self, key: bytes, value: Any) -> None:
-        """Remember a value, if its key is short."""
-        if len(key) <= _CACHED_LENGTH:
-            if len(self) >= _CACHED_TEXTS:
-                self.clear()
-            self[key] = value
+def text_cache() -> Cache[bytes, Any]:
+    """Return a cache of atoms by the bytes of their texts: names come again and again, other texts do not stay."""
+    return Cache(2048, 1 << 20, 1024)
 
 
-texts = TextCache()
+texts = text_cache()
+
+
+def keep_text(cache: Cache[bytes, Any], key: bytes, value: Any) -> Any:
+    """Keep what was made of the bytes of texts; return it."""
+    return cache.keep(key, value, _COST * len(key))
 
 
 def read_text(data: bytes, start: int, stop: int) -> Term:
@@ -29,9 +29,7 @@ def read_text(data: bytes, start: int, stop: int) -> Term:
     raw = data[start:stop]
     if len(raw) != stop - start:
         raise StructError
-    found = text_term(raw)
-    texts.keep(raw, found)
-    return found
+    return keep_text(texts, raw, text_term(raw))
 
 
 def read_texts(key: bytes, number: int) -> Optional[Tuple[Term, ...]]:

@@ -7,9 +7,11 @@ goes to `checking`, which takes every form that is allowed and says exactly what
 
 from struct import Struct, pack
 from struct import error as StructError
+from sys import getsizeof
 from typing import Any, Callable, Dict, List
 
 from .. import codegen
+from ..caches import Cache
 from ..errors import MessageError
 from ..terms import CONS, FALSE, NIL, TRUE, Atom, Lazy, Term, atom, functor
 from .arrays import SMALL, array_maker
@@ -17,8 +19,6 @@ from .checking import Checker
 from .definition import PRIMITIVES, TIMES, VARIABLE, Definition, Field
 from .text import text_atom, text_bytes
 
-_CACHED_TEXTS = 2048
-_CACHED_LENGTH = 128
 
 _BOOLS = {TRUE: True, FALSE: False}
 
@@ -43,7 +43,7 @@ class _Unusual(Exception):
     """The term is not as events are, or not right at all: to be looked at closely."""
 
 
-class _PackedTexts(Dict[Atom, bytes]):
+class _PackedTexts(Cache[Atom, bytes]):
     """The bytes of atoms that stand for texts, length included; bounded."""
 
     def read(self, term: Term) -> bytes:
@@ -56,14 +56,10 @@ class _PackedTexts(Dict[Atom, bytes]):
         if raw is None:
             raise _Unusual
         packed: bytes = pack("<I", len(raw)) + raw
-        if term.__class__ is Atom and len(raw) <= _CACHED_LENGTH:
-            if len(self) >= _CACHED_TEXTS:
-                self.clear()
-            self[term] = packed
-        return packed
+        return self.keep(term, packed, getsizeof(term.name) + len(packed)) if term.__class__ is Atom else packed
 
 
-_packed = _PackedTexts()
+_packed = _PackedTexts(2048, 1 << 20, 1024)
 _ERRORS = (_Unusual, MessageError, ValueError, TypeError, KeyError, StructError, OverflowError)
 
 

@@ -2,8 +2,9 @@
 
 import re
 import unicodedata
-from functools import lru_cache
-from typing import Match
+from typing import Callable, Match
+
+from ..caches import Texts
 
 _PLAIN = re.compile(r"[^\W\d_]\w*\Z|[-+*/\\^<>=~:.?@#&$]+\Z|\[\]\Z|\{\}\Z|[!;]\Z")
 _ESCAPED = re.compile(r"""[^ -&(-\[\]-~]|[\\'"`]""")
@@ -35,7 +36,9 @@ def quote(text: str, mark: str) -> str:
     return f"{mark}{_ESCAPED.sub(escape, text)}{mark}"
 
 
-@lru_cache(maxsize=8192)
-def atom_text(name: str) -> str:
-    """Return an atom as `writeq` shows it."""
+def _atom_text(name: str) -> str:
     return quote(name, "'") if needs_quotes(name) else name
+
+
+atom_text: Callable[[str], str] = Texts(_atom_text, 8192, 4 << 20, 2048).__getitem__
+"""Return an atom as `writeq` shows it."""

@@ -20,6 +20,7 @@ import re
 from json import JSONDecoder
 from typing import Any, Dict, List, Match, Optional, Tuple
 
+from ..caches import Cache
 from ..errors import SyntaxFault
 from ..terms import Term, atom
 from .operators import Operators
@@ -47,6 +48,8 @@ _scan = JSONDecoder().scan_once  # type: ignore[attr-defined]
 
 _SHAPES = 512
 _LONGEST_SHAPE = 50_000
+_COST = 32
+"""Bytes of a function for each character of its skeleton, as measured."""
 _MARK = 10**40
 
 
@@ -60,7 +63,7 @@ class EventReader:
     def __init__(self, operators: Optional[Operators] = None):
         """Take the operators that hold in the texts; Prolog's by default. They must not change later."""
         self._operators = Operators.prolog() if operators is None else operators
-        self._builders: Dict[str, Optional[Builder]] = {}
+        self._builders: Cache[str, Optional[Builder]] = Cache(_SHAPES, _COST * 256_000, _COST * 60_000)
         self.ground: Optional[bool] = None
         """Whether the term that was read last has no variables; None where that is not known."""
 
@@ -100,13 +103,9 @@ class EventReader:
 
     def _learn(self, skeleton: str) -> Optional[Builder]:
         """Return the function that builds the terms of a skeleton, or None where there can be none."""
-        builders = self._builders
         if len(skeleton) > _LONGEST_SHAPE:
             return None
-        while len(builders) >= _SHAPES:
-            del builders[next(iter(builders))]
-        builder = builders[skeleton] = _builder(skeleton, self._operators)
-        return builder
+        return self._builders.keep(skeleton, _builder(skeleton, self._operators), _COST * len(skeleton))
 
 
 def _split(text: str) -> Optional[Parts]:

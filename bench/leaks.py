@@ -1,0 +1,388 @@
+#!/usr/bin/env python3
+"""Memory that is left behind by what comes and goes again: one line for each case.
+
+    bench/leaks.py [CASE ...] [--rounds N]
+
+Each case is done a tenth as often first, for what caches keep; then the growth of the process and of the objects that
+Python knows is measured over N rounds: ``case NAME rounds N mb_before MB mb_after MB bytes_per_round B``.
+"""
+
+import argparse
+import gc
+import struct
+import sys
+from pathlib import Path
+from typing import Any, Callable, Dict, List, Tuple
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path[:0] = [str(ROOT / "bench"), str(ROOT / "src")]
+
+from arguments import positive  # noqa: E402
+
+from retalis import Engine  # noqa: E402
+from retalis._reports import Reports  # noqa: E402
+from retalis.engine import Settings  # noqa: E402
+from retalis.errors import RetalisError  # noqa: E402
+from retalis.messages import Definitions, Installed  # noqa: E402
+from retalis.syntax import EventReader, Operators, event_text, read_term, to_text  # noqa: E402
+from retalis.terms import atom, functor  # noqa: E402
+
+Round = Callable[[int], Any]
+CASES: Dict[str, Callable[[], Round]] = {}
+
+
+def case(make: Callable[[], Round]) -> Callable[[], Round]:
+    """Note a case: what sets it up and returns one round of it, which takes the round's number."""
+    CASES[make.__name__] = make
+    return make
+
+
+def engine(rules: str = "", **settings: Any) -> Engine:
+    made = Engine(settings=Settings(**settings))
+    made.load(rules=rules)
+    return made
+
+
+def goals(*texts: str, rules: str = "") -> Round:
+    """Return a round that calls goals; in their texts # is the round's number."""
+    one = engine(rules)
+
+    def do(number: int) -> None:
+        for text in texts:
+            one.call(text.replace("#", str(number)))
+
+    return do
+
+
+# ---- what is added and deleted ----
+
+
+@case
+def subscriptions() -> Round:
+    return goals(
+        "subscribe(hot(W,T), [T > #, member(W, [a,b_#])], out(W), topic_#, id_#)",
+        "delete_subscription(topic_#, id_#)",
+    )
+
+
+@case
+def subscriptions_of_new_events() -> Round:
+    return goals("subscribe(hot_#(W,T), [], out_#(W), topic, id)", "delete_subscription(topic, id)")
+
+
+@case
+def memories() -> Round:
+    one = engine()
+
+    def do(number: int) -> None:
+        one.call(f"memorize(hot(W,T), [T > {number}], m_{number}(W), hot_{number}, 10)")
+        one.event(f"hot(w_{number}, {number + 1})", number)
+        one.call(f"delete_memory(hot_{number})")
+
+    return do
+
+
+@case
+def event_rules() -> Round:
+    one = engine()
+
+    def do(number: int) -> None:
+        rule = f"(l_{number} rule: out(W) <- (hot(W,T) seq cold(W)) within 60 where (T > {number}, q(W)))"
+        one.call(f"ins_event_rule({rule})")
+        one.event(f"hot(w_{number}, {number + 1})", number)
+        one.call(f"del_event_rule(l_{number})")
+
+    rules = "q(_)."
+    one.load(rules=rules)
+    return do
+
+
+@case
+def event_rules_of_new_events() -> Round:
+    one = engine()
+
+    def do(number: int) -> None:
+        one.call(f"ins_event_rule((l rule: out_{number}(W) <- hot_{number}(W,c_{number}) seq cold_{number}(W)))")
+        one.call("del_event_rule(l)")
+
+    return do
+
+
+@case
+def clauses() -> Round:
+    return goals("assertz(fact(#))", "assertz((rule(X) :- X > #, fact(X)))", "rule(0) ; true", "retract(fact(#))",
+                 "retract((rule(_) :- _))")
+
+
+@case
+def clauses_of_new_predicates() -> Round:
+    return goals("assertz(fact_#(a_#))", "fact_#(_)", "retract(fact_#(_))", "assertz((rule_# :- X = #, X > 0))", "(rule_# -> true ; true)", "abolish(rule_#/0)")
+
+
+@case
+def clauses_that_are_called() -> Round:
+    return goals("assertz((r_#(X) :- X > 1, \\+ X = #))", "forall(between(1, 20, X), (r_#(X) ; true))", "retractall(r_#(_))")
+
+
+@case
+def alarms() -> Round:
+    one = engine("late(X) <- start(X). exceptionAlarm([alarm(X), 1]) <- start(X).")
+
+    def do(number: int) -> None:
+        one.event(f"start(s_{number})", 10 * number)
+        one.clock.move_to((10 * number + 5) * 10**9)
+        one.advance()
+
+    return do
+
+
+@case
+def waiting_queries() -> Round:
+    one = engine("synchronized(done(X), prev(m, _, _, _, _) , [[m, T]]) <- ask(X, T).")
+
+    def do(number: int) -> None:
+        one.call("memorize(hot(_), [], _, m, 5)")
+        one.event(f"ask(a_{number}, {2.0 * number + 1})", 2 * number)
+        one.event(f"hot(h_{number})", 2 * number + 1)
+        one.event(f"ask(a_{number}, {2.0 * number + 5})", 2 * number + 1)
+        one.call("delete_memory(m)")
+
+    return do
+
+
+@case
+def partial_matches() -> Round:
+    one = engine("out(X) <- (hot(X) seq cold(X)) within 5.")
+
+    def do(number: int) -> None:
+        one.event(f"hot(h_{number})", number)
+
+    return do
+
+
+@case
+def recorded() -> Round:
+    return goals("recorda(key_#, value_#, R), erase(R)", "recordz(key, value_#), recorded(key, _, R), erase(R)")
+
+
+@case
+def counters() -> Round:
+    return goals("incCounter(c_#)", "resetCounter(c_#)", "set_flag(f_#, 1)", "set_flag(f_#, nil)")
+
+
+@case
+def flags_of_the_network() -> Round:
+    return goals("set_etalis_flag(store_fired_events, on)", "set_etalis_flag(store_fired_events, off)")
+
+
+@case
+def operators() -> Round:
+    return goals("op(700, xfx, op_#)", "op(0, xfx, op_#)")
+
+
+@case
+def tables() -> Round:
+    return goals("t(#)", "abolish_all_tables", rules=":- table t/1. t(X) :- X > 0.")
+
+
+@case
+def rule_files() -> Round:
+    one = engine()
+
+    def do(number: int) -> None:
+        one.load(rules=f"out_{number}(X) <- in_{number}(X, c_{number}) where p_{number}(X).\np_{number}(_).")
+        one.call("reset_etalis")
+        one.call(f"abolish(p_{number}/1)")
+
+    return do
+
+
+@case
+def refused_rule_files() -> Round:
+    one = engine()
+
+    def do(number: int) -> None:
+        try:
+            one.load(rules=f"out_{number}(X) <- in_{number}(X). p_{number}(_). q_{number} :- .")
+        except RetalisError:
+            pass
+
+    return do
+
+
+# ---- what comes once and never again ----
+
+
+@case
+def event_names() -> Round:
+    one = engine("out(X) <- in(X).")
+    return lambda number: one.event(f"in_{number}(a)", number)
+
+
+@case
+def derived_event_names() -> Round:
+    one = engine("null_event do (atom_concat(new_, X, N), E =.. [N, X], new_event(E, [datime(2000,1,1,0,0,0,1),datime(2000,1,1,0,0,0,1)])) <- in(X).")
+    return lambda number: one.event(f"in(e_{number})", number)
+
+
+@case
+def event_constants() -> Round:
+    one = engine("out(X) <- in(a, X). out(X) <- in(b, X).")
+    one.call("memorize(in(_, _), [], _, m, 10)")
+    return lambda number: one.event(f"in(c_{number}, {number})", number)
+
+
+@case
+def queries() -> Round:
+    one = engine("p(_).")
+
+    def do(number: int) -> None:
+        one.query(f"findall(X, (p(X), \\+ X == c_{number}), L_{number}), forall(p(X), X \\== d_{number})")
+
+    return do
+
+
+@case
+def unknown_procedures() -> Round:
+    one = engine("p(_).")
+
+    def do(number: int) -> None:
+        try:
+            one.call(f"unknown_{number}(a)")
+        except RetalisError:
+            pass
+
+    return do
+
+
+@case
+def event_texts() -> Round:
+    one = engine("out(X) <- in(X).")
+    return lambda number: one.post_text(f"event(in('\"t{number}\"',{number}),[datime(2000,1,1,0,0,0,1),datime(2000,1,1,0,0,0,1)])")
+
+
+@case
+def event_shapes() -> Round:
+    one = engine("out(X) <- in(X).")
+    return lambda number: one.post_text(f"event(in(name_{number}(1,2),[{'1,' * (number % 1000)}1]))")
+
+
+@case
+def refused_texts() -> Round:
+    one = engine(queue=10)
+    return lambda number: one.post_text(f"shell({number}, '{'x' * 2000}')")
+
+
+@case
+def wrong_texts() -> Round:
+    one = engine(queue=10)
+    return lambda number: one.post_text(f"event(in_{number}({'x' * 2000}")
+
+
+@case
+def reports() -> Round:
+    made = Reports()
+
+    def do(number: int) -> None:
+        made.error(RetalisError(f"{number}" + "x" * 5000))
+        made.warning(f"{number}" + "x" * 5000)
+        made.warning(f"{number}" + "x" * 5000, "kind", 20)
+
+    return do
+
+
+@case
+def texts_to_terms() -> Round:
+    operators_ = Operators.prolog()
+    return lambda number: read_term(f"f_{number}('q {number}', \"s{number}\", X_{number})", operators_, "text")
+
+
+@case
+def long_texts_of_terms() -> Round:
+    return lambda number: to_text(functor("f", 1)(atom(f"Long {number}" + "x" * 20_000)))
+
+
+@case
+def output_texts() -> Round:
+    reader = EventReader()
+    return lambda number: reader.read(f"event(out_{number}('a b',{number}),t_{number},i)")
+
+
+@case
+def message_types() -> Round:
+    known = Definitions(Installed(packages=[], modules=[], rosbags=False))
+
+    def do(number: int) -> None:
+        definition = known.add(f"p/T{number}", f"string s\nint32 n{number}\nfloat64[] d\np/U{number} u\n" + "=" * 80 + f"\nMSG: p/U{number}\nint8 x\n")
+        decoder = known.decoder(definition)
+        term = decoder.decode(struct.pack("<I5siIdb", 5, b"hello", 1, 1, 0.5, 3))
+        known.encoder(definition).encode(term)
+
+    return do
+
+
+@case
+def unknown_message_types() -> Round:
+    known = Definitions(Installed(packages=[], modules=[], rosbags=False))
+    return lambda number: f"p/T{number}" in known
+
+
+@case
+def message_texts() -> Round:
+    known = Definitions(Installed(packages=[], modules=[], rosbags=False))
+    definition = known.add("p/T", "string s\nstring[] t\n")
+    decoder, encoder = known.decoder(definition), known.encoder(definition)
+
+    def do(number: int) -> None:
+        text = b"%d" % number + b"x" * (number % 3000)
+        packed = struct.pack("<I", len(text)) + text
+        term = decoder.decode(packed + struct.pack("<I", 1) + packed)
+        encoder.encode(term)
+        event_text(to_text(term), number * 10**9)
+
+    return do
+
+
+# ---- measuring ----
+
+
+def resident() -> int:
+    """Return the bytes of the process that are in memory."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * 4096
+
+
+def measure(name: str, rounds: int) -> Tuple[int, int]:
+    """Return the bytes of the process before and after some rounds of a case."""
+    do = CASES[name]()
+    first = max(1, rounds // 10)
+    for number in range(1, first):
+        do(number)
+    gc.collect()
+    before = resident()
+    for number in range(first, first + rounds):
+        do(number)
+    gc.collect()
+    return before, resident()
+
+
+def main(arguments: List[str]) -> int:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("cases", nargs="*", metavar="CASE", help=", ".join(CASES))
+    parser.add_argument("--rounds", type=positive, default=100_000)
+    given = parser.parse_args(arguments)
+    unknown = set(given.cases) - set(CASES)
+    if unknown:
+        parser.error(f"there is no case {', '.join(sorted(unknown))}")
+    for name in given.cases or CASES:
+        before, after = measure(name, given.rounds)
+        print(
+            f"case {name} rounds {given.rounds} mb_before {before / 1e6:.1f} mb_after {after / 1e6:.1f} "
+            f"bytes_per_round {(after - before) / given.rounds:.1f}",
+            flush=True,
+        )
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
