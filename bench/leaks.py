@@ -102,7 +102,9 @@ def event_rules_of_new_events() -> Round:
     one = engine()
 
     def do(number: int) -> None:
-        one.call(f"ins_event_rule((l rule: out_{number}(W) <- hot_{number}(W,c_{number}) seq cold_{number}(W)))")
+        one.call(
+            f"ins_event_rule((l rule: out_{number}(W) <- hot_{number}(W,c_{number}) seq cold_{number}(W)))"
+        )
         one.call("del_event_rule(l)")
 
     return do
@@ -110,18 +112,34 @@ def event_rules_of_new_events() -> Round:
 
 @case
 def clauses() -> Round:
-    return goals("assertz(fact(#))", "assertz((rule(X) :- X > #, fact(X)))", "rule(0) ; true", "retract(fact(#))",
-                 "retract((rule(_) :- _))")
+    return goals(
+        "assertz(fact(#))",
+        "assertz((rule(X) :- X > #, fact(X)))",
+        "rule(0) ; true",
+        "retract(fact(#))",
+        "retract((rule(_) :- _))",
+    )
 
 
 @case
 def clauses_of_new_predicates() -> Round:
-    return goals("assertz(fact_#(a_#))", "fact_#(_)", "retract(fact_#(_))", "assertz((rule_# :- X = #, X > 0))", "(rule_# -> true ; true)", "abolish(rule_#/0)")
+    return goals(
+        "assertz(fact_#(a_#))",
+        "fact_#(_)",
+        "retract(fact_#(_))",
+        "assertz((rule_# :- X = #, X > 0))",
+        "(rule_# -> true ; true)",
+        "abolish(rule_#/0)",
+    )
 
 
 @case
 def clauses_that_are_called() -> Round:
-    return goals("assertz((r_#(X) :- X > 1, \\+ X = #))", "forall(between(1, 20, X), (r_#(X) ; true))", "retractall(r_#(_))")
+    return goals(
+        "assertz((r_#(X) :- X > 1, \\+ X = #))",
+        "forall(between(1, 20, X), (r_#(X) ; true))",
+        "retractall(r_#(_))",
+    )
 
 
 @case
@@ -162,7 +180,9 @@ def partial_matches() -> Round:
 
 @case
 def recorded() -> Round:
-    return goals("recorda(key_#, value_#, R), erase(R)", "recordz(key, value_#), recorded(key, _, R), erase(R)")
+    return goals(
+        "recorda(key_#, value_#, R), erase(R)", "recordz(key, value_#), recorded(key, _, R), erase(R)"
+    )
 
 
 @case
@@ -221,7 +241,9 @@ def event_names() -> Round:
 
 @case
 def derived_event_names() -> Round:
-    one = engine("null_event do (atom_concat(new_, X, N), E =.. [N, X], new_event(E, [datime(2000,1,1,0,0,0,1),datime(2000,1,1,0,0,0,1)])) <- in(X).")
+    one = engine(
+        "null_event do (atom_concat(new_, X, N), E =.. [N, X], new_event(E, [datime(2000,1,1,0,0,0,1),datime(2000,1,1,0,0,0,1)])) <- in(X)."
+    )
     return lambda number: one.event(f"in(e_{number})", number)
 
 
@@ -258,7 +280,9 @@ def unknown_procedures() -> Round:
 @case
 def event_texts() -> Round:
     one = engine("out(X) <- in(X).")
-    return lambda number: one.post_text(f"event(in('\"t{number}\"',{number}),[datime(2000,1,1,0,0,0,1),datime(2000,1,1,0,0,0,1)])")
+    return lambda number: one.post_text(
+        f"event(in('\"t{number}\"',{number}),[datime(2000,1,1,0,0,0,1),datime(2000,1,1,0,0,0,1)])"
+    )
 
 
 @case
@@ -294,7 +318,9 @@ def reports() -> Round:
 @case
 def texts_to_terms() -> Round:
     operators_ = Operators.prolog()
-    return lambda number: read_term(f"f_{number}('q {number}', \"s{number}\", X_{number})", operators_, "text")
+    return lambda number: read_term(
+        f"f_{number}('q {number}', \"s{number}\", X_{number})", operators_, "text"
+    )
 
 
 @case
@@ -313,7 +339,12 @@ def message_types() -> Round:
     known = Definitions(Installed(packages=[], modules=[], rosbags=False))
 
     def do(number: int) -> None:
-        definition = known.add(f"p/T{number}", f"string s\nint32 n{number}\nfloat64[] d\np/U{number} u\n" + "=" * 80 + f"\nMSG: p/U{number}\nint8 x\n")
+        definition = known.add(
+            f"p/T{number}",
+            f"string s\nint32 n{number}\nfloat64[] d\np/U{number} u\n"
+            + "=" * 80
+            + f"\nMSG: p/U{number}\nint8 x\n",
+        )
         decoder = known.decoder(definition)
         term = decoder.decode(struct.pack("<I5siIdb", 5, b"hello", 1, 1, 0.5, 3))
         known.encoder(definition).encode(term)

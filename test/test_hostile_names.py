@@ -53,7 +53,7 @@ def sources(monkeypatch):
         return define(source, names, title)
 
     monkeypatch.setattr(codegen, "define", collecting)
-    codegen._shared_maker.cache_clear()
+    codegen._makers.clear()
     yield found
     assert "harm" not in "".join(found)
 

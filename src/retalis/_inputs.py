@@ -147,8 +147,3 @@ def _checked(arguments: Sequence[Term], start: int, end: int) -> Input:
     if end < start or not (timestamps.in_range(start) and timestamps.in_range(end)):
         raise type_error("interval", arguments[1])
     return Input(callable_of(arguments[0]), start, end)
-
-
-def beginning(text: str) -> str:
-    """Return a text as it is shown in one line: its begin where it is long."""
-    return text if len(text) <= 200 else f"{text[:200]}..."

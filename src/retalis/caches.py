@@ -1,7 +1,7 @@
 """Caches that are bounded in entries and in bytes: a dictionary each, so that a hit costs a look-up and no more."""
 
 from sys import getsizeof
-from typing import Any, Callable, Dict, TypeVar
+from typing import Callable, Dict, TypeVar
 
 Key = TypeVar("Key")
 Value = TypeVar("Value")

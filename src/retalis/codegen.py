@@ -8,10 +8,10 @@ no files, no evaluation of texts.
 
 import builtins
 import re
-from functools import lru_cache
 from itertools import count
 from typing import Any, Callable, Dict, Iterable, Tuple
 
+from .caches import Cache
 from .errors import shortened
 
 _BUILTINS: Dict[str, Any] = {
@@ -38,11 +38,14 @@ _BUILTINS: Dict[str, Any] = {
 """What generated code may use without having been given it."""
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,30}\Z")
-_SHARED = 1000
-_LONGEST_SHARED = 8000
-"""Longer sources are not kept: those of two rules are hardly ever alike, and they would take megabytes."""
+_COST = 20
+"""Bytes that a function takes for each character of its source."""
 
 _serials = count(1)
+
+_Key = Tuple[str, Tuple[str, ...], str]
+_makers: Cache[_Key, Callable[..., Any]] = Cache(1000, 16 << 20, _COST * 8000)
+"""Longer sources are not kept: those of two rules are hardly ever alike."""
 
 
 class _Source:
@@ -92,8 +95,9 @@ def shared_function(source: str, names: Dict[str, Any], title: str) -> Any:
     Rules that are alike but for their constants do not each wait for the interpreter to get used to theirs, nor push
     each other's out of the processor's caches.
     """
-    make = _shared_maker if len(source) <= _LONGEST_SHARED else _maker
-    return make(source, tuple(names), title)(*names.values())
+    key = source, tuple(names), title
+    maker = _makers.get(key) or _makers.keep(key, _maker(*key), _COST * len(source))
+    return maker(*names.values())
 
 
 def _maker(source: str, names: Tuple[str, ...], title: str) -> Callable[..., Any]:
@@ -105,9 +109,6 @@ def _maker(source: str, names: Tuple[str, ...], title: str) -> Callable[..., Any
     text = "".join([f"def maker({', '.join(names)}):\n", *lines, "\n    return made\n"])
     maker: Callable[..., Any] = define(text, {}, title)["maker"]
     return maker
-
-
-_shared_maker = lru_cache(maxsize=_SHARED)(_maker)
 
 
 def _clean(title: str) -> str:

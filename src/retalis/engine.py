@@ -8,13 +8,13 @@ from typing import Any, Callable, Dict, Generator, List, NamedTuple, Optional, T
 from . import timestamps
 from ._foreign import define_foreign, load_module
 from ._goalfile import errors_in, goals_of
-from ._inputs import InputReader, beginning
+from ._inputs import InputReader
 from ._making import define_new_event
 from ._recovery import EngineRecovery
 from ._reports import Reports
 from ._runner import Runner
 from .clock import Clock, StreamClock
-from .errors import ProgramErrors, RetalisError, RuleError, UsageError
+from .errors import ProgramErrors, RetalisError, RuleError, UsageError, beginning
 from .events import Dispatcher, Rules, Stage
 from .knowledge import Knowledge
 from .logic import Limits, Logic, instantiation_error, permission_error, type_error

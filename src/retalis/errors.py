@@ -2,37 +2,57 @@
 
 from typing import List, NamedTuple, Optional, Sequence
 
+SHOWN = 200
+"""Characters of a text from outside that are kept and shown."""
+
+
+def beginning(text: str) -> str:
+    """Return a text as it is kept and shown: its begin where it is long."""
+    return text if len(text) <= SHOWN else f"{text[:SHOWN]}..."
+
 
 class Place(NamedTuple):
     """A position in a text; line and column count from 1.
 
-    ``text`` is the line itself, so that the error can be shown without reading the source again.
+    ``text`` is the line itself, so that the error can be shown without reading the source again; of a long one the
+    part around the column, which begins ``before`` characters behind the line's begin.
     """
 
     source: str
     line: int
     column: int
     text: str = ""
+    before: int = 0
 
     def __str__(self) -> str:
         return f"{self.source}:{self.line}:{self.column}"
 
     def context(self) -> str:
         """Return the source line and, under it, a caret at the column."""
-        lead = "".join("\t" if char == "\t" else " " for char in self.text[: self.column - 1])
+        at = self.column - 1 - self.before
+        lead = "".join("\t" if char == "\t" else " " for char in self.text[:at])
         return f"{self.text}\n{lead}^"
+
+
+def place_on(source: str, line: int, text: str, start: int, offset: int) -> Place:
+    """Return the place of the character at ``offset`` of a text, on a line that begins at ``start``."""
+    end = text.find("\n", offset, offset + SHOWN)
+    if end < 0:
+        end = min(len(text), offset + SHOWN)
+    before = max(0, min(offset - SHOWN // 2, end - SHOWN) - start)
+    shown = text[start + before : min(end, start + before + SHOWN)]
+    return Place(source, line, offset - start + 1, shown, before)
+
+
+def place_in(source: str, number: int, column: int, line: str) -> Place:
+    """Return the place at a column of a line."""
+    return place_on(source, number, line, 0, column - 1)
 
 
 def place_at(source: str, text: str, offset: int) -> Place:
     """Return the place of the character at ``offset`` of ``text``."""
     start = text.rfind("\n", 0, offset) + 1
-    end = text.find("\n", start)
-    line = text[start : end if end >= 0 else len(text)]
-    return Place(source, text.count("\n", 0, start) + 1, offset - start + 1, line)
-
-
-SHOWN = 200
-"""Characters of a refused text that an error shows."""
+    return place_on(source, text.count("\n", 0, start) + 1, text, start, offset)
 
 
 def shortened(text: str) -> str:

@@ -4,7 +4,16 @@ from pathlib import Path
 from typing import Dict, List, NamedTuple, Tuple, Union
 from xml.parsers import expat
 
-from .errors import Place, ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError, undecodable
+from .errors import (
+    Place,
+    ProgramErrors,
+    RetalisError,
+    RuleError,
+    SyntaxFault,
+    UsageError,
+    place_in,
+    undecodable,
+)
 from .rosnames import topic_fault, type_fault
 
 GOALS = "goalPredicates.txt"
@@ -91,7 +100,7 @@ class _TopicReader:
 
     def place(self, line: int, offset: int) -> Place:
         text = self.lines[line - 1] if line <= len(self.lines) else ""
-        return Place(self.source, line, offset + 1, text)
+        return place_in(self.source, line, offset + 1, text)
 
     def element(self, tag: str, attributes: Dict[str, str]) -> None:
         place = self.place(self.parser.CurrentLineNumber, self.parser.CurrentColumnNumber)

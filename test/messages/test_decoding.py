@@ -178,3 +178,47 @@ def test_texts_seen_before_are_the_same_atoms_and_do_not_pile_up(monkeypatch):
         assert args(args(first)[0])[2] is args(args(again)[0])[2] is atom('"base"')
         assert args(first)[1] is atom(f'"child{number}"')
     assert len(_texts.texts) <= 10
+
+
+def section(name, text):
+    return "=" * 80 + f"\nMSG: {name}\n{text}"
+
+
+EMPTY = section("pkg/Empty", "")
+
+
+@pytest.mark.parametrize(
+    "text,data",
+    [
+        ("pkg/Empty[] x\n" + EMPTY, struct.pack("<I", 1 << 20)),
+        ("pkg/Empty[4000000000] x\n" + EMPTY, b""),
+        ("pkg/Empty[4000] x\npkg/Empty[] y\n" + EMPTY, struct.pack("<I", 6001)),
+        ("".join(f"pkg/Empty[] x{n}\n" for n in range(17)) + EMPTY, struct.pack("<I", 1000) * 17),
+        ("pkg/Outer[] x\n" + section("pkg/Outer", "pkg/Empty[1000] e\n") + EMPTY, struct.pack("<I", 11)),
+        ("pkg/Outer[11] x\n" + section("pkg/Outer", "pkg/Empty[1000] e\n") + EMPTY, b""),
+        ("pkg/Outer[] x\n" + section("pkg/Outer", "int8 y\npkg/Empty[6000] e\n") + EMPTY,
+         struct.pack("<I", 2) + bytes(2)),
+        ("pkg/Outer[] x\n" + section("pkg/Outer", "pkg/Empty[] e\n") + EMPTY, struct.pack("<III", 2, 6000, 6000)),
+    ],
+)  # fmt: skip
+def test_elements_without_bytes_are_bounded_in_number(text, data):
+    with pytest.raises(MessageError, match="elements without bytes in its arrays: at most 10000 are taken"):
+        decoder(text).decode(data)
+
+
+def test_how_many_elements_without_bytes_is_a_setting():
+    definitions = Definitions(Installed([], [], rosbags=False), bare=3)
+    found = definitions.decoder(definitions.add("pkg/Type", "pkg/Empty[] x\n" + EMPTY))
+    assert len(list_items(args(found.decode(struct.pack("<I", 3)))[0])) == 3
+    with pytest.raises(
+        MessageError, match="a pkg/Type has 4 elements without bytes in its arrays: at most 3"
+    ):
+        found.decode(struct.pack("<I", 4))
+    with pytest.raises(MessageError, match="they end in slot x"):
+        found.decode(b"12")
+
+
+def test_a_long_array_is_refused_before_it_is_made():
+    text = "pkg/Text[] x\n" + section("pkg/Text", "string s\n")
+    with pytest.raises(MessageError, match="they end in slot"):
+        decoder(text).decode(struct.pack("<I", 0xFFFFFFFF) + bytes(64))

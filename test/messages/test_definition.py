@@ -134,3 +134,82 @@ def test_names_of_functors():
     assert functor_name("geometry_msgs/Pose") == "geometry_msgs__0__Pose"
     assert type_name("geometry_msgs__0__Pose") == "geometry_msgs/Pose"
     assert type_name("tf") is None
+
+
+def section(name, text):
+    return "=" * 80 + f"\nMSG: {name}\n{text}"
+
+
+TOO_MUCH = {
+    "digits": ("uint8[" + "9" * 5000 + "] x\n", "an array cannot have more than 4294967295 elements"),
+    "length": ("uint8 y\nuint8[4294967295] x\n", "a message cannot have more than 4294967295 bytes"),
+    "product": (
+        "pkg/A[100000] a\n" + section("pkg/A", "pkg/B[100000] b\n") + section("pkg/B", "float64 x\n"),
+        "a message cannot have more than 4294967295 bytes",
+    ),
+    "slots": ("".join(f"int8 x{n}\n" for n in range(80_000)), "more than 10000 slots"),
+    "constants": ("".join(f"int8 X{n}=1\n" for n in range(60_000)), "more than 10000 constants"),
+    "doubled": (
+        "pkg/T0 t\n" + "".join(section(f"pkg/T{n}", f"pkg/T{n + 1} a\npkg/T{n + 1} b\n") for n in range(40))
+        + section("pkg/T40", "int8 x\n"),
+        "more than 10000 slots",
+    ),
+    "deep": (
+        "pkg/T0 t\n" + "".join(section(f"pkg/T{n}", f"pkg/T{n + 1} a\n") for n in range(900))
+        + section("pkg/T900", "int8 x\n"),
+        "types cannot lie in each other more than 50 deep",
+    ),
+    "itself": ("pkg/A a\n" + section("pkg/A", "pkg/B b\n") + section("pkg/B", "pkg/A[] a\n"), "contains itself"),
+    "types": ("".join(section(f"pkg/T{n}", "int8 x\n") for n in range(2000)), "more than 1000 types"),
+    "text": ("# " + "x" * (1 << 20), "has 1048578 characters: at most 1048576 are taken"),
+    "name": ("int8 " + "x" * 1000 + "\n", "longer than 255 characters"),
+    "line": ("? " * 100_000, "expected 'type name'"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("text,reason", TOO_MUCH.values(), ids=TOO_MUCH)
+def test_what_would_be_too_large_is_refused_with_one_short_error(text, reason):
+    error = fault(text)
+    assert reason in str(error)
+    assert len(str(error)) < 1000
+
+
+def test_types_of_one_another_among_the_installed_ones_end(tmp_path):
+    for name, other in (("A", "B"), ("B", "A")):
+        folder = tmp_path / "pkg" / "msg"
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / f"{name}.msg").write_text(f"C c\n{section('pkg/C', f'pkg/{other} x')}\n")
+    known = Definitions(Installed([str(tmp_path)], [], rosbags=False))
+    for _ in range(2):
+        with pytest.raises(MessageError, match="contains itself"):
+            known.find("pkg/A")
+
+
+def test_the_largest_types_compile_and_are_read():
+    known = registry()
+    wide = known.add("pkg/Wide", "".join(f"int8 x{n}\n" for n in range(10_000)))
+    deep = known.add(
+        "pkg/T0",
+        "pkg/T1 a\n"
+        + "".join(section(f"pkg/T{n}", f"pkg/T{n + 1} a\n") for n in range(1, 49))
+        + section("pkg/T49", "int8[4] x\n"),
+    )
+    for definition, data in ((wide, bytes(10_000)), (deep, bytes(4))):
+        term = known.decoder(definition).decode(data)
+        assert known.encoder(definition).encode(term) == data
+
+
+def test_ever_new_definitions_do_not_pile_up():
+    known = registry()
+    for number in range(3000):
+        known.decoder(
+            known.add("pkg/Type", f"int8 x{number}\npkg/N{number} n\n" + section(f"pkg/N{number}", ""))
+        )
+    assert len(known._by_text) <= 1000
+    assert len(known._decoders) <= 1000
+    assert len(known._nested) == len(known._added) == 1
+    for number in range(999):
+        known.add(f"pkg/T{number}", "int8 x\n")
+    with pytest.raises(MessageError, match="pkg/More is not taken: the definitions of 1000 message types"):
+        known.add("pkg/More", "int8 x\n")
+    assert known.add("pkg/T5", "int8 x\n") is known.find("pkg/T5")

@@ -3,7 +3,7 @@
 import re
 from typing import IO, Iterator, NamedTuple, Optional, Sequence, Union
 
-from ..errors import Place, SyntaxFault
+from ..errors import Place, SyntaxFault, place_in
 from ..syntax import EventReader, Operators, ReadTerm, read_program
 from ..terms import Term
 
@@ -27,7 +27,7 @@ def read_stream(file: IO[str], operators: Operators, source: str) -> Iterator[Re
     reader = EventReader(operators)
     for line, text in enumerate(file, 1):
         if not held and text.startswith("event("):
-            event = _event(reader, text.rstrip(), Place(source, line, 1, text.rstrip("\n")))
+            event = _event(reader, text.rstrip(), place_in(source, line, 1, text.rstrip("\n")))
             if event is not None:
                 yield event
                 first = line + 1

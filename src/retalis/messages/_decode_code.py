@@ -1,15 +1,16 @@
 """Source of decoding functions: from the bytes of a type, piece by piece, to the source of its term."""
 
-from struct import Struct, calcsize
+from struct import Struct
 from struct import error as StructError
 from typing import Any, Callable, Dict, List, Tuple
 
 from .. import codegen
 from ..terms import CONS, FALSE, NIL, TRUE, Lazy, Term, atom, functor
 from ._texts import read_text, texts
-from .arrays import SMALL, array_maker, record_maker, variable_array
-from .definition import PRIMITIVES, TIMES, VARIABLE, Definition, Field
-from .layout import element_format, least_size
+from .arrays import SMALL, alike, array_maker, record_maker, variable_array
+from .definition import Definition
+from .layout import element_size
+from .slots import PRIMITIVES, TIMES, VARIABLE, Field, measure_of
 from .text import text_term
 
 
@@ -32,6 +33,7 @@ class Code:
             "known": texts.get,
             "read_text": read_text,
             "text": text_term,
+            "alike": alike,
         }
         self.constants: Dict[Any, str] = {}
         self.serial = 0
@@ -89,10 +91,12 @@ class Code:
         if number <= SMALL and slot.definition is None:
             parts = [self.single(slot._replace(length=None)) for _ in range(number)]
             return "".join(f"(C, {part}, " for part in parts) + "N" + ")" * number
-        element = element_format(slot)
-        if not element:
+        size = element_size(slot)
+        if size is None:
             return self.elements(slot, str(number))
-        value = self.fixed(f"{number * calcsize('<' + element)}s")
+        if not size:
+            return self.alike(slot, str(number))
+        value = self.fixed(f"{number * size}s")
         return f"Lazy(C, {self.name('make', _maker(slot))}, {value})"
 
     def variable(self, slot: Field) -> str:
@@ -100,10 +104,11 @@ class Code:
         self.flush()
         if slot.is_bytes:
             return self.blob(number)
-        element = element_format(slot)
-        if not element:
+        size = element_size(slot)
+        if size is None:
             return self.elements(slot, number)
-        size = calcsize("<" + element)
+        if not size:
+            return self.alike(slot, number)
         value = self.name("t")
         make = self.name("make", _maker(slot))
         self.move(f"{number} * {size}")
@@ -113,6 +118,10 @@ class Code:
             f"else: {value} = Lazy(C, {make}, data[s:o])",
         ]
         return value
+
+    def alike(self, slot: Field, number: str) -> str:
+        """An array whose elements have no bytes: all are one term."""
+        return f"alike({self.single(slot._replace(length=None))}, {number})"
 
     def elements(self, slot: Field, number: str) -> str:
         """An array whose elements differ in size: each is decoded to find the next."""
@@ -173,7 +182,7 @@ def _compile_element(slot: Field) -> Tuple[Callable[[bytes, int], Tuple[Term, in
     lines = ["def element(data, o):", *("  " + line for line in code.lines)]
     lines.append(f"  return {result}, {code.place()}")
     element = codegen.function(lines, code.names, f"decode element {slot.type}", "element")
-    return element, least_size(slot._replace(length=None))
+    return element, measure_of(slot).least
 
 
 def _compile_records(slot: Field) -> Callable[[bytes], Term]:

@@ -6,7 +6,8 @@ from typing import Any, Callable, List, Optional, Tuple
 from ..terms import Term
 from ._decode_code import Code
 from ._texts import keep_text, read_texts, text_cache
-from .definition import Definition, Field
+from .definition import Definition
+from .slots import Field
 
 
 class Unsuited(Exception):
@@ -57,6 +58,8 @@ class FrameCode(Code):
         Raises:
             Unsuited: where the type is not of this shape.
         """
+        if definition.measure.may_be_bare:  # which have to be counted first
+            raise Unsuited
         result = self.message(definition)
         head, tail = Struct("<" + self.before[0]), Struct("<" + self.format)
         if not self.texts or not (head.size or tail.size):

@@ -7,7 +7,6 @@ from typing import Any, Callable, Dict, List, Tuple
 
 from .. import codegen
 from ..terms import CONS, NIL, Term
-from .layout import EMPTY_LIMIT
 
 SMALL = 4
 """Arrays up to this length are decoded with the message: a lazy term would cost as much."""
@@ -27,6 +26,14 @@ def array_maker(code: str) -> Make:
         return term
 
     return make
+
+
+def alike(element: Term, number: int) -> Term:
+    """Return the list of so many elements that are one term."""
+    term: Term = NIL
+    for _ in range(number):
+        term = (CONS, element, term)
+    return term
 
 
 def record_maker(title: str, layout: Struct, targets: List[str], element: str, names: Dict[str, Any]) -> Make:
@@ -62,7 +69,7 @@ def variable_array(
     """
 
     def decode(data: bytes, at: int, number: int) -> Tuple[Term, int]:
-        if number * least > len(data) - at or (not least and number > EMPTY_LIMIT):
+        if number * least > len(data) - at:  # before anything is made
             raise StructError
         items = []
         for _ in range(number):

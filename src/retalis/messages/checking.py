@@ -7,7 +7,8 @@ from typing import Callable, Dict, List
 from ..errors import MessageError
 from ..terms import FALSE, NIL, TRUE, Atom, Functor, Term, Var, atom, deref, functor, list_items
 from ..terms import String as PrologString
-from .definition import PRIMITIVES, TIMES, VARIABLE, Definition, Field, integer_range
+from .definition import Definition, integer_range
+from .slots import PRIMITIVES, TIMES, VARIABLE, Field
 from .text import text_bytes
 
 _BOOLS: Dict[Atom, bool] = {TRUE: True, atom("True"): True, FALSE: False, atom("False"): False}

@@ -16,13 +16,17 @@ from ..terms import Lazy, Term, functor
 from ._decode_code import Code
 from ._frame_code import FrameCode, Unsuited
 from .definition import HEADER, Definition
-from .layout import explain
+from .layout import BARE, check_bare, explain
 
 Decode = Callable[[bytes], Term]
 
 
 class Decoder:
     """The decoder of one message type.
+
+    Args:
+        definition: the type.
+        bare: how many elements without bytes a message may have.
 
     Attributes:
         definition: the type.
@@ -35,10 +39,10 @@ class Decoder:
 
     __slots__ = ("definition", "functor", "decode", "stamp")
 
-    def __init__(self, definition: Definition):
+    def __init__(self, definition: Definition, bare: int = BARE):
         self.definition = definition
         self.functor = functor(definition.functor_name, len(definition.fields))
-        self.decode: Decode = _compile_decode(definition)
+        self.decode: Decode = _compile_decode(definition, bare)
         self.stamp: Callable[[bytes], Optional[int]] = _compile_stamp(definition)
 
     def lazy(self, data: bytes) -> Term:
@@ -51,7 +55,7 @@ class Decoder:
         return Lazy(self.functor, self.decode, data)
 
 
-def _compile_decode(definition: Definition) -> Decode:
+def _compile_decode(definition: Definition, bare: int) -> Decode:
     code = Code()
     code.base = "0"
     result = code.message(definition)
@@ -64,6 +68,8 @@ def _compile_decode(definition: Definition) -> Decode:
         f"  return {result}",
     ]
     general: Decode = codegen.function(lines, code.names, f"decode {definition.name}", "decode")
+    if definition.measure.may_be_bare:
+        return _checked(definition, bare, general)
     frames = FrameCode()
     try:
         lines = frames.build(definition, general)
@@ -71,6 +77,16 @@ def _compile_decode(definition: Definition) -> Decode:
         return general
     fast: Decode = codegen.function(lines, frames.names, f"decode {definition.name}", "decode")
     return fast
+
+
+def _checked(definition: Definition, bare: int, decode: Decode) -> Decode:
+    """Return the function of a type with arrays that a few bytes may say anything of: they are counted before."""
+
+    def checked(data: bytes) -> Term:
+        check_bare(definition, data, bare)
+        return decode(data)
+
+    return checked
 
 
 def _failing(definition: Definition) -> Callable[[bytes], None]:

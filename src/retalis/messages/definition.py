@@ -5,35 +5,15 @@ import re
 from dataclasses import dataclass, field
 from typing import Callable, Container, Dict, Iterator, List, NamedTuple, Optional, Tuple, Union
 
-from ..errors import SHOWN, MessageError, Place, place_at, shortened
+from ..errors import SHOWN, MessageError, Place, place_at, place_in, shortened
 from ..rosnames import plain_fault, type_fault
-
-PRIMITIVES: Dict[str, str] = {
-    "bool": "?",
-    "int8": "b",
-    "uint8": "B",
-    "byte": "b",
-    "char": "B",
-    "int16": "h",
-    "uint16": "H",
-    "int32": "i",
-    "uint32": "I",
-    "int64": "q",
-    "uint64": "Q",
-    "float32": "f",
-    "float64": "d",
-}
-"""Number types and their `struct` codes; ``byte`` and ``char`` are old names of int8 and uint8."""
-
-TIMES: Dict[str, str] = {"time": "II", "duration": "ii"}
-BUILTIN = frozenset(PRIMITIVES) | frozenset(TIMES) | {"string"}
-
-VARIABLE = -1
-"""The length of an array whose number of elements is in the message."""
+from .slots import BUILTIN, LARGEST, MOST_SLOTS, PRIMITIVES, VARIABLE, Field, Measure, measured
 
 HEADER = "std_msgs/Header"
 _HEADER_NAMES = ("Header", "std_msgs/Header", "roslib/Header")
 SEPARATOR = "=" * 80
+
+MOST_SECTIONS = 1000
 
 _COMMENT = re.compile(r"#.*")
 _STRING_CONSTANT = re.compile(r"\s*string\s+(?P<name>\w+)\s*=(?P<value>.*)")
@@ -52,33 +32,6 @@ class Constant(NamedTuple):
     value: Value
 
 
-class Field(NamedTuple):
-    """A slot of a message.
-
-    Attributes:
-        name: the slot's name.
-        type: the type of the slot or of its elements: a built-in one, or ``pkg/Type``.
-        length: None for a single value, `VARIABLE` or the number of elements for an array.
-        definition: the definition of a ``pkg/Type``, None for built-in types.
-    """
-
-    name: str
-    type: str
-    length: Optional[int] = None
-    definition: Optional["Definition"] = None
-
-    @property
-    def is_bytes(self) -> bool:
-        """Whether the slot is an array of bytes, which events show as text."""
-        return self.length is not None and self.type in ("uint8", "char")
-
-    def describe(self) -> str:
-        """Return the type as a definition writes it: ``float64[36]``."""
-        if self.length is None:
-            return self.type
-        return f"{self.type}[{'' if self.length == VARIABLE else self.length}]"
-
-
 @dataclass(frozen=True, eq=False)
 class Definition:
     """A message type with all the types it is made of.
@@ -89,6 +42,7 @@ class Definition:
         constants: the constants in order.
         text: the definition's own text.
         md5sum: the checksum by which ROS tells versions of a type apart.
+        measure: how large its messages are.
 
     Raises:
         MessageError: for a name that is none.
@@ -99,11 +53,13 @@ class Definition:
     constants: Tuple[Constant, ...] = ()
     text: str = ""
     md5sum: str = field(init=False, default="")
+    measure: Measure = field(init=False, default=Measure())
 
     def __post_init__(self) -> None:
         fault = type_fault(self.name)
         if fault is not None:
             raise MessageError(fault)
+        object.__setattr__(self, "measure", measured(self.fields))
         object.__setattr__(self, "md5sum", hashlib.md5(_checksum_text(self).encode()).hexdigest())
 
     @property
@@ -159,7 +115,7 @@ def split_sections(name: str, text: str) -> Dict[str, str]:
         if start:
             if not line.startswith("MSG:"):
                 raise MessageError(
-                    "expected 'MSG: pkg/Type' after the line of '='", Place(name, number, 1, line)
+                    "expected 'MSG: pkg/Type' after the line of '='", place_in(name, number, 1, line)
                 )
             current, lines, start = line[4:].strip(), [], 0
         elif len(line) >= 20 and not line.strip("="):
@@ -177,7 +133,9 @@ def _add_section(sections: Dict[str, str], name: str, lines: List[str]) -> None:
     text = "\n".join(lines) + "\n" if lines else ""
     known = sections.setdefault(name, text)
     if known.split() != text.split():
-        raise MessageError(f"{name} is defined twice, differently")
+        raise MessageError(f"{name[:SHOWN]} is defined twice, differently")
+    if len(sections) > MOST_SECTIONS:
+        raise MessageError(f"a definition cannot bring more than {MOST_SECTIONS} types")
 
 
 def parse(name: str, text: str, find: Callable[[str, str], Definition], source: str = "") -> Definition:
@@ -205,6 +163,7 @@ class _Reader:
         self.source = source
         self.fields: Dict[str, Field] = {}
         self.constants: Dict[str, Constant] = {}
+        self.measure = Measure()
 
     def read(self) -> Tuple[Tuple[Field, ...], Tuple[Constant, ...]]:
         for offset, line in _lines(self.text):
@@ -233,6 +192,10 @@ class _Reader:
     def _constant(self, kind: str, found: "re.Match[str]", offset: int) -> None:
         text = found["value"].strip()
         self._new_name(found, offset, self.constants)
+        if len(self.constants) >= MOST_SLOTS:
+            raise self._error(
+                f"a type cannot have more than {MOST_SLOTS} constants", offset + found.start("name")
+            )
         if kind not in PRIMITIVES and kind != "string":
             raise self._error(f"a constant cannot be of type {kind[:SHOWN]}", offset + found.start())
         try:
@@ -246,14 +209,22 @@ class _Reader:
         self._new_name(found, offset, self.fields)
         kind, array, length = found["type"], found["array"], None
         if array is not None:
-            size = array[1:-1].strip()
-            length = int(size) if size else VARIABLE
+            length = self._length(array[1:-1].strip(), offset + found.start("array"))
         if kind in BUILTIN:
             definition = None
         else:
             definition = self._nested(kind, offset + found.start("type"))
             kind = definition.name
-        self.fields[found["name"]] = Field(found["name"], kind, length, definition)
+        slot = self.fields[found["name"]] = Field(found["name"], kind, length, definition)
+        self.measure = self.measure.plus(slot)
+        problem = self.measure.problem()
+        if problem:
+            raise self._error(problem, offset + found.start("type"))
+
+    def _length(self, digits: str, at: int) -> int:
+        if len(digits) > len(str(LARGEST)) or (digits and int(digits) > LARGEST):
+            raise self._error(f"an array cannot have more than {LARGEST} elements", at)
+        return int(digits) if digits else VARIABLE
 
     def _nested(self, kind: str, at: int) -> Definition:
         try:
@@ -269,7 +240,7 @@ class _Reader:
         if fault is not None:
             raise self._error(fault, offset + found.start("name"))
         if name in known:
-            raise self._error(f"{name} is defined twice", offset + found.start("name"))
+            raise self._error(f"{name[:SHOWN]} is defined twice", offset + found.start("name"))
 
     def _error(self, message: str, offset: int) -> MessageError:
         return MessageError(message, place_at(self.source, self.text, offset))

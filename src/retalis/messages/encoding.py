@@ -16,9 +16,9 @@ from ..errors import MessageError
 from ..terms import CONS, FALSE, NIL, TRUE, Atom, Lazy, Term, atom, functor
 from .arrays import SMALL, array_maker
 from .checking import Checker
-from .definition import PRIMITIVES, TIMES, VARIABLE, Definition, Field
+from .definition import Definition
+from .slots import PRIMITIVES, TIMES, VARIABLE, Field
 from .text import text_atom, text_bytes
-
 
 _BOOLS = {TRUE: True, FALSE: False}
 
@@ -56,7 +56,9 @@ class _PackedTexts(Cache[Atom, bytes]):
         if raw is None:
             raise _Unusual
         packed: bytes = pack("<I", len(raw)) + raw
-        return self.keep(term, packed, getsizeof(term.name) + len(packed)) if term.__class__ is Atom else packed
+        return (
+            self.keep(term, packed, getsizeof(term.name) + len(packed)) if term.__class__ is Atom else packed
+        )
 
 
 _packed = _PackedTexts(2048, 1 << 20, 1024)

@@ -1,55 +1,47 @@
 """Where the slots of a message lie in its bytes."""
 
-from struct import calcsize, unpack_from
+from struct import unpack_from
 from typing import Optional
 
-from .definition import PRIMITIVES, TIMES, VARIABLE, Definition, Field
+from ..errors import MessageError, beginning
+from .definition import Definition
+from .slots import VARIABLE, Field, measure_of
 
-EMPTY_LIMIT = 1 << 20
-"""Elements that an array of empty messages may have; its length is all that such an array is."""
-
-
-def element_format(slot: Field) -> Optional[str]:
-    """Return the `struct` format of one element of a slot, or None where elements differ in size."""
-    if slot.definition is not None:
-        return fixed_format(slot.definition)
-    if slot.type == "string":
-        return None
-    return TIMES.get(slot.type) or PRIMITIVES[slot.type]
+BARE = 10_000
+"""Elements without bytes (messages without slots in an array) that a message may have, where no setting says so."""
 
 
-def fixed_format(definition: Definition) -> Optional[str]:
-    """Return the `struct` format of a type whose messages are all of one size, else None."""
-    parts = []
-    for slot in definition.fields:
-        element = element_format(slot)
-        if element is None or slot.length == VARIABLE:
-            return None
-        parts.append(element * (1 if slot.length is None else slot.length))
-    return "".join(parts)
-
-
-def least_size(slot: Field) -> int:
-    """Return the number of bytes of the shortest value of a slot."""
-    if slot.length == VARIABLE or (slot.type == "string" and slot.length is None):
-        return 4
-    if slot.definition is not None:
-        one = sum(least_size(nested) for nested in slot.definition.fields)
-    elif slot.type == "string":
-        one = 4
-    else:
-        one = calcsize("<" + (TIMES.get(slot.type) or PRIMITIVES[slot.type]))
-    return one * (1 if slot.length is None else slot.length)
+def element_size(slot: Field) -> Optional[int]:
+    """Return the bytes of one element of a slot, or None where elements differ in size."""
+    measure = measure_of(slot)
+    return measure.least if measure.fixed else None
 
 
 def explain(definition: Definition, data: bytes) -> str:
     """Say why bytes are no message of a type."""
     size = len(data)
     try:
-        end = _end(definition, data, 0, "")
+        end = _Walk(data).end(definition, 0, "")
     except _Cut as cut:
-        return f"{size} bytes are no {definition.name}: they end in slot {cut.path}"
+        return f"{size} bytes are no {definition.name}: they end in slot {beginning(cut.path)}"
     return f"{size} bytes are no {definition.name}: {size - end} are left over"
+
+
+def check_bare(definition: Definition, data: bytes, most: int) -> None:
+    """Count the elements without bytes in a message: their number is all that there is of them.
+
+    Raises:
+        MessageError: where there are too many, or the bytes are no message.
+    """
+    walk = _Walk(data)
+    try:
+        walk.end(definition, 0, "")
+    except _Cut:
+        raise MessageError(explain(definition, data)) from None
+    if walk.bare > most:
+        raise MessageError(
+            f"a {definition.name} has {walk.bare} elements without bytes in its arrays: at most {most} are taken"
+        )
 
 
 class _Cut(Exception):
@@ -58,31 +50,45 @@ class _Cut(Exception):
         self.path = path
 
 
-def _end(definition: Definition, data: bytes, at: int, prefix: str) -> int:
-    for slot in definition.fields:
-        path = prefix + slot.name
-        number = 1 if slot.length is None else slot.length
-        if slot.length == VARIABLE:
-            at, number = at + 4, _number(data, at, path)
-        size = element_format(slot)
-        if size is not None:
-            at += number * calcsize("<" + size)
-            if at > len(data) or (not size and number > EMPTY_LIMIT):
-                raise _Cut(path)
-            continue
+class _Walk:
+    """Goes over the bytes of a message without making anything of them, and counts elements without bytes."""
+
+    def __init__(self, data: bytes):
+        self.data = data
+        self.bare = 0
+
+    def end(self, definition: Definition, at: int, prefix: str) -> int:
+        """Return where a message that begins at a place ends."""
+        for slot in definition.fields:
+            path = prefix + slot.name
+            number = 1 if slot.length is None else slot.length
+            if slot.length == VARIABLE:
+                at, number = at + 4, self.number(at, path)
+            one = measure_of(slot)
+            if one.fixed:
+                at += number * one.least
+                self.bare += number * (one.bare + (slot.length is not None and not one.least))
+                if at > len(self.data):
+                    raise _Cut(path)
+            else:
+                at = self.elements(slot, number, at, path)
+        return at
+
+    def elements(self, slot: Field, number: int, at: int, path: str) -> int:
+        """Return where elements that differ in size end."""
         for index in range(number):
             place = path if slot.length is None else f"{path}[{index}]"
             if slot.definition is not None:
-                at = _end(slot.definition, data, at, place + ".")
+                at = self.end(slot.definition, at, place + ".")
             else:
-                at += 4 + _number(data, at, place)
-                if at > len(data):
+                at += 4 + self.number(at, place)
+                if at > len(self.data):
                     raise _Cut(place)
-    return at
+        return at
 
-
-def _number(data: bytes, at: int, path: str) -> int:
-    if at + 4 > len(data):
-        raise _Cut(path)
-    number: int = unpack_from("<I", data, at)[0]
-    return number
+    def number(self, at: int, path: str) -> int:
+        """Return the number at a place."""
+        if at + 4 > len(self.data):
+            raise _Cut(path)
+        number: int = unpack_from("<I", self.data, at)[0]
+        return number

@@ -2,12 +2,15 @@
 
 from typing import Dict, List, Optional, Sequence, Set, Tuple, Union
 
-from ..errors import MessageError
+from ..caches import Cache
+from ..errors import MessageError, beginning
 from ..rosnames import type_fault
 from .decoding import Decoder
 from .definition import Definition, parse, split_sections
 from .encoding import Encoder
 from .installed import Installed
+from .layout import BARE
+from .slots import DEEPEST
 
 _SAME = {"tf/tfMessage": "tf2_msgs/TFMessage"}
 """Types that are another one by an old name: equal texts, equal checksums."""
@@ -16,6 +19,15 @@ _COMMON = {"tf2_msgs/TFMessage": "geometry_msgs/TransformStamped[] transforms\n"
 """Types that every robot sends and that not every system has as text (Debian, ``rosbags``)."""
 
 _Key = Tuple[str, str]
+
+LONGEST_TEXT = 1 << 20
+"""Characters that a definition may have, with those of the types in it."""
+
+MOST_TYPES, MOST_TEXT = 1000, 16 << 20
+"""Types that are added at most, and characters that their definitions may have all together."""
+
+_SLOT = 2000
+"""Bytes that a slot takes in a definition or in the functions of its type, as measured."""
 
 
 class Definitions:
@@ -26,16 +38,19 @@ class Definitions:
 
     Args:
         installed: where installed types are looked up; the usual places by default.
+        bare: how many elements without bytes (messages without slots in an array) a message may have.
     """
 
-    def __init__(self, installed: Optional[Installed] = None):
+    def __init__(self, installed: Optional[Installed] = None, bare: int = BARE):
         self._installed = Installed() if installed is None else installed
+        self._bare = bare
+        self._characters = 0
         self._added: Dict[str, Definition] = {}
         self._nested: Dict[str, Definition] = {}
         self._found: Dict[str, Definition] = {}
-        self._by_text: Dict[Tuple[str, str], Definition] = {}
-        self._decoders: Dict[_Key, Decoder] = {}
-        self._encoders: Dict[_Key, Encoder] = {}
+        self._by_text: Cache[_Key, Definition] = Cache(1000, 32 << 20, 32 << 20)
+        self._decoders: Cache[_Key, Decoder] = Cache(1000, 32 << 20, 32 << 20)
+        self._encoders: Cache[_Key, Encoder] = Cache(1000, 32 << 20, 32 << 20)
 
     def add(self, name: str, text: str, md5sum: str = "") -> Definition:
         """Add a type from its text, which may contain the texts of nested types (``MSG: pkg/Type``).
@@ -49,22 +64,41 @@ class Definitions:
             md5sum: the checksum that came with the text; it is compared where it is given and is not ``*``.
 
         Raises:
-            MessageError: for a text that is no definition, that names a type found nowhere, or that has
-                another checksum.
+            MessageError: for a text that is no definition or too long, that names a type found nowhere, or that
+                has another checksum; where too many types were added.
         """
+        if len(text) > LONGEST_TEXT:
+            raise MessageError(
+                f"the definition of {beginning(name)} has {len(text)} characters: at most {LONGEST_TEXT} are taken"
+            )
         definition = self._by_text.get((name, text))
         if definition is None:
             definition = _Resolver(self, split_sections(name, text)).resolve(name)
-            self._by_text[name, text] = definition
+            self._by_text.keep((name, text), definition, 2 * len(text) + _SLOT * definition.measure.slots)
         if md5sum not in ("", "*", definition.md5sum):
             raise MessageError(
                 f"the definition of {name} that came with the messages is not theirs: "
                 f"its checksum is {definition.md5sum}, theirs {md5sum}"
             )
-        self._added.setdefault(name, definition)
+        if name not in self._added:
+            self._note(definition, len(text))
+        return definition
+
+    def _note(self, definition: Definition, characters: int) -> None:
+        """Have a type be found by its name, and those nested in it.
+
+        Raises:
+            MessageError: where there are too many.
+        """
+        if len(self._added) >= MOST_TYPES or self._characters + characters > MOST_TEXT:
+            raise MessageError(
+                f"{definition.name} is not taken: the definitions of {len(self._added)} message types were taken, "
+                f"with {self._characters} characters (at most {MOST_TYPES}, with {MOST_TEXT})"
+            )
+        self._characters += characters
+        self._added[definition.name] = definition
         for nested in definition.dependencies():
             self._nested.setdefault(nested.name, nested)
-        return definition
 
     def received(self, name: str, sent: str, text: str, md5sum: str) -> Definition:
         """Return the definition by which to read messages as a type: the known one, or what came with them.
@@ -113,7 +147,9 @@ class Definitions:
         key = (definition.name, definition.md5sum)
         found = self._decoders.get(key)
         if found is None:
-            found = self._decoders[key] = Decoder(definition)
+            found = self._decoders.keep(
+                key, Decoder(definition, self._bare), _SLOT * (definition.measure.slots + 2)
+            )
         return found
 
     def encoder(self, definition: Union[Definition, str]) -> Encoder:
@@ -122,7 +158,7 @@ class Definitions:
         key = (definition.name, definition.md5sum)
         found = self._encoders.get(key)
         if found is None:
-            found = self._encoders[key] = Encoder(definition)
+            found = self._encoders.keep(key, Encoder(definition), _SLOT * (definition.measure.slots + 2))
         return found
 
     def installed_text(self, name: str) -> Optional[Tuple[str, str]]:
@@ -137,11 +173,12 @@ class Definitions:
 class _Resolver:
     """Reads a type and those it is made of: from the sections of one text first, then from the registry."""
 
-    def __init__(self, registry: Definitions, sections: Dict[str, str]):
+    def __init__(self, registry: Definitions, sections: Dict[str, str], inside: Optional[Set[str]] = None):
         self.registry = registry
         self.sections = sections
         self.done: Dict[str, Definition] = {}
-        self.open: Set[str] = set()
+        self.open: Set[str] = set() if inside is None else inside
+        """The types that are being read, the others in which they lie included."""
 
     def resolve(self, name: str) -> Definition:
         found = self.done.get(name)
@@ -151,12 +188,16 @@ class _Resolver:
                 raise MessageError(fault)
             if name in self.open:
                 raise MessageError(f"{name} contains itself")
+            if len(self.open) > DEEPEST:
+                raise MessageError(f"types cannot lie in each other more than {DEEPEST} deep")
             self.open.add(name)
-            found = self.done[name] = self._read(name)
-            self.open.discard(name)
+            try:
+                found = self.done[name] = self.read(name)
+            finally:
+                self.open.discard(name)
         return found
 
-    def _read(self, name: str) -> Definition:
+    def read(self, name: str) -> Definition:
         text = self.sections.get(name)
         if text is not None:
             return parse(name, text, self._nested)
@@ -165,7 +206,7 @@ class _Resolver:
             text, source = installed
             sections = split_sections(name, text)
             if len(sections) > 1:
-                return _Resolver(self.registry, sections).resolve(name)
+                return _Resolver(self.registry, sections, self.open).read(name)
             return parse(name, text, self._nested, source)
         known = self.registry.known(name)
         if known is not None:
@@ -174,7 +215,9 @@ class _Resolver:
             return parse(name, _COMMON[name], self._nested)
         if name in _SAME:
             return self.resolve(_SAME[name]).renamed(name)
-        raise MessageError(f"no definition of the message type {name} is installed or was received")
+        raise MessageError(
+            f"no definition of the message type {beginning(name)} is installed or was received"
+        )
 
     def _nested(self, written: str, package: str) -> Definition:
         for name in _candidates(written, package, self.sections):

@@ -8,7 +8,7 @@ from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Tu
 from lark import Lark, Token
 from lark import __version__ as _lark_version
 
-from ..errors import Place, SyntaxFault
+from ..errors import Place, SyntaxFault, place_on
 from ..terms import String, Term, atom, make_list
 from ..watching import BULK, look
 from . import numerals
@@ -63,10 +63,7 @@ class Source:
                 starts.append(at)
                 at = text.find("\n", at) + 1
         line = bisect_right(starts, offset)
-        start = starts[line - 1]
-        end = text.find("\n", start)
-        line += self.first_line - 1
-        return Place(self.name, line, offset - start + 1, text[start : end if end >= 0 else len(text)])
+        return place_on(self.name, line + self.first_line - 1, text, starts[line - 1], offset)
 
     def fault(self, message: str, offset: int) -> SyntaxFault:
         """Return the error about the character at ``offset``."""

@@ -1,0 +1,35 @@
+"""Places keep a short part of a long line, and show it with a caret at the column."""
+
+import pytest
+
+from retalis.errors import SHOWN, Place, beginning, place_at, place_in
+from retalis.syntax import Operators, read_program
+
+
+@pytest.mark.parametrize(
+    "length,column", [(10, 1), (10, 10), (10, 11), (5000, 1), (5000, 2500), (5000, 5000)]
+)
+def test_the_caret_stands_under_the_column_of_a_line_of_any_length(length, column):
+    line = "".join(chr(ord("a") + at % 26) for at in range(length))
+    for place in (place_in("file", 3, column, line), place_at("file", f"1\n\n{line}\nend", column + 2)):
+        assert (place.source, place.line, place.column) == ("file", 3, column)
+        shown, caret = place.context().split("\n")
+        assert len(shown) <= SHOWN and len(caret) <= SHOWN + 1
+        assert shown in line and (shown == line or length > SHOWN)
+        assert caret.index("^") == len(caret) - 1
+        assert shown[len(caret) - 1 : len(caret)] == line[column - 1 : column]
+
+
+def test_a_place_made_of_a_whole_line_shows_it():
+    assert Place("file", 1, 3, "a\tb").context() == "a\tb\n \t^"
+
+
+def test_texts_are_shown_by_their_beginning():
+    assert beginning("a" * SHOWN) == "a" * SHOWN
+    assert beginning("a" * 5000) == "a" * SHOWN + "..."
+
+
+def test_what_is_read_of_one_long_line_keeps_little_of_it():
+    (fault,) = read_program("f(" + "a," * 100_000 + "b c).", Operators.prolog(), "file")
+    assert fault.place.column == 200_005
+    assert len(str(fault)) < 1000
