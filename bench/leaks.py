@@ -241,8 +241,9 @@ def event_names() -> Round:
 
 @case
 def derived_event_names() -> Round:
+    stamp = "datime(2000,1,1,0,0,0,1)"
     one = engine(
-        "null_event do (atom_concat(new_, X, N), E =.. [N, X], new_event(E, [datime(2000,1,1,0,0,0,1),datime(2000,1,1,0,0,0,1)])) <- in(X)."
+        f"null_event do (atom_concat(new_, X, N), E =.. [N, X], new_event(E, [{stamp},{stamp}])) <- in(X)."
     )
     return lambda number: one.event(f"in(e_{number})", number)
 
