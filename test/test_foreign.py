@@ -226,14 +226,33 @@ def test_use_foreign(tmp_path):
     engine.on_event(lambda term, start, end: seen.append(engine.show(term)))
     engine.event("a(4)", 1)
     assert seen == ["a(4)", "b(8)"]
-    assert engine.call(f"use_foreign('{tmp_path / 'helpers.py'}')")
+    engine.load(goals=f"use_foreign('{tmp_path / 'helpers.py'}')")
+
+
+@pytest.mark.parametrize("folders", [None, ()])
+def test_goals_that_run_later_load_no_python(tmp_path, folders):
+    (tmp_path / "helpers.py").write_text("import pathlib\npathlib.Path(__file__).with_name('ran').touch()\n")
+    engine = Engine(settings=Settings(allow_foreign=True, folders=folders, write_folders=folders))
+    errors: List[str] = []
+    engine.rules.on_error = lambda error: errors.append(str(error))
+    engine.load(rules="loading(M) do use_foreign(M) <- load(M).", folder=tmp_path)
+    for module in ("helpers", "'helpers.py'", f"'{tmp_path}/helpers.py'", "'os.path'"):
+        for goal in (f"use_foreign({module})", f"compile_event_rules([(:- use_foreign({module}))])"):
+            with pytest.raises(RetalisError, match="load foreign_module .* own files only"):
+                engine.call(goal)
+        engine.event(f"load({module})", 1)
+        assert "load foreign_module" in errors.pop()
+    (tmp_path / "more.pl").write_text(":- use_foreign(helpers).\n")
+    with pytest.raises(RetalisError, match="more.pl:1:1: .*load foreign_module"):
+        engine.call(f"ensure_loaded('{tmp_path}/more.pl')")
+    assert not (tmp_path / "ran").exists()
 
 
 def test_use_foreign_by_module_name(monkeypatch, tmp_path):
     (tmp_path / "retalis_test_helpers.py").write_text(MODULE)
     monkeypatch.syspath_prepend(str(tmp_path))
     engine = Engine(settings=Settings(allow_foreign=True))
-    assert engine.call("use_foreign(retalis_test_helpers)")
+    engine.load(goals="use_foreign(retalis_test_helpers)")
     assert answers(engine, "double(2, X)") == [{"X": "4"}]
     sys.modules.pop("retalis_test_helpers")
 
@@ -242,8 +261,8 @@ def test_use_foreign_by_module_name(monkeypatch, tmp_path):
 def test_bad_module(tmp_path, text):
     (tmp_path / "bad.py").write_text(text)
     engine = Engine(settings=Settings(allow_foreign=True))
-    with pytest.raises(PrologError):
-        engine.call(f"use_foreign('{tmp_path / 'bad.py'}')")
+    with pytest.raises(ProgramErrors, match="cannot load |has no function"):
+        engine.load(goals=f"use_foreign('{tmp_path / 'bad.py'}')")
 
 
 def test_a_result_that_does_not_fit_is_the_goals_error():

@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from retalis.engine import Engine
+from retalis.engine import Engine, Settings
 from retalis.errors import ProgramErrors, UsageError
 from retalis.logic import PrologError
 from retalis.program import TopicType, read_text, read_topics
@@ -82,6 +82,14 @@ def test_where_a_text_is_no_utf_8_is_said(tmp_path):
     path.write_bytes("a.\nb. % gr\u00fcn\n".encode("latin-1"))
     with pytest.raises(UsageError, match=r"latin.txt: no UTF-8 text \(line 2: invalid start byte 0xfc\)"):
         read_text(path)
-    engine = Engine()
+    engine = Engine(settings=Settings(folders=[tmp_path]))
     with pytest.raises(PrologError, match=r"no UTF-8 text \(line 2: invalid start byte 0xfc\)"):
         engine.call(f"compile_event_file('{path}')")
+
+
+@pytest.mark.parametrize("name", ["a\0b", f"{chr(0xD800)}.txt", "x" * 10_000])
+def test_what_no_file_is_called_is_a_clear_error(tmp_path, name):
+    with pytest.raises(UsageError, match="cannot read "):
+        read_text(tmp_path / name)
+    with pytest.raises(UsageError, match="cannot read "):
+        Engine().load_program(tmp_path / name)

@@ -15,11 +15,8 @@
 The parameters are the first arguments of the predicate; the result is unified with the last.
 """
 
-import importlib
-import importlib.util
 import inspect
 import numbers
-from pathlib import Path
 from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple, get_type_hints
 
 from .errors import RetalisError, TermTooLarge, UsageError
@@ -367,29 +364,3 @@ _READERS: Dict[Any, Callable[[Term], Any]] = {
     bool: _typed((bool,), "bool", bool),
     list: _typed((list,), "list", list),
 }
-
-
-# Loading
-
-
-def load_module(name: str, resolve: Callable[[Any], Path]) -> Any:
-    """Return a module by its name, or by the path of its file.
-
-    Args:
-        name: ``package.module``, ``file.py`` or ``folder/file.py``; a name without a dot is first looked for
-            as a file beside the file that names it.
-        resolve: makes relative paths absolute, and refuses those that are not allowed.
-
-    Raises:
-        UsageError: where there is no such module, or importing it fails.
-    """
-    path = resolve(name if name.endswith(".py") else f"{name}.py")
-    try:
-        if name.endswith(".py") or ("." not in name and path.exists()):
-            spec = importlib.util.spec_from_file_location(f"retalis_foreign_{path.stem}", str(path))
-            module = importlib.util.module_from_spec(spec)  # type: ignore[arg-type]
-            spec.loader.exec_module(module)  # type: ignore[union-attr]
-            return module
-        return importlib.import_module(name)
-    except Exception as error:  # a module may fail in any way while it is imported
-        raise UsageError(f"cannot load {name}: {type(error).__name__}: {error}") from error

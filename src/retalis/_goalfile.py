@@ -1,14 +1,15 @@
 """Goal files (``goalPredicates.txt``): one goal a line, the full stop left out more often than not."""
 
+from functools import partial
 from pathlib import Path
-from typing import Any, Iterator, List, NamedTuple, Optional, Union
+from typing import Any, Callable, Iterator, List, NamedTuple, Optional, Tuple, Union
 
 from .errors import Place, ProgramErrors, RetalisError, RuleError, SyntaxFault
-from .program import read_text
 from .syntax import Operators, ReadTerm, read_term
 from .terms import Term, deref, functor
 
 Read = Union[ReadTerm, SyntaxFault]
+Load = Callable[[Optional[Path], Callable[[], Any]], Any]
 
 _DIRECTIVES = (functor(":-", 1), functor("?-", 1))
 _INCLUDE = functor("include", 1)
@@ -29,22 +30,30 @@ def goal_of(term: Term) -> Term:
 
 
 def goals_of(
-    text: str, source: str, folder: Optional[Path], operators: Operators, files: Any
+    text: str, source: str, folder: Optional[Path], operators: Operators, files: Any, load: Load
 ) -> Iterator[Union[Goal, RetalisError]]:
     """Yield the goals of a goal file and, in their places, those of the files that it includes.
 
     ``:- Goal`` is Goal; ``include(File)`` stands for the goals of another goal file. An error is yielded where
     something does not read.
+
+    Args:
+        text: of the goal file.
+        source: what errors call it.
+        folder: where it stands.
+        operators: those that hold in it.
+        files: of the program.
+        load: does a piece of work of a file of the program that stands in a folder, while nothing else is done.
     """
     if folder is None:
-        yield from _goals(text, source, None, operators, files)
+        yield from _goals(text, source, None, operators, files, load)
         return
     with files.inside(folder / Path(source).name):
-        yield from _goals(text, source, folder, operators, files)
+        yield from _goals(text, source, folder, operators, files, load)
 
 
 def _goals(
-    text: str, source: str, folder: Optional[Path], operators: Operators, files: Any
+    text: str, source: str, folder: Optional[Path], operators: Operators, files: Any, load: Load
 ) -> Iterator[Union[Goal, RetalisError]]:
     for read in read_goals(text, operators, source):
         if isinstance(read, SyntaxFault):
@@ -55,12 +64,15 @@ def _goals(
             yield Goal(term, read.place, folder)
             continue
         try:
-            with files.trusted(), files.relative_to(folder):
-                path = files.find(term[1])
-            inner = read_text(path)
-            yield from goals_of(inner, str(path), path.parent, operators, files)
+            path, inner = load(folder, partial(_found, files, term[1]))
+            yield from goals_of(inner, str(path), path.parent, operators, files, load)
         except RetalisError as error:
             yield RuleError(error.message, read.place)
+
+
+def _found(files: Any, name: Term) -> Tuple[Path, str]:
+    path = files.find(name)
+    return path, files.text(path)
 
 
 def read_goals(text: str, operators: Operators, source: str) -> Iterator[Read]:
@@ -114,5 +126,7 @@ def _read(lines: List[str], start: int, end: int, operators: Operators, source: 
 def errors_in(error: RetalisError, place: Place) -> List[RetalisError]:
     """Return the errors that a goal of a goal file met: those of the file that it loads, or its own."""
     if isinstance(error.__cause__, ProgramErrors):
-        return error.__cause__.errors
-    return [error if error.place else RuleError(error.message, place)]
+        errors = error.__cause__.errors
+    else:
+        errors = [error]
+    return [one if one.place else RuleError(one.message, place) for one in errors]

@@ -88,7 +88,7 @@ def unknown_memories(engine: Any) -> Iterator[RuleError]:
 def unread_rules(engine: Any, folder: Path) -> Iterator[RuleError]:
     """Yield a warning where a program's folder has rules that no goal has read."""
     path, goals = folder / RULES, folder / GOALS
-    if path.is_file() and path.resolve() not in engine.rules.files.loaded and RULES not in _text(goals):
+    if path.is_file() and not engine.rules.files.has_loaded(path) and RULES not in _text(goals):
         yield RuleError(f"{path} is not read: no goal of {GOALS} says compile_event_file('{RULES}')")
 
 

@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Any, Callable, Dict, Generator, List, NamedTuple, Optional, Tuple, Union, cast
 
 from . import timestamps
-from ._foreign import define_foreign, load_module
+from ._foreign import define_foreign
+from ._foreign_modules import define_use_foreign
 from ._goalfile import errors_in, goals_of
 from ._inputs import InputReader
 from ._making import define_new_event
@@ -14,13 +15,14 @@ from ._recovery import EngineRecovery
 from ._reports import Reports
 from ._runner import Runner
 from .clock import Clock, StreamClock
+from .door import MEGABYTE
 from .errors import ProgramErrors, RetalisError, RuleError, UsageError, beginning
 from .events import Dispatcher, Rules, Stage
 from .knowledge import Knowledge
-from .logic import Limits, Logic, instantiation_error, permission_error, type_error
+from .logic import Limits, Logic
 from .program import GOALS, read_text
 from .syntax import read_term
-from .terms import Atom, Functor, String, Term, Var, copy, deref, variables
+from .terms import Functor, Term, Var, copy, variables
 from .timestamps import WholeSeconds
 
 log = logging.getLogger("retalis")
@@ -39,10 +41,12 @@ class Settings(NamedTuple):
         queue: how many events may wait for the one that is being worked on.
         allow_goals: whether any goal is taken as input, not only events.
         allow_foreign: whether programs may load Python modules with ``use_foreign/1``.
-        folders: where goals of events, queries and services may open files; None means anywhere. A program
-            that is being loaded (`Engine.load` and its sisters) may name any file; the folders of
-            those are allowed from then on.
+        folders: where goals of events, queries and services may read files, besides the program's own folders;
+            None means anywhere. What a program does while it is loaded (`Engine.load` and its sisters) is free.
         patience: how many seconds a call from another thread waits for one callback, see `Engine`.
+        write_folders: where goals may write files, and read them; None means anywhere. Files whose place nobody
+            names, as that of persistent events, are written in the first of them.
+        max_file_megabytes: how large a file may be that a program reads or writes.
     """
 
     limits: Limits = Limits()
@@ -50,8 +54,10 @@ class Settings(NamedTuple):
     queue: int = 5000
     allow_goals: bool = False
     allow_foreign: bool = False
-    folders: Optional[Tuple[str, ...]] = None
+    folders: Optional[Tuple[str, ...]] = ()
     patience: float = 10.0
+    write_folders: Optional[Tuple[str, ...]] = ()
+    max_file_megabytes: int = 100
 
 
 class Engine:
@@ -92,7 +98,9 @@ class Engine:
         self.rules = Rules(self.logic, self.dispatcher, self.clock)
         self.rules.on_error = self.reports.error
         self.rules.on_warning = self.reports.warning
-        self.rules.files.allow_only(settings.folders)
+        self._files = self.rules.files
+        self._files.door.allow(settings.folders, settings.write_folders)
+        self._files.door.most = settings.max_file_megabytes * MEGABYTE
         self.knowledge = Knowledge(
             self.logic, self.dispatcher, self.clock.stamp, self._deliver, self.reports.warning
         )
@@ -107,28 +115,38 @@ class Engine:
         self._message = self._take_message
         self._lanes = self.dispatcher.lanes
         define_new_event(self.logic, self.dispatcher)
-        self.logic.define("use_foreign", 1, self._use_foreign).locked = True
+        define_use_foreign(self.logic, self._runner, self._files, settings.allow_foreign)
 
     # ---- loading -------------------------------------------------------------------------------------
 
-    def load(self, rules: str = "", goals: str = "", source: str = "text") -> None:
+    def load(
+        self, rules: str = "", goals: str = "", source: str = "text", folder: Optional[Path] = None
+    ) -> None:
         """Load goals and then rules from texts.
+
+        Args:
+            rules: an event file's text.
+            goals: a goal file's text.
+            source: what errors call them.
+            folder: the program's own, which its goals may read from then on, and where relative paths start;
+                without one the texts name files from the working directory on, and later goals read nothing.
 
         Raises:
             ProgramErrors: all errors; goals before a failed one have been called, of wrong rules none is active.
         """
         if goals:
-            self.call_goals(goals, f"goals of {source}" if source == "text" else source)
+            self.call_goals(goals, f"goals of {source}" if source == "text" else source, folder)
         if rules:
-            self.load_rules(rules, source)
+            self.load_rules(rules, source, folder)
 
     def load_rules(self, text: str, source: str = "text", folder: Optional[Path] = None) -> None:
-        """Load the text of an event file; relative paths in it are relative to ``folder``.
+        """Load the text of an event file; see `load`.
 
         Raises:
             ProgramErrors: all errors; nothing of the text is active then.
         """
-        self._trusted(folder, lambda: self.rules.load_text(text, source, folder))
+        self._own(folder)
+        self._load(folder, lambda: self.rules.load_text(text, source, folder))
 
     def load_program(self, folder: Union[str, Path]) -> None:
         """Call the goals of ``goalPredicates.txt`` in a program's folder; they name the rule files.
@@ -141,18 +159,19 @@ class Engine:
         self.call_goals(read_text(path), str(path), path.parent)
 
     def call_goals(self, text: str, source: str, folder: Optional[Path] = None) -> None:
-        """Call the goals of a goal file one after the other.
+        """Call the goals of a goal file one after the other; see `load`.
 
         Raises:
             ProgramErrors: all that did not read, failed or raised; the others have been called.
         """
+        self._own(folder)
         errors: List[RetalisError] = []
-        for goal in goals_of(text, source, folder, self.logic.operators, self.rules.files):
+        for goal in goals_of(text, source, folder, self.logic.operators, self._files, self._load):
             if isinstance(goal, RetalisError):
                 errors.append(goal)
                 continue
             try:
-                if not self._trusted(goal.folder, lambda: self.logic.once(goal.term)):  # noqa: B023
+                if not self._load(goal.folder, lambda: self.logic.once(goal.term)):  # noqa: B023
                     errors.append(RuleError("this goal fails", goal.place))
             except RetalisError as error:
                 errors += errors_in(error, goal.place)
@@ -283,11 +302,16 @@ class Engine:
         """How many events were dropped because the queue was full."""
         return self._runner.dropped
 
-    def _trusted(self, folder: Optional[Path], work: Callable[[], Any]) -> Any:
-        """Do work of a program that is being loaded from a folder: it may name any file."""
+    def _own(self, folder: Optional[Path]) -> None:
+        """Count a folder as the program's own."""
+        if folder is not None:
+            self._files.door.add_own(folder)
+
+    def _load(self, folder: Optional[Path], work: Callable[[], Any]) -> Any:
+        """Do work of the program's own files, which stand in a folder: it may name any file."""
 
         def run() -> Any:
-            with self.rules.files.trusted(), self.rules.relative_to(folder):
+            with self._files.loading(folder):
                 return work()
 
         return self.do(run)
@@ -403,16 +427,3 @@ class Engine:
         self.reports.warning(
             f"events come faster than they are worked off: {dropped} dropped so far", "dropped"
         )
-
-    def _use_foreign(self, machine: Any, module: Term) -> bool:
-        """Load a Python module and define its predicates: ``use_foreign(Module)``."""
-        module = deref(module)
-        if module.__class__ is Var:
-            raise instantiation_error()
-        if module.__class__ not in (Atom, String):
-            raise type_error("atom", module)
-        if not self.settings.allow_foreign:
-            raise permission_error("load", "foreign_module", module, "the setting allow_foreign is off")
-        name: str = module.name if module.__class__ is Atom else module.text  # type: ignore[assignment]
-        define_foreign(self.logic, self._runner, load_module(name, self.rules.files.resolve))
-        return True

@@ -55,9 +55,12 @@ def read_text(path: Union[str, Path]) -> str:
     """
     try:
         return Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else undecodable(error)
-        raise UsageError(f"cannot read {path}: {reason}") from error
+    except OSError as error:
+        raise UsageError(f"cannot read {path}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise UsageError(f"cannot read {path}: {undecodable(error)}") from error
+    except ValueError as error:  # what no file is called: a NUL, surrogates
+        raise UsageError(f"cannot read {str(path)!r}: {error}") from error
 
 
 def read_topics(path: Union[str, Path]) -> Topics:

@@ -276,3 +276,16 @@ def test_a_goal_that_eats_memory_ends(ask):
     answered = ask("findall(X, repeat, L).\nX = 1.\n", console)
     assert "resource_error" in answered.err or "memory" in answered.err
     assert answered.out.endswith("X = 1.\n")
+
+
+def test_goals_that_are_typed_open_files_anywhere(ask, tmp_path, monkeypatch):
+    for name in ("here", "there"):
+        (tmp_path / name).mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    (tmp_path / "there" / "one.pl").write_text("p(1).")
+    shown = ask(
+        "ensure_loaded('../there/one'), p(X).\nassertz(persistent_event(a)), event(a, [1,1]).\n"
+        "exists_file('persistent.txt').\n"
+    )
+    assert (shown.out, shown.err) == ("X = 1.\ntrue.\ntrue.\n", "")
+    assert (tmp_path / "here" / "persistent.txt").read_text() == "event(a,[1,1]).\n"

@@ -447,3 +447,25 @@ def test_with_nothing_to_do_it_says_what_is_missing(capsys):
         main(["events", "--json"])
     assert caught.value.code == 2
     assert "there is nothing to do: give --rules, --goals, --stream or --queries" in capsys.readouterr().err
+
+
+def test_goals_of_a_stream_open_files_of_the_program_and_of_folders_that_are_named(
+    run, tmp_path, monkeypatch
+):
+    for name in ("here", "data", "out", "program"):
+        (tmp_path / name).mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    (tmp_path / "program" / "rules.txt").write_text("persistent_event(a).")
+    (tmp_path / "program" / "more.pl").write_text("p(1).")
+    (tmp_path / "data" / "more.pl").write_text("p(2).")
+    stream = "consult(more).\nconsult('../data/more').\nevent(a,[1,1]).\n"
+    rules = ("--rules", str(tmp_path / "program" / "rules.txt"))
+    status, lines, errors = run(*rules, stream=stream, queries="p(X)\n")
+    assert (status, lines) == (1, ["event(a,[1,1]).", "p(1)."])
+    assert "stream.txt:2:1: No permission to open source_sink" in errors
+    assert "persistent events could not be written" in errors
+    folders = ("--folder", str(tmp_path / "data"), "--write-folder", str(tmp_path / "out"))
+    status, lines, errors = run(*rules, *folders, stream=stream, queries="p(X)\n")
+    assert (status, lines, errors) == (0, ["event(a,[1,1]).", "p(1).", "p(2)."], "")
+    assert (tmp_path / "out" / "persistent.txt").read_text() == "event(a,[1,1]).\n"
+    assert list((tmp_path / "here").iterdir()) == []

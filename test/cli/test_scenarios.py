@@ -27,7 +27,16 @@ class Run:
                 stream.append(f"{item['goal']}.")
             else:
                 stream.append(f"event({item[0]},[{item[1][0]},{item[1][1]}]).")
-        arguments = ["events", "--memory-events", "--clock", CLOCK, "--outputs", "outputs.out"]
+        arguments = [
+            "events",
+            "--memory-events",
+            "--clock",
+            CLOCK,
+            "--outputs",
+            "outputs.out",
+            "--write-folder",
+            ".",
+        ]
         arguments += written("goals", [f"{goal}." for goal in data["goals"]])
         for number, text in enumerate(rules):
             arguments += written(f"rules{number}", [text] if text else [])

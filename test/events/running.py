@@ -1,7 +1,7 @@
 """Programs over short streams, for tests: ``a@1 b(2)@3-5`` is a stream and an answer alike."""
 
 from retalis.clock import StreamClock
-from retalis.engine import Engine
+from retalis.engine import Engine, Settings
 from retalis.syntax import write_term
 from retalis.terms import copy, functor, variables
 from retalis.timestamps import SECOND
@@ -23,8 +23,9 @@ def seconds(text):
 class Program:
     """A program; ``feed`` gives what followed from a stream, without the stream itself."""
 
-    def __init__(self, rules="", flags=(), policy=None, clock=None):
-        self.engine = Engine(clock=clock or StreamClock(FUTURE))
+    def __init__(self, rules="", flags=(), policy=None, clock=None, folder=None):
+        settings = Settings() if folder is None else Settings(folders=[folder])
+        self.engine = Engine(clock or StreamClock(FUTURE), settings)
         self.errors, self.warnings, self.seen = [], [], []
         self.engine.rules.on_error = lambda error: self.errors.append(error)
         self.engine.rules.on_warning = lambda error: self.warnings.append(error)

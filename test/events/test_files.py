@@ -12,7 +12,7 @@ from retalis.logic import PrologError
 @pytest.fixture
 def program(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    return Program()
+    return Program(folder=tmp_path)
 
 
 def write(folder, **texts):
@@ -62,6 +62,17 @@ def test_a_directive_consults_files_relative_to_its_own(program, tmp_path, goal)
     write(tmp_path / "inner", sub__one="c <- a.")
     program.engine.rules.load_file("inner/main.pl")
     assert program.feed("a@1") == "c@1-1 d@1-1"
+
+
+def test_a_directive_of_a_file_that_is_used_names_files_beside_it(program, tmp_path):
+    write(
+        tmp_path,
+        main=":- use_module('sub/one.pl').",
+        sub__one=":- compile_event_file('two.pl').",
+        sub__two="c <- a.",
+    )
+    program.engine.rules.load_file("main.pl")
+    assert program.feed("a@1") == "c@1-1"
 
 
 def test_files_that_ensure_each_other_are_loaded_once(program, tmp_path):
@@ -198,8 +209,8 @@ def test_a_goal_opens_files_in_allowed_folders_only(tmp_path, goal):
     assert len(engine.rules.rules) == 1
 
 
-def _persistent(folders):
-    engine = Engine(clock=StreamClock(), settings=Settings(folders=folders))
+def _persistent(write_folders=(), **settings):
+    engine = Engine(clock=StreamClock(), settings=Settings(write_folders=write_folders, **settings))
     warnings = []
     engine.rules.on_warning = lambda warning: warnings.append(str(warning))
     engine.load(rules="persistent_event(b(_)). b(X) <- a(X).")
@@ -211,7 +222,9 @@ def _persistent(folders):
 WRITTEN = "".join(f"event(b({number}),[{number},{number}]).\n" for number in range(4))
 
 
-def test_persistent_events_are_written_to_the_working_directory(tmp_path, monkeypatch):
+def test_persistent_events_are_written_to_the_working_directory_where_goals_may_write_anywhere(
+    tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     assert _persistent(None) == []
     assert (tmp_path / "persistent.txt").read_text() == WRITTEN
@@ -223,15 +236,18 @@ def test_persistent_events_are_written_to_allowed_folders_only(tmp_path, monkeyp
     monkeypatch.chdir(tmp_path / "here")
     assert _persistent((str(tmp_path / "program"),)) == []
     assert (tmp_path / "program" / "persistent.txt").read_text() == WRITTEN
-    reported = _persistent(())
-    assert [text.partition(" ")[0] for text in reported] == ["1", "2", "4"]
-    assert "no folder" in reported[0]
+    for settings in ({}, {"folders": (str(tmp_path),)}, {"folders": None}):
+        reported = _persistent(**settings)
+        assert [text.partition(" ")[0] for text in reported] == ["1", "2", "4"]
+        assert "no folder" in reported[0]
     assert list((tmp_path / "here").iterdir()) == []
 
 
 @pytest.mark.parametrize("fact", ["print_trigger", "external_trigger", "spy_event", "persistent_event"])
-def test_events_that_facts_name_are_logged_or_written(program, tmp_path, caplog, fact):
+def test_events_that_facts_name_are_logged_or_written(tmp_path, caplog, fact):
     caplog.set_level("INFO", "retalis")
+    program = Program()
+    program.engine.rules.files.door.allow([tmp_path], [tmp_path])
     program.engine.load(rules=f"{fact}(b(1)). b(X) <- a(X).")
     assert program.engine.call(f"assertz({fact}(c/0))")
     program.feed("a(1)@1 a(2)@2 c@3")
@@ -240,13 +256,14 @@ def test_events_that_facts_name_are_logged_or_written(program, tmp_path, caplog,
     assert "event(b(1),[1,1])" in found
     assert "event(c,[3,3])" in found
     assert "b(2)" not in found
-    assert program.engine.call("exists_file('persistent.txt')") == (fact == "persistent_event")
+    assert program.engine.call(f"exists_file('{written}')") == (fact == "persistent_event")
 
 
 def test_persistent_events_that_cannot_be_written_stop_nothing(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "persistent.txt").mkdir()
     assert "Is a directory" in _persistent(None)[0]
+    assert "Is a directory" in _persistent([tmp_path])[0]
 
 
 def test_a_refused_file_leaves_the_librarys_predicates(program):
@@ -263,7 +280,7 @@ def test_a_refused_file_leaves_the_librarys_predicates(program):
     ["consult({})", "[{}]", "use_module({})", "compile_event_file({})", "execute_event_stream_file({})"],
 )
 def test_a_file_that_is_not_there_is_an_existence_error_with_its_name(goal, tmp_path):
-    engine = Engine()
+    engine = Engine(settings=Settings(folders=(str(tmp_path),)))
     name = f"'{tmp_path}/no.txt'"
     caught = f"catch({goal.format(name)}, error(existence_error(source_sink, Name), _), true)"
     (found,) = engine.query(caught)

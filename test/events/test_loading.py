@@ -202,10 +202,10 @@ def test_reset():
 
 
 def test_streams(tmp_path):
-    program = Program("c <- a.")
-    with program.engine.rules.relative_to(tmp_path):
-        (tmp_path / "s.txt").write_text("event(a,[1,1]). fail. no_such_goal. event(a,[2,2]).")
-        assert program.engine.call("execute_event_stream_file('s.txt')")
+    program = Program()
+    program.engine.load(rules="c <- a.", folder=tmp_path)
+    (tmp_path / "s.txt").write_text("event(a,[1,1]). fail. no_such_goal. event(a,[2,2]).")
+    assert program.engine.call("execute_event_stream_file('s.txt')")
     assert len(program.errors) == 2
     assert len(program.seen) == 4
     assert program.engine.call("fire_event_list([event(a,[3,3]), event(a)])")

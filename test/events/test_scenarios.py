@@ -11,7 +11,7 @@ import pytest
 from events.contradictions import CONTRADICTED, Contradiction
 
 from retalis.clock import StreamClock
-from retalis.engine import Engine
+from retalis.engine import Engine, Settings
 from retalis.errors import RetalisError
 from retalis.syntax import Operators, read_term, write_term
 from retalis.terms import atom, copy, deref, functor, variables
@@ -43,7 +43,7 @@ class Run:
     def __init__(self, data, folder):
         now = NOW if "Absolute" in str(data["rules"]) else BASE
         self.clock = StreamClock(now)
-        self.engine = Engine(clock=self.clock)
+        self.engine = Engine(self.clock, Settings(write_folders=(str(folder),)))
         self.events, self.memory_events, self.outputs, self.errors = [], [], [], []
         self.engine.on_event(self._event)
         self.engine.on_output(
@@ -52,8 +52,7 @@ class Run:
         self.engine.rules.on_error = lambda error: self.errors.append(str(error))
         self.engine.logic.define("sleep", 1, self._sleep)
         self.engine.logic.define("current_datime", 1, lambda machine, term: machine.unify(term, to_term(NOW)))
-        with self.engine.rules.relative_to(folder):
-            self._run(data)
+        self._run(data, folder)
 
     def _sleep(self, machine, seconds):
         self.clock.move_to(self.clock.now() + int(deref(seconds) * SECOND))
@@ -64,13 +63,13 @@ class Run:
         into = self.memory_events if name in MEMORY_EVENTS else self.events
         into.append((normal(term), start, end))
 
-    def _run(self, data):
+    def _run(self, data, folder):
         for goal in data["goals"]:
             self.attempt(lambda goal=goal: self.engine.call(goal))
         rules = data["rules"]
         for text in rules if isinstance(rules, list) else [rules]:
             if text:
-                self.attempt(lambda text=text: self.engine.load(rules=text))
+                self.attempt(lambda text=text: self.engine.load(rules=text, folder=folder))
         for goal in data.get("goals_after_compile", ()):
             self.attempt(lambda goal=goal: self.engine.call(goal))
         for item in data["stream"]:

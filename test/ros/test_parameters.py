@@ -56,6 +56,14 @@ def test_numbers_and_flags(read):
     assert found.embedded
 
 
+def test_goals_open_files_of_the_program_only_by_default(read):
+    settings = read().settings
+    assert (settings.folders, settings.write_folders) == ((), ())
+    settings = read(folders=["/data", "/more"], write_folders=["/out"], max_file_megabytes=5).settings
+    assert (settings.folders, settings.write_folders) == (("/data", "/more"), ("/out",))
+    assert settings.max_file_megabytes == 5
+
+
 @pytest.mark.parametrize(
     ("name", "value"),
     [
@@ -71,6 +79,12 @@ def test_numbers_and_flags(read):
         ("max_depth", -1),
         ("max_seconds", True),
         ("max_inferences", "x"),
+        ("folders", "/data"),
+        ("folders", [1]),
+        ("write_folders", {"a": "/data"}),
+        ("write_folders", "/data"),
+        ("max_file_megabytes", 0),
+        ("max_file_megabytes", "x"),
     ],
 )
 def test_what_is_wrong_is_named(read, name, value):

@@ -56,6 +56,50 @@ def test_node_names_without_a_launch_file(space):
 
 def test_launch_arguments_are_listed(space):
     listed = space.run("roslaunch", "--ros-args", "retalis", "retalis.launch")
-    for argument in ("use_sim_time", "program", "direct", "embedded", "allow_goals", "queue"):
+    for argument in (
+        "use_sim_time",
+        "program",
+        "direct",
+        "embedded",
+        "allow_goals",
+        "write_folders",
+        "queue",
+    ):
         assert argument in listed
     assert "bag" in space.run("roslaunch", "--ros-args", "retalis", "nao.launch")
+
+
+RULES = """
+persistent_event(read(_)).
+read(File) <- file(File) where catch(consult(File), _, fail).
+refused(Kind) <- file(File) where catch((consult(File), fail), error(permission_error(Kind, _, _), _), true).
+persistent_event(refused(_)).
+"""
+
+
+def test_goals_of_a_node_open_files_in_the_folders_of_its_parameters_only(space, tmp_path):
+    program, data, out, other = (tmp_path / name for name in ("program", "data", "out", "other"))
+    for folder in (program, data, out, other):
+        folder.mkdir()
+        (folder / "some.pl").write_text("some(1).\n")
+    (program / "pub_sub.xml").write_text("<publish_subscribe/>\n")
+    (program / "goalPredicates.txt").write_text("compile_event_file('rules.txt')\nconsult('../other/some')\n")
+    (program / "rules.txt").write_text(RULES)
+    space.env["ROS_HOME"] = str(tmp_path / "home")
+    space.start(
+        *("roslaunch", "-p", str(space.port), "retalis", "retalis.launch", f"program:={program}"),
+        *("use_sim_time:=false", f"folders:=[{data}]", f"write_folders:=[{out}]"),
+    )
+    space.expect(lambda found, services: "/add_memory" in services)
+    names = ["some", str(data / "some"), str(out / "some"), str(other / "some")]
+    for name in names:
+        text = f"event(file('{name}'),[1,1])"
+        space.run("rostopic", "pub", "-1", "/retalisInputEvents", "std_msgs/String", f'data: "{text}"')
+    written = out / "persistent.txt"
+    wanted = [
+        *(f"event(read({name}),[1,1])." for name in ("some", *(f"'{name}'" for name in names[1:3]))),
+        "event(refused(open),[1,1]).",
+    ]
+    space.expect(lambda found, services: written.exists() and written.read_text().split("\n")[:-1] == wanted)
+    assert not list(tmp_path.glob("home/persistent.txt"))
+    assert [path.name for path in other.iterdir()] == ["some.pl"]

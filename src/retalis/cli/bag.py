@@ -7,11 +7,13 @@ from typing import Any, Dict, List
 
 from ..bags import BagReader, BagWriter
 from ..collector import relax
+from ..engine import Settings
 from ..errors import UsageError, shortened
 from ..playback import Output, Playback
 from ..program import TopicType, topic_type
 from ..syntax import to_text
 from ..terms import atom, functor
+from ._folders import add_folders, allow_folders
 from ._progress import progress
 from ._report import Report
 
@@ -42,6 +44,7 @@ def add_parser(commands: Any) -> None:
         help="a topic that becomes events, besides those in pub_sub.xml",
     )
     parser.add_argument("--quiet", action="store_true", help="print no outputs")
+    add_folders(parser)
     parser.set_defaults(run=run)
 
 
@@ -50,7 +53,9 @@ def run(options: argparse.Namespace) -> int:
     report = Report().listen()
     with ExitStack() as stack:
         reader = stack.enter_context(BagReader(options.bag))
-        playback = Playback(options.program, report, _topics(options.topic))
+        playback = Playback(
+            options.program, report, _topics(options.topic), allow_folders(Settings(), options)
+        )
         writer = _Writer(stack.enter_context(BagWriter(options.output))) if options.output else None
         advance = stack.enter_context(progress("messages", reader.messages))
         relax()

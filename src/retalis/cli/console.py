@@ -27,6 +27,9 @@ _TRACE = functor("trace", 1)
 _CONSULT = functor("consult", 1)
 _LEAVE = ("halt", "end_of_file")
 
+FREE = Settings(folders=None, write_folders=None)
+"""Goals that are typed open files wherever their user could."""
+
 DESCRIPTION = """\
 Load files and ask goals. Files hold event rules, clauses and directives; a folder is a program with
 goalPredicates.txt. A goal ends with a full stop; ";" asks for another solution, return for none. [FILE]. loads
@@ -61,7 +64,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command; from a pipe the status is 1 if there was an error."""
     report = Report().listen()
     limits = Limits(options.seconds, options.inferences, options.megabytes)
-    console = Console(report, Settings(limits=limits), options.most)
+    console = Console(report, FREE._replace(limits=limits), options.most)
     for path in options.files:
         console.load(path)
     relax()
@@ -87,12 +90,12 @@ class Console:
 
     Args:
         report: takes errors.
-        settings: of the engine.
+        settings: of the engine; by default goals open files anywhere, as their user could.
         most: solutions shown where nobody is there to ask for more.
     """
 
     def __init__(self, report: Report, settings: Optional[Settings] = None, most: int = 1000):
-        self.engine = Engine(Clock(time.time_ns), settings)
+        self.engine = Engine(Clock(time.time_ns), FREE if settings is None else settings)
         self.engine.rules.warn_singletons = True
         self.engine.on_output(to_reader(self._output))
         self.logic = self.engine.logic

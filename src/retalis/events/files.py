@@ -1,12 +1,13 @@
-"""Files that a program names: where relative ones are, which may be opened, which have been loaded."""
+"""Files that a program names: where relative ones are, and which have been loaded."""
 
+import os
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Iterable, Iterator, List, Optional, Set
+from typing import Any, Iterator, List, Optional, Set
 
-from ..errors import UsageError, undecodable
-from ..logic import existence_error, permission_error
-from ..terms import Term, atom
+from ..door import Door, check_name
+from ..errors import UsageError
+from ..terms import Term
 from .libraries import file_name
 
 
@@ -14,29 +15,21 @@ class Files:
     """The files of a program.
 
     Attributes:
+        door: opens them.
         loaded: those that have been loaded, or are being loaded.
     """
 
     def __init__(self) -> None:
+        self.door = Door()
         self.loaded: Set[Path] = set()
         self._folder: Optional[Path] = None
         self._open: List[Path] = []
-        self._allowed: Optional[List[Path]] = None
-        self._trusted = False
-
-    def allow_only(self, folders: Optional[Iterable[Any]]) -> None:
-        """Have goals open files in these folders and below only; None allows all."""
-        self._allowed = None if folders is None else [Path(folder).resolve() for folder in folders]
 
     @contextmanager
-    def trusted(self) -> Iterator[None]:
-        """Allow all files meanwhile; the folders of those that are opened stay allowed."""
-        before = self._trusted
-        self._trusted = True
-        try:
+    def loading(self, folder: Optional[Path] = None) -> Iterator[None]:
+        """Load the program's own files meanwhile, those of a folder."""
+        with self.door.loading(), self.relative_to(folder):
             yield
-        finally:
-            self._trusted = before
 
     @contextmanager
     def relative_to(self, folder: Optional[Path]) -> Iterator[None]:
@@ -51,45 +44,24 @@ class Files:
 
     def state(self) -> Any:
         """Return where relative paths are and what is allowed, for `restore`."""
-        return self._folder, len(self._open), self._trusted
+        return self._folder, len(self._open), self.door.is_loading
 
     def restore(self, state: Any) -> None:
         """Go back to a state, with None to that in which nothing is being loaded."""
-        self._folder, count, self._trusted = state or (None, 0, False)
+        self._folder, count, self.door.is_loading = state or (None, 0, False)
         del self._open[count:]
 
-    def resolve(self, path: Any) -> Path:
-        """Return a path, seen from the file that names it.
+    def resolve(self, name: Any) -> Path:
+        """Return a path, seen from the file that names it, else from where goals start.
 
         Raises:
-            PrologError: a permission error where it leads out of the folders that are allowed.
+            PrologError: a permission error where it leads out of the folders that are allowed, others for what
+                no file is called.
         """
-        found = Path(path)
-        if not found.is_absolute() and self._folder is not None:
-            found = self._folder / found
-        if self._allowed is not None and not self._may_open(found):
-            if not self._trusted:
-                raise permission_error("open", "source_sink", atom(str(path)))
-            folder = found.resolve().parent
-            if folder not in self._allowed:
-                self._allowed.append(folder)
-        return found
-
-    def _may_open(self, path: Path) -> bool:
-        return self._allowed is None or any(folder in path.resolve().parents for folder in self._allowed)
-
-    def own_file(self, name: str) -> Path:
-        """Return the path of a file that the program writes: in the working directory, else in an allowed folder.
-
-        Raises:
-            UsageError: where no folder is allowed.
-        """
-        here = Path(name)
-        if self._may_open(here):
-            return here
-        if not self._allowed:
-            raise UsageError(f"there is no folder in which {name} may be written")
-        return self._allowed[0] / name
+        check_name(str(name))
+        path = (self.door.start if self._folder is None else self._folder) / Path(name)
+        self.door.require(str(path), str(name))
+        return path
 
     def find(self, name: Term) -> Path:
         """Return the path of a file that a program names; the ending ``.pl`` may be left out.
@@ -97,9 +69,29 @@ class Files:
         Raises:
             PrologError: where the term names no file, or one out of the folders that are allowed.
         """
-        path = self.resolve(file_name(name))
-        longer = Path(f"{path}.pl")
-        return longer if not path.suffix and longer.is_file() and not path.is_file() else path
+        text = file_name(name)
+        path = self.resolve(text)
+        if path.suffix or self.door.is_file(str(path), text):
+            return path
+        longer = f"{path}.pl"
+        return Path(longer) if self.door.is_file(longer, text) else path
+
+    def is_file(self, path: Path) -> bool:
+        """Tell whether there is such a file; errors are those of `resolve`."""
+        return self.door.is_file(str(path), str(path))
+
+    def text(self, path: Path) -> str:
+        """Return the text of a file.
+
+        Raises:
+            PrologError: permission, existence and resource errors.
+            UsageError: where it cannot be read.
+        """
+        return self.door.read(str(path), str(path))
+
+    def has_loaded(self, path: Path) -> bool:
+        """Tell whether a file has been loaded, or is being loaded."""
+        return _real(path) in self.loaded
 
     @contextmanager
     def inside(self, place: Path) -> Iterator[None]:
@@ -108,7 +100,7 @@ class Files:
         Raises:
             UsageError: where that file is being loaded already.
         """
-        place = place.resolve()
+        place = _real(place)
         if place in self._open:
             raise UsageError(f"{place.name} loads itself")
         depth = len(self._open)
@@ -120,20 +112,5 @@ class Files:
             del self._open[depth:]
 
 
-def text_of(path: Path) -> str:
-    """Return the text of a file.
-
-    Raises:
-        PrologError: an existence error where it is not there.
-        UsageError: where it cannot be read.
-    """
-    try:
-        return path.read_text(encoding="utf-8")
-    except UnicodeDecodeError as error:
-        raise UsageError(f"cannot read {path}: {undecodable(error)}") from error
-    except FileNotFoundError as error:
-        raise existence_error("source_sink", atom(str(path))) from error
-    except OSError as error:
-        raise UsageError(f"cannot read {path}: {error.strerror}") from error
-    except ValueError as error:
-        raise UsageError(f"cannot read {str(path)!r}: {error}") from error
+def _real(path: Path) -> Path:
+    return Path(os.path.realpath(path))  # `Path.resolve` raises an error of its own for a link to itself

@@ -9,7 +9,7 @@ from ..syntax import Operators, read_program
 from ..terms import Atom, Term, conjuncts, copy, deref, functor, list_items
 from .calls import Unknown, unknown_calls
 from .clauses import DIRECTIVES, TOO_DEEP, Checker, Definition, Step, clause_error, nowhere
-from .files import Files, text_of
+from .files import Files
 from .libraries import LIBRARY, require_library
 from .rule import Rule
 
@@ -19,11 +19,15 @@ _SET_FLAG = functor("set_prolog_flag", 2)
 
 
 class Plan(NamedTuple):
-    """A file that has no errors in itself: what to do, the rules to add then, and what these call."""
+    """A file that has no errors in itself: what to do, the rules to add then, what these call, and its folder.
+
+    The folder is None for the file that was asked for: there that is set already.
+    """
 
     steps: List[Any]
     rules: List[Rule]
     calls: List[Unknown]
+    folder: Optional[Path] = None
 
     @property
     def may_stop_half_way(self) -> bool:
@@ -87,7 +91,7 @@ class Loader:
             require_library(name)
             return
         path = self._files.find(name)
-        if not once or path.resolve() not in self._files.loaded:
+        if not once or not self._files.has_loaded(path):
             self._load_file(path)
 
     def load_terms(self, terms: Sequence[Tuple[Term, Optional[Place]]]) -> None:
@@ -102,7 +106,7 @@ class Loader:
         self._finish(lambda errors: self._checked(reading.checker, errors), reading.errors)
 
     def _load_file(self, path: Path) -> None:
-        text = text_of(path)
+        text = self._files.text(path)
         with self._files.inside(path), self._files.relative_to(path.parent):
             self._load(text, str(path))
 
@@ -138,7 +142,7 @@ class Loader:
         """Read the terms of another file as if they stood here."""
         try:
             path = self._files.find(name)
-            text = text_of(path)
+            text = self._files.text(path)
             with self._files.inside(path), self._files.relative_to(path.parent):
                 program = read_program(text, reading.operators, str(path))
                 if outer is not None:
@@ -206,11 +210,11 @@ class Loader:
                 require_library(name)
                 return None
             path = self._files.find(name)
-            if step.kind == "ensure" and path.resolve() in self._files.loaded:
+            if step.kind == "ensure" and self._files.has_loaded(path):
                 return None
-            text = text_of(path)
+            text = self._files.text(path)
             with self._files.inside(path), self._files.relative_to(path.parent):
-                return self._plan(text, str(path), errors)
+                return self._plan(text, str(path), errors)._replace(folder=path.parent)
         except (UsageError, PrologError) as error:
             errors.append(RuleError(error.message, step.place))
             return None
@@ -252,7 +256,8 @@ class Loader:
     def _act(self, plan: Plan) -> None:
         self._acting.append(plan)
         try:
-            self._take_in(plan)
+            with self._files.relative_to(plan.folder):
+                self._take_in(plan)
         finally:
             self._acting.pop()
         self._warn_of_unknown(plan.calls)

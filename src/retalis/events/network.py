@@ -1,9 +1,8 @@
 """All event rules of a program and the flags by which they run."""
 
 import logging
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 from ..errors import Place, RetalisError, RuleError
 from ..logic import Logic, keep_back
@@ -95,13 +94,17 @@ class Rules:
         self.loader.load_text(text, source, folder)
 
     def load_file(self, path: Any) -> None:
-        """Load an event file; a relative path is relative to the file that names it.
+        """Load an event file of the program's own, whose folder its goals may read from then on.
 
         Raises:
             ProgramErrors: all errors; nothing of the file is active then.
+            PrologError: where it is not there, or no file can have that name.
             UsageError: where it cannot be read.
         """
-        self.loader.load_file(path)
+        with self.files.loading():
+            found = self.files.resolve(path)
+            self.files.door.add_own(found.parent)
+            self.loader.load_file(found)
 
     def load_terms(self, terms: Sequence[Tuple[Term, Optional[Place]]]) -> None:
         """Load terms as if they were an event file.
@@ -110,12 +113,6 @@ class Rules:
             ProgramErrors: all errors; nothing is active then.
         """
         self.loader.load_terms(terms)
-
-    @contextmanager
-    def relative_to(self, folder: Optional[Path]) -> Iterator[None]:
-        """Have relative paths of files be relative to a folder, while the context lasts."""
-        with self.files.relative_to(folder):
-            yield
 
     # ---- rules ---------------------------------------------------------------------------------------
 

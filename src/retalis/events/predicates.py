@@ -1,6 +1,5 @@
 """The goals of the event language: rules, flags, files, streams, stored events."""
 
-from pathlib import Path
 from typing import Any, Callable, Dict, Iterator, List, Sequence, Tuple
 
 from ..errors import ProgramErrors, RetalisError, SyntaxFault, UsageError
@@ -23,7 +22,6 @@ from ..terms import (
     undo,
 )
 from ..timestamps import from_any, interval_term, shown
-from .files import text_of
 from .flags import FLAGS
 from .store import solutions
 
@@ -120,7 +118,7 @@ class _Editing:
         return True
 
     def load_file(self, machine: Any, path: Term) -> bool:
-        self.rules.load_file(_path(path))
+        self.rules.loader.load_file(_path(path))
         return True
 
     def consult(self, machine: Any, names: Term) -> bool:
@@ -269,12 +267,13 @@ class _Streams:
         return self._each(goals, after)
 
     def exists(self, machine: Any, name: Term) -> bool:
-        path: Path = self.rules.files.resolve(_path(name))
-        return path.is_file()
+        files = self.rules.files
+        return bool(files.is_file(files.resolve(_path(name))))
 
     def execute_file(self, machine: Any, arguments: Sequence[Term], after: Frame) -> Frame:
-        path: Path = self.rules.files.resolve(_path(arguments[0]))
-        text = text_of(path)
+        files = self.rules.files
+        path = files.resolve(_path(arguments[0]))
+        text = files.text(path)
         goals: List[Term] = []
         errors: List[RetalisError] = []
         for read in read_program(text, self.rules.logic.operators, str(path)):

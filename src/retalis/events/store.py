@@ -1,10 +1,11 @@
 """What is kept, written or shown of all events, where flags or facts ask for it."""
 
 import logging
+import os
 from collections import deque
 from typing import Any, Deque, Iterator, List, Optional, Tuple
 
-from ..errors import UsageError
+from ..errors import RetalisError, UsageError
 from ..logic import Predicate
 from ..terms import SLASH, Atom, Functor, Term, Var, copy, deref, functor, undo, unify
 from ..timestamps import interval_term
@@ -86,13 +87,13 @@ class Store:
         """Write a persistent event; what cannot be written is counted and reported at 1, 2, 4, 8 ... of them."""
         rules = self._rules
         try:
-            with rules.files.own_file(_FILE).open("a", encoding="utf-8") as file:
-                file.write(f"{rules.logic.show(event)}.\n")
-        except (OSError, UsageError) as error:
+            door = rules.files.door
+            door.append(os.path.join(door.output, _FILE), f"{rules.logic.show(event)}.\n")
+        except RetalisError as error:
             self._unwritten += 1
             if self._unwritten & (self._unwritten - 1) == 0:
                 rules.on_warning(
-                    UsageError(f"{self._unwritten} persistent events could not be written: {error}")
+                    UsageError(f"{self._unwritten} persistent events could not be written: {error.message}")
                 )
 
     def _is_named(self, key: Any, term: Term) -> bool:

@@ -12,6 +12,7 @@ from .faults import (
     existence_error,
     instantiation_error,
     permission_error,
+    representation_error,
     resource_error,
     type_error,
 )
@@ -41,6 +42,7 @@ __all__ = [
     "keep_back",
     "mend",
     "permission_error",
+    "representation_error",
     "resource_error",
     "state_of",
     "type_error",

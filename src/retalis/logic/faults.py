@@ -90,9 +90,9 @@ def permission_error(action: str, kind: str, culprit: Term, reason: Optional[str
     return error((_PERMISSION_ERROR, atom(action), atom(kind), culprit), _because(reason))
 
 
-def representation_error(limit: str) -> PrologError:
+def representation_error(limit: str, reason: Optional[str] = None) -> PrologError:
     """Return the error for a value that cannot be represented."""
-    return error((_REPRESENTATION_ERROR, atom(limit)))
+    return error((_REPRESENTATION_ERROR, atom(limit)), _because(reason))
 
 
 def evaluation_error(what: str) -> PrologError:
@@ -100,9 +100,9 @@ def evaluation_error(what: str) -> PrologError:
     return error((_EVALUATION_ERROR, atom(what)))
 
 
-def resource_error(what: str, context: Optional[Term] = None) -> PrologError:
+def resource_error(what: str, context: Optional[Term] = None, reason: Optional[str] = None) -> PrologError:
     """Return the error for a limit that was reached."""
-    return error((_RESOURCE_ERROR, atom(what)), context)
+    return error((_RESOURCE_ERROR, atom(what)), _because(reason) if context is None else context)
 
 
 def syntax_error(what: str) -> PrologError:

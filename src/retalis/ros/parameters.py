@@ -31,6 +31,8 @@ KNOWN = (
     "allow_goals",
     "allow_foreign",
     "folders",
+    "write_folders",
+    "max_file_megabytes",
     "max_depth",
     *(name for _, name, _ in LIMITS),
 )
@@ -73,8 +75,12 @@ def read_parameters(arguments: Optional[List[str]] = None) -> Parameters:
         limits=Limits(**limits),
         allow_goals=_flag("~allow_goals"),
         allow_foreign=_flag("~allow_foreign"),
-        folders=_folders(),
+        folders=_folders("~folders"),
+        write_folders=_folders("~write_folders"),
     )
+    file_size = _number("~max_file_megabytes", int)
+    if file_size is not None:
+        settings = settings._replace(max_file_megabytes=file_size)
     if depth is not None:
         settings = settings._replace(max_depth=depth)
     if queue is not None:
@@ -139,11 +145,11 @@ def _direct() -> Any:
         raise UsageError(f"parameter ~direct: {error.message}") from None
 
 
-def _folders() -> Tuple[str, ...]:
-    """Return where goals of events, queries and services may open files, besides the program's folders."""
-    value = rospy.get_param("~folders", [])
+def _folders(name: str) -> Tuple[str, ...]:
+    """Return the folders that a parameter lists."""
+    value = rospy.get_param(name, [])
     if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
-        raise UsageError(f"parameter ~folders: expected a list of folders, found {value!r}")
+        raise UsageError(f"parameter {name}: expected a list of folders, found {value!r}")
     return tuple(value)
 
 

@@ -1,0 +1,29 @@
+"""The options that say which files goals may open, besides those that a program opens while it is loaded."""
+
+import argparse
+from typing import Any
+
+from ..engine import Settings
+
+
+def add_folders(parser: Any) -> None:
+    """Add the options."""
+    parser.add_argument(
+        "--folder",
+        action="append",
+        default=[],
+        metavar="FOLDER",
+        help="goals of events, streams and queries may read files there, besides the program's own folder",
+    )
+    parser.add_argument(
+        "--write-folder",
+        action="append",
+        default=[],
+        metavar="FOLDER",
+        help="goals may write files there, and read them; persistent events go into the first",
+    )
+
+
+def allow_folders(settings: Settings, options: argparse.Namespace) -> Settings:
+    """Return settings with the folders that the options name."""
+    return settings._replace(folders=tuple(options.folder), write_folders=tuple(options.write_folder))
