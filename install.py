@@ -10,20 +10,15 @@ import os
 import shlex
 import subprocess
 import sys
-import urllib.error
-import urllib.request
 from pathlib import Path
 from typing import Dict, Iterable, List, Mapping, NamedTuple, Optional, Sequence
 
+from install_apt import KEY_FILE, SOURCE_FILE, fetch_key, for_file, key_place, key_problem, ros_lines
 from install_shell import Problem, Shell
 
 HERE = Path(__file__).resolve().parent
 PYTHON = "/usr/bin/python3"  # the one interpreter that sees the distribution's ROS modules
 DEMO = str(HERE / "examples" / "nao" / "demo.py")
-INSTRUCTIONS = "http://wiki.ros.org/noetic/Installation/Ubuntu"
-KEY_URL = "https://raw.githubusercontent.com/ros/rosdistro/master/ros.asc"
-KEY_FILE = "/usr/share/keyrings/ros-archive-keyring.asc"
-SOURCE_FILE = "/etc/apt/sources.list.d/ros-noetic.list"
 
 
 class Platform(NamedTuple):
@@ -42,7 +37,9 @@ class Platform(NamedTuple):
     source: Optional[str] = None
 
 
-_COMMON = "cmake g++ make python3-numpy python3-setuptools python3-venv"
+CERTIFICATES = "/etc/ssl/certs/ca-certificates.crt"
+
+_COMMON = "ca-certificates cmake g++ make python3-numpy python3-setuptools python3-venv"
 
 _DEBIAN = """
     catkin librostest-dev libstd-msgs-dev python3-diagnostic-msgs python3-geometry-msgs python3-lark
@@ -137,33 +134,48 @@ class Installation:
         uid = os.getuid()
         if uid and not self.shell.dry and self.shell.show(["sudo", "-v"]):
             raise Problem("installing system packages needs root or sudo")
-        if self.platform.source and not Path(self.platform.setup or "").exists():
-            self._add_source(self.platform.source, uid)
         apt = as_root(["env", "DEBIAN_FRONTEND=noninteractive", "apt-get"], uid)
-        self.shell.step("Reading the package lists", "apt-update", [*apt, "update"])
-        install = [*apt, "install", "-y", "--no-install-recommends", *missing]
-        self.shell.step(f"Installing {len(missing)} system packages", "apt-install", install)
+        install = [*apt, "install", "-y", "--no-install-recommends"]
+        update = [*apt, "update"]
+        if self.platform.source and not Path(self.platform.setup or "").exists() and not ros_lines():
+            if not Path(CERTIFICATES).exists():  # without them no key can be had
+                self.shell.step("Reading the package lists", "apt-update", update)
+                self.shell.step("Installing certificates", "apt-certificates", [*install, "ca-certificates"])
+            self._add_source(self.platform.source, uid)
+        self._update(update, uid)
+        self.shell.step(f"Installing {len(missing)} system packages", "apt-install", [*install, *missing])
+
+    def _update(self, update: Sequence[str], uid: int) -> None:
+        """Read the package lists; where the key of ROS's packages has expired, get the present one and read again."""
+        log = self.shell.logs / "apt-update.log"
+        failed = None
+        try:
+            self.shell.step("Reading the package lists", "apt-update", update)
+        except Problem as problem:
+            failed = problem
+        wrong = key_problem(log.read_text(errors="replace")) if log.exists() else None
+        if wrong is not None:
+            place = key_place(ros_lines())
+            print(f"apt refuses the key of packages.ros.org ({wrong}): {place} will be replaced", flush=True)
+            self._put(for_file(fetch_key(), place), place, uid)
+            self.shell.step("Reading the package lists again", "apt-update", update)
+        elif failed is not None:
+            raise failed
 
     def _add_source(self, line: str, uid: int) -> None:
-        """Tell apt where ROS is, with its key, unless somebody did."""
-        lists = [Path("/etc/apt/sources.list"), *Path("/etc/apt/sources.list.d").glob("*")]
-        if any(
-            "packages.ros.org/ros/" in path.read_text(errors="replace") for path in lists if path.is_file()
-        ):
-            return
+        """Tell apt where ROS is, with its key."""
         print(f"apt will be told of ROS noetic: {SOURCE_FILE} with the key {KEY_FILE}", flush=True)
         if self.shell.dry:
             return
-        try:
-            with urllib.request.urlopen(KEY_URL, timeout=60) as answer:
-                key = answer.read()
-        except (urllib.error.URLError, OSError) as error:
-            raise Problem(f"no key for packages.ros.org ({error}); add it as {INSTRUCTIONS} says") from None
+        for text, place in ((fetch_key(), KEY_FILE), (line.encode() + b"\n", SOURCE_FILE)):
+            self._put(text, place, uid)
+
+    def _put(self, text: bytes, place: str, uid: int) -> None:
+        """Write a file of the system's."""
         self.shell.logs.mkdir(parents=True, exist_ok=True)
-        for text, place in ((key, KEY_FILE), (line.encode() + b"\n", SOURCE_FILE)):
-            source = self.shell.logs / Path(place).name
-            source.write_bytes(text)
-            self.shell.step(place, "apt-source", as_root(["install", "-m", "644", str(source), place], uid))
+        source = self.shell.logs / Path(place).name
+        source.write_bytes(text)
+        self.shell.step(place, "apt-source", as_root(["install", "-m", "644", str(source), place], uid))
 
     def python_packages(self, requirements: Sequence[str]) -> None:
         """Install what the distribution lacks into a venv of the workspace."""

@@ -13,6 +13,21 @@ LAYOUT = {
 }
 
 
+SHARED = ("application_source", "examples/nao")
+"""Folders that the command ``demo`` needs; catkin installs them by itself."""
+
+
+def shared() -> list:
+    """Return the files of the example and where an installation has them."""
+    files = [path for folder in SHARED for path in sorted(Path(folder).rglob("*")) if path.is_file()]
+    kept = [path for path in files if "__pycache__" not in path.parts]
+    folders = sorted({path.parent for path in kept})
+    return [
+        (f"share/retalis/{folder}", [str(path) for path in kept if path.parent == folder])
+        for folder in folders
+    ]
+
+
 def described() -> dict:
     """Return what pip wants to know."""
     manifest = ElementTree.parse("package.xml").getroot()
@@ -23,6 +38,7 @@ def described() -> dict:
         "description": " ".join(str(manifest.findtext("description")).split()),
         "python_requires": ">=3.8",
         "install_requires": Path("requirements.txt").read_text().split(),
+        "data_files": shared(),
     }
 
 

@@ -16,6 +16,11 @@ def install():
         yield importlib.import_module("install")
 
 
+@pytest.fixture(scope="module")
+def apt(install):
+    return importlib.import_module("install_apt")
+
+
 def test_os_release_with_and_without_quotes(install):
     text = '# made by hand\nID=debian\nVERSION_ID="12"\nPRETTY_NAME="Debian GNU/Linux 12 (bookworm)"\n\n'
     assert install.parse_os_release(text) == {
@@ -130,9 +135,10 @@ def noetic(install, tmp_path, monkeypatch):
     return install.Installation(platform, tmp_path, Recorder(tmp_path / "log"))
 
 
-def test_noetic_gets_its_source_and_key_before_its_packages(install, noetic, monkeypatch, capsys):
+def test_noetic_gets_its_source_and_key_before_its_packages(install, apt, noetic, monkeypatch, capsys):
+    monkeypatch.setattr(install, "ros_lines", list)
     monkeypatch.setattr(
-        install.urllib.request, "urlopen", lambda url, timeout: io.BytesIO(b"key of " + url.encode())
+        apt.urllib.request, "urlopen", lambda url, timeout: io.BytesIO(b"key of " + url.encode())
     )
     noetic.system_packages()
     lines = [" ".join(command) for command in noetic.shell.commands]
@@ -147,18 +153,113 @@ def test_noetic_gets_its_source_and_key_before_its_packages(install, noetic, mon
     assert install.SOURCE_FILE in said and "ros-noetic-rospy" in said
 
 
-def test_no_key_says_where_to_read_on(install, noetic, monkeypatch):
+def test_no_key_says_where_to_read_on(install, apt, noetic, monkeypatch):
     def refuse(url, timeout):
         raise OSError("no route")
 
-    monkeypatch.setattr(install.urllib.request, "urlopen", refuse)
+    monkeypatch.setattr(install, "ros_lines", list)
+    monkeypatch.setattr(apt.urllib.request, "urlopen", refuse)
     with pytest.raises(install.Problem, match=r"no key for packages.ros.org \(no route\); add it as http"):
         noetic.system_packages()
 
 
+def test_certificates_come_before_the_key(install, apt, noetic, monkeypatch, tmp_path):
+    monkeypatch.setattr(install, "ros_lines", list)
+    monkeypatch.setattr(install, "CERTIFICATES", str(tmp_path / "none"))
+    monkeypatch.setattr(apt.urllib.request, "urlopen", lambda url, timeout: io.BytesIO(b"key"))
+    noetic.system_packages()
+    lines = [" ".join(command) for command in noetic.shell.commands]
+    assert lines[1].endswith("apt-get update")
+    assert lines[2].endswith("install -y --no-install-recommends ca-certificates")
+    assert lines[3].endswith(install.KEY_FILE)
+
+
+EXPIRED = """Hit:1 http://archive.ubuntu.com/ubuntu focal InRelease
+Err:2 http://packages.ros.org/ros/ubuntu focal InRelease
+  The following signatures were invalid: EXPKEYSIG F42ED6FBAB17C654 Open Robotics <info@osrfoundation.org>
+W: An error occurred. GPG error: http://packages.ros.org/ros/ubuntu focal InRelease: EXPKEYSIG F42ED6FBAB17C654
+"""
+ARMOURED = b"""-----BEGIN PGP PUBLIC KEY BLOCK-----
+Version: GnuPG v1
+
+a2V5IG9m
+IFJPUw==
+=AAAA
+-----END PGP PUBLIC KEY BLOCK-----
+"""
+
+
+@pytest.mark.parametrize(
+    ("line", "place", "written"),
+    [
+        (
+            "deb [arch=amd64 signed-by=/k/ros.gpg] http://packages.ros.org/ros/ubuntu f m",
+            "/k/ros.gpg",
+            b"key of ROS",
+        ),
+        ("deb [signed-by=/k/ros.asc] http://packages.ros.org/ros/ubuntu focal main", "/k/ros.asc", ARMOURED),
+        ("deb http://packages.ros.org/ros/ubuntu focal main", None, ARMOURED),
+    ],
+)
+@pytest.mark.parametrize("fails", [False, True])
+def test_a_key_that_has_expired_is_replaced(install, apt, noetic, monkeypatch, line, place, written, fails):
+    monkeypatch.setattr(install, "ros_lines", lambda: [line])
+    monkeypatch.setattr(apt.urllib.request, "urlopen", lambda url, timeout: io.BytesIO(ARMOURED))
+    shell = noetic.shell
+    note = shell.step
+
+    def step(title, name, command, cwd=None):
+        note(title, name, command, cwd)
+        if name == "apt-update":
+            shell.logs.mkdir(exist_ok=True)
+            first = "again" not in title
+            (shell.logs / "apt-update.log").write_text(EXPIRED if first else "")
+            if first and fails:
+                raise install.Problem("apt-update failed")
+
+    shell.step = step
+    noetic.system_packages()
+    lines = [" ".join(command) for command in shell.commands]
+    place = place or apt.TRUSTED
+    assert lines[1].endswith("apt-get update")
+    assert lines[2].startswith("sudo install -m 644 ") and lines[2].endswith(" " + place)
+    assert (shell.logs / Path(place).name).read_bytes() == written
+    assert lines[3].endswith("apt-get update")
+    assert "ros-noetic-rospy" in lines[4]
+
+
+def test_an_update_that_fails_otherwise_ends_the_run(install, noetic, monkeypatch):
+    monkeypatch.setattr(install, "ros_lines", lambda: ["deb http://packages.ros.org/ros/ubuntu focal main"])
+
+    def step(title, name, command, cwd=None):
+        raise install.Problem(f"{name} failed")
+
+    noetic.shell.step = step
+    with pytest.raises(install.Problem, match="apt-update failed"):
+        noetic.system_packages()
+
+
+def test_what_is_no_key_is_refused(apt):
+    with pytest.raises(apt.Problem, match="is no key"):
+        apt.without_armour(b"<html>")
+
+
+def test_lines_of_ros(apt, tmp_path):
+    (tmp_path / "sources.list.d").mkdir()
+    (tmp_path / "sources.list").write_text("# deb http://packages.ros.org/ros/ubuntu x\ndeb http://other y\n")
+    assert apt.ros_lines(tmp_path) == []
+    (tmp_path / "sources.list.d" / "ros.list").write_text(
+        "deb http://packages.ros.org/ros/ubuntu focal main\n"
+    )
+    assert len(apt.ros_lines(tmp_path)) == 1
+    assert apt.key_problem("Hit:1 http://packages.ros.org/ros/ubuntu focal InRelease") is None
+
+
 def test_without_system_the_missing_packages_are_named(install, noetic):
     noetic.system = False
-    with pytest.raises(install.Problem, match=r"system packages are missing: cmake .*ros-noetic-rospy"):
+    with pytest.raises(
+        install.Problem, match=r"system packages are missing: ca-certificates cmake .*ros-noetic-rospy"
+    ):
         noetic.system_packages()
     assert noetic.shell.commands == []
 

@@ -213,7 +213,8 @@ def play(
     poses = Poses()
     for topic in TOPICS:
         rospy.Subscriber(topic, PoseStamped, poses.add)
-    options = ("--clock", "--quiet", f"--delay={CONNECT_SECONDS}", f"--rate={rate}")
+    # rosbag's own queue of 100 messages drops /tf where the machine is busy
+    options = ("--clock", "--quiet", "--queue=100000", f"--delay={CONNECT_SECONDS}", f"--rate={rate}")
     player = processes.start("rosbag", "rosbag", "play", *options, str(bag))
     progress = Progress()
     try:

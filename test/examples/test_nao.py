@@ -224,11 +224,14 @@ def test_comparison_table():
     assert "not located" in nao_truth.table([one, other])
 
 
-@pytest.mark.skipif(not Path("/usr/bin/rosbag").exists(), reason="no ROS here")
+ROSBAG = shutil.which("rosbag", path=f"/usr/bin{os.pathsep}{os.environ.get('PATH', '')}")
+
+
+@pytest.mark.skipif(ROSBAG is None, reason="no ROS here")
 def test_ros_reads_the_bag(made, tmp_path):
     environment = {**os.environ, "PATH": "/usr/bin:" + os.environ["PATH"], "ROS_LOG_DIR": str(tmp_path)}
     done = subprocess.run(
-        [shutil.which("rosbag", path="/usr/bin"), "info", "--yaml", "--key=messages", str(made[0])],
+        [ROSBAG, "info", "--yaml", "--key=messages", str(made[0])],
         capture_output=True,
         text=True,
         env=environment,

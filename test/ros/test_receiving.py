@@ -106,6 +106,27 @@ def test_messages_go_to_rospy_where_others_have_called_for_them(pair, callbacks)
     assert taken == []
 
 
+@pytest.mark.parametrize("missing", ["latch", "is_latched", "stat_num_msg", "socket"])
+def test_connections_that_lack_something_stay_rospys(missing):
+    link = new_link(None)
+    delattr(link, missing)
+    subscriber = subscribed(data_class=rospy.AnyMsg, connections=[link], add_connection=lambda link: True)
+    read_by(subscriber, print, 0.001)
+    assert link.receive_once is None
+
+
+@pytest.mark.parametrize("callbacks", [None, (), [callback], {callback: None}])
+def test_topics_that_keep_their_callbacks_otherwise_stay_rospys(callbacks):
+    link = new_link(None)
+    subscriber = subscribed(data_class=rospy.AnyMsg, connections=[link], add_connection=lambda link: True)
+    subscriber.impl.callbacks = callbacks
+    read_by(subscriber, print, 0.001)
+    assert link.receive_once is None
+    del subscriber.impl.callbacks
+    read_by(subscriber, print, 0.001)
+    assert link.receive_once is None
+
+
 def test_the_last_message_of_a_latched_topic_is_kept(pair):
     sender, receiver = pair
     link = new_link(receiver, latched=True)

@@ -98,9 +98,11 @@ def _plan(listeners: List[Any], tested: Tuple[Path, ...], depth: int) -> Any:
 
 def _best_path(listeners: List[Any], tested: Tuple[Path, ...]) -> Optional[Path]:
     """Return the argument where most of the patterns have a constant; None where no test is worth its cost."""
-    found: Counter[Path] = Counter()
+    found: Dict[Path, int] = Counter()
     for listener in listeners:
-        found.update(path for path in _constant_paths(listener.pattern) if path not in tested)
+        for path in _constant_paths(listener.pattern):
+            if path not in tested:
+                found[path] += 1
     if not found:
         return None
     path, _ = min(found.items(), key=lambda item: (-item[1], len(item[0]), item[0]))

@@ -169,7 +169,7 @@ class Place:
         if None not in self.newest:
             return self._within(key, limits, newest)
         both = self._within(key, limits, newest), self._within(None, limits, newest)
-        return heapq.merge(*both, key=_order, reverse=newest)
+        return iter(heapq.merge(*both, key=_order, reverse=newest))
 
     def partners_now(self, key: Any, start: int, end: int) -> Sequence[Match]:
         """Return those that a match may fit, oldest first; see `partners`."""

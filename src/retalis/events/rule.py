@@ -256,11 +256,13 @@ class Rule:
         window = self.window
         if window is not None and end - start > window:
             return after
-        return self.fire(self.builder(values), start, end, after)  # type: ignore[misc]
+        build: Any = self.builder  # there is one: `_completing` has looked
+        return self.fire(build(values), start, end, after)
 
     def _completing(self) -> Completion:
         """Return what takes the values of a whole match; with nothing to test it fires at once."""
-        build, head = self.builder, self.definition.head
+        build: Any = self.builder
+        head = self.definition.head
         if build is None or head is None:
             return Completion(lambda term, values, start, end, after: after)
         plain = head.__class__ is Atom or (head.__class__ is tuple and head[0].name not in _ALARMS)

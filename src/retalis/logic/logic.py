@@ -66,13 +66,14 @@ class Logic:
         self.now: Callable[[], int] = time_ns
         for (name, arity), function in control_predicates(self.control).items():
             self.define_control(name, arity, function).locked = True
+        ways = {
+            "deterministic": self.define,
+            "function": self.define_function,
+            "nondeterministic": self.define_nondeterministic,
+            "control": self.define_control,
+        }
         for (name, arity), entry in builtins.ENTRIES.items():
-            define = {
-                "deterministic": self.define,
-                "function": self.define_function,
-                "nondeterministic": self.define_nondeterministic,
-                "control": self.define_control,
-            }[entry.kind]
+            define: Any = ways[entry.kind]
             define(name, arity, entry.function).locked = entry.locked
         self._library = builtins.library_index()
         self.new_goals: Optional[List[Goal]] = None
@@ -384,7 +385,8 @@ def split_clause(term: Term) -> Tuple[Term, Term]:
     Raises:
         PrologError: instantiation and type errors where the term is no clause.
     """
-    head, body = term, TRUE
+    head: Term = term
+    body: Term = TRUE
     if term.__class__ is tuple and term[0] is _NECK:
         head, body = deref(term[1]), deref(term[2])
     if head.__class__ is tuple and head[0].name == ":" and len(head) == 3:

@@ -45,6 +45,7 @@ _NEEDED = (
     "stat_bytes",
     "stat_num_msg",
     "is_latched",
+    "latch",
     "receive_once",
 )
 
@@ -218,12 +219,19 @@ class Reader:
         return message
 
 
+def _are_callbacks(found: Any) -> bool:
+    """Tell whether a topic keeps its callbacks as a reader expects them: pairs of a function and its arguments."""
+    return isinstance(found, list) and all(isinstance(one, tuple) and len(one) == 2 for one in found)
+
+
 def read_by(subscriber: Any, taker: Taker, hold: float) -> None:
     """Have the connections of a subscriber read by a `Reader`, if they are what is expected of rospy."""
     topic = getattr(subscriber, "impl", None)
     add = getattr(topic, "add_connection", None)
-    if topic is None or add is None or topic.data_class is not rospy.AnyMsg:
+    if topic is None or add is None or getattr(topic, "data_class", None) is not rospy.AnyMsg:
         return  # subscribed before, by its class (``/clock``, by rospy itself)
+    if not _are_callbacks(getattr(topic, "callbacks", None)):
+        return
     if getattr(topic, "statistics_logger", None) is not None:
         return  # it wants to see each message
 

@@ -122,7 +122,7 @@ def nl_to(machine: Any, stream: Term) -> bool:
 
 def _blanks(count: Term) -> str:
     number = evaluate(count)
-    if number.__class__ is not int:
+    if not isinstance(number, int):
         raise type_error("integer_expression", deref(count))
     if number > _WIDEST:
         raise resource_error("memory")
