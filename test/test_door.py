@@ -1,0 +1,110 @@
+"""The door to files: phases, what is resolved, and writing all of a text or nothing."""
+
+import errno
+import os
+
+import pytest
+
+from retalis.door import Door, check_name
+from retalis.errors import RetalisError, UsageError
+from retalis.logic import PrologError
+
+
+@pytest.fixture
+def door(tmp_path):
+    made = Door()
+    made.allow([tmp_path / "read"], [tmp_path / "write"])
+    for name in ("read", "write", "own", "other"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "a.txt").write_text("one\r\ntwo\rthree\n")
+    made.add_own(tmp_path / "own")
+    return made
+
+
+def test_what_may_be_read(door, tmp_path):
+    for name in ("read", "write", "own"):
+        path = str(tmp_path / name / "a.txt")
+        assert door.is_file(path, path)
+        assert door.read(path, path) == "one\ntwo\nthree\n"
+    path = str(tmp_path / "other" / "a.txt")
+    for ask in (door.is_file, door.read, door.require):
+        with pytest.raises(PrologError, match="No permission to open source_sink `name'"):
+            ask(path, "name")
+    with door.loading():
+        assert door.read(path, path)
+
+
+def test_a_folder_whose_name_goes_on_is_another(door, tmp_path):
+    (tmp_path / "reading").mkdir()
+    (tmp_path / "reading" / "a.txt").write_text("")
+    with pytest.raises(PrologError, match="No permission"):
+        door.read(str(tmp_path / "reading" / "a.txt"), "a")
+
+
+def test_loading_ends_with_its_work(door):
+    with pytest.raises(UsageError), door.loading():
+        raise UsageError("x")
+    assert not door.is_loading
+    with door.loading():
+        with door.loading():
+            pass
+        assert door.is_loading
+
+
+def test_what_may_be_written(door, tmp_path):
+    path = str(tmp_path / "write" / "new.txt")
+    door.append(path, "one\n")
+    door.append(path, "two\n")
+    assert door.read(path, path) == "one\ntwo\n"
+    for name in ("read", "own", "other"):
+        with pytest.raises(PrologError, match="No permission"):
+            door.append(str(tmp_path / name / "new.txt"), "one\n")
+        assert not (tmp_path / name / "new.txt").exists()
+    with door.loading():
+        door.append(str(tmp_path / "own" / "new.txt"), "one\n")
+    assert door.output == str(tmp_path / "write")
+
+
+@pytest.mark.parametrize("is_error", [False, True])
+def test_a_full_disk_leaves_no_half_of_a_text(door, tmp_path, monkeypatch, is_error):
+    path = tmp_path / "write" / "a.txt"
+    before = path.read_bytes()
+    write = os.write
+
+    def short(opened, data):
+        write(opened, data[:3])
+        if is_error:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return 3
+
+    monkeypatch.setattr("retalis.door.os.write", short)
+    with pytest.raises(UsageError, match="cannot write .*: No space left on device"):
+        door.append(str(path), "a text\n")
+    monkeypatch.undo()
+    assert path.read_bytes() == before
+
+
+def test_names_that_files_can_have():
+    for name in ("", "a", "/", "x" * 255, "/".join(["x" * 200] * 20), "\u00e9", "a b\n", "-"):
+        check_name(name)
+    for name in ("\0", f"a{chr(0xDFFF)}", "x" * 256, "\u00e9" * 128, "x/" * 2048):
+        with pytest.raises(RetalisError):
+            check_name(name)
+
+
+def test_no_file_stays_open(door, tmp_path):
+    os.mkfifo(str(tmp_path / "read" / "pipe"))
+    (tmp_path / "read" / "large").write_text("x" * 100)
+    door.most = 50
+    before = os.listdir("/proc/self/fd")
+    for name in ("a.txt", "pipe", "large", "none", "../other/a.txt", "."):
+        path = str(tmp_path / "read" / name)
+        for work in (lambda path=path: door.read(path, path), lambda path=path: door.append(path, "x" * 40)):
+            try:
+                work()
+            except RetalisError:
+                continue
+    door.append(str(tmp_path / "write" / "b.txt"), "x" * 40)
+    with pytest.raises(PrologError):
+        door.append(str(tmp_path / "write" / "b.txt"), "x" * 40)
+    assert os.listdir("/proc/self/fd") == before
