@@ -1,7 +1,7 @@
 """What all tests share: hypothesis tries the same examples in every run, so that a failure can be repeated, and
 takes its time: a machine may be busy.
 
-The commands for long runs (``test/oracle``, ``test/syntax/fuzz.py``) take seeds and try others.
+The commands for long runs (``test/oracle``, ``test/fuzz``) take seeds and try others.
 """
 
 try:

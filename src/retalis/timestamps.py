@@ -11,6 +11,7 @@ of seconds. An instant keeps the form that it came in:
 All three are integers: they compare and subtract by the instant they name, whatever their form.
 """
 
+from calendar import isleap
 from datetime import date
 from functools import lru_cache
 from math import frexp, ldexp
@@ -257,6 +258,6 @@ def ros_time(instant: int) -> Term:
 
 def month_days(year: int, month: int) -> int:
     """Return the number of days of a month of the (proleptic Gregorian) calendar."""
-    if month == 12:
-        return 31
-    return _day_number(year, month + 1, 1) - _day_number(year, month, 1)
+    if month == 2:
+        return 29 if isleap(year) else 28
+    return 30 if month in (4, 6, 9, 11) else 31

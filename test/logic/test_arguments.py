@@ -24,6 +24,9 @@ ERRORS = {
     "upcase_atom(a, f(x))": "type_error(atom,f(x))",
     "char_type(a, foo)": "type_error(char_type,foo)",
     "aggregate_all(foo, true, X)": "domain_error(aggregate_template,foo)",
+    "'$arg'(a, f(x), X)": "type_error(integer,a)",
+    "'$within'(true, a, X)": "type_error(inference_limit,a)",
+    "'$within'(true, '$inference_limit'(a), X)": "type_error(integer,a)",
 }
 
 
@@ -40,6 +43,8 @@ ANSWERS = {
     "list_to_assoc([b-1, a-2], A), is_assoc(A)": [{"A": "t(b,1,<,t(a,2,-,t,t),t)"}],
     "ord_subtract([a|T], [a], R)": [{"T": "A", "R": "A"}],
     'format(codes(Cs, T), "~w", [a])': [{"Cs": "[97|A]", "T": "A"}],
+    "month_days(2, 200000, D)": [{"D": "29"}],
+    "month_days(11, 0, D)": [{"D": "30"}],
 }
 
 

@@ -119,10 +119,14 @@ def call_with_inference_limit(machine: Any, args: Any, after: Frame) -> Optional
 def within(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
     """Run a goal that `call_with_inference_limit` has set a ceiling for."""
     goal, ball, result = args
+    ball = deref(ball)
+    if ball.__class__ is not tuple or ball[0] is not _INFERENCE_LIMIT:
+        raise type_error("inference_limit", ball)
+    ceiling = integer(ball[1])
     height = len(machine.choices)
     budget = machine.budget
-    budget.warn_past(ball[1], LimitPassed("inference", ball))
-    machine.choices.append((_CAPPED, budget, ball[1], len(machine.trail)))
+    budget.warn_past(ceiling, LimitPassed("inference", ball))
+    machine.choices.append((_CAPPED, budget, ceiling, len(machine.trail)))
     return machine.logic.control.call(goal, (_STAYED, machine, height, result, after))  # type: ignore[no-any-return]
 
 

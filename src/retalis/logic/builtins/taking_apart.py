@@ -87,6 +87,8 @@ def arg(machine: Any, number: Term, term: Term, value: Term) -> Iterator[Any]:
 @deterministic("$arg/3")
 def known_arg(machine: Any, number: Term, term: Term, value: Term) -> bool:
     """Do what ``arg/3`` does for a number that is known."""
+    if number.__class__ is not int:
+        number = integer(number)
     term = deref(term)
     if term.__class__ is not tuple:
         if term.__class__ is Var:

@@ -1,0 +1,82 @@
+"""Feed the package with inputs that nobody would write: see README.md.
+
+Usage (with ``test`` on the path): python -m fuzz [--kind KIND] [--inputs N] [--seed S] [--minutes M] [--jobs J]
+"""
+
+import argparse
+import sys
+from pathlib import Path
+
+from .campaign import Campaign
+from .kinds import NAMES
+
+
+def arguments(argv):
+    """Read the command line."""
+    parser = argparse.ArgumentParser(prog="fuzz", description=__doc__.split("\n")[0])
+    parser.add_argument(
+        "--kind", action="append", choices=NAMES, help="may come several times; all by default"
+    )
+    parser.add_argument("--inputs", type=int, default=20_000, help="of each kind (default: %(default)s)")
+    parser.add_argument("--first", type=int, default=0, help="number of the first input, to go on with a run")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--minutes", type=float, default=0, help="at most, for each kind")
+    parser.add_argument("--jobs", type=int, default=1, help="processes at a time")
+    parser.add_argument("--save", type=Path, metavar="DIR", help="a folder for the inputs of findings")
+    parser.add_argument(
+        "--replay", metavar="KIND:SEED:SINCE-NUMBER|KIND:FILE", help="inputs of a finding once more"
+    )
+    return parser.parse_args(argv)
+
+
+def show(campaign, save=None):
+    """Print what a campaign has found; save the inputs."""
+    print(
+        f"{campaign.kind}: {campaign.done} inputs, {campaign.taken} steps taken, {campaign.refused} refused, "
+        f"slowest {campaign.slowest:.2f} s, at most {campaign.peak} MB, {len(campaign.counted)} findings",
+        flush=True,
+    )
+    for number, line in enumerate(campaign.findings.values(), 1):
+        print(f"  {line['what']} at {line['where']} ({line['times']} times): {line['detail']}")
+        print(f"    --replay {line['kind']}:{line['seed']}:{line['since']}-{line['number']}")
+        if "input" in line:
+            data = bytes.fromhex(line["input"])
+            print(f"    {data[:300]!r}", flush=True)
+            if save is not None:
+                folder = save / line["kind"]
+                folder.mkdir(parents=True, exist_ok=True)
+                (folder / f"{line['seed']}-{line['number']}-{number}").write_bytes(data)
+
+
+def replayed(text):
+    """Return the campaign of inputs that are named as ``show`` prints them."""
+    kind, _, rest = text.partition(":")
+    seed, _, numbers = rest.partition(":")
+    since, _, number = numbers.partition("-")
+    if not (seed.isdigit() and since.isdigit() and number.isdigit()):
+        campaign = Campaign(kind)
+        campaign.file(rest)
+        return campaign
+    campaign = Campaign(kind, int(seed))
+    campaign.replay(int(since), int(number))
+    return campaign
+
+
+def main(argv):
+    """Do what the command line says; return the number of findings, as far as an exit status can tell."""
+    options = arguments(argv)
+    if options.replay:
+        campaign = replayed(options.replay)
+        show(campaign)
+        return min(len(campaign.findings), 100)
+    found = 0
+    for kind in options.kind or NAMES:
+        campaign = Campaign(kind, options.seed)
+        campaign.run(options.inputs, options.jobs, options.minutes, options.first)
+        show(campaign, options.save)
+        found += len(campaign.counted)
+    return min(found, 100)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,211 @@
+"""Many inputs of a kind, in processes that may die of them, and what was found."""
+
+import json
+import os
+import signal
+import struct
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+STILL = 10.0
+"""Seconds of CPU time on one input after which its process is ended: no handler could end the work."""
+
+BLOCKED = 60.0
+"""Seconds on one input, worked on or not, after which its process is ended."""
+
+LOOK = 0.5
+"""Seconds between two looks at a process."""
+
+DEATHS = 30
+"""Processes that may die before a campaign is given up."""
+
+FOLDER = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
+"""Where inputs lie that have to be files: in memory where that is possible."""
+
+_TICKS = os.sysconf("SC_CLK_TCK")
+
+
+class Campaign:
+    """A run over inputs of one kind.
+
+    Attributes:
+        findings: by their keys, the first input of each with the number of all.
+        done: how many inputs were worked on.
+        taken, refused: steps that ended well, and with a documented error.
+        slowest: seconds of CPU time of the slowest input.
+    """
+
+    def __init__(self, kind, seed=1):
+        self.kind = kind
+        self.seed = seed
+        self.findings = {}
+        self.done = self.taken = self.refused = self.deaths = self.peak = 0
+        self.slowest = 0.0
+        self._lock = threading.Lock()
+
+    def run(self, inputs, jobs=1, minutes=0.0, first=0):
+        """Work on inputs from a number on, so many processes at a time."""
+        end = time.monotonic() + 60 * minutes if minutes else None
+        share = -(-inputs // jobs)
+        parts = [
+            threading.Thread(
+                target=self._part, args=(first + at * share, min(share, inputs - at * share), end)
+            )
+            for at in range(jobs)
+        ]
+        for part in parts:
+            part.start()
+        for part in parts:
+            part.join()
+        self._confirm()
+
+    def replay(self, first, number):
+        """Work on the inputs of a block up to a number."""
+        self._part(first, number - first + 1, None)
+
+    def file(self, path):
+        """Work on an input in a file."""
+        with tempfile.TemporaryDirectory(prefix="fuzz", dir=FOLDER) as scratch:
+            _Process(self, scratch, ["file", str(Path(path).resolve())]).wait()
+
+    def found(self, line):
+        """Take a finding."""
+        with self._lock:
+            known = self.findings.setdefault(line["key"], dict(line, times=0))
+            known["times"] += 1
+
+    def add(self, figures):
+        """Take the figures of a process that has come to its end."""
+        with self._lock:
+            self.taken += figures["taken"]
+            self.refused += figures["refused"]
+            self.slowest = max(self.slowest, figures["slowest"])
+            self.peak = max(self.peak, figures["peak"])
+
+    def _part(self, first, count, end):
+        stop = first + count
+        while first < stop:
+            seconds = 0.0 if end is None else max(0.1, end - time.monotonic())
+            with tempfile.TemporaryDirectory(prefix="fuzz", dir=FOLDER) as scratch:
+                process = _Process(self, scratch, [str(first), str(stop - first), str(seconds)])
+                died_at = process.wait()
+            with self._lock:
+                self.done += process.done if died_at is None else max(0, died_at - first + 1)
+                self.deaths += died_at is not None
+            if died_at is None or self.deaths > DEATHS or (end is not None and time.monotonic() > end):
+                return
+            first = max(first, died_at) + 1
+
+    def _confirm(self):
+        """Leave out what took long or much only once: another process may have held up the machine."""
+        for line in list(self.findings.values()):
+            if line["what"] in ("time", "growth"):
+                again = Campaign(self.kind, self.seed)
+                again.replay(line["since"], line["number"])
+                if not any(one["what"] == line["what"] for one in again.findings.values()):
+                    line["what"] = "once"
+
+    @property
+    def counted(self):
+        """The findings that count."""
+        return [line for line in self.findings.values() if line["what"] != "once"]
+
+
+class _Process:
+    """A process that works on inputs, and what it tells."""
+
+    def __init__(self, campaign, scratch, what):
+        self._campaign = campaign
+        self._scratch = Path(scratch)
+        (self._scratch / "progress").write_bytes(struct.pack("<qq", -1, 0))
+        inputs = self._scratch / "inputs"
+        inputs.mkdir()
+        self._errors = (self._scratch / "errors").open("w+b")
+        path = os.pathsep.join(
+            [str(HERE.parents[1] / "src"), str(HERE.parent), os.environ.get("PYTHONPATH", "")]
+        )
+        command = [sys.executable, "-m", "fuzz.worker", campaign.kind, str(campaign.seed), str(inputs), *what]
+        (inputs / "progress").write_bytes(struct.pack("<qq", -1, 0))
+        self._progress = inputs / "progress"
+        self._process = subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=self._errors,
+            env=dict(os.environ, PYTHONPATH=path, PYTHONHASHSEED="0"),
+        )
+        self.done = 0
+        self._ended = False
+        self._killed = ""
+
+    def wait(self):
+        """Read what it tells until it ends; return the number of the input of which it has died, or None."""
+        guard = threading.Thread(target=self._guard, daemon=True)
+        guard.start()
+        for text in self._process.stdout:
+            line = json.loads(text)
+            if "done" in line:
+                self.done = line["done"]
+                self._ended = True
+                self._campaign.add(line)
+            else:
+                self._campaign.found(line)
+        status = self._process.wait()
+        guard.join()
+        self._errors.seek(0)
+        errors = self._errors.read().decode(errors="replace")
+        self._errors.close()
+        if self._ended:
+            return None
+        number, since = self._at()
+        if number < 0:
+            raise RuntimeError(f"a process of kind {self._campaign.kind} did not start: {errors}")
+        what = self._killed or f"died ({status})"
+        places = [line.strip() for line in errors.splitlines() if "retalis/" in line]
+        where = places[0].split("retalis/")[-1] if places else "somewhere"
+        self._campaign.found(
+            {
+                "key": f"{what} {where}",
+                "what": what,
+                "detail": errors[-1500:],
+                "where": where,
+                "kind": self._campaign.kind,
+                "seed": self._campaign.seed,
+                "number": number,
+                "since": since,
+                "again": False,
+            }
+        )
+        return number
+
+    def _at(self):
+        return struct.unpack("<qq", self._progress.read_bytes()[:16])
+
+    def _guard(self):
+        """End a process that stays at one input."""
+        last, since, used = None, time.monotonic(), 0.0
+        while True:
+            try:
+                self._process.wait(LOOK)
+                return
+            except subprocess.TimeoutExpired:
+                pass
+            at, now, cpu = self._at(), time.monotonic(), self._cpu()
+            if at != last or at[0] < 0:
+                last, since, used = at, now, cpu
+            elif cpu - used > STILL or now - since > BLOCKED:
+                self._killed = "hang" if cpu - used > STILL else "blocked"
+                self._process.send_signal(signal.SIGABRT)  # faulthandler tells where it is
+                return
+
+    def _cpu(self):
+        try:
+            fields = Path(f"/proc/{self._process.pid}/stat").read_text().rpartition(")")[2].split()
+        except OSError:  # it has just ended
+            return 0.0
+        return (int(fields[11]) + int(fields[12])) / _TICKS

@@ -1,0 +1,21 @@
+"""The kinds of inputs by name."""
+
+from importlib import import_module
+
+NAMES = (
+    "texts",
+    "event_texts",
+    "messages",
+    "definitions",
+    "headers",
+    "rules",
+    "goals",
+    "xml",
+    "bags",
+    "names",
+)
+
+
+def kind_of(name):
+    """Return the class of a kind: only what it needs is imported."""
+    return import_module(f"{__name__}.{name}").Inputs

@@ -1,0 +1,88 @@
+"""Inputs that do what must not be done, for the tests of the watch; no kind that is run."""
+
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+from itertools import repeat
+
+from retalis.errors import UsageError
+
+from .base import Kind
+
+
+def documented():
+    raise UsageError("wrong")
+
+
+def undocumented():
+    raise KeyError("wrong")
+
+
+def swallowed():
+    try:
+        os.system("true")
+    except Exception:  # what was forbidden counts even where it was caught
+        return
+
+
+def recursion():
+    return recursion()
+
+
+def loop():
+    while True:
+        try:
+            len("")
+        except Exception:  # no handler of errors holds it up
+            continue
+
+
+def grow():
+    held = [bytes(1 << 20) + b"x" for _ in range(200)]
+    del held[:]
+
+
+def endless():
+    return sum(repeat(0))
+
+
+ACTS = {
+    "documented": documented,
+    "undocumented": undocumented,
+    "swallowed": swallowed,
+    "recursion": recursion,
+    "loop": loop,
+    "grow": grow,
+    "endless": endless,
+    "crash": os.abort,
+    "read": lambda: os.open("/etc/passwd", os.O_RDONLY),
+    "write": lambda: os.open("written", os.O_WRONLY | os.O_CREAT),
+    "scratch": lambda: os.open("progress", os.O_RDONLY),
+    "listing": lambda: os.listdir("/"),
+    "removal": lambda: os.remove("progress"),
+    "folder": lambda: os.mkdir("made"),
+    "temporary": tempfile.mkstemp,
+    "process": lambda: subprocess.Popen(["true"]),
+    "fork": os.fork,
+    "replaced": lambda: os.execv("/bin/true", ["true"]),
+    "connection": lambda: socket.socket(),
+    "source": lambda: eval("1 + 1"),
+    "code": lambda: exec(compile("x = 1", "<x>", "exec")),
+    "module": lambda: __import__("colorsys"),
+    "trace": lambda: sys.settrace(None),
+}
+
+
+class Inputs(Kind):
+    warm = False
+
+    def setup(self):
+        self.corpus = [act.encode() for act in ACTS]
+
+    def make(self, chance):
+        return b"documented"
+
+    def run(self, data):
+        self.attempt(ACTS[data.decode()])

@@ -1,0 +1,85 @@
+"""Texts of message definitions."""
+
+from retalis.messages import Definitions, Installed, text_writer
+
+from ..mutate import changed_text, soup, to_bytes, to_text
+from ..watch import Finding
+from .base import Kind
+
+PIECES = (
+    "int32 ",
+    "string ",
+    "float64[] ",
+    "uint8[",
+    "bool[3] ",
+    "time ",
+    "Header ",
+    "pkg/Type ",
+    "=",
+    "#",
+    "\n",
+)
+PIECES += (
+    "=" * 80 + "\nMSG: pkg/Type\n",
+    "[1000]",
+    "[0]",
+    "[-1]",
+    "[]",
+    "x",
+    "import",
+    "X=1",
+    "const_=",
+    "0x",
+    "1e9",
+)
+PIECES += (
+    "[99999999999]",
+    "MSG: ",
+    "class ",
+    "é",
+    "\r",
+    "\x0b",
+    "\x85",
+    "std_msgs/Header h",
+    "string S= a # b ",
+    "/",
+)
+
+
+class Inputs(Kind):
+    """The first line of an input is the type's name."""
+
+    block = 100
+
+    def setup(self):
+        self.installed = Installed()
+        self.installed.text("no_such_package/Type")
+
+    def begin(self):
+        self.known = Definitions(self.installed)
+
+    def make(self, chance):
+        if chance.random() < 0.2:
+            return to_bytes("pkg/Soup\n" + soup(chance, PIECES, 12))
+        return to_bytes(changed_text(chance, chance.choice(self.texts), self.texts, PIECES))
+
+    def run(self, data):
+        name, _, text = to_text(data).partition("\n")
+        definition = self.attempt(self.known.add, name, text)
+        if definition is None:
+            return
+        again = self.attempt(self.known.add, name, definition.full_text)
+        if again is None or again.md5sum != definition.md5sum:
+            raise Finding("difference", "the full text is not that of the same type", "definitions")
+        decoder = self.attempt(self.known.decoder, definition)
+        encoder = self.attempt(self.known.encoder, definition)
+        if decoder is None or encoder is None:
+            return
+        write = text_writer(decoder)
+        for size in (0, 64):
+            message = bytes(size)
+            self.attempt(decoder.stamp, message)
+            self.attempt(write, message)
+            term = self.attempt(decoder.decode, message)
+            if term is not None and encoder.encode(term) != message:
+                raise Finding("difference", "zeros do not come back", "definitions")

@@ -1,0 +1,61 @@
+"""Texts on the topic of events, for an engine that takes events only."""
+
+from ..mutate import changed_text, soup, to_bytes, to_text
+from .base import LOGGED, Kind, silent_engine
+
+PIECES = (
+    "event(",
+    "new_event(",
+    "datime(2014,10,19,19,50,5,1)",
+    ",[datime(",
+    "[1,2]",
+    "a(1)",
+    "b(X)",
+    "'\"text\"'",
+    "nan",
+    "-inf",
+    "1e400",
+    "99999999999999999999",
+    "[[1,2],[3|T]]",
+    "'x y'",
+    ")",
+    "])",
+    "0'a",
+    "assertz(a)",
+    "halt",
+)
+RULES = """
+ab(X, Y) <- a(X) seq b(Y).
+both(X) <- (a(X) and c(X)) within 60.
+many(S) <- a(_) seq aggregate(sum(X), b(X), S).
+late(X) <- c(X) where (number(X), X > 1).
+unless(X) <- (a(X) seq c(_)) cnot b(X).
+"""
+GOALS = """
+memorize(a(X), [], X, as, 10)
+subscribe(ab(_,_), [], _, t, s)
+memorize(c(X), [number(X)], got(X), cs, 3)
+"""
+
+
+class Inputs(Kind):
+    block = 200
+
+    def begin(self):
+        self.engine = silent_engine()
+        self.engine.load(rules=RULES, goals=GOALS)
+        self.engine.on_output(lambda term, topic, name: self.engine.show(term))
+
+    def make(self, chance):
+        if chance.random() < 0.15:
+            return to_bytes("event(" + soup(chance, PIECES))
+        return to_bytes(changed_text(chance, chance.choice(self.texts), self.texts, PIECES))
+
+    def run(self, data):
+        before = self.engine.reports.warnings
+        self.engine.post_text(to_text(data))
+        if self.engine.reports.warnings > before:
+            self.refused += 1
+        else:
+            self.taken += 1
+        LOGGED.check()

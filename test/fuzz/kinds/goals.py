@@ -1,0 +1,69 @@
+"""Queries: examples of the page of predicates changed, and every predicate with arguments of all kinds."""
+
+import re
+from pathlib import Path
+
+from retalis.syntax import write_term
+from retalis.terms import atom
+
+from ..mutate import changed_text, to_bytes, to_text
+from .base import LOGGED, Kind, silent_engine
+
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "predicates.md"
+EXAMPLE = re.compile(r"`` (.+?) ``")
+MOST = 5
+
+ARGUMENTS = Path(__file__).with_name("arguments.txt").read_text(encoding="utf-8").splitlines()
+
+
+def examples():
+    """Return the examples of the page."""
+    found = []
+    for line in PAGE.read_text(encoding="utf-8").split("\n"):
+        if line.startswith("| ``"):
+            cells = re.split(r"(?<!\\) (?<!\\)\| ", line[2:-2])
+            found.append(EXAMPLE.findall(cells[4])[0].replace("\\|", "|"))
+    return found
+
+
+class Inputs(Kind):
+    block = 100
+
+    def setup(self):
+        self.texts += examples()
+        keys = silent_engine().logic.names()
+        self.keys = sorted((write_term(atom(key.name), None, quoted=True), key.arity) for key in keys)
+
+    def begin(self):
+        self.engine = silent_engine()
+        self.engine.load(
+            "foo(1). foo(2). foo(f(X)) :- foo(X). a(X) <- b(X). p(X) --> [X], q. q --> []. q --> [x], q."
+        )
+
+    def make(self, chance):
+        if chance.random() < 0.5:
+            return to_bytes(changed_text(chance, chance.choice(self.texts), self.texts, ARGUMENTS))
+        goals = [self.goal(chance) for _ in range(chance.choice((1, 1, 2, 3)))]
+        return to_bytes(chance.choice((", ", ", ", " ; ", " -> ")).join(goals))
+
+    def goal(self, chance, depth=0):
+        name, arity = chance.choice(self.keys)
+        arguments = [self.argument(chance, depth) for _ in range(arity)]
+        return f"{name}({', '.join(arguments)})" if arity else name
+
+    def argument(self, chance, depth):
+        what = chance.random()
+        if what > 0.93 and depth < 3:
+            return f"({self.goal(chance, depth + 1)})"
+        if what > 0.88 and depth < 3:
+            return f"[{self.argument(chance, depth + 1)}, {self.argument(chance, depth + 1)}]"
+        if what > 0.83 and depth < 3:
+            return f"f({self.argument(chance, depth + 1)})"
+        return f"({chance.choice(ARGUMENTS)})"
+
+    def run(self, data):
+        found = self.attempt(self.engine.query, to_text(data), MOST)
+        for solution in found or ():
+            for value in solution.values():
+                self.attempt(self.engine.show, value)
+        LOGGED.check()

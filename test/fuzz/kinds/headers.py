@@ -1,0 +1,60 @@
+"""Headers of connections, from the type that is asked for to the decoder of the messages."""
+
+import json
+
+from retalis.messages import Definitions, Installed
+
+from ..mutate import changed_text, to_bytes, to_text
+from .base import Kind
+from .definitions import PIECES
+
+FIELDS = ("type", "message_definition", "md5sum", "callerid", "topic")
+
+
+class Inputs(Kind):
+    """An input is a JSON object: the header, with the type that is asked for as ``wanted``."""
+
+    block = 100
+
+    def setup(self):
+        self.installed = Installed()
+        self.installed.text("no_such_package/Type")
+        self.headers = [json.loads(data) for data in self.corpus if data.startswith(b"{")]
+        self.values = {
+            field: [str(one.get(field, "")) for one in self.headers] for field in (*FIELDS, "wanted")
+        }
+
+    def begin(self):
+        self.known = Definitions(self.installed)
+
+    def make(self, chance):
+        header = dict(chance.choice(self.headers))
+        for _ in range(chance.randint(1, 3)):
+            field = chance.choice((*FIELDS, "message_definition", "wanted"))
+            what = chance.random()
+            if what < 0.1:
+                header.pop(field, None)
+            elif what < 0.3:
+                header[field] = chance.choice(self.values[field])
+            else:
+                texts = self.values[field]
+                header[field] = changed_text(chance, str(header.get(field, "")), texts, PIECES)
+        return to_bytes(json.dumps(header))
+
+    def run(self, data):
+        try:
+            header = json.loads(to_text(data))
+        except ValueError:  # an input that was shortened too far
+            return
+        self.attempt(self.learn, header)
+
+    def learn(self, header):
+        """Do what the interface does with a connection."""
+        wanted = header.get("wanted", "pkg/Type")
+        text, md5sum = header.get("message_definition", ""), header.get("md5sum", "*")
+        is_known = wanted in self.known
+        definition = self.known.received(wanted, header.get("type", "*"), text, md5sum)
+        decoder = self.known.decoder(definition)
+        for message in (b"", bytes(64)):
+            self.attempt(decoder.decode, message)
+        return is_known

@@ -1,0 +1,120 @@
+"""Bytes of messages of many types, and terms that are to become messages."""
+
+import struct
+
+from retalis.messages import Definitions, text_writer
+from retalis.syntax import EventReader
+from retalis.syntax import to_text as text_of
+
+from ..mutate import changed_bytes, changed_text, to_bytes, to_text
+from ..watch import Finding
+from .base import CORPUS, Kind
+
+SIZES = {"bool": "?", "int8": "b", "byte": "b", "uint8": "B", "char": "B", "int16": "h", "uint16": "H"}
+SIZES.update(int32="i", uint32="I", int64="q", uint64="Q", float32="f", float64="d")
+TEXTS = (b"", b"/map", b"base_link", "é".encode(), b'a "quoted" \\ one', b"\xff\xfe", b"it's\n", b"x" * 300)
+PIECES = (
+    "nan",
+    "inf",
+    "-inf",
+    "1e400",
+    "-1",
+    "4294967296",
+    "99999999999999999999",
+    "true",
+    "X",
+    "[]",
+    "[1,2|T]",
+)
+PIECES += ("'\"t\"'", "a", '"s"', "{}", "f(x)", "[1,2,3]", "(a,b)", "std_msgs__0__Header(0,[0,0],'\"\"')")
+
+
+def valid(chance, definition):
+    """Return the bytes of a random message."""
+    return b"".join(_slot(chance, slot) for slot in definition.fields)
+
+
+def _slot(chance, slot):
+    if slot.length is None:
+        return _one(chance, slot)
+    number = chance.choice((0, 1, 2, 5, 40)) if slot.length < 0 else slot.length
+    start = struct.pack("<I", number) if slot.length < 0 else b""
+    return start + b"".join(_one(chance, slot) for _ in range(number))
+
+
+def _one(chance, slot):
+    if slot.definition is not None:
+        return valid(chance, slot.definition)
+    if slot.type == "string":
+        text = chance.choice(TEXTS)
+        return struct.pack("<I", len(text)) + text
+    if slot.type in ("time", "duration"):
+        return struct.pack("<II", chance.randrange(1 << 31), chance.randrange(10**9))
+    return bytes(chance.randrange(256) for _ in range(struct.calcsize(SIZES[slot.type])))
+
+
+class Inputs(Kind):
+    block = 5000
+
+    def setup(self):
+        self.known = Definitions()
+        self.types = {}
+        for path in sorted((CORPUS / "definitions").glob("*.msg")):
+            name, _, text = path.read_text().partition("\n")
+            self.types[name] = self.known.add(name, text)
+        self.names = sorted(self.types)
+        self.writers = {name: text_writer(self.known.decoder(kind)) for name, kind in self.types.items()}
+        self.valid = {}
+
+    def begin(self):
+        self.reader = EventReader()
+
+    def make(self, chance):
+        if not self.valid:
+            self._learn()
+        name = chance.choice(self.names)
+        data = chance.choice(self.valid[name])
+        if chance.random() < 0.7:
+            return f"decode {name}\n".encode() + changed_bytes(
+                chance, data, self.valid[chance.choice(self.names)]
+            )
+        texts = self.written[name]
+        return f"encode {name}\n".encode() + to_bytes(
+            changed_text(chance, chance.choice(texts), texts, PIECES)
+        )
+
+    def _learn(self):
+        import random
+
+        chance = random.Random(1)
+        for name, kind in self.types.items():
+            self.valid[name] = [valid(chance, kind) for _ in range(20)]
+        self.written = {name: [self.writers[name](data) for data in self.valid[name]] for name in self.names}
+
+    def run(self, data):
+        head, _, body = data.partition(b"\n")
+        work, _, name = head.decode().partition(" ")
+        definition = self.types[name]
+        decoder, encoder = self.known.decoder(definition), self.known.encoder(definition)
+        if work == "decode":
+            self.decode(decoder, encoder, self.writers[name], body)
+        else:
+            term = self.attempt(self.reader.read, to_text(body))
+            made = None if term is None else self.attempt(encoder.encode, term, "/topic")
+            if made is not None:
+                text_of(decoder.decode(made))
+
+    def decode(self, decoder, encoder, write, data):
+        self.attempt(decoder.stamp, data)
+        text = self.attempt(write, data)
+        term = self.attempt(decoder.decode, data)
+        if (text is None) != (term is None):
+            raise Finding("difference", "text and term do not agree on whether it is a message", "messages")
+        if term is None:
+            return
+        if text_of(term) != text:
+            raise Finding("difference", f"{text_of(term)[:100]} is no {text[:100]}", "messages")
+        lazy = decoder.lazy(data)
+        again = encoder.encode(lazy)
+        if text_of(decoder.decode(again)) != text:
+            raise Finding("difference", "it does not come back as it was", "messages")

@@ -1,0 +1,341 @@
+"""Names that look like something else, in every place where a name can come in.
+
+A name comes back as it was or is refused with a documented error, and it never comes up in a source: each has a
+mark for that.
+"""
+
+import json
+import re
+
+from retalis.messages import Definitions, Installed, functor_name, text_writer
+from retalis.syntax import EventReader, read_term, writeq
+from retalis.syntax import to_text as text_of
+from retalis.terms import atom, functor
+
+from ..mutate import soup, to_bytes, to_text
+from ..watch import Finding
+from .base import LOGGED, Kind, silent_engine
+
+PIECES = (
+    "'",
+    '"',
+    "\\",
+    "\n",
+    "\0",
+    "\r",
+    "{",
+    "}",
+    "%s",
+    "%(x)s",
+    "{0}",
+    "{x!r}",
+    '"""',
+    "'''",
+    "#",
+    ";",
+    ":",
+    "(",
+    ")",
+)
+PIECES += (
+    "__import__('os').system('true')",
+    "');import os#",
+    "\\N{DEGREE SIGN}",
+    "../",
+    "/etc/passwd",
+    "~/",
+    "$(true)",
+)
+PIECES += (
+    "`true`",
+    " ",
+    "\t",
+    "é",
+    "٣",
+    "ﬁ",
+    "K",
+    "\ud800",
+    "\u2028",
+    "\U0001f600",
+    "None",
+    "def",
+    "lambda",
+    "class",
+)
+PIECES += (
+    "self",
+    "term",
+    "data",
+    "_",
+    "__0__",
+    "__class__",
+    "0",
+    "1e9",
+    "/",
+    "-",
+    "+",
+    "=",
+    ".",
+    "..",
+    "*",
+    "[",
+    "]",
+)
+PIECES += (
+    "a" * 300,
+    "\\u0027",
+    "\\x27",
+    "|",
+    "!",
+    "[]",
+    "{}",
+    ",",
+    "<",
+    "&",
+    "~private",
+    "/abs",
+    "x.y",
+    "0'a",
+    "/*",
+    "%",
+)
+MARK = "zq"
+FILE_GOALS = ("consult({})", "ensure_loaded({})", "include({})", "[{}]", "exists_file({})", "consult(foo/{})")
+FILE_GOALS += (
+    "compile_event_file({})",
+    "compile_events({})",
+    "execute_event_stream_file({})",
+    "open({}, write, _)",
+)
+FILE_GOALS += (
+    "see({})",
+    "tell({})",
+    "set_etalis_flag(output_temporary_files, {})",
+    "read_term({}, X, [])",
+    "shell({})",
+)
+
+
+class Inputs(Kind):
+    """An input is a JSON object: the place, the name, and its mark."""
+
+    block = 50
+
+    def setup(self):
+        self.installed = Installed()
+        self.installed.text("no_such_package/Type")
+        self.places = sorted(name[3:] for name in dir(self) if name.startswith("in_"))
+        for number, data in enumerate(self.corpus):
+            if not data.startswith(b"{"):
+                self.corpus[number] = self._input(
+                    self.places[number % len(self.places)], to_text(data), number
+                )
+
+    def begin(self):
+        self.known = Definitions(self.installed)
+        self.engine = silent_engine()
+        self.outputs = []
+        self.engine.on_output(lambda term, topic, name: self.outputs.append((term, topic, name)))
+        self.reader = EventReader()
+
+    def make(self, chance):
+        what = chance.random()
+        if what < 0.3:
+            name = soup(chance, PIECES, 2)
+        elif what < 0.6:
+            name = "a" + soup(chance, PIECES, 3)
+        else:
+            name = soup(chance, PIECES, 6)
+        return self._input(chance.choice(self.places), name, chance.randrange(10**9))
+
+    def _input(self, place, name, number):
+        mark = f"{MARK}{number}"
+        at = number % (len(name) + 1)
+        return to_bytes(json.dumps({"place": place, "name": name[:at] + mark + name[at:], "mark": mark}))
+
+    def marked(self, data):
+        found = re.search(rb'"mark": "(zq\d+)"', data)
+        return found[1].decode() if found else ""
+
+    def run(self, data):
+        try:
+            given = json.loads(to_text(data))
+            work, name = getattr(self, f"in_{given['place']}"), str(given["name"])
+        except (ValueError, KeyError, TypeError, AttributeError):  # an input that was shortened too far
+            return
+        self.attempt(work, name)
+        LOGGED.check()
+
+    def same(self, found, name):
+        if found != name:
+            raise Finding("difference", f"{name!r} came back as {found!r}", "names")
+
+    # ---- messages ------------------------------------------------------------------------------------
+
+    def _use(self, definition):
+        decoder, encoder = self.known.decoder(definition), self.known.encoder(definition)
+        term = decoder.decode(bytes(4))
+        text = text_writer(decoder)(bytes(4))
+        self.same(text, text_of(term))
+        self.same(encoder.encode(self.reader.read(text)), bytes(4))
+        self.attempt(decoder.decode, b"")
+        self.attempt(encoder.encode, atom("x"), "/t")
+        return term
+
+    def in_type(self, name):
+        term = self._use(self.known.add(f"pkg/{name}", "int32 x"))
+        self.same(term[0].name, functor_name(f"pkg/{name}"))
+
+    def in_package(self, name):
+        term = self._use(self.known.add(f"{name}/Type", "int32 x"))
+        self.same(term[0].name, functor_name(f"{name}/Type"))
+
+    def in_field(self, name):
+        definition = self.known.add("pkg/Type", f"int32 {name}")
+        self._use(definition)
+        if definition.fields[0].name not in name:
+            raise Finding("difference", f"{name!r} became {definition.fields[0].name!r}", "names")
+
+    def in_constant(self, name):
+        self._use(self.known.add("pkg/Type", f"int32 x\nint32 {name}=1"))
+
+    def in_constant_text(self, name):
+        definition = self.known.add("pkg/Type", f"int32 x\nstring X={name}")
+        self._use(definition)
+
+    def in_nested_type(self, name):
+        nested = f"{'=' * 80}\nMSG: pkg/{name}\nint32 y"
+        definition = self.known.add("pkg/Type", f"{name} x\n{nested}")
+        self._use(definition)
+
+    def in_message_text(self, name):
+        definition = self.known.find("std_msgs/String")
+        raw = name.encode("utf-8", "surrogatepass")
+        data = len(raw).to_bytes(4, "little") + raw
+        decoder = self.known.decoder(definition)
+        text = text_writer(decoder)(data)
+        term = self.reader.read(text)
+        self.same(text_of(term), text_of(decoder.decode(data)))
+        self.same(self.known.encoder(definition).encode(decoder.decode(data)), data)
+        self.engine.post(decoder.decode(data))
+
+    # ---- logic ---------------------------------------------------------------------------------------
+
+    def in_atom(self, name):
+        text = writeq(atom(name), self.engine.logic.operators)
+        found = self.engine.query(f"X = {text}")
+        self.same(found[0]["X"], atom(name))
+        self.same(self.reader.read(text_of((functor("f", 1), atom(name))))[1], atom(name))
+
+    def in_functor(self, name):
+        text = writeq((functor(name, 1), 1), self.engine.logic.operators)
+        self.engine.load(rules=f"{text} :- true.\ncalls(X) :- {text}, X = 1.")
+        self.same(len(self.engine.query(text)), 1)
+        self.same(self.engine.query("calls(X)")[0]["X"], 1)
+        self.engine.query(f"retractall({text})")
+
+    def in_event(self, name):
+        text = writeq((functor(name, 1), 1), self.engine.logic.operators)
+        quoted = writeq(atom(name), self.engine.logic.operators)
+        self.engine.load(rules=f"{quoted}(X) <- fuzz_a(X) seq fuzz_b({quoted}) where X > 0.")
+        self.engine.load(goals=f"subscribe({quoted}(_), [], _, t, fuzz)")
+        try:
+            self.engine.event("fuzz_a(1)", 1)
+            self.engine.event(f"fuzz_b({quoted})", 2)
+            self.engine.post_text(
+                f"event({text},[datime(2014,10,19,19,50,5,1),datime(2014,10,19,19,50,5,1)])"
+            )
+        finally:
+            self.engine.call("delete_subscription(t, fuzz)")
+        self.outputs.clear()
+
+    def in_variable(self, name):
+        read = read_term(f"f(_{name})", self.engine.logic.operators)
+        for found in read.names:
+            if found not in f"_{name}":
+                raise Finding("difference", f"{name!r} became {found!r}", "names")
+        self.engine.query(f"V{name} = 1, X = V{name}")
+        self.engine.load(rules=f"v{MARK}(V{name}) <- a(V{name}) where V{name} > 1.")
+
+    def in_string(self, name):
+        text = writeq(atom(name), self.engine.logic.operators)
+        found = self.engine.query(f'atom_string({text}, S), atom_length(S, N), string_concat(S, "", S)')
+        self.same(found[0]["S"].text, name)
+        self.engine.load(rules=f"s({text}) <- a(X) where X = {text}.")
+        self.engine.event(f"a({text})", 1)
+
+    def in_operator(self, name):
+        quoted = writeq(atom(name), self.engine.logic.operators)
+        self.engine.call(f"op(700, xfx, {quoted})")
+        try:
+            term = (functor(name, 2), 1, atom(name))
+            self.same(
+                writeq(
+                    read_term(writeq(term, self.engine.logic.operators), self.engine.logic.operators).term
+                ),
+                writeq(term),
+            )
+        finally:
+            self.engine.call(f"op(0, xfx, {quoted})")
+
+    def in_flag(self, name):
+        quoted = writeq(atom(name), self.engine.logic.operators)
+        self.attempt(self.engine.call, f"set_prolog_flag({quoted}, {quoted})")
+        self.attempt(self.engine.call, f"set_etalis_flag({quoted}, {quoted})")
+        self.attempt(self.engine.call, f"create_prolog_flag({quoted}, {quoted}, [])")
+        self.attempt(self.engine.call, f"current_prolog_flag({quoted}, X)")
+        self.attempt(self.engine.call, f"b_setval({quoted}, 1), b_getval({quoted}, X), X == 1")
+
+    # ---- programs ------------------------------------------------------------------------------------
+
+    def in_label(self, name):
+        quoted = writeq(atom(name), self.engine.logic.operators)
+        self.engine.load(rules=f"{quoted} : l{MARK}(X) <- a(X) seq b(X).")
+        self.engine.event("a(1)", 1)
+        self.engine.call(f"del_event_rule({quoted})")
+
+    def in_topic(self, name):
+        quoted = writeq(atom(name), self.engine.logic.operators)
+        self.engine.load(goals=f"subscribe(e(_), [], _, {quoted}, id)")
+        self.engine.event("e(1)", 1)
+        if not self.outputs:
+            raise Finding("difference", f"{name!r} gets no output", "names")
+        self.same(self.outputs.pop()[1], name)
+        self.engine.call(f"delete_subscription({quoted}, id)")
+
+    def in_subscription(self, name):
+        quoted = writeq(atom(name), self.engine.logic.operators)
+        self.engine.load(goals=f"subscribe(e(_), [], _, topic, {quoted})")
+        self.engine.event("e(1)", 1)
+        self.same(self.outputs.pop()[2], atom(name))
+        self.engine.call(f"delete_subscription(topic, {quoted})")
+
+    def in_memory(self, name):
+        quoted = writeq(atom(name), self.engine.logic.operators)
+        self.engine.load(goals=f"memorize(m(X), [], X, {quoted}, 3)")
+        self.engine.event("m(1)", 1)
+        self.engine.call(f"delete_memory({quoted})")
+
+    def in_node(self, name):
+        header = {"callerid": name, "type": "pkg/Type", "md5sum": "*", "message_definition": "int32 x"}
+        definition = self.known.received(
+            "pkg/Type", header["type"], header["message_definition"], header["md5sum"]
+        )
+        self._use(definition)
+
+    def in_module(self, name):
+        quoted = writeq(atom(name), self.engine.logic.operators)
+        for goal in (
+            "use_module({})",
+            "use_module(library({}))",
+            "use_foreign({})",
+            "module({0}, [{0}/1])",
+            "{}:true",
+        ):
+            self.attempt(self.engine.call, goal.format(quoted))
+        self.attempt(self.engine.load_rules, f":- module({quoted}, [foo/1]).\nfoo(1).")
+
+    def in_file(self, name):
+        quoted = writeq(atom(name), self.engine.logic.operators)
+        for goal in FILE_GOALS:
+            self.attempt(self.engine.call, goal.format(quoted))

@@ -1,0 +1,67 @@
+"""Texts for the reader: a term or a syntax fault."""
+
+from retalis.errors import SyntaxFault
+from retalis.syntax import EventReader, Operators, ReadFlags, read_program, read_term, write_term
+
+from ..mutate import TOKENS, changed_text, soup, to_bytes, to_text
+from .base import Kind
+
+PIECES = (
+    " :- ",
+    " <- ",
+    " do ",
+    "0'",
+    "0x",
+    "/*",
+    "*/",
+    "-->",
+    " seq ",
+    " where ",
+    ". ",
+    "\\x",
+    "1e",
+    "1.0e",
+    "\\+",
+)
+PIECES += (
+    "a(",
+    "$VAR(",
+    "0b",
+    "'\\",
+    '"',
+    "%\n",
+    ":- op(",
+    "\ud7ff",
+    "\x7f",
+    "```",
+    "|| ",
+    "- 1",
+    "inf",
+    "nan",
+)
+
+
+class Inputs(Kind):
+    block = 1000
+
+    def begin(self):
+        self.operators = Operators.prolog()
+        self.events = EventReader(self.operators)
+        self.flags = (ReadFlags(), ReadFlags(iso=True, double_quotes="codes"), ReadFlags(event_text=True))
+
+    def make(self, chance):
+        if chance.random() < 0.4:
+            return to_bytes(soup(chance, PIECES if chance.random() < 0.3 else TOKENS))
+        return to_bytes(changed_text(chance, chance.choice(self.texts), self.texts, PIECES))
+
+    def run(self, data):
+        text = to_text(data)
+        for found in read_program(text, self.operators, flags=self.flags[len(text) % 3]):
+            if isinstance(found, SyntaxFault):
+                str(found)
+                self.refused += 1
+            else:
+                write_term(found.term, self.operators)
+                self.taken += 1
+        self.attempt(read_term, text, self.operators)
+        self.attempt(self.events.read, text)

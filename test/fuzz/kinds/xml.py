@@ -1,0 +1,61 @@
+"""Texts of ``pub_sub.xml``."""
+
+import os
+
+from retalis.program import read_topics
+
+from ..mutate import changed_bytes, changed_text, soup, to_bytes
+from .base import Kind
+
+PIECES = (
+    "<subscribe_to ",
+    "<publish_to ",
+    'name="',
+    'msg_type="',
+    "/>",
+    "<publish_subscribe>",
+    "</publish_subscribe>",
+)
+PIECES += (
+    "<!DOCTYPE a [",
+    '<!ENTITY a "aaaa">',
+    "&a;",
+    "&lt;",
+    "&#0;",
+    "&#x41;",
+    "<![CDATA[",
+    "]]>",
+    "<!--",
+    "-->",
+)
+PIECES += (
+    '<?xml version="1.0" encoding="utf-16"?>',
+    "SYSTEM 'file:///etc/passwd'",
+    "xmlns:a='b'",
+    "<a>",
+    "</a>",
+    '"',
+)
+
+
+class Inputs(Kind):
+    block = 1000
+
+    def setup(self):
+        self.path = self.scratch / "pub_sub.xml"
+        self.file = os.open(str(self.path), os.O_RDWR | os.O_CREAT)
+
+    def make(self, chance):
+        what = chance.random()
+        if what < 0.1:
+            return to_bytes(soup(chance, PIECES))
+        if what < 0.25:
+            return changed_bytes(chance, chance.choice(self.corpus), self.corpus)
+        return to_bytes(changed_text(chance, chance.choice(self.texts), self.texts, PIECES))
+
+    def prepare(self, data):
+        os.ftruncate(self.file, 0)
+        os.pwrite(self.file, data, 0)
+
+    def run(self, data):
+        self.attempt(read_topics, self.path)

@@ -1,0 +1,221 @@
+"""What an input may not do: take a second, take 50 MB, open a file, start a process, run or import code."""
+
+import os
+import re
+import resource
+import signal
+import sys
+import sysconfig
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+SECONDS = 1.0
+"""CPU time of one input."""
+
+GROWTH = 50 << 20
+"""Growth of the resident memory while one input is worked on, in bytes."""
+
+LOOKS = 0.1
+"""Seconds of CPU time between two looks at an input that takes long."""
+
+CODE_MAKERS = (
+    "retalis.codegen",
+    "retalis.messages._compile",
+    "retalis.messages.eventtexts",
+    "retalis.syntax.shapes",
+    "retalis.events._source",
+    "retalis._shortfall",
+    "retalis.logic.builtins.comparing",
+    "retalis.logic.compiler.scope",
+    "retalis.logic.compiler.facts",
+)
+"""The modules that may compile and run source."""
+
+PARSERS = ("ast",)
+"""Modules that compile without running."""
+
+HARMLESS = frozenset(
+    (
+        "builtins.id",
+        "object.__getattr__",
+        "sys._getframe",
+        "gc.get_objects",
+        "gc.get_referrers",
+        "gc.get_referents",
+        "signal.setitimer",
+    )
+)
+
+_SOURCES = Path(__file__).resolve().parents[2] / "src"
+_READABLE = tuple(
+    f"{folder}/" for folder in {str(_SOURCES), sysconfig.get_path("stdlib"), sysconfig.get_path("platstdlib")}
+) + ("/proc/self/statm",)
+_DEFINITION = re.compile(r"(/[\w.+-]+)*/msg/_?\w+\.(msg|py)", re.ASCII)
+_PAGE = os.sysconf("SC_PAGE_SIZE")
+
+
+class Forbidden(RuntimeError):
+    """Raised in the place of what an input may not do."""
+
+
+class Late(BaseException):
+    """An input has taken too long or too much; no handler in between may take it for an error of a goal."""
+
+
+class Finding(Exception):
+    """Something that an input did, and that counts.
+
+    Attributes:
+        what: exception, action, time, growth, ...
+        where: the place in the package, so that many inputs with one cause are one finding.
+    """
+
+    def __init__(self, what, detail, where=""):
+        super().__init__(what, detail, where)
+        self.what = what
+        self.detail = detail
+        self.where = where
+
+
+class Watch:
+    """Watches the work on one input at a time.
+
+    Args:
+        scratch: the folder that inputs may read from.
+        reads: whether files anywhere may be read (programs that are loaded may name any).
+        marked: whether inputs have a mark that must not come up in a source (`mark`).
+    """
+
+    def __init__(self, scratch, reads=False):
+        self._scratch = str(scratch)
+        self._reads = reads
+        self._armed = False
+        self._start = 0.0
+        self._before = self._peak = 0
+        self._statm = os.open("/proc/self/statm", os.O_RDONLY)
+        self.mark = ""
+        self.actions = []
+        self.slowest = 0.0
+
+    def install(self):
+        """Begin to watch; an audit hook stays for the life of the process."""
+        sys.addaudithook(self._audit)
+        signal.signal(signal.SIGPROF, self._look)
+        signal.setitimer(signal.ITIMER_PROF, LOOKS, LOOKS)
+
+    @contextmanager
+    def input(self):
+        """Watch the work on an input.
+
+        Raises:
+            Finding: where it does what it must not.
+        """
+        del self.actions[:]
+        self._before = self.resident()
+        self._peak = _peak()
+        self._start = time.process_time()
+        self._armed = True
+        late = raised = None
+        try:
+            yield
+        except Late as error:
+            late = error
+        except Exception as error:  # what was forbidden goes before what came of it
+            raised = error
+        finally:
+            self._armed = False
+        taken = time.process_time() - self._start
+        self.slowest = max(self.slowest, taken)
+        if self.actions:
+            raise Finding("action", *self.actions[0])
+        if late is not None:
+            raise Finding(*late.args)
+        if raised is not None:
+            raise raised
+        if taken > SECONDS:
+            raise Finding("time", f"{taken:.1f} s", "in one step")
+        peak = _peak()
+        if peak > self._peak and peak - self._before > GROWTH:
+            raise Finding("growth", f"{(peak - self._before) >> 20} MB", "in one step")
+
+    def resident(self):
+        """Return the bytes in memory now."""
+        return int(os.pread(self._statm, 100, 0).split()[1]) * _PAGE
+
+    def _look(self, number, frame):
+        if not self._armed:
+            return
+        taken = time.process_time() - self._start
+        grown = self.resident() - self._before
+        if taken > SECONDS:
+            self._armed = False
+            self.slowest = max(self.slowest, taken)
+            raise Late("time", f"{taken:.1f} s", place(frame))
+        if grown > GROWTH:
+            self._armed = False
+            raise Late("growth", f"{grown >> 20} MB", place(frame))
+
+    def _audit(self, event, arguments):
+        if not self._armed or event in HARMLESS:
+            return
+        if event in ("exec", "compile"):
+            allowed = self._may_run(event, arguments)
+        elif event == "open":
+            allowed = self._may_open(*arguments[:3])
+        else:
+            allowed = False
+        if not allowed:
+            self.actions.append((f"{event} {_brief(arguments)}", place(sys._getframe(1))))
+            raise Forbidden(f"{event} {_brief(arguments)}")
+
+    def _may_run(self, event, arguments):
+        module = sys._getframe(2).f_globals.get("__name__", "")
+        if self.mark and event == "compile" and self.mark in str(arguments[0]):
+            return False
+        return module in CODE_MAKERS or (event == "compile" and module in PARSERS)
+
+    def _may_open(self, path, mode, flags):
+        if (mode and set(mode) & set("wax+")) or (flags or 0) & (os.O_WRONLY | os.O_RDWR | os.O_CREAT):
+            return False
+        path = os.fsdecode(path) if isinstance(path, (bytes, os.PathLike)) else str(path)
+        path = os.path.normpath(os.path.join(self._scratch, path))
+        return (
+            self._reads
+            or path.startswith((f"{self._scratch}/", *_READABLE))
+            or _DEFINITION.fullmatch(path) is not None
+        )
+
+
+def place(frame):
+    """Return the innermost place in the package of a frame or a traceback's frames."""
+    while frame is not None:
+        found = _place(frame.f_code.co_filename, frame.f_lineno, frame.f_code.co_name)
+        if found:
+            return found
+        frame = frame.f_back
+    return "outside the package"
+
+
+def raised_at(trace):
+    """Return the innermost place in the package at which an exception was raised."""
+    found = ""
+    while trace is not None:
+        code = trace.tb_frame.f_code
+        found = _place(code.co_filename, trace.tb_lineno, code.co_name) or found
+        trace = trace.tb_next
+    return found or "outside the package"
+
+
+def _place(path, line, function):
+    if path.startswith(f"{_SOURCES}/"):
+        return f"{path[len(str(_SOURCES)) + 1 :]}:{line} {function}"
+    return ""
+
+
+def _peak():
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10
+
+
+def _brief(arguments):
+    return repr(arguments)[:300]
