@@ -19,17 +19,7 @@ GROWTH = 50 << 20
 LOOKS = 0.1
 """Seconds of CPU time between two looks at an input that takes long."""
 
-CODE_MAKERS = (
-    "retalis.codegen",
-    "retalis.messages._compile",
-    "retalis.messages.eventtexts",
-    "retalis.syntax.shapes",
-    "retalis.events._source",
-    "retalis._shortfall",
-    "retalis.logic.builtins.comparing",
-    "retalis.logic.compiler.scope",
-    "retalis.logic.compiler.facts",
-)
+CODE_MAKERS = ("retalis.codegen",)
 """The modules that may compile and run source."""
 
 PARSERS = ("ast",)

@@ -25,6 +25,8 @@ ERRORS = {
     "char_type(a, foo)": "type_error(char_type,foo)",
     "aggregate_all(foo, true, X)": "domain_error(aggregate_template,foo)",
     "'$arg'(a, f(x), X)": "type_error(integer,a)",
+    "stamp_date_time(1.0Inf, X, 'UTC')": "domain_error(time_stamp,1.0Inf)",
+    "date_time_stamp(date(2000.5,1,1,0,0,0,0,-,-), X)": "type_error(integer,2000.5)",
     "'$within'(true, a, X)": "type_error(inference_limit,a)",
     "'$within'(true, '$inference_limit'(a), X)": "type_error(integer,a)",
 }

@@ -116,6 +116,11 @@ def test_a_type_cannot_contain_itself():
     assert "pkg/Type contains itself" in fault("Type inner\n").message
 
 
+def test_half_a_character():
+    error = fault("int32 x\nstring X=a\ud800")
+    assert (error.place.line, error.place.column) == (2, 11)
+
+
 def test_broken_sections():
     assert "expected 'MSG: pkg/Type'" in fault("int32 x\n" + "=" * 80 + "\nint32 y\n").message
     assert "expected 'MSG: pkg/Type'" in fault("int32 x\n" + "=" * 80 + "\n").message

@@ -166,6 +166,10 @@ class _Reader:
         self.measure = Measure()
 
     def read(self) -> Tuple[Tuple[Field, ...], Tuple[Constant, ...]]:
+        try:
+            self.text.encode()
+        except UnicodeEncodeError as error:
+            raise self._error("half a character, which no file can hold", error.start) from None
         for offset, line in _lines(self.text):
             self._line(offset, line)
         return tuple(self.fields.values()), tuple(self.constants.values())

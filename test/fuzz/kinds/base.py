@@ -16,6 +16,9 @@ SETTINGS = Settings(
     limits=Limits(seconds=0.3, inferences=30_000, megabytes=30), max_depth=50, queue=100, folders=()
 )
 
+ARGUMENTS = Path(__file__).with_name("arguments.txt").read_text(encoding="utf-8").splitlines()
+"""Terms of all kinds, as text."""
+
 
 class Kind:
     """Makes inputs of one kind and feeds them to where the package takes them.

@@ -1,7 +1,7 @@
 """Texts on the topic of events, for an engine that takes events only."""
 
 from ..mutate import changed_text, soup, to_bytes, to_text
-from .base import LOGGED, Kind, silent_engine
+from .base import ARGUMENTS, LOGGED, Kind, silent_engine
 
 PIECES = (
     "event(",
@@ -23,6 +23,13 @@ PIECES = (
     "0'a",
     "assertz(a)",
     "halt",
+)
+FORMS = (
+    "event({0})",
+    "event({0},[5,6])",
+    "new_event({0},1,2)",
+    "new_event({0},{1},2,3,4)",
+    "event({0},[{1},{1}])",
 )
 RULES = """
 ab(X, Y) <- a(X) seq b(Y).
@@ -49,6 +56,9 @@ class Inputs(Kind):
     def make(self, chance):
         if chance.random() < 0.15:
             return to_bytes("event(" + soup(chance, PIECES))
+        if chance.random() < 0.3:
+            name, argument = chance.choice("abc"), chance.choice(ARGUMENTS)
+            return to_bytes(chance.choice(FORMS).format(f"{name}({argument})", chance.choice(ARGUMENTS)))
         return to_bytes(changed_text(chance, chance.choice(self.texts), self.texts, PIECES))
 
     def run(self, data):

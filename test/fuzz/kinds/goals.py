@@ -7,13 +7,11 @@ from retalis.syntax import write_term
 from retalis.terms import atom
 
 from ..mutate import changed_text, to_bytes, to_text
-from .base import LOGGED, Kind, silent_engine
+from .base import ARGUMENTS, LOGGED, Kind, silent_engine
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "predicates.md"
 EXAMPLE = re.compile(r"`` (.+?) ``")
 MOST = 5
-
-ARGUMENTS = Path(__file__).with_name("arguments.txt").read_text(encoding="utf-8").splitlines()
 
 
 def examples():

@@ -1,7 +1,7 @@
 """Texts of rule files, and events for what is in them."""
 
 from ..mutate import changed_text, soup, to_bytes, to_text
-from .base import LOGGED, Kind, silent_engine
+from .base import ARGUMENTS, LOGGED, Kind, silent_engine
 
 PIECES = (
     " <- ",
@@ -62,6 +62,37 @@ PIECES += (
     "->",
     ";",
 )
+SIDES = (
+    "seq",
+    "and",
+    "or",
+    "par",
+    "equals",
+    "meets",
+    "during",
+    "starts",
+    "finishes",
+    "cnot",
+    "fnot",
+    "forall_seq",
+)
+GOALS = (
+    "where X > 1",
+    "where (Y = X, foo(Y))",
+    "within 3",
+    "check t1(S)",
+    "do write(X)",
+    "star_times",
+    "ntimes 2",
+)
+GOALS += (
+    "event_multiply member(Z, [X,1])",
+    "where \\+ foo(X)",
+    "where X is Y + 1",
+    "timestamp (t2(E), E > 0)",
+    "ntimes X",
+)
+KINDS = ("count", "sum(X)", "min(Y)", "max(X)", "avg(X)", "list(X)", "list(f(X,Y))")
 EVENTS = ("a(1)", "b(2)", "c", "a(b(3))")
 
 
@@ -76,7 +107,28 @@ class Inputs(Kind):
     def make(self, chance):
         if chance.random() < 0.1:
             return to_bytes(soup(chance, PIECES))
+        if chance.random() < 0.4:
+            return to_bytes("".join(self.rule(chance) for _ in range(chance.choice((1, 1, 2, 3)))))
         return to_bytes(changed_text(chance, chance.choice(self.texts), self.texts, PIECES))
+
+    def rule(self, chance):
+        """Return a rule that reads well, more often than not."""
+        head = chance.choice(
+            ("h(X)", "h(X, Y)", "h", "a(X)", "h do foo(X)", "h do assertz(seen(X))", "'H'(Y)")
+        )
+        label = chance.choice(("", "", "", "l : ", "l([property(event_rule_window, 5)]) : "))
+        return f"{label}{head} <- {self.pattern(chance, chance.choice((1, 2, 2, 3)))}.\n"
+
+    def pattern(self, chance, depth):
+        if not depth or chance.random() < 0.1:
+            return chance.choice(("a(X)", "b(Y)", "a(_)", "b(X)", "c", f"a({chance.choice(ARGUMENTS)})"))
+        left = self.pattern(chance, depth - 1)
+        what = chance.random()
+        if what < 0.65:
+            return f"({left} {chance.choice(SIDES)} {self.pattern(chance, depth - 1)})"
+        if what < 0.9:
+            return f"({left} {chance.choice(GOALS)})"
+        return f"({left} seq aggregate({chance.choice(KINDS)}, {self.pattern(chance, 0)}, S))"
 
     def run(self, data):
         self.attempt(self.engine.load_rules, to_text(data))

@@ -33,10 +33,10 @@ def _number(term: Term) -> Any:
 
 def _of_stamp(stamp: float) -> Tuple[datetime, float]:
     """Return date and time of a stamp, and the second with its fraction."""
-    whole = int(stamp // 1)
     try:
+        whole = int(stamp // 1)
         found = _EPOCH + timedelta(seconds=whole)
-    except OverflowError:
+    except (OverflowError, ValueError):  # what is infinite is no number of seconds
         raise domain_error("time_stamp", stamp) from None
     return found, found.second + (stamp - whole)
 
@@ -50,6 +50,7 @@ def _of_date(term: Term) -> Tuple[datetime, float]:
     for part in values[:6]:
         if part.__class__ not in (int, float):
             raise type_error("number", part)
+    year, month = integer(year), integer(month)
     year += (month - 1) // 12
     try:
         start = datetime(year, (month - 1) % 12 + 1, 1)
