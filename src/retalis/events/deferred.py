@@ -99,7 +99,7 @@ def deferred_test(rule: Any, node: Any, one: Deferred, names: List[Var]) -> Tupl
         call = Call(rule, one.goal, names)
         return goal_test(call, one.timed, at), call.result_vars
     negated, conditions, ever = one.absent
-    absence = absence_of(rule, negated, names, ever, conditions)
+    absence = absence_of(rule, node, negated, names, ever, conditions)
     node.carried.append((absence, negated.node))
     return _absence_test(absence, at, ever), names
 
@@ -153,11 +153,14 @@ def _test_of_each(rule: Any, node: Any, one: Deferred, names: List[Var]) -> Tupl
     return test, known
 
 
-def absence_of(rule: Any, negated: Any, names: List[Var], ever: bool, conditions: List[Deferred]) -> Absence:
+def absence_of(
+    rule: Any, node: Any, negated: Any, names: List[Var], ever: bool, conditions: List[Deferred]
+) -> Absence:
     """Return what looks for matches of a negated node.
 
     Args:
         rule: whose it is.
+        node: where it is asked; it keeps the absences that the conditions look at.
         negated: what was built for the negated pattern.
         names: the variables of what is asked for.
         ever: whether any time before counts.
@@ -172,8 +175,7 @@ def absence_of(rule: Any, negated: Any, names: List[Var], ever: bool, conditions
     known = [*names, *new]
     tests = []
     for one in conditions:
-        call = Call(rule, one.goal, known)
-        tests.append(goal_test(call, one.timed, (known.index(one.start), known.index(one.end))))
+        tests.append(deferred_test(rule, node, one, known)[0])
 
     def condition(values: Values, match: Match) -> bool:
         both: Any = values + tuple([match.values[index] for index in at])
