@@ -110,6 +110,7 @@ class Services(unittest.TestCase):
 
     def test_an_unknown_subscription_is_an_error(self):
         self.assert_error(self.delete_subscription("t", "never"), "never")
+        self.assert_error(self.delete_subscription("t", "two\nlines"), "two lines")
 
     def test_errors_say_which_field_and_where(self):
         self.assert_error(self.add_subscription("a(X", "", "_", "t", "e1"), "event", "column")

@@ -19,7 +19,7 @@ def answer(work: Callable[[], None]) -> str:
     try:
         work()
     except RetalisError as error:
-        return f"error: {error.brief()}"
+        return "error: " + " ".join(error.brief().splitlines())  # names may have line breaks in them
     return OK
 
 

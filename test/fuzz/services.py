@@ -1,0 +1,147 @@
+"""Requests, texts, messages and headers for a live node; ``test/ros/hostile.py`` sends them."""
+
+import json
+import random
+
+from retalis.messages import Definitions
+
+from .kinds.base import ARGUMENTS, corpus
+from .kinds.messages import valid
+from .mutate import changed_bytes, changed_text, soup, to_text
+
+EVENTS = (
+    "a(X)",
+    "a(X,Y)",
+    "std_msgs__0__String(S)",
+    "b",
+    "_",
+    "fuzz__0__A(N,T)",
+    "'quoted name'(X)",
+    "f(X), g(X)",
+)
+CONDITIONS = (
+    "",
+    "X > 1",
+    "true",
+    "member(X,[1,2])",
+    "X > 1, \\+ foo(X)",
+    "repeat, fail",
+    "atom_length(X,_)",
+    "X = f(X)",
+)
+FORMATS = ("_", "got(X)", "h(X,Z)", "std_msgs__0__String('\"x\"')", "[X]", "1", "X.")
+NAMES = (
+    "t",
+    "id1",
+    "m1",
+    "1",
+    "",
+    "/robot/out",
+    "~private",
+    "a b",
+    "__import__('os')",
+    "../x",
+    "é",
+    "%s",
+    "X",
+    "\\",
+    "'",
+)
+SIZES = ("10", "0", "-1", "", "1e3", "100", "999999999999999999999999", "ten", " 7 ", "٣")
+TOPICS = ("fuzz_a", "fuzz_b", "tf", "/x/y", "retalisInputEvents", "", "a b", "1", "~p", "/", "é", "x" * 300)
+TYPES = (
+    "fuzz/A",
+    "std_msgs/String",
+    "tf/tfMessage",
+    "no/Type",
+    "String",
+    "/",
+    "a/b/c",
+    "__import__/os",
+    "é/é",
+    "",
+)
+FIELDS = {
+    "add_output_subscription": (EVENTS, CONDITIONS, FORMATS, NAMES, NAMES),
+    "delete_output_subscription": (NAMES, NAMES),
+    "add_memory": (EVENTS, CONDITIONS, FORMATS, NAMES, SIZES),
+    "delete_memory": (NAMES,),
+    "add_input_subscription": (TOPICS, TYPES),
+    "delete_input_subscription": (TOPICS,),
+}
+PIECES = (
+    "(",
+    ")",
+    ",",
+    "'",
+    '"',
+    "\\",
+    "X",
+    "[",
+    "]",
+    "|",
+    ":-",
+    "\n",
+    "\0",
+    "%",
+    "/*",
+    ".",
+    "{}",
+    "0'",
+    " ",
+    "é",
+    "\U0001f600",
+)
+
+
+class Inputs:
+    """What is sent to a node; kind, seed and number alone say what it is."""
+
+    def __init__(self, seed=1):
+        self.seed = seed
+        self.events = [to_text(data) for data in corpus("event_texts")]
+        self.headers = [json.loads(data) for data in corpus("headers") if data.startswith(b"{")]
+        self.known = Definitions()
+        header = next(one for one in self.headers if one["type"] == "fuzz/A")
+        self.definition = self.known.add("fuzz/A", header["message_definition"])
+
+    def chance(self, kind, number):
+        """Return the generator for an input."""
+        return random.Random(f"{kind} {self.seed} {number}")
+
+    def request(self, number):
+        """Return a service and the texts of its fields."""
+        chance = self.chance("request", number)
+        name = chance.choice(sorted(FIELDS))
+        return name, [self._field(chance, texts) for texts in FIELDS[name]]
+
+    def _field(self, chance, texts):
+        what = chance.random()
+        if what < 0.75:
+            return chance.choice(texts)
+        if what < 0.8:
+            return soup(chance, PIECES)
+        if what < 0.85:
+            return chance.choice(ARGUMENTS)
+        return changed_text(chance, chance.choice(texts), texts, PIECES)
+
+    def text(self, number):
+        """Return a text for one of the String topics."""
+        chance = self.chance("text", number)
+        if chance.random() < 0.3:
+            return f"event({chance.choice('ab')}({chance.choice(ARGUMENTS)}))"
+        return changed_text(chance, chance.choice(self.events), self.events, PIECES)
+
+    def message(self, number):
+        """Return bytes for a topic of type ``fuzz/A``."""
+        chance = self.chance("message", number)
+        data = valid(chance, self.definition)
+        return data if chance.random() < 0.3 else changed_bytes(chance, data, [data])
+
+    def header(self, number):
+        """Return type, definition and checksum as a publisher may send them."""
+        chance = self.chance("header", number)
+        header = dict(chance.choice(self.headers))
+        field = chance.choice(("type", "message_definition", "md5sum"))
+        header[field] = changed_text(chance, header[field], [header[field]], PIECES)
+        return header["type"], header["message_definition"], header["md5sum"]
