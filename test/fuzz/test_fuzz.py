@@ -5,20 +5,23 @@ import pytest
 from fuzz.campaign import Campaign
 from fuzz.kinds import NAMES
 
-INPUTS = 20_000
+INPUTS = {"rules": 4000}
+"""Of each kind 20,000, but where they take too long for that."""
+
 JOBS = 2
 
 
 @pytest.mark.parametrize("kind", NAMES)
 def test_nothing_is_found(kind):
+    inputs = INPUTS.get(kind, 20_000)
     campaign = Campaign(kind)
-    campaign.run(INPUTS, JOBS)
+    campaign.run(inputs, JOBS)
     shown = [
         f"{line['what']} at {line['where']}, {line['times']} times: {line['detail']}\n"
         f"  --replay {kind}:{line['seed']}:{line['since']}-{line['number']} {bytes.fromhex(line.get('input', ''))!r}"
         for line in campaign.counted
     ]
     assert not shown, "\n".join(shown)
-    assert campaign.done == INPUTS
-    assert campaign.taken > INPUTS // 50
-    assert campaign.refused > INPUTS // 50
+    assert campaign.done == inputs
+    assert campaign.taken > inputs // 50
+    assert campaign.refused > inputs // 50
