@@ -23,10 +23,16 @@ PATIENCE = 1.0
 
 
 class Call:
-    """A piece of work whose caller waits for the result."""
+    """A piece of work whose caller waits for the result.
 
-    def __init__(self, work: Callable[[], Any]):
+    Args:
+        work: does it.
+        entry: what tells it from others, see `Runner`; by default what nothing else is.
+    """
+
+    def __init__(self, work: Callable[[], Any], entry: Any = None):
         self._work = work
+        self.entry = (work,) if entry is None else entry
         self._ticket = [None]  # whoever takes it decides what becomes of the call: it is done, or given up
         self._woken = threading.Event()
         self._result: Any = None
@@ -59,9 +65,14 @@ class Call:
         self.over = True
         self._woken.set()
 
+    @property
+    def begun(self) -> bool:
+        """Whether it is being done."""
+        return not self._ticket and not self.over
+
     def abandon(self) -> None:
         """End it where an interrupt has ended the work on it, wherever that was."""
-        if not self._ticket and not self.over:
+        if self.begun:
             self.error = self.error or KeyboardInterrupt()
             self.end()
 
@@ -104,6 +115,8 @@ class Runner:
 
     Attributes:
         callback: what stands for the callback that runs now, with its name; another one each time. None for none.
+        entry: what tells the piece of work at hand from all others: the arguments of what was posted, or what `call`
+            was given.
     """
 
     def __init__(
@@ -127,10 +140,16 @@ class Runner:
         self._recovery = Recovery() if recovery is None else recovery
         self._patience = patience
         self.callback: Optional[Tuple[str]] = None
+        self.entry: Any = None
         self.dropped = 0
 
     def __len__(self) -> int:
         return len(self._queue)
+
+    @property
+    def thread(self) -> Optional[int]:
+        """The thread in which there is work at hand; None while there is none."""
+        return self._running
 
     def post(self, work: Callable[..., Any], *arguments: Any) -> None:
         """Do a piece of work now if nobody is at work, else queue it."""
@@ -142,6 +161,7 @@ class Runner:
             if not self._queue and not self._calls and self._lock.acquire(False):
                 if self._running is not None:
                     self._restore(True)
+                self.entry = arguments
                 self._running = me
                 try:
                     work(*arguments)
@@ -157,10 +177,14 @@ class Runner:
             self._give_up()
             raise
 
-    def call(self, work: Callable[[], Any]) -> Any:
+    def call(self, work: Callable[[], Any], entry: Any = None) -> Any:
         """Do a piece of work, after the one that runs and before those that wait; return its result.
 
-        From inside a piece of work (a subscriber that calls back) it is done at once.
+        From inside a piece of work (a subscriber that calls back) it is done at once, as a part of that.
+
+        Args:
+            work: does it.
+            entry: what tells it from others; by default what nothing else is.
 
         Raises:
             UsageError: where another thread is in one callback for too long: it may be waiting for this one.
@@ -170,9 +194,10 @@ class Runner:
             return self._call_inside(work)
         try:
             if self._calls or not self._lock.acquire(False):
-                return self._call_later(work)
+                return self._call_later(work, entry)
             if self._running is not None:
                 self._restore(True)
+            self.entry = (work,) if entry is None else entry
             self._running = me
             try:
                 result = work()
@@ -194,9 +219,14 @@ class Runner:
             self._recovery.restore(state, is_unexpected(error))
             raise
 
-    def _call_later(self, work: Callable[[], Any]) -> Any:
+    def follow(self, work: Callable[[], Any]) -> None:
+        """Have something done, from inside a piece of work, right behind that."""
+        calls = self._calls
+        calls.insert(1 if calls and calls[0].begun else 0, Call(work))
+
+    def _call_later(self, work: Callable[[], Any], entry: Any) -> Any:
         """Have whoever is at work do a piece of work, and wait for that."""
-        call = Call(work)
+        call = Call(work, entry)
         self._calls.append(call)
         try:
             self._drain()
@@ -275,6 +305,7 @@ class Runner:
         queue, calls = self._queue, self._calls
         while True:
             if calls:
+                self.entry = calls[0].entry
                 calls[0]()
                 if calls[0].error is not None:
                     self._restore(is_unexpected(calls[0].error))
@@ -284,6 +315,7 @@ class Runner:
                 work, arguments = queue.popleft()
             except IndexError:
                 break
+            self.entry = arguments
             try:
                 work(*arguments)
             except Exception as error:  # one bad event must not take the others with it

@@ -14,6 +14,7 @@ from ._making import define_new_event
 from ._recovery import EngineRecovery
 from ._reports import Reports
 from ._runner import Runner
+from ._watchdog import watch
 from .clock import Clock, StreamClock
 from .door import MEGABYTE
 from .errors import ProgramErrors, RetalisError, RuleError, UsageError, beginning
@@ -22,7 +23,7 @@ from .knowledge import Knowledge
 from .logic import Limits, Logic
 from .program import GOALS, read_text
 from .syntax import read_term
-from .terms import Functor, Term, Var, copy, variables
+from .terms import Functor, Term, Var, atom, copy, variables
 from .timestamps import WholeSeconds
 
 log = logging.getLogger("retalis")
@@ -31,12 +32,18 @@ Instant = Union[int, Term]
 OnOutput = Callable[[Term, str, Term], None]
 OnEvent = Callable[[Term, int, int], None]
 
+_REQUEST = atom("a request")
+
 
 class Settings(NamedTuple):
     """How an engine behaves.
 
     Attributes:
-        limits: what a goal may use: seconds, inferences, memory.
+        limits: what an event, a query or any other call may use with all that it starts: seconds, inferences,
+            memory. Past that its goals end with a resource error; it is one of the others that may still be caught
+            once.
+        limit_start: whether the goals of a goal file (`Engine.call_goals`) have these limits too.
+        watchdog: seconds after which a warning names what is at work; None for never.
         max_depth: how long a chain of events that lead to events may be.
         queue: how many events may wait for the one that is being worked on.
         allow_goals: whether any goal is taken as input, not only events.
@@ -50,6 +57,8 @@ class Settings(NamedTuple):
     """
 
     limits: Limits = Limits()
+    limit_start: bool = True
+    watchdog: Optional[float] = None
     max_depth: int = 1000
     queue: int = 5000
     allow_goals: bool = False
@@ -91,6 +100,7 @@ class Engine:
         self.clock = StreamClock() if clock is None else clock
         self.settings = settings = Settings() if settings is None else settings
         self.logic = Logic()
+        self._budget = budget = self.logic.machine.budget
         self.logic.limits = settings.limits
         self.logic.now = self.clock.now
         self.dispatcher = Dispatcher(self.logic, max_depth=settings.max_depth)
@@ -109,6 +119,8 @@ class Engine:
         self._runner = Runner(
             settings.queue, self._report_drop, self.reports.error, recovery, settings.patience
         )
+        budget.count_for(self._runner)
+        self._watchdog = watch(self._runner, self.logic, self.dispatcher, self.reports, settings.watchdog)
         self._texts = InputReader(self.logic.operators)
         self._outputs: List[OnOutput] = []
         self._done = self.logic.machine.done
@@ -171,12 +183,24 @@ class Engine:
                 errors.append(goal)
                 continue
             try:
-                if not self._load(goal.folder, lambda: self.logic.once(goal.term)):  # noqa: B023
+                if not self._load(goal.folder, lambda: self._start(goal)):  # noqa: B023
                     errors.append(RuleError("this goal fails", goal.place))
             except RetalisError as error:
                 errors += errors_in(error, goal.place)
         if errors:
             raise ProgramErrors(errors)
+
+    def _start(self, goal: Any) -> bool:
+        """Call a goal of a goal file."""
+        budget = self._budget
+        self._runner.entry = goal
+        limits = budget.limits
+        if not self.settings.limit_start:
+            budget.allow(Limits())
+        try:
+            return self.logic.once(goal.term)
+        finally:
+            budget.allow(limits)
 
     def add_foreign(self, *sources: Any) -> List[Functor]:
         """Define Python functions that have the decorator `foreign`, and those of modules, as predicates.
@@ -213,7 +237,7 @@ class Engine:
 
     def event_at(self, term: Term, start: Optional[int], end: Optional[int]) -> None:
         """Take an event whose interval is given as instants in nanoseconds; see `event`."""
-        self._runner.call(lambda: self._take(term, start, end))
+        self._runner.call(lambda: self._take(term, start, end), (term,))
 
     def post(self, term: Term, instant: Optional[int] = None) -> None:
         """Queue a message and return without waiting for others.
@@ -246,7 +270,7 @@ class Engine:
             PrologError: what the goal raised.
         """
         term = self._read(goal)
-        return bool(self.do(lambda: self.logic.once(term)))
+        return bool(self.do(lambda: self.logic.once(term), term))
 
     def query(self, goal: Union[str, Term], most: Optional[int] = None) -> List[Dict[str, Term]]:
         """Return the solutions of a goal, each as its variables' values by name.
@@ -261,7 +285,7 @@ class Engine:
         else:
             term = goal
             names = {f"_{at}": var for at, var in enumerate(variables(goal))}
-        found: List[Dict[str, Term]] = self.do(lambda: self._solutions(term, names, most))
+        found: List[Dict[str, Term]] = self.do(lambda: self._solutions(term, names, most), term)
         return found
 
     def _solutions(self, term: Term, names: Dict[str, Var], most: Optional[int]) -> List[Dict[str, Term]]:
@@ -274,9 +298,14 @@ class Engine:
                     break
         return found
 
-    def do(self, work: Callable[[], Any]) -> Any:
-        """Do a piece of work on the engine while nothing else does; return its result."""
-        return self._runner.call(lambda: self.dispatcher.undisturbed(work))
+    def do(self, work: Callable[[], Any], what: Term = _REQUEST) -> Any:
+        """Do a piece of work on the engine while nothing else does; return its result.
+
+        Args:
+            work: does it.
+            what: is named where it takes long.
+        """
+        return self._runner.call(lambda: self.dispatcher.undisturbed(work), (what,))
 
     # ---- what comes out ------------------------------------------------------------------------------
 
@@ -402,7 +431,7 @@ class Engine:
             if due is None:
                 return
             instant, alarm = due
-            alarm(instant)
+            self._budget.apart(("an alarm", instant), lambda: alarm(instant))  # noqa: B023
 
     def _start_anew(self) -> None:
         log.warning("time went back: memories, waiting queries and partial matches are cleared")

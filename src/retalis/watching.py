@@ -6,7 +6,8 @@ before each large one), and who runs a goal in this thread is asked whether it m
 """
 
 from threading import local
-from typing import Callable, Optional
+from typing import Any, Callable, Optional, Tuple
+from weakref import ref
 
 BULK = (None,) * 1024
 """Pieces of work, each as small as an inference, between two calls of `look`."""
@@ -20,6 +21,19 @@ class Watch(local):
 
 WATCH = Watch()
 
+_BUDGETS: Tuple[Any, ...] = ()
+"""Weak references to the budgets that know by themselves in which thread a goal of theirs runs."""
+
+
+def watch_for(budget: Any) -> None:
+    """Have `look` ask a `Budget` wherever a goal of an entry of its own runs; nothing has to be set for each goal."""
+    global _BUDGETS
+    _BUDGETS = (*[known for known in _BUDGETS if known() is not None], ref(budget))
+
+
+def unwatched(work: int) -> None:
+    """Let any work go on: for `watched_by`."""
+
 
 def look(work: int = len(BULK)) -> None:
     """Let who runs the goal end it here: raises what the function given to `watched_by` raises.
@@ -30,6 +44,11 @@ def look(work: int = len(BULK)) -> None:
     ask = WATCH.ask
     if ask is not None:
         ask(work)
+        return
+    for known in _BUDGETS:
+        budget = known()
+        if budget is not None and budget.runs_here:
+            budget.look(work)
 
 
 def watched_by(ask: Optional[Callable[[int], None]]) -> Optional[Callable[[int], None]]:

@@ -105,9 +105,9 @@ class Call:
         return after if found is None else solved(term, kept + found, start, end, after)
 
     @property
-    def code(self) -> Any:
-        """What runs the goal for inputs without variables."""
-        return self._plain.code
+    def plain(self) -> Any:
+        """The goal for inputs without variables."""
+        return self._plain
 
     def alone(self, completion: Completion) -> Completion:
         """Return what calls the goal for an event alone and goes on with a completion.
@@ -122,7 +122,8 @@ class Call:
                     term, values, start, end, dispatcher.ground(), solved, after
                 )
             )
-        code = self.code
+        goal = self._plain
+        code = goal.code
         machine = self.rule.network.logic.machine
         check, done = machine.check, machine.done
 
@@ -131,7 +132,7 @@ class Call:
             if not code.steady or not event.ground or event.depth > AT_ONCE:
                 return act(term, values, start, end, dispatcher.ground(), solved, after)
             try:  # as `act`
-                found = check((code, *values, done))
+                found = check((code, *values, done), goal)
             except PrologError as error:
                 dispatcher.current = event
                 self.failed(error)

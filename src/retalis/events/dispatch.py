@@ -9,7 +9,7 @@ from typing import Any, Callable, Collection, Dict, Optional, Tuple
 from weakref import WeakValueDictionary
 
 from ..errors import UsageError
-from ..logic import Goal, PrologError
+from ..logic import Budget, Goal, PrologError, keep_back
 from ..terms import Atom, Functor, Lazy, Term, Var, copy, deref, is_ground, is_plain
 from ..terms.keys import term_key
 from ._plans import Choice, Onlookers, make_plan
@@ -42,6 +42,7 @@ class Dispatcher:
     def __init__(self, logic: Any = None, max_depth: int = 1000) -> None:
         self.max_depth = max_depth
         self._machine: Any = None if logic is None else logic.machine
+        self._budget = Budget() if logic is None else logic.machine.budget
         self._listeners: Dict[Optional[Functor], Dict[Listener, None]] = {}
         self._plans: Dict[Functor, Any] = {}
         self.lanes: Dict[Functor, Lane] = {}
@@ -214,6 +215,8 @@ class Dispatcher:
         if depth > AT_ONCE:
             if depth > self.max_depth:
                 raise self._too_deep()
+            if self._budget.closed:
+                self._refuse_past_limits()
             return frame
         self.current = event
         for matcher, action in steps:  # as `Event.run`
@@ -227,6 +230,14 @@ class Dispatcher:
 
     def _too_deep(self) -> UsageError:
         return UsageError(f"more than {self.max_depth} events were derived one from the other")
+
+    def _refuse_past_limits(self) -> None:
+        """Raise an error where all is used up that what came in may use: it derives no more long chains of events."""
+        try:
+            self._budget.admit()
+        except PrologError as error:
+            keep_back(error)
+            raise UsageError(f"no more events are derived from it ({error.message})") from error
 
     def one_listens(self, functor: Functor) -> bool:
         """Tell whether just one listens to events of this functor, where there is any."""

@@ -33,19 +33,22 @@ def made(term, start, end):
     _, {values} = term
     frame = (code, {values}, done)
     mark = len(trail)
-    try:
-        if budget.limited:
-            found = machine.check(frame)
-        else:  # as `Machine.check`
-            left = code.run(frame)
-            found = (left is done and len(trail) == mark) or machine.settle(left, mark)
+    try:  # as `Machine.check`
+        if budget.closed:
+            budget.admit()
+        budget.goal = goal
+        left = code.run(frame)
+        found = (left is done and len(trail) == mark) or machine.settle(left, mark)
     except Exception as exc:
         dispatcher.current = event
+        budget.goal = None
         failed(machine.error(exc, frame, mark))
         found = False
     except BaseException:
         undo(trail, mark)
         raise
+    finally:
+        budget.goal = None
     if found and gate.plan is not NOBODY:
         left = action(term, ({values},), start, end, done)
         if left is not done:
@@ -59,7 +62,8 @@ def goal_lane(call: Any, completion: Completion) -> Lane:
     """Return the lane of a goal whose inputs are the arguments of the event; see `conditions.Call`."""
     machine = call.rule.network.logic.machine
     names = {
-        "code": call.code,
+        "code": call.plain.code,
+        "goal": call.plain,
         "failed": call.failed,
         "dispatcher": call.rule.network.dispatcher,
         "machine": machine,

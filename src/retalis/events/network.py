@@ -346,9 +346,9 @@ class Rules:
 
     def goal_failed(self, rule: Rule, goal: Term, error: RetalisError) -> None:
         """Report an error that a goal of a rule raised, or stopped for."""
-        keep_back(error)
-        shown = self.logic.show(goal, names=rule.definition.names)
-        self.rule_failed(rule, RuleError(f"goal {shown}: {error.message}"))
+        if keep_back(error):
+            shown = self.logic.show(goal, names=rule.definition.names)
+            self.rule_failed(rule, RuleError(f"goal {shown}: {error.message}"))
 
     def dropped(self, rule: Rule) -> None:
         """Report that a rule has too many partial matches."""

@@ -89,7 +89,8 @@ class Question:
             return after
 
     def _failed(self, values: Values, error: PrologError) -> None:
-        keep_back(error)
+        if not keep_back(error):
+            return
         event = self.event(values)
         self._around.warn(
             f"{self._around.logic.show(event)} is dropped, its query raised: {error}",

@@ -98,8 +98,8 @@ def recording(
             dispatcher.current = (
                 event  # the conditions may have been in the middle of an event that they made
             )
-            keep_back(error)
-            problem(f"{name}: event {logic.show(term)}: {error}", name)
+            if keep_back(error):
+                problem(f"{name}: event {logic.show(term)}: {error}", name)
             return None
         if solution is None:
             return None

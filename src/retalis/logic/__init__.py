@@ -3,6 +3,7 @@
 `Logic` is the façade. `Machine` runs frames; `Goal` is a goal compiled for Python code.
 """
 
+from .budget import Budget
 from .builtins.arguments import callable_of, integer
 from .builtins.datimes import instant_of
 from .codes import LAST, Code
@@ -27,6 +28,7 @@ __all__ = [
     "LAST",
     "Code",
     "Goal",
+    "Budget",
     "Limits",
     "Logic",
     "Machine",

@@ -101,17 +101,28 @@ class Goal:
         Raises:
             PrologError: what the goal threw.
         """
+        budget = self._machine.budget
+        if budget.closed:
+            budget.admit()
+        asked = budget.goal
+        budget.goal = self
+        try:
+            if self.straight is not None:
+                result: Any = self._ask_straight(values)
+                if result is not BAIL:
+                    return result  # type: ignore[no-any-return]
+                self.bail()
+            return self._run(values)
+        finally:
+            budget.goal = asked
+
+    def _run(self, values: Sequence[Term]) -> Optional[Tuple[Term, ...]]:
         machine = self._machine
-        if self.straight is not None:
-            result: Any = self._ask_straight(values)
-            if result is not BAIL:
-                return result  # type: ignore[no-any-return]
-            self.bail()
         mark = len(machine.trail)
         if not self._outputs:
             frame = (self.code, *values, machine.done)
             if self.code.steady:
-                return () if machine.check(frame) else None
+                return () if machine.check(frame, self) else None
             succeeded = machine.run(frame)
             undo(machine.trail, mark)
             return () if succeeded else None

@@ -318,11 +318,18 @@ class Logic:
         Raises:
             PrologError: what the goal threw.
         """
-        return self.machine.run((self.control.code, (_CALL, goal), 0, self.machine.done))
+        budget = self.machine.budget
+        asked = budget.goal
+        if asked is None:
+            budget.goal = goal
+        try:
+            return self.machine.run((self.control.code, (_CALL, goal), 0, self.machine.done))
+        finally:
+            budget.goal = asked
 
     def solutions(self, goal: Term) -> Iterator[None]:
         """Run a goal; yield at each solution, with its bindings in place. Closing drops what is left."""
-        return self.machine.solutions((self.control.code, (_CALL, goal), 0, self.machine.done))
+        return self.machine.solutions((self.control.code, (_CALL, goal), 0, self.machine.done), goal)
 
     def write(self, text: str) -> None:
         """Write to the current output."""

@@ -12,9 +12,10 @@ from typing import Any, Callable, Iterator, List, Optional, Tuple
 from ..errors import RetalisError, TermTooLarge
 from ..terms import Atom, Term, Var, copy, deref, undo, unify
 from ..watching import watched_by
+from .budget import Budget
 from .codes import BAIL, DEAD, STOP, Code, Frame, Guard, fail
 from .faults import CONTEXT, ERROR, PrologError, from_python, indicator, resource_error
-from .limits import SLICE, Budget
+from .limits import SLICE
 
 _FEW = (None,) * 16
 """Steps that a run begins with: most events and goals are done with sooner, without setting up the loop."""
@@ -113,12 +114,19 @@ class Machine:
                 del choices[base:]
             if limited:
                 budget.leave(saved)
-            elif budget.used and not base:
+            elif budget.used and not base and not budget.at_work:
                 budget.start_anew()
 
-    def check(self, frame: Frame) -> bool:
-        """As `run`, for a frame whose code is steady: most often its step is all there is to do. No bindings stay."""
+    def check(self, frame: Frame, goal: Any) -> bool:
+        """As `run`, for the frame of a `Goal` that is steady: most often its step is all there is to do.
+
+        No bindings stay.
+        """
         budget = self.budget
+        if budget.closed:
+            budget.admit()
+        asked = budget.goal
+        budget.goal = goal
         limited = budget.limited
         saved = budget.enter() if limited else None
         mark = len(self.trail)
@@ -132,6 +140,7 @@ class Machine:
         finally:
             if len(self.trail) > mark:
                 undo(self.trail, mark)
+            budget.goal = asked
             if limited:
                 budget.leave(saved)
 
@@ -155,8 +164,8 @@ class Machine:
             undo(self.trail, mark)
         raise exc
 
-    def solutions(self, frame: Optional[Frame]) -> Iterator[None]:
-        """Run a frame that ends in `done`; yield at each solution, with its bindings in place.
+    def solutions(self, frame: Optional[Frame], goal: Any = None) -> Iterator[None]:
+        """Run a frame that ends in `done`, of a goal; yield at each solution, with its bindings in place.
 
         Closing the iterator drops what is left and undoes the bindings. Other runs may take place
         between solutions as long as they are over before the next one is asked for.
@@ -170,7 +179,7 @@ class Machine:
         stop = (STOP, mark)
         choices.append(stop)
         try:
-            while self._loop(frame, base) if inside else self._watched(frame):
+            while self._loop(frame, base) if inside else self._watched(frame, goal):
                 height = len(choices)
                 if not inside:
                     self.idle = (height, len(self.trail))
@@ -190,6 +199,7 @@ class Machine:
                 if not inside:
                     self.idle = (0, 0)
                     budget.running = False
+                if not (inside or budget.at_work):
                     budget.start_anew()
 
     def _leave(self, base: int) -> None:
@@ -199,15 +209,20 @@ class Machine:
             entry = choices[-1]
             if entry[0].__class__ is Guard:
                 entry[0].unwind(entry)
+            elif entry[0] is self._attempt_code:
+                self.budget.goal = entry[1]
             choices.pop()
 
-    def _watched(self, frame: Optional[Frame]) -> bool:
+    def _watched(self, frame: Optional[Frame], goal: Any) -> bool:
         """Go on with an outermost run; long steps in it look at the limits too."""
-        before = watched_by(self.budget.look)
+        budget = self.budget
+        asked, budget.goal = budget.goal, goal
+        before = watched_by(budget.look)
         try:
             return self._loop(frame, 0)
         finally:
             watched_by(before)
+            budget.goal = asked
 
     def _loop(self, frame: Optional[Frame], base: int) -> bool:
         choices = self.choices
@@ -216,10 +231,11 @@ class Machine:
         pop_trail = trail.pop
         if frame is None:
             frame = (DEAD,)
+        left: Any = iter(SLICE)  # also after an exception: what throws again and again is counted too
         while True:
             try:
                 while True:
-                    for _ in SLICE:
+                    for _ in left:
                         frame = frame[0].run(frame)
                         if frame is None:
                             frame = pop()
@@ -227,10 +243,12 @@ class Machine:
                             while len(trail) > mark:
                                 pop_trail().ref = None
                             if frame[0] is STOP:
+                                self.budget.ended(len(SLICE) - left.__length_hint__())
                                 if frame is _FINISHED:
                                     return True
                                 choices.append(frame)
                                 return False
+                    left = iter(SLICE)
                     if len(trail) > self._compact_at:
                         self._compact()
                     self.budget.sliced()
@@ -280,7 +298,7 @@ class Machine:
                 code.unwind(entry)
             elif code is self._attempt_code:
                 undo(self.trail, entry[-1])
-                self.budget.whole(entry[1])
+                self.budget.goal = entry[1]
                 entry[3](error)
                 return entry[2]
         raise error
@@ -330,11 +348,10 @@ class Machine:
 
         The first solution's outputs are resolved, its choice points and bindings are dropped, and the run
         goes on with ``then(outputs)``; if there is none, or ``on_error(error)`` was called, with
-        ``otherwise``. Each attempt has the machine's limits to itself; what it used counts for the
-        attempt around it.
+        ``otherwise``.
         """
         straight = goal.straight
-        if straight is not None:
+        if straight is not None and not self.budget.closed:
             mark = len(self.trail)
             try:
                 outputs = straight(*values)
@@ -356,11 +373,15 @@ class Machine:
         _, goal, values, then, on_error, otherwise = frame
         choices = self.choices
         height = len(choices)
-        choices.append((self._attempt_code, self.budget.part(), otherwise, on_error, len(self.trail)))
+        budget = self.budget
+        choices.append((self._attempt_code, budget.goal, otherwise, on_error, len(self.trail)))
+        if budget.closed:
+            budget.admit()
+        budget.goal = goal
         return goal.enter(values, (self._exit_code, height, then))
 
     def _attempt_failed(self, entry: Frame) -> Optional[Frame]:
-        self.budget.whole(entry[1])
+        self.budget.goal = entry[1]
         return entry[2]
 
 
@@ -382,5 +403,5 @@ class _AttemptExit:
         entry = machine.choices[height]
         del machine.choices[height:]
         undo(machine.trail, entry[-1])
-        machine.budget.whole(entry[1])
+        machine.budget.goal = entry[1]
         return frame[2](outputs)

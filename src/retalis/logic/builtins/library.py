@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Dict, Tuple
 from ...errors import SyntaxFault
 from ...syntax import Operators, read_program
 from ...terms import Atom, deref
-from ...watching import watched_by
+from ...watching import unwatched, watched_by
 from ..clause import Clause
 from ..predicate import Predicate
 
@@ -34,7 +34,7 @@ def library_index() -> Dict[Tuple[str, int], str]:
 
 def load_library(logic: "Logic", part: str) -> None:
     """Load a file of the library; that does not count for the goal that needs it."""
-    before = watched_by(None)
+    before = watched_by(unwatched)
     try:
         _load(logic, part)
     finally:

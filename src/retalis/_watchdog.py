@@ -1,0 +1,125 @@
+"""Who holds up the engine: a thread that looks once in a while at what is at work."""
+
+import threading
+import time
+from typing import Any, Callable, Optional
+from weakref import ref
+
+from ._reports import Reports
+from .errors import Place, RuleError, beginning
+from .events import Dispatcher
+from .logic import Budget, Goal, Logic
+from .terms import Atom, deref
+
+Warn = Callable[[float, Any], None]
+
+_LOOKS = 5
+"""Looks within the shortest of the times that matter."""
+
+_SHORTEST = 0.005
+_LONGEST = 0.5
+
+
+class Watchdog:
+    """Warns of an entry (see `Budget`) that is at work for long, and ends it past its seconds.
+
+    What is at work is noted by whoever works in any case, so looking from outside costs events nothing, and it finds
+    also what no goal counts: patterns at work, many short goals, a receiver of outputs that waits.
+
+    Args:
+        turn: tells what is at work: its ``thread`` and ``entry``.
+        budget: tells what it may use.
+        patience: seconds after which is warned, and again after twice that time, and so on; None for never.
+        warn: called in the watchdog's thread with the seconds and the entry, while that may still be at work.
+    """
+
+    def __init__(self, turn: Any, budget: Budget, patience: Optional[float], warn: Warn):
+        self._turn = turn
+        self._budget = budget
+        self._patience = patience
+        self._warn = warn
+        self._entry: Any = None
+        self._since = 0.0
+        self._next: Optional[float] = patience
+
+    def look(self, now: float) -> None:
+        """Look what is at work at an instant of the monotonic clock."""
+        budget = self._budget
+        entry = None if self._turn.thread is None else self._turn.entry
+        if entry is None or entry is not self._entry:  # it is held, so no other is taken for it
+            self._entry = entry
+            self._since = now
+            self._next = self._patience
+            return
+        ran = now - self._since
+        if self._next is not None and ran >= self._next:
+            self._next *= 2
+            self._warn(ran, entry)
+        seconds = budget.limits.seconds
+        if seconds is not None and ran >= seconds * budget.rounds:
+            budget.expire(entry)
+
+    def pause(self) -> float:
+        """Return the seconds to the next look."""
+        times = [time for time in (self._patience, self._budget.limits.seconds) if time is not None]
+        return max(_SHORTEST, min(_LONGEST, min(times, default=_LONGEST) / _LOOKS))
+
+
+def watch(
+    turn: Any, logic: Logic, dispatcher: Dispatcher, reports: Reports, patience: Optional[float]
+) -> Watchdog:
+    """Return what watches an engine as long as somebody holds it, and have it reported what it finds."""
+    budget = logic.machine.budget
+
+    def warn(seconds: float, entry: Any) -> None:
+        reports.warning(*_held_up(logic, dispatcher, entry, seconds))
+
+    def refused(number: int, what: str, entry: Any) -> None:
+        text = f"{_name(entry)} is past its limit of {what}; goals refused: {number}"
+        reports.warning(text, ("refused goals", _name(entry)))
+
+    budget.on_refused = refused
+    watchdog = Watchdog(turn, budget, patience, warn)
+    if patience is not None or budget.limits.seconds is not None:
+        threading.Thread(target=_run, args=(ref(watchdog),), name="retalis watchdog", daemon=True).start()
+    return watchdog
+
+
+def _run(known: Any) -> None:
+    while True:
+        watchdog = known()
+        if watchdog is None:
+            return
+        watchdog.look(time.monotonic())
+        pause = watchdog.pause()
+        del watchdog
+        time.sleep(pause)
+
+
+def _held_up(logic: Logic, dispatcher: Dispatcher, entry: Any, seconds: float) -> Any:
+    """Return a warning of what is at work, and what tells it from others.
+
+    Terms of events and questions are not shown but named: they may be large, and change in the other thread.
+    """
+    goal, current = logic.machine.budget.goal, dispatcher.current
+    place: Optional[Place] = getattr(entry, "place", None)
+    who = "no goal"
+    if isinstance(goal, Goal):
+        place = goal.place
+        who = f"{goal.name}: goal {beginning(logic.show(goal.term))}"
+    elif goal is not None:
+        who = f"goal {_name((goal,))}"
+    term = current[0] if current.__class__ is tuple else getattr(current, "term", None)
+    event = "" if term is None else f" at event {_name((term,))}"
+    text = f"{who} runs{event}; {_name(entry)} has been worked on for {seconds:.1f} s"
+    return RuleError(text, place), ("held up", who)
+
+
+def _name(entry: Any) -> str:
+    """Name what came in: the functor of a term, the begin of a text."""
+    what = deref(entry[0]) if isinstance(entry, tuple) and entry else None
+    if isinstance(what, str):
+        return beginning(what)
+    if isinstance(what, Atom):
+        return what.name
+    return str(what[0]) if isinstance(what, tuple) else "a request"

@@ -1,0 +1,219 @@
+"""Limits hold for all that an event starts; what it starts behind them is refused, counted and said once."""
+
+import pytest
+
+from retalis.engine import Engine, Settings
+from retalis.logic import Limits, PrologError, budget
+
+RULES = """
+loop :- loop.
+count(0).
+count(N) :- N > 0, M is N - 1, count(M).
+"""
+MANY = 200
+
+
+def make(rules="", goals="", settings=None, **most):
+    engine = Engine(settings=settings or Settings(limits=Limits(**most)))
+    engine.load_rules(RULES + rules)
+    engine.load(goals=goals)
+    engine.seen = []
+    engine.on_event(lambda term, start, end: engine.seen.append(engine.show(term)))
+    engine.sent = []
+    engine.on_output(lambda term, topic, name: engine.sent.append(engine.show(term)))
+    return engine
+
+
+def spent(engine, work):
+    """Return the inferences that a piece of work takes."""
+    before = engine.logic.machine.budget.inferences
+    work()
+    return engine.logic.machine.budget.inferences - before
+
+
+def subscriptions(conditions, number=MANY):
+    return "\n".join(f"subscribe(in(_), [{conditions}], _, out, s{at})" for at in range(number))
+
+
+@pytest.fixture
+def ticking(monkeypatch):
+    """A clock on which a millisecond passes with each look."""
+    now = [0.0]
+
+    def tick():
+        now[0] += 0.001
+        return now[0]
+
+    monkeypatch.setattr(budget, "monotonic", tick)
+    return now
+
+
+def test_conditions_that_loop_share_the_inferences_of_their_event(caplog):
+    engine = make(goals=subscriptions("loop"), inferences=100_000)
+    assert spent(engine, lambda: engine.event("in(1)", 1)) < 2 * 100_000
+    assert caplog.text.count("Not enough resources: inferences") == 1
+    assert "subscription s0" in caplog.text
+    assert f"in/1 is past its limit of inferences; goals refused: {MANY - 1}" in caplog.text
+
+
+def test_conditions_that_loop_share_the_seconds_of_their_event(ticking, caplog):
+    engine = make(goals=subscriptions("loop"), seconds=0.5)
+    engine.event("in(1)", 1)
+    assert ticking[0] < 2 * 0.5
+    assert f"in/1 is past its limit of seconds; goals refused: {MANY - 1}" in caplog.text
+
+
+@pytest.mark.parametrize("condition", ["catch(loop, _, true)", "\\+ catch(loop, _, fail)", "ignore(loop)"])
+def test_conditions_that_catch_their_limit_share_it_too(condition, caplog):
+    engine = make(goals=subscriptions(condition), inferences=100_000)
+    assert spent(engine, lambda: engine.event("in(1)", 1)) < 2 * 100_000
+    assert "in/1 is past its limit of inferences; goals refused: " in caplog.text
+
+
+def test_many_short_goals_share_the_inferences_of_their_event(caplog):
+    engine = make(goals=subscriptions("count(300)"), inferences=20_000)
+    assert spent(engine, lambda: engine.event("in(1)", 1)) < 2 * 20_000
+    assert 10 < len(engine.sent) < 100
+    assert "in/1 is past its limit of inferences; goals refused: " in caplog.text
+
+
+def test_the_next_event_has_its_own_limits(caplog):
+    engine = make(goals=subscriptions("(loop ; true)", 3), inferences=50_000)
+    for _ in range(2):
+        caplog.clear()
+        engine.event("in(1)", 1)
+        assert "goals refused: 2" in caplog.text
+    caplog.clear()
+    engine.event("other", 2)
+    assert engine.call("count(10000)")
+    assert caplog.text == ""
+
+
+def test_posted_events_have_their_own_limits_each():
+    engine = make(goals=subscriptions("count(10000)", 1), inferences=30_000)
+    for number in range(5):
+        engine.post(engine._read(f"in({number})"), number)
+    assert len(engine.sent) == 5
+
+
+def test_derived_events_queries_and_actions_share_the_limits_of_the_event(caplog):
+    engine = make(
+        rules="""
+        a(X) <- in(X) where count(30000).
+        b(X) <- a(X) where count(30000).
+        null_event do count(30000) <- b(X).
+        synchronized(c(X), count(30000), []) <- b(X).
+        synchronized(d(X), count(30000), []) <- b(X).
+        """,
+        inferences=100_000,
+    )
+    engine.event("in(1)", 1)
+    assert "a(1)" in engine.seen and "b(1)" in engine.seen
+    assert "d(1)" not in engine.seen
+    assert caplog.text.count("Not enough resources: inferences") == 1
+
+
+def test_goals_of_long_chains_of_events_are_refused_too(caplog):
+    engine = make(
+        rules="tick(N) <- tick(M) where (N is M + 1, M < 20).\n" + "x(M) <- tick(M) where loop.\n" * 3,
+        inferences=50_000,
+    )
+    assert spent(engine, lambda: engine.event("tick(0)", 1)) < 2 * 50_000
+    assert caplog.text.count("Not enough resources") == 1
+    assert "tick/1 is past its limit of inferences; goals refused" in caplog.text
+
+
+def test_a_chain_without_goals_that_branches_without_end_ends(caplog):
+    engine = make(rules="tick <- tick.\ntick <- tick.", inferences=50_000)
+    engine.event("tick", 1)
+    assert "tick is past its limit of inferences; goals refused" in caplog.text
+    engine.event("other", 2)
+    assert engine.seen[-1] == "other"
+
+
+def test_patterns_go_on_where_goals_are_refused(caplog):
+    engine = make(
+        rules="bad(X) <- in(X) where loop.\nworse(X) <- in(X) where loop.\npair(X, Y) <- in(X) seq in(Y).",
+        goals="memorize(in(X), [], in(X), m, 10)",
+        inferences=50_000,
+    )
+    for number in (1, 2):
+        engine.event(f"in({number})", number)
+    assert "pair(1,2)" in engine.seen
+    assert engine.call("memory_counter(m, 2)")
+    assert caplog.text.count("goals refused: 1") == 2
+
+
+def test_a_limit_that_a_goal_has_set_for_itself_leaves_the_others_alone(caplog):
+    engine = make(
+        goals="subscribe(in(_), [call_with_inference_limit(loop, 5000, _)], _, out, a)\n"
+        "subscribe(in(_), [catch(call_with_time_limit(0.01, loop), _, true)], _, out, b)\n"
+        "subscribe(in(_), [count(1000)], _, out, c)",
+        inferences=100_000_000,
+    )
+    engine.event("in(1)", 1)
+    assert engine.sent == ["in(1)"] * 3
+    assert caplog.text == ""
+
+
+def test_an_alarm_has_limits_of_its_own(caplog):
+    engine = make(
+        rules="exceptionAlarm(late(X), 5) <- start(X).\nout(X) <- late(X) where count(15000).\n"
+        "out(X) <- in(X) where count(15000).",
+        inferences=20_000,
+    )
+    engine.event("start(1)", 1)
+    engine.clock.move_to(10 * 10**9)
+    engine.event("in(2)", 10)
+    assert [one for one in engine.seen if one.startswith("out")] == ["out(1)", "out(2)"]
+    assert caplog.text == ""
+
+
+def test_an_alarm_inside_a_goal_takes_nothing_from_it(caplog):
+    engine = make(
+        rules="exceptionAlarm(late(X), 5) <- start(X).\nout(X) <- late(X) where loop.",
+        inferences=20_000,
+    )
+    engine.event("start(1)", 1)
+    engine.clock.move_to(10 * 10**9)
+
+    def ring(machine):
+        engine.advance()
+        engine._watch_clock()
+        return True
+
+    engine.logic.define("ring", 0, ring)
+    assert engine.call("count(10000), ring, count(5000)")
+    assert caplog.text.count("Not enough resources: inferences") == 1
+
+
+def test_goals_at_the_start_may_be_exempt(tmp_path):
+    (tmp_path / "rules.txt").write_text(RULES)
+    (tmp_path / "goalPredicates.txt").write_text("compile_event_file('rules.txt')\ncount(50000)\n")
+    most = Limits(inferences=20_000)
+    engine = Engine(settings=Settings(limits=most, limit_start=False))
+    engine.load_program(tmp_path)
+    assert engine.logic.limits == most
+    with pytest.raises(PrologError, match="inferences"):
+        engine.call("count(50000)")
+
+
+def test_a_program_that_throws_again_and_again_has_limits_too():
+    engine = make(rules="again :- catch(throw(x), _, true), again.", inferences=50_000)
+    with pytest.raises(PrologError, match="inferences"):
+        engine.call("again")
+
+
+def test_an_interrupt_leaves_the_next_event_its_limits():
+    engine = make(goals=subscriptions("count(10000)", 1), inferences=30_000)
+
+    def interrupt(machine):
+        raise KeyboardInterrupt
+
+    engine.logic.define("interrupt", 0, interrupt)
+    for number in range(3):
+        with pytest.raises(KeyboardInterrupt):
+            engine.call("count(20000), interrupt")
+        engine.event(f"in({number})", number)
+    assert len(engine.sent) == 3
+    assert engine.logic.machine.budget.goal is None

@@ -1,0 +1,199 @@
+"""What holds up the engine is named, and ended where it is past its seconds."""
+
+import gc
+import threading
+
+import pytest
+
+from retalis._watchdog import Watchdog
+from retalis.engine import Engine, Settings
+from retalis.logic import Budget, Limits
+from retalis.logic.limits import LimitError
+from retalis.terms import atom
+
+
+class Turn:
+    """What a runner tells a watchdog."""
+
+    def __init__(self):
+        self.thread = self.entry = None
+
+    def begin(self, *entry):
+        self.thread, self.entry = threading.get_ident(), entry
+
+    def follow(self, work):
+        pass
+
+
+@pytest.fixture
+def turn():
+    return Turn()
+
+
+@pytest.fixture
+def watched(turn):
+    """A watchdog with a patience of a second, for a limit of ten, and what it has warned of."""
+    budget = Budget()
+    budget.count_for(turn)
+    budget.allow(Limits(seconds=10.0))
+    warned = []
+    dog = Watchdog(turn, budget, 1.0, lambda seconds, entry: warned.append((seconds, entry)))
+    dog.warned, dog.budget = warned, budget
+    return dog
+
+
+def test_what_runs_for_long_is_warned_of_ever_more_seldom(turn, watched):
+    turn.begin("a")
+    for instant in (0.0, 0.5, 1.1, 1.3, 1.9, 2.2, 3.0, 4.5, 5.0):
+        watched.look(instant)
+    assert watched.warned == [(1.1, ("a",)), (2.2, ("a",)), (4.5, ("a",))]
+
+
+def test_what_came_meanwhile_is_not_taken_for_what_was_there(turn, watched):
+    for instant in range(20):
+        turn.begin("a")
+        watched.look(float(instant))
+        if instant % 3 == 0:
+            turn.thread = None
+            watched.look(instant + 0.5)
+    assert watched.warned == []
+    assert not watched.budget.closed
+
+
+def test_past_its_seconds_an_entry_is_ended_and_gets_the_same_time_to_clean_up(turn, watched):
+    turn.begin("a")
+    watched.look(0.0)
+    watched.look(9.9)
+    assert not watched.budget.closed
+    watched.look(10.1)
+    with pytest.raises(LimitError, match="seconds") as caught:
+        watched.budget.admit()
+    assert not caught.value.final
+    watched.look(15.0)
+    watched.budget.admit()
+    watched.look(20.1)
+    with pytest.raises(LimitError, match="seconds") as caught:
+        watched.budget.admit()
+    assert caught.value.final
+
+
+def test_what_is_over_when_its_time_is_noted_takes_nothing_from_the_next(turn, watched):
+    turn.begin("a")
+    watched.look(0.0)
+    watched.look(10.1)
+    turn.begin("b")
+    watched.budget.admit()
+    assert not watched.budget.closed
+
+
+def test_no_limit_and_no_patience_is_none(turn):
+    budget = Budget()
+    budget.count_for(turn)
+    dog = Watchdog(turn, budget, None, lambda seconds, entry: pytest.fail("warned"))
+    turn.begin("a")
+    for instant in (0.0, 1e3, 1e6):
+        dog.look(instant)
+    assert not budget.closed
+
+
+def test_short_goals_that_add_up_are_ended_by_the_watchdog(caplog):
+    engine = Engine(settings=Settings(limits=Limits(seconds=10.0)))
+    engine.load_rules("".join(f"out({at}) <- in where slow({at}).\n" for at in range(10)))
+    dog, now = engine._watchdog, [0.0]
+
+    def slow(machine, number):
+        now[0] += 3.0
+        dog.look(now[0])
+        return True
+
+    engine.logic.define("slow", 1, slow)
+    seen = []
+    engine.on_event(lambda term, start, end: seen.append(engine.show(term)))
+    engine.event("in", 1)
+    assert seen == ["in", "out(0)", "out(1)", "out(2)", "out(3)", "out(4)"]
+    assert caplog.text.count("Not enough resources: seconds") == 1
+    assert "in is past its limit of seconds; goals refused: 4" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("rules", "goals", "named"),
+    [
+        ("out(X) <- in(X) where (X > 0, hold).", "", "rule out(X)"),
+        ("null_event do hold_(X) <- in(X).\nhold_(_) :- hold.", "", "rule null_event"),
+        ("", "subscribe(in(_), [hold], _, out, a)", "subscription a: goal hold"),
+        ("", "memorize(in(_), [hold], _, m, 10)", "memory m: goal hold"),
+        ("synchronized(x(X), hold, []) <- in(X).", "", "synchronized query: goal hold"),
+    ],
+)
+def test_rule_goal_and_event_are_named(rules, goals, named, caplog):
+    engine = Engine(settings=Settings(watchdog=1.0))
+    dog = engine._watchdog
+
+    def hold(machine):
+        dog.look(0.0)
+        dog.look(1.5)
+        return True
+
+    engine.logic.define("hold", 0, hold)
+    engine.load_rules(rules, "rules.txt")
+    engine.load(goals=goals)
+    engine.event("in(1)", 1)
+    assert named in caplog.text
+    assert "hold" in caplog.text
+    assert "in/1 has been worked on for 1.5 s" in caplog.text
+    assert ("rules.txt:1" in caplog.text) == bool(rules)
+
+
+def test_goals_at_the_start_and_questions_are_named(caplog, tmp_path):
+    engine = Engine(settings=Settings(watchdog=1.0, limits=Limits(seconds=1.0), limit_start=False))
+    dog, now = engine._watchdog, [0.0]
+
+    def hold(machine, number):
+        for _ in range(5):
+            dog.look(now[0])
+            now[0] += 1.5
+        return True
+
+    engine.logic.define("hold", 1, hold)
+    (tmp_path / "goalPredicates.txt").write_text("hold(1)\n")
+    engine.load_program(tmp_path)
+    assert "goalPredicates.txt:1:1: goal hold/1 runs" in caplog.text
+    caplog.clear()
+    engine.settings = engine.settings._replace(limit_start=True)
+    assert engine.call("hold(2)")
+    assert "hold/1 has been worked on for" in caplog.text
+
+
+def test_the_thread_ends_with_the_engine():
+    def dogs():
+        return [one for one in threading.enumerate() if one.name == "retalis watchdog"]
+
+    before = set(dogs())
+    Engine()
+    assert set(dogs()) == before
+    engine = Engine(settings=Settings(limits=Limits(seconds=0.05)))
+    (mine,) = set(dogs()) - before
+    del engine
+    gc.collect()
+    mine.join(10)
+    assert not mine.is_alive()
+
+
+def test_the_thread_ends_what_no_goal_counts():
+    engine = Engine(settings=Settings(limits=Limits(seconds=0.05)))
+    going = threading.Event()
+    budget = engine.logic.machine.budget
+
+    def wait(machine):
+        while not budget.closed:
+            going.wait(0.01)
+        return True
+
+    engine.logic.define("wait", 0, wait)
+    engine.load_rules("a <- in where wait.\nb <- in where true(1).\ntrue(1).")
+    seen = []
+    engine.on_event(lambda term, start, end: seen.append(term))
+    engine.event("in", 1)
+    assert seen == [atom("in"), atom("a")]
+    engine.event("in2", 2)
+    assert seen[-1] is atom("in2")
