@@ -199,7 +199,7 @@ def raised_at(trace):
 
 def _place(path, line, function):
     if path.startswith(f"{_SOURCES}/"):
-        return f"{path[len(str(_SOURCES)) + 1 :]}:{line} {function}"
+        return f"{path[len(str(_SOURCES)) + 1 :]}:{line or 0} {function}"
     return ""
 
 

@@ -12,8 +12,9 @@ from ..mutate import to_text
 from ..watch import Finding
 
 CORPUS = Path(__file__).resolve().parent.parent / "corpus"
+# An input is several events, each with the time twice where a program catches that it is over: all within a second.
 SETTINGS = Settings(
-    limits=Limits(seconds=0.3, inferences=30_000, megabytes=30), max_depth=50, queue=100, folders=()
+    limits=Limits(seconds=0.1, inferences=30_000, megabytes=30), max_depth=50, queue=100, folders=()
 )
 
 ARGUMENTS = Path(__file__).with_name("arguments.txt").read_text(encoding="utf-8").splitlines()
