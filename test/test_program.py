@@ -93,3 +93,41 @@ def test_what_no_file_is_called_is_a_clear_error(tmp_path, name):
         read_text(tmp_path / name)
     with pytest.raises(UsageError, match="cannot read "):
         Engine().load_program(tmp_path / name)
+
+
+def xml_errors(tmp_path, text):
+    file = tmp_path / "pub_sub.xml"
+    file.write_text(text)
+    with pytest.raises(ProgramErrors) as caught:
+        read_topics(file)
+    return caught.value.errors
+
+
+def test_of_many_errors_the_first_are_shown_and_the_others_counted(tmp_path):
+    text = "<publish_subscribe>" + "<publish_to/>\n" * 30_000 + "</publish_subscribe>"
+    errors = xml_errors(tmp_path, text)
+    assert [error.place.line for error in errors[:-1]] == list(range(1, 101))
+    assert str(errors[-1]) == "there are 29900 more"
+
+
+@pytest.mark.parametrize(
+    "text,message,line",
+    [
+        ('<!DOCTYPE a [<!ENTITY b "bb"><!ENTITY c "&b;&b;">]>\n<a>&c;</a>', "a document type", 1),
+        ('\n<!DOCTYPE a SYSTEM "file:///etc/passwd"><publish_subscribe/>', "a document type", 2),
+        ("<publish_subscribe>\n" + "<a>" * 100_000, "more than 100 deep", 2),
+        ("<publish_subscribe>\n<" + "a" * 100_000 + " msg_type='a/B'/></publish_subscribe>", "found <aaa", 2),
+        ("<publish_subscribe>\n<publish_to name='" + "a" * 100_000 + "' msg_type='a/B'/></publish_subscribe>",
+         "longer than 255 characters", 2),
+        ("<publish_subscribe>\n<" + "a" * 100_000 + ">", "is not closed", 2),
+    ],
+)  # fmt: skip
+def test_what_would_be_large_is_refused_with_a_short_error(tmp_path, text, message, line):
+    (error,) = xml_errors(tmp_path, text)
+    assert message in error.message and error.place.line == line
+    assert len(str(error)) < 1000
+
+
+def test_a_file_that_is_too_large_is_refused(tmp_path):
+    (error,) = xml_errors(tmp_path, "<publish_subscribe>" + " " * (4 << 20) + "</publish_subscribe>")
+    assert "has 4194343 characters: at most 4194304 are taken" in error.message

@@ -17,7 +17,7 @@ from ._runner import Runner
 from ._watchdog import watch
 from .clock import Clock, StreamClock
 from .door import MEGABYTE
-from .errors import ProgramErrors, RetalisError, RuleError, UsageError, beginning
+from .errors import Errors, ProgramErrors, RetalisError, RuleError, UsageError, beginning
 from .events import Dispatcher, Rules, Stage
 from .knowledge import Knowledge
 from .logic import Limits, Logic
@@ -177,7 +177,7 @@ class Engine:
             ProgramErrors: all that did not read, failed or raised; the others have been called.
         """
         self._own(folder)
-        errors: List[RetalisError] = []
+        errors = Errors()
         for goal in goals_of(text, source, folder, self.logic.operators, self._files, self._load):
             if isinstance(goal, RetalisError):
                 errors.append(goal)
@@ -186,7 +186,7 @@ class Engine:
                 if not self._load(goal.folder, lambda: self._start(goal)):  # noqa: B023
                     errors.append(RuleError("this goal fails", goal.place))
             except RetalisError as error:
-                errors += errors_in(error, goal.place)
+                errors.extend(errors_in(error, goal.place))
         if errors:
             raise ProgramErrors(errors)
 

@@ -1,6 +1,6 @@
 """Errors of the package: one root, and a place in a text for every error that is about a text."""
 
-from typing import List, NamedTuple, Optional, Sequence
+from typing import Iterable, List, NamedTuple, Optional
 
 SHOWN = 200
 """Characters of a text from outside that are kept and shown."""
@@ -99,12 +99,51 @@ class RuleError(RetalisError):
     """A rule, clause or directive that reads well and cannot be accepted."""
 
 
-class ProgramErrors(RetalisError):
-    """All errors of a file at once; nothing of the file is active."""
+MOST_ERRORS = 100
+"""Errors of a file that are kept and shown."""
 
-    def __init__(self, errors: Sequence[RetalisError]):
-        super().__init__("\n".join(str(error) for error in errors))
-        self.errors: List[RetalisError] = list(errors)
+
+class Errors(List[RetalisError]):
+    """What is wrong with a file, as it is found: the first errors are kept, the others counted.
+
+    Attributes:
+        more: how many were not kept.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.more = 0
+
+    def append(self, error: RetalisError) -> None:
+        """Take an error."""
+        if len(self) < MOST_ERRORS:
+            super().append(error)
+        else:
+            self.more += 1
+
+    def extend(self, errors: Iterable[RetalisError]) -> None:
+        """Take errors, and count those that were not kept of them."""
+        for error in errors:
+            self.append(error)
+        self.more += getattr(errors, "more", 0)
+
+    def with_rest(self) -> List[RetalisError]:
+        """Return the errors, and as the last one how many more there are."""
+        return [*self, RetalisError(f"there are {self.more} more")] if self.more else list(self)
+
+
+class ProgramErrors(RetalisError):
+    """All errors of a file at once; nothing of the file is active.
+
+    Of many the first `MOST_ERRORS` are there, and one that says how many more there are.
+    """
+
+    def __init__(self, errors: Iterable[RetalisError]):
+        found = errors if isinstance(errors, Errors) else Errors()
+        if found is not errors:
+            found.extend(errors)
+        self.errors: List[RetalisError] = found.with_rest()
+        super().__init__("\n".join(str(error) for error in self.errors))
 
 
 class MessageError(RetalisError):

@@ -5,9 +5,10 @@ from typing import Dict, List, NamedTuple, Tuple, Union
 from xml.parsers import expat
 
 from .errors import (
+    SHOWN,
+    Errors,
     Place,
     ProgramErrors,
-    RetalisError,
     RuleError,
     SyntaxFault,
     UsageError,
@@ -19,6 +20,12 @@ from .rosnames import topic_fault, type_fault
 GOALS = "goalPredicates.txt"
 TOPICS = "pub_sub.xml"
 RULES = "eventRules.txt"
+
+LARGEST = 4 << 20
+"""Characters that ``pub_sub.xml`` may have."""
+
+DEEPEST = 100
+"""How deep its elements may lie in each other."""
 
 
 class TopicType(NamedTuple):
@@ -84,18 +91,23 @@ class _TopicReader:
         self.parser = expat.ParserCreate()
         self.parser.StartElementHandler = self.element
         self.parser.EndElementHandler = lambda tag: self.open.pop()
+        self.parser.StartDoctypeDeclHandler = self.doctype
         self.open: List[Tuple[str, int]] = []
         self.inside = False
         self.found: Dict[str, List[TopicType]] = {"subscribe_to": [], "publish_to": []}
-        self.errors: List[RetalisError] = []
+        self.errors = Errors()
 
     def read(self) -> Topics:
         try:
+            if len(self.text) > LARGEST:
+                raise SyntaxFault(f"the file has {len(self.text)} characters: at most {LARGEST} are taken")
             self.parser.Parse(self.text, True)
+        except SyntaxFault as fault:
+            self.errors.append(fault)
         except expat.ExpatError as error:
             message = f"this is no XML: {expat.errors.messages[error.code]}"
             if self.open:
-                message += "; <{}> of line {} is not closed".format(*self.open[-1])
+                message += f"; <{self.open[-1][0][:SHOWN]}> of line {self.open[-1][1]} is not closed"
             self.errors.append(SyntaxFault(message, self.place(error.lineno, error.offset)))
         if self.errors:
             raise ProgramErrors(self.errors)
@@ -105,8 +117,19 @@ class _TopicReader:
         text = self.lines[line - 1] if line <= len(self.lines) else ""
         return place_in(self.source, line, offset + 1, text)
 
+    def here(self) -> Place:
+        """Return the place where the parser is."""
+        return self.place(self.parser.CurrentLineNumber, self.parser.CurrentColumnNumber)
+
+    def doctype(self, *declared: object) -> None:
+        """Refuse what entities could be declared in: they make a large text of a few, or read other files."""
+        raise SyntaxFault("a document type (<!DOCTYPE ...>) is not taken", self.here())
+
     def element(self, tag: str, attributes: Dict[str, str]) -> None:
-        place = self.place(self.parser.CurrentLineNumber, self.parser.CurrentColumnNumber)
+        place = self.here()
+        if len(self.open) >= DEEPEST:
+            raise SyntaxFault(f"elements lie in each other more than {DEEPEST} deep", place)
+        tag = tag if tag in self.found else tag[:SHOWN]
         self.open.append((tag, place.line))
         if not self.inside:
             self.inside = True

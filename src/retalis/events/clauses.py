@@ -2,7 +2,7 @@
 
 from typing import Any, Dict, List, NamedTuple, Optional, Tuple
 
-from ..errors import Place, RetalisError, RuleError, UsageError
+from ..errors import Errors, Place, RetalisError, RuleError, UsageError
 from ..logic import PrologError
 from ..logic.logic import split_clause
 from ..syntax import ReadTerm
@@ -68,8 +68,8 @@ class Checker:
     """Sorts the terms of a file and collects all of their errors and warnings."""
 
     def __init__(self) -> None:
-        self.errors: List[RetalisError] = []
-        self.warnings: List[RuleError] = []
+        self.errors = Errors()
+        self.warnings = Errors()
         self.steps: List[Step] = []
         self.rules: List[Definition] = []
         self.inner: List[Definition] = []

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Set, Tuple
 
-from ..errors import Place, ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
+from ..errors import Errors, Place, ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
 from ..logic import PrologError
 from ..syntax import Operators, read_program
 from ..terms import Atom, Term, conjuncts, copy, deref, functor, list_items
@@ -41,7 +41,7 @@ class _Reading(NamedTuple):
 
     checker: Checker
     operators: Operators
-    errors: List[RetalisError]
+    errors: Errors
 
 
 class Loader:
@@ -96,7 +96,7 @@ class Loader:
 
     def load_terms(self, terms: Sequence[Tuple[Term, Optional[Place]]]) -> None:
         """Load terms; see `Rules.load_terms`."""
-        reading = _Reading(Checker(), self._rules.logic.operators.copy(), [])
+        reading = _Reading(Checker(), self._rules.logic.operators.copy(), Errors())
         for term, place in terms:
             included = _included(term)
             if included is None:
@@ -113,9 +113,9 @@ class Loader:
     def _load(self, text: str, source: str) -> None:
         rules = self._rules
         with rules.logic.preparing(lambda: [rule.definition.term for rule in rules.rules]):
-            self._finish(lambda errors: self._plan(text, source, errors), [])
+            self._finish(lambda errors: self._plan(text, source, errors), Errors())
 
-    def _plan(self, text: str, source: str, errors: List[RetalisError]) -> Plan:
+    def _plan(self, text: str, source: str, errors: Errors) -> Plan:
         reading = _Reading(Checker(), self._rules.logic.operators.copy(), errors)
         self._read(read_program(text, reading.operators, source), reading)
         return self._checked(reading.checker, errors)
@@ -170,9 +170,9 @@ class Loader:
                 if name in ("double_quotes", "back_quotes"):
                     program.flags = program.flags._replace(**{name: arguments[1].name})
 
-    def _checked(self, checker: Checker, errors: List[RetalisError]) -> Plan:
+    def _checked(self, checker: Checker, errors: Errors) -> Plan:
         """Check what needs the logic: clauses, goals of rules, files that are used."""
-        errors += checker.errors
+        errors.extend(checker.errors)
         logic = self._rules.logic
         steps: List[Any] = []
         for step in checker.steps:
@@ -187,11 +187,11 @@ class Loader:
             else:
                 steps.append(step)
         rules = self._compiled([*checker.rules, *checker.inner], errors)
-        for warning in checker.warnings:
+        for warning in checker.warnings.with_rest():
             self._rules.on_warning(warning)
         return Plan(steps, rules, checker.calls)
 
-    def _compiled(self, definitions: List[Definition], errors: List[RetalisError]) -> List[Rule]:
+    def _compiled(self, definitions: List[Definition], errors: Errors) -> List[Rule]:
         rules = []
         for definition in definitions:
             try:
@@ -202,7 +202,7 @@ class Loader:
                 errors.append(RuleError(TOO_DEEP, definition.place))
         return rules
 
-    def _used(self, step: Step, errors: List[RetalisError]) -> Optional[Plan]:
+    def _used(self, step: Step, errors: Errors) -> Optional[Plan]:
         """Return the plan of a file that is used; None for a library, or what need not be loaded again."""
         name = deref(step.term)
         try:
@@ -219,7 +219,7 @@ class Loader:
             errors.append(RuleError(error.message, step.place))
             return None
 
-    def _finish(self, plan: Callable[[List[RetalisError]], Plan], errors: List[RetalisError]) -> None:
+    def _finish(self, plan: Callable[[Errors], Plan], errors: Errors) -> None:
         """Check all of a program, then have it act; what is refused leaves nothing behind."""
         loaded = set(self._files.loaded)
         before: Optional[_Snapshot] = None
@@ -349,8 +349,8 @@ def _names(term: Term) -> List[str]:
     return [item.name for item in found if item.__class__ is Atom]
 
 
-def _in_order(errors: List[RetalisError]) -> List[RetalisError]:
-    """Return errors by file, in the order in which the files came up, and there by line and column."""
+def _in_order(errors: Errors) -> Errors:
+    """Order errors by file, in the order in which the files came up, and there by line and column."""
     files: Dict[Optional[str], int] = {}
     for error in errors:
         files.setdefault(error.place.source if error.place else None, len(files))
@@ -359,7 +359,8 @@ def _in_order(errors: List[RetalisError]) -> List[RetalisError]:
         place = error.place
         return (files[None], 0, 0) if place is None else (files[place.source], place.line, place.column)
 
-    return sorted(errors, key=where)
+    errors.sort(key=where)
+    return errors
 
 
 def _included(term: Term) -> Optional[Term]:

@@ -2,7 +2,7 @@
 
 from typing import Any, Callable, Dict, Iterator, List, Sequence, Tuple
 
-from ..errors import ProgramErrors, RetalisError, SyntaxFault, UsageError
+from ..errors import Errors, ProgramErrors, SyntaxFault, UsageError
 from ..logic import PrologError, callable_of, domain_error, existence_error, instantiation_error, type_error
 from ..syntax import read_program
 from ..terms import (
@@ -275,7 +275,7 @@ class _Streams:
         path = files.resolve(_path(arguments[0]))
         text = files.text(path)
         goals: List[Term] = []
-        errors: List[RetalisError] = []
+        errors = Errors()
         for read in read_program(text, self.rules.logic.operators, str(path)):
             if isinstance(read, SyntaxFault):
                 errors.append(read)
