@@ -84,16 +84,14 @@ def memories() -> Round:
 
 @case
 def event_rules() -> Round:
-    one = engine()
+    one = engine("q(_).")
 
     def do(number: int) -> None:
-        rule = f"(l_{number} rule: out(W) <- (hot(W,T) seq cold(W)) within 60 where (T > {number}, q(W)))"
+        rule = f"(out(W) <- (hot(W,T) seq cold(W)) within 60 where (T > {number}, q(W)))"
         one.call(f"ins_event_rule({rule})")
         one.event(f"hot(w_{number}, {number + 1})", number)
-        one.call(f"del_event_rule(l_{number})")
+        one.call(f"del_event_rule({rule})")
 
-    rules = "q(_)."
-    one.load(rules=rules)
     return do
 
 
@@ -103,9 +101,11 @@ def event_rules_of_new_events() -> Round:
 
     def do(number: int) -> None:
         one.call(
-            f"ins_event_rule((l rule: out_{number}(W) <- hot_{number}(W,c_{number}) seq cold_{number}(W)))"
+            f"ins_event_rule((l_{number} : (out_{number}(W) <- hot_{number}(W,c_{number}) seq cold(W))))"
         )
-        one.call("del_event_rule(l)")
+        one.event(f"hot_{number}(w, c_{number})", number)
+        one.call(f"del_event_rule(l_{number})")
+        assert not one.rules.rules
 
     return do
 
@@ -173,6 +173,7 @@ def partial_matches() -> Round:
     one = engine("out(X) <- (hot(X) seq cold(X)) within 5.")
 
     def do(number: int) -> None:
+        one.clock.move_to(number * 10**9)
         one.event(f"hot(h_{number})", number)
 
     return do

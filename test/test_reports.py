@@ -78,3 +78,16 @@ def test_some_texts_of_a_kind_are_logged_in_any_case(logged):
         "number 4",
         "7 times in all: number 1",
     ]
+
+
+def test_what_is_reported_is_bounded_in_length_and_kinds_keep_nothing_of_it(logged):
+    reports = Reports()
+    for number in range(100):
+        text = f"{number} {'x' * 100_000}"
+        reports.error(RuleError(text))
+        reports.warning(text, ("kind", text))
+        reports.warning(text, "texts", texts=20)
+    assert max(len(record.getMessage()) for record in logged.records) < 5000
+    kept = [(kind.first, *kind.texts) for kind in reports._kinds.values()]
+    assert len(kept) == 201 and all(len(first) <= 200 for first, *_ in kept)
+    assert all(key.__class__ is int for key in reports._kinds)

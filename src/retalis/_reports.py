@@ -4,7 +4,7 @@ import logging
 import traceback
 from typing import Any, Dict, Set
 
-from .errors import RetalisError
+from .errors import LONGEST, SHOWN, RetalisError, beginning
 
 log = logging.getLogger("retalis")
 
@@ -24,7 +24,8 @@ class Reports:
         self.errors = 0
         self.warnings = 0
         self.once = False
-        self._kinds: Dict[Any, _Kind] = {}
+        self._kinds: Dict[int, _Kind] = {}
+        """By hash: what told kinds apart may be large, and need not stay."""
         self._others = 0
         """How many were not logged of kinds that had to be forgotten."""
 
@@ -60,16 +61,18 @@ class Reports:
             self._others = 0
 
     def _log(self, level: int, key: Any, text: str, texts: int = 1) -> None:
+        key = hash(key)
+        text = beginning(text, LONGEST)
         kind = self._kinds.get(key)
         if kind is None:
             if len(self._kinds) >= _KINDS:
                 self._others += sum(known.times - known.told for known in self._kinds.values())
                 self._kinds.clear()
-            kind = self._kinds[key] = _Kind(level, text.split("\n", 1)[0])
+            kind = self._kinds[key] = _Kind(level, text[:SHOWN].split("\n", 1)[0])
         kind.times = times = kind.times + 1
-        is_new = len(kind.texts) < texts and text not in kind.texts
+        is_new = len(kind.texts) < texts and hash(text) not in kind.texts
         if is_new:
-            kind.texts.add(text)
+            kind.texts.add(hash(text))
         elif times & (times - 1) or self.once:
             return
         kind.told = times
@@ -86,4 +89,4 @@ class _Kind:
         self.first = first
         self.times = 0
         self.told = 0
-        self.texts: Set[str] = set()
+        self.texts: Set[int] = set()

@@ -198,7 +198,7 @@ class Engine:
         if not self.settings.limit_start:
             budget.allow(Limits())
         try:
-            return self.logic.once(goal.term)
+            return self._once(goal.term)
         finally:
             budget.allow(limits)
 
@@ -270,7 +270,7 @@ class Engine:
             PrologError: what the goal raised.
         """
         term = self._read(goal)
-        return bool(self.do(lambda: self.logic.once(term), term))
+        return bool(self.do(lambda: self._once(term), term))
 
     def query(self, goal: Union[str, Term], most: Optional[int] = None) -> List[Dict[str, Term]]:
         """Return the solutions of a goal, each as its variables' values by name.
@@ -350,6 +350,16 @@ class Engine:
     def _read(self, term: Union[str, Term]) -> Term:
         return read_term(term, self.logic.operators, "text").term if isinstance(term, str) else term
 
+    def _once(self, goal: Term) -> bool:
+        """Call a goal once; where nothing else is under way nobody will undo its bindings: no trail of them stays."""
+        machine = self.logic.machine
+        outermost = not machine.trail and not machine.choices and self.dispatcher.current is None
+        try:
+            return self.logic.once(goal)
+        finally:
+            if outermost:
+                machine.trail.clear()
+
     def _take(
         self, term: Term, start: Optional[int], end: Optional[int], ground: Optional[bool] = None
     ) -> None:
@@ -362,7 +372,7 @@ class Engine:
         else:
             self._look_at_clock()
             if end < start:
-                raise UsageError(f"{self.show(term)} ends before it starts")
+                raise UsageError(f"{self.logic.brief(term)} ends before it starts")
         dispatcher = self.dispatcher
         current, cause = dispatcher.current, dispatcher.cause
         try:  # as `Dispatcher.undisturbed`
@@ -413,7 +423,7 @@ class Engine:
     def _take_goal(self, text: str) -> None:
         goal = self._texts.goal(text)
         try:
-            if not self.dispatcher.undisturbed(lambda: self.logic.once(goal)):
+            if not self.dispatcher.undisturbed(lambda: self._once(goal)):
                 self.reports.warning(f"the goal {beginning(text)} fails")
         except RetalisError as error:
             self.reports.warning(f"the goal {beginning(text)} ends with an error: {error}")

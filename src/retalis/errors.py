@@ -6,9 +6,13 @@ SHOWN = 200
 """Characters of a text from outside that are kept and shown."""
 
 
-def beginning(text: str) -> str:
+LONGEST = 4000
+"""Characters that the message of an error may have."""
+
+
+def beginning(text: str, most: int = SHOWN) -> str:
     """Return a text as it is kept and shown: its begin where it is long."""
-    return text if len(text) <= SHOWN else f"{text[:SHOWN]}..."
+    return text if len(text) <= most else f"{text[:most]}..."
 
 
 class Place(NamedTuple):
@@ -75,6 +79,7 @@ class RetalisError(Exception):
     """
 
     def __init__(self, message: str, place: Optional[Place] = None):
+        message = beginning(message, LONGEST)
         super().__init__(message)
         self.message = message
         self.place = place
@@ -143,7 +148,8 @@ class ProgramErrors(RetalisError):
         if found is not errors:
             found.extend(errors)
         self.errors: List[RetalisError] = found.with_rest()
-        super().__init__("\n".join(str(error) for error in self.errors))
+        super().__init__("")
+        self.message = "\n".join(str(error) for error in self.errors)
 
 
 class MessageError(RetalisError):

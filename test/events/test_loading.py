@@ -5,8 +5,10 @@ import linecache
 import pytest
 from events.running import Program, fired
 
+from retalis import Engine
 from retalis.errors import ProgramErrors
 from retalis.logic import Predicate
+from retalis.terms import atom, functor
 
 
 def errors_of(rules):
@@ -245,3 +247,23 @@ def test_rules_of_one_form_that_come_and_go_at_run_time_keep_no_code():
         assert program.engine.call("del_event_rule(b(X) do k(X) <- a(X))")
         kept.append(len(linecache.cache))
     assert kept[1:] == [kept[1]] * 4
+
+
+def test_of_many_errors_the_first_are_kept_and_the_others_counted():
+    engine = Engine()
+    with pytest.raises(ProgramErrors) as caught:
+        engine.load(rules="".join(f"out_{number} <- ).\n" for number in range(1000)))
+    errors = caught.value.errors
+    assert [error.place.line for error in errors[:-1]] == list(range(1, 101))
+    assert errors[-1].message == "there are 900 more"
+    with pytest.raises(ProgramErrors) as caught:
+        engine.load(goals="fail\n" * 1000)
+    assert [error.message for error in caught.value.errors[-2:]] == ["this goal fails", "there are 900 more"]
+
+
+def test_an_error_at_a_long_event_shows_its_beginning(caplog):
+    engine = Engine()
+    engine.load(rules="null do X is foo+1 <- a(X).")
+    engine.event((functor("a", 1), atom("x" * 100_000)), 1)
+    (record,) = caplog.records
+    assert len(record.getMessage()) < 1000 and "foo" in record.getMessage()

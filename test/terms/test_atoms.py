@@ -52,3 +52,15 @@ def test_threads_get_the_same_atom():
     finally:
         sys.setswitchinterval(interval)
     assert not wrong
+
+
+def test_functors_that_nothing_holds_are_forgotten():
+    first = functor("for_a_moment", 2)
+    assert functor("for_a_moment", 2) is first
+    held = (first, 1, 2)
+    del first
+    gc.collect()
+    assert held[0] is functor("for_a_moment", 2)
+    del held
+    gc.collect()
+    assert ("for_a_moment", 2) not in kinds._functors

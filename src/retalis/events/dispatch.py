@@ -5,9 +5,10 @@ dictionaries, so an event costs nothing for listeners whose constants differ.
 """
 
 from itertools import count
-from typing import Any, Callable, Collection, Dict, Optional, Tuple
+from typing import Any, Callable, Collection, Dict, List, Optional, Tuple
 from weakref import WeakValueDictionary
 
+from ..caches import Cache
 from ..errors import UsageError
 from ..logic import Budget, Goal, PrologError, keep_back
 from ..terms import Atom, Functor, Lazy, Term, Var, copy, deref, is_ground, is_plain
@@ -17,8 +18,8 @@ from .gates import Gate
 from .matching import Matcher, Values, compile_matcher
 from .serving import AT_ONCE, LEFT_OUT, Action, Event, Frame, Lane, Listener, Stage, event_of
 
-_PLANS = 10_000
-"""How many kinds of events have a plan; past that all are made anew."""
+_GATES = 1000
+"""Functors with gates from which on it is looked which gates are still used."""
 
 
 class Dispatcher:
@@ -44,9 +45,10 @@ class Dispatcher:
         self._machine: Any = None if logic is None else logic.machine
         self._budget = Budget() if logic is None else logic.machine.budget
         self._listeners: Dict[Optional[Functor], Dict[Listener, None]] = {}
-        self._plans: Dict[Functor, Any] = {}
+        self._plans: Cache[Functor, Any] = Cache(10_000, 16 << 20)
         self.lanes: Dict[Functor, Lane] = {}
-        self._gates: Dict[Functor, Dict[Tuple[int, ...], Gate]] = {}
+        self._gates: Dict[Functor, WeakValueDictionary[Tuple[int, ...], Gate]] = {}
+        self._many_gates = _GATES
         self._matchers: WeakValueDictionary[Any, Matcher] = WeakValueDictionary()
         self._order = count()
         self._tokens = count(1)
@@ -120,7 +122,12 @@ class Dispatcher:
             functor: of the events.
             positions: which of their arguments are looked at, counted from 1.
         """
-        gates = self._gates.setdefault(functor, {})
+        gates = self._gates.get(functor)
+        if gates is None:
+            if len(self._gates) >= self._many_gates:  # of rules and clauses that come and go
+                self._gates = {key: found for key, found in self._gates.items() if len(found)}
+                self._many_gates = 2 * len(self._gates) + _GATES
+            gates = self._gates[functor] = WeakValueDictionary()
         gate = gates.get(positions)
         if gate is None:
             gate = gates[positions] = Gate(positions, self._plans.get(functor))
@@ -350,19 +357,21 @@ class Dispatcher:
         else:
             self._plans.pop(functor, None)
             self.lanes.pop(functor, None)
-        for gates in self._gates.values() if functor is None else (self._gates.get(functor, {}),):
-            for gate in gates.values():
+        for gates in list(self._gates.values()) if functor is None else self._gates_of(functor):
+            for gate in list(gates.values()):
                 gate.set(None)
+
+    def _gates_of(self, functor: Functor) -> List[Any]:
+        gates = self._gates.get(functor)
+        return [] if gates is None else [gates]
 
     def _plan(self, functor: Functor) -> Any:
         listeners = [*self._listeners.get(functor, ()), *self._listeners.get(None, ())]
         listeners.sort(key=lambda listener: listener.order)
-        if len(self._plans) >= _PLANS:
-            self._plans.clear()
-            self.lanes.clear()
-        plan = self._plans[functor] = make_plan(listeners)
-        for gate in self._gates.get(functor, {}).values():
-            gate.set(plan)
+        plan = self._plans.keep(functor, make_plan(listeners), len(functor.name))
+        for gates in self._gates_of(functor):
+            for gate in list(gates.values()):
+                gate.set(plan)
         if len(listeners) == 1 and listeners[0].lane is not None and _takes_all(listeners[0].pattern):
             self.lanes[functor] = listeners[0].lane
         return plan

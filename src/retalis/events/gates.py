@@ -23,7 +23,7 @@ class Gate:
         passes: tells whether an event may concern anybody, or its time is unusual or none.
     """
 
-    __slots__ = ("plan", "passes", "_positions", "_walk")
+    __slots__ = ("plan", "passes", "_positions", "_walk", "__weakref__")
 
     plan: Any
     passes: Passes

@@ -233,7 +233,7 @@ class Rules:
         return [*(rule.definition.term for rule in self.rules), *bodies]
 
     def _name(self, definition: Definition) -> str:
-        show = self.logic.show
+        show = self.logic.brief
         head = "(no head)"
         if (
             definition.head is not None
@@ -247,7 +247,9 @@ class Rules:
 
     def set_property(self, one: Property) -> None:
         """Give a label a property; it holds for the rules that have the label, at once."""
-        self._properties.setdefault(term_key(one.label), []).append(one)
+        known = self._properties.setdefault(term_key(one.label), [])
+        if one not in known:
+            known.append(one)
         for rule in self._labelled(one.label):
             self._configure(rule)
 
@@ -341,13 +343,13 @@ class Rules:
     def rule_failed(self, rule: Rule, error: RuleError) -> None:
         """Report what stopped a rule from firing."""
         event = self.dispatcher.event()
-        met = "" if event is None else f", at event {self.logic.show(event.term)}"
+        met = "" if event is None else f", at event {self.logic.brief(event.term)}"
         self.on_error(RuleError(f"{rule.name}{met}: {error.message}", rule.place))
 
     def goal_failed(self, rule: Rule, goal: Term, error: RetalisError) -> None:
         """Report an error that a goal of a rule raised, or stopped for."""
         if keep_back(error):
-            shown = self.logic.show(goal, names=rule.definition.names)
+            shown = self.logic.brief(goal, names=rule.definition.names)
             self.rule_failed(rule, RuleError(f"goal {shown}: {error.message}"))
 
     def dropped(self, rule: Rule) -> None:

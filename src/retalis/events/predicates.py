@@ -209,15 +209,22 @@ class _Settings:
         return bool(machine.unify(value, self.counters.get(_key(name), 0)))
 
     def reset_counter(self, machine: Any, name: Term) -> bool:
-        self.counters[_key(name)] = 0
+        self.counters.pop(_key(name), None)
         return True
 
     def set_value(self, machine: Any, name: Term, value: Term) -> bool:
-        self.values[_key(name)] = copy(value)
+        key, value = _key(name), copy(value)
+        if value is _NO_VALUE:
+            self.values.pop(key, None)
+        else:
+            self.values[key] = value
         return True
 
     def get_value(self, machine: Any, name: Term, value: Term) -> bool:
-        return bool(machine.unify(value, copy(self.values.get(_key(name), atom("nil")))))
+        return bool(machine.unify(value, copy(self.values.get(_key(name), _NO_VALUE))))
+
+
+_NO_VALUE = atom("nil")
 
 
 def _key(term: Term) -> Any:

@@ -28,7 +28,7 @@ def behind(logic: Logic, memories: Memories, conditions: Term) -> Behind:
     for name, its_time in _pairs(logic, conditions):
         instance = memories.find(name)
         if instance is None:
-            raise UsageError(f"there is no memory {logic.show(name)}")
+            raise UsageError(f"there is no memory {logic.brief(name)}")
         if its_time is not time:
             time, instant = its_time, reach(its_time)
         found[instance] = max(instant, found.get(instance, instant))
@@ -53,7 +53,7 @@ def compile_conditions(
         "get": memories.instances.get,
         "reach": reach,
         "first_reaching": timestamps.first_reaching,
-        "no_memory": lambda name: UsageError(f"there is no memory {logic.show(name)}"),
+        "no_memory": lambda name: UsageError(f"there is no memory {logic.brief(name)}"),
     }
     lines = ["    missing = []"]
     previous = None
@@ -100,7 +100,7 @@ def _pairs(logic: Logic, conditions: Term) -> List[Tuple[Term, Term]]:
     for item in items:
         parts = list_items(item)
         if parts is None or len(parts) != 2:
-            raise UsageError(f"expected [MemoryId, Time], found {logic.show(item)}")
+            raise UsageError(f"expected [MemoryId, Time], found {logic.brief(item)}")
         pairs.append((deref(parts[0]), deref(parts[1])))
     return pairs
 

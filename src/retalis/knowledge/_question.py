@@ -84,7 +84,7 @@ class Question:
         try:
             return self._dispatch(event, start, end, after)
         except UsageError as error:
-            show = self._around.logic.show
+            show = self._around.logic.brief
             self._around.warn(f"{show(event)} is dropped: {error}", ("dropped", kind_of(event)))
             return after
 
@@ -93,7 +93,7 @@ class Question:
             return
         event = self.event(values)
         self._around.warn(
-            f"{self._around.logic.show(event)} is dropped, its query raised: {error}",
+            f"{self._around.logic.brief(event)} is dropped, its query raised: {error}",
             ("raised", kind_of(event)),
         )
 

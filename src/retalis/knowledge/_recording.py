@@ -99,7 +99,7 @@ def recording(
                 event  # the conditions may have been in the middle of an event that they made
             )
             if keep_back(error):
-                problem(f"{name}: event {logic.show(term)}: {error}", name)
+                problem(f"{name}: event {logic.brief(term)}: {error}", name)
             return None
         if solution is None:
             return None

@@ -85,7 +85,7 @@ class Knowledge:
 
     def _create(self, arguments: Any, active: bool, after: Any) -> Any:
         made = self.memories.create((MEMORIZE, *arguments), active, after)
-        self.on_conditions(arguments[1], f"memory {self._logic.show(arguments[3])}")
+        self.on_conditions(arguments[1], f"memory {self._logic.brief(arguments[3])}")
         return made
 
     def _memorize_by_flag(self, machine: Machine, arguments: Any, after: Any) -> Any:
@@ -106,12 +106,12 @@ class Knowledge:
 
     def _subscribe(self, machine: Machine, *arguments: Term) -> bool:
         self.subscriptions.create((SUBSCRIBE, *arguments))
-        self.on_conditions(arguments[1], f"subscription {self._logic.show(arguments[4])}")
+        self.on_conditions(arguments[1], f"subscription {self._logic.brief(arguments[4])}")
         return True
 
     def _delete_subscription(self, machine: Machine, topic: Term, name: Term) -> bool:
         if not self.subscriptions.delete(topic, name):
-            show = self._logic.show
+            show = self._logic.brief
             self._warn(f"there is no subscription {show(deref(name))} of topic {show(deref(topic))}")
         return True
 

@@ -103,7 +103,7 @@ class Memories:
         """
         instance = self.find(name)
         if instance is None:
-            raise UsageError(f"there is no memory {self._logic.show(name)}")
+            raise UsageError(f"there is no memory {self._logic.brief(name)}")
         del self.instances[key_of(instance.id)]
         instance.recorder.remove(instance)
         self.on_delete(instance)
@@ -136,7 +136,7 @@ class Memories:
         may_join = key is not None and self._dispatcher.current is None
         if may_join and last is not None and last.instances and key == last.key:
             return last
-        title = f"memory {self._logic.show(name)}"
+        title = f"memory {self._logic.brief(name)}"
         take = recording(self._logic, self._dispatcher, pattern, conditions, form, title, self._problem)
         self._newest = Recorder(self._dispatcher, pattern, take, self._follow, key)
         return self._newest
@@ -157,7 +157,9 @@ class Memories:
         try:
             return self._dispatcher.dispatch(update, instant, instant, after)
         except UsageError as error:
-            self._problem(f"the update of memory {self._logic.show(update[1])} is not told: {error}", UPDATED)
+            self._problem(
+                f"the update of memory {self._logic.brief(update[1])} is not told: {error}", UPDATED
+            )
             return after
 
 

@@ -52,7 +52,7 @@ class Subscriptions:
             pattern,
             conditions,
             form,
-            f"subscription {self._logic.show(name)}",
+            f"subscription {self._logic.brief(name)}",
             self._problem,
         )
         deliver = self._deliver

@@ -137,7 +137,7 @@ class WaitingQueries:
         return take, lane
 
     def _drop(self, event: Term, error: UsageError) -> None:
-        self._warn(f"{self._logic.show(event)} is dropped: {error}", ("dropped", kind_of(event)))
+        self._warn(f"{self._logic.brief(event)} is dropped: {error}", ("dropped", kind_of(event)))
 
     def _wait(self, asked: Question, values: Values, start: int, end: int, missing: Behind) -> None:
         if len(self._all) >= self._limit:
@@ -195,7 +195,7 @@ class WaitingQueries:
             if any(instance not in there for instance, _ in missing):
                 self._all.pop(order)
                 event = waiting[1].event(waiting[2])
-                self._warn(f"{self._logic.show(event)} is dropped: a memory is deleted", ("deleted", None))
+                self._warn(f"{self._logic.brief(event)} is dropped: a memory is deleted", ("deleted", None))
                 continue
             while len(missing) > 1 and missing[-1][0].has(missing[-1][1]):
                 missing.pop()
@@ -211,7 +211,7 @@ class WaitingQueries:
         self._oldest = oldest
         event = self._forget(oldest)
         self._warn(
-            f"more than {self._limit} queries wait; the oldest is dropped: {self._logic.show(event)}",
+            f"more than {self._limit} queries wait; the oldest is dropped: {self._logic.brief(event)}",
             "waiting",
         )
 
@@ -231,7 +231,7 @@ class WaitingQueries:
         ]
         dropped = [self._forget(order) for order in orders]
         if dropped:
-            show = self._logic.show
+            show = self._logic.brief
             named = ", ".join(show(event) for event in dropped[:NAMED])
             more = f" and {len(dropped) - NAMED} more" if len(dropped) > NAMED else ""
             self._warn(

@@ -1,6 +1,7 @@
 """All predicates of a program and of the system."""
 
 from typing import Any, Callable, Dict, Iterable, Optional, Set
+from weakref import WeakValueDictionary
 
 from ..terms import Functor, Term, deref
 from .codes import Frame
@@ -8,6 +9,9 @@ from .compiler.direct import Direct
 from .faults import indicator, permission_error
 from .machine import Machine
 from .predicate import COMPILE_AFTER, Predicate
+
+_SPARE = 1000
+"""Predicates from which on, and then at twice as many, it is looked which of them are none."""
 
 
 class Database:
@@ -23,6 +27,9 @@ class Database:
         self.generation = 0
         self.compile_after = compile_after
         self.predicates: Dict[Functor, Predicate] = {}
+        self._unused: WeakValueDictionary[Functor, Predicate] = WeakValueDictionary()
+        """Predicates that nobody has defined: they stay as long as something refers to them."""
+        self._many = _SPARE
         self.library = Library(self)
         self.interpret: Any = None
         self.solve: Callable[[Term, int, Frame], Optional[Frame]] = lambda goal, height, after: None
@@ -32,8 +39,17 @@ class Database:
         """Return the predicate of a functor; one that nobody defined yet is undefined."""
         found = self.predicates.get(key)
         if found is None:
-            found = self.predicates[key] = Predicate(self, key)
+            if len(self.predicates) >= self._many:
+                self._put_aside()
+            found = self.predicates[key] = self._unused.get(key) or Predicate(self, key)
         return found
+
+    def _put_aside(self) -> None:
+        """Keep predicates that nobody has defined no longer than something refers to them."""
+        for key, predicate in list(self.predicates.items()):
+            if predicate.is_blank:
+                self._unused[key] = self.predicates.pop(key)
+        self._many = 2 * len(self.predicates) + _SPARE
 
     def compile_named(self, terms: Iterable[Term]) -> None:
         """Compile the program's predicates that are named in terms, and those that their clauses name.

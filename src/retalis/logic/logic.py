@@ -5,7 +5,7 @@ from contextlib import contextmanager
 from time import time_ns
 from typing import Any, Callable, Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
 
-from ..errors import Place
+from ..errors import Place, beginning
 from ..syntax import Operators, write_term
 from ..terms import TRUE, Atom, Functor, Term, Var, copy, deref, functor
 from . import builtins
@@ -343,6 +343,10 @@ class Logic:
     def show(self, term: Term, quoted: bool = True, names: Optional[Mapping[Var, str]] = None) -> str:
         """Return a term as text that reads back with the program's operators; names are those of variables."""
         return write_term(term, self.operators, quoted=quoted, numbervars=True, variable_names=names)
+
+    def brief(self, term: Term, names: Optional[Mapping[Var, str]] = None) -> str:
+        """Return the beginning of a term's text, as reports show it."""
+        return beginning(self.show(term, names=names))
 
     # Internals
 

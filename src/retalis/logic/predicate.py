@@ -89,6 +89,11 @@ class Predicate:
         return self.kind != "undefined" or self.dynamic
 
     @property
+    def is_blank(self) -> bool:
+        """Tell whether nobody has said anything of it but its name."""
+        return not (self.defined or self.clauses or self.discontiguous or self.multifile or self.library)
+
+    @property
     def is_fixed(self) -> bool:
         """Tell whether it is the program's and made of clauses that no goal may change."""
         return self.kind == "user" and not self.dynamic and not self.library

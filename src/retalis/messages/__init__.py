@@ -9,10 +9,12 @@ from .definition import Constant, Definition, functor_name, type_name
 from .encoding import Encoder
 from .eventtexts import text_writer
 from .installed import Installed
+from .layout import BARE
 from .registry import Definitions
 from .slots import Field
 
 __all__ = [
+    "BARE",
     "Constant",
     "Decoder",
     "Definition",

@@ -3,8 +3,8 @@
 import rospy
 
 from .._reports import Reports
-from ..errors import RetalisError, UsageError
-from ..messages import Decoder, text_writer
+from ..errors import RetalisError, UsageError, beginning
+from ..messages import Decoder, Definitions, text_writer
 from ..program import TOPICS, Topics, read_topics
 from ..syntax import EventReader, event_text, to_text
 from ..terms import deref
@@ -30,7 +30,12 @@ class Converter:
         self._texts = TextPublisher(INPUT, parameters.queue, reports)
         self._reader = EventReader()
         self._interface = Interface(
-            self._sender, parameters.queue, reports, done=self._texts.flush, hold=HOLD
+            self._sender,
+            parameters.queue,
+            reports,
+            Definitions(bare=parameters.bare),
+            done=self._texts.flush,
+            hold=HOLD,
         )
         try:
             topics = read_topics(parameters.program / TOPICS)
@@ -58,7 +63,7 @@ class Converter:
         try:
             event = self._reader.read(text)
             if event.__class__ is not tuple or event[0] is not OUTPUT_EVENT:
-                raise UsageError(f"expected event(Term,Topic,Id), found {text}")
+                raise UsageError(f"expected event(Term,Topic,Id), found {beginning(text)}")
         except RetalisError as error:
             self._reports.error(RetalisError(f"an output is not published: {error}"), OUTPUT)
             return

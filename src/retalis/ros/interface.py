@@ -7,7 +7,8 @@ from typing import Any, Callable, ContextManager, Dict, Iterable, List, Optional
 import rospy
 
 from .._reports import Reports
-from ..errors import MessageError, RetalisError, UsageError
+from ..caches import Cache
+from ..errors import MessageError, RetalisError, UsageError, beginning
 from ..messages import Decoder, Definitions, Encoder
 from ..program import TopicType, topic_type
 from ..rosnames import topic_fault
@@ -157,7 +158,7 @@ class Interface:
             found = self._outputs.get(resolve(topic))
             if found is None:
                 raise MessageError(
-                    f"nothing is published on {topic}: pub_sub.xml has no <publish_to> that gives its type"
+                    f"nothing is published on {beginning(topic)}: pub_sub.xml has no <publish_to> that gives its type"
                 )
             outlet, encoder = found
             data = encoder.encode(term, topic)
@@ -194,7 +195,7 @@ class Input:
         self._definitions = definitions
         self._name = name
         self._taker = taker
-        self._links: Dict[int, _Link] = {}
+        self._links: Cache[int, _Link] = Cache(LINKS, 16 << 20, 4 << 20)
         self._subscriber = rospy.Subscriber(
             name, rospy.AnyMsg, self._receive, queue_size=queue, tcp_nodelay=True
         )
@@ -237,8 +238,6 @@ class Input:
 
     def _connected(self, header: Dict[str, str]) -> _Link:
         """Note who takes the messages of a connection; its header is kept, so that its id stays its own."""
-        if len(self._links) >= LINKS:  # publishers that come and go
-            self._links.clear()
         try:
             take = self._one_by_one(self._taker(self._learn(header)))
         except Exception as error:  # rospy would try again at once, and for ever
@@ -247,8 +246,8 @@ class Input:
             reason = getattr(error, "message", "internal error")
             publisher = header.get("callerid", "somebody")
             take = self._refuser(f"topic {self._name}: {reason}: a message of {publisher} is dropped")
-        link = self._links[id(header)] = (header, take)
-        return link
+        size = sum(map(len, header.values()))
+        return self._links.keep(id(header), (header, take), 2 * size)
 
     def _refuser(self, reason: str) -> TakeAll:
         """Return what drops messages, and reports and counts them."""

@@ -79,7 +79,9 @@ class Node:
         self._load()
         topics = self._topics()
         self._texts = Outlet(OUTPUT, String, parameters.queue, self.engine.reports)
-        self._interface = Interface(self._poster, parameters.queue, self.engine.reports)
+        self._interface = Interface(
+            self._poster, parameters.queue, self.engine.reports, Definitions(bare=parameters.bare)
+        )
         self._lint(topics)
         self.engine.on_output(self._send_text)
         direct = direct_topics(parameters.direct, topics)

@@ -11,6 +11,7 @@ import rospy
 from ..engine import Settings
 from ..errors import UsageError
 from ..logic import Limits
+from ..messages import BARE
 from ..program import Topics, TopicType, topic_type
 
 DIRECT = (TopicType("tf", "tf/tfMessage"), TopicType("ar_pose_marker", "ar_pose/ARMarkers"))
@@ -34,6 +35,7 @@ KNOWN = (
     "write_folders",
     "max_file_megabytes",
     "max_depth",
+    "max_elements",
     *(name for _, name, _ in LIMITS),
 )
 
@@ -47,6 +49,7 @@ class Parameters(NamedTuple):
         embedded: whether the ROS interface runs inside node retalis.
         queue: the length of each queue.
         settings: of the engine.
+        bare: how many elements without bytes a message may have.
     """
 
     program: Path
@@ -54,6 +57,7 @@ class Parameters(NamedTuple):
     embedded: bool
     queue: int
     settings: Settings
+    bare: int = BARE
 
 
 def read_parameters(arguments: Optional[List[str]] = None) -> Parameters:
@@ -85,7 +89,8 @@ def read_parameters(arguments: Optional[List[str]] = None) -> Parameters:
         settings = settings._replace(max_depth=depth)
     if queue is not None:
         settings = settings._replace(queue=queue)
-    return Parameters(_program(argv), _direct(), _flag("~embedded"), settings.queue, settings)
+    bare = _number("~max_elements", int) or BARE
+    return Parameters(_program(argv), _direct(), _flag("~embedded"), settings.queue, settings, bare)
 
 
 def _warn_of_unknown() -> None:

@@ -5,7 +5,7 @@ from typing import Any, Callable, Dict, Iterable, List, Tuple
 import rospy
 
 from ..engine import Engine
-from ..errors import RetalisError, SyntaxFault, UsageError
+from ..errors import RetalisError, SyntaxFault, UsageError, beginning
 from ..program import TOPICS
 from ..syntax import Operators, read_term
 from ..terms import COMMA, TRUE, Atom, Term, Var, atom, conjuncts, deref, functor, make_list, variables
@@ -13,13 +13,22 @@ from .interface import OUTPUT, Interface, resolve
 
 OK = "ok"
 
+LONGEST_ANSWER = 1000
+"""Characters of what a service says is wrong."""
+
+
+def shown(text: str) -> str:
+    """Return the field of a request as answers show it."""
+    return beginning(text.strip())
+
 
 def answer(work: Callable[[], None]) -> str:
     """Do a request; return ``ok``, or ``error: `` and the reason in one line with the position in the text."""
     try:
         work()
     except RetalisError as error:
-        return "error: " + " ".join(error.brief().splitlines())  # names may have line breaks in them
+        reason = beginning(error.brief(), LONGEST_ANSWER)
+        return "error: " + " ".join(reason.splitlines())  # names may have line breaks in them
     return OK
 
 
@@ -46,7 +55,7 @@ class EngineServices:
             topic, key = name(request.topic, "topic"), name(request.id, "id")
             if self._engine.knowledge.subscriptions.has(topic, key):
                 raise UsageError(
-                    f"there is a subscription {request.id.strip()} of topic {request.topic.strip()} already"
+                    f"there is a subscription {shown(request.id)} of topic {shown(request.topic)} already"
                 )
             self._add(request, "subscribe", topic, key)
             self._warn_of_type(request.topic.strip())
@@ -62,7 +71,7 @@ class EngineServices:
         if not typed:
             rospy.logwarn(
                 "topic %s has no type: %s has no <publish_to> of that name; its events come as text on %s only",
-                topic,
+                beginning(topic),
                 TOPICS,
                 OUTPUT,
             )
@@ -71,7 +80,7 @@ class EngineServices:
         def work() -> None:
             key, size = name(request.id, "id"), self._size(request.size)
             if self._engine.knowledge.memories.find(key) is not None:
-                raise UsageError(f"there is a memory {request.id.strip()} already")
+                raise UsageError(f"there is a memory {shown(request.id)} already")
             self._add(request, "memorize", key, size)
 
         return answer(lambda: self._engine.do(work))
@@ -81,7 +90,7 @@ class EngineServices:
             topic, key = name(request.topic, "topic"), name(request.id, "id")
             if not self._engine.do(lambda: self._engine.knowledge.subscriptions.delete(topic, key)):
                 raise UsageError(
-                    f"there is no subscription {request.id.strip()} of topic {request.topic.strip()}"
+                    f"there is no subscription {shown(request.id)} of topic {shown(request.topic)}"
                 )
 
         return answer(work)
@@ -90,7 +99,7 @@ class EngineServices:
         def work() -> None:
             key = name(request.id, "id")
             if self._engine.knowledge.memories.find(key) is None:
-                raise UsageError(f"there is no memory {request.id.strip()}")
+                raise UsageError(f"there is no memory {shown(request.id)}")
             self._call((functor("delete_memory", 1), key))
 
         return answer(lambda: self._engine.do(work))  # nobody deletes it in between
@@ -110,13 +119,13 @@ class EngineServices:
             rospy.logwarn(
                 "%s %s: nothing in event and conditions gives %s of the format a value",
                 goal,
-                request.id.strip(),
+                shown(request.id),
                 " and ".join(free),
             )
 
     def _check(self, field: str, expected: str, term: Term, kinds: Any) -> None:
         if not isinstance(deref(term), kinds):
-            raise UsageError(f"{field}: expected {expected}, found {self._engine.show(term)}")
+            raise UsageError(f"{field}: expected {expected}, found {self._engine.logic.brief(term)}")
 
     def _read_together(self, fields: Dict[str, str]) -> Tuple[List[Term], Dict[str, Var]]:
         """Read fields each by itself, and have variables of one name be the same in all of them."""
@@ -140,14 +149,14 @@ class EngineServices:
         try:
             size = int(text)
         except ValueError:
-            raise UsageError(f'size: expected a whole number, found "{text}"') from None
+            raise UsageError(f'size: expected a whole number, found "{beginning(text)}"') from None
         if size < 0:
             raise UsageError(f"size: expected a whole number from 0 on, found {size}")
         return size
 
     def _call(self, goal: Term) -> None:
         if not self._engine.call(goal):
-            raise UsageError(f"{self._engine.show(goal)} fails")
+            raise UsageError(f"{self._engine.logic.brief(goal)} fails")
 
 
 class InterfaceServices:

@@ -39,7 +39,7 @@ class Functor:
     Call it to build a term: ``functor("point", 2)(1, 2)``.
     """
 
-    __slots__ = ("name", "arity")
+    __slots__ = ("name", "arity", "__weakref__")
 
     name: str
     arity: int
@@ -128,20 +128,46 @@ class _AtomRef(ref):  # type: ignore[type-arg]
     name: str
 
 
+class _FunctorRef(ref):  # type: ignore[type-arg]
+    """The same of a functor."""
+
+    __slots__ = ("key",)
+
+    key: Tuple[str, int]
+
+
 _atoms: Dict[str, _AtomRef] = {}
-_functors: Dict[Tuple[str, int], Functor] = {}
+_functors: Dict[Tuple[str, int], "_FunctorRef"] = {}
 _serials = count(1)
 
 
 def functor(name: str, arity: int) -> Functor:
-    """Return the one `Functor` of this name and arity."""
-    found = _functors.get((name, arity))
-    if found is None:
-        made = Functor()
-        made.name = name
-        made.arity = arity
-        found = _functors.setdefault((name, arity), made)
-    return found
+    """Return the one `Functor` of this name and arity; as atoms, those that nothing holds are forgotten."""
+    try:
+        found: Optional[Functor] = _functors[name, arity]()
+    except KeyError:
+        return _new_functor((name, arity))
+    return found or _new_functor((name, arity))
+
+
+def _new_functor(key: Tuple[str, int]) -> Functor:
+    """Put a functor into the table; see `_new_atom`."""
+    made = Functor()
+    made.name, made.arity = key
+    reference = _FunctorRef(made, _forget_functor)
+    reference.key = key
+    while True:
+        known = _functors.setdefault(key, reference)
+        if known is reference:
+            return made
+        found: Optional[Functor] = known()
+        if found is not None:
+            return found
+        _remove_dead_weakref(_functors, key)
+
+
+def _forget_functor(reference: "_FunctorRef") -> None:
+    _remove_dead_weakref(_functors, reference.key)
 
 
 def atom(name: str) -> Atom:

@@ -1,0 +1,64 @@
+"""What comes and goes again leaves nothing behind: of each case of the benchmark some hundred rounds."""
+
+import gc
+import importlib
+import logging
+import sys
+from pathlib import Path
+
+import pytest
+
+from retalis.caches import Cache
+
+BENCH = Path(__file__).resolve().parents[2] / "bench"
+sys.path.insert(0, str(BENCH))
+leaks = importlib.import_module("leaks")
+sys.path.remove(str(BENCH))
+
+FIRST, LAST = 60, 260
+SPARE = 100
+"""Objects that may come and stay for other reasons than the rounds."""
+
+PREDICATE = "a predicate whose clauses were all retracted is there, and fails"
+KEPT = {
+    "clauses_of_new_predicates": PREDICATE,
+    "clauses_that_are_called": PREDICATE,
+    "rule_files": PREDICATE,
+    "message_types": "up to a thousand types are known by name",
+}
+"""Cases where something stays: why."""
+
+SEEN_TO_AT = {
+    "retalis.events.dispatch._GATES": 10,
+    "retalis.events.rule._SPARE": 10,
+    "retalis.logic.database._SPARE": 10,
+    "retalis._reports._KINDS": 10,
+}
+"""Numbers from which on it is looked what is of no use any more."""
+
+
+def held():
+    """Return how many objects there are when no cache holds anything."""
+    for one in gc.get_objects():
+        if isinstance(one, Cache):
+            one.clear()
+    gc.collect()
+    gc.collect()
+    return len(gc.get_objects())
+
+
+@pytest.mark.parametrize("name", [name for name in leaks.CASES if name not in KEPT])
+def test_nothing_is_left_behind(name, monkeypatch):
+    for place, number in SEEN_TO_AT.items():
+        monkeypatch.setattr(place, number)
+    logging.getLogger("retalis").setLevel(logging.CRITICAL)
+    do = leaks.CASES[name]()
+    try:
+        for number in range(FIRST):
+            do(number)
+        before = held()
+        for number in range(FIRST, LAST):
+            do(number)
+        assert held() - before < SPARE
+    finally:
+        logging.getLogger("retalis").setLevel(logging.NOTSET)
