@@ -15,8 +15,8 @@ sys.path.insert(0, str(BENCH))
 leaks = importlib.import_module("leaks")
 sys.path.remove(str(BENCH))
 
-FIRST, LAST = 60, 260
-SPARE = 100
+FIRST, LAST = 60, 460
+SPARE = 300
 """Objects that may come and stay for other reasons than the rounds."""
 
 PREDICATE = "a predicate whose clauses were all retracted is there, and fails"
