@@ -461,3 +461,12 @@ def test_a_callback_may_ask_the_engine_itself_and_other_threads_may_post():
     engine.event("a(1)", 1)
     assert found == [[{"X": 1}]]
     assert engine.call("memory_counter(m, 1)")
+
+
+def test_names_alike_are_looked_for_a_few_times_only(caplog, monkeypatch):
+    engine = Engine()
+    looked = []
+    similar = engine.logic.similar
+    monkeypatch.setattr(engine.logic, "similar", lambda key: looked.append(key) or similar(key))
+    engine.load(rules="".join(f"h <- a(X) where (unknown{at}(X)).\n" for at in range(200)))
+    assert len(caplog.records) == 200 and len(looked) < 60

@@ -1,6 +1,8 @@
+import pytest
+
 from retalis._goalfile import read_goals
 from retalis.errors import SyntaxFault
-from retalis.syntax import Operators, writeq
+from retalis.syntax import Operators, read_term, writeq
 
 
 def read(text):
@@ -40,3 +42,24 @@ def test_a_quoted_percent_sign_is_no_comment():
 
 def test_lines_of_a_goal_with_an_error_are_no_goals():
     assert read("x(3\nshell(a)\n, b).\nc") == [("error", 2), ("c", 4)]
+
+
+def characters_read(monkeypatch, text):
+    """Return how many characters of goals are read for a text."""
+    read = []
+
+    def counted(text, *args, **options):
+        read.append(len(text))
+        return read_term(text, *args, **options)
+
+    with monkeypatch.context() as patched:
+        patched.setattr("retalis._goalfile.read_term", counted)
+        found = list(read_goals(text, Operators.prolog(), "goals"))
+    assert all(isinstance(goal, SyntaxFault) for goal in found[:-1])
+    return sum(read)
+
+
+@pytest.mark.parametrize("line", ["a b\n", "'a\\\n", "/* a\n", "f(\n"])
+def test_lines_that_fail_are_not_all_read_on_to_a_full_stop_far_below(monkeypatch, line):
+    work = [characters_read(monkeypatch, line * count + "c.\n") for count in (2_000, 4_000)]
+    assert work[1] < 3 * work[0] + 200_000

@@ -75,3 +75,9 @@ def test_events_without_variables_are_told_from_others():
     assert reader.event(f"event(a(1),[{stamp},{stamp}])").ground is True
     assert reader.event(f"event(a(X),[{stamp},{stamp}])").ground is False
     assert reader.event("event(a(1))").ground is None
+
+
+def test_a_stamp_of_thousands_of_digits_is_no_instant():
+    stamp = f"datime(2014,10,19,19,50,{'9' * 5000},1)"
+    with pytest.raises(RetalisError):
+        InputReader(Operators.prolog()).event(f"event(a,[{stamp},{stamp}])")

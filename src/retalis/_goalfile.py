@@ -15,6 +15,14 @@ _DIRECTIVES = (functor(":-", 1), functor("?-", 1))
 _INCLUDE = functor("include", 1)
 
 
+_IN_VAIN = 100_000
+"""Characters that are read again, beside a multiple of the file, to see whether lines that do not read go on.
+
+Past them, each is an error of its own: of thousands that have errors, each read to a full stop far below would take
+time that grows with the square of the file.
+"""
+
+
 class Goal(NamedTuple):
     """A goal, where it stands, and the folder of the file in which it stands."""
 
@@ -82,19 +90,25 @@ def read_goals(text: str, operators: Operators, source: str) -> Iterator[Read]:
     goal goes on to a line that ends in a full stop.
     """
     lines = text.split("\n")
-    at = 0
+    at = stop = 0
+    in_vain = 4 * len(text) + _IN_VAIN
     while at < len(lines):
         if _is_blank(lines[at]):
             at += 1
             continue
         goal = _read(lines, at, at + 1, operators, source)
         end = at + 1
-        stop = _full_stop(lines, end) if isinstance(goal, SyntaxFault) else None
-        if stop is not None:
-            longer = _read(lines, at, stop, operators, source)
-            # Where the longer one fails behind the first line, its lines belong together: none is a goal.
-            if not isinstance(longer, SyntaxFault) or _line(longer) > at + 1:
-                goal, end = longer, stop
+        if isinstance(goal, SyntaxFault) and in_vain > 0:
+            stop = max(stop, end)
+            while stop < len(lines) and not _ends_goal(lines[stop]):
+                stop += 1
+            if stop < len(lines):
+                longer = _read(lines, at, stop + 1, operators, source)
+                # Where the longer one fails behind the first line, its lines belong together: none is a goal.
+                if not isinstance(longer, SyntaxFault) or _line(longer) > at + 1:
+                    goal, end = longer, stop + 1
+                else:
+                    in_vain -= sum(map(len, lines[at : stop + 1]))
         yield goal
         at = end
 
@@ -104,12 +118,9 @@ def _is_blank(line: str) -> bool:
     return not code or code.startswith("%")
 
 
-def _full_stop(lines: List[str], start: int) -> Optional[int]:
-    """Return where a goal that began before ``start`` may end: behind the next line with a full stop."""
-    for index in range(start, len(lines)):
-        if lines[index].rstrip().endswith(".") or lines[index].split("%")[0].rstrip().endswith("."):
-            return index + 1
-    return None
+def _ends_goal(line: str) -> bool:
+    """Tell whether a goal that began before this line may end with it, in a full stop."""
+    return line.rstrip().endswith(".") or line.split("%")[0].rstrip().endswith(".")
 
 
 def _line(fault: SyntaxFault) -> int:

@@ -218,3 +218,16 @@ def test_ever_new_definitions_do_not_pile_up():
     with pytest.raises(MessageError, match="pkg/More is not taken: the definitions of 1000 message types"):
         known.add("pkg/More", "int8 x\n")
     assert known.add("pkg/T5", "int8 x\n") is known.find("pkg/T5")
+
+
+@pytest.mark.parametrize(
+    "text,column,part",
+    [
+        (f"uint8 X={'9' * 100_000}", 9, "not a value of type uint8"),
+        (f"uint8[{' ' * 100_000}", 1, "expected 'type name'"),
+    ],
+    ids=["constant", "blanks"],
+)
+def test_long_digits_and_blanks(text, column, part):
+    found = fault(text)
+    assert found.place.column == column and part in found.message

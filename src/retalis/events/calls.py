@@ -32,6 +32,10 @@ _NECK = functor(":-", 2)
 _SEVERAL = frozenset((COMMA, CONS))
 
 
+_MOST_HINTS = 50
+"""Unknown predicates of one program for which known ones of nearly the same name are looked for among all."""
+
+
 class Call(NamedTuple):
     """A goal inside a goal, and where it stands: in which term, as which argument."""
 
@@ -78,10 +82,12 @@ def unknown_calls(logic: Any, found: List[Unknown], terms: Callable[[], List[Ter
     if not missing:
         return
     added = _added(terms())
+    hints = _MOST_HINTS
     for key, place, caller in missing:
         if key not in added and _ANY not in added:
             added.add(key)
-            meant = logic.similar(key)
+            hints -= 1
+            meant = logic.similar(key) if hints >= 0 else []
             hint = f"; did you mean {' or '.join(meant)}?" if meant else ""
             who = f"{caller}: " if caller else ""
             yield RuleError(f"{who}there is no predicate {key} yet{hint}", place)

@@ -18,7 +18,10 @@ MOST_SECTIONS = 1000
 _COMMENT = re.compile(r"#.*")
 _STRING_CONSTANT = re.compile(r"\s*string\s+(?P<name>\w+)\s*=(?P<value>.*)")
 _CONSTANT = re.compile(r"\s*(?P<type>[\w/]+)\s+(?P<name>\w+)\s*=(?P<value>.*)")
-_FIELD = re.compile(r"\s*(?P<type>[\w/]+)(?P<array>\[\s*[0-9]*\s*\])?\s+(?P<name>\w+)\s*$")
+_FIELD = re.compile(r"\s*(?P<type>[\w/]+)(?P<array>\[\s*(?:[0-9]+\s*)?\])?\s+(?P<name>\w+)\s*$")
+
+_LONGEST_INTEGER = 100
+"""Characters of the longest text of an integer, with all its zeros; Python takes long for long ones."""
 
 Value = Union[bool, int, float, str]
 
@@ -269,6 +272,8 @@ def _constant_value(kind: str, text: str) -> Value:
         return _BOOLS[text]
     if kind in ("float32", "float64"):
         return float(text)
+    if len(text) > _LONGEST_INTEGER:
+        raise ValueError(text)
     value = int(text) if text.lstrip("+-").isdigit() else int(text, 0)
     low, high = integer_range(PRIMITIVES[kind])
     if not low <= value <= high:

@@ -11,7 +11,7 @@ from .decoding import Decoder
 
 _MARK = 10**40
 _PLACE = re.compile(r"1(0{30}\d{10})(?=[,\])])")
-_CODE = re.compile(r"\d*[a-zA-Z?]")
+_CODE = re.compile(r"(?<!\d)\d*[a-zA-Z?]")
 
 
 def text_writer(decoder: Decoder) -> Callable[[bytes], str]:

@@ -24,7 +24,7 @@ from ..caches import Cache
 from ..errors import SyntaxFault
 from ..terms import Term, atom
 from .operators import Operators
-from .quoted import unquote
+from .quoted import closing, unquote
 from .reader import read_term
 from .shapes import Builder, ShapeCompiler
 from .tokens import ReadFlags
@@ -39,8 +39,7 @@ _NUMBER = re.compile(
     r"(-?(?:[0-9]{1,200}(?:\.[0-9]{1,200}(?:[eE](?:-[0-9]{1,3}|\+?[0-9]{1,2}))?)?|inf|nan))"
     r"(?=[,)\]|])"
 )
-# Each with its closing quote, which may be missing: so that no text makes the search begin again and again.
-_QUOTED = re.compile(r"""'((?:[^'\\\n]|\\[\s\S]|'')*)('?)|"((?:[^"\\\n]|\\[\s\S]|"")*)("?)""")
+_QUOTE = re.compile("['\"]")
 _ALONE = re.compile(r"(?:^|[(\[{,|])\s*(?:'|\"\")\s*(?=$|[)\]},|])")
 _PLACE = re.compile('[\0\']|""')
 _JOINTS = re.compile("\0([(,\\[|] *)\0")
@@ -128,22 +127,31 @@ def _split(text: str) -> Optional[Parts]:
 
 def _split_escaped(text: str) -> Optional[Parts]:
     """Split a text that has escapes, doubled quotes or several lines."""
-    pieces = _QUOTED.split(text)
-    quoted, strings, rest = [], [], [pieces[0]]
-    try:
-        for at in range(1, len(pieces), 5):
-            atom_body, atom_end, string_body, string_end, between = pieces[at : at + 5]
-            if atom_end:
-                rest.append("'")
-                quoted.append(unquote(atom_body, "'"))
-            elif string_end:
-                rest.append('""')
-                strings.append(unquote(string_body, '"'))
-            else:
-                return None
-            rest.append(between)
-    except ValueError:
-        return None
+    quoted: List[str] = []
+    strings: List[str] = []
+    rest: List[str] = []
+    end = 0
+    found = _QUOTE.search(text)
+    while found is not None:
+        start = found.start()
+        rest.append(text[end:start])
+        closed = closing(text, start)
+        if closed is None:
+            return None
+        end = closed
+        quote = text[start]
+        try:
+            body = unquote(text[start + 1 : end - 1], quote)
+        except ValueError:
+            return None
+        if quote == "'":
+            rest.append("'")
+            quoted.append(body)
+        else:
+            rest.append('""')
+            strings.append(body)
+        found = _QUOTE.search(text, end)
+    rest.append(text[end:])
     pieces = _NUMBER.split("".join(rest))
     numbers = pieces[2::3]
     del pieces[2::3]

@@ -1,7 +1,7 @@
 r"""Backslash escapes and doubled quotes inside quotes (ISO 13211-1, 6.4.2.1, and SWI-Prolog's)."""
 
 import re
-from typing import Match
+from typing import Match, Optional, Pattern
 
 _ESCAPE = re.compile(
     r"""\\(?: x([0-9a-fA-F]+)\\?
@@ -13,10 +13,59 @@ _ESCAPE = re.compile(
       | (['"`])\8""",
     re.VERBOSE,
 )
+_ESCAPE_END = re.compile(r"\\(?:x[0-9a-fA-F]+\\?|[0-7]+\\?|c\s*|[\s\S])")
+_RUNS = {
+    "'": re.compile(r"[^'\\\n]*"),
+    '"': re.compile(r'[^"\\\n]*'),
+    "`": re.compile(r"[^`\\\n]*"),
+}
+_LINE = re.compile(r"[^\\\n]*")
 _PLAIN = {
     "a": "\a", "b": "\b", "f": "\f", "n": "\n", "r": "\r", "t": "\t", "v": "\v", "0": "\0", "e": "\x1b",
     "s": " ", "\\": "\\", "'": "'", '"': '"', "`": "`",
 }  # fmt: skip
+
+
+def closing(text: str, start: int) -> Optional[int]:
+    """Return where the quoted text that begins at ``start`` ends; None where it is not closed on its line.
+
+    A new line may stand inside only after a backslash. (A regular expression for the whole would take a kilobyte
+    of memory for every escape.)
+    """
+    quote = text[start]
+    run = _RUNS[quote]
+    at = start + 1
+    while True:
+        at = _end(run, text, at)
+        char = text[at : at + 1]
+        if char == quote:
+            if text[at + 1 : at + 2] != quote:
+                return at + 1
+            at += 2
+            continue
+        escape = _ESCAPE_END.match(text, at)
+        if escape is None:
+            return None
+        at = escape.end()
+
+
+def unclosed_end(text: str, start: int) -> int:
+    """Return where a quote that is never closed ends: with its line, before a full stop at the end of that."""
+    at = start + 1
+    while True:
+        end = _end(_LINE, text, at)
+        escape = _ESCAPE_END.match(text, end)
+        if escape is None:
+            break
+        at = escape.end()
+    line = text[at:end].rstrip(" \t")
+    return at + len(line) - 1 if line.endswith(".") and text[end : end + 1] != "\\" else end
+
+
+def _end(pattern: "Pattern[str]", text: str, at: int) -> int:
+    found = pattern.match(text, at)
+    assert found is not None
+    return found.end()
 
 
 def unquote(body: str, quote: str, strict: bool = False) -> str:

@@ -1,6 +1,5 @@
 """Text to terms: one term, or a program clause by clause."""
 
-from itertools import chain
 from typing import Dict, Iterator, List, Optional, Tuple, Union
 
 from ..errors import Place, SyntaxFault
@@ -12,6 +11,12 @@ from .rules import MARKERS, NO_RULES, layout
 from .tokens import END, NAME, QUOTED, VARIABLE, AnyToken, ReadFlags, Source, tokens
 
 DEFAULT = ReadFlags()
+
+_FEW = 16
+"""Tokens that are looked at first where a full stop was missing."""
+
+_AHEAD = 4
+"""Tokens behind the one that it is at that the parser may look at, and one."""
 
 
 class ReadTerm:
@@ -89,46 +94,67 @@ class Program:
         self._source = Source(source, text, first_line)
         self.flags = flags
         self._stream = tokens(self._source, lambda: self.flags)
-        self._again: List[AnyToken] = []
+        self._again: Optional[Tuple[List[AnyToken], int]] = None
         self.end = 0
 
     def __iter__(self) -> Iterator[Union[ReadTerm, SyntaxFault]]:
         while True:
+            if self._again is not None:
+                yield self._read_rest(*self._again)
+                continue
             clause = self._clause()
             if not clause:
                 return
-            yield self._read(clause)
+            yield self._read(clause, 0, len(clause)) or self._no_clause(clause)
 
     def _clause(self) -> List[AnyToken]:
         """Return the tokens up to the next full stop; none at the end of the text."""
         clause: List[AnyToken] = []
-        for token in chain(self._again, self._stream):
+        for token in self._stream:
             clause.append(token)
             if token[0] == END:
                 self.end = token[3]
                 break
-        self._again = []
         return clause
 
-    def _read(self, clause: List[AnyToken]) -> Union[ReadTerm, SyntaxFault]:
+    def _read_rest(self, clause: List[AnyToken], start: int) -> Union[ReadTerm, SyntaxFault]:
+        """Read the tokens of a clause from ``start`` on, where a full stop was missing.
+
+        Another may be missing soon: of thousands of lines without one, each is read by looking at the next few.
+        """
+        end = start + _FEW
+        while end < len(clause):
+            found = self._read(clause, start, end)
+            if found is not None:
+                return found
+            end = start + 4 * (end - start)
+        return self._read(clause, start, len(clause)) or self._no_clause(clause)
+
+    def _read(self, clause: List[AnyToken], start: int, end: int) -> Union[ReadTerm, SyntaxFault, None]:
+        """Return what the tokens from ``start`` to ``end`` are, or None where more of the clause has to be seen."""
         parser = None
         try:
-            parser = _parser(clause, self._source, self.operators, self.flags, positions=True)
+            parser = _parser(clause[start:end], self._source, self.operators, self.flags, positions=True)
             term = parser.read()
         except SyntaxFault as fault:
-            if parser is not None:
-                self._go_back(clause, parser.at)
+            at = start if parser is None else start + parser.at
+            if end < len(clause) and at + _AHEAD >= end:
+                return None
+            self._again = (clause, at) if start < at < len(clause) and self._begins(clause[at]) else None
             return fault
-        if clause[-1][0] != END:
-            return self._source.fault("expected a full stop at the end of the clause", clause[-1][3])
-        return ReadTerm(parser, term, clause[0][2])
+        if end < len(clause) or clause[-1][0] != END:
+            return None
+        self._again = None
+        return ReadTerm(parser, term, clause[start][2])
 
-    def _go_back(self, clause: List[AnyToken], at: int) -> None:
-        """After an error at a token at the start of a line, read on from there: a full stop was missing."""
-        if 0 < at < len(clause):
-            kind, _, start, _ = clause[at]
-            if kind in (NAME, QUOTED, VARIABLE) and starts_line(self._source.text, start):
-                self._again = clause[at:]
+    def _no_clause(self, clause: List[AnyToken]) -> SyntaxFault:
+        self._again = None
+        return self._source.fault("expected a full stop at the end of the clause", clause[-1][3])
+
+    def _begins(self, token: AnyToken) -> bool:
+        """Tell whether a token that is an error begins a clause: a full stop was missing before its line."""
+        kind, _, start, _ = token
+        return kind in (NAME, QUOTED, VARIABLE) and starts_line(self._source.text, start)
 
 
 def read_program(

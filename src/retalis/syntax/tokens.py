@@ -1,18 +1,18 @@
-"""Text to tokens: lark splits, this module gives each token its value and each bad one its message."""
+"""Text to tokens: lark reads their grammar, this module splits and gives each its value or its message."""
 
+import re
 import unicodedata
 from bisect import bisect_right
 from pathlib import Path
-from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Tuple
+from typing import Any, Callable, Dict, Iterator, List, Match, NamedTuple, Optional, Tuple
 
-from lark import Lark, Token
-from lark import __version__ as _lark_version
+from lark import Lark
 
 from ..errors import Place, SyntaxFault, place_on
 from ..terms import String, Term, atom, make_list
 from ..watching import BULK, look
 from . import numerals
-from .quoted import unquote
+from .quoted import closing, unclosed_end, unquote
 
 NAME, QUOTED, NUMBER, VARIABLE, TEXT, END = "name", "quoted", "number", "variable", "text", "end"
 OPEN_CT = "f("
@@ -73,18 +73,24 @@ class Source:
 _EVERY = len(BULK) // 16 - 1
 """A token costs as much as some 16 inferences."""
 
-_VERSION = tuple(int(part) for part in _lark_version.split(".")[:2])
-_START = "start_pos" if _VERSION >= (1, 0) else "pos_in_stream"
-_LEXER: Optional[Lark] = None
+_match: Optional[Callable[[str, int], Optional[Match[str]]]] = None
 
 
-def _lexer() -> Lark:
-    """Return the lexer; made at first use, which takes some milliseconds."""
-    global _LEXER
-    if _LEXER is None:
-        grammar = Path(__file__).with_name("tokens.lark").read_text(encoding="utf-8")
-        _LEXER = Lark(grammar, parser="lalr", lexer="basic" if _VERSION >= (1, 0) else "standard")
-    return _LEXER
+def _lark() -> Lark:
+    """Return the grammar of the tokens."""
+    return Lark(Path(__file__).with_name("tokens.lark").read_text(encoding="utf-8"), parser="lalr")
+
+
+def _matcher() -> Callable[[str, int], Any]:
+    """Return what matches the token at an offset; made at first use, which takes some milliseconds."""
+    global _match
+    if _match is None:
+        terminals = sorted(_lark().terminals, key=lambda terminal: -terminal.priority)
+        _match = re.compile("|".join(f"(?P<{one.name}>{one.pattern.to_regexp()})" for one in terminals)).match
+    return _match
+
+
+_LAYOUT = frozenset(("LAYOUT", "LINE_COMMENT", "BLOCK_COMMENT"))
 
 
 def tokens(source: Source, flags: Callable[[], ReadFlags]) -> Iterator[AnyToken]:
@@ -93,42 +99,54 @@ def tokens(source: Source, flags: Callable[[], ReadFlags]) -> Iterator[AnyToken]
     ``flags`` is asked for each token, as a program may change them between its clauses.
     """
     text = source.text
+    match = _matcher()
+    size = len(text)
+    start = count = 0
     last = -1
-    for count, found in enumerate(_lexer().lex(text), 1):
+    while start < size:
+        count += 1
         if not count & _EVERY:
             look()
-        start = getattr(found, _START)
-        end = start + len(found)
-        kind = found.type
-        if kind == "WORD":
-            first = found[0]
-            if first == "_" or first.isupper() or first.istitle():
-                yield VARIABLE, str(found), start, end
-            else:
-                yield NAME, str(found), start, end
-        elif kind == "PUNCTUATION":
-            yield (OPEN_CT if found == "(" and start == last else str(found)), None, start, end
+        match_found = match(text, start)
+        kind = match_found.lastgroup
+        end = match_found.end()
+        if kind in _LAYOUT:
+            start = end
+            continue
+        if kind == "PUNCTUATION":
+            char = text[start]
+            yield (OPEN_CT if char == "(" and start == last else char), None, start, end
+        elif kind == "WORD":
+            name = text[start:end]
+            first = name[0]
+            is_variable = first == "_" or first.isupper() or first.istitle()
+            yield VARIABLE if is_variable else NAME, name, start, end
         elif kind == "SYMBOL" or kind == "SOLO":
-            yield NAME, str(found), start, end
+            yield NAME, text[start:end], start, end
         elif kind == "END":
             yield END, None, start, end
+        elif kind == "QUOTE":
+            end = closing(text, start)
+            if end is None:
+                end = unclosed_end(text, start)
+                yield "bad", _unclosed(text[start], start, text), start, end
+            else:
+                yield _quoted(text[start:end], start, end, flags())
         else:
-            yield _valued(kind, found, start, end, text, flags())
-        last = end
+            yield _valued(kind, text[start:end], start, end, text, flags())
+        last = start = end
 
 
-def _valued(kind: str, found: Token, start: int, end: int, text: str, flags: ReadFlags) -> AnyToken:
+def _valued(kind: str, found: str, start: int, end: int, text: str, flags: ReadFlags) -> AnyToken:
     if kind == "NUMBER":
         return _number(found, start, end, text, flags)
     if kind == "QUOTED":
         return _quoted(found, start, end, flags)
     if kind == "BAD_COMMENT":
         return "bad", 'this comment is never closed: expected "*/"', start, end
-    if kind == "BAD_QUOTE":
-        return "bad", _unclosed(found[0], start, text), start, end
-    if unicodedata.category(found[0])[0] == "S":
-        return NAME, str(found), start, end
-    return "bad", _stray(str(found)), start, end
+    if unicodedata.category(found)[0] == "S":
+        return NAME, found, start, end
+    return "bad", _stray(found), start, end
 
 
 def _unclosed(quote: str, start: int, text: str) -> str:
@@ -150,12 +168,12 @@ def _stray(char: str) -> str:
     return f"the character {char!r} ({name}) can stand only in quotes or comments"
 
 
-def _number(found: Token, start: int, end: int, text: str, flags: ReadFlags) -> AnyToken:
+def _number(found: str, start: int, end: int, text: str, flags: ReadFlags) -> AnyToken:
     follow = text[end : end + 1]
     if follow == "_" or follow.isalnum():
         return "bad", f"{found}{follow}... is no number, and a name cannot begin with a digit", start, end
     try:
-        return NUMBER, _number_value(str(found), flags), start, end
+        return NUMBER, _number_value(found, flags), start, end
     except ValueError as error:
         return "bad", str(error), start, end
 
@@ -186,9 +204,9 @@ def _number_value(text: str, flags: ReadFlags) -> Term:
     return numerals.integer("".join(part.strip() for part in text.split("_")))
 
 
-def _quoted(found: Token, start: int, end: int, flags: ReadFlags) -> AnyToken:
+def _quoted(found: str, start: int, end: int, flags: ReadFlags) -> AnyToken:
     quote = found[0]
-    body = str(found[1:-1])
+    body = found[1:-1]
     if "\\" in body or quote in body:
         try:
             body = unquote(body, quote, flags.iso)

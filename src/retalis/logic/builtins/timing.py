@@ -178,7 +178,7 @@ def _formatted(form: str, moment: datetime, second: float) -> str:
         digits = int(match.group(1) or 6)
         return f"{fraction:.{digits}f}"[2:] if fraction < 1 - 0.5 * 10**-digits else "9" * digits
 
-    text = re.sub(r"%(\d*)f", fraction_text, form)
+    text = re.sub(r"%(\d{0,2})f", fraction_text, form)
     text = (
         text.replace("%FT%T%:z", "%Y-%m-%dT%H:%M:%S%:z")
         .replace("%:z", "+00:00")

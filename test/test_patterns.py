@@ -1,0 +1,334 @@
+"""Every regular expression of the package, with its worst case: none takes more than linear time.
+
+A pattern that is new has to be entered here, or the test fails: write it so that over the same characters there is
+only one way (alternatives and what follows a repetition begin with different characters), and say what its worst
+case is. Each is run over texts of 100,000 characters that begin as it does, go on in a way that it likes, and end in
+what it does not like: a pattern that begins anew at each character would take minutes of the processor's time.
+"""
+
+import ast
+import importlib
+import re
+import signal
+from contextlib import contextmanager
+from itertools import product
+from pathlib import Path
+from typing import Any, Dict, Iterator, List, NamedTuple, Set, Tuple
+
+import pytest
+
+import retalis
+from retalis.syntax import tokens
+
+PACKAGE = Path(retalis.__file__).parent
+SIZE = 100_000
+SECONDS = 20.0
+"""Of processor time for all texts of a pattern; the slowest takes a tenth of a second."""
+
+
+class Case(NamedTuple):
+    """How a pattern is run, what its worst case is, and texts: first part, part that is repeated, last part."""
+
+    method: str
+    worst: str
+    first: Tuple[str, ...]
+    repeated: Tuple[str, ...]
+    last: Tuple[str, ...] = ("", "!", "\n", "\0")
+
+
+ESCAPES = (
+    "\\",
+    "\\\\",
+    "\\1e",
+    "\\x41",
+    "\\x41\\",
+    "\\1\\",
+    "\\c ",
+    "\\c\n",
+    "\\\n",
+    "''",
+    "'",
+    "a",
+    "a'",
+    ". ",
+    ".\t",
+)
+BLANKS = (" ", "\t", "\n", " \n")
+
+CASES: Dict[str, Case] = {
+    # syntax/eventreader.py
+    r"([(,\[|] *)"
+    r"(-?(?:[0-9]{1,200}(?:\.[0-9]{1,200}(?:[eE](?:-[0-9]{1,3}|\+?[0-9]{1,2}))?)?|inf|nan))"
+    r"(?=[,)\]|])": Case(
+        "search",
+        "at a number that is none: the blanks before it once more, and its 400 digits some times",
+        ("", "(", ",", "(1.", ",-"),
+        (" ", ", ", "1", ",1", ",1.5e-3", ",-", "0.0", ",inf", ",1e", "(" + "1" * 199),
+    ),
+    "['\"]": Case("search", "one look at each character", ("",), ("a", "'", '"')),
+    r"(?:^|[(\[{,|])\s*(?:'|\"\")\s*(?=$|[)\]},|])": Case(
+        "search",
+        "at a quote that something else follows: the blanks before and behind it once more",
+        ("", ",", ",'", ',""'),
+        (*BLANKS, ",", ",'", ",''", ", ' ", ',""'),
+    ),
+    '[\0\']|""': Case("search", "one look at each character", ("",), ("\0", "'", '"', "a")),
+    "\0([(,\\[|] *)\0": Case(
+        "search", "the blanks behind a comma once more", ("", "\0,"), (" ", "\0", "\0,", "\0, ")
+    ),
+    # syntax/atoms.py
+    r"[^\W\d_]\w*\Z|[-+*/\\^<>=~:.?@#&$]+\Z|\[\]\Z|\{\}\Z|[!;]\Z": Case(
+        "match",
+        "a name with a blank at its end: its characters once more",
+        ("", "a", "+"),
+        ("a", "_", "1", "+", "[]", "!"),
+    ),
+    r"""[^ -&(-\[\]-~]|[\\'"`]""": Case(
+        "search", "one look at each character", ("",), ("a", "'", "\\", "\n")
+    ),
+    # syntax/quoted.py
+    r"""\\(?: x([0-9a-fA-F]+)\\?
+          | ([0-7]+)\\?
+          | u([0-9a-fA-F]{4}) | U([0-9a-fA-F]{8})
+          | (\n)
+          | (c)\s*
+          | ([\s\S]?) )
+      | (['"`])\8""": Case(
+        "search", "an escape is read once", ("", "\\x", "\\1", "\\c", "\\u"), (*ESCAPES, "4", " ")
+    ),
+    r"\\(?:x[0-9a-fA-F]+\\?|[0-7]+\\?|c\s*|[\s\S])": Case(
+        "match",
+        "an escape is read once: whatever follows fits",
+        ("", "\\x", "\\1", "\\c"),
+        (*ESCAPES, "4", " "),
+    ),
+    r"[^'\\\n]*": Case("match", "one run", ("",), ESCAPES),
+    r'[^"\\\n]*': Case("match", "one run", ("",), (*ESCAPES, '"', '""')),
+    r"[^`\\\n]*": Case("match", "one run", ("",), (*ESCAPES, "`", "``")),
+    r"[^\\\n]*": Case("match", "one run", ("",), ESCAPES),
+    # _inputs.py
+    r"datime\((\d{1,9}),(\d{1,9}),(\d{1,9}),(\d{1,9}),(\d{1,9}),(\d{1,9}),": Case(
+        "match", "60 characters", ("", "datime(", "datime(1,1,1,1,1,"), ("1", "1,", ",")
+    ),
+    r"\d{1,9}\)": Case("match", "ten characters", ("",), ("1",)),
+    # cli
+    r"[\"`]|\b(?:inf|nan|True|False)\b": Case(
+        "search", "five looks at each character", ("",), ("inf", "a", "Tru ", "nan_")
+    ),
+    r"[a-z]\w*\Z": Case(
+        "match", "a name with a blank at its end: its characters once more", ("", "a"), ("a", "_")
+    ),
+    # codegen.py, rosnames.py
+    r"[A-Za-z_][A-Za-z0-9_]{0,30}\Z": Case("match", "31 characters", ("",), ("a", "_", "1")),
+    r"[A-Za-z][A-Za-z0-9_]*": Case("match", "one run", ("", "a"), ("a", "_", "1")),
+    r"[A-Za-z][A-Za-z0-9_]*/[A-Za-z][A-Za-z0-9_]*": Case(
+        "match", "two runs", ("", "a/"), ("a", "1", "/", "a/")
+    ),
+    r"[A-Za-z/~][A-Za-z0-9_/]*": Case("match", "one run", ("", "~"), ("a", "/", "_")),
+    r"[^A-Za-z0-9_/~]": Case("search", "one look at each character", ("",), ("a", "!")),
+    # messages/definition.py: one line each
+    r"#.*": Case("search", "the rest of the line is one run", ("",), ("#", "a", "\n")),
+    r"\s*string\s+(?P<name>\w+)\s*=(?P<value>.*)": Case(
+        "match",
+        "a constant without =: blanks, name and blanks once more",
+        ("", "string", "string ", "string a", "string a "),
+        (*BLANKS, "a", "string ", "="),
+    ),
+    r"\s*(?P<type>[\w/]+)\s+(?P<name>\w+)\s*=(?P<value>.*)": Case(
+        "match",
+        "a constant without =: type, blanks, name and blanks once more",
+        ("", "a", "a ", "a a", "a a "),
+        (*BLANKS, "a", "/", "a ", "="),
+    ),
+    r"\s*(?P<type>[\w/]+)(?P<array>\[\s*(?:[0-9]+\s*)?\])?\s+(?P<name>\w+)\s*$": Case(
+        "match",
+        "a bracket that is never closed: its blanks and digits once more",
+        ("", "a", "a[", "a[1", "a[1 ", "a[1] ", "a a", "a a "),
+        (*BLANKS, "a", "1", "1 ", "[ ", "a "),
+    ),
+    # messages/eventtexts.py
+    r"1(0{30}\d{10})(?=[,\])])": Case(
+        "search", "40 characters at each", ("",), ("0", "1" + "0" * 40, "1" + "0" * 30)
+    ),
+    r"(?<!\d)\d*[a-zA-Z?]": Case(
+        "search", "digits without a letter, once more", ("",), ("1", "1d", "d", "x1")
+    ),
+    # messages/text.py
+    r"[ -~\t\n\r\v\f]*\Z": Case(
+        "match", "bytes that cannot be shown at the end: all once more", ("",), ("a", "\n")
+    ),
+    # logic
+    r"^% defines: (.*)$": Case(
+        "search", "each line once", ("", "% defines: "), ("% defines: ", "\n", "a", "%", "\n%")
+    ),
+    r"(\d{4})-(\d\d)-(\d\d)(?:[T ](\d\d):(\d\d)(?::(\d\d(?:\.\d+)?))?(Z|[+-]\d\d:?\d\d)?)?$": Case(
+        "match",
+        "the digits of the fraction once more",
+        ("", "2000-01-01T10:10:10.", "2000-01-01"),
+        ("1", "T", "-", "+"),
+    ),
+    r"%(\d{0,2})f": Case("search", "three characters at each", ("", "%"), ("%", "1", "%1", "%12")),
+    # syntax/tokens.lark, by the name of the terminal
+    "LAYOUT": Case("match", "one run", ("",), BLANKS),
+    "LINE_COMMENT": Case("match", "one run", ("%",), ("%", "a", " ")),
+    "BLOCK_COMMENT": Case(
+        "match", "a comment that is never closed: all of it, once in a text", ("/*",), ("*", "/*", "* ", "\n")
+    ),
+    "BAD_COMMENT": Case("match", "one run", ("/*",), ("*", "/*", "*/", "\n")),
+    "END": Case("match", "two characters", ("",), (".", ". ", ".%")),
+    "WORD": Case("match", "one run", ("", "_"), ("a", "1", "_", "\u00e9")),
+    "NUMBER": Case(
+        "match",
+        "digits of a number that has neither radix, fraction nor exponent: once for each of these",
+        ("", "0", "0'\\x", "0'\\", "1'", "0x", "0x1", "0b", "0o", "1.", "1.0e", "1e", "1_"),
+        ("1", "f", "_1", "1_", "_ ", " ", "_ 1", "1 ", "1'", "1.", "1.1", "1e", "\\", "4\\"),
+    ),
+    "QUOTED": Case(
+        "match", "a quote that is not closed on its line: once more", ("'", '"', "`"), (*ESCAPES, '"', "`")
+    ),
+    "QUOTE": Case("match", "one character", ("",), ESCAPES),
+    "SYMBOL": Case("match", "one run", ("",), ("+", ".", "\\", "+ ")),
+    "SOLO": Case("match", "one character", ("",), ("!",)),
+    "PUNCTUATION": Case("match", "one character", ("",), ("(", ",")),
+    "BAD_CHAR": Case("match", "one character", ("",), ("a",)),
+}
+
+USES = frozenset(("compile", "match", "fullmatch", "search", "sub", "subn", "split", "findall", "finditer"))
+IN_THE_GRAMMAR = "syntax/tokens.py"
+"""It compiles the terminals of the grammar, which are looked at one by one."""
+
+
+def calls_of_re(path: Path) -> List[ast.Call]:
+    """Return where a file calls a function of ``re`` that takes a pattern."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    assert not any(isinstance(one, ast.ImportFrom) and one.module == "re" for one in ast.walk(tree)), path
+    return [
+        one
+        for one in ast.walk(tree)
+        if isinstance(one, ast.Call)
+        and isinstance(one.func, ast.Attribute)
+        and isinstance(one.func.value, ast.Name)
+        and one.func.value.id == "re"
+        and one.func.attr in USES
+    ]
+
+
+def patterns_in(value: Any) -> Iterator[str]:
+    """Yield the patterns that a global of a module holds."""
+    if isinstance(value, re.Pattern):
+        yield value.pattern if isinstance(value.pattern, str) else value.pattern.decode()
+    elif isinstance(value, dict):
+        for one in value.values():
+            yield from patterns_in(one)
+    elif isinstance(value, (list, tuple, set, frozenset)):
+        for one in value:
+            yield from patterns_in(one)
+
+
+def patterns_of(path: Path) -> Set[str]:
+    """Return the patterns of a file: those of calls that name them, and those that its module holds."""
+    calls = calls_of_re(path)
+    if not calls:
+        return set()
+    parts = path.relative_to(PACKAGE).with_suffix("").parts
+    module = importlib.import_module(".".join(("retalis", *parts)))
+    held = [one for value in vars(module).values() for one in patterns_in(value)]
+    found = set(held)
+    unnamed = 0
+    for call in calls:
+        try:
+            value = ast.literal_eval(call.args[0])
+        except ValueError:
+            unnamed += 1
+        else:
+            found.add(value if isinstance(value, str) else value.decode())
+    assert unnamed <= len(held), f"{path}: a pattern that is made by a function cannot be looked at"
+    return found
+
+
+def all_patterns() -> Dict[str, Any]:
+    """Return every pattern of the package by its text, or by its name where it is a terminal."""
+    found: Dict[str, Any] = {}
+    for path in sorted(PACKAGE.rglob("*.py")):
+        if path.relative_to(PACKAGE).as_posix() != IN_THE_GRAMMAR:
+            for text in patterns_of(path):
+                verbose = re.VERBOSE if "\n " in text else 0
+                found[text] = re.compile(text, verbose | (re.MULTILINE if text[0] == "^" else 0))
+    for terminal in tokens._lark().terminals:
+        found[terminal.name] = re.compile(terminal.pattern.to_regexp())
+    return found
+
+
+PATTERNS = all_patterns()
+
+
+def test_each_pattern_is_looked_at():
+    assert set(PATTERNS) == set(CASES)
+
+
+def test_the_grammar_is_compiled_nowhere_else():
+    assert len(calls_of_re(PACKAGE / IN_THE_GRAMMAR)) == 1
+
+
+def texts(case: Case, size: int) -> Iterator[str]:
+    for first, repeated, last in product(case.first, case.repeated, case.last):
+        yield first + repeated * (size // len(repeated)) + last
+
+
+class TooSlow(Exception):
+    pass
+
+
+@contextmanager
+def at_most(seconds: float) -> Iterator[None]:
+    """Raise `TooSlow` past some seconds of the processor's time, however busy the machine is."""
+
+    def late(number: int, frame: Any) -> None:
+        raise TooSlow
+
+    before = signal.signal(signal.SIGPROF, late)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.signal(signal.SIGPROF, before)
+
+
+def run(pattern: Any, method: str, text: str) -> None:
+    if method == "match":
+        pattern.match(text)
+        pattern.fullmatch(text)
+    else:
+        for _ in pattern.finditer(text):
+            pass
+
+
+@pytest.mark.parametrize("name", sorted(CASES))
+def test_long_texts(name):
+    with at_most(SECONDS):
+        for text in texts(CASES[name], SIZE):
+            run(PATTERNS[name], CASES[name].method, text)
+
+
+@pytest.mark.parametrize("name", sorted(CASES))
+def test_what_others_like(name):
+    """Short texts are enough to see that a pattern tries all ways: of 200 characters that would take for ever."""
+    repeated = {one for case in CASES.values() for one in case.repeated}
+    case = CASES[name]._replace(repeated=tuple(sorted(repeated)))
+    with at_most(SECONDS):
+        for text in texts(case, 200):
+            run(PATTERNS[name], case.method, text)
+
+
+@pytest.mark.parametrize(
+    "pattern,text",
+    [
+        (r"'(?:''|\\x[0-9a-f]+|\\[\s\S]|[^'\\])*'", "'" + "\\x41" * 50),
+        (r"\[\s*\d*\s*\]", "[" + " " * SIZE),
+    ],
+)
+def test_that_a_slow_one_is_found(pattern, text):
+    """Two as they once stood in the package."""
+    with pytest.raises(TooSlow), at_most(0.5):
+        run(re.compile(pattern), "match", text)
