@@ -35,6 +35,54 @@ def test_an_event_without_stamp_gets_the_clock_and_never_the_same_twice():
     assert engine.events == [("a", 5, 5), ("b", 6, 6)]
 
 
+def test_stamped_events_move_the_clock_and_late_ones_do_not_move_it_back():
+    engine = Watched("out(X) <- (a(X) seq b(X)) within 60.\nexceptionAlarm(ring(X), 5) <- a(X).")
+    for second in range(200):
+        engine.event(f"a({second})", second)
+    assert engine.clock.now() == 199 * 10**9
+    assert engine.rules.rules[0].waiting == 60
+    assert [event for event, _, _ in engine.events].count("ring(194)") == 1
+    assert ("ring(195)", 195 * 10**9, 200 * 10**9) not in engine.events
+    engine.event("late", 3)
+    assert engine.clock.now() == 199 * 10**9
+    engine.event("b(199)", 201)
+    assert ("out(199)", 199 * 10**9, 201 * 10**9) in engine.events
+
+
+def test_a_clock_of_ones_own_is_moved_by_nobody_else():
+    engine = Watched(clock=StreamClock(7))
+    engine.event("a", 100)
+    assert engine.clock.now() == 7
+
+
+STAMPED = "late(D) <- (s seq e) check (t1(S), t2(E), E - S >= 9.5, E > S, D is E - S)."
+
+
+@pytest.mark.parametrize("way", ["event", "post", "text", "datime", "now"])
+def test_arithmetic_on_stamps_is_the_same_by_every_way_in(way):
+    engine = Watched(STAMPED)
+    for name, seconds in (("s", 5), ("e", 15.25)):
+        instant = int(seconds * 10**9)
+        if way == "event":
+            engine.event(name, seconds)
+        elif way == "post":
+            engine.post(atom(name), instant)
+        elif way == "text":
+            engine.post_text(f"event({name},[{seconds},{seconds}])")
+        elif way == "datime":
+            engine.event(name, timestamps.datime(instant), timestamps.datime(instant))
+        else:
+            engine.clock.move_to(instant)
+            engine.event(name)
+    assert [event for event, _, _ in engine.events] == ["s", "e", "late(10.25)"]
+
+
+def test_what_is_no_date_is_no_number():
+    with pytest.raises(PrologError, match="datime"):
+        Engine().query("X is datime(2020,13,1,0,0,0,0)")
+    assert Engine().query("X is datime(1970,1,1,0,1,0,5) - datime(1970,1,1,0,0,0), X =:= 60 + 5.0e-9")
+
+
 def test_stamps_are_terms_numbers_or_ros_times():
     engine = Watched()
     stamp = timestamps.datime(7 * 10**9 + 1)
@@ -191,6 +239,7 @@ def test_an_alarm_that_rings_inside_a_subscriber_leaves_the_event_as_it_was():
     engine = Watched(
         "exceptionAlarm(late, 1) <- a. c <- b do true.",
         "subscribe(b, [], _, out, s)\nmemorize(b, [], b, m, 3)",
+        clock=StreamClock(),
     )
 
     def later(term, topic, name):

@@ -6,8 +6,8 @@ from retalis.engine import Engine, Settings
 class Watched(Engine):
     """An engine whose outputs and events are kept as text."""
 
-    def __init__(self, rules="", goals="", **settings):
-        super().__init__(settings=Settings(**settings))
+    def __init__(self, rules="", goals="", clock=None, **settings):
+        super().__init__(clock, Settings(**settings))
         self.outputs, self.events = [], []
         self.on_output(
             lambda term, topic, name: self.outputs.append((self.show(term), topic, self.show(name)))

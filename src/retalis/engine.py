@@ -92,12 +92,14 @@ class Engine:
     alarms alarm(kitchen)
 
     Args:
-        clock: what time it is; by default a clock that stands still but for the stamps of events.
+        clock: what time it is; by default a clock that follows the stamps of events and never goes back.
         settings: limits and sizes.
     """
 
     def __init__(self, clock: Optional[Clock] = None, settings: Optional[Settings] = None):
-        self.clock = StreamClock() if clock is None else clock
+        self._followed = StreamClock() if clock is None else None
+        """The clock that stamped events move; somebody's own is moved by its owner."""
+        self.clock: Clock = clock or self._followed  # type: ignore[assignment]
         self.settings = settings = Settings() if settings is None else settings
         self.logic = Logic()
         self._budget = budget = self.logic.machine.budget
@@ -370,9 +372,12 @@ class Engine:
                 start = self.clock.stamp(self._look_at_clock())
             end = start
         else:
-            self._look_at_clock()
             if end < start:
                 raise UsageError(f"{self.logic.brief(term)} ends before it starts")
+            if self._followed is not None:
+                self._followed.now()  # where somebody has put it back, that is seen first
+                self._followed.move_to(end)
+            self._look_at_clock()
         dispatcher = self.dispatcher
         current, cause = dispatcher.current, dispatcher.cause
         try:  # as `Dispatcher.undisturbed`

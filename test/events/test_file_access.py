@@ -19,7 +19,7 @@ REFUSED, MISSING, WRONG, TOO_LONG = (
     f"{name}_error" for name in ("permission", "existence", "domain", "representation")
 )
 
-SECRET = "event(secret).\nsecret(1).\n"
+SECRET = "tell(secret).\nsecret(1).\n"
 """Goals as well as clauses: every goal that reads a file can do something with it."""
 
 
@@ -109,7 +109,7 @@ def cases(place):
 
 def engine_of(place, **settings):
     engine = Engine(StreamClock(), Settings(allow_goals=True, **settings))
-    engine.load(rules="secret(0).", folder=place / "program")
+    engine.load(rules="secret(0). tell(X) :- event(X).", folder=place / "program")
     return engine
 
 
@@ -243,7 +243,7 @@ def test_an_ending_that_is_added_leads_nowhere_else(place, goal):
         engine = watch(engine_of(place))
         check(engine, wanted, told(lambda: engine.call(GOALS[goal](name))), name)  # noqa: B023
         engine = watch(Engine())
-        engine.load(rules="secret(0).")
+        engine.load(rules="secret(0). tell(X) :- event(X).")
         loaded = told(lambda: engine.load(goals=engine.show(GOALS[goal](name)), folder=program))  # noqa: B023
         if wanted is None or (wanted is REFUSED and not name.startswith("dangling")):
             check(engine, None, loaded, name)

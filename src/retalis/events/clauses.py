@@ -106,11 +106,11 @@ class Checker:
         elif head is _PROPERTY_FACT:
             self._property(Property(deref(term[1]), _name(term[2]), deref(term[3])), place)
             self.steps.append(Step("clause", term, place))
-        elif head in _RENAMED:
-            self.steps.append(Step("clause", (_RENAMED[head], *term[1:]), place))
-        elif head in _UNWRAPPED:
-            self.steps.append(Step("clause", deref(term[1]), place))
         else:
+            if head in _RENAMED:
+                self.steps.append(Step("clause", (_RENAMED[head], *term[1:]), place))
+            elif head in _UNWRAPPED:
+                self.steps.append(Step("clause", deref(term[1]), place))
             if head is _RULE or (head is _COLON and _looks_like_rule(term)):
                 self.warnings.append(RuleError("this is no labelled rule, so it is kept as a fact", place))
             self.steps.append(Step("clause", term, place))

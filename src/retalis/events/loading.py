@@ -10,6 +10,7 @@ from ..terms import Atom, Term, conjuncts, copy, deref, functor, list_items
 from .calls import Unknown, unknown_calls
 from .clauses import DIRECTIVES, TOO_DEEP, Checker, Definition, Step, clause_error, nowhere
 from .files import Files
+from .forgotten import defined_in, fact_error
 from .libraries import LIBRARY, require_library
 from .rule import Rule
 
@@ -175,9 +176,10 @@ class Loader:
         errors.extend(checker.errors)
         logic = self._rules.logic
         steps: List[Any] = []
+        defined = defined_in(checker.steps)
         for step in checker.steps:
             if step.kind == "clause":
-                problem = clause_error(logic, step.term)
+                problem = clause_error(logic, step.term) or fact_error(logic, step.term, defined)
                 if problem is not None:
                     errors.append(RuleError(problem, step.place))
             if step.kind in ("use", "ensure"):

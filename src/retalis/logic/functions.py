@@ -6,7 +6,9 @@ import sys
 import time
 from typing import Callable
 
-from ..terms import Term, functor
+from .. import timestamps
+from ..errors import UsageError
+from ..terms import Functor, Term, functor
 from .arithmetic import (
     EVALUABLE,
     HUGE,
@@ -18,7 +20,7 @@ from .arithmetic import (
     integer,
     not_less,
 )
-from .faults import evaluation_error, resource_error
+from .faults import domain_error, evaluation_error, resource_error
 
 
 def _real(name: str, function: Callable[[float], float]) -> None:
@@ -199,6 +201,23 @@ def _rational(value: Number) -> Number:
     if value.__class__ is float and value == math.trunc(value):
         return math.trunc(value)
     return value
+
+
+def _seconds(key: Functor) -> Callable[..., Number]:
+    def seconds(*fields: Number) -> Number:
+        """Return the seconds since the epoch of a stamp, which is as good a number as the others that stamps are."""
+        try:
+            instant = int(timestamps.from_term((key, *fields)))
+        except UsageError:
+            raise domain_error("datime", (key, *fields)) from None
+        whole, rest = divmod(instant, timestamps.SECOND)
+        return timestamps.to_seconds(instant) if rest else whole
+
+    return seconds
+
+
+for _key in (timestamps.DATIME6, timestamps.DATIME7):
+    EVALUABLE[_key] = _seconds(_key)
 
 
 def _constants() -> None:

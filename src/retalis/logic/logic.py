@@ -374,6 +374,13 @@ class Logic:
         predicate = self.database.predicates.get(key)
         return (predicate is not None and predicate.defined) or (key.name, key.arity) in self._library
 
+    def is_of_system(self, key: Functor) -> bool:
+        """Tell whether a predicate is the system's, not one that a program has put in its place."""
+        predicate = self.database.predicates.get(key)
+        if predicate is not None and predicate.defined:
+            return bool(predicate.library)
+        return (key.name, key.arity) in self._library
+
     def similar(self, key: Functor) -> List[str]:
         """Return the predicates that may have been meant by the name of one that is not there."""
         return similar(self, key)

@@ -1,0 +1,63 @@
+"""Facts that were meant as goals: without their ``:-`` they would take the place of a predicate of the system."""
+
+from typing import Any, Optional, Sequence, Set
+
+from ..terms import COMMA, CONS, SLASH, Atom, Functor, Term, deref, functor
+from .clauses import Step
+
+_CLAUSE = functor(":-", 2)
+_GRAMMAR = functor("-->", 2)
+_DECLARES = frozenset(functor(name, 1) for name in ("dynamic", "discontiguous", "multifile", "table"))
+
+
+def defined_in(steps: Sequence[Step]) -> Set[Functor]:
+    """Return the predicates that a file defines in earnest: by clauses with a body, or by declaring them."""
+    found: Set[Functor] = set()
+    for step in steps:
+        if step.kind == "clause" and _has_body(step.term):
+            found.add(_key(step.term[1]))
+        elif step.kind == "directive":
+            found |= _declared(step.term)
+    return found
+
+
+def fact_error(logic: Any, term: Term, defined: Set[Functor]) -> Optional[str]:
+    """Return why a fact of a file that defines these predicates is refused, or None."""
+    key = None if _has_body(term) else _key(term)
+    if key is None or key in defined or not logic.is_of_system(key):
+        return None
+    return (
+        f"a fact of {key} would take the place of the system's predicate: a goal is written with :- before it; "
+        f"to define a predicate of that name, declare it (:- dynamic {key}.)"
+    )
+
+
+def _has_body(term: Term) -> bool:
+    return term.__class__ is tuple and (term[0] is _CLAUSE or term[0] is _GRAMMAR)
+
+
+def _key(term: Term) -> Any:
+    term = deref(term)
+    if isinstance(term, Atom):
+        return term.functor
+    return term[0] if term.__class__ is tuple else None
+
+
+def _declared(goal: Term) -> Set[Functor]:
+    """Return the predicates that a directive declares."""
+    goal = deref(goal)
+    if goal.__class__ is not tuple or goal[0] not in _DECLARES:
+        return set()
+    found: Set[Functor] = set()
+    stack = [deref(goal[1])]
+    while stack:
+        term = stack.pop()
+        if term.__class__ is not tuple:
+            continue
+        if term[0] is COMMA or term[0] is CONS:
+            stack += [deref(term[2]), deref(term[1])]
+        elif term[0] is SLASH:
+            name, arity = deref(term[1]), deref(term[2])
+            if isinstance(name, Atom) and isinstance(arity, int):
+                found.add(functor(name.name, arity))
+    return found
