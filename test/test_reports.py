@@ -3,7 +3,7 @@ import logging
 import pytest
 
 from retalis._reports import Reports
-from retalis.errors import RuleError, place_at
+from retalis.errors import Place, RetalisError, RuleError, place_at
 
 
 @pytest.fixture
@@ -91,3 +91,18 @@ def test_what_is_reported_is_bounded_in_length_and_kinds_keep_nothing_of_it(logg
     kept = [(kind.first, *kind.texts) for kind in reports._kinds.values()]
     assert len(kept) == 201 and all(len(first) <= 200 for first, *_ in kept)
     assert all(key.__class__ is int for key in reports._kinds)
+
+
+HOSTILE = "\x1b]0;title\x07\x1b[2J \u202e\ud800 \x9b31m ok é\n"
+
+
+def test_what_is_logged_does_nothing_to_a_terminal(caplog):
+    reports = Reports()
+    reports.warning(f"an event is refused: {HOSTILE}")
+    reports.error(RetalisError(HOSTILE, Place("x\x1b", 1, 1, HOSTILE)))
+    for record in caplog.records:
+        text = record.getMessage()
+        assert all(one.isprintable() or one == "\n" for one in text)
+        assert "\\x1b]0;title\\x07" in text and "\\u202e\\ud800" in text and "ok é" in text
+        text.encode("utf-8")
+    assert len(caplog.records) == 2

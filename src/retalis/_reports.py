@@ -4,7 +4,7 @@ import logging
 import traceback
 from typing import Any, Dict, Set
 
-from .errors import LONGEST, SHOWN, RetalisError, beginning
+from .errors import LONGEST, SHOWN, RetalisError, beginning, printable
 
 log = logging.getLogger("retalis")
 
@@ -62,7 +62,7 @@ class Reports:
 
     def _log(self, level: int, key: Any, text: str, texts: int = 1) -> None:
         key = hash(key)
-        text = beginning(text, LONGEST)
+        text = printable(beginning(text, LONGEST))
         kind = self._kinds.get(key)
         if kind is None:
             if len(self._kinds) >= _KINDS:

@@ -15,6 +15,24 @@ def beginning(text: str, most: int = SHOWN) -> str:
     return text if len(text) <= most else f"{text[:most]}..."
 
 
+_HARMLESS = frozenset("\n\t ")
+
+
+def printable(text: str) -> str:
+    """Return a text with escapes in place of what a terminal or a log would act on, or could not be told at all.
+
+    Control characters, marks that change the direction of writing, and halves of surrogate pairs come with texts
+    from outside.
+    """
+    if text.isascii() and text.isprintable():
+        return text
+    return "".join(one if one.isprintable() or one in _HARMLESS else _escaped(one) for one in text)
+
+
+def _escaped(character: str) -> str:
+    return ascii(character)[1:-1]
+
+
 class Place(NamedTuple):
     """A position in a text; line and column count from 1.
 
@@ -86,14 +104,14 @@ class RetalisError(Exception):
 
     def __str__(self) -> str:
         if self.place is None:
-            return self.message
-        return f"{self.place}: {self.message}\n{self.place.context()}"
+            return printable(self.message)
+        return printable(f"{self.place}: {self.message}\n{self.place.context()}")
 
     def brief(self) -> str:
         """Return the error in one line: message, line and column."""
         if self.place is None:
-            return self.message
-        return f"{self.message} (line {self.place.line}, column {self.place.column})"
+            return printable(self.message)
+        return printable(f"{self.message} (line {self.place.line}, column {self.place.column})")
 
 
 class SyntaxFault(RetalisError):

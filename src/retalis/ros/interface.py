@@ -8,7 +8,7 @@ import rospy
 
 from .._reports import Reports
 from ..caches import Cache
-from ..errors import MessageError, RetalisError, UsageError, beginning
+from ..errors import MessageError, RetalisError, UsageError, beginning, printable
 from ..messages import Decoder, Definitions, Encoder
 from ..program import TopicType, topic_type
 from ..rosnames import topic_fault
@@ -274,8 +274,8 @@ class Input:
                 "topic %s is subscribed as %s, which is unknown here; %s publishes %s: taken under that name",
                 self._name,
                 self.kind,
-                header.get("callerid", "somebody"),
-                sent,
+                printable(beginning(header.get("callerid", "somebody"))),
+                printable(beginning(sent)),
             )
         return self._definitions.decoder(definition)
 

@@ -5,7 +5,7 @@ from typing import Any, Callable, Dict, Iterable, List, Tuple
 import rospy
 
 from ..engine import Engine
-from ..errors import RetalisError, SyntaxFault, UsageError, beginning
+from ..errors import RetalisError, SyntaxFault, UsageError, beginning, printable
 from ..program import TOPICS
 from ..syntax import Operators, read_term
 from ..terms import COMMA, TRUE, Atom, Term, Var, atom, conjuncts, deref, functor, make_list, variables
@@ -19,7 +19,7 @@ LONGEST_ANSWER = 1000
 
 def shown(text: str) -> str:
     """Return the field of a request as answers show it."""
-    return beginning(text.strip())
+    return printable(beginning(text.strip()))
 
 
 def answer(work: Callable[[], None]) -> str:
@@ -71,7 +71,7 @@ class EngineServices:
         if not typed:
             rospy.logwarn(
                 "topic %s has no type: %s has no <publish_to> of that name; its events come as text on %s only",
-                beginning(topic),
+                printable(beginning(topic)),
                 TOPICS,
                 OUTPUT,
             )
