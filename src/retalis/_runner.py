@@ -37,7 +37,7 @@ class Call:
         self._woken = threading.Event()
         self._result: Any = None
         self.error: Optional[BaseException] = None
-        self.over = False
+        self.over = self.follows = False
 
     def __call__(self) -> None:
         if not self.take():
@@ -163,16 +163,15 @@ class Runner:
                     self._restore(True)
                 self.entry = arguments
                 self._running = me
-                try:
-                    work(*arguments)
-                except Exception as error:  # one bad event must not take the others with it
-                    self._failed(error)
+                work(*arguments)
                 self._running = None
                 self._lock.release()
             else:
                 self._append(work, arguments)
             if self._queue or self._calls:
                 self._drain()
+        except Exception as error:  # one bad event must not take the others with it
+            self._end(error, self._on_error)
         except BaseException:
             self._give_up()
             raise
@@ -199,14 +198,24 @@ class Runner:
                 self._restore(True)
             self.entry = (work,) if entry is None else entry
             self._running = me
-            try:
-                result = work()
-            except Exception as error:
-                self._restore(is_unexpected(error))
-                self._leave()
-                raise
+            result = work()
             self._leave()
             return result
+        except Exception as error:
+            self._end(error, lambda error: None)
+            raise
+        except BaseException:
+            self._give_up()
+            raise
+
+    def _end(self, error: Exception, report: Callable[[Exception], None]) -> None:
+        """Be idle again after an error of the work that was being done, if any was, and do what waits."""
+        # Not in a second `try` of the methods that work: where one begins an interrupt would be in neither of them.
+        try:
+            if self._running == _this_thread():
+                self._restore(is_unexpected(error))
+                report(error)
+                self._leave()
         except BaseException:
             self._give_up()
             raise
@@ -222,7 +231,9 @@ class Runner:
     def follow(self, work: Callable[[], Any]) -> None:
         """Have something done, from inside a piece of work, right behind that."""
         calls = self._calls
-        calls.insert(1 if calls and calls[0].begun else 0, Call(work))
+        call = Call(work)
+        call.follows = True
+        calls.insert(1 if calls and calls[0].begun else 0, call)
 
     def _call_later(self, work: Callable[[], Any], entry: Any) -> Any:
         """Have whoever is at work do a piece of work, and wait for that."""
@@ -338,8 +349,13 @@ class Runner:
             return  # it is another's
         if self._running is not None:
             self._restore(True)
-            if self._calls:
-                self._calls[0].abandon()
+            for call in tuple(self._calls):
+                if call.begun:
+                    call.abandon()
+                elif (
+                    call.follows
+                ):  # what is to be done behind a piece of work that is over; going back has done so
+                    self._calls.remove(call)
             self._running = None
         try:
             while True:

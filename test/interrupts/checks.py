@@ -1,0 +1,86 @@
+"""What holds of an engine that does nothing, whatever was interrupted before."""
+
+from retalis.watching import WATCH
+
+
+def faults(engine):
+    """Return what is wrong with an idle engine, as texts."""
+    found = []
+
+    def check(holds, text):
+        if not holds:
+            found.append(text)
+
+    machine, dispatcher, runner = engine.logic.machine, engine.dispatcher, engine._runner
+    budget = machine.budget
+    check(not machine.choices, f"{len(machine.choices)} choice points are left")
+    check(not machine.trail, f"{len(machine.trail)} variables are bound")
+    check(machine.idle == (0, 0), "the idle state is another")
+    check(not budget.running, "the budget runs")
+    check(not budget.alarms and not budget.ceilings, "a limit of a call is left")
+    check(not budget.used and not budget.closed and budget.goal is None, "the budget of an entry is left")
+    check(WATCH.ask is None, "somebody is asked about long work")
+    check(dispatcher.current is None and dispatcher.cause is None, "an event is being served")
+    check(runner._running is None and runner.callback is None, "the runner is at work")
+    check(not runner._queue and not runner._calls, "something waits to be done")
+    check(runner._lock.acquire(False), "the lock is another's")
+    runner._lock.release()
+    check(not runner._lock._is_owned(), "the lock is not given back")
+    check(engine.rules.files._open == [] and not engine.rules.files.door.is_loading, "a file is being loaded")
+    check(engine.logic.new_goals is None, "goals are being prepared")
+    check(not engine.rules.loader._begun and not engine.rules.loader._acting, "a load is under way")
+    found += _of_memories(engine.knowledge)
+    for rule in engine.rules.rules:
+        found += _of_rule(rule)
+    found += _of_predicates(engine.logic)
+    return found
+
+
+def _of_memories(knowledge):
+    for instance in knowledge.memories:
+        memory = instance.memory
+        if memory.ends != [int(record[2]) for record in memory.records]:
+            yield f"memory {instance.id}: ends and records differ"
+        if instance not in instance.recorder.instances:
+            yield f"memory {instance.id} records nothing"
+        waiting = {order for group in instance._waiting.values() for order in group}
+        if not waiting <= set(knowledge.waiting._all):
+            yield f"memory {instance.id}: queries wait that are not there"
+        if sorted(instance._waiting) and min(instance._waiting) < instance.due:
+            yield f"memory {instance.id} is due too late"
+    for order, waiting in knowledge.waiting._all.items():
+        instance, instant = waiting[5][-1]
+        if order not in instance._waiting.get(instant, {}):
+            yield "a query waits for nothing"
+
+
+def _of_rule(rule):
+    waiting = []
+    for node, _, _ in rule.nodes:
+        for place in node.places():
+            for key, last in place.newest.items():
+                ring = place.with_key(key)
+                if [one.newer for one in ring] != [*ring[1:], ring[0]] or last is not ring[-1]:
+                    yield f"{rule.name}: matches are linked wrong"
+                if any(one.place is not place or one.key != key for one in ring):
+                    yield f"{rule.name}: a match waits elsewhere"
+                waiting += ring
+    if rule.waiting != len(waiting):
+        yield f"{rule.name}: {len(waiting)} matches wait and {rule.waiting} are counted"
+    if not set(waiting) <= set(rule._arrivals):
+        yield f"{rule.name}: a match can never be dropped"
+    if not rule.listeners or not rule.sound:
+        yield f"{rule.name} does not listen"
+
+
+def _of_predicates(logic):
+    for key, predicate in logic.database.predicates.items():
+        if predicate.library:
+            continue
+        live = list(predicate.live())
+        if len(predicate) != len(live):
+            yield f"{key}: {len(live)} clauses live and {len(predicate)} are counted"
+        if predicate.ground and not all(clause.ground for clause in live):
+            yield f"{key} is no table of facts"
+        if live and predicate.kind == "undefined":
+            yield f"{key} has clauses and is not defined"

@@ -1,0 +1,109 @@
+"""Interrupts: raised at the n-th bytecode of the engine's code, by a real signal, or by a limit that runs out."""
+
+import contextlib
+import signal
+import sys
+from itertools import count
+from pathlib import Path
+
+import retalis
+from retalis.logic import Limits, budget, machine
+
+_SOURCE = str(Path(retalis.__file__).parent)
+
+
+class Interrupt(KeyboardInterrupt):
+    """What an injected interrupt raises."""
+
+
+def _is_engine(code):
+    name = code.co_filename
+    return (
+        name.startswith((_SOURCE, "<")) and not name.startswith("<frozen") or name.endswith("contextlib.py")
+    )
+
+
+class AtBytecode:
+    """Raises an interrupt before the n-th bytecode; with none it counts them."""
+
+    def __init__(self, at=None):
+        self.at = at
+        self.number = 0
+        self.where = None
+
+    def __enter__(self):
+        self._before = sys.gettrace()
+        sys.settrace(self._call)
+        return self
+
+    def __exit__(self, *exception):
+        sys.settrace(self._before)
+
+    def _call(self, frame, event, argument):
+        if self.where is not None or not _is_engine(frame.f_code):
+            return None
+        frame.f_trace_opcodes = True
+        frame.f_trace_lines = False
+        return self._step
+
+    def _step(self, frame, event, argument):
+        if event == "opcode":
+            self.number += 1
+            if self.number == self.at:
+                self.where = (
+                    f"{frame.f_code.co_filename}:{frame.f_lineno} ({frame.f_code.co_name}, {frame.f_lasti})"
+                )
+                sys.settrace(None)
+                raise Interrupt
+        return self._step
+
+
+@contextlib.contextmanager
+def by_signal(seconds):
+    """Have a timer's signal raise an interrupt once, as Ctrl-C does."""
+
+    def take(number, frame):
+        if armed:
+            armed.pop()
+            raise Interrupt
+
+    armed = [True]
+    before = signal.signal(signal.SIGALRM, take)
+    signal.setitimer(signal.ITIMER_REAL, max(seconds, 1e-6))
+    try:
+        yield
+    finally:
+        armed.clear()
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+
+
+@contextlib.contextmanager
+def looking_often():
+    """Have the limits be looked at after each step of the machine."""
+    before = machine.SLICE
+    machine.SLICE = (None,)
+    try:
+        yield
+    finally:
+        machine.SLICE = before
+
+
+@contextlib.contextmanager
+def time_runs_out(engine, at):
+    """Have the time of a goal be up at the n-th look at the clock; yields what counts the looks."""
+    looks = count(1)
+    used = [0]
+
+    def fake():
+        used[0] = next(looks)
+        return 0.0 if at is None or used[0] < at else 1e9 + used[0]
+
+    clock, allowed = budget.monotonic, engine.logic.limits
+    budget.monotonic = fake
+    engine.logic.limits = Limits(seconds=100.0)
+    try:
+        yield used
+    finally:
+        budget.monotonic = clock
+        engine.logic.limits = allowed

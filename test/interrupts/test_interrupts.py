@@ -1,0 +1,107 @@
+"""A few of the interrupts that ``python3 -m interrupts`` makes, always the same but for those by real signals."""
+
+import contextlib
+
+import pytest
+
+from retalis.engine import Engine
+from retalis.knowledge import Memory
+from retalis.terms import atom, functor
+
+from .__main__ import Campaign
+from .checks import faults
+from .injection import AtBytecode, Interrupt
+
+
+@pytest.mark.parametrize(
+    ("way", "number"), [("bytecode", 60), ("signal", 40), ("limit", 80), ("limited", 20)], ids=str
+)
+def test_an_engine_that_was_interrupted_answers_as_one_that_was_not(way, number):
+    campaign = Campaign(way, 1)
+    campaign.run(number)
+    assert sum(campaign.outcomes.values()) == number
+    assert campaign.outcomes["interrupted"] + campaign.outcomes["ended with an error"] > 0
+
+
+def interrupted(engine, work, prepare=lambda: None):
+    """Interrupt a piece of work at each of its bytecodes, one after the other; yield after each."""
+    at = 0
+    while True:
+        at += 1
+        prepare()
+        with contextlib.suppress(Interrupt), AtBytecode(at) as injected:
+            work()
+        if injected.where is None:
+            return
+        assert faults(engine) == [], injected.where
+        yield injected.where
+
+
+def test_an_event_that_is_interrupted_anywhere_is_recorded_whole_or_not_at_all():
+    engine = Engine()
+    engine.load(goals="memorize(a(_), [], _, m, 2)")
+    counts = []
+    event = functor("a", 1)(1)
+    for _ in interrupted(engine, lambda: engine.event_at(event, 1, 1)):
+        memory = engine.knowledge.memories.find(atom("m")).memory
+        assert memory.added == memory._gone + len(memory.records)
+        counts.append(memory.added)
+    assert {new - old for old, new in zip(counts, counts[1:])} == {0, 1}
+
+
+def test_a_post_that_is_interrupted_anywhere_leaves_the_engine_to_others():
+    engine = Engine()
+    engine.load(rules="b(X) <- a(X).")
+    seen = []
+    engine.on_event(lambda term, start, end: seen.append(term))
+    event = functor("a", 1)(1)
+    for _ in interrupted(engine, lambda: engine.post(event)):
+        del seen[:]
+        engine.post(event)
+        assert len(seen) == 2
+
+
+def test_a_memory_that_is_cut_when_an_interrupt_comes_counts_what_it_took():
+    memory = Memory(1)
+    while len(memory.ends) < memory.room - 1:
+        memory.add((atom("a"), 1, 1))
+    added = memory.added
+    at = 0
+    where = True
+    while where is not None:
+        at += 1
+        again = Memory(1)
+        for _ in range(added):
+            again.add((atom("a"), 1, 1))
+        with contextlib.suppress(Interrupt), AtBytecode(at) as injected:
+            again.add((atom("a"), 1, 1))
+        where = injected.where
+        again.mend()
+        assert again.added in (added, added + 1)
+        assert len(again.ends) == len(again.records)
+
+
+def test_solutions_that_are_closed_long_after_an_interrupt_disturb_no_other_goal():
+    engine = Engine()
+    kept = []
+
+    def keep(machine, term):
+        solutions = machine.solutions((machine.logic.control.code, atom("repeat"), 0, machine.done))
+        next(solutions)
+        kept.append(solutions)
+        raise KeyboardInterrupt
+
+    engine.logic.define("keep", 1, keep)
+    engine.logic.define("close", 0, lambda machine: kept.pop().close() or True)
+    with pytest.raises(KeyboardInterrupt):
+        engine.call("keep(1)")
+    assert faults(engine) == []
+    assert len(engine.query("member(X, [1,2,3]), ( X =:= 1 -> close ; true )")) == 3
+
+
+def test_a_goal_that_is_called_leaves_nothing_on_the_trail():
+    engine = Engine()
+    term = functor("=", 2)(functor("f", 1)(1), engine._read("f(X)"))
+    assert engine.call(term)
+    assert engine.show(term) == "f(1)=f(1)"
+    assert faults(engine) == []
