@@ -4,8 +4,12 @@ import pytest
 from logic.support import prolog
 
 from retalis.logic import Limits, PrologError
+from retalis.logic.builtins.strings import _split
+from retalis.logic.builtins.text import each
 from retalis.syntax import read_term, writeq
+from retalis.syntax.numerals import integer, integer_text
 from retalis.terms import atom, functor, make_list
+from retalis.watching import watched_by
 
 PROGRAM = """
 wide(T, N) :- length(L, 60), foldl([_,A,f(A,A)]>>true, L, N, T).
@@ -166,3 +170,30 @@ def test_long_work_outside_a_goal_is_not_limited(logic):
 def test_loops_are_stopped_between_their_turns(logic):
     assert fault(logic, "store(0)", inferences=10_000) == "resource_error(inferences)"
     assert 10_000 <= len(logic.database.predicates[functor("item", 1)]) < 15_000
+
+
+@pytest.mark.parametrize(
+    "work",
+    [
+        lambda made: each(made.append, "a" * 100_000),
+        lambda made: list(map(made.append, _split("a," * 50_000, ",", ""))),
+        lambda made: integer_text(7**200_000),
+        lambda made: integer("7" * 200_000),
+    ],
+)
+def test_conversions_are_looked_at_while_they_last(work):
+    """Not only behind them: what was made since the last look is never much."""
+    made, most, looks = [], [0], [0]
+
+    def ask(pieces):
+        most[0] = max(most[0], len(made))
+        looks[0] += 1
+        made.clear()
+
+    before = watched_by(ask)
+    try:
+        work(made)
+    finally:
+        watched_by(before)
+    assert most[0] <= 2048
+    assert looks[0] >= 5

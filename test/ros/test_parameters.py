@@ -8,6 +8,7 @@ rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 
 from retalis.engine import Settings  # noqa: E402
 from retalis.errors import UsageError  # noqa: E402
+from retalis.logic import Limits  # noqa: E402
 from retalis.program import Topics, TopicType  # noqa: E402
 from retalis.ros.parameters import DIRECT, direct_topics, read_parameters  # noqa: E402
 
@@ -29,6 +30,14 @@ def test_defaults_keep_the_originals_behaviour(read):
     assert (found.direct, found.embedded, found.queue) == ("auto", False, 5000)
     assert not found.settings.allow_goals
     assert found.settings.max_depth == Settings().max_depth
+
+
+def test_limits_have_defaults_and_0_is_none(read):
+    found = read().settings
+    assert found.limits == Limits(10.0, None, 500)
+    assert (found.watchdog, found.limit_start) == (1.0, False)
+    found = read(max_seconds=0, max_inferences=0, max_megabytes=0, watchdog=0.0).settings
+    assert (found.limits, found.watchdog) == (Limits(), None)
 
 
 def test_the_first_argument_is_the_package_and_a_program_wins(read):
@@ -78,6 +87,10 @@ def test_goals_open_files_of_the_program_only_by_default(read):
         ("queue", 2.5),
         ("max_depth", -1),
         ("max_seconds", True),
+        ("max_seconds", -1),
+        ("max_seconds", float("nan")),
+        ("watchdog", "soon"),
+        ("max_megabytes", 0.5),
         ("max_inferences", "x"),
         ("folders", "/data"),
         ("folders", [1]),

@@ -14,6 +14,7 @@ from ..program import TopicType, topic_type
 from ..syntax import to_text
 from ..terms import atom, functor
 from ._folders import add_folders, allow_folders
+from ._limits import add_limits, limited
 from ._progress import progress
 from ._report import Report
 
@@ -44,6 +45,7 @@ def add_parser(commands: Any) -> None:
         help="a topic that becomes events, besides those in pub_sub.xml",
     )
     parser.add_argument("--quiet", action="store_true", help="print no outputs")
+    add_limits(parser)
     add_folders(parser)
     parser.set_defaults(run=run)
 
@@ -53,9 +55,8 @@ def run(options: argparse.Namespace) -> int:
     report = Report().listen()
     with ExitStack() as stack:
         reader = stack.enter_context(BagReader(options.bag))
-        playback = Playback(
-            options.program, report, _topics(options.topic), allow_folders(Settings(), options)
-        )
+        settings = limited(allow_folders(Settings(), options), options)
+        playback = Playback(options.program, report, _topics(options.topic), settings)
         writer = _Writer(stack.enter_context(BagWriter(options.output))) if options.output else None
         advance = stack.enter_context(progress("messages", reader.messages))
         relax()

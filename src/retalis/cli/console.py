@@ -13,12 +13,12 @@ from ..clock import Clock
 from ..collector import relax
 from ..engine import Engine, Settings
 from ..errors import ProgramErrors, RetalisError, RuleError, SyntaxFault
-from ..logic import Limits
 from ..logic.tracing import Tracer
 from ..program import read_text
 from ..syntax import ReadTerm
 from ..terms import COMMA, NIL, Atom, String, Term, Var, deref, functor, list_items
 from ._answers import bindings
+from ._limits import add_limits, limited
 from ._prompt import Lines, Terminal, read_clause
 from ._report import Report, to_reader
 
@@ -53,18 +53,15 @@ def add_parser(commands: Any) -> None:
         help="files of rules and clauses, or a program's folder",
     )
     add("--goal", "-g", action="append", default=[], metavar="GOAL", help="ask this and then end")
-    add("--seconds", type=float, help="seconds that a goal may take")
-    add("--inferences", type=int, help="inferences that a goal may make")
-    add("--megabytes", type=int, default=2000, help="memory that a goal may take, in megabytes (2000)")
     add("--most", type=int, default=1000, help="solutions shown of a goal that comes from a pipe (1000)")
+    add_limits(parser)
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; from a pipe the status is 1 if there was an error."""
     report = Report().listen()
-    limits = Limits(options.seconds, options.inferences, options.megabytes)
-    console = Console(report, FREE._replace(limits=limits), options.most)
+    console = Console(report, limited(FREE, options), options.most)
     for path in options.files:
         console.load(path)
     relax()
@@ -156,7 +153,7 @@ class Console:
             goal, traced = deref(goal[1]), True
         elif goal.__class__ is tuple and goal[0] is COMMA and _is_atom(goal[1], "trace"):
             goal, traced = deref(goal[2]), True
-        self.engine.do(lambda: self._answer(goal, read, traced))
+        self.engine.do(lambda: self._answer(goal, read, traced), goal)
         return True
 
     def _is_command(self, goal: Term) -> bool:
@@ -242,7 +239,9 @@ class Console:
                 if shown == self._most and not self._lines.is_terminal:
                     print(" .\n% there may be more (see --most)")
                     return
-                if not self._lines.wants_more():
+                with self.logic.machine.budget.paused():
+                    wants_more = self._lines.wants_more()
+                if not wants_more:
                     print(" .")
                     return
                 print(" ;", flush=True)

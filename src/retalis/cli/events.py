@@ -19,6 +19,7 @@ from ..program import read_text
 from ..syntax import Operators, read_term, write_term
 from ..terms import Term, Var, atom, deref, functor, rebuild, variables
 from ._folders import add_folders, allow_folders
+from ._limits import add_limits, limited
 from ._report import Report, to_reader
 from ._stream import read_stream
 
@@ -79,6 +80,7 @@ def add_parser(commands: Any) -> None:
     add("--clock", metavar="TERM", help="pin the clock to an instant: datime(2001,1,1,0,0,0,0) or seconds")
     add("--json", action="store_true", help="print one JSON object a line instead of terms")
     add_folders(parser)
+    add_limits(parser)
     parser.set_defaults(run=run, wrong=parser.error)
 
 
@@ -171,7 +173,7 @@ class Session:
         self._report = report
         self._printer = printer
         self._clock = StreamClock()
-        self.engine = Engine(self._clock, allow_folders(Settings(), options))
+        self.engine = Engine(self._clock, limited(allow_folders(Settings(), options), options))
         self.engine.on_event(to_reader(printer.event))
         self.engine.on_output(to_reader(printer.output))
         self.engine.logic.define_control("sleep", 1, self._sleep)

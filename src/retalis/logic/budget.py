@@ -1,9 +1,10 @@
 """What an event or a question has used with all that it started."""
 
 import os
+from contextlib import contextmanager
 from threading import get_ident
 from time import monotonic
-from typing import Any, Callable, Dict, List, Optional, Tuple
+from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple
 
 from ..watching import WATCH, watch_for
 from .faults import resource_error
@@ -158,6 +159,17 @@ class Budget:
             if kept is not None:
                 for name, value in zip(_OF_ENTRY, kept):
                     setattr(self, name, value)
+
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """Have nothing that the entry at hand waits for meanwhile (a user) count for it; it may use as much again."""
+        turn = self.turn
+        what, turn.entry = turn.entry, None
+        try:
+            yield
+        finally:
+            turn.entry = None if what is None else (*what, None)  # another one, of the same name
+            self._begin()
 
     # Goals of entries
 

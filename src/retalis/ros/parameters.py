@@ -3,7 +3,7 @@
 import sys
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, Dict, List, NamedTuple, Optional, Tuple
+from typing import Any, List, NamedTuple, Optional, Tuple
 
 import rospkg
 import rospy
@@ -18,10 +18,14 @@ DIRECT = (TopicType("tf", "tf/tfMessage"), TopicType("ar_pose_marker", "ar_pose/
 """The topics that node retalis subscribes by itself by default, as the original did."""
 
 LIMITS = (
-    ("seconds", "max_seconds", float),
-    ("inferences", "max_inferences", int),
-    ("megabytes", "max_megabytes", int),
+    ("seconds", "max_seconds", float, 10.0),
+    ("inferences", "max_inferences", int, 0),
+    ("megabytes", "max_megabytes", int, 500),
 )
+"""The limits of what an event, a service or a query starts, with their defaults; 0 is none."""
+
+WATCHDOG = 1.0
+"""Seconds after which what is still at work is named."""
 
 
 KNOWN = (
@@ -36,7 +40,8 @@ KNOWN = (
     "max_file_megabytes",
     "max_depth",
     "max_elements",
-    *(name for _, name, _ in LIMITS),
+    *(name for _, name, _, _ in LIMITS),
+    "watchdog",
 )
 
 
@@ -68,15 +73,13 @@ def read_parameters(arguments: Optional[List[str]] = None) -> Parameters:
     """
     argv = rospy.myargv(sys.argv if arguments is None else arguments)
     _warn_of_unknown()
-    limits: Dict[str, Any] = {}
-    for field, name, kind in LIMITS:
-        value = _number(f"~{name}", kind)
-        if value is not None:
-            limits[field] = value
+    limits = {field: _limit(f"~{name}", kind, default) for field, name, kind, default in LIMITS}
     depth = _number("~max_depth", int)
     queue = _number("~queue", int)
     settings = Settings(
         limits=Limits(**limits),
+        limit_start=False,
+        watchdog=_limit("~watchdog", float, WATCHDOG),
         allow_goals=_flag("~allow_goals"),
         allow_foreign=_flag("~allow_foreign"),
         folders=_folders("~folders"),
@@ -163,6 +166,16 @@ def _flag(name: str) -> bool:
     if not isinstance(value, bool):
         raise UsageError(f"parameter {name}: expected true or false, found {value!r}")
     return value
+
+
+def _limit(name: str, kind: Any, default: Any) -> Any:
+    """Return a number from 0 on, None for 0: without limit."""
+    value = rospy.get_param(name, default)
+    if isinstance(value, bool) or not isinstance(value, (int, kind)) or not value >= 0:
+        raise UsageError(
+            f"parameter {name}: expected a number from 0 on (0 is without limit), found {value!r}"
+        )
+    return kind(value) or None
 
 
 def _number(name: str, kind: Any) -> Any:

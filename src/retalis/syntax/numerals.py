@@ -7,6 +7,8 @@ integers are converted here in halves, which is also faster.
 from decimal import MAX_EMAX, MAX_PREC, Decimal, Inexact, localcontext
 from typing import Dict
 
+from ..watching import look
+
 _SAFE = 4000
 """Decimal digits that every Python version converts."""
 
@@ -32,6 +34,7 @@ def integer(text: str, radix: int = 10) -> int:
     values = [int(text[max(0, at - _SAFE) : at], radix) for at in range(len(text), 0, -_SAFE)]
     scale = radix**_SAFE
     while len(values) > 1:  # least significant first; neighbours are joined until one is left
+        look()
         if len(values) % 2:
             values.append(0)
         values = [low + high * scale for low, high in zip(values[::2], values[1::2])]
@@ -61,10 +64,12 @@ def _decimal(value: int) -> Decimal:
         sizes.append((sizes[-1] + 1) // 2)
     parts = [value]
     for size in sizes[1:]:  # most significant first
+        look()
         mask = (1 << size) - 1
         parts = [half for part in parts for half in (part >> size, part & mask)]
     numbers = [Decimal(part) for part in parts]
     for size in reversed(sizes[1:]):
+        look()
         scale = Decimal(2) ** size
         numbers = [high * scale + low for high, low in zip(numbers[::2], numbers[1::2])]
     return numbers[0]

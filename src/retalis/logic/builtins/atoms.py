@@ -15,6 +15,7 @@ from .text import (
     check_parts,
     codes,
     constant_text,
+    each,
     joined,
     long_text,
     no_compound,
@@ -302,7 +303,7 @@ def atomic_list_concat_separated(machine: Any, parts: Term, separator: Term, who
         raise instantiation_error()
     if not between:
         raise domain_error("non_empty_atom", separator)
-    return unify(parts, make_list([atom(part) for part in atomic_text(whole).split(between)]), machine.trail)
+    return unify(parts, make_list(each(atom, atomic_text(whole).split(between))), machine.trail)
 
 
 def _join(parts: Term, between: str) -> Any:

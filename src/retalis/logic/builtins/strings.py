@@ -3,6 +3,7 @@
 from typing import Any, Iterator, Optional
 
 from ...terms import NIL, Atom, String, Term, Var, atom, deref, functor, is_ground, make_list, unify
+from ...watching import BULK, look
 from ..codes import LAST
 from ..faults import domain_error, existence_error, instantiation_error, type_error
 from .arguments import integer_or_var, partial_items
@@ -13,6 +14,7 @@ from .text import (
     check_parts,
     codes,
     constant_text,
+    each,
     fill_sink,
     is_sink,
     is_text_list,
@@ -23,6 +25,8 @@ from .text import (
     text_of,
     whole_text,
 )
+
+_OFTEN = len(BULK) - 1
 
 
 @deterministic("string_length/2")
@@ -160,7 +164,7 @@ def split_string(machine: Any, text: Term, separators: Term, pad: Term, parts: T
     whole, between, strip = (text_of(given, numbers=False) for given in (text, separators, pad))
     long_text(len(whole))
     partial_items(parts)
-    return unify(parts, make_list(list(map(String, _split(whole, between, strip)))), machine.trail)
+    return unify(parts, make_list(each(String, list(_split(whole, between, strip)))), machine.trail)
 
 
 def _split(text: str, separators: str, pad: str) -> Iterator[str]:
@@ -168,6 +172,8 @@ def _split(text: str, separators: str, pad: str) -> Iterator[str]:
     text = _strip(text, pad)
     start = 0
     for at, char in enumerate(text):
+        if not at & _OFTEN:
+            look()
         if at >= start and char in separators:
             yield _strip(text[start:at], pad)
             start = at + 1
@@ -245,11 +251,11 @@ def _char_type(as_code: bool) -> Any:
         kind = deref(kind)
         _check_type(kind)
         given = _of_code(char)
-        for each in [given] if given is not None else map(chr, range(256)):
-            for found in _types(each, kind, wrap):
+        for one in [given] if given is not None else map(chr, range(256)):
+            for found in _types(one, kind, wrap):
                 pairs = [(kind, found)]
                 if given is None:
-                    pairs.append((char, wrap(each)))
+                    pairs.append((char, wrap(one)))
                 if machine.unify_all(*pairs):
                     yield None
 

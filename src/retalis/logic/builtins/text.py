@@ -1,11 +1,11 @@
 """Text arguments: atoms, strings, numbers, lists of codes or characters, as Python strings and back."""
 
-from typing import Any, List, Optional, Sequence
+from typing import Any, Callable, List, Optional, Sequence
 
 from ...errors import SyntaxFault
 from ...syntax import read_term, write_term
 from ...terms import NIL, Atom, String, Term, Var, atom, deref, list_items, list_parts, make_list, unify
-from ...watching import look
+from ...watching import BULK, look
 from ..faults import (
     PrologError,
     instantiation_error,
@@ -35,6 +35,17 @@ def long_text(size: int) -> None:
         if size > LONGEST:
             raise resource_error("memory")
         look()
+
+
+def each(make: Callable[[Any], Term], parts: Sequence[Any]) -> List[Term]:
+    """Return what is made of each part, of a character of a text say; look at the goal's limits meanwhile."""
+    if len(parts) <= len(BULK):
+        return list(map(make, parts))
+    made: List[Term] = []
+    for at in range(0, len(parts), len(BULK)):
+        look()
+        made += map(make, parts[at : at + len(BULK)])
+    return made
 
 
 def joined(parts: Sequence[str], between: str = "") -> str:
@@ -199,12 +210,12 @@ def no_compound(term: Term, kind: str) -> None:
 
 def codes(text: str) -> Term:
     """Return a text as a list of codes."""
-    return make_list([ord(char) for char in text])
+    return make_list(each(ord, text))
 
 
 def chars(text: str) -> Term:
     """Return a text as a list of characters."""
-    return make_list([atom(char) for char in text])
+    return make_list(each(atom, text))
 
 
 def parse_number(text: str, operators: Any) -> Optional[Term]:

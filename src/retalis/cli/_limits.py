@@ -1,0 +1,76 @@
+"""The options of the commands that say what an event, a goal or a query may use."""
+
+import argparse
+from typing import Any, Callable
+
+from ..engine import Settings
+from ..logic import Limits
+
+_MEGABYTES = 2000
+
+_OPTIONS = (
+    (
+        "--max-seconds",
+        float,
+        None,
+        "N",
+        "seconds that an event, goal or query may take with all that it starts",
+    ),
+    ("--max-inferences", int, None, "N", "inferences that it may make"),
+    ("--max-megabytes", int, _MEGABYTES, "N", f"memory that it may take, in megabytes ({_MEGABYTES})"),
+    (
+        "--watchdog",
+        float,
+        None,
+        "N",
+        "warn of what takes longer than so many seconds, with rule, goal and event",
+    ),
+)
+
+
+def add_limits(parser: Any) -> None:
+    """Add the options to the parser of a command."""
+    group = parser.add_argument_group(
+        "limits", "What is past one ends with a resource error, and the rest goes on; 0 is without limit."
+    )
+    for name, kind, default, metavar, text in _OPTIONS:
+        group.add_argument(name, type=_from_zero(kind), default=default, metavar=metavar, help=text)
+    group.add_argument(
+        "--max-depth",
+        type=_depth,
+        default=Settings().max_depth,
+        metavar="N",
+        help=f"how long a chain of events that lead to events may be ({Settings().max_depth})",
+    )
+
+
+def limited(settings: Settings, options: argparse.Namespace) -> Settings:
+    """Return settings of an engine with the limits that the options ask for."""
+    limits = Limits(
+        options.max_seconds or None, options.max_inferences or None, options.max_megabytes or None
+    )
+    return settings._replace(limits=limits, watchdog=options.watchdog or None, max_depth=options.max_depth)
+
+
+def _from_zero(kind: Any) -> Callable[[str], Any]:
+    def read(text: str) -> Any:
+        number = _number(kind, text)
+        if number is None or not number >= 0:
+            raise argparse.ArgumentTypeError(f"expected a number from 0 on, found {text}")
+        return number
+
+    return read
+
+
+def _depth(text: str) -> int:
+    number = _number(int, text)
+    if number is None or number < 1:
+        raise argparse.ArgumentTypeError(f"expected a whole number from 1 on, found {text}")
+    return int(number)
+
+
+def _number(kind: Any, text: str) -> Any:
+    try:
+        return kind(text)
+    except ValueError:
+        return None
