@@ -342,7 +342,7 @@ def message_types() -> Round:
 
     def do(number: int) -> None:
         definition = known.add(
-            f"p/T{number}",
+            "p/T",
             f"string s\nint32 n{number}\nfloat64[] d\np/U{number} u\n"
             + "=" * 80
             + f"\nMSG: p/U{number}\nint8 x\n",

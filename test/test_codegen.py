@@ -1,7 +1,9 @@
 """The one place where text becomes code."""
 
 import ast
+import gc
 import traceback
+import weakref
 from pathlib import Path
 
 import pytest
@@ -101,3 +103,21 @@ def test_long_sources_are_not_kept():
     one, two = (codegen.shared_function(source, {"k": k}, "constant") for k in (1, 2))
     assert (one(), two()) == (1, 2)
     assert one.__code__ is not two.__code__
+
+
+@pytest.mark.parametrize("make", ["function", "shared_function"])
+def test_a_function_that_nothing_holds_is_gone_at_once(make):
+    gc.disable()
+    try:
+        if make == "function":
+            made = codegen.function(["def made(x):", "    return x + k"], {"k": 1}, "test")
+        else:
+            made = codegen.shared_function("def made(x):\n    return x + k\n", {"k": 1}, "test")
+        assert made(1) == 2
+        held = weakref.ref(made)
+        space = made.__globals__
+        assert made not in space.values()
+        del made
+        assert held() is None
+    finally:
+        gc.enable()

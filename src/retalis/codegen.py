@@ -85,8 +85,11 @@ def define(source: str, names: Dict[str, Any], title: str) -> Dict[str, Any]:
 
 
 def function(lines: Iterable[str], names: Dict[str, Any], title: str, name: str = "made") -> Any:
-    """Return the function that ``lines`` define under a name; see `define`."""
-    return define("\n".join(lines) + "\n", dict(names), title)[name]
+    """Return the function that ``lines`` define under a name, which they do not use; see `define`.
+
+    It is not among its own globals: nothing of it stays until the collector of cycles comes, which it does seldom.
+    """
+    return define("\n".join(lines) + "\n", dict(names), title).pop(name)
 
 
 def shared_function(source: str, names: Dict[str, Any], title: str) -> Any:
@@ -107,7 +110,7 @@ def _maker(source: str, names: Tuple[str, ...], title: str) -> Callable[..., Any
             raise ValueError(f"{shortened(name)} is no name for generated source")
     lines = ["    " + line for line in source.splitlines(True)]
     text = "".join([f"def maker({', '.join(names)}):\n", *lines, "\n    return made\n"])
-    maker: Callable[..., Any] = define(text, {}, title)["maker"]
+    maker: Callable[..., Any] = define(text, {}, title).pop("maker")
     return maker
 
 

@@ -25,7 +25,6 @@ KEPT = {
     "clauses_of_new_predicates": PREDICATE,
     "clauses_that_are_called": PREDICATE,
     "rule_files": PREDICATE,
-    "message_types": "up to a thousand types are known by name",
 }
 """Cases where something stays: why."""
 
