@@ -347,14 +347,11 @@ class Runner:
         """Be idle again after an interrupt, wherever it was, and leave the lock to others; twice is no harm."""
         if not self._lock.acquire(False):
             return  # it is another's
-        if self._running is not None:
-            self._restore(True)
+        if self._running is not None or self._calls:
+            self._restore(self._running is not None)
             for call in tuple(self._calls):
-                if call.begun:
-                    call.abandon()
-                elif (
-                    call.follows
-                ):  # what is to be done behind a piece of work that is over; going back has done so
+                call.abandon()
+                if call.over or call.follows:  # going back has done what was to follow
                     self._calls.remove(call)
             self._running = None
         try:

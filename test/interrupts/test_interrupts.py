@@ -61,6 +61,12 @@ def test_a_post_that_is_interrupted_anywhere_leaves_the_engine_to_others():
         assert len(seen) == 2
 
 
+def test_a_query_that_is_interrupted_anywhere_leaves_nothing_to_be_done_behind_it():
+    engine = Engine()
+    goal = engine._read("call_with_inference_limit(true, 1000, R)")
+    assert sum(1 for _ in interrupted(engine, lambda: engine.query(goal))) > 1000
+
+
 def test_a_memory_that_is_cut_when_an_interrupt_comes_counts_what_it_took():
     memory = Memory(1)
     while len(memory.ends) < memory.room - 1:
