@@ -1,5 +1,6 @@
 """What must not have happened: what is kept of it."""
 
+import pytest
 from events.running import Program, fired
 
 from retalis.events.absence import Absence
@@ -32,3 +33,35 @@ def test_an_absence_inside_a_negated_pattern_may_look_at_what_is_outside():
     assert fired(rule, "x@3 b(1)@5") == ""
     assert fired(rule, "q(2)@2 x@3 b(1)@5") == ""
     assert fired(rule, "q(1)@2 x@3 b(1)@5") == "s(1)@5-5"
+
+
+@pytest.mark.parametrize(
+    ("rule", "stream", "answer"),
+    [
+        ("o(Y) <- a(Y) fnot (d fnot e(Y)).", "d@1 a(1)@2", ""),
+        ("o(Y) <- a(Y) fnot (d fnot e(Y)).", "e(1)@1 d@2 a(1)@3 a(2)@4", "o(1)@3-3"),
+        ("o(Y) <- (a(Y) seq b) cnot (d fnot e(Y)).", "e(1)@1 a(1)@2 d@3 b@4", "o(1)@2-4"),
+        ("o(Y) <- (a(Y) seq b) cnot (d fnot e(Y)).", "e(1)@1 a(2)@2 d@3 b@4", ""),
+        ("o(Y) <- b(Y) fnot ((c seq d) cnot e(Y)).", "c@1 e(1)@2 d@3 b(1)@4 b(2)@5", "o(1)@4-4"),
+        ("o(Y) <- a(Y) fnot (d fnot (e fnot f(Y))).", "f(1)@1 e@2 d@3 a(1)@4 a(2)@5", "o(2)@5-5"),
+        ("o(Y) <- x(Y) seq (a fnot (d fnot e(Y))).", "e(1)@1 d@2 x(1)@3 x(2)@4 a@5", "o(1)@3-5"),
+        ("o(Y) <- a(Y) fnot (d fnot e(Y)).", "e(1)@1 d@2 a(_)@3", "o(A)@3-3"),
+        (
+            "o(X) <- a(X) fnot (s seq aggregate(count, (b(Y) where Y > X), N) where N > 1).",
+            "s@1 b(3)@2 b(1)@3 a(0)@4 a(2)@5",
+            "o(2)@5-5",
+        ),
+        (
+            "o(X) <- a(X) fnot (s seq ((b(Y) fnot c(X, Y)) star_times)).",
+            "c(1,2)@1 a(1)@2 s@3 a(1)@4",
+            "o(1)@2-2",
+        ),
+    ],
+)
+def test_what_must_not_happen_has_conditions_over_what_stands_outside(rule, stream, answer):
+    assert fired(rule, stream, "chronological") == answer
+
+
+def test_conditions_of_what_must_not_happen_know_what_those_before_them_have_found():
+    rule = "o(X) <- a(X) fnot ((b(Y) where Z = f(X, Y)) where (Z = f(A, B), A < B, X > 0))."
+    assert fired(rule, "b(1)@1 a(0)@2 b(2)@3 a(1)@4 a(3)@5") == "o(0)@2-2 o(3)@5-5"

@@ -165,13 +165,19 @@ class Conditions:
         joined = Match(start, end, bindings, p.terms + q.terms, p.numbers | q.numbers, p.pending + q.pending)
         return self.settle(joined, node)
 
-    @staticmethod
-    def agree(absent: Match, of: Bindings) -> bool:
-        """Tell whether what must not happen is about these bindings: variables agree, conditions hold."""
+    def agree(self, absent: Match, of: Bindings) -> bool:
+        """Tell whether what must not happen is about these bindings: variables agree, conditions hold.
+
+        What must not have happened for it to happen is a condition like others.
+        """
         bindings = merge(of, absent.bindings)
         for item in absent.pending:
-            if bindings is not None:
+            if bindings is None:
+                return False
+            if not isinstance(item, Gap):
                 bindings = first(item.goal, bindings, item.facts)
+            elif self.forbidden(item, bindings):
+                return False
         return bindings is not None
 
     def leaf(self, node: Leaf, event: Event) -> List[Match]:

@@ -135,6 +135,8 @@ class Generator:
         self.choice = choice
         self.revision = revision
         """Leave out what revision is not defined for, and take events back."""
+        self.negating = False
+        """Draw mostly what must not happen, and in that again what must not happen, repetitions and conditions."""
         self.pool = [Var(), Var(), Var()]
         self.names: Dict[str, int] = dict(ARITY)
         self.subpatterns = 0
@@ -148,18 +150,19 @@ class Generator:
     def leaf(self, pool: Optional[List[Var]] = None) -> Leaf:
         """Draw a pattern of one event."""
         name = self.choice(list(self.names))
+        shared = (pool or self.pool)[:3] * (4 if self.negating else 1)
         arguments = [
-            self.choice([*(pool or self.pool)[:3], Var(), Var(), Var(), self.value(2)])
-            for _ in range(self.names[name])
+            self.choice([*shared, Var(), Var(), Var(), self.value(2)]) for _ in range(self.names[name])
         ]
         return Leaf(functor(name, len(arguments))(*arguments) if arguments else atom(name))
 
     def pattern(self, depth: int, left: Tuple[Var, ...] = ()) -> Pattern:
         """Draw a pattern of up to so many operators above each other."""
-        if depth == 0 or self.chance(15):
+        if depth == 0 or self.chance(5 if self.negating else 15):
             return self.leaf()
         kinds = ["seq"] * 5 + ["and"] * 2 + [*EITHER_ORDER, "or", "where", "where", "check", "do", "multiply"]
         kinds += ["prolog", "cnot", "cnot", "fnot", "ntimes", "within", "star", "aggregate", "forall_seq"]
+        kinds += ["cnot", "fnot", "fnot", "where", "star", "aggregate"] * (3 * self.negating)
         kind = self.choice([*kinds, "subpattern"])
         if kind in ("seq", "forall_seq", *EITHER_ORDER):
             first = self.pattern(depth - 1, left)
@@ -185,7 +188,7 @@ class Generator:
         if kind in ("cnot", "fnot"):
             if kind == "cnot" and self.chance(60):
                 below = Both("seq", below, self.pattern(min(depth - 1, 1)))
-            absent = self.absent(below, left, min(depth - 1, 1))
+            absent = self.absent(below, left, min(depth - 1, 2))
             return Cnot(below, absent) if kind == "cnot" else Fnot(below, absent)
         goal = self.goal(below, left, binds=True)
         if kind == "prolog":
@@ -200,7 +203,7 @@ class Generator:
         repeated: Pattern = self.leaf()
         if self.chance(30):
             repeated = self.pattern(below, further)
-        elif self.chance(30):
+        elif self.chance(70 if self.negating else 30):
             repeated = Where(repeated, self.goal(repeated, further, binds=True, outer=70))
         if kind == "star":
             return Star(first, repeated)
@@ -218,15 +221,20 @@ class Generator:
         return Sub(functor(name, len(shown))(*shown) if shown else atom(name), below)
 
     def absent(self, below: Pattern, left: Tuple[Var, ...], depth: int) -> Pattern:
-        """Draw what must not happen; its variables are those of the patterns before it, or its own."""
+        """Draw what must not happen; its variables are those of the patterns before it, or its own.
+
+        It is any pattern: with operators, conditions over what stands to its left, and what must not happen itself.
+        """
         pool = [*[var for var in variables_in_order(below) if var in certain(below)][:2], Var()]
-        if left and self.chance(25):
+        if left and self.chance(75 if self.negating else 25):
             pool = [self.choice(left), *pool[-2:]]
-        if depth == 0 or self.chance(70):
+        if depth == 0 or self.chance(15 if self.negating else 50):
             return self.leaf(pool)
         keep, self.pool = self.pool, (pool * 3)[:3]
         try:
-            return Both(self.choice(["seq", "and", "par"]), self.leaf(), self.leaf())
+            if not self.negating and self.chance(30):
+                return Both(self.choice(["seq", "and", "par"]), self.leaf(), self.leaf())
+            return self.pattern(depth, (*left, *certain(below)))
         finally:
             self.pool = keep
 
@@ -346,7 +354,9 @@ class Generator:
 
     def case(self, depth: int = 4) -> Case:
         """Draw a program and a stream."""
-        rules = [self.rule("out", min(depth, self.choice([0, 1, 1, 2, 2, 2, 3, 3, 4, 4])))]
+        self.negating = self.chance(15)
+        deep = [2, 3, 3, 4] if self.negating else [0, 1, 1, 2, 2, 2, 3, 3, 4, 4]
+        rules = [self.rule("out", min(depth, self.choice(deep)))]
         if self.chance(25):
             rules = [self.rule("m", self.choice([1, 2]), bound_only=True)]
             self.names["m"] = len(rules[0].head) - 1 if rules[0].head.__class__ is tuple else 0

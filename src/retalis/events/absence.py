@@ -6,7 +6,7 @@ from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 from ..terms import Term
 from .matches import Match, unify_sides
 from .places import Place, surely_same
-from .policy import Frame
+from .policy import Frame, Mode
 from .reach import BEFORE, BETWEEN
 
 Values = Tuple[Term, ...]
@@ -68,21 +68,19 @@ class Absence:
         shared: pairs of positions of the shared variables: in the values of the negated match, and in those
             that are asked for.
         ever: whether any time before counts.
+
+    Attributes:
         condition: tests the two together, where the negated pattern has conditions about the others; it takes
             the values asked for and the negated match.
+        carried: the absences among those conditions, with the nodes of what they negate.
     """
 
-    def __init__(
-        self,
-        rule: Any,
-        shared: Sequence[Tuple[int, int]],
-        ever: bool,
-        condition: Optional[Callable[[Values, Match], bool]] = None,
-    ):
+    def __init__(self, rule: Any, shared: Sequence[Tuple[int, int]], ever: bool):
         self.rule = rule
         self.shared = tuple(shared)
         self.ever = ever
-        self.condition = condition
+        self.condition: Optional[Callable[[Values, Match], bool]] = None
+        self.carried: List[Tuple[Absence, Any]] = []
         self.place = Place(rule, tuple(one for one, _ in self.shared))
         self.place.reach = BEFORE if ever else BETWEEN
         self.asked = Place(rule, tuple(two for _, two in self.shared))
@@ -92,6 +90,16 @@ class Absence:
     def _forget_borders(self) -> None:
         """Have the borders made anew when they are asked for."""
         self._borders = {}
+
+    def bind(self, negated: Any, mode: Mode) -> None:
+        """Take what a node finds, and have the absences among the conditions take theirs."""
+        negated.bind(self.arrive, mode)
+        for absence, node in self.carried:
+            absence.bind(node, mode)
+
+    def places(self) -> List[Place]:
+        """Return where negated matches wait, its own and those among its conditions."""
+        return [self.place, *(place for absence, _ in self.carried for place in absence.places())]
 
     def arrive(self, match: Match, after: Frame) -> Frame:
         """Keep a negated match, unless others are in the way of all that it could be in the way of."""
@@ -154,9 +162,13 @@ class Absence:
         condition = self.condition
         for match in self.place.partners(key, after, before, False):
             if match.end < before and (self.ever or after < match.start):
-                if not surely_same(key, match) and unify_sides(match, asked, self.shared) is None:
-                    continue
-                if condition is None or condition(values, match):
+                met, of = match, values
+                if not surely_same(key, match):
+                    sides = unify_sides(match, asked, self.shared)
+                    if sides is None:
+                        continue
+                    met, of = sides[0], sides[1].values
+                if condition is None or condition(of, met):
                     self.rule.network.tracker.blocker = match
                     return True
         return False

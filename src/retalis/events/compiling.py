@@ -216,7 +216,7 @@ class Compiler:
         )
         self._add(node, wrapping.span, limit)
         if negated is not None and gap is None:
-            node.absent(absence_of(self.rule, node, negated, node.vars, False, conditions), negated.node)
+            node.absent(absence_of(self.rule, negated, node.vars, False, conditions), negated.node)
         for one in below:
             if one in ready:
                 node.test(*deferred_test(self.rule, node, one, node.vars))
@@ -255,9 +255,8 @@ class Compiler:
         if needs:
             node, one = self._defer(below.node, None, False, (negated, conditions, True), needs)
             return below.with_negated(node, [*below.deferred, one], negated)
-        node = Never(below.node, negated.node)
-        node.absence = absence_of(self.rule, node, negated, below.node.vars, True, conditions)
-        self._add(node, None, None)
+        absence = absence_of(self.rule, negated, below.node.vars, True, conditions)
+        node = self._add(Never(below.node, negated.node, absence), None, None)
         return below.with_negated(node, below.deferred, negated)
 
     def _running(self, core: Any, wrapping: _Wrapping, context: Names, limit: Optional[int]) -> Built:

@@ -88,7 +88,7 @@ def deferred_test(rule: Any, node: Any, one: Deferred, names: List[Var]) -> Tupl
 
     Args:
         rule: whose condition it is.
-        node: where it is tested; it keeps the absences that are looked at.
+        node: where it is tested, a node or an absence; it keeps the absences that are looked at.
         one: the condition.
         names: the variables that are known there.
     """
@@ -99,7 +99,7 @@ def deferred_test(rule: Any, node: Any, one: Deferred, names: List[Var]) -> Tupl
         call = Call(rule, one.goal, names)
         return goal_test(call, one.timed, at), call.result_vars
     negated, conditions, ever = one.absent
-    absence = absence_of(rule, node, negated, names, ever, conditions)
+    absence = absence_of(rule, negated, names, ever, conditions)
     node.carried.append((absence, negated.node))
     return _absence_test(absence, at, ever), names
 
@@ -153,14 +153,11 @@ def _test_of_each(rule: Any, node: Any, one: Deferred, names: List[Var]) -> Tupl
     return test, known
 
 
-def absence_of(
-    rule: Any, node: Any, negated: Any, names: List[Var], ever: bool, conditions: List[Deferred]
-) -> Absence:
+def absence_of(rule: Any, negated: Any, names: List[Var], ever: bool, conditions: List[Deferred]) -> Absence:
     """Return what looks for matches of a negated node.
 
     Args:
         rule: whose it is.
-        node: where it is asked; it keeps the absences that the conditions look at.
         negated: what was built for the negated pattern.
         names: the variables of what is asked for.
         ever: whether any time before counts.
@@ -168,25 +165,30 @@ def absence_of(
     """
     own = negated.node.vars
     shared = [(own.index(var), names.index(var)) for var in own if var in names]
+    absence = Absence(rule, shared, ever)
     if not conditions:
-        return Absence(rule, shared, ever)
+        return absence
     new = [var for var in own if var not in names]
     at = [own.index(var) for var in new]
     known = [*names, *new]
     tests = []
     for one in conditions:
-        tests.append(deferred_test(rule, node, one, known)[0])
+        test, known = deferred_test(rule, absence, one, known)
+        tests.append(test)
+    tracker = rule.network.tracker
 
     def condition(values: Values, match: Match) -> bool:
         both: Any = values + tuple([match.values[index] for index in at])
-        width = len(both)
+        before = tracker.blocker
         for test in tests:
-            found = test(both[:width], match.start, match.end)
-            if found is None:
+            both = test(both, match.start, match.end)
+            if both is None:
+                tracker.blocker = before  # what an absence among the conditions has found rules out nothing here
                 return False
         return True
 
-    return Absence(rule, shared, ever, condition)
+    absence.condition = condition
+    return absence
 
 
 def _absence_test(absence: Absence, at: Tuple[int, int], ever: bool) -> Test:

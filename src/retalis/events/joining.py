@@ -75,7 +75,8 @@ class Joining(Node):
     def places(self) -> Sequence[Place]:
         """Return where matches wait."""
         absences = [*self.absences, *(absence for absence, _ in self.carried)]
-        return (self.left_place, self.right_place, *(absence.place for absence in absences))
+        negated = [place for absence in absences for place in absence.places()]
+        return (self.left_place, self.right_place, *negated)
 
     def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
         """Set the bounds; see `Node.set_span`."""
@@ -121,9 +122,9 @@ class Joining(Node):
             else:
                 self.left.bind(waiting_only(left), mode)
         for negated, absence in zip(self.negated, self.absences):
-            negated.bind(absence.arrive, mode)
+            absence.bind(negated, mode)
         for absence, negated in self.carried:
-            negated.bind(absence.arrive, mode)
+            absence.bind(negated, mode)
 
     def _wait_later(self, match: Match, key: Any) -> None:
         """Let a right side wait when its event has been tried as a left side too.

@@ -4,7 +4,7 @@ A node takes matches from the nodes below it and emits its own to ``out``; both 
 frame and return the frame to go on with. `Node.bind` connects them for a policy, from the root down.
 """
 
-from typing import Any, Dict, List, Optional, Sequence, Tuple
+from typing import Any, Dict, List, Optional, Sequence
 
 from ..terms import Term, Var, variables
 from .conditions import Test
@@ -246,11 +246,10 @@ class Acting(Node):
 class Never(Node):
     """Lets a match through if no event of another kind ended before it started."""
 
-    def __init__(self, child: Node, negated: Node):
+    def __init__(self, child: Node, negated: Node, absence: Any):
         self.child = child
         self.negated = negated
-        self.absence: Any = None
-        self.carried: List[Tuple[Any, Node]] = []
+        self.absence = absence
         self.vars = child.vars
 
     def bind(self, out: Emit, mode: Mode) -> None:
@@ -268,10 +267,8 @@ class Never(Node):
 
         self.retry = arrive
         self.child.bind(arrive, mode)
-        self.negated.bind(absence.arrive, mode)
-        for inner, negated in self.carried:
-            negated.bind(inner.arrive, mode)
+        absence.bind(self.negated, mode)
 
     def places(self) -> Sequence[Place]:
         """Return where matches wait."""
-        return (self.absence.place, *(inner.place for inner, _ in self.carried))
+        return self.absence.places()  # type: ignore[no-any-return]

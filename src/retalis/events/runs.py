@@ -100,7 +100,8 @@ class Running(Node):
 
     def places(self) -> Sequence[Place]:
         """Return where matches wait."""
-        return (self.place, self.incoming, *(absence.place for absence, _ in self.carried))
+        carried = [place for absence, _ in self.carried for place in absence.places()]
+        return (self.place, self.incoming, *carried)
 
     def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
         """Set the bounds; see `Node.set_span`."""
@@ -126,7 +127,7 @@ class Running(Node):
             self.repeated.bind(self._extend_all(out), mode)
         self.first.bind(self._start(out), mode)
         for absence, negated in self.carried:
-            negated.bind(absence.arrive, mode)
+            absence.bind(negated, mode)
 
     def _start(self, out: Emit) -> Emit:
         place = self.place
