@@ -65,3 +65,37 @@ def test_what_must_not_happen_has_conditions_over_what_stands_outside(rule, stre
 def test_conditions_of_what_must_not_happen_know_what_those_before_them_have_found():
     rule = "o(X) <- a(X) fnot ((b(Y) where Z = f(X, Y)) where (Z = f(A, B), A < B, X > 0))."
     assert fired(rule, "b(1)@1 a(0)@2 b(2)@3 a(1)@4 a(3)@5") == "o(0)@2-2 o(3)@5-5"
+
+
+@pytest.mark.parametrize(
+    "rule",
+    [
+        "l([property(window, 6)]) : o <- (a seq b) cnot c.",
+        "o <- ((a seq b) cnot c) within 7.",
+        "o <- ((a seq b) within 7) cnot c.",
+        "l([property(window, 6)]) : o <- ((a seq b) cnot c) fnot d.",
+    ],
+)
+def test_what_rules_out_is_kept_as_long_as_a_late_partner_can_come(rule):
+    """By the rule's clock, 17, the window of c is over; that of b, which a late partner may fit, is not."""
+    assert fired(rule, "b@12-14 c@17 a@8", flags=["out_of_order"]) == "o@8-14"
+    assert fired(rule, "c@10 b@12-14 c@17 a@8", flags=["out_of_order"]) == ""
+
+
+def test_the_parts_of_what_rules_out_are_kept_as_long():
+    rule = "o <- ((a seq b) cnot (c seq d)) within 7."
+    assert fired(rule, "c@10 b@14 c@18 d@12 a@8", "recent_2", ["out_of_order"]) == ""
+
+
+def test_what_rules_out_is_kept_where_only_an_outer_pattern_is_bounded():
+    """The pair, which is too long for the outer bound, would use b up."""
+    rule = "o <- (((a seq b) cnot c) seq d) within 5."
+    assert fired(rule, "c@2 b@9 c@12 a@1 a@8 d@10", flags=["out_of_order"]) == "o@8-10"
+
+
+@pytest.mark.parametrize("flags", [(), ("out_of_order",)])
+def test_what_rules_out_goes_when_no_partner_can_come_any_more(flags):
+    program = Program("o <- ((a seq b) cnot (c seq d)) within 5.", flags)
+    for number in range(0, 1000, 2):
+        program.feed(f"c@{number} d@{number + 1}")
+        assert program.engine.rules.waiting < 20

@@ -324,6 +324,9 @@ class Generator:
             events.append(
                 (functor(name, len(arguments))(*arguments) if arguments else atom(name), start, end)
             )
+        if late and self.chance(30):  # some much later, when the windows of others are over
+            for _ in range(size // 3):
+                events.append(events.pop(self.choice(range(size))))
         return events
 
     def related(self, start: int, end: int) -> Tuple[int, int]:

@@ -9,7 +9,7 @@ from .aggregates import Collector
 from .building import compile_builder
 from .conditions import Call, Test, goal_test
 from .deferred import Deferred, Items, absence_of, deferred_test, early_test, ready_where
-from .joining import Joining
+from .joining import Joining, kept_for_late
 from .nodes import Acting, Alternatives, Capture, Filter, Leaf, Never, Node
 from .occurrences import occurrences
 from .operators import OPERATORS
@@ -61,6 +61,36 @@ class Built(NamedTuple):
         return Built(node, deferred, joined, self.single, branches)
 
 
+class Limit(NamedTuple):
+    """The shortest interval bound above a pattern, in ns: what waits longer than that is of no use; None for none.
+
+    Attributes:
+        in_order: where first sides of sequences do not come late.
+        late: where they may. What must not happen is kept for them then, and so longer than what takes part.
+    """
+
+    in_order: Optional[int] = None
+    late: Optional[int] = None
+
+    def within(self, span: Optional[int]) -> "Limit":
+        """Return the limit of what stands below a bound."""
+        return self if span is None else Limit(least(self.in_order, span), least(self.late, span))
+
+    def of_negated(self, span: Optional[int]) -> "Limit":
+        """Return the limit of what is negated between sides that are no longer than ``span`` together."""
+        return Limit(self.in_order, kept_for_late(span, self.late))
+
+
+UNLIMITED = Limit()
+
+
+def least(one: Optional[int], other: Optional[int]) -> Optional[int]:
+    """Return the smaller of two bounds, either of which may be None for none."""
+    if one is None:
+        return other
+    return one if other is None else min(one, other)
+
+
 class _Wrapping(NamedTuple):
     """The conditions that belong to one operator, inner ones first."""
 
@@ -88,11 +118,11 @@ class Compiler:
         self.pattern = pattern
         self.keep = _used_twice(head, pattern)
         self._counts = occurrences(head, pattern)
-        self.nodes: List[Tuple[Node, Optional[int], Optional[int]]] = []
+        self.nodes: List[Tuple[Node, Optional[int], Limit]] = []
 
     def build(self) -> Node:
         """Return the root of the network."""
-        built = self._build(self.pattern, frozenset(), None)
+        built = self._build(self.pattern, frozenset(), UNLIMITED)
         if built.deferred:
             raise RuleError(
                 "a condition looks at variables that no pattern to its left binds", self.rule.place
@@ -106,7 +136,7 @@ class Compiler:
             node = node.child
         return root
 
-    def _build(self, pattern: Any, context: Names, limit: Optional[int]) -> Built:
+    def _build(self, pattern: Any, context: Names, limit: Limit) -> Built:
         """Build a pattern.
 
         Args:
@@ -116,14 +146,14 @@ class Compiler:
         """
         wrapping = _unwrap(pattern)
         span = wrapping.span
-        inner = span if limit is None else limit if span is None else min(span, limit)
+        inner = limit.within(span)
         core = wrapping.core
         if isinstance(core, Pair):
             return self._joining(core, wrapping, context, inner)
         if isinstance(core, (Star, Aggregate)):
             return self._running(core, wrapping, context, inner)
         if isinstance(core, Occurs):
-            leaf = self._add(Leaf(self.rule, core.term), None, None)
+            leaf = self._add(Leaf(self.rule, core.term), None, UNLIMITED)
             built = Built(leaf, [], [], [leaf])
         elif isinstance(core, Either):
             branches = [self._build(branch, context, inner) for branch in core.branches]
@@ -142,7 +172,7 @@ class Compiler:
             built = below._replace(node=self._add(node, None, inner))
         return self._filtered(built, wrapping, context)
 
-    def _add(self, node: Any, span: Optional[int], limit: Optional[int]) -> Any:
+    def _add(self, node: Any, span: Optional[int], limit: Limit) -> Any:
         self.nodes.append((node, span, limit))
         return node
 
@@ -152,7 +182,7 @@ class Compiler:
         node, deferred = built.node, built.deferred
         if now or wrapping.span is not None:
             tests, names = self._tests(now, node.vars)
-            node = self._add(Filter(node, names, tests), wrapping.span, None)
+            node = self._add(Filter(node, names, tests), wrapping.span, UNLIMITED)
         node, put_off = self._defer_all(node, later)
         return built._replace(node=node, deferred=[*deferred, *put_off])
 
@@ -182,7 +212,7 @@ class Compiler:
     def _defer(self, node: Any, goal: Any, timed: bool, absent: Any, needs: Set[Var]) -> Tuple[Any, Deferred]:
         start, end = Var(), Var()
         self.keep |= {start, end}
-        node = self._add(Capture(node, start, end), None, None)
+        node = self._add(Capture(node, start, end), None, UNLIMITED)
         return node, Deferred(needs, goal, timed, absent, start, end)
 
     def _defer_all(self, node: Any, later: List[Any]) -> Tuple[Any, List[Deferred]]:
@@ -193,7 +223,7 @@ class Compiler:
             deferred.append(one)
         return node, deferred
 
-    def _joining(self, core: Pair, wrapping: _Wrapping, context: Names, limit: Optional[int]) -> Built:
+    def _joining(self, core: Pair, wrapping: _Wrapping, context: Names, limit: Limit) -> Built:
         here = context | frozenset(bound_by(core.left))
         left = self._build(core.left, context, limit)
         right = self._build(core.right, here, limit)
@@ -207,7 +237,9 @@ class Compiler:
         conditions: List[Deferred] = []
         if absent is not None:
             inner = here | frozenset(bound_by(core.right)) | _in_goals(wrapping.conditions)
-            negated, needs, conditions = self._negated(absent.negated, known, inner, limit)
+            negated, needs, conditions = self._negated(
+                absent.negated, known, inner, limit.of_negated(wrapping.span)
+            )
         gap = (Var(), Var()) if needs else None
         if gap is not None:
             self.keep |= set(gap)
@@ -239,7 +271,7 @@ class Compiler:
         return Built(result, deferred, joined, [])
 
     def _negated(
-        self, pattern: Any, known: Set[Var], context: Names, limit: Optional[int]
+        self, pattern: Any, known: Set[Var], context: Names, limit: Limit
     ) -> Tuple[Built, Set[Var], List[Deferred]]:
         """Build a negated pattern; also return the outer variables that it needs and has not got yet."""
         built = self._build(pattern, context, limit)
@@ -248,18 +280,18 @@ class Compiler:
             mentioned |= one.needs
         return built, (mentioned & context) - known, built.deferred
 
-    def _never(self, core: Absent, context: Names, limit: Optional[int]) -> Built:
+    def _never(self, core: Absent, context: Names, limit: Limit) -> Built:
         below = self._build(core.pattern, context, limit)
         here = context | frozenset(bound_by(core.pattern))
-        negated, needs, conditions = self._negated(core.negated, set(below.node.vars), here, None)
+        negated, needs, conditions = self._negated(core.negated, set(below.node.vars), here, UNLIMITED)
         if needs:
             node, one = self._defer(below.node, None, False, (negated, conditions, True), needs)
             return below.with_negated(node, [*below.deferred, one], negated)
         absence = absence_of(self.rule, negated, below.node.vars, True, conditions)
-        node = self._add(Never(below.node, negated.node, absence), None, None)
+        node = self._add(Never(below.node, negated.node, absence), None, UNLIMITED)
         return below.with_negated(node, below.deferred, negated)
 
-    def _running(self, core: Any, wrapping: _Wrapping, context: Names, limit: Optional[int]) -> Built:
+    def _running(self, core: Any, wrapping: _Wrapping, context: Names, limit: Limit) -> Built:
         here = context | frozenset(bound_by(core.first))
         pattern = core.repeated if isinstance(core, Star) else core.collected
         repeated = self._build(pattern, here, limit)

@@ -183,7 +183,7 @@ def absence_of(rule: Any, negated: Any, names: List[Var], ever: bool, conditions
         for test in tests:
             both = test(both, match.start, match.end)
             if both is None:
-                tracker.blocker = before  # what an absence among the conditions has found rules out nothing here
+                tracker.blocker = before  # what is in the way of the negated match
                 return False
         return True
 

@@ -81,8 +81,10 @@ class Joining(Node):
     def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
         """Set the bounds; see `Node.set_span`."""
         self.span = span
-        for place in (self.left_place, self.right_place, *(absence.place for absence in self.absences)):
-            place.span = limit
+        self.left_place.span = self.right_place.span = limit
+        late = self.rule.network.mode.out_of_order
+        for absence in self.absences:
+            absence.place.span = kept_for_late(span, limit) if late else limit
 
     def bind(self, out: Emit, mode: Mode) -> None:
         """Connect the node; see `Node.bind`."""
@@ -220,3 +222,11 @@ class Joining(Node):
 
     def _right_waits(self, mode: Mode) -> bool:
         return self.operator.either or mode.out_of_order
+
+
+def kept_for_late(span: Optional[int], limit: Optional[int]) -> Optional[int]:
+    """Return for how long what lies between two sides is kept where the first may come late; None for ever.
+
+    The second side waits for ``limit``, and the two are no longer than ``span`` together, in ns.
+    """
+    return None if span is None or limit is None else span + limit

@@ -9,7 +9,7 @@ from ..terms import Atom, Term, Var, deref, is_ground
 from ._plans import NOBODY
 from .alarms import alarm_of
 from .building import compile_builder
-from .compiling import Compiler
+from .compiling import Compiler, least
 from .expiry import Expiries
 from .lanes import Completion
 from .matches import Match
@@ -99,8 +99,9 @@ class Rule:
         self.window = window
         self._garbage = garbage
         self.timed = garbage is not None
-        for node, span, limit in self.nodes:
-            node.set_span(_least(span, window) if node.windowed else span, _least(limit, window))
+        for node, span, limits in self.nodes:
+            limit = limits.late if mode.out_of_order else limits.in_order
+            node.set_span(least(span, window) if node.windowed else span, least(limit, window))
             self.timed = self.timed or any(place.span is not None for place in node.places())
         self._watched = self.timed or mode.tracked
         self._resettle()
@@ -313,9 +314,3 @@ class Rule:
 
 
 _ALARMS = frozenset(("exceptionAlarm", "exceptionAlarmAbsoluteDatime"))
-
-
-def _least(one: Optional[int], other: Optional[int]) -> Optional[int]:
-    if one is None:
-        return other
-    return one if other is None else min(one, other)
