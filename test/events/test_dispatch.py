@@ -3,8 +3,9 @@
 import pytest
 from events.running import Program, fired
 
+from retalis.engine import Engine, Settings
 from retalis.errors import UsageError
-from retalis.events import AT_ONCE, Dispatcher, Stage
+from retalis.events import Dispatcher, Stage
 from retalis.terms import NIL, Lazy, Var, atom, functor, make_list
 
 A, B, F = functor("a", 1), functor("b", 2), functor("f", 1)
@@ -217,4 +218,19 @@ def test_onlookers_are_served_as_others_are(looks_on, depth):
         while frame is not DONE:
             frame = frame[0].run(frame)
     assert seen[:2] == [((F, 1), (1,), 5, 6), ((F, 1), (), 5, 6)]
-    assert seen[2:] == [((F, at), (at,), 5, 6) for at in range(2, max(depth, AT_ONCE))]
+    assert seen[2:] == [((F, at), (at,), 5, 6) for at in range(2, depth + 1)]
+
+
+@pytest.mark.parametrize("depth", [1, 3, 4, 5, 6, 1000])
+def test_as_many_events_as_allowed_are_derived_one_from_the_other(depth):
+    engine = Engine(settings=Settings(max_depth=depth))
+    errors, seen = [], []
+    engine.rules.on_error = errors.append
+    engine.on_event(lambda term, start, end: seen.append(term))
+    engine.load(rules=f"n(Y) <- n(X) where (X < {depth + 1}, Y is X + 1).")
+    engine.event(f"n({1})", 1)
+    assert (len(seen), errors) == (depth + 1, [])
+    engine.event(f"n({0})", 2)
+    assert len(seen) == 2 * (depth + 1)
+    (error,) = errors
+    assert f"more than {depth} events were derived" in str(error)

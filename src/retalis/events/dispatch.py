@@ -27,7 +27,7 @@ class Dispatcher:
 
     Args:
         logic: the program's logic, whose machine runs the frames.
-        max_depth: how long a chain of derived events may be.
+        max_depth: how many events may be derived one from the other; the first of all is none of them.
 
     Attributes:
         current: what is being served, or None: an `Event`, or what `event` makes one of where somebody asks:
@@ -42,6 +42,8 @@ class Dispatcher:
 
     def __init__(self, logic: Any = None, max_depth: int = 1000) -> None:
         self.max_depth = max_depth
+        self._deepest = max_depth + 1
+        self._at_once = min(AT_ONCE, self._deepest)
         self._machine: Any = None if logic is None else logic.machine
         self._budget = Budget() if logic is None else logic.machine.budget
         self._listeners: Dict[Optional[Functor], Dict[Listener, None]] = {}
@@ -195,7 +197,7 @@ class Dispatcher:
             current = self.current
             if current.__class__ is tuple and current[3] is not None:
                 current = self.event()
-            if current.__class__ is Event and AT_ONCE <= current.depth >= self.max_depth:
+            if current.__class__ is Event and current.depth >= self._deepest:
                 raise self._too_deep()
             self.current = (term, start, end, current)
             for matcher, action in plan:
@@ -219,8 +221,8 @@ class Dispatcher:
         event.parent = parent
         event.depth = depth = 1 if parent is None else parent.depth + 1
         frame = (event, after)
-        if depth > AT_ONCE:
-            if depth > self.max_depth:
+        if depth > self._at_once:
+            if depth > self._deepest:
                 raise self._too_deep()
             if self._budget.closed:
                 self._refuse_past_limits()
@@ -259,7 +261,7 @@ class Dispatcher:
         if current is None or not self.one_listens(functor):
             return None
         depth = 1 if current.__class__ is tuple else current.depth
-        return LEFT_OUT[depth] if depth < AT_ONCE else None
+        return LEFT_OUT[depth] if depth < self._at_once else None
 
     def call(
         self,
