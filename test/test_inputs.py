@@ -3,8 +3,8 @@ import pytest
 from retalis._inputs import InputReader, event_of
 from retalis.errors import RetalisError
 from retalis.syntax import EventReader, Operators
-from retalis.terms import freeze
-from retalis.timestamps import WholeSeconds
+from retalis.terms import freeze, functor
+from retalis.timestamps import SECOND, WholeSeconds
 
 STAMP = "datime(2014,10,19,19,50,5,981209993)"
 TEXTS = [
@@ -31,6 +31,10 @@ TEXTS = [
     f"event(a,[{STAMP},{STAMP}]).",
     "event(a)",
     "event(a,[1,2])",
+    "event(event(a,[1,2]))",
+    "event(event(a))",
+    f"event(event(a,[{STAMP},{STAMP}]))",
+    f"event(event(a,[{STAMP},{STAMP}]),[{STAMP},{STAMP}])",
     "new_event(a,1,2)",
     "halt",
     "",
@@ -67,6 +71,13 @@ def test_stamps_of_many_seconds_keep_their_instants():
             assert made.start == made.end == (minute * 60 + second) * 10**9 + 5
             assert type(made.start) is WholeSeconds
     assert len(reader._seconds) <= 64
+
+
+def test_an_event_of_an_event_with_stamps_is_that_event():
+    made = event_of(EventReader(Operators.prolog()).read("event(event(a(1),[2,3]))"))
+    assert (made.term, made.start, made.end) == (functor("a", 1)(1), 2 * SECOND, 3 * SECOND)
+    with pytest.raises(RetalisError, match="interval"):
+        event_of(EventReader(Operators.prolog()).read("event(event(a(1),2))"))
 
 
 def test_events_without_variables_are_told_from_others():

@@ -112,7 +112,10 @@ def event_of(goal: Term) -> Optional[Input]:
 
 
 def _event1(arguments: Sequence[Term]) -> Input:
-    return Input(callable_of(arguments[0]), None, None)
+    term = callable_of(arguments[0])
+    if term.__class__ is tuple and term[0] is _EVENT2:  # event(event(E,[T1,T2])) is event(E,[T1,T2])
+        return _with_interval(term[1:])
+    return Input(term, None, None)
 
 
 def _with_interval(arguments: Sequence[Term]) -> Input:
@@ -134,9 +137,10 @@ def _with_instants(arguments: Sequence[Term]) -> Input:
 
 
 EVENT1 = functor("event", 1)
+_EVENT2 = functor("event", 2)
 READERS: Dict[Functor, Callable[[Sequence[Term]], Input]] = {
     EVENT1: _event1,
-    functor("event", 2): _with_interval,
+    _EVENT2: _with_interval,
     functor("new_event", 2): _with_interval,
     functor("new_event", 3): _with_instant,
     functor("new_event", 5): _with_instants,
