@@ -145,6 +145,43 @@ def test_an_alarm_that_is_set_rings_after_its_rule_was_deleted():
     assert alarming(rules, "a@1 b@2 a@3", 10)[0] == "ding@1-6"
 
 
+@pytest.mark.parametrize(
+    "rules",
+    [
+        "exceptionAlarm(ding, 5) <- a.",
+        "exceptionAlarmAbsoluteDatime(ding, 7) <- a. c <- ding.",
+        "exceptionAlarm(ding, 5) <- a seq b. c <- ding.",
+        "exceptionAlarm(ding, N) <- a seq b where N = 0.",
+    ],
+)
+def test_what_has_not_happened_yet_is_cancelled_without_a_word(rules):
+    clock = StreamClock(0)
+    program = Program(rules, ["revision_flag"], clock=clock)
+    assert program.feed("a@1 b@2 rev(a)@3") == ""
+    del program.seen[:]
+    clock.move_to(20 * SECOND)
+    program.engine.advance()
+    assert show(program.seen) == ""
+
+
+def test_an_alarm_that_has_rung_is_taken_back():
+    clock = StreamClock(0)
+    program = Program("exceptionAlarm(ding, 5) <- a. c <- ding.", ["revision_flag"], clock=clock)
+    program.feed("a@1")
+    clock.move_to(6 * SECOND)
+    assert program.feed("rev(a)@7").endswith("rev(ding)@7-7 rev(c)@7-7")
+
+
+def test_an_alarm_due_exactly_at_the_stamp_of_an_event_rings_before_it():
+    clock = StreamClock(0)
+    program = Program("exceptionAlarm(ding, 5) <- a. c <- b fnot ding.", clock=clock)
+    program.feed("a@1")
+    clock.move_to(6 * SECOND)
+    del program.seen[:]
+    program.engine.event("b", 6, 6)
+    assert show(program.seen) == "ding@1-6 b@6-6 c@6-6"
+
+
 def test_alarm_in_no_time_is_reported():
     program = Program("exceptionAlarm(ding,N) <- a(N).")
     assert program.feed("a(0)@1") == ""

@@ -32,9 +32,12 @@ class Occurrence:
         reported: whether that has been said: by the ``rev`` that named it, or by one that was derived for it.
         takes_back: the occurrences that it takes back, for an event ``rev(E)`` that was derived.
         suppressed: what it has kept from firing, with the node to try again.
+        number: the larger, the later it was dispatched; 0 for what has not happened: an alarm that is pending, or
+            an event that was refused.
     """
 
     __slots__ = (
+        "number",
         "term",
         "start",
         "end",
@@ -62,6 +65,7 @@ class Occurrence:
         self.reported = False
         self.takes_back: Optional[List[Occurrence]] = None
         self.suppressed: List[Suppressed] = []
+        self.number = 0
 
     def follows(self, found: List[Any]) -> None:
         """Have what it came from know it."""
@@ -74,7 +78,10 @@ class Occurrence:
         return [] if self.match is None else occurrences_in(self.match)
 
     def following(self) -> Iterator["Occurrence"]:
-        """Yield the events that came from it and that nobody has been told of; what has been is not gone into."""
+        """Yield the events that came from it and that nobody has been told of; what has been is not gone into.
+
+        Nor is what has not happened: nobody knows of it.
+        """
         stack = self.derived[::-1]
         while stack:
             one = stack.pop()
@@ -82,7 +89,7 @@ class Occurrence:
                 one.reported = True
                 if one.__class__ is Held:
                     stack += reversed(one.derived)
-                else:
+                elif one.number:
                     yield one
 
 
@@ -159,6 +166,7 @@ class Tracker:
         self._plain_mark = rules.dispatcher.mark
         self.blocker: Optional[Match] = None
         self._numbers = count()
+        self._arrivals = count(1)
 
     def configure(self) -> None:
         """Follow the flags."""
@@ -205,6 +213,7 @@ class Tracker:
 
     def _note(self, term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
         occurrence: Occurrence = self._rules.dispatcher.token()
+        occurrence.number = next(self._arrivals)
         self._recent.append(occurrence)
         self._by_term.setdefault(term_key(term), []).append(occurrence)
         if len(self._recent) > KEPT:
