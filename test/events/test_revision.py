@@ -4,7 +4,7 @@ import pytest
 from events.running import Program, fired, show
 
 from retalis.clock import StreamClock
-from retalis.events import tracking
+from retalis.events import revived, tracking
 from retalis.events.matches import Held
 from retalis.timestamps import SECOND
 
@@ -118,6 +118,77 @@ def test_justification_can_be_switched_on_later():
     program.set("etalis_justification", "on")
     assert program.feed("b@2 a@3 b@4") == "c@1-2 c@3-4"
     assert len(program.engine.query("justification_edge(_,_)")) == 2
+
+
+IN_ORDER = ["recent", "recent_2", "chronological", "unrestricted"]
+
+
+@pytest.mark.parametrize("policy", IN_ORDER)
+@pytest.mark.parametrize(
+    ("rules", "stream", "expected"),
+    [
+        ("o <- ((a seq b) cnot c) seq d.", "a@1 c@2 b@3 d@4 rev(c)@5", "o@1-4"),
+        ("o <- (a fnot c) seq d.", "c@1 a@3 d@4 rev(c)@5", "o@3-4"),
+        ("o <- (a fnot c) forall_seq d.", "c@1 a@3 d@4 d@5 rev(c)@6", "o@3-4"),
+        ("o <- ((a fnot c) seq d) seq b.", "c@1 a@3 d@4 b@5 rev(c)@6", "o@3-5"),
+        ("o <- (a fnot c) seq (d fnot c).", "c@1 a@3 d@4 rev(c)@5", "o@3-4"),
+        ("o(X) <- (a fnot c) seq (d(X) where X > 1).", "c@1 a@3 d(1)@4 d(2)@5 rev(c)@6", "o(2)@3-5"),
+        ("o <- (a fnot c) seq (d star_times).", "c@1 a@3 d@4 d@5 rev(c)@6", "o@3-3 o@3-4 o@3-5"),
+        (
+            "o(N) <- (a fnot c) seq aggregate(sum(X), d(X), N).",
+            "c@1 a@3 d(4)@4 rev(c)@6",
+            "o(0)@3-3 o(4)@3-4",
+        ),
+        (
+            "o(Y) <- s(Y) seq ((b fnot c(Y)) star_times).",
+            "c(1)@1 s(1)@2 b@3 rev(c(1))@4",
+            "o(1)@2-2 o(1)@2-3",
+        ),
+        # What came before a side that is there after all was late for it, and is.
+        ("o <- (a fnot c) seq d.", "c@1 d@4 a@3 rev(c)@5", ""),
+        ("o <- b seq (a fnot c).", "c@1 a@3 b@2 rev(c)@5", ""),
+        ("o <- a seq ((d fnot c) star_times).", "c@1 d@3 a@2 rev(c)@5", "o@2-2"),
+        # What has completed something that stands is used up; what was kept from that is tried first.
+        ("o <- (a fnot c) seq (d seq e).", "c@1 a@2 d@3 rev(c)@4 e@5", "o@2-5"),
+    ],
+)
+def test_a_side_of_a_sequence_that_is_there_after_all_meets_what_it_could_have_met(
+    rules, stream, expected, policy
+):
+    assert fired(rules, stream, policy, ["revision_flag"]) == expected
+
+
+def test_a_second_side_that_is_used_up_is_not_there_for_a_first_side_set_free():
+    rules = "o(X) <- (a(X) fnot c(X)) seq d."
+    assert fired(rules, "c(1)@1 a(1)@2 a(2)@3 d@4 rev(c(1))@5", "recent", ["revision_flag"]) == "o(2)@3-4"
+    stream = "c(1)@1 a(1)@2 a(2)@3 d@4 d@5 rev(c(1))@6"
+    assert fired(rules, stream, "recent", ["revision_flag"]) == "o(2)@3-4 o(1)@2-5"
+    assert fired(rules, stream + " d@7", "recent", ["revision_flag"]) == "o(2)@3-4 o(1)@2-5"
+
+
+def test_what_a_run_results_in_again_takes_the_place_of_its_old_results():
+    rules = "o(S) <- (s seq aggregate(max(V), a(V), S)) seq e."
+    stream = "s@1 a(5)@2 a(2)@3 e@4 rev(a(5))@5"
+    assert fired(rules, stream, "recent", ["revision_flag"]) == "o(5)@1-4 rev(o(5))@5-5 o(2)@1-4"
+    assert (
+        fired(rules, stream + " rev(a(2))@6", "recent", ["revision_flag"])
+        == "o(5)@1-4 rev(o(5))@5-5 o(2)@1-4 rev(o(2))@6-6"
+    )
+
+
+def test_second_sides_are_kept_for_revision_only_where_one_may_need_them(monkeypatch):
+    monkeypatch.setattr(revived, "KEPT", 20)
+    for rules, most in [
+        ("o <- a seq d.", 0),
+        ("o <- a seq (d fnot c).", 0),
+        ("o <- (a fnot c) seq d.", 20),
+        ("o <- (a fnot c) seq (d star_times).", 20),
+        ("o <- ((a fnot c) seq d) within 5.", 6),
+    ]:
+        program = Program(rules, ["revision_flag"])
+        program.feed(" ".join(f"d@{number}" for number in range(100)))
+        assert program.engine.rules.waiting <= most
+        assert Program(rules, ["etalis_justification"]).feed("d@1 d@2") == ""
 
 
 def alarming(rules, stream, until):

@@ -11,6 +11,7 @@ In which order things are taken back is not defined: what follows from one event
 """
 
 from collections import Counter
+from dataclasses import dataclass, field
 from typing import Any, Dict, FrozenSet, Iterable, List, Optional, Sequence, Set, Tuple
 from typing import Counter as CounterOf
 
@@ -19,7 +20,7 @@ from retalis.terms import Term, copy, functor
 from .conditions import Test
 from .declarative import Combinations, Found, has_outer_absence
 from .declarative import defined_for as defined_without_state
-from .evaluator import RuleState
+from .evaluator import Fit, RuleState
 from .goals import first, instance, show
 from .matches import Event, Match, Run
 from .patterns import Both, Cnot, Fnot, Pattern, Rule, Within, take_out_subpatterns, walk
@@ -104,6 +105,14 @@ class Recombined:
         return holding
 
 
+@dataclass(eq=False)
+class Passed:
+    """A second side, or a repetition, that came and did not wait, and the events of all that it has completed."""
+
+    match: Match
+    made: List[FrozenSet[int]] = field(default_factory=list)
+
+
 class RevisedState(RuleState):
     """A rule's state that forgets events, and tries again what they suppressed."""
 
@@ -112,10 +121,16 @@ class RevisedState(RuleState):
         self.suppressed: Dict[Pattern, List[Match]] = {}
         self.all_runs: List[Tuple[Any, Run, List[Pattern]]] = []
         self.again: Dict[Pattern, List[Match]] = {}
+        self.passed: Dict[Pattern, List[Passed]] = {}
+        """Second sides and repetitions in the order in which they came, where these do not wait."""
+        self.gone: Set[int] = set()
         self.reviving = False
 
     def forget(self, numbers: FrozenSet[int]) -> None:
         """Remove the partial matches that hold one of these events."""
+        self.gone |= numbers
+        for passed in self.passed.values():
+            passed[:] = [one for one in passed if not one.match.numbers & numbers]
         for waiting in [*self.waiting.values(), *self.suppressed.values()]:
             waiting[:] = [match for match in waiting if not match.numbers & numbers]
         for runs in self.runs.values():
@@ -153,7 +168,46 @@ class RevisedState(RuleState):
     ) -> List[Match]:
         """As always, after what runs result in without what is gone."""
         again = self.again.pop(node, []) if self.reviving else []
+        passed = self.passed.setdefault(node, [])
+        if not self.out_of_order:
+            passed += [Passed(q) for q in repetitions]
         return again + super().repetition(node, starts, repetitions, conditions)
+
+    def _extended(self, node: Any, run: Run, q: Match, conditions: List[Pattern]) -> Optional[List[Match]]:
+        """As always, but in the order of arrival also where revision has set one of them free."""
+        if self.reviving and not self.came_before(run.start, q):
+            return None
+        fired = super()._extended(node, run, q, conditions)
+        if fired is not None:
+            for one in self.passed.get(node, []):
+                if one.match is q:
+                    one.made.append(run.start.numbers)
+        return fired
+
+    def _started(self, node: Any, p: Match, conditions: List[Pattern], waiting: List[Match]) -> List[Match]:
+        """As always; a start that revision has set free takes what came after it."""
+        if self.reviving and not self.out_of_order:
+            waiting = [one.match for one in self.passed[node] if self.left_for(p, one)]
+        return super()._started(node, p, conditions, waiting)
+
+    def came_before(self, p: Match, q: Match) -> bool:
+        """Tell whether a first side came before a second one, where that matters."""
+        return self.out_of_order or max(p.numbers) < max(q.numbers)
+
+    def left_for(self, p: Match, passed: Passed, always: bool = False) -> bool:
+        """Tell whether what came can be for a first side set free: it came later, and is not used up.
+
+        It is not where all that it has completed was taken back, and where it ``always`` takes all first sides.
+        """
+        used_up = self.consuming and not always and any(not made & self.gone for made in passed.made)
+        return self.came_before(p, passed.match) and not used_up
+
+    def expire(self) -> None:
+        """As always: what came is kept no longer than if it waited."""
+        super().expire()
+        if self.clock is not None:
+            for node, passed in self.passed.items():
+                passed[:] = [one for one in passed if not self.expired(node, one.match)]
 
     def revive(self) -> List[Match]:
         """Return the matches that were suppressed by what is gone, and would now fire."""
@@ -176,6 +230,61 @@ class RevisedState(RuleState):
         suppressed += rejected
         return [match for match in candidates if match not in rejected]
 
+    def _in_order(
+        self,
+        node: Both,
+        lefts: List[Match],
+        rights: List[Match],
+        p_waiting: List[Match],
+        q_waiting: List[Match],
+        fit: Fit,
+    ) -> List[Match]:
+        """As always; where revision has set a side free, the others are those that it could have met."""
+        if self.out_of_order:
+            return super()._in_order(node, lefts, rights, p_waiting, q_waiting, fit)
+        passed = self.passed.setdefault(node, [])
+
+        def in_order(p: Match, q: Match) -> Optional[Match]:
+            return fit(p, q) if not self.reviving or self.came_before(p, q) else None
+
+        results: List[Match] = []
+
+        def second(q: Match) -> None:
+            found = super(RevisedState, self)._in_order(node, [], [q], p_waiting, q_waiting, in_order)
+            passed.append(Passed(q, [match.numbers for match in found]))
+            results.extend(found)
+
+        def first_one(p: Match) -> None:
+            found = self._later(node, p, passed, fit) if self.reviving else []
+            results.extend(found)
+            if not found or not (self.consuming or node.kind == "forall_seq"):
+                super(RevisedState, self)._in_order(node, [p], [], p_waiting, q_waiting, fit)
+
+        sides = [*((q, second) for q in rights), *((p, first_one) for p in lefts)]
+        if self.reviving:  # as they came
+            sides.sort(key=lambda side: max(side[0].numbers))
+        for match, take in sides:
+            take(match)
+        return results
+
+    def _later(self, node: Both, p: Match, passed: List[Passed], fit: Fit) -> List[Match]:
+        """Return what a first side that revision has set free makes with second sides that came after it.
+
+        It takes the first that is left for it; under unrestricted all.
+        """
+        for_all = node.kind == "forall_seq"
+        found = []
+        for one in passed:
+            match = fit(p, one.match) if self.left_for(p, one, for_all) else None
+            if match is not None:
+                found.append(match)
+                one.made.append(match.numbers)
+                alone = self.suppressed.get(node, [])
+                alone[:] = [q for q in alone if q is not one.match]
+                if self.consuming or for_all:
+                    break
+        return found
+
     def left_alone(self, node: Both, q: Match) -> None:
         """Note a second side of a seq that found none."""
         self.suppressed.setdefault(node, []).append(q)
@@ -195,6 +304,9 @@ class RevisedState(RuleState):
                 again += found
                 if found:
                     alone.remove(q)
+                    for one in self.passed.get(node, []):
+                        if one.match is q:
+                            one.made += [match.numbers for match in found]
         return again + super().two_sided(node, event, tests, cnot)
 
 

@@ -195,6 +195,23 @@ class Generator:
             return Prolog(below, goal, self.chance(30), self.choice(["prolog", "query", "db"]))
         return Where(below, goal)
 
+    def revived(self, depth: int) -> Pattern:
+        """Draw a sequence of which a side may be there after all, when something is taken back."""
+        below = self.pattern(min(depth - 1, 1)) if depth > 1 else self.leaf()
+        kind = self.choice(["fnot", "cnot", "star", "aggregate"])
+        if kind in ("star", "aggregate"):
+            side = self.repetition(kind, 1, ())
+        else:
+            over = Both("seq", below, self.leaf()) if kind == "cnot" else below
+            side = (Cnot if kind == "cnot" else Fnot)(over, self.absent(over, (), 0))
+        other = self.leaf()
+        kind = self.choice(["seq", "seq", "seq", "forall_seq", "star", "aggregate"])
+        if kind == "star":
+            return Star(side, other)
+        if kind == "aggregate":
+            return Aggregate(side, "count", None, other, Var())
+        return Both(kind, side, other) if self.chance(70) else Both(kind, other, side)
+
     def repetition(self, kind: str, depth: int, left: Tuple[Var, ...]) -> Pattern:
         """Draw a star_times or an aggregate."""
         first = self.pattern(depth - 1, left)
@@ -285,7 +302,7 @@ class Generator:
     def rule(self, head: str, depth: int, bound_only: bool = False) -> Rule:
         """Draw a rule whose head has some of the pattern's variables."""
         self.pool = [Var(), Var(), Var()]
-        body = self.pattern(depth)
+        body = self.revived(depth) if self.revision and self.chance(30) else self.pattern(depth)
         usable = [var for var in dict.fromkeys(bindable(body)) if not bound_only or var in certain(body)]
         do = self.goal(body, (), binds=True) if self.chance(8) else None
         if do is not None and not bound_only:

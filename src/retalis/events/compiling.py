@@ -9,7 +9,8 @@ from .aggregates import Collector
 from .building import compile_builder
 from .conditions import Call, Test, goal_test
 from .deferred import Deferred, Items, absence_of, deferred_test, early_test, ready_where
-from .joining import Joining, kept_for_late
+from .joining import Joining
+from .limits import UNLIMITED, Limit
 from .nodes import Acting, Alternatives, Capture, Filter, Leaf, Never, Node
 from .occurrences import occurrences
 from .operators import OPERATORS
@@ -25,6 +26,7 @@ from .pattern import (
     Within,
     bound_by,
     surely_bound_by,
+    walk,
 )
 from .runs import Running
 
@@ -59,36 +61,6 @@ class Built(NamedTuple):
         joined = [*self.joined, *negated.leaves]
         branches = None if self.branches is None else [*self.branches, *negated.leaves]
         return Built(node, deferred, joined, self.single, branches)
-
-
-class Limit(NamedTuple):
-    """The shortest interval bound above a pattern, in ns: what waits longer than that is of no use; None for none.
-
-    Attributes:
-        in_order: where first sides of sequences do not come late.
-        late: where they may. What must not happen is kept for them then, and so longer than what takes part.
-    """
-
-    in_order: Optional[int] = None
-    late: Optional[int] = None
-
-    def within(self, span: Optional[int]) -> "Limit":
-        """Return the limit of what stands below a bound."""
-        return self if span is None else Limit(least(self.in_order, span), least(self.late, span))
-
-    def of_negated(self, span: Optional[int]) -> "Limit":
-        """Return the limit of what is negated between sides that are no longer than ``span`` together."""
-        return Limit(self.in_order, kept_for_late(span, self.late))
-
-
-UNLIMITED = Limit()
-
-
-def least(one: Optional[int], other: Optional[int]) -> Optional[int]:
-    """Return the smaller of two bounds, either of which may be None for none."""
-    if one is None:
-        return other
-    return one if other is None else min(one, other)
 
 
 class _Wrapping(NamedTuple):
@@ -246,6 +218,7 @@ class Compiler:
         node = Joining(
             self.rule, OPERATORS[core.operator], left.node, right.node, self.keep, gap, _meet(left, right)
         )
+        node.revived = (_may_be_revived(core.left), _may_be_revived(core.right))
         self._add(node, wrapping.span, limit)
         if negated is not None and gap is None:
             node.absent(absence_of(self.rule, negated, node.vars, False, conditions), negated.node)
@@ -297,6 +270,7 @@ class Compiler:
         repeated = self._build(pattern, here, limit)
         first = self._build(core.first, context, limit)
         node = Running(self.rule, first.node, repeated.node, _meet(first, repeated))
+        node.revived = (_may_be_revived(core.first), _may_be_revived(pattern))
         self._add(node, wrapping.span, limit)
         outside = self._outside(pattern, core.value if isinstance(core, Aggregate) else None)
         if isinstance(core, Aggregate) and core.value is not None:
@@ -363,6 +337,11 @@ class Compiler:
             return None if found is None else found[0]
 
         return Collector(core.kind, value, evaluate)
+
+
+def _may_be_revived(pattern: Any) -> bool:
+    """Tell whether taking an event back may make a match of a pattern, instead of only unmaking some."""
+    return any(isinstance(part, (Absent, Star, Aggregate)) for part in walk(pattern))
 
 
 def _in_goals(conditions: List[Any]) -> Names:

@@ -109,4 +109,5 @@ class Flags:
             Policy(self._values["event_consumption_policy"].name),
             self.is_on("out_of_order"),
             self.is_on("revision_flag") or self.is_on("etalis_justification"),
+            self.is_on("revision_flag"),
         )

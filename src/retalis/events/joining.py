@@ -5,12 +5,14 @@ from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 from ..codegen import shared_function
 from ..terms import Var
 from .conditions import Test
+from .limits import kept_for_late
 from .matches import Found, Match, identity, taken_back
 from .nodes import Node
 from .operators import Operator
 from .places import Place
 from .policy import Emit, Frame, Mode, Side, taking_all, taking_all_at_once, taking_one, waiting_only
 from .reach import reach_of
+from .revived import Keeping, first_side, in_order
 
 
 class Joining(Node):
@@ -24,7 +26,12 @@ class Joining(Node):
         keep: the variables that anything else in the rule looks at.
         gap: the variables under which the gap between the sides is carried on, for an absence tested above.
         double: whether one event may be in both sides.
+
+    Attributes:
+        revived: whether a match of the left and of the right side may be there after all, by a revision.
     """
+
+    revived = (False, False)
 
     def __init__(
         self,
@@ -61,6 +68,7 @@ class Joining(Node):
         self.completed: Dict[Any, None] = {}
         self.double = double
         self.span: Optional[int] = None
+        self.kept = Keeping(self.right_place)
 
     def test(self, test: Test, names: Sequence[Var]) -> None:
         """Add a condition; ``names`` are the variables it leaves."""
@@ -95,26 +103,37 @@ class Joining(Node):
         self.left_place.reach = reach_of(operator.name, self.span, False)
         self.right_place.reach = reach_of(operator.name, self.span, True)
         name = identity if policy.replacing else None
-        self.left_place.identify(None if operator.everything else name)
-        self.right_place.identify(name)
         late = mode.out_of_order and not operator.either
         both = operator.either
+        revised = mode.revised and not both and not late
+        keeps = revised and self.revived[0]
+        tracker = self.rule.network.tracker
+        self.left_place.identify(None if operator.everything else name)
+        self.right_place.identify(None if keeps else name)
         left = Side(self.left_place, self.right_place, self.joined, self.pairs, True, True, False)
         flipped = tuple((two, one) for one, two in self.pairs)
-        right = Side(self.right_place, self.left_place, self._join(False), flipped, False, both or late, late)
+        join = self._join(False)
+        if revised and self.revived[1]:
+            join = in_order(tracker, join)
+        waits, stays = both or late or keeps, late or keeps
+        right = Side(self.right_place, self.left_place, join, flipped, False, waits, stays)
+        only_waits = waiting_only(left)
+        if keeps:
+            right = right._replace(wait=self.kept.add)
+            only_waits = first_side(tracker, left, policy.consuming, operator.everything, out)
         if self.double and policy.replacing and (both or late):
             right = right._replace(wait=self._wait_later)
         if operator.everything:
             self.right.bind(taking_all_at_once(right, True, out), mode)
             if not late:
-                self.left.bind(waiting_only(left), mode)
+                self.left.bind(only_waits, mode)
             elif policy.consuming:
                 self.left.bind(taking_one(left, policy.newest, True, out), mode)
             else:
                 self.left.bind(taking_all_at_once(left, False, out), mode)
         elif not policy.consuming:
             self.right.bind(taking_all(right, out), mode)
-            self.left.bind(taking_all(left, out) if both or late else waiting_only(left), mode)
+            self.left.bind(taking_all(left, out) if both or late else only_waits, mode)
         else:
             once = self.completed if self.double and both and operator.alone else None
             self.right.bind(taking_one(right, policy.newest, True, out, once), mode)
@@ -122,7 +141,7 @@ class Joining(Node):
                 arrive = taking_one(left, policy.newest, True, out, once)
                 self.left.bind(self._after_waiting(arrive) if right.wait and both else arrive, mode)
             else:
-                self.left.bind(waiting_only(left), mode)
+                self.left.bind(only_waits, mode)
         for negated, absence in zip(self.negated, self.absences):
             absence.bind(negated, mode)
         for absence, negated in self.carried:
@@ -207,7 +226,9 @@ class Joining(Node):
         """Join two matches again, what was between them having been taken back."""
         left, right = pair
         mode = self.rule.network.mode
-        if left.place is None or right.used or (right.place is None and self._right_waits(mode)):
+        if left.place is None or right.used is not None:
+            return after
+        if right.place is None and self._right_waits(mode):
             return after
         if taken_back(left) or taken_back(right):
             return after
@@ -216,17 +237,10 @@ class Joining(Node):
             return after
         if mode.policy.consuming or self.operator.everything:
             left.leave()
-            right.leave()
-            right.used = True
+            right.used = left
+            if self.operator.either:
+                right.leave()
         return self.out(result, after)
 
     def _right_waits(self, mode: Mode) -> bool:
         return self.operator.either or mode.out_of_order
-
-
-def kept_for_late(span: Optional[int], limit: Optional[int]) -> Optional[int]:
-    """Return for how long what lies between two sides is kept where the first may come late; None for ever.
-
-    The second side waits for ``limit``, and the two are no longer than ``span`` together, in ns.
-    """
-    return None if span is None or limit is None else span + limit

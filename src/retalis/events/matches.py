@@ -24,7 +24,7 @@ class Match:
         newer: the one that began to wait there after it.
         order: the larger, the later it began to wait.
         identity: what it has in common with those that it replaces there.
-        used: whether it completed something and was used up by that.
+        used: what it last completed something with and was used up by; else None.
     """
 
     __slots__ = (
@@ -57,7 +57,7 @@ class Match:
         self.term = term
         self.parts = parts
         self.place: Any = None
-        self.used = False
+        self.used: Optional[Match] = None
 
     @property
     def latest(self) -> int:
@@ -81,6 +81,7 @@ class Held:
     Attributes:
         match: the last of the repetitions; None where there is none.
         earlier: what is held of those before it.
+        number: that of the last event in it, see `arrival`.
         linked: whether what it came from knows it, where events are tracked.
         derived, held, suppressed, gone, reported, forgotten: as of an event that is tracked.
     """
@@ -88,6 +89,7 @@ class Held:
     __slots__ = (
         "match",
         "earlier",
+        "number",
         "linked",
         "derived",
         "held",
@@ -101,6 +103,7 @@ class Held:
     def __init__(self, match: Optional[Match], earlier: Optional["Held"]):
         self.match = match
         self.earlier = earlier
+        self.number: int = 0 if match is None or earlier is None else max(earlier.number, arrival(match))
         self.linked = self.gone = self.reported = False
         self.derived: List[Any] = []
         self.held: List[Any] = []
@@ -171,6 +174,11 @@ def sources(match: Match) -> Iterator[Any]:
                 stack.append(inner)
             elif inner.__class__ is Held and inner.match is not None:
                 yield inner
+
+
+def arrival(match: Match) -> int:
+    """Return the number of the last event of a match: when it was complete. 0 where events are not tracked."""
+    return max((getattr(token, "number", 0) for token in sources(match)), default=0)
 
 
 def taken_back(match: Match) -> bool:

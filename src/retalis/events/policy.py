@@ -48,6 +48,7 @@ class Mode(NamedTuple):
     policy: Policy = Policy.RECENT
     out_of_order: bool = False
     tracked: bool = False
+    revised: bool = False
 
 
 class Side(NamedTuple):
@@ -139,7 +140,7 @@ def taking_one(
     def matched(match: Match, key: Any, partner: Match, result: Match, after: Frame) -> Frame:
         if uses:
             other.remove(partner)
-        match.used = True
+        match.used = partner
         if stays:
             wait(match, key)
         if remembering and match.event is not None:
@@ -168,6 +169,7 @@ def _waiting_after_completion(arrive: Emit, own: Place, completed: Dict[Any, Non
 def taking_all(side: Side, emit: Emit) -> Emit:
     """Return what a match does that takes all partners and uses up none."""
     own, other, waits = side.own, side.other, side.waits
+    wait = own.add if side.wait is None else side.wait
     key_of = own.key_of
 
     def arrive(match: Match, after: Frame) -> Frame:
@@ -175,7 +177,7 @@ def taking_all(side: Side, emit: Emit) -> Emit:
         partners = other.partners_now(key, match.start, match.end)
         # It waits before results go out: what they lead to may be a partner, and each pair is seen once.
         if waits:
-            own.add(match, key)
+            wait(match, key)
         if not partners:
             return after
         if len(partners) == 1:

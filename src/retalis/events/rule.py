@@ -9,9 +9,10 @@ from ..terms import Atom, Term, Var, deref, is_ground
 from ._plans import NOBODY
 from .alarms import alarm_of
 from .building import compile_builder
-from .compiling import Compiler, least
+from .compiling import Compiler
 from .expiry import Expiries
 from .lanes import Completion
+from .limits import least
 from .matches import Match
 from .pattern import same_rule_key
 from .policy import Frame, Mode

@@ -8,11 +8,12 @@ from .aggregates import Collector
 from .building import compile_builder
 from .conditions import Test
 from .deferred import NO_ITEMS, Items, with_item
-from .matches import Found, Held, Match, agreed, identity, taken_back, unify_sides
+from .matches import Found, Held, Match, agreed, arrival, identity, taken_back, unify_sides
 from .nodes import Node
 from .places import Place, surely_same
 from .policy import Emit, Frame, Mode, emit_each
 from .reach import reach_of
+from .revived import Keeping, after_all, stands, that_came_before
 from .run import Run, by_occurrence, by_term
 
 Values = Tuple[Term, ...]
@@ -30,7 +31,10 @@ class Running(Node):
     Attributes:
         step_vars: the variables that a repetition's own conditions know, and what they find.
         fixed: those of them that have one value in a run, since they stand elsewhere in the rule.
+        revived: whether a match of P and of Q may be there after all, by a revision.
     """
+
+    revived = (False, False)
 
     def __init__(self, rule: Any, first: Node, repeated: Node, double: bool):
         self.rule = rule
@@ -51,6 +55,7 @@ class Running(Node):
         self.step_vars = [*first.vars, *(var for var in repeated.vars if var not in first.vars)]
         self._step_at = [at for at, var in enumerate(repeated.vars) if var not in first.vars]
         self.open_vars: List[Var] = []
+        self.kept = Keeping(self.incoming)
 
     def open(self, names: Sequence[Var]) -> None:
         """Have variables that no repetition gives a value, and that stand elsewhere, be the same in all."""
@@ -113,13 +118,16 @@ class Running(Node):
         """Connect the node; see `Node.bind`."""
         policy = mode.policy
         self.tracked = mode.tracked
+        self.extending = self._extend_noting if mode.tracked and self.carried else self.extend
         self.consuming = policy.consuming
         self.late = mode.out_of_order
-        self.waits_later = self.double and policy.replacing
+        self.waits_later = self.late and self.double and policy.replacing
+        revised = mode.revised and not self.late
+        self.keeps, self.ordered = revised and self.revived[0], revised and self.revived[1]
         self.place.reach = reach_of("seq", self.span, False)
         self.incoming.reach = reach_of("seq", self.span, True)
         self.place.identify(by_term if policy.replacing else by_occurrence)
-        self.incoming.identify(identity if policy.replacing else None)
+        self.incoming.identify(identity if policy.replacing and not self.keeps else None)
         self.out = out
         if policy.consuming:
             self.repeated.bind(self._extend_one(out, policy.newest), mode)
@@ -142,7 +150,7 @@ class Running(Node):
                 return after
             place.add(run, key)
             result = self._result_without(run) if fires else None
-            if self.late:
+            if self.late or (self.keeps and after_all(self.rule.network.tracker, arrival(run))):
                 results = [] if result is None else [result]
                 results += self._results_of_earlier(run, key)
                 return emit_each(iter(results), out, after)
@@ -159,12 +167,20 @@ class Running(Node):
         return None if values is None else self.result_of(run, values)
 
     def _results_of_earlier(self, run: Run, key: Any) -> List[Match]:
-        """Return the results of a late start with the repetitions that came before it, in their order."""
+        """Return the results of a late start with the repetitions that came before it, in their order.
+
+        One that a revision has set free has those that came after it and are left.
+        """
         results = []
+        came = arrival(run) if self.keeps else 0
         for match in self.incoming.partners_now(key, run.start, run.end):
-            extended, result = self.extend(run, match, surely_same(key, match))
-            if extended and self.consuming:
-                match.leave()
+            if self.keeps and (arrival(match) <= came or (self.consuming and stands(match.used))):
+                continue
+            extended, result = self.extending(run, match, surely_same(key, match))
+            if extended:
+                match.used = run
+                if self.consuming and self.late:
+                    match.leave()
             if result is not None:
                 results.append(result)
         return results
@@ -173,28 +189,40 @@ class Running(Node):
         """Have a repetition wait for late starts; where its event may be one, only after it was tried as that."""
         if self.waits_later:
             self.rule.add_later(self.incoming, match, key)
-        else:
+        elif self.late:
             self.incoming.add(match, key)
+        elif self.keeps:
+            self.kept.add(match, key)
 
     def _extend_one(self, out: Emit, newest: bool) -> Emit:
+        waits, ordered, extend = self.late or self.keeps, self.ordered, self.extending
+
         def arrive(match: Match, after: Frame) -> Frame:
             key = self.incoming.key_of(match)
             extended, result = False, None
-            for run in self.place.partners(key, match.start, match.end, newest):
-                extended, result = self.extend(run, match, surely_same(key, run))
+            runs: Any = self.place.partners(key, match.start, match.end, newest)
+            if ordered:
+                runs = that_came_before(match, runs, self.rule.network.tracker)
+            for run in runs:
+                extended, result = extend(run, match, surely_same(key, run))
                 if extended:
+                    match.used = run
                     break
-            if self.late:
+            if waits:
                 self._wait(match, key)
             return after if result is None else out(result, after)
 
         return arrive
 
     def _extend_all(self, out: Emit) -> Emit:
+        waits, ordered, extend = self.late or self.keeps, self.ordered, self.extending
+
         def arrive(match: Match, after: Frame) -> Frame:
             key = self.incoming.key_of(match)
             runs = self.place.partners_now(key, match.start, match.end)
-            if self.late:
+            if ordered:
+                runs = that_came_before(match, runs, self.rule.network.tracker)
+            if waits:
                 self._wait(match, key)
             if not runs:
                 return after
@@ -202,7 +230,7 @@ class Running(Node):
                 result
                 for run in runs
                 if run.place is not None
-                for result in (self.extend(run, match, surely_same(key, run))[1],)
+                for result in (extend(run, match, surely_same(key, run))[1],)
                 if result is not None
             )
             return emit_each(results, out, after)
@@ -234,6 +262,15 @@ class Running(Node):
         extended, result = self._take(run, match, values, step, last)
         if extended and self.tracked:
             self.rule.network.tracker.hold_repetition(run, match, self)
+        return extended, result
+
+    def _extend_noting(self, run: Any, match: Match, keyed: bool) -> Tuple[bool, Optional[Match]]:
+        """As `extend`; what an absence has kept from it is noted, to be tried again when that is taken back."""
+        tracker = self.rule.network.tracker
+        tracker.blocker = None
+        extended, result = self.extend(run, match, keyed)
+        if not extended and tracker.blocker is not None:
+            tracker.suppressed(self, (run, match))
         return extended, result
 
     def _take(
@@ -286,9 +323,17 @@ class Running(Node):
                 results.append(result)
         return results if self.rule.active else []
 
-    def retry(self, result: Match, after: Frame) -> Frame:
-        """Fire a result that was computed again."""
-        return after if taken_back(result) else self.out(result, after)
+    def retry(self, what: Any, after: Frame) -> Frame:
+        """Fire a result that was computed again, or extend a run by a repetition that something had ruled out."""
+        result: Optional[Match] = what
+        if what.__class__ is tuple:
+            run, match = what
+            if run.place is None or (self.consuming and match.used is not None):
+                return after
+            extended, result = self.extending(run, match, False)
+            if extended:
+                match.used = run
+        return after if result is None or taken_back(result) else self.out(result, after)
 
     def _fit(
         self, first: Values, items: Term, fixed: Optional[Values], start: int, end: int

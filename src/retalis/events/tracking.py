@@ -198,6 +198,10 @@ class Tracker:
         self._recent.clear()
         self._by_term.clear()
 
+    def present(self) -> int:
+        """Return the number of the event that is being served."""
+        return self._rules.dispatcher.token().number  # type: ignore[no-any-return]
+
     # ---- remembering ---------------------------------------------------------------------------------
 
     def _mark(self, event: Event) -> Occurrence:

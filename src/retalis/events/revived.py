@@ -1,0 +1,95 @@
+"""What a revision has set free, or what is computed again: it meets those that it could have met in their order.
+
+Where a sequence takes its sides only in their order, its second sides do not wait. They are kept where events may be
+taken back and a first side may come of that: it takes, of those that came after it, the first that is left.
+"""
+
+from collections import deque
+from typing import Any, Deque, List, Optional
+
+from .matches import Match, arrival, sources
+from .places import Place
+from .policy import Emit, Frame, Join, Side, emit_each, join_any
+
+KEPT = 10_000
+"""How many second sides are kept in one place."""
+
+
+def stands(match: Optional[Match]) -> bool:
+    """Tell whether there is a match, and none of its events was taken back."""
+    return match is not None and not any(getattr(token, "gone", False) for token in sources(match))
+
+
+class Keeping:
+    """Keeps second sides in a place; with too many of them the oldest goes."""
+
+    def __init__(self, place: Place):
+        self.place = place
+        self._kept: Deque[Match] = deque()
+
+    def add(self, match: Match, key: Any) -> None:
+        """Keep one; see `Place.add`."""
+        self.place.add(match, key)
+        self._kept.append(match)
+        if len(self._kept) > min(KEPT, self.place.rule.network.cap // 2):
+            self._kept.popleft().leave()
+
+
+def after_all(tracker: Any, came: int) -> bool:
+    """Tell whether what came then is no part of the event that is served: it is there after all, by a revision."""
+    return came < tracker.present()
+
+
+def first_side(tracker: Any, side: Side, uses: bool, all_too: bool, emit: Emit) -> Emit:
+    """Return what a first side does: it waits; set free by a revision, it takes what has come since.
+
+    Args:
+        tracker: knows when events came.
+        side: the first side, as one sees it that looks for partners.
+        uses: whether the policy uses partners up.
+        all_too: whether a second side takes all that wait, and is not used up by them.
+        emit: where results go.
+    """
+    own, other = side.own, side.other
+
+    def arrive(match: Match, after: Frame) -> Frame:
+        key = own.key_of(match)
+        came = arrival(match)
+        results: List[Match] = []
+        if after_all(tracker, came):
+            for partner in other.partners_now(key, match.start, match.end):
+                if arrival(partner) <= came or (uses and not all_too and stands(partner.used)):
+                    continue
+                result = join_any(side, match, key, partner)
+                if result is not None:
+                    results.append(result)
+                    if uses:
+                        partner.used = match
+                    if uses or all_too:
+                        break
+        if not results or not (uses or all_too):
+            own.add(match, key)
+        return emit_each(iter(results), emit, after)
+
+    return arrive
+
+
+def in_order(tracker: Any, join: Join) -> Join:
+    """Return a join of a second side and a first one, for second sides that may be there after all.
+
+    These take what had come before them only.
+    """
+
+    def joined(match: Match, partner: Match) -> Any:
+        came = arrival(match)
+        if after_all(tracker, came) and arrival(partner) >= came:
+            return None
+        return join(match, partner)
+
+    return joined
+
+
+def that_came_before(match: Match, others: Any, tracker: Any) -> Any:
+    """Return those of others that a match may meet: all, unless it is there after all, by a revision."""
+    came = arrival(match)
+    return [one for one in others if arrival(one) < came] if after_all(tracker, came) else others
