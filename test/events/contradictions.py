@@ -119,6 +119,10 @@ CONTRADICTED = {
             3: [f"prev(m,v(2),{TWENTY},{TWENTY},datime(2001,1,1,0,0,20,0))"],
         },
     ),
+    "reset_db_unlabelled": Contradiction(
+        "`reset_db`, `call_gc`: drop all partial matches, of rules with labels and of runs too",
+        "a@1-1 o3(0)@1-1 b@2-2",
+    ),
     "same_seq_rule_twice_recent": Contradiction(
         "rules do not take partners from each other; identical rules each fire",
         "a(1)@1-1 b@2-2 c(1)@1-2 c(1)@1-2",

@@ -203,6 +203,36 @@ def test_reset():
     assert program.engine.call("get_etalis_flag(event_consumption_policy,recent)")
 
 
+@pytest.mark.parametrize("goal", ["reset_db", "call_gc"])
+@pytest.mark.parametrize(
+    ("rule", "stream", "more"),
+    [
+        ("c <- a seq b.", "a@1", "b@2"),
+        ("l : c <- a and b.", "a@1", "b@2"),
+        ("l([property(window, 9)]) : c <- a seq b.", "a@1", "b@2"),
+        ("c(N) <- a seq aggregate(count, b, N) where N > 0.", "a@1", "b@2"),
+        ("l : c <- (a seq (b star_times)) check (t1(S), t2(E), E > S).", "a@1", "b@2"),
+        ("c <- (a and b) seq d.", "a@1 b@2", "d@3"),
+        ("c <- a forall_seq b.", "a@1 a@2", "b@3"),
+    ],
+)
+def test_all_partial_matches_are_dropped(goal, rule, stream, more):
+    program = Program(rule)
+    program.feed(stream)
+    assert program.engine.rules.waiting > 0
+    assert program.engine.call(goal)
+    assert program.engine.rules.waiting == 0
+    assert program.feed(more) == ""
+    assert program.feed(f"{stream} {more}") != ""
+
+
+def test_what_rules_out_is_dropped_with_the_partial_matches():
+    program = Program("c <- a fnot b.")
+    assert program.feed("b@1 a@2") == ""
+    assert program.engine.call("reset_db")
+    assert program.feed("a@3") == "c@3-3"
+
+
 def test_streams(tmp_path):
     program = Program()
     program.engine.load(rules="c <- a.", folder=tmp_path)

@@ -52,7 +52,6 @@ class Joining(Node):
         self.pairs = tuple((left.vars.index(var), right.vars.index(var)) for var in shared)
         self.left_place = Place(rule, tuple(one for one, _ in self.pairs))
         self.right_place = Place(rule, tuple(two for _, two in self.pairs))
-        self.operands = (self.left_place, self.right_place)
         taken = [(f"lv[{at}]", var) for at, var in enumerate(left.vars) if var in keep]
         taken += [
             (f"rv[{at}]", var) for at, var in enumerate(right.vars) if var in keep and var not in left.vars

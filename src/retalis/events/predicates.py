@@ -141,8 +141,7 @@ class _Editing:
 
     def reset_db(self, machine: Any) -> bool:
         for rule in self.rules.rules:
-            if rule.label is None:
-                rule.clear_pairs()
+            rule.clear_matches()
         return True
 
     def reset_state(self, machine: Any) -> bool:

@@ -155,23 +155,19 @@ class Rule:
         self.listeners = []
 
     def clear(self) -> None:
-        """Remove all partial matches."""
+        """Remove all partial matches and begin anew."""
+        self.clear_matches()
+        self.clock = -(1 << 63)
+        self._collected_at = None
+
+    def clear_matches(self) -> None:
+        """Remove all partial matches: what waits, runs, and what rules others out."""
         self.later = []
         for match in list(self._arrivals):
             match.leave()
         self._arrivals.clear()
         self._expiries = Expiries()
         self._by_end = Expiries()
-        self.clock = -(1 << 63)
-        self._collected_at = None
-
-    def clear_pairs(self) -> None:
-        """Remove what waits for the other side of a two-sided pattern; runs and absences stay."""
-        self.settle()
-        for node, _, _ in self.nodes:
-            for place in getattr(node, "operands", ()):
-                for match in place.all():
-                    match.leave()
 
     def add_later(self, place: Any, match: Match, key: Any) -> None:
         """Let a match wait in a place when the next event comes."""

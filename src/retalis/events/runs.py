@@ -45,7 +45,6 @@ class Running(Node):
         self.pairs = tuple((first.vars.index(var), repeated.vars.index(var)) for var in shared)
         self.place = Place(rule, tuple(one for one, _ in self.pairs))
         self.incoming = Place(rule, tuple(two for _, two in self.pairs))
-        self.operands = (self.incoming,)
         self.span: Optional[int] = None
         self.result_new: List[Var] = []
         self.tests: List[Test] = []
