@@ -45,9 +45,13 @@ def defined_for(rules: Sequence[Rule], policy: str, out_of_order: bool) -> bool:
 
 
 def combines(rules: Sequence[Rule]) -> bool:
-    """Tell whether all combinations of events say what holds under ``unrestricted``, and no run or window does."""
+    """Tell whether all combinations of events say what holds under ``unrestricted``, and no run or window does.
+
+    They do not where taking back one event may make another that rules out what has happened: that is not taken back.
+    """
     nodes = [node for rule in rules for node in walk(rule.pattern)]
-    return (
+    negated = [node for one in nodes if isinstance(one, (Cnot, Fnot)) for node in walk(one.absent)]
+    return not any(isinstance(node, (Cnot, Fnot)) for node in negated) and (
         defined_without_state(rules)
         and not any(isinstance(node, Within) for node in nodes)
         and (rules[0].window is None)

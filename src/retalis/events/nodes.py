@@ -250,6 +250,7 @@ class Never(Node):
         self.child = child
         self.negated = negated
         self.absence = absence
+        self.rule = absence.rule
         self.vars = child.vars
 
     def bind(self, out: Emit, mode: Mode) -> None:

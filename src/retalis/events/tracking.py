@@ -314,7 +314,11 @@ class Tracker:
             for one in occurrence.following():
                 yield self._dispatch_rev(one, start, end)
         for node, what in again:
-            yield lambda after, node=node, what=what: node.retry(what, after)
+            yield lambda after, node=node, what=what: self._retry(node, what, after)
+
+    def _retry(self, node: Any, what: Any, after: Frame) -> Frame:
+        node.rule.add_those_of_other_events(self._rules.dispatcher.token())
+        return node.retry(what, after)  # type: ignore[no-any-return]
 
     def _dispatch_rev(self, occurrence: Occurrence, start: int, end: int) -> Any:
         term = (REV, occurrence.term)
