@@ -62,6 +62,20 @@ def test_what_must_not_happen_has_conditions_over_what_stands_outside(rule, stre
     assert fired(rule, stream, "chronological") == answer
 
 
+@pytest.mark.parametrize(
+    ("rule", "stream", "answer"),
+    [
+        ("o(X) <- b(X) and ((a(X) or d) fnot c(X)).", "c(1)@1 d@2 b(0)@3", "o(0)@2-3"),
+        ("o(X) <- b(X) and ((a(X) or d) fnot c(X)).", "c(1)@1 d@2 b(1)@3", ""),
+        ("o(X) <- b(X) and ((a(X) or d) fnot c(X)).", "d@1 c(1)@2 a(1)@3 b(1)@4", "o(1)@1-4"),
+        ("o(X) <- b(X) seq (((a(X) or d) seq e) cnot c(X)).", "b(1)@1 b(2)@2 d@3 c(2)@4 e@5", "o(1)@1-5"),
+        ("o(X) <- b(X) and ((s seq aggregate(sum(X), a(X), _)) cnot c(X)).", "c(1)@1 s@2 b(0)@3", "o(0)@2-3"),
+    ],
+)
+def test_an_absence_waits_for_what_a_branch_or_a_run_without_repetitions_leaves_open(rule, stream, answer):
+    assert fired(rule, stream) == answer
+
+
 def test_conditions_of_what_must_not_happen_know_what_those_before_them_have_found():
     rule = "o(X) <- a(X) fnot ((b(Y) where Z = f(X, Y)) where (Z = f(A, B), A < B, X > 0))."
     assert fired(rule, "b(1)@1 a(0)@2 b(2)@3 a(1)@4 a(3)@5") == "o(0)@2-2 o(3)@5-5"

@@ -8,10 +8,10 @@ from ..terms import Term, Var, functor, variables
 from .aggregates import Collector
 from .building import compile_builder
 from .conditions import Call, Test, goal_test
-from .deferred import Deferred, Items, absence_of, deferred_test, early_test, ready_where
+from .deferred import Deferred, Items, Negated, absence_of, deferred_test, early_test, ready_where
 from .joining import Joining
 from .limits import UNLIMITED, Limit
-from .nodes import Acting, Alternatives, Capture, Filter, Leaf, Never, Node
+from .nodes import Acting, Alternatives, Capture, Filter, Leaf, Never, Node, Trying
 from .occurrences import occurrences
 from .operators import OPERATORS
 from .pattern import (
@@ -83,6 +83,7 @@ class Compiler:
     Attributes:
         nodes: all nodes, each with the bound on its own interval and the shortest bound there is from it
             upwards.
+        twins: what negated patterns were built anew, and what they were built as first.
     """
 
     def __init__(self, rule: Any, head: List[Term], pattern: Any):
@@ -91,6 +92,7 @@ class Compiler:
         self.keep = _used_twice(head, pattern)
         self._counts = occurrences(head, pattern)
         self.nodes: List[Tuple[Node, Optional[int], Limit]] = []
+        self.twins: List[Tuple[Built, Built]] = []
 
     def build(self) -> Node:
         """Return the root of the network."""
@@ -101,6 +103,9 @@ class Compiler:
             )
         for rank, leaf in enumerate(built.leaves):
             leaf.rank = rank
+        for built_again, first in self.twins:
+            for leaf, other in zip(built_again.leaves, first.leaves):
+                leaf.rank = other.rank
         node: Any = built.node
         root: Node = node
         while isinstance(node, (Acting, Filter)):
@@ -204,14 +209,13 @@ class Compiler:
         ready, deferred = ready_where(below, surely_bound_by(core, False), context)
         now, later = self._split(wrapping.conditions, core, context)
         absent = wrapping.absent
-        negated: Optional[Built] = None
+        negated: Optional[Negated] = None
         needs: Set[Var] = set()
-        conditions: List[Deferred] = []
         if absent is not None:
             inner = here | frozenset(bound_by(core.right)) | _in_goals(wrapping.conditions)
-            negated, needs, conditions = self._negated(
-                absent.negated, known, inner, limit.of_negated(wrapping.span)
-            )
+            below_it = limit.of_negated(wrapping.span)
+            negated = Negated(lambda: self._build(absent.negated, inner, below_it), self.twins)
+            needs = negated.needs(inner, known) | negated.needs(context, surely_bound_by(core, False, True))
         gap = (Var(), Var()) if needs else None
         if gap is not None:
             self.keep |= set(gap)
@@ -221,7 +225,8 @@ class Compiler:
         node.revived = (_may_be_revived(core.left), _may_be_revived(core.right))
         self._add(node, wrapping.span, limit)
         if negated is not None and gap is None:
-            node.absent(absence_of(self.rule, negated, node.vars, False, conditions), negated.node)
+            built = negated.make()
+            node.absent(absence_of(self.rule, built, node.vars, False), built.node)
         for one in below:
             if one in ready:
                 node.test(*deferred_test(self.rule, node, one, node.vars))
@@ -233,36 +238,34 @@ class Compiler:
         result, put_off = self._defer_all(node, later)
         deferred += put_off
         if gap is not None:
-            one = Deferred(needs, None, False, (negated, conditions, False), *gap)
+            one = Deferred(needs, None, False, (negated, False), *gap)
             if needs - _in_goals(now):
                 deferred.append(one)
+                if one.may_be_tried(node.vars):
+                    node.test(*early_test(self.rule, node, one, node.vars))
             else:  # it has variables to which the conditions give values
                 node.test(*deferred_test(self.rule, node, one, node.vars))
         joined = _served(OPERATORS[core.operator].either, left, right)
         if negated is not None:
-            joined += negated.leaves
+            joined += negated.first.leaves
         return Built(result, deferred, joined, [])
-
-    def _negated(
-        self, pattern: Any, known: Set[Var], context: Names, limit: Limit
-    ) -> Tuple[Built, Set[Var], List[Deferred]]:
-        """Build a negated pattern; also return the outer variables that it needs and has not got yet."""
-        built = self._build(pattern, context, limit)
-        mentioned = set(built.node.vars)
-        for one in built.deferred:
-            mentioned |= one.needs
-        return built, (mentioned & context) - known, built.deferred
 
     def _never(self, core: Absent, context: Names, limit: Limit) -> Built:
         below = self._build(core.pattern, context, limit)
         here = context | frozenset(bound_by(core.pattern))
-        negated, needs, conditions = self._negated(core.negated, set(below.node.vars), here, UNLIMITED)
-        if needs:
-            node, one = self._defer(below.node, None, False, (negated, conditions, True), needs)
-            return below.with_negated(node, [*below.deferred, one], negated)
-        absence = absence_of(self.rule, negated, below.node.vars, True, conditions)
-        node = self._add(Never(below.node, negated.node, absence), None, UNLIMITED)
-        return below.with_negated(node, below.deferred, negated)
+        negated = Negated(lambda: self._build(core.negated, here, UNLIMITED), self.twins)
+        sure = surely_bound_by(core.pattern, False, True)
+        needs = negated.needs(here, set(below.node.vars)) | negated.needs(context, sure)
+        if not needs:
+            built = negated.make()
+            absence = absence_of(self.rule, built, below.node.vars, True)
+            node: Any = self._add(Never(below.node, built.node, absence), None, UNLIMITED)
+            return below.with_negated(node, below.deferred, negated.first)
+        node, one = self._defer(below.node, None, False, (negated, True), needs)
+        if one.may_be_tried(node.vars):
+            node = self._add(Trying(self.rule, node), None, UNLIMITED)
+            node.test, _ = early_test(self.rule, node, one, node.vars)
+        return below.with_negated(node, [*below.deferred, one], negated.first)
 
     def _running(self, core: Any, wrapping: _Wrapping, context: Names, limit: Limit) -> Built:
         here = context | frozenset(bound_by(core.first))

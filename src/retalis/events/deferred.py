@@ -1,6 +1,6 @@
 """Conditions that look at patterns further left: what they need is carried with a match until it meets those."""
 
-from typing import AbstractSet, Any, List, NamedTuple, Optional, Set, Tuple
+from typing import AbstractSet, Any, Callable, List, NamedTuple, Optional, Set, Tuple
 
 from ..terms import NIL, Term, Var, deref, functor, variables
 from .absence import Absence
@@ -28,6 +28,37 @@ class Items:
         self.same = same
 
 
+class Negated:
+    """A negated pattern, built as often as it is looked at: each place where it is has nodes of its own.
+
+    Args:
+        build: builds it.
+        twins: takes what was built anew, with what was built first.
+    """
+
+    def __init__(self, build: Callable[[], Any], twins: List[Tuple[Any, Any]]):
+        self._build = build
+        self._twins = twins
+        self._made = False
+        self.first = build()
+
+    def make(self) -> Any:
+        """Return the pattern as it was built first, or built anew for another place."""
+        if not self._made:
+            self._made = True
+            return self.first
+        again = self._build()
+        self._twins.append((again, self.first))
+        return again
+
+    def needs(self, context: AbstractSet[Var], known: Set[Var]) -> Set[Var]:
+        """Return those variables of a context that it looks at and that are not known."""
+        mentioned = set(self.first.node.vars)
+        for one in self.first.deferred:
+            mentioned |= one.needs
+        return (mentioned & context) - known
+
+
 class Deferred(NamedTuple):
     """A condition that looks at variables of patterns further left, so that it is tested where those are known.
 
@@ -35,7 +66,7 @@ class Deferred(NamedTuple):
         needs: the variables it waits for.
         goal: the goal, or None for an absence.
         timed: whether the goal sees ``t1/1`` and ``t2/1``.
-        absent: the negated node with the conditions it shares, and whether any time before counts, for an absence.
+        absent: what is `Negated`, and whether any time before counts, for an absence.
         start: the variable under which the start of its pattern is carried on.
         end: the variable of its end.
         items: for a condition on each repetition of a run, what is carried on of those.
@@ -57,7 +88,7 @@ class Deferred(NamedTuple):
 
     def may_be_tried(self, names: List[Var]) -> bool:
         """Tell whether a match with these variables may already give all that it waits for a value."""
-        return self.items is None and self.absent is None and self.needs.issubset(names)
+        return self.items is None and self.needs.issubset(names)
 
 
 def ready_where(
@@ -98,9 +129,10 @@ def deferred_test(rule: Any, node: Any, one: Deferred, names: List[Var]) -> Tupl
     if one.absent is None:
         call = Call(rule, one.goal, names)
         return goal_test(call, one.timed, at), call.result_vars
-    negated, conditions, ever = one.absent
-    absence = absence_of(rule, negated, names, ever, conditions)
-    node.carried.append((absence, negated.node))
+    negated, ever = one.absent
+    built = negated.make()
+    absence = absence_of(rule, built, names, ever)
+    node.carried.append((absence, built.node))
     return _absence_test(absence, at, ever), names
 
 
@@ -153,16 +185,16 @@ def _test_of_each(rule: Any, node: Any, one: Deferred, names: List[Var]) -> Tupl
     return test, known
 
 
-def absence_of(rule: Any, negated: Any, names: List[Var], ever: bool, conditions: List[Deferred]) -> Absence:
+def absence_of(rule: Any, negated: Any, names: List[Var], ever: bool) -> Absence:
     """Return what looks for matches of a negated node.
 
     Args:
         rule: whose it is.
-        negated: what was built for the negated pattern.
+        negated: what was built for the negated pattern; what is deferred in it looks at the variables asked for.
         names: the variables of what is asked for.
         ever: whether any time before counts.
-        conditions: those of the negated pattern that look at the variables asked for.
     """
+    conditions = negated.deferred
     own = negated.node.vars
     shared = [(own.index(var), names.index(var)) for var in own if var in names]
     absence = Absence(rule, shared, ever)

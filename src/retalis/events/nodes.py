@@ -273,3 +273,44 @@ class Never(Node):
     def places(self) -> Sequence[Place]:
         """Return where matches wait."""
         return self.absence.places()  # type: ignore[no-any-return]
+
+
+class Trying(Node):
+    """Tests an absence above a match for which all is known that it looks at; others go on, to be tested further up.
+
+    Attributes:
+        test: the test; see `early_test`.
+        carried: the absences that are looked at, with the nodes of what they negate.
+    """
+
+    test: Test
+
+    def __init__(self, rule: Any, child: Node):
+        self.rule = rule
+        self.child = child
+        self.carried: List[Any] = []
+        self.vars = child.vars
+
+    def bind(self, out: Emit, mode: Mode) -> None:
+        """Connect the node; see `Node.bind`."""
+        tracker, tracked, test = self.rule.network.tracker, mode.tracked, self.test
+
+        def arrive(match: Match, after: Frame) -> Frame:
+            values = test(match.values, match.start, match.end)
+            if values is None:
+                if tracked:
+                    tracker.suppressed(self, match)
+                return after
+            tested = match
+            if values is not match.values:
+                tested = Match(values, match.start, match.end, match.event, None, (match,))
+            return out(tested, after)
+
+        self.retry = arrive
+        self.child.bind(arrive, mode)
+        for absence, negated in self.carried:
+            absence.bind(negated, mode)
+
+    def places(self) -> Sequence[Place]:
+        """Return where matches wait."""
+        return [place for absence, _ in self.carried for place in absence.places()]

@@ -312,17 +312,23 @@ def bound_by(pattern: Any) -> List[Var]:
     return list(found)
 
 
-def surely_bound_by(pattern: Any, conditions: bool = True) -> Set[Var]:
-    """Return the variables that every match of a pattern gives values to; by its conditions too, or without them."""
+def surely_bound_by(pattern: Any, conditions: bool = True, empty: bool = False) -> Set[Var]:
+    """Return the variables that every match of a pattern gives values to.
+
+    Args:
+        pattern: the pattern.
+        conditions: whether those count that conditions give values to.
+        empty: whether matches of aggregates that have no repetitions yet count too.
+    """
     if isinstance(pattern, Either):
-        branches = [surely_bound_by(branch, conditions) for branch in pattern.branches]
+        branches = [surely_bound_by(branch, conditions, empty) for branch in pattern.branches]
         return set.intersection(*branches)
+    if isinstance(pattern, Star) or (empty and isinstance(pattern, Aggregate)):
+        return surely_bound_by(pattern.first, conditions, empty)
     counts = conditions or not isinstance(pattern, Condition)
     found = {var for term in own_terms(pattern) for var in variables(term)} if counts else set()
-    if isinstance(pattern, Star):
-        return found | surely_bound_by(pattern.first, conditions)
     for child in children(pattern, False):
-        found |= surely_bound_by(child, conditions)
+        found |= surely_bound_by(child, conditions, empty)
     return found
 
 
