@@ -217,3 +217,51 @@ def test_an_interrupt_leaves_the_next_event_its_limits():
         engine.event(f"in({number})", number)
     assert len(engine.sent) == 3
     assert engine.logic.machine.budget.goal is None
+
+
+NESTED = """
+tidy_in_vain :- repeat, once(call_cleanup(member(_, [1,2]), loop)), fail.
+deep(0) :- loop.
+deep(N) :- N > 0, M is N - 1, call_cleanup(deep(M), loop).
+twice(0).
+twice(N) :- N > 0, M is N - 1, tidied(M), tidied(M).
+tidied(N) :- once(call_cleanup(member(_, [1,2]), twice(N))).
+portray(N) :- integer(N), N > 0, M is N - 1, print(M), print(M).
+written(0).
+written(N) :- N > 0, M is N - 1, format("~@~@", [written(M), written(M)]).
+"""
+
+
+@pytest.mark.parametrize(
+    "goal", ["tidy_in_vain", "deep(100)", "catch(deep(100), _, true), loop", "print(30)", "written(30)"]
+)
+def test_a_goal_inside_a_step_that_swallows_its_limit_gains_nothing(goal):
+    engine = make(NESTED, inferences=20_000)
+    engine.logic.output = engine.logic.error_output = lambda text: None
+    with pytest.raises(PrologError, match="resources: inferences"):
+        engine.call(goal)
+    assert engine.logic.machine.budget.inferences < 10 * 20_000
+
+
+def test_many_short_cleanups_inside_each_other_have_limits():
+    engine = make(NESTED, inferences=20_000)
+    warnings = []
+    engine.logic.error_output = warnings.append
+    engine.call("twice(30)")
+    assert "".join(warnings) == "Warning: cleanup: Not enough resources: inferences\n"
+
+
+def test_short_cleanups_run_after_a_limit_that_is_final():
+    engine = make(
+        ":- dynamic(tidied/1). in(0) :- loop. in(N) :- M is N - 1, call_cleanup(in(M), assertz(tidied(N))).",
+        inferences=20_000,
+    )
+    with pytest.raises(PrologError, match="resources: inferences"):
+        engine.call("catch(loop, _, true), in(20)")
+    assert len(engine.query("tidied(_)")) == 20
+
+
+def test_what_is_caught_of_a_goal_inside_a_step_has_a_largest_size():
+    engine = make()
+    with pytest.raises(PrologError, match="resources: memory"):
+        engine.call("format(atom(A), '~*c', [1000000, 0'a]), format('~@', [(repeat, write(A), fail)])")

@@ -301,14 +301,17 @@ class Budget:
         return None
 
     def _exceeded(self, what: str) -> LimitError:
-        # A handler of the program gets a tenth more, so that it can clean up, and no second time.
+        error = self._error(what)
+        error.final = self.rounds > 1
+        self.closed = self._out is not None  # who gets the error knows by it
+        if error.final:  # whoever looks from now on gets it again: to swallow it gains nothing
+            return error
+        # A handler gets a tenth more inferences, and as much again of all else, so that it can clean up.
+        self.rounds = 2
         self._spent -= (self.limits.inferences or 0) // 10
         self._deadline = None
         self._memory = None
         self._expired = None
-        error = self._error(what)
-        error.final = self.rounds > 1
-        self.rounds = 2
         return error
 
     def _error(self, what: str) -> LimitError:

@@ -319,6 +319,9 @@ class Logic:
             PrologError: what the goal threw.
         """
         budget = self.machine.budget
+        budget.ended(1)  # many short ones may lie in each other, and none of them comes to look at the limits
+        if budget.closed:
+            budget.admit()
         asked = budget.goal
         if asked is None:
             budget.goal = goal

@@ -3,7 +3,7 @@
 from typing import Any, NamedTuple, Optional
 
 from ..terms import undo
-from .builtins.output import Capture
+from .builtins.portraying import Capture
 from .codes import Guard
 
 

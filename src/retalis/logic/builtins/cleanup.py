@@ -6,6 +6,7 @@ from ...terms import Term, Var, atom, deref, undo
 from ..codes import Code, Frame, Guard
 from ..compiler.nodes import IGNORE
 from ..faults import PrologError, instantiation_error
+from ..limits import keep_back
 from .registry import control
 
 
@@ -33,7 +34,8 @@ class _Cleanup:
         try:
             machine.logic.once(self.goal)
         except PrologError as error:
-            machine.logic.error_output(f"Warning: cleanup: {error.message}\n")
+            if keep_back(error):
+                machine.logic.error_output(f"Warning: cleanup: {error.message}\n")
         undo(machine.trail, mark)
 
     def __del__(self) -> None:

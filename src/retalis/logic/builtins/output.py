@@ -1,6 +1,6 @@
 """Output: write and its sisters, format, and output caught as text."""
 
-from typing import Any, Dict, List, Optional
+from typing import Any, Dict, Optional
 
 from ...syntax import write_term
 from ...terms import CONS, NIL, Atom, Term, Var, atom, deref, list_items, resolve, unify
@@ -16,9 +16,9 @@ from ..faults import (
 )
 from .arguments import integer, is_iso, option_values
 from .formatting import Formatter
-from .portraying import portray_of, printed
+from .portraying import Capture, portray_of, printed
 from .registry import control, deterministic
-from .text import LARGEST_CODE, fill_sink, is_sink, long_text, make_text, whole_text
+from .text import LARGEST_CODE, fill_sink, is_sink, make_text, whole_text
 
 _WIDEST = 10_000_000
 
@@ -332,26 +332,6 @@ def with_output_to(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
     captured = capture.texts
     logic.column = 0
     return logic.control.call(args[1], (_RELEASE, machine, height, sink, captured, after))  # type: ignore[no-any-return]
-
-
-class Capture:
-    """Output that is kept.
-
-    Attributes:
-        texts: what was written.
-        before: where output went before, and where that stood in its line.
-    """
-
-    def __init__(self, logic: Any):
-        self.texts: List[str] = []
-        self.before = logic.output, logic.column
-        self._size = 0
-
-    def __call__(self, text: str) -> None:
-        """Keep a text."""
-        self._size += len(text)
-        long_text(self._size)
-        self.texts.append(text)
 
 
 def _give_back(entry: Frame) -> None:

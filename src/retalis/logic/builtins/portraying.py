@@ -5,21 +5,40 @@ from typing import Any, Callable, List, Optional, Tuple
 from ...syntax import write_term
 from ...terms import Term, functor
 from ..compiler.nodes import NOT
+from .text import long_text
 
 _PORTRAY = functor("portray", 1)
+
+
+class Capture:
+    """Output that is kept.
+
+    Attributes:
+        texts: what was written.
+        before: where output went before, and where that stood in its line.
+    """
+
+    def __init__(self, logic: Any):
+        self.texts: List[str] = []
+        self.before = logic.output, logic.column
+        self._size = 0
+
+    def __call__(self, text: str) -> None:
+        """Keep a text."""
+        self._size += len(text)
+        long_text(self._size)
+        self.texts.append(text)
 
 
 def caught(machine: Any, goal: Term) -> Tuple[bool, str]:
     """Return whether a goal succeeds, and what it writes."""
     logic = machine.logic
-    output, column = logic.output, logic.column
-    written: List[str] = []
-    logic.output = written.append
+    capture = logic.output = Capture(logic)
     try:
         succeeded = logic.once(goal)
     finally:
-        logic.output, logic.column = output, column
-    return succeeded, "".join(written)
+        logic.output, logic.column = capture.before
+    return succeeded, "".join(capture.texts)
 
 
 def portray_of(machine: Any) -> Optional[Callable[[Term], Optional[str]]]:
