@@ -66,7 +66,7 @@ class Reports:
         kind = self._kinds.get(key)
         if kind is None:
             if len(self._kinds) >= _KINDS:
-                self._others += sum(known.times - known.told for known in self._kinds.values())
+                self._others += sum(known.times - known.told for known in list(self._kinds.values()))
                 self._kinds.clear()
             kind = self._kinds[key] = _Kind(level, text[:SHOWN].split("\n", 1)[0])
         kind.times = times = kind.times + 1

@@ -52,12 +52,12 @@ class Watchdog:
             self._next = self._patience
             return
         ran = now - self._since
-        if self._next is not None and ran >= self._next:
-            self._next *= 2
-            self._warn(ran, entry)
         seconds = budget.limits.seconds
         if seconds is not None and ran >= seconds * budget.rounds:
             budget.expire(entry)
+        if self._next is not None and ran >= self._next:
+            self._next *= 2
+            self._warn(ran, entry)
 
     def pause(self) -> float:
         """Return the seconds to the next look."""
@@ -72,7 +72,10 @@ def watch(
     budget = logic.machine.budget
 
     def warn(seconds: float, entry: Any) -> None:
-        reports.warning(*_held_up(logic, dispatcher, entry, seconds))
+        try:
+            reports.warning(*_held_up(logic, dispatcher, entry, seconds))
+        except Exception as error:  # it is at work in another thread; the watch goes on all the same
+            reports.error(error)
 
     def refused(number: int, what: str, entry: Any) -> None:
         text = f"{_name(entry)} is past its limit of {what}; goals refused: {number}"
@@ -116,10 +119,10 @@ def _held_up(logic: Logic, dispatcher: Dispatcher, entry: Any, seconds: float) -
 
 
 def _name(entry: Any) -> str:
-    """Name what came in: the functor of a term, the begin of a text."""
+    """Name what came in: the functor of a term, the beginning of a text."""
     what = deref(entry[0]) if isinstance(entry, tuple) and entry else None
     if isinstance(what, str):
         return beginning(what)
     if isinstance(what, Atom):
-        return what.name
-    return str(what[0]) if isinstance(what, tuple) else "a request"
+        return beginning(what.name)
+    return beginning(str(what[0])) if isinstance(what, tuple) else "a request"

@@ -11,7 +11,7 @@ LONGEST = 4000
 
 
 def beginning(text: str, most: int = SHOWN) -> str:
-    """Return a text as it is kept and shown: its begin where it is long."""
+    """Return a text as it is kept and shown: its beginning where it is long."""
     return text if len(text) <= most else f"{text[:most]}..."
 
 
@@ -37,7 +37,7 @@ class Place(NamedTuple):
     """A position in a text; line and column count from 1.
 
     ``text`` is the line itself, so that the error can be shown without reading the source again; of a long one the
-    part around the column, which begins ``before`` characters behind the line's begin.
+    part around the column, which begins ``before`` characters behind the start of the line.
     """
 
     source: str
