@@ -8,7 +8,7 @@ from retalis.logic.builtins.strings import _split
 from retalis.logic.builtins.text import each
 from retalis.syntax import read_term, writeq
 from retalis.syntax.numerals import integer, integer_text
-from retalis.terms import atom, functor, make_list
+from retalis.terms import Var, atom, copy, functor, make_list, unify
 from retalis.watching import watched_by
 
 PROGRAM = """
@@ -197,3 +197,14 @@ def test_conversions_are_looked_at_while_they_last(work):
         watched_by(before)
     assert most[0] <= 2048
     assert looks[0] >= 5
+
+
+@pytest.mark.parametrize("walk", [copy, lambda term: unify(term, copy(term), [])])
+def test_the_arguments_of_a_wide_term_count(walk):
+    asked = []
+    before = watched_by(asked.append)
+    try:
+        walk((functor("wide", 5000), *[Var() for _ in range(5000)]))
+    finally:
+        watched_by(before)
+    assert 5000 <= sum(asked) < 11_000

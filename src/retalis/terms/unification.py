@@ -2,6 +2,7 @@
 
 from typing import Any, List
 
+from ..watching import look
 from ._steps import MASK, check_steps
 from .kinds import Atom, Lazy, Term, Var
 
@@ -54,6 +55,8 @@ def unify(left: Term, right: Term, trail: List[Any]) -> bool:
                         steps += 1
                         if not steps & MASK:
                             check_steps(steps)
+                        if size > MASK:
+                            look(size)
                         for at in range(size - 1, 1, -1):
                             stack.append(right[at])
                             stack.append(left[at])

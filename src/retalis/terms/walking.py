@@ -102,6 +102,8 @@ def rebuild(term: Term, leaf: Callable[[Var], Term]) -> Term:
         source, done, changed = entry
         at = len(done)
         size = len(source)
+        if size > MASK and at == 1:
+            look(size)
         while at < size:
             item = source[at]
             kind = item.__class__
