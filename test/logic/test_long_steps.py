@@ -8,7 +8,7 @@ from retalis.logic.builtins.strings import _split
 from retalis.logic.builtins.text import each
 from retalis.syntax import read_term, writeq
 from retalis.syntax.numerals import integer, integer_text
-from retalis.terms import Var, atom, copy, functor, make_list, unify
+from retalis.terms import Var, atom, compare, copy, functor, is_ground, make_list, unify
 from retalis.watching import watched_by
 
 PROGRAM = """
@@ -199,7 +199,10 @@ def test_conversions_are_looked_at_while_they_last(work):
     assert looks[0] >= 5
 
 
-@pytest.mark.parametrize("walk", [copy, lambda term: unify(term, copy(term), [])])
+@pytest.mark.parametrize(
+    "walk",
+    [copy, is_ground, lambda term: unify(term, copy(term), []), lambda term: compare(term, copy(term))],
+)
 def test_the_arguments_of_a_wide_term_count(walk):
     asked = []
     before = watched_by(asked.append)

@@ -36,6 +36,8 @@ def compare(left: Term, right: Term) -> int:
                     return -1 if len(left) < len(right) else 1
                 if left[0] is not right[0]:
                     return -1 if left[0].name < right[0].name else 1
+                if len(left) > len(BULK):
+                    look(len(left))
                 for at in range(len(left) - 1, 0, -1):
                     stack.append(right[at])
                     stack.append(left[at])

@@ -45,6 +45,8 @@ def is_ground(term: Term) -> bool:
                 if kind is Var:
                     return False
             if kind is tuple:
+                if len(item) > MASK:
+                    look(len(item))
                 stack.extend(item[1:])
         look()
     raise TermTooLarge
