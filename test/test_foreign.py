@@ -243,7 +243,7 @@ def test_goals_that_run_later_load_no_python(tmp_path, folders):
         engine.event(f"load({module})", 1)
         assert "load foreign_module" in errors.pop()
     (tmp_path / "more.pl").write_text(":- use_foreign(helpers).\n")
-    with pytest.raises(RetalisError, match="more.pl:1:1: .*load foreign_module"):
+    with pytest.raises(RetalisError, match="more.pl:1:4: .*load foreign_module"):
         engine.call(f"ensure_loaded('{tmp_path}/more.pl')")
     assert not (tmp_path / "ran").exists()
 

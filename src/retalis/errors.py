@@ -49,6 +49,12 @@ class Place(NamedTuple):
     def __str__(self) -> str:
         return f"{self.source}:{self.line}:{self.column}"
 
+    @property
+    def character(self) -> str:
+        """What stands there; nothing at the end of a line."""
+        at = self.column - 1 - self.before
+        return self.text[at : at + 1]
+
     def context(self) -> str:
         """Return the source line and, under it, a caret at the column."""
         at = self.column - 1 - self.before

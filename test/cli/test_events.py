@@ -277,7 +277,7 @@ def explained(run, asked, rules, stream):
 STREAM = (
     "event(smoke(hall),[1,1]).\nevent(heat(hall),[2,2]).\nevent(smoke(lab),[3,3]).\nevent(heat(lab),[4,4]).\n"
 )
-TWO = RULES + "evacuate(X) do true <- alarm(X) cnot drill.\n"
+TWO = RULES + "evacuate(X) do true <- alarm(X) fnot drill.\n"
 
 
 def test_explains_what_happened_down_to_the_events_from_outside(run):

@@ -116,11 +116,11 @@ def test_errors_have_their_own_files_place_and_come_in_order(program, tmp_path):
         "one.pl:1:7",
         "one.pl:2:15",
         "r:1:15",
-        "r:4:1",
+        "r:4:4",
         "r:5:6",
         "two.pl:2:8",
     ]
-    assert found[3] == "r:4:1: cannot read none: No such file or directory"
+    assert found[3] == "r:4:4: cannot read none: No such file or directory"
     assert program.engine.rules.rules == []
 
 
@@ -128,10 +128,10 @@ def test_errors_have_their_own_files_place_and_come_in_order(program, tmp_path):
 def test_a_cycle_is_one_error(program, tmp_path, form):
     write(tmp_path, one=f"c <- a.\n:- {form}(two).", two=f":- {form}(one).\nd <- a.")
     found = errors_of(lambda: program.engine.rules.load_file("one.pl"))
-    assert found == ["two.pl:1:1: one.pl loads itself"]
+    assert found == ["two.pl:1:4: one.pl loads itself"]
     text = (tmp_path / "one.pl").read_text()
     assert errors_of(lambda: program.engine.load_rules(text, "one.pl", tmp_path)) == [
-        f"{tmp_path}/two.pl:1:1: one.pl loads itself"
+        f"{tmp_path}/two.pl:1:4: one.pl loads itself"
     ]
 
 
@@ -147,10 +147,13 @@ def test_libraries_are_there(program, name):
     assert program.feed("a@1") == "c@1-1"
 
 
-@pytest.mark.parametrize("form", [":- use_module", "use_module", ":- ensure_loaded", ":- true, use_module"])
-def test_an_unknown_library_is_an_error(program, form):
+@pytest.mark.parametrize(
+    ("form", "column"),
+    [(":- use_module", 4), ("use_module", 1), (":- ensure_loaded", 4), (":- true, use_module", 10)],
+)
+def test_an_unknown_library_is_an_error(program, form, column):
     (found,) = errors_of(lambda: program.engine.load(rules=f"c <- a.\n{form}(library(clpfd)).", source="r"))
-    assert found.startswith("r:2:1: ")
+    assert found.startswith(f"r:2:{column}: ")
     assert "Unknown library: clpfd" in found
 
 
@@ -158,7 +161,7 @@ def test_an_unknown_library_is_an_error(program, form):
 @pytest.mark.parametrize("form", ["include", "use_module", "ensure_loaded"])
 def test_what_names_no_file_is_one_error(program, form, name):
     (found,) = errors_of(lambda: program.engine.load(rules=f":- {form}({name}).", source="r"))
-    assert found.startswith("r:1:1: ")
+    assert found.startswith("r:1:4: ")
 
 
 # ---- goal files ------------------------------------------------------------------------------------------

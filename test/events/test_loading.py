@@ -47,11 +47,11 @@ def errors_of(rules):
         ("l : 5 <- a.", 5, "head of a rule"),
         ("exceptionAlarm(e,-1) <- a.", 18, "positive number"),
         ("c < - a.", 1, "without a blank"),
-        ("r([property(window,x)]) : c <- a.", 4, "number of seconds"),
+        ("r([property(window,x)]) : c <- a.", 20, "number of seconds"),
         ("atom(x).", 1, "permission"),
         ("c -> a.", 1, "arrow is written <-"),
-        (":- set_etalis_flag(garbage_control, all).", 1, "garbage_control takes off, general, pattern"),
-        (":- set_etalis_flag(garbage_contrl, general).", 1, "did you mean garbage_control?"),
+        (":- set_etalis_flag(garbage_control, all).", 4, "garbage_control takes off, general, pattern"),
+        (":- set_etalis_flag(garbage_contrl, general).", 4, "did you mean garbage_control?"),
     ],
 )
 def test_refused(rule, column, part):

@@ -27,6 +27,8 @@ _GOALS_IN = {
 _CHANGES = frozenset(
     functor(name, 1) for name in ("assert", "asserta", "assertz", "retract", "retractall", "dynamic", "db")
 )
+_INTERVAL = frozenset((functor("t1", 1), functor("t2", 1)))
+_FOR_GOALS = frozenset((COMMA, functor("call", 1), functor("once", 1)))
 _CUT = functor("!", 0)
 _NECK = functor(":-", 2)
 _SEVERAL = frozenset((COMMA, CONS))
@@ -56,12 +58,34 @@ def calls(parent: Term, number: int) -> Iterator[Call]:
             stack += [Call(deref(call.term[at]), call.term, at) for at in reversed(places)]
 
 
+def asking_interval(parent: Term, number: int) -> List[Call]:
+    """Return the calls of ``t1/1`` and ``t2/1`` without which a goal, an argument of a term, has no solution."""
+    found: List[Call] = []
+    stack = [Call(deref(parent[number]), parent, number)]  # type: ignore[index]
+    while stack:
+        call = stack.pop()
+        term = call.term
+        if term.__class__ is tuple and term[0] in _FOR_GOALS:
+            stack += [Call(deref(term[at]), term, at) for at in range(len(term) - 1, 0, -1)]
+        elif term.__class__ is tuple and term[0] in _INTERVAL:
+            found.append(call)
+    return found
+
+
 class Unknown(NamedTuple):
-    """A call of a predicate that may not be there, its place, and who calls it where there is none."""
+    """A call of a predicate that may not be there.
+
+    Attributes:
+        key: of the predicate.
+        place: where the call is, or None.
+        caller: who calls it, where there is no place.
+        advice: what was probably meant.
+    """
 
     key: Functor
     place: Optional[Place]
     caller: str = ""
+    advice: str = ""
 
 
 def called_by(conditions: Term, caller: str) -> List[Unknown]:
@@ -83,12 +107,13 @@ def unknown_calls(logic: Any, found: List[Unknown], terms: Callable[[], List[Ter
         return
     added = _added(terms())
     hints = _MOST_HINTS
-    for key, place, caller in missing:
+    for key, place, caller, advice in missing:
         if key not in added and _ANY not in added:
             added.add(key)
             hints -= 1
-            meant = logic.similar(key) if hints >= 0 else []
+            meant = logic.similar(key) if hints >= 0 and not advice else []
             hint = f"; did you mean {' or '.join(meant)}?" if meant else ""
+            hint = f"; {advice}" if advice else hint
             who = f"{caller}: " if caller else ""
             yield RuleError(f"{who}there is no predicate {key} yet{hint}", place)
 

@@ -1,30 +1,28 @@
 """The forms of an event file: what each of its terms is, checked before anything of the file is active."""
 
-from typing import Any, Dict, List, NamedTuple, Optional, Tuple
+from typing import Any, Callable, Dict, List, NamedTuple, Optional
 
-from ..errors import Errors, Place, RetalisError, RuleError, UsageError
+from ..errors import Errors, Place, RetalisError, RuleError
 from ..logic import PrologError
 from ..logic.logic import split_clause
 from ..syntax import ReadTerm
-from ..terms import Atom, Term, Var, atom, copy, deref, functor, list_items, variables
-from .alarms import duration
-from .calls import Call, Unknown
+from ..terms import COLON, Atom, Term, Var, atom, copy, deref, functor, list_items, variables
+from .alarms import ALARMS
+from .calls import Call, Unknown, calls
+from .collecting import check_aggregate
+from .directives import Goals, goals_of
+from .heads import SYNCHRONIZED, check_head
+from .labels import RULE, Property, is_rule, label_error, labelled
 from .occurrences import occurrences
 from .pattern import ARROWS, SPELLINGS, Action, Reader, Spot, bound_by
 from .rule import Definition
 
-_SYNCHRONIZED = frozenset((functor("syncronized", 3), functor("synchronized", 3)))
-_RULE = functor("rule:", 2)
-_COLON = functor(":", 2)
 _CLAUSE = functor(":-", 2)
 _GRAMMAR = functor("-->", 2)
 DIRECTIVES = frozenset((functor(":-", 1), functor("?-", 1)))
-_PROPERTY = functor("property", 2)
 _PROPERTY_FACT = functor("event_rule_property", 3)
 _LESS = functor("<", 2)
 _MINUS = functor("-", 1)
-_ALARM = functor("exceptionAlarm", 2)
-_ARITIES = {"exceptionAlarm": 2, "exceptionAlarmAbsoluteDatime": 2, "syncronized": 3, "synchronized": 3}
 _RENAMED = {
     functor("print_trigger", 1): functor("external_trigger", 1),
     functor("persistent_rule", 1): functor("persistent_event", 1),
@@ -36,24 +34,25 @@ _USING = {
     functor("use_module", 2): "use",
     functor("ensure_loaded", 1): "ensure",
 }
+_REV = functor("rev", 1)
+_INSERT = functor("ins_event_rule", 2)
+_FACTS = frozenset(
+    functor(name, 2) for name in ("seq", "cnot", "fnot", "forall_seq", "ntimes", "event_multiply")
+)
+"""Facts of these were meant as rules: they are the names of nothing else."""
 TOO_DEEP = "the pattern is too deep: too many operators stand one in the other"
-KNOWN_PROPERTIES = ("event_rule_window", "window", "window_step")
-
-
-class Property(NamedTuple):
-    """A property of a label."""
-
-    label: Term
-    name: str
-    value: Term
 
 
 class Step(NamedTuple):
-    """Something to do when the file is accepted: ``kind`` is clause, directive, property, use or ensure."""
+    """Something to do when the file is accepted: ``kind`` is clause, directive, property, use or ensure.
+
+    ``goals`` are those of a directive.
+    """
 
     kind: str
     term: Term
     place: Optional[Place]
+    goals: Goals = []
 
 
 class Checked(NamedTuple):
@@ -65,15 +64,21 @@ class Checked(NamedTuple):
 
 
 class Checker:
-    """Sorts the terms of a file and collects all of their errors and warnings."""
+    """Sorts the terms of a file and collects all of their errors and warnings.
 
-    def __init__(self) -> None:
+    Args:
+        show: gives the text of a term, for what is wrong with one that has no place.
+    """
+
+    def __init__(self, show: Optional[Callable[[Term], str]] = None) -> None:
+        self._show = show
         self.errors = Errors()
         self.warnings = Errors()
         self.steps: List[Step] = []
         self.rules: List[Definition] = []
         self.inner: List[Definition] = []
         self.calls: List[Unknown] = []
+        self.untimed: List[Unknown] = []
         self._names: Dict[Var, str] = {}
 
     def read(self, read: ReadTerm) -> None:
@@ -85,52 +90,88 @@ class Checker:
     def term(self, term: Term, spot: Spot, place: Optional[Place]) -> None:
         """Check a term; ``spot`` gives the place of a part of it, ``place`` is where it begins."""
         term = deref(term)
+        found = [(problems, len(problems)) for problems in (self.errors, self.warnings)]
         try:
             self._sort(term, spot, place)
         except RetalisError as error:
             self.errors.append(error if error.place else RuleError(error.message, place))
         except RecursionError:
             self.errors.append(RuleError(TOO_DEEP, place))
+        if place is None and self._show is not None:
+            for problems, before in found:
+                for at in range(before, len(problems)):
+                    problems[at] = RuleError(f"{self._show(term)}: {problems[at].message}")
 
     def _sort(self, term: Term, spot: Spot, place: Optional[Place]) -> None:
         head = term[0] if term.__class__ is tuple else None
         if is_rule(term):
             self._rule(term, spot, place)
         elif head in DIRECTIVES:
-            goal = deref(term[1])
-            kind = _USING.get(goal[0]) if goal.__class__ is tuple else None
-            named = Step("directive", goal, place) if kind is None else Step(kind, deref(goal[1]), place)
-            self.steps.append(named)
+            self._directive(term, spot, place)
         elif head in _USING:
             self.steps.append(Step(_USING[head], deref(term[1]), place))
         elif head is _PROPERTY_FACT:
-            self._property(Property(deref(term[1]), _name(term[2]), deref(term[3])), place)
+            self._property(Property(deref(term[1]), _name(term[2]), deref(term[3])), term, spot, place)
             self.steps.append(Step("clause", term, place))
         else:
             if head in _RENAMED:
                 self.steps.append(Step("clause", (_RENAMED[head], *term[1:]), place))
             elif head in _UNWRAPPED:
                 self.steps.append(Step("clause", deref(term[1]), place))
-            if head is _RULE or (head is _COLON and _looks_like_rule(term)):
-                self.warnings.append(RuleError("this is no labelled rule, so it is kept as a fact", place))
+            self._no_rule(term, spot, place)
             self.steps.append(Step("clause", term, place))
 
-    def _property(self, one: Property, place: Optional[Place]) -> None:
-        if one.name not in KNOWN_PROPERTIES:
-            known = ", ".join(KNOWN_PROPERTIES)
-            self.warnings.append(RuleError(f"there is no property {one.name}; there are {known}", place))
-        elif one.value.__class__ not in (int, float) or not one.value >= 0:
-            raise RuleError(f"property {one.name} needs a number of seconds", place)
+    def _directive(self, term: Any, spot: Spot, place: Optional[Place]) -> None:
+        goal, at = deref(term[1]), spot(term, 1) or place
+        if is_rule(goal):
+            raise RuleError("an event rule stands without the :- before it", at)
+        kind = _USING.get(goal[0]) if goal.__class__ is tuple else None
+        if kind is None:
+            self.steps.append(Step("directive", goal, at, goals_of(term, spot)))
         else:
+            self.steps.append(Step(kind, deref(goal[1]), at))
+
+    def _no_rule(self, term: Term, spot: Spot, place: Optional[Place]) -> None:
+        """Look whether a clause was meant as an event rule."""
+        if term.__class__ is not tuple:
+            return
+        head = term[0]
+        if head is RULE or head is COLON:
+            wrong = label_error(term, lambda part, number=0: spot(part, number) or place)
+            if wrong is not None:
+                raise wrong
+            if head is RULE or _holds_label(deref(term[2])):
+                self._warn("this is no labelled rule (a rule has one label), so it is kept as a fact", place)
+        elif head in _FACTS:
+            self._warn(
+                "this is a fact; between head and pattern of an event rule stands <-", spot(term) or place
+            )
+        elif head is _CLAUSE:
+            body = deref(term[2])
+            if body.__class__ is tuple and SPELLINGS.get(body[0]) is not None and body[0].name.isidentifier():
+                advice = "the arrow of an event rule is <-"
+                self.calls.append(Unknown(body[0], spot(body) or place, "", advice))
+
+    def _warn(self, message: str, place: Optional[Place]) -> None:
+        self.warnings.append(RuleError(message, place))
+
+    def _property(self, one: Property, term: Any, spot: Spot, place: Optional[Place]) -> None:
+        """Take a property from the term that has its name and value as the last arguments."""
+        problem, last = one.problem, len(term) - 1
+        if problem is None:
             self.steps.append(Step("property", one, place))
+        elif one.known:
+            raise RuleError(problem, spot(term, last) or place)
+        else:
+            self._warn(problem, spot(term, last - 1) or place)
 
     def _rule(self, term: Term, spot: Spot, place: Optional[Place]) -> None:
-        label, rule = _labelled(term)
+        label, rule = labelled(term)
         if label is not None and label.__class__ is tuple:
             name = label[0].name
             for item in list_items(label[1]) or ():
                 part = deref(item)
-                self._property(Property(atom(name), _name(part[1]), deref(part[2])), spot(part) or place)
+                self._property(Property(atom(name), _name(part[1]), deref(part[2])), part, spot, place)
             label = atom(name)
         self.rules.append(self.definition(rule, label, spot, place))
 
@@ -142,7 +183,7 @@ class Checker:
         """
         reader = Reader(lambda part, number=0: spot(part, number) or place, self.warnings.append)
         if rule[0] not in ARROWS:  # P do G
-            pattern = reader.read((_RULE, rule), 1)
+            pattern = reader.read((RULE, rule), 1)
             definition = Definition(rule, None, pattern, label, place, self._names)
         else:
             head, goal = deref(rule[1]), None
@@ -150,37 +191,32 @@ class Checker:
                 goal = reader.goal(head, 2, "do")
                 head = deref(head[1])
             at = spot(head) if head.__class__ is tuple else spot(rule, 1)
-            self._head(head, spot, at or place)
+            check_head(
+                head, lambda part, number=0: spot(part, number) or place, at or place, self.warnings.append
+            )
+            if head.__class__ is tuple and head[0] in SYNCHRONIZED:
+                for call in calls(head, 2):
+                    self._called(call, spot, place)
+            self._arrow_in(rule, spot)
             pattern = reader.read(rule, 2)
             if goal is not None:
                 pattern = Action(pattern, goal, False)
             definition = Definition(rule, head, pattern, label, place, self._names)
             self._unbound(head, pattern, at or place)
         self._goals(reader.goals, pattern, spot, place)
+        for call in reader.untimed:
+            self.untimed.append(Unknown(call.term[0], spot(call.term) or place))
+        for one, part in reader.aggregates:
+            check_aggregate(one, part, pattern, self._names, reader.place, self.warnings.append)
         for one in reader.inner:
             self.inner.append(self.definition(one, None, spot, spot(one) or place))
         return definition
 
-    def _head(self, head: Term, spot: Spot, place: Optional[Place]) -> None:
-        if head.__class__ not in (tuple, Atom, Var):
-            raise RuleError("the head of a rule is an event: an atom or a compound term", place)
-        if head.__class__ is not tuple:
-            return
-        if head[0] is _ALARM and deref(head[2]).__class__ is not Var:
-            try:
-                duration(head[2])
-            except UsageError as error:
-                raise RuleError(error.message, spot(head, 2) or place) from None
-        takes = _ARITIES.get(head[0].name)
-        if takes is not None and takes != len(head) - 1:
-            name = head[0].name
-            self.warnings.append(
-                RuleError(f"this is an ordinary event; {name} takes {takes} arguments", place)
-            )
-        if head[0] is _COLON:
-            self.warnings.append(
-                RuleError("this is an event with a colon in it: a rule has one label", place)
-            )
+    def _arrow_in(self, rule: Any, spot: Spot) -> None:
+        """Warn of a rule in the place of a pattern that has no brackets: two arrows in a row."""
+        inner, begin = deref(rule[2]), spot(rule, 2)
+        if inner.__class__ is tuple and inner[0] in ARROWS and begin is not None and begin.character != "(":
+            self._warn("this is a rule inside the pattern of another; write it in brackets", spot(inner))
 
     def _goals(self, goals: List[Call], pattern: Any, spot: Spot, place: Optional[Place]) -> None:
         """Check what the goals of a rule call, and note it: what is not there may come with the rest of the file."""
@@ -192,25 +228,37 @@ class Checker:
                 raise RuleError(
                     f"nothing gives {name} a goal to call", spot(call.parent, call.number) or place
                 )
-            if term.__class__ is tuple:
-                self.calls.append(Unknown(term[0], spot(term) or place))
-            elif term.__class__ is Atom:
-                self.calls.append(Unknown(term.functor, spot(call.parent, call.number) or place))
+            self._called(call, spot, place)
+
+    def _called(self, call: Call, spot: Spot, place: Optional[Place]) -> None:
+        """Note what a goal of a rule calls."""
+        term = call.term
+        if term.__class__ is tuple:
+            self.calls.append(Unknown(term[0], spot(term) or place, "", _advice(term)))
+        elif term.__class__ is Atom:
+            self.calls.append(Unknown(term.functor, spot(call.parent, call.number) or place))
 
     def _unbound(self, head: Term, pattern: Any, place: Optional[Place]) -> None:
         bound = {*bound_by(pattern), *_bound_later(head)}
         free = [var for var in variables(head) if var not in bound]
-        if head.__class__ is Var and free:
-            raise RuleError("nothing in the pattern gives the head a value", place)
+        event = deref(head[1]) if head.__class__ is tuple and head[0] in ALARMS else head
+        if event.__class__ is Var and event in free:
+            which = "the head" if event is head else "the event of this alarm"
+            raise RuleError(f"nothing in the pattern gives {which} a value", place)
         if free:
             names = [self._names[var] for var in free if var in self._names]
             which = f"{' and '.join(names)} of the head" if names else f"{len(free)} variable(s) of the head"
-            self.warnings.append(RuleError(f"nothing in the pattern can bind {which}", place))
+            exactly = (
+                " (rev takes back the very event that it names)"
+                if head.__class__ is tuple and head[0] is _REV
+                else ""
+            )
+            self._warn(f"nothing in the pattern can bind {which}{exactly}", place)
 
 
 def _bound_later(head: Term) -> List[Var]:
     """Return the variables of a synchronized event that its query will bind."""
-    synchronized = head.__class__ is tuple and head[0] in _SYNCHRONIZED
+    synchronized = head.__class__ is tuple and head[0] in SYNCHRONIZED
     return variables(head[2]) if synchronized else []
 
 
@@ -219,41 +267,17 @@ def nowhere(part: Term, number: int = 0) -> Optional[Place]:
     return None
 
 
-def is_rule(term: Term) -> bool:
-    """Tell whether a term is an event rule, labelled or not."""
-    if term.__class__ is not tuple:
-        return False
-    if term[0] is _RULE or term[0] is _COLON:
-        label, rule = _labelled(term)
-        return label is not None and _is_plain_rule(rule)
-    return _is_plain_rule(term)
+def _holds_label(term: Term) -> bool:
+    """Tell whether a term has the form of a label and something behind it."""
+    return term.__class__ is tuple and (term[0] is RULE or term[0] is COLON)
 
 
-def _is_plain_rule(term: Term) -> bool:
-    return term.__class__ is tuple and (term[0] in ARROWS or SPELLINGS.get(term[0]) == "do")
-
-
-def _looks_like_rule(term: Term) -> bool:
-    inner = deref(term[2])
-    return inner.__class__ is tuple and (_is_plain_rule(inner) or inner[0] in (_RULE, _COLON))
-
-
-def _labelled(term: Term) -> Tuple[Optional[Term], Term]:
-    """Return label and rule; the label is None where there is none or it is malformed."""
-    if term[0] is not _RULE and term[0] is not _COLON:
-        return None, term
-    label = deref(term[1])
-    if label.__class__ is tuple:
-        items = list_items(label[1]) if len(label) == 2 else None
-        if items is None or not all(_is_property(deref(item)) for item in items):
-            return None, term
-    elif label.__class__ is not Atom:
-        return None, term
-    return label, deref(term[2])
-
-
-def _is_property(term: Term) -> bool:
-    return term.__class__ is tuple and term[0] is _PROPERTY and deref(term[1]).__class__ is Atom
+def _advice(goal: Any) -> str:
+    """Return what was probably meant by a goal, where there is no such predicate."""
+    name = SPELLINGS.get(goal[0])
+    if name is not None:
+        return f"{name} is a part of the goal here; for the pattern it is written (Pattern where Goal) {name} ..."
+    return "a rule with a comma in it stands in brackets of its own" if goal[0] is _INSERT else ""
 
 
 def _name(term: Term) -> str:

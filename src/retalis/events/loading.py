@@ -9,6 +9,7 @@ from ..syntax import Operators, read_program
 from ..terms import Atom, Term, conjuncts, copy, deref, functor, list_items
 from .calls import Unknown, unknown_calls
 from .clauses import DIRECTIVES, TOO_DEEP, Checker, Definition, Step, clause_error, nowhere
+from .directives import Directives
 from .files import Files
 from .forgotten import defined_in, fact_error
 from .libraries import LIBRARY, require_library
@@ -51,6 +52,7 @@ class Loader:
     def __init__(self, rules: Any):
         self._rules = rules
         self._files: Files = rules.files
+        self._directives = Directives(rules.logic)
         self._acting: List[Plan] = []
         """The files whose terms are being taken in, the outer ones first."""
         self._begun: List[Any] = []
@@ -97,7 +99,8 @@ class Loader:
 
     def load_terms(self, terms: Sequence[Tuple[Term, Optional[Place]]]) -> None:
         """Load terms; see `Rules.load_terms`."""
-        reading = _Reading(Checker(), self._rules.logic.operators.copy(), Errors())
+        logic = self._rules.logic
+        reading = _Reading(Checker(logic.brief), logic.operators.copy(), Errors())
         for term, place in terms:
             included = _included(term)
             if included is None:
@@ -129,7 +132,7 @@ class Loader:
                 continue
             included = _included(read.term)
             if included is not None:
-                self._include(included, read.place, reading, program)
+                self._include(included, read.place_of(read.term, 1), reading, program)
                 continue
             reading.checker.read(read)
             if read.singletons and self._rules.warn_singletons:
@@ -188,6 +191,10 @@ class Loader:
                     steps.append(plan)
             else:
                 steps.append(step)
+        for call in checker.untimed:
+            if call.key not in defined and logic.is_of_system(call.key):
+                message = f"{call.key} holds in the goals of check only: write check for where, do or another"
+                errors.append(RuleError(message, call.place))
         rules = self._compiled([*checker.rules, *checker.inner], errors)
         for warning in checker.warnings.with_rest():
             self._rules.on_warning(warning)
@@ -278,22 +285,11 @@ class Loader:
             elif step.kind == "property":
                 rules.set_property(step.term)
             else:
-                self._direct(step)
+                warning = self._directives.run(step.term, step.goals, step.place)
+                if warning is not None:
+                    rules.on_warning(warning)
         for rule in plan.rules:
             rules.activate(rule)
-
-    def _direct(self, step: Step) -> None:
-        """Run a directive.
-
-        Raises:
-            RetalisError: what it raised.
-        """
-        rules = self._rules
-        try:
-            if not rules.logic.once(step.term):
-                rules.on_warning(RuleError("this directive fails", step.place))
-        except PrologError as error:
-            raise RuleError(f"this directive raises an error: {error.message}", step.place) from error
 
 
 class _Beginning:

@@ -9,12 +9,14 @@ from ..logic import Logic, keep_back
 from ..terms import Term, atom, copy, deref, unify, variables
 from ..terms.keys import term_key
 from ..timestamps import SECOND, from_seconds
+from .alarms import is_absolute
 from .calls import called_by
-from .clauses import Checker, Property, is_rule, nowhere
+from .clauses import Checker, nowhere
 from .dispatch import Dispatcher
 from .files import Files
 from .flags import Flags
 from .justification import Justifier
+from .labels import Property, is_rule
 from .loading import Loader
 from .policy import Mode
 from .predicates import define_predicates
@@ -66,6 +68,7 @@ class Rules:
         self.future = future
         self.on_error: Callable[[RetalisError], None] = lambda error: log.error("%s", error)
         self.warn_singletons = False
+        self.revs_of_nothing = 0
         self.on_warning: Callable[[RetalisError], None] = lambda error: log.warning("%s", error)
         self.nested = 0
         self.checked: Optional[Tuple[int, int]] = None
@@ -339,6 +342,25 @@ class Rules:
             self._warn_seldom(rule, rule.alarms_dropped, text)
             return
         self.clock.call_at(instant, fire)
+
+    def look_at_alarm(self, rule: Rule, head: Term, alarm: Any) -> None:
+        """Report an alarm for an instant that is over: one before its own start is None here, and rings never."""
+        if not is_absolute(head) or (alarm is not None and alarm[2] >= self.clock.now()):
+            return
+        rule.alarms_past += 1
+        then = "it is an ordinary event" if alarm is None else "it rings at once"
+        text = f": the instant of its alarm is in the past, so {then}; {rule.alarms_past} so far"
+        self._warn_seldom(rule, rule.alarms_past, text)
+
+    def took_nothing_back(self, term: Term, rule: Optional[Rule]) -> None:
+        """Report an event ``rev(E)`` where there is no E to take back; at 1, 2, 4, 8 ... of them."""
+        self.revs_of_nothing += 1
+        number = self.revs_of_nothing
+        if number & (number - 1) == 0:
+            who = "" if rule is None else f"{rule.name}: "
+            text = f"{who}rev takes back nothing: no event {self.logic.brief(term)} is known that still holds"
+            place = None if rule is None else rule.place
+            self.on_warning(RuleError(f"{text}; {number} so far", place))
 
     def rule_failed(self, rule: Rule, error: RuleError) -> None:
         """Report what stopped a rule from firing."""

@@ -6,8 +6,6 @@ the code that is compiled for each node, and into that which says where in time 
 
 from typing import Dict, NamedTuple, Tuple
 
-from ..terms import COMMA, functor
-
 
 class Operator(NamedTuple):
     """A two-sided operator.
@@ -53,12 +51,3 @@ OPERATORS: Dict[str, Operator] = {
         Operator("finishes", ("e1 == e2", "s2 < s1"), "s2", "e2", alone=False),
     )
 }
-
-MEANT = {
-    COMMA: "a comma between patterns makes one event of them; use and or seq",
-    functor(";", 2): "a semicolon between patterns makes one event of them; use or",
-    functor("->", 2): "an arrow between patterns makes one event of them; use seq",
-    functor("\\+", 1): "what has not happened is written cnot or fnot; this is an event",
-    functor("not", 1): "what has not happened is written cnot or fnot; this is an event",
-}
-"""Terms that are events like others where a pattern stands, and that were probably not meant so."""

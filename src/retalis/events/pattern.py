@@ -5,8 +5,9 @@ from typing import Any, Callable, Dict, List, NamedTuple, Optional, Set, Tuple, 
 from ..errors import Place, RuleError
 from ..terms import Atom, String, Term, Var, deref, functor, variables
 from ..timestamps import from_seconds
-from .calls import Call, calls
-from .operators import MEANT, OPERATORS
+from .calls import Call, asking_interval, calls
+from .meant import doubt
+from .operators import OPERATORS
 
 Spot = Callable[..., Optional[Place]]
 """Gives the place of a compound term: that of its functor, or with a number that of an argument."""
@@ -117,13 +118,10 @@ SPELLINGS = _spellings()
 STAR_TIMES = functor("star_times", 1)
 AGGREGATE = functor("aggregate", 3)
 ARROWS = frozenset(functor(name, 2) for name in ("<-", "iff", "IFF"))
-_ARITIES = {
-    "aggregate": 3,
-    "star_times": 1,
-    "prolog": 1,
-    "exceptionAlarm": 2,
-    "exceptionAlarmAbsoluteDatime": 2,
-}
+_NOT_INSIDE = (
+    "P cnot R above what is no sequence means that no R ended before P started (write fnot); that none was between "
+    "two events is (P seq Q) cnot R"
+)
 
 
 class Reader:
@@ -134,15 +132,20 @@ class Reader:
         warn: takes what is no error but probably a mistake.
 
     Attributes:
+        place: what gives the places.
         inner: the rules defined by the way, ``(S <- Q)`` inside a pattern.
         goals: what the goals call.
+        untimed: calls of ``t1/1`` and ``t2/1`` that a goal cannot do without, where these do not hold.
+        aggregates: the aggregates, each with its term.
     """
 
     def __init__(self, place: Spot, warn: Callable[[RuleError], None]):
-        self._place = place
+        self.place = place
         self._warn = warn
         self.inner: List[Term] = []
         self.goals: List[Call] = []
+        self.untimed: List[Call] = []
+        self.aggregates: List[Tuple[Aggregate, Term]] = []
 
     def read(self, parent: Term, number: int) -> Any:
         """Return the pattern that an argument of a term is.
@@ -198,19 +201,10 @@ class Reader:
             kind = "a string" if term.__class__ is String else "a number"
             message = f"an event is an atom or a compound term, not {kind}"
             raise self._error(message, parent, number)
-        if term.__class__ is tuple:
-            self._suspect(term)
+        doubted = doubt(term)
+        if doubted is not None:
+            self._warn(self._error(doubted, *((parent, number) if term.__class__ is Atom else (term, 0))))
         return Occurs(term)
-
-    def _suspect(self, term: Any) -> None:
-        """Warn of an event that was probably meant as something else."""
-        if term[0] in MEANT:
-            self._warn(self._error(MEANT[term[0]], term))
-        elif term[0].name in _ARITIES and len(term) - 1 != _ARITIES[term[0].name]:
-            arity = _ARITIES[term[0].name]
-            self._warn(
-                self._error(f"this is an ordinary event; {term[0].name} takes {arity} argument(s)", term)
-            )
 
     def _sequence(self, term: Term) -> Any:
         left, right = deref(term[1]), deref(term[2])
@@ -242,7 +236,9 @@ class Reader:
             known = "count, sum(X), min(X), max(X), avg(X), list(X)"
             raise self._error(f"there is no such aggregate; there are {known}", kind if arity else term)
         collected = self._operand(term, 2, "aggregate")
-        return Aggregate(first, name, deref(kind[1]) if arity else None, collected, deref(term[3]))
+        found = Aggregate(first, name, deref(kind[1]) if arity else None, collected, deref(term[3]))
+        self.aggregates.append((found, term))
+        return found
 
     def _alternatives(self, term: Term) -> Either:
         branches: List[Any] = []
@@ -259,7 +255,10 @@ class Reader:
     def _absence(self, name: str, term: Term) -> Absent:
         pattern = self._operand(term, 1, name)
         negated = self._operand(term, 2, name)
-        return Absent(pattern, negated, name == "cnot" and _is_sequence(pattern))
+        inside = name == "cnot" and _is_sequence(pattern)
+        if name == "cnot" and not inside:
+            self._warn(self._error(_NOT_INSIDE, term))
+        return Absent(pattern, negated, inside)
 
     def _repetition(self, term: Term) -> Any:
         times = deref(term[2])
@@ -289,10 +288,12 @@ class Reader:
             if call.term.__class__ not in (tuple, Atom, Var):
                 raise self._error(f"{operator} needs a goal", call.parent, call.number)
             self.goals.append(call)
+        if operator not in _GOAL_OPERATORS or not _GOAL_OPERATORS[operator][1]:
+            self.untimed += asking_interval(parent, number)
         return deref(parent[number])  # type: ignore[index]
 
     def _error(self, message: str, term: Term, number: int = 0) -> RuleError:
-        return RuleError(message, self._place(term, number))
+        return RuleError(message, self.place(term, number))
 
 
 def _is_sequence(pattern: Any) -> bool:

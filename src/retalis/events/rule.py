@@ -73,6 +73,7 @@ class Rule:
         self.waiting = 0
         self.dropped = 0
         self.alarms_dropped = 0
+        self.alarms_past = 0
         self.timed = False
         self._watched = False
         self.clock: int = -(1 << 63)
@@ -301,6 +302,7 @@ class Rule:
         try:
             if head.__class__ is tuple and head[0].name in _ALARMS:
                 alarm = alarm_of(head, start, end)
+                network.look_at_alarm(self, head, alarm)
                 if alarm is not None:
                     network.set_alarm(self, *alarm, token)
                     return after

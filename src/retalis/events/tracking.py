@@ -270,6 +270,7 @@ class Tracker:
         if found is None:
             found = [one for one in self._by_term.get(term_key(values[0]), ()) if not one.gone]
             if not found:
+                self._rules.took_nothing_back(values[0], self._rules.dispatcher.token().rule)
                 return after
             again = self._forget(found)
         work = _TakingBack(self._steps(found, again, start, end))

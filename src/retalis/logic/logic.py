@@ -312,8 +312,12 @@ class Logic:
         for goal in new:
             goal.prepare()
 
-    def once(self, goal: Term) -> bool:
+    def once(self, goal: Term, asked_for: Optional[Term] = None) -> bool:
         """Run a goal for its first solution, whose bindings stay. Return whether there is one.
+
+        Args:
+            goal: the goal.
+            asked_for: what reports show in its place.
 
         Raises:
             PrologError: what the goal threw.
@@ -324,7 +328,7 @@ class Logic:
             budget.admit()
         asked = budget.goal
         if asked is None:
-            budget.goal = goal
+            budget.goal = goal if asked_for is None else asked_for
         try:
             return self.machine.run((self.control.code, (_CALL, goal), 0, self.machine.done))
         finally:

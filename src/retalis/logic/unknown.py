@@ -85,7 +85,7 @@ def similar(logic: "Logic", key: Functor) -> List[str]:
     """Return indicators of defined procedures whose name is the same or nearly so."""
     names: Dict[str, List[Functor]] = {}
     for other in logic.names():
-        if other is not key:
+        if other is not key and not other.name.startswith("$"):
             names.setdefault(other.name, []).append(other)
     close = [key.name] if key.name in names else get_close_matches(key.name, names, 1, 0.8)
     return [str(other) for name in close for other in sorted(names[name], key=lambda found: found.arity)][:3]

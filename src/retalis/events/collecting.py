@@ -1,0 +1,72 @@
+"""What the aggregates of a rule collect, checked when the rule is read."""
+
+from typing import Any, Callable, Mapping
+
+from ..errors import RuleError
+from ..logic.arithmetic import EVALUABLE
+from ..terms import CONS, Atom, String, Term, Var, deref, variables
+from .occurrences import occurrences
+from .pattern import Aggregate, Spot, bound_by
+
+
+def check_aggregate(
+    part: Aggregate,
+    term: Any,
+    pattern: Any,
+    names: Mapping[Var, str],
+    spot: Spot,
+    warn: Callable[[RuleError], None],
+) -> None:
+    """Check that an aggregate has something to collect.
+
+    Args:
+        part: the aggregate.
+        term: as it is written.
+        pattern: of the rule.
+        names: of the variables.
+        spot: gives the places of parts of the term.
+        warn: takes what is no error but probably a mistake.
+
+    Raises:
+        RuleError: where what it is given is never a number and has to be one.
+    """
+    first, collected = set(bound_by(part.first)), set(bound_by(part.collected))
+    mentioned = [] if part.value is None else variables(part.value)
+    free = [var for var in mentioned if var not in first and var not in collected]
+    if part.kind == "list":
+        counts = occurrences([], pattern)
+        free = [var for var in free if counts[var] == 1]
+    if free:
+        name = names.get(free[0], "a variable")
+        message = f"nothing gives {name} a value, neither what {part.kind} collects nor what is before it"
+        error = RuleError(message, spot(deref(term[1])))
+        if part.kind != "list":
+            raise error
+        warn(error)
+    if part.value is not None and part.kind != "list" and not _may_be_number(part.value):
+        raise RuleError(f"{part.kind} needs numbers, or expressions of numbers", spot(deref(term[1])))
+    if part.result.__class__ is Var and part.result in (collected | set(mentioned)) - first:
+        name = names.get(part.result, "a variable")
+        message = (
+            f"{name} is both what comes in and the result of {part.kind}, which fires where they are the same"
+        )
+        warn(RuleError(message, spot(term, 3)))
+
+
+def _may_be_number(value: Term) -> bool:
+    """Tell whether there may be numbers for its variables with which a term is an expression."""
+    stack = [value]
+    while stack:
+        term = deref(stack.pop())
+        if term.__class__ is Atom:
+            if term.functor not in EVALUABLE:
+                return False
+        elif term.__class__ is tuple:
+            if term[0] is CONS:
+                continue
+            if term[0] not in EVALUABLE:
+                return False
+            stack.extend(term[1:])
+        elif term.__class__ is String and len(term.text) != 1:
+            return False
+    return True

@@ -1,0 +1,79 @@
+"""Directives of event files: run so that what goes wrong is shown at the goal where it did."""
+
+from typing import Any, Iterator, List, Optional, Tuple
+
+from ..errors import Place, RuleError
+from ..logic import PrologError
+from ..terms import COMMA, Atom, Term, Var, deref, functor
+from .calls import calls
+
+_GOAL = functor("$goal", 1)
+_CALLABLE = (tuple, Atom, Var)
+
+Goals = List[Tuple[Term, Optional[Place]]]
+
+
+def goals_of(directive: Term, spot: Any) -> Goals:
+    """Return the goals of a directive that are called one after the other, each with its place."""
+    found: Goals = []
+    stack = [(directive, 1)]
+    while stack:
+        parent, number = stack.pop()
+        goal = deref(parent[number])
+        if goal.__class__ is tuple and goal[0] is COMMA:
+            stack += [(goal, 2), (goal, 1)]
+        else:
+            found.append((goal, spot(parent, number)))
+    return found
+
+
+class Directives:
+    """Runs directives.
+
+    Before each goal of several one is called that notes which it is; so it is known, without looking into the
+    machine, which was called last when it is over.
+    """
+
+    def __init__(self, logic: Any):
+        self._logic = logic
+        self._entered = 0
+        self._last = 0
+        logic.define_nondeterministic("$goal", 1, self._enter)
+
+    def run(self, goal: Term, goals: Goals, place: Optional[Place]) -> Optional[RuleError]:
+        """Run a directive; return a warning where it fails, at the goal that was reached last.
+
+        Raises:
+            RuleError: what it raised, at the goal that did.
+        """
+        before = self._entered, self._last
+        wrong = [at for at, (one, _) in enumerate(goals) if not _is_callable(one)]
+        noting = len(goals) > 1 and not wrong  # else it raises an error that shows all of it
+        self._entered = self._last = wrong[0] if wrong else 0
+        try:
+            if self._logic.once(_noting([one for one, _ in goals]) if noting else goal, goal):
+                return None
+            return RuleError("this directive fails", goals[self._last][1] or place)
+        except PrologError as error:
+            at = goals[self._entered][1] or place
+            raise RuleError(f"this directive raises an error: {error.message}", at) from error
+        finally:
+            self._entered, self._last = before
+
+    def _enter(self, machine: Any, number: Term) -> Iterator[bool]:
+        self._entered = self._last = deref(number)
+        yield True
+        self._entered = max(0, self._entered - 1)  # what it goes back to
+
+
+def _is_callable(goal: Term) -> bool:
+    return all(call.term.__class__ in _CALLABLE for call in calls((_GOAL, goal), 1))
+
+
+def _noting(goals: List[Term]) -> Term:
+    """Return the goals as one that notes before each which it is."""
+    result: Any = None
+    for number in range(len(goals) - 1, -1, -1):
+        one = (COMMA, (_GOAL, number), goals[number])
+        result = one if result is None else (COMMA, (_GOAL, number), (COMMA, goals[number], result))
+    return result

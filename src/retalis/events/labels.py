@@ -1,0 +1,84 @@
+"""Labels of rules and their properties: ``L : R`` and ``L([property(Name, Value), ...]) : R``."""
+
+from math import isfinite
+from typing import NamedTuple, Optional, Tuple
+
+from ..errors import RuleError
+from ..terms import COLON, Atom, Term, Var, deref, functor, list_items
+from .pattern import ARROWS, SPELLINGS, Spot
+
+RULE = functor("rule:", 2)
+_PROPERTY = functor("property", 2)
+KNOWN_PROPERTIES = ("event_rule_window", "window", "window_step")
+_FORMS = "a label is an atom, or Label([property(Name, Value), ...])"
+
+
+class Property(NamedTuple):
+    """A property of a label."""
+
+    label: Term
+    name: str
+    value: Term
+
+    @property
+    def known(self) -> bool:
+        """Whether there is such a property."""
+        return self.name in KNOWN_PROPERTIES
+
+    @property
+    def problem(self) -> Optional[str]:
+        """What is wrong with it, or None."""
+        if not self.known:
+            return f"there is no property {self.name}; there are {', '.join(KNOWN_PROPERTIES)}"
+        if self.value.__class__ not in (int, float) or not (self.value >= 0 and isfinite(self.value)):
+            return f"property {self.name} needs a number of seconds"
+        return None
+
+
+def is_rule(term: Term) -> bool:
+    """Tell whether a term is an event rule, labelled or not."""
+    if term.__class__ is not tuple:
+        return False
+    if term[0] is RULE or term[0] is COLON:
+        label, rule = labelled(term)
+        return label is not None and is_plain_rule(rule)
+    return is_plain_rule(term)
+
+
+def is_plain_rule(term: Term) -> bool:
+    """Tell whether a term is an event rule without a label."""
+    return term.__class__ is tuple and (term[0] in ARROWS or SPELLINGS.get(term[0]) == "do")
+
+
+def labelled(term: Term) -> Tuple[Optional[Term], Term]:
+    """Return label and rule; the label is None where there is none or it is malformed."""
+    if term[0] is not RULE and term[0] is not COLON:
+        return None, term
+    label = deref(term[1])
+    if label.__class__ is tuple:
+        items = list_items(label[1]) if len(label) == 2 else None
+        if items is None or not all(_is_property(deref(item)) for item in items):
+            return None, term
+    elif label.__class__ is not Atom:
+        return None, term
+    return label, deref(term[2])
+
+
+def label_error(term: Term, spot: Spot) -> Optional[RuleError]:
+    """Return what is wrong with the label of a rule; None for what is none."""
+    if not is_plain_rule(deref(term[2])) or labelled(term)[0] is not None:
+        return None
+    label = deref(term[1])
+    if label.__class__ is Var:
+        return RuleError(f"{_FORMS}, not a variable", spot(term, 1))
+    if label.__class__ is tuple and len(label) == 2:
+        for item in list_items(label[1]) or ():
+            part = deref(item)
+            if not _is_property(part):
+                at = spot(part) if part.__class__ is tuple else spot(label)
+                return RuleError(f"expected property(Name, Value); {_FORMS}", at)
+    return RuleError(_FORMS, spot(term, 1))
+
+
+def _is_property(term: Term) -> bool:
+    return term.__class__ is tuple and term[0] is _PROPERTY and deref(term[1]).__class__ is Atom

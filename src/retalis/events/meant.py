@@ -1,0 +1,128 @@
+"""What stands in rules that was hardly meant: terms that are events like others, and were to be something else."""
+
+from difflib import SequenceMatcher
+from typing import Any, Dict, Optional
+
+from ..terms import CONS, Atom, Term, deref, functor, list_items
+
+_COMPARISONS = [
+    "=",
+    "\\=",
+    "==",
+    "\\==",
+    "is",
+    "=..",
+    "<",
+    ">",
+    "=<",
+    ">=",
+    "=:=",
+    "=\\=",
+    "@<",
+    "@>",
+    "@=<",
+    "@>=",
+]
+_BEHIND = "a condition is written behind where"
+_CONDITION = f"this is an event; {_BEHIND}"
+_ALARM = "an alarm is a head; the event that follows it is its first argument"
+
+_MEANT: Dict[Any, str] = {
+    functor(
+        ",", 2
+    ): "a comma between patterns makes one event of them; use and or seq (for a condition, where)",
+    functor(";", 2): "a semicolon between patterns makes one event of them; use or",
+    functor("->", 2): "an arrow between patterns makes one event of them; use seq",
+    functor("\\+", 1): "what has not happened is written cnot or fnot; this is an event",
+    functor("not", 1): "what has not happened is written cnot or fnot; this is an event",
+    functor("exceptionAlarm", 2): _ALARM,
+    functor("exceptionAlarmAbsoluteDatime", 2): _ALARM,
+    **{functor(name, 2): _CONDITION for name in _COMPARISONS},
+    **{functor(name, 0): f"{name} is an event here; {_BEHIND}" for name in ("true", "fail", "false", "!")},
+}
+_ARITIES = {
+    **dict.fromkeys(("seq", "and", "or", "cnot", "fnot", "forall_seq", "ntimes", "event_multiply"), 2),
+    "aggregate": 3,
+    "star_times": 1,
+    "prolog": 1,
+    "exceptionAlarm": 2,
+    "exceptionAlarmAbsoluteDatime": 2,
+}
+"""How many arguments what is no event takes; with others it is one. Names that events may have are not here."""
+
+_FORMS = {"aggregate": "takes 3 arguments: aggregate(Kind, Pattern, Result)"}
+
+_SPECIAL = {
+    "synchronized": (3, "synchronized(Event, Query, Memories)"),
+    "syncronized": (3, "synchronized(Event, Query, Memories)"),
+    "exceptionalarm": (2, "exceptionAlarm(Event, Seconds)"),
+    "exceptionalarmabsolutedatime": (2, "exceptionAlarmAbsoluteDatime(Event, Datime)"),
+}
+_SPECIAL_NAMES = frozenset(("synchronized", "syncronized", "exceptionAlarm", "exceptionAlarmAbsoluteDatime"))
+_ALIKE = 0.9
+
+_NO_EVENTS = frozenset(("seq", "and", "or", "cnot", "fnot", "forall_seq", "ntimes", "event_multiply"))
+"""Operators whose names are those of no events; those of others may be, as ``meets(Ann, Bob)``."""
+_ONE = "the head of a rule is one event"
+_NO_HEADS = {
+    functor(",", 2): f"{_ONE}; write a rule for each",
+    functor(";", 2): f"{_ONE}, not one of two",
+    **{functor(name, 2): f"{_ONE}, no rule; a full stop is between rules" for name in ("<-", "iff", "IFF")},
+}
+
+
+def doubt(term: Term) -> Optional[str]:
+    """Return why an event of a pattern was probably meant as something else, or None."""
+    if term.__class__ is Atom:
+        return _MEANT.get(term.functor)
+    if term.__class__ is not tuple:
+        return None
+    known = _MEANT.get(term[0])
+    if known is not None:
+        return known
+    if term[0] is CONS:
+        items = list_items(term)
+        if items is not None and all(deref(item).__class__ in (Atom, tuple) for item in items):
+            return "a list of patterns is one event; use and, or or seq between them"
+    return wrong_arity(term)
+
+
+def wrong_arity(term: Any) -> Optional[str]:
+    """Return that a term, by its number of arguments, is not what its name is that of, or None."""
+    name, count = term[0].name, len(term) - 1
+    takes = _ARITIES.get(name)
+    if takes is None and name in _SPECIAL_NAMES:
+        takes = _SPECIAL[name][0]
+    if takes is None or takes == count:
+        return None
+    form = _FORMS.get(name, f"takes {takes} argument{'s' * (takes != 1)}")
+    return f"this is an ordinary event; {name} {form}"
+
+
+def head_error(head: Any, operator: Optional[str]) -> Optional[str]:
+    """Return why a compound term, or what is that operator of patterns, is the head of no rule; else None."""
+    if operator == "do":
+        return "a head has one do: Head do (Goal, Goal)"
+    if operator in _NO_EVENTS and head[0].name.isidentifier():
+        return f"{_ONE}; {operator} is an operator of patterns"
+    return _NO_HEADS.get(head[0])
+
+
+def head_doubt(head: Any, operator: Optional[str]) -> Optional[str]:
+    """Return why a compound head, or what is that operator of patterns, was probably meant otherwise, or None."""
+    if operator is not None:
+        return f"no pattern takes this event: in patterns {head[0].name} is an operator"
+    if len(head) == 3 and head[0].name in _COMPARISONS:
+        return _CONDITION
+    return wrong_arity(head) if head[0].name in _SPECIAL_NAMES else _alike(head)
+
+
+def _alike(head: Any) -> Optional[str]:
+    """Return what a head of nearly the same name does, or None."""
+    plain = head[0].name.lower().replace("_", "")
+    for other, (arity, form) in _SPECIAL.items():
+        if arity != len(head) - 1 or plain[:1] != other[0]:
+            continue
+        if SequenceMatcher(None, plain, other).ratio() >= _ALIKE:
+            return f"this is an ordinary event; did you mean {form}?"
+    return None

@@ -1,0 +1,24 @@
+"""What loading rules says: the errors or warnings of a text, each as line, column and message."""
+
+import pytest
+from events.running import Program
+
+from retalis.errors import ProgramErrors
+
+
+def errors_of(rules):
+    """Return the errors for which a text is refused; nothing of it is active then."""
+    program = Program()
+    with pytest.raises(ProgramErrors) as caught:
+        program.engine.load(rules=rules)
+    assert program.engine.rules.rules == []
+    return [_shown(error) for error in caught.value.errors]
+
+
+def warnings_of(rules):
+    """Return the warnings for a text that is accepted."""
+    return [_shown(warning) for warning in Program(rules).warnings]
+
+
+def _shown(problem):
+    return problem.place.line, problem.place.column, problem.message

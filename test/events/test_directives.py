@@ -1,0 +1,54 @@
+"""Directives: what goes wrong is shown at the goal where it did."""
+
+import pytest
+from events.refusals import errors_of, warnings_of
+from events.running import Program
+
+
+@pytest.mark.parametrize(
+    ("directive", "column", "part"),
+    [
+        (":- no_such(1).", 4, "no_such/1"),
+        (":- true, no_such(1), true.", 10, "no_such/1"),
+        (":- member(X, [1, 2]), X > 1, no_such(X).", 30, "no_such/1"),
+        (":- (true ; fail), !, atom_length(_, _), true.", 22, "instantiated"),
+        (":- (true ; no_such), fail.", 4, "no_such/0"),
+        (":- true, (fail, 5), true.", 17, "callable"),
+        ("?- true, atom_length(_, _).", 10, "instantiated"),
+        (":- d do no_such.", 4, "an event rule stands without the :- before it"),
+        (":- use_module(no_such_file).", 4, "No such file"),
+        (":- include(no_such_file).", 4, "No such file"),
+    ],
+)
+def test_an_error_is_at_its_goal(directive, column, part):
+    ((line, at, message),) = errors_of(f"% first\n{directive}")
+    assert (line, at) == (2, column)
+    assert part in message
+
+
+@pytest.mark.parametrize(
+    ("directive", "column"),
+    [
+        (":- fail.", 4),
+        (":- true, fail, true.", 10),
+        (":- member(X, [1, 2]), X > 5, true.", 23),
+        (":- true, (fail).", 10),
+    ],
+)
+def test_a_failure_is_at_the_goal_that_was_reached_last(directive, column):
+    assert warnings_of(directive) == [(1, column, "this directive fails")]
+
+
+def test_a_cut_is_that_of_the_directive():
+    program = Program(":- assertz(f(1)), assertz(f(2)), f(X), !, assertz(g(X)).")
+    assert [one["X"] for one in program.engine.query("g(X)")] == [1]
+    assert warnings_of(":- member(X, [1, 2]), !, X > 1.") == [(1, 26, "this directive fails")]
+
+
+def test_a_directive_that_runs_others_knows_where_it_is():
+    inner = "compile_event_rules([(:- (true, true, true)), (:- (true, fail))])"
+    found = Program(f":- true, {inner}, fail.").warnings
+    assert [warning.place.column if warning.place else None for warning in found] == [
+        None,
+        10 + len(inner) + 2,
+    ]

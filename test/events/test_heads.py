@@ -1,0 +1,112 @@
+"""Heads of rules: what is no event, alarm or query that waits."""
+
+import pytest
+from events.refusals import errors_of, warnings_of
+from events.running import Program
+
+from retalis.clock import StreamClock
+
+
+@pytest.mark.parametrize(
+    ("rule", "column", "part"),
+    [
+        ("a seq b <- c.", 3, "seq is an operator of patterns"),
+        ("l : a and b <- c.", 7, "and is an operator of patterns"),
+        ("a 'SEQ' b <- c.", 3, "seq is an operator of patterns"),
+        ("a, b <- c.", 2, "write a rule for each"),
+        ("a(X) <- b(X), c(X) <- d(X).", 13, "write a rule for each"),
+        ("a ; b <- c.", 3, "not one of two"),
+        ("(a <- b) <- c.", 4, "no rule"),
+        ("a do f do g <- c.", 3, "one do"),
+        ("exceptionAlarm(5, 5) <- a.", 16, "the head of a rule is an event"),
+        ("exceptionAlarm(a seq b, 5) <- a.", 18, "operator of patterns"),
+        ("exceptionAlarm(E, 5) <- a.", 1, "event of this alarm a value"),
+        ("exceptionAlarm(e, 1.0Inf) <- a.", 19, "no number of seconds"),
+        ("exceptionAlarmAbsoluteDatime(e, datime(2020,13,1,0,0,0,0)) <- a.", 33, "no such date"),
+        ("exceptionAlarmAbsoluteDatime(e, datime(2019,2,29,0,0,0)) <- a.", 33, "no such date"),
+        ("exceptionAlarmAbsoluteDatime(e, datime(Y,2,30,0,0,0)) <- a(Y).", 33, "no such date"),
+        ("exceptionAlarmAbsoluteDatime(e, datime(2020,1,1,24,0,0)) <- a.", 33, "no such date"),
+        ("exceptionAlarmAbsoluteDatime(e, tomorrow) <- a.", 33, "expected datime"),
+        ("exceptionAlarmAbsoluteDatime(e, [1,2,3]) <- a.", 33, "two integers"),
+        ("synchronized(5, q, []) <- a.", 14, "the head of a rule is an event"),
+        ("synchronized(e, (true, 5), []) <- a.", 24, "needs a goal"),
+        ("syncronized(e, true, m) <- a.", 22, "list of [Memory, Time]"),
+        ("synchronized(e, true, [m]) <- a.", 23, "list of [Memory, Time]"),
+    ],
+)
+def test_refused(rule, column, part):
+    ((line, at, message),) = errors_of(f"% first\n{rule}")
+    assert line == 2
+    assert part in message
+    assert at == column
+
+
+@pytest.mark.parametrize(
+    ("rule", "part"),
+    [
+        ("synchronised(x, true, []) <- a.", "did you mean synchronized(Event, Query, Memories)?"),
+        ("exceptionAlarmAbsoluteDatetime(e, 5) <- a.", "did you mean exceptionAlarmAbsoluteDatime("),
+        ("exception_alarm(e, 5) <- a.", "did you mean exceptionAlarm("),
+        ("a meets b <- c.", "in patterns meets is an operator"),
+        ("a(X) where X > 1 <- c(X).", "in patterns where is an operator"),
+        ("X > 1 <- c(X).", "behind where"),
+        ("synchronized(x, no_such(1), []) <- a.", "no predicate no_such/1"),
+        ("rev(a(X)) <- b.", "the very event that it names"),
+    ],
+)
+def test_warned_of(rule, part):
+    ((_, _, message),) = warnings_of(rule)
+    assert part in message
+
+
+@pytest.mark.parametrize(
+    "rules",
+    [
+        "exceptionAlarmAbsoluteDatime(e, datime(Y,2,29,0,0,0,0)) <- a(Y).",
+        "exceptionAlarmAbsoluteDatime(e, [S|R]) <- a(S, R). exceptionAlarmAbsoluteDatime(e, [S,N]) <- a(S,N).",
+        "exceptionAlarmAbsoluteDatime(E, T) <- a(E, T). exceptionAlarm(E, T) <- a(E, T).",
+        "exceptionAlarmAbsoluteDatime(e, 5) <- a. exceptionAlarmAbsoluteDatime(e, datime(2020,2,29,0,0,0)) <- a.",
+        "synchronized(E, Q, L) <- a(E, Q, L). synchronized(x, true, [[m,T]|R]) <- a(T, R).",
+        "synchronized(x, true, [P, [m|R]]) <- a(P, R). synchronised(robot, clock) <- a. rev(a(X)) <- b(X).",
+        "starts(robot) <- a. and(a, b, c) <- a. aggregate(x) <- a. h(a seq b) <- c. f(x) - g <- a.",
+    ],
+)
+def test_what_may_be_meant_is_not_warned_of(rules):
+    assert warnings_of(rules) == []
+
+
+def test_an_alarm_in_the_past_is_warned_of_now_and_then():
+    program = Program("exceptionAlarmAbsoluteDatime(e, 3) <- a.")
+    program.feed(" ".join(f"a@{at}" for at in range(1, 11)))
+    found = [str(warning).split("\n")[0] for warning in program.warnings]
+    assert [text.rsplit(" ", 3)[1] for text in found] == ["1", "2", "4", "8"]
+    assert "so it rings at once; 2 so far" in found[1] and "so it is an ordinary event; 8 so far" in found[3]
+    assert found[0].startswith(
+        "text:1:1: rule exceptionAlarmAbsoluteDatime(e,3): the instant of its alarm is in the past"
+    )
+
+
+def test_an_alarm_to_come_is_not_warned_of():
+    program = Program(
+        "exceptionAlarmAbsoluteDatime(e, 3) <- a. exceptionAlarm(f, 1) <- a.", clock=StreamClock(0)
+    )
+    assert program.feed("a@1 b@4") is not None
+    assert program.warnings == []
+
+
+def test_what_is_taken_back_and_was_not_there_is_warned_of_now_and_then():
+    program = Program("rev(a(X)) <- b(X). c(X) <- a(X).", ["revision_flag"])
+    program.feed("a(1)@1 b(1)@2")
+    assert program.warnings == []
+    program.feed(" ".join(f"b(1)@{at}" for at in range(3, 12)) + " rev(z)@20")
+    found = [str(warning).split("\n")[0] for warning in program.warnings]
+    assert [text.rsplit(" ", 3)[1] for text in found] == ["1", "2", "4", "8"]
+    assert found[0] == (
+        "text:1:1: rule rev(a(X)): rev takes back nothing: no event a(1) is known that still holds; 1 so far"
+    )
+
+
+def test_without_revision_rev_is_an_event_like_others():
+    program = Program("rev(a) <- b.")
+    assert program.feed("b@1") == "rev(a)@1-1"
+    assert program.warnings == []
