@@ -12,7 +12,6 @@ from events.running import Program
         (":- true, no_such(1), true.", 10, "no_such/1"),
         (":- member(X, [1, 2]), X > 1, no_such(X).", 30, "no_such/1"),
         (":- (true ; fail), !, atom_length(_, _), true.", 22, "instantiated"),
-        (":- (true ; no_such), fail.", 4, "no_such/0"),
         (":- true, (fail, 5), true.", 17, "callable"),
         ("?- true, atom_length(_, _).", 10, "instantiated"),
         (":- d do no_such.", 4, "an event rule stands without the :- before it"),

@@ -1,6 +1,6 @@
 """Directives of event files: run so that what goes wrong is shown at the goal where it did."""
 
-from typing import Any, Iterator, List, Optional, Tuple
+from typing import Any, List, Optional, Tuple
 
 from ..errors import Place, RuleError
 from ..logic import PrologError
@@ -31,14 +31,14 @@ class Directives:
     """Runs directives.
 
     Before each goal of several one is called that notes which it is; so it is known, without looking into the
-    machine, which was called last when it is over.
+    machine, which was begun last when it is over. It leaves nothing to go back to (a long run would keep it):
+    what a goal raises when it is asked for another solution is shown at the one that was begun last.
     """
 
     def __init__(self, logic: Any):
         self._logic = logic
-        self._entered = 0
         self._last = 0
-        logic.define_nondeterministic("$goal", 1, self._enter)
+        logic.define("$goal", 1, self._enter)
 
     def run(self, goal: Term, goals: Goals, place: Optional[Place]) -> Optional[RuleError]:
         """Run a directive; return a warning where it fails, at the goal that was reached last.
@@ -46,24 +46,23 @@ class Directives:
         Raises:
             RuleError: what it raised, at the goal that did.
         """
-        before = self._entered, self._last
+        before = self._last
         wrong = [at for at, (one, _) in enumerate(goals) if not _is_callable(one)]
         noting = len(goals) > 1 and not wrong  # else it raises an error that shows all of it
-        self._entered = self._last = wrong[0] if wrong else 0
+        self._last = wrong[0] if wrong else 0
         try:
             if self._logic.once(_noting([one for one, _ in goals]) if noting else goal, goal):
                 return None
             return RuleError("this directive fails", goals[self._last][1] or place)
         except PrologError as error:
-            at = goals[self._entered][1] or place
+            at = goals[self._last][1] or place
             raise RuleError(f"this directive raises an error: {error.message}", at) from error
         finally:
-            self._entered, self._last = before
+            self._last = before
 
-    def _enter(self, machine: Any, number: Term) -> Iterator[bool]:
-        self._entered = self._last = deref(number)
-        yield True
-        self._entered = max(0, self._entered - 1)  # what it goes back to
+    def _enter(self, machine: Any, number: Term) -> bool:
+        self._last = deref(number)
+        return True
 
 
 def _is_callable(goal: Term) -> bool:
