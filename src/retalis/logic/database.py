@@ -4,6 +4,7 @@ from typing import Any, Callable, Dict, Iterable, Optional, Set
 from weakref import WeakValueDictionary
 
 from ..terms import Functor, Term, deref
+from .clause import NEVER
 from .codes import Frame
 from .compiler.direct import Direct
 from .faults import indicator, permission_error
@@ -20,12 +21,15 @@ class Database:
     Attributes:
         machine: runs them.
         generation: counts retracted clauses, for the logical update view.
+        compile_after: calls of an unchanged predicate after which it is compiled.
+        interprets: whether that is `NEVER`: nothing of the program is compiled, and goals are run from their terms.
     """
 
     def __init__(self, machine: Machine, compile_after: int = COMPILE_AFTER):
         self.machine = machine
         self.generation = 0
         self.compile_after = compile_after
+        self.interprets = compile_after >= NEVER
         self.predicates: Dict[Functor, Predicate] = {}
         self._unused: WeakValueDictionary[Functor, Predicate] = WeakValueDictionary()
         """Predicates that nobody has defined: they stay as long as something refers to them."""

@@ -302,7 +302,7 @@ class Predicate:
             height = len(machine.choices)
             mark = len(trail)
             if clause.fact:
-                if self._match(frame, clause, trail):
+                if self._match(frame, clause, {}, trail):
                     if at < end:
                         machine.choices.append((self._retry, frame, clauses, at, end, generation, keys, mark))
                     return frame[-1]  # type: ignore[no-any-return]
@@ -320,23 +320,38 @@ class Predicate:
         return None
 
     @staticmethod
-    def _match(frame: Frame, clause: Clause, trail: List[Any]) -> bool:
-        head = clause.head if clause.ground else copy(clause.head)
-        return all(unify(frame[at], head[at], trail) for at in range(1, len(frame) - 1))
+    def _match(frame: Frame, clause: Clause, fresh: Dict[Var, Term], trail: List[Any]) -> bool:
+        """Unify a call with a clause's head; ``fresh`` gets what the clause's variables stand for.
+
+        A variable of the clause becomes a name for the argument, as in compiled clauses: the caller's variable
+        is bound to nothing, and stays the older one.
+        """
+        head = clause.head
+        for at in range(1, len(frame) - 1):
+            pattern = head[at]
+            if pattern.__class__ is Var:
+                known = fresh.get(pattern)
+                if known is None:
+                    fresh[pattern] = frame[at]
+                    continue
+                pattern = known
+            elif pattern.__class__ is tuple and not clause.ground:
+                pattern = copy(pattern, fresh)
+            if not unify(pattern, frame[at], trail):
+                return False
+        return True
 
     def _interpret(self, frame: Frame, clause: Clause, height: int, trail: List[Any]) -> Optional[Frame]:
         fresh: Dict[Var, Term] = {}
-        head = copy(clause.head, fresh)
-        for at in range(1, len(frame) - 1):
-            if not unify(frame[at], head[at], trail):
-                return None
+        if not self._match(frame, clause, fresh, trail):
+            return None
         return self.database.solve(copy(clause.body, fresh), height, frame[-1])
 
     # Compilation
 
     def prepare(self) -> None:
         """Compile it before it is called, unless it has been compiled and has changed since."""
-        if self.compiled or self.compile_after != self.database.compile_after:
+        if self.compiled or self.compile_after != self.database.compile_after or self.database.interprets:
             return
         try:
             self._compile()

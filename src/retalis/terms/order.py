@@ -1,5 +1,7 @@
 """The standard order of terms."""
 
+from typing import Callable
+
 from ..errors import TermTooLarge
 from ..watching import BULK, look
 from ._steps import ROUNDS
@@ -8,10 +10,29 @@ from .kinds import Atom, String, Term, Var, deref, serial
 _RANK = {Var: 0, float: 1, int: 1, String: 3, Atom: 4, tuple: 5}
 
 
-def compare(left: Term, right: Term) -> int:
+def by_age(left: Var, right: Var) -> int:
+    """Compare two different variables; they are numbered where they have no numbers yet."""
+    return -1 if serial(left) < serial(right) else 1
+
+
+def by_number(left: Var, right: Var) -> int:
+    """Compare two different variables that have numbers.
+
+    Raises:
+        AttributeError: one of them has none yet.
+    """
+    return -1 if left.serial < right.serial else 1
+
+
+def unlike(left: Var, right: Var) -> int:
+    """Return something but 0: for telling terms apart, which numbers no variables."""
+    return 1
+
+
+def compare(left: Term, right: Term, variables: Callable[[Var, Var], int] = by_age) -> int:
     """Compare in the standard order of terms: -1, 0 or 1.
 
-    Variables by age, then numbers by value (a float before an integer of the same value), strings and
+    Variables by age (or as ``variables`` says), then numbers by value (a float before an integer of the same value), strings and
     atoms alphabetically, compound terms by arity, name and arguments.
     """
     stack = [right, left]
@@ -42,7 +63,7 @@ def compare(left: Term, right: Term) -> int:
                     stack.append(right[at])
                     stack.append(left[at])
                 continue
-            result = _compare_constants(left, right)
+            result = variables(left, right) if rank == 0 else _compare_constants(left, right)
             if result:
                 return result
         look()
@@ -51,8 +72,6 @@ def compare(left: Term, right: Term) -> int:
 
 def _compare_constants(left: Term, right: Term) -> int:
     kind = left.__class__
-    if kind is Var:
-        return -1 if serial(left) < serial(right) else 1
     if kind is Atom:
         return -1 if left.name < right.name else 1
     if kind is String:

@@ -10,6 +10,7 @@ from .kinds import Atom, Lazy, Term, Var
 def unify(left: Term, right: Term, trail: List[Any]) -> bool:
     """Make two terms equal by binding variables; each bound variable is pushed on ``trail``.
 
+    Of two variables the one stays that is the older one in the order of terms.
     Returns False where they do not unify; then some variables may be bound, and the caller undoes the trail.
     """
     stack: List[Term] = []
@@ -33,6 +34,8 @@ def unify(left: Term, right: Term, trail: List[Any]) -> bool:
             if left is right:
                 pass
             elif kind is Var:
+                if other is Var and hasattr(left, "serial") and _is_older(left, right):
+                    left, right = right, left
                 left.ref = right  # a lazy term stays lazy
                 trail.append(left)
             elif other is Var:
@@ -69,6 +72,11 @@ def unify(left: Term, right: Term, trail: List[Any]) -> bool:
             return True
         left = stack.pop()
         right = stack.pop()
+
+
+def _is_older(left: Var, right: Var) -> bool:
+    """Tell whether a variable that has a number comes before another one, which may have none yet."""
+    return not hasattr(right, "serial") or left.serial < right.serial
 
 
 def same_constant(left: Term, right: Term) -> bool:

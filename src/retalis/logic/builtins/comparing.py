@@ -22,6 +22,7 @@ from ...terms import (
     unify,
     variables,
 )
+from ...terms.order import by_age, unlike
 from ...watching import look
 from ..arithmetic import evaluate
 from ..compiler.nodes import COMPARISONS, ORDERS
@@ -79,7 +80,7 @@ def _is_cyclic(var: Var) -> bool:
 
 
 @deterministic("compare/3")
-def compare_terms(machine: Any, order: Term, left: Term, right: Term) -> bool:
+def compare_terms(machine: Any, order: Term, left: Term, right: Term, variables: Any = by_age) -> bool:
     """Compare in the standard order."""
     order = deref(order)
     if order.__class__ is not Var:
@@ -87,12 +88,13 @@ def compare_terms(machine: Any, order: Term, left: Term, right: Term) -> bool:
             raise type_error("atom", order)
         if order not in _ORDERS.values():
             raise domain_error("order", order)
-    return unify(order, _ORDERS[compare(left, right)], machine.trail)
+    return unify(order, _ORDERS[compare(left, right, variables)], machine.trail)
 
 
 def _order(test: str) -> Any:
-    lines = ["def made(machine, left, right):", f"    return compare(left, right) {test}"]
-    return codegen.function(lines, {"compare": compare}, f"comparison {test}")
+    variables = unlike if test in ("== 0", "!= 0") else by_age
+    lines = ["def made(machine, left, right):", f"    return compare(left, right, variables) {test}"]
+    return codegen.function(lines, {"compare": compare, "variables": variables}, f"comparison {test}")
 
 
 def _arithmetic(operator: str) -> Any:
@@ -190,7 +192,7 @@ def term_variables(machine: Any, term: Term, result: Term) -> bool:
 @deterministic("?=/2")
 def decided(machine: Any, left: Term, right: Term) -> bool:
     """Test that ``==`` of two terms cannot change any more."""
-    return compare(left, right) == 0 or different(machine, left, right)
+    return compare(left, right, unlike) == 0 or different(machine, left, right)
 
 
 @deterministic("subsumes_term/2")

@@ -22,6 +22,7 @@ from ...terms import (
     deref,
     functor,
     is_plain,
+    unify,
     variables,
 )
 from ...terms.keys import term_key
@@ -278,10 +279,12 @@ class Tables:
             return None
         trail = self.machine.trail
         answer = answers[at]
-        if not ground:
-            answer = copy((_ANSWER, *answer))[1:]
         if at + 1 < count:
             self.machine.choices.append((self._next, answers, ground, at + 1, free, after, len(trail)))
+        if not ground:
+            for var, value in zip(free, copy((_ANSWER, *answer))[1:]):
+                unify(value, var, trail)  # cannot fail; of two variables the caller's stays
+            return after
         for var, value in zip(free, answer):
             var.ref = value
             trail.append(var)

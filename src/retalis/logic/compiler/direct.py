@@ -110,7 +110,7 @@ def rules_of(predicate: Any) -> List[Rule]:
 def work(database: Any, key: Functor, path: Tuple[Functor, ...] = ()) -> Optional[int]:
     """Return how many clauses a call of a predicate may look at; None where it cannot be a function."""
     predicate = database.predicate(key)
-    if predicate.kind != "user" or predicate.tabled is not None or predicate.library:
+    if database.interprets or predicate.kind != "user" or predicate.tabled is not None or predicate.library:
         return None
     if key in path or len(path) >= _DEEPEST:
         return None
@@ -186,7 +186,7 @@ class Functions(Generator):
 
     def function(self, once: bool) -> Callable[..., Optional[bool]]:
         """Return the function, for the first solution or for the only one."""
-        unit = Unit(self.database.machine, self.database)
+        unit = Unit(self.database.machine, self.database, repeats=True)
         unit.namespace["key_of"] = key_of
         lines = ["    mark = len(trail)"]
         keyed = [] if once else self._keyed()

@@ -3,7 +3,7 @@
 from typing import Any, Callable, List, Optional, Sequence, Tuple
 
 from ...errors import Place
-from ...terms import Term, Var, deref, functor, resolve, variables
+from ...terms import Term, Var, copy, deref, functor, resolve, variables
 from ..codes import Code
 from ..limits import LimitError
 from .bodies import Bodies
@@ -87,13 +87,15 @@ class GoalCode:
         Bindings that it makes are undone, also where it fails. It returns `BAIL` where the goal has to be run
         by frames, also to find an error again with its context; limits that run out are not looked for twice.
         """
+        if self._database.interprets:
+            return None
         entry = Height("height")
         nodes = parser(self._database, entry).parse(self._term)
         calls = any(goal.form == "direct" for goal in goals_of(nodes))
         if any(not node.inline for node in nodes) or (calls and work_of(self._database, nodes) is None):
             return None
         choose_functions(nodes, True)
-        unit = Unit(self._database.machine, self._database)
+        unit = Unit(self._database.machine, self._database, repeats=calls)
         scope = self._scope(unit)
         scope.fail = scope.cut = _FAIL
         if calls:
@@ -123,6 +125,8 @@ class GoalCode:
 
     def enter(self, hands_over: bool) -> Tuple[Callable[..., Any], bool]:
         """Return the function of the goal's frame, and whether it is steady, see `Code.steady`."""
+        if self._database.interprets:
+            return self._interpreted(hands_over), False
         unit = Unit(self._database.machine, self._database)
         scope = self._scope(unit)
         locals_ = [scope.names[var] for var in self._inputs]
@@ -138,6 +142,18 @@ class GoalCode:
         bodies.write(scope, nodes)
         unit.add(["def main(frame):", f"    {', '.join(['_', *locals_, 'after'])} = frame", *scope.lines])
         return self._finish(unit), not scope.pushes
+
+    def _interpreted(self, hands_over: bool) -> Callable[[Any], Any]:
+        """Return a function that runs the goal from its term."""
+        call = self._database.machine.logic.control.call
+        inputs, goal, outputs = self._inputs, self._term, self._outputs
+
+        def run(frame: Any) -> Any:
+            fresh = dict(zip(inputs, frame[1:-1]))
+            body = copy(goal, fresh)
+            return call(body, (HAND_OVER, *copy((_OUTPUTS, *outputs), fresh)[1:], frame[-1]) if hands_over else frame[-1])
+
+        return run
 
 
 _FAIL = "return undo(trail, mark)"

@@ -195,6 +195,7 @@ def _order(scope: Scope, node: Goal) -> str:
         if right.__class__ is Atom:
             name, word = _dereferenced(scope, left), "is" if operator == "== 0" else "is not"
             return f"{name} {word} {scope.unit.constant(right)}"
+        return f"compare({scope.build(left)}, {scope.build(right)}, unlike) {operator}"
     return f"compare({scope.build(left)}, {scope.build(right)}) {operator}"
 
 

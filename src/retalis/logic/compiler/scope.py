@@ -1,27 +1,29 @@
 """The source being written: units (what one ``exec`` makes) and scopes (one Python function each)."""
 
 import math
+from functools import partial
 from typing import Any, Callable, Dict, FrozenSet, List, NamedTuple, Optional, Set, Tuple
 
 from ... import codegen, terms
-from ...terms import Atom, Functor, Lazy, String, Term, Var, copy, deref, is_ground
+from ...terms import Atom, Functor, Lazy, String, Term, Var, copy, deref, functor, is_ground
+from ...terms.order import by_number, unlike
 from .. import arithmetic
 from ..codes import DEAD, RESUME, Code
 from ..limits import LOOP
 from ..machine import Machine
 
+COMPARE = functor("compare", 3)
 _LARGEST = 60
 """Compound terms with more parts than this are copied from a template, not built by an expression."""
-
-
-def identical(left: Term, right: Term) -> bool:
-    """Tell whether two terms are the same without binding anything."""
-    return terms.compare(left, right) == 0
 
 
 def fill(template: Term, old: Tuple[Var, ...], *new: Term) -> Term:
     """Return a template with its variables replaced."""
     return copy(template, dict(zip(old, new)))
+
+
+def _compare_numbered(left: Term, right: Term, variables: Any = by_number) -> int:
+    return terms.compare(left, right, variables)
 
 
 def base_namespace(machine: Machine) -> Dict[str, Any]:
@@ -43,7 +45,7 @@ def base_namespace(machine: Machine) -> Dict[str, Any]:
         "deref": deref,
         "resolve": terms.resolve,
         "compare": terms.compare,
-        "identical": identical,
+        "unlike": unlike,
         "same": terms.same_constant,
         "fill": fill,
         "evaluate": arithmetic.evaluate,
@@ -61,15 +63,26 @@ def base_namespace(machine: Machine) -> Dict[str, Any]:
 
 
 class Unit:
-    """Functions that are compiled together, with the constants that they name."""
+    """Functions that are compiled together, with the constants that they name.
 
-    def __init__(self, machine: Machine, database: Any):
+    Args:
+        machine: runs the code.
+        database: knows predicates.
+        repeats: whether a goal is run again on the machine where the code cannot tell; what it does until then
+            must leave no trace, so it gives up rather than number variables that it compares.
+    """
+
+    def __init__(self, machine: Machine, database: Any, repeats: bool = False):
         self.database = database
         self.namespace = base_namespace(machine)
+        self.repeats = repeats
+        if repeats:
+            self.namespace["compare"] = _compare_numbered
         self._names: Dict[int, str] = {}
         self._functions: List[str] = []
         self._codes: List[Tuple[Code, str]] = []
         self.jobs: List[Callable[[], None]] = []
+        self._kept: Dict[Functor, Any] = {}
 
     def constant(self, value: Any) -> str:
         """Return an expression for a value: a literal, or the name of a global."""
@@ -100,7 +113,10 @@ class Unit:
 
     def builtin(self, key: Functor) -> str:
         """Return the name of the Python function of a built-in that is called in line."""
-        return self.constant(self.database.predicate(key).function)
+        function = self.database.predicate(key).function
+        if self.repeats and key is COMPARE:
+            function = self._kept.setdefault(key, partial(function, variables=by_number))
+        return self.constant(function)
 
     def code(self, name: str, function: str) -> Code:
         """Return a code object that will run the generated function of this name."""
