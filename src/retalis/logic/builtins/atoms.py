@@ -1,6 +1,6 @@
 """Atoms and their text: conversions, concatenation, parts."""
 
-from typing import Any, Iterator, List
+from typing import Any, Iterator, List, Union
 
 from ...terms import Atom, String, Term, Var, atom, deref, is_ground, list_items, make_list, unify
 from ...watching import look
@@ -159,18 +159,18 @@ def term_to_atom(machine: Any, term: Term, text: Term) -> bool:
 
 
 @nondeterministic("atom_concat/3")
-def atom_concat(machine: Any, left: Term, right: Term, whole: Term) -> Iterator[Any]:
+def atom_concat(machine: Any, left: Term, right: Term, whole: Term) -> Union[bool, Iterator[Any]]:
     """Relate two texts with the atom that they make together."""
     return _concat(machine, left, right, whole, atom)
 
 
 @nondeterministic("string_concat/3")
-def string_concat(machine: Any, left: Term, right: Term, whole: Term) -> Iterator[Any]:
+def string_concat(machine: Any, left: Term, right: Term, whole: Term) -> Union[bool, Iterator[Any]]:
     """Relate two texts with the string that they make together."""
     return _concat(machine, left, right, whole, String)
 
 
-def _concat(machine: Any, left: Term, right: Term, whole: Term, make: Any) -> Iterator[Any]:
+def _concat(machine: Any, left: Term, right: Term, whole: Term, make: Any) -> Union[bool, Iterator[Any]]:
     left, right = deref(left), deref(right)
     start = None if left.__class__ is Var else atomic_text(left)
     end = None if right.__class__ is Var else atomic_text(right)
@@ -180,28 +180,29 @@ def _concat(machine: Any, left: Term, right: Term, whole: Term, make: Any) -> It
         if text is None and found.__class__ is not Var:
             raise type_error("atomic", found)
         long_text(len(start) + len(end))
-        if text == start + end if text is not None else machine.unify(whole, make(start + end)):
-            yield LAST
-        return
+        return text == start + end if text is not None else unify(whole, make(start + end), machine.trail)
     if deref(whole).__class__ is Var:
         raise instantiation_error()
     text = atomic_text(whole)
     long_text(len(text))
     if start is not None:
-        if text.startswith(start) and machine.unify(right, make(text[len(start) :])):
-            yield LAST
-    elif end is not None:
-        if text.endswith(end) and machine.unify(left, make(text[: len(text) - len(end)])):
-            yield LAST
-    else:
-        for at in range(len(text) + 1):
-            long_text(len(text))
-            if machine.unify_all((left, make(text[:at])), (right, make(text[at:]))):
-                yield LAST if at == len(text) else None
+        return text.startswith(start) and unify(right, make(text[len(start) :]), machine.trail)
+    if end is not None:
+        return text.endswith(end) and unify(left, make(text[: len(text) - len(end)]), machine.trail)
+    return _halves(machine, left, right, text, make)
+
+
+def _halves(machine: Any, left: Term, right: Term, text: str, make: Any) -> Iterator[Any]:
+    for at in range(len(text) + 1):
+        long_text(len(text))
+        if machine.unify_all((left, make(text[:at])), (right, make(text[at:]))):
+            yield LAST if at == len(text) else None
 
 
 @nondeterministic("sub_atom/5")
-def sub_atom(machine: Any, text: Term, before: Term, length: Term, after: Term, part: Term) -> Iterator[Any]:
+def sub_atom(
+    machine: Any, text: Term, before: Term, length: Term, after: Term, part: Term
+) -> Union[bool, Iterator[Any]]:
     """Enumerate the parts of an atom."""
     return sub_text(machine, text, before, length, after, part, atom)
 
@@ -209,14 +210,14 @@ def sub_atom(machine: Any, text: Term, before: Term, length: Term, after: Term, 
 @nondeterministic("sub_string/5")
 def sub_string(
     machine: Any, text: Term, before: Term, length: Term, after: Term, part: Term
-) -> Iterator[Any]:
+) -> Union[bool, Iterator[Any]]:
     """Enumerate the parts of a string."""
     return sub_text(machine, text, before, length, after, part, String)
 
 
 def sub_text(
     machine: Any, text: Term, before: Term, length: Term, after: Term, part: Term, make: Any
-) -> Iterator[Any]:
+) -> Union[bool, Iterator[Any]]:
     """Enumerate the parts of a text in order of their start, then of their length."""
     if deref(text).__class__ is Var:
         raise instantiation_error()
@@ -231,29 +232,35 @@ def sub_text(
     if given.__class__ is not Var:
         if is_iso(machine):
             atom_of(given)
-        yield from _occurrences(machine, whole, atomic_text(given, kind), before, length, after, b, a)
-        return
+        return _occurrences(machine, whole, atomic_text(given, kind), before, length, after, b, a)
     if b is not None and count is not None:
-        spans = [(b, b + count)]
+        start, end = b, b + count
     elif b is not None and a is not None:
-        spans = [(b, size - a)]
+        start, end = b, size - a
     elif count is not None and a is not None:
-        spans = [(size - a - count, size - a)]
+        start, end = size - a - count, size - a
     else:
-        for at, (start, end) in enumerate(_spans(size, b, count, a)):
-            if not at & 255:
-                look()
-            long_text(end - start)
-            if machine.unify_all(
-                (before, start), (length, end - start), (after, size - end), (part, make(whole[start:end]))
-            ):
-                yield None
-        return
-    start, end = spans[0]
-    if 0 <= start <= end <= size and machine.unify_all(
-        (before, start), (length, end - start), (after, size - end), (part, make(whole[start:end]))
-    ):
-        yield LAST
+        return _parts(machine, whole, _spans(size, b, count, a), before, length, after, part, make)
+    return bool(
+        0 <= start <= end <= size
+        and machine.unify_all(
+            (before, start), (length, end - start), (after, size - end), (part, make(whole[start:end]))
+        )
+    )
+
+
+def _parts(
+    machine: Any, whole: str, spans: Any, before: Term, length: Term, after: Term, part: Term, make: Any
+) -> Iterator[Any]:
+    size = len(whole)
+    for at, (start, end) in enumerate(spans):
+        if not at & 255:
+            look()
+        long_text(end - start)
+        if machine.unify_all(
+            (before, start), (length, end - start), (after, size - end), (part, make(whole[start:end]))
+        ):
+            yield None
 
 
 def _spans(size: int, b: Any, count: Any, a: Any) -> Iterator[Any]:
@@ -268,15 +275,25 @@ def _spans(size: int, b: Any, count: Any, a: Any) -> Iterator[Any]:
 
 def _occurrences(
     machine: Any, whole: str, wanted: str, before: Term, length: Term, after: Term, b: Any, a: Any
+) -> Union[bool, Iterator[Any]]:
+    size, count = len(whole), len(wanted)
+    if b is not None or a is not None:
+        start = b if b is not None else size - a - count
+        found = start >= 0 and whole.startswith(wanted, start)
+    else:
+        start = whole.find(wanted)
+        found = start >= 0
+        if found and whole.find(wanted, start + 1) >= 0:
+            return _many(machine, whole, wanted, before, length, after)
+    return bool(
+        found and machine.unify_all((before, start), (length, count), (after, size - start - count))
+    )
+
+
+def _many(
+    machine: Any, whole: str, wanted: str, before: Term, length: Term, after: Term
 ) -> Iterator[Any]:
     size = len(whole)
-    if b is not None or a is not None:
-        start = b if b is not None else size - a - len(wanted)
-        there = start >= 0 and whole.startswith(wanted, start)
-        rest = size - start - len(wanted)
-        if there and machine.unify_all((before, start), (length, len(wanted)), (after, rest)):
-            yield LAST
-        return
     start = whole.find(wanted)
     while start >= 0:
         following = whole.find(wanted, start + 1)

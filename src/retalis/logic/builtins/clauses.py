@@ -1,6 +1,6 @@
 """The clause store as predicates: assert, retract, clause, declarations."""
 
-from typing import Any, Iterator, Optional
+from typing import Any, Callable, Iterator, List, Optional, Union
 
 from ...terms import (
     COMMA,
@@ -19,7 +19,7 @@ from ...terms import (
     undo,
     unify,
 )
-from ..clause import NEVER, may_match
+from ..clause import NEVER, Clause, may_match
 from ..codes import LAST
 from ..compiler.nodes import CONTROL
 from ..faults import indicator, instantiation_error, permission_error, type_error
@@ -95,22 +95,46 @@ def _candidates(predicate: Predicate, head: Term) -> Iterator[Any]:
 
 
 @nondeterministic("retract/1")
-def retract(machine: Any, term: Term) -> Iterator[Any]:
+def retract(machine: Any, term: Term) -> Union[bool, Iterator[Any]]:
     """Remove the clauses that unify, one at each solution."""
     head, body = _split(term)
     predicate = _check_rights(machine, _key(head), "modify", "static_procedure")
-    trail = machine.trail
+    return _each_clause(machine.trail, predicate, head, body, predicate.remove)
+
+
+def _each_clause(
+    trail: List[Any], predicate: Predicate, head: Term, body: Term, action: Optional[Callable[[Clause], Any]]
+) -> Union[bool, Iterator[Any]]:
+    """Go through the clauses that unify with a head and a body; ``action`` is for those that are still there."""
     found = list(_candidates(predicate, head))
-    for at, clause in enumerate(found):
-        if clause.died != NEVER:
-            continue
+    if len(found) > 1:
+        return _clauses(trail, found, head, body, action)
+    return bool(found) and _is_clause(trail, found[0], head, body, action)
+
+
+def _clauses(
+    trail: List[Any], found: List[Clause], head: Term, body: Term, action: Optional[Callable[[Clause], Any]]
+) -> Iterator[Any]:
+    last = found[-1]
+    for clause in found:
         mark = len(trail)
-        own_head, own_body = _renamed(clause)
-        if unify(head, own_head, trail) and unify(body, own_body, trail):
-            predicate.remove(clause)
-            yield LAST if at + 1 == len(found) else None
+        if _is_clause(trail, clause, head, body, action):
+            yield LAST if clause is last else None
         else:
             undo(trail, mark)
+
+
+def _is_clause(
+    trail: List[Any], clause: Clause, head: Term, body: Term, action: Optional[Callable[[Clause], Any]]
+) -> bool:
+    if action is not None and clause.died != NEVER:
+        return False
+    own_head, own_body = _renamed(clause)
+    if not unify(own_head, head, trail) or not unify(own_body, body, trail):
+        return False
+    if action is not None:
+        action(clause)
+    return True
 
 
 def _renamed(clause: Any) -> Any:
@@ -139,7 +163,7 @@ def retractall(machine: Any, head: Term) -> bool:
 
 
 @nondeterministic("clause/2")
-def clause_of(machine: Any, head: Term, body: Term) -> Iterator[Any]:
+def clause_of(machine: Any, head: Term, body: Term) -> Union[bool, Iterator[Any]]:
     """Enumerate the clauses of a predicate."""
     head = _strip(head)
     key = _key(head)
@@ -147,15 +171,7 @@ def clause_of(machine: Any, head: Term, body: Term) -> Iterator[Any]:
     if body.__class__ not in (Var, Atom, tuple):
         raise type_error("callable", body)
     predicate = _check_rights(machine, key, "access", "private_procedure")
-    trail = machine.trail
-    found = list(_candidates(predicate, head))
-    for at, clause in enumerate(found):
-        mark = len(trail)
-        own_head, own_body = _renamed(clause)
-        if unify(head, own_head, trail) and unify(body, own_body, trail):
-            yield LAST if at + 1 == len(found) else None
-        else:
-            undo(trail, mark)
+    return _each_clause(machine.trail, predicate, head, body, None)
 
 
 @deterministic("abolish/1")

@@ -1,6 +1,6 @@
 """Lists: what wants speed; the rest is in the library (library/lists.pl)."""
 
-from typing import Any, Iterator, Optional
+from typing import Any, Iterator, List, Optional, Union
 
 from ...errors import TermTooLarge
 from ...terms import (
@@ -258,30 +258,32 @@ def list_to_ord_set(machine: Any, given: Term, result: Term) -> bool:
 
 
 def _nth(base: int) -> Any:
-    def run(machine: Any, index: Term, given: Term, item: Term) -> Iterator[Any]:
+    def run(machine: Any, index: Term, given: Term, item: Term) -> Union[bool, Iterator[Any]]:
         index = deref(index)
-        if index.__class__ is not Var:
-            integer(index)
-            if index < base:
-                return
-            if index > MOST:
-                raise resource_error("term_size")
-            at = index
-            tail = deref(given)
-            while at > base and tail.__class__ is tuple and tail[0] is CONS:
-                at -= 1
-                tail = deref(tail[2])
-                if not at & 1023:
-                    look()
-            if tail.__class__ is Var and at >= base:
-                cells: Term = (CONS, item, Var())
-                for _ in range(at - base):
-                    cells = (CONS, Var(), cells)
-                if unify(tail, cells, machine.trail):
-                    yield LAST
-            elif at == base and tail.__class__ is tuple and tail[0] is CONS and machine.unify(item, tail[1]):
-                yield LAST
-            return
+        if index.__class__ is Var:
+            return enumerate_(machine, index, given, item)
+        integer(index)
+        if index < base:
+            return False
+        if index > MOST:
+            raise resource_error("term_size")
+        at = index
+        tail = deref(given)
+        while at > base and tail.__class__ is tuple and tail[0] is CONS:
+            at -= 1
+            tail = deref(tail[2])
+            if not at & 1023:
+                look()
+        if tail.__class__ is Var and at >= base:
+            cells: Term = (CONS, item, Var())
+            for _ in range(at - base):
+                cells = (CONS, Var(), cells)
+            return unify(tail, cells, machine.trail)
+        return (
+            at == base and tail.__class__ is tuple and tail[0] is CONS and unify(item, tail[1], machine.trail)
+        )
+
+    def enumerate_(machine: Any, index: Term, given: Term, item: Term) -> Iterator[Any]:
         tail = deref(given)
         at = base
         while tail.__class__ is tuple and tail[0] is CONS:
@@ -311,7 +313,7 @@ nondeterministic("nth1/3", locked=False)(_nth(1))
 
 
 @nondeterministic("between/3")
-def between(machine: Any, low: Term, high: Term, value: Term) -> Iterator[Any]:
+def between(machine: Any, low: Term, high: Term, value: Term) -> Union[bool, Iterator[Any]]:
     """Enumerate the integers between two; the upper one may be ``inf``."""
     first = integer(low)
     high = deref(high)
@@ -321,10 +323,11 @@ def between(machine: Any, low: Term, high: Term, value: Term) -> Iterator[Any]:
         limit = integer(high)
     value = deref(value)
     if value.__class__ is not Var:
-        if first <= integer(value) and (limit is None or value <= limit):
-            yield LAST
-        return
-    trail = machine.trail
+        return first <= integer(value) and (limit is None or value <= limit)
+    return _integers(machine.trail, first, limit, value)
+
+
+def _integers(trail: List[Any], first: int, limit: Optional[int], value: Var) -> Iterator[Any]:
     at = first
     while limit is None or at <= limit:
         value.ref = at

@@ -48,7 +48,7 @@ def function(*names: str, locked: bool = True) -> Callable[[Any], Any]:
 
 
 def nondeterministic(*names: str, locked: bool = True) -> Callable[[Any], Any]:
-    """Register a generator ``function(machine, *args)`` that yields at each solution."""
+    """Register a generator ``function(machine, *args)`` that yields at each solution, or what returns one or a bool."""
     return _register("nondeterministic", names, locked)
 
 

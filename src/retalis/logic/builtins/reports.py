@@ -17,6 +17,7 @@ from ...terms import (
     functor,
     list_items,
 )
+from ..codes import LAST
 from ..compiler.nodes import ARROW, NOT, SEMICOLON, SOFT_ARROW
 from ..faults import ERROR, indicator
 from ..messages import describe
@@ -271,6 +272,9 @@ def nth_clause(machine: Any, head: Term, number: Term, reference: Term) -> Itera
     head = deref(head)
     key = head[0] if head.__class__ is tuple else atom_of(head).functor
     predicate = machine.logic.lookup(key)
+    given = deref(number)
     for at, clause in enumerate([] if predicate is None else _with_clauses(predicate).live(), 1):
+        if given.__class__ is int and at != given:
+            continue
         if machine.unify_all((number, at), (reference, copy((_NECK, clause.head, clause.body)))):
-            yield None
+            yield None if given.__class__ is Var else LAST

@@ -1,6 +1,6 @@
 """Strings: conversions and parts."""
 
-from typing import Any, Iterator, Optional
+from typing import Any, Iterator, Optional, Union
 
 from ...terms import NIL, Atom, String, Term, Var, atom, deref, functor, is_ground, make_list, unify
 from ...watching import BULK, look
@@ -114,48 +114,47 @@ def _wanted_code(term: Term) -> Term:
 
 
 @nondeterministic("string_code/3")
-def string_code(machine: Any, index: Term, text: Term, code: Term) -> Iterator[Any]:
+def string_code(machine: Any, index: Term, text: Term, code: Term) -> Union[bool, Iterator[Any]]:
     """Relate the characters' codes with their positions from 1."""
     at = integer_or_var(index)
     whole = text_of(text, numbers=False)
     if at is None:
-        wanted = _wanted_code(code)
-        for at, char in enumerate(whole, 1):
-            if machine.unify_all((index, at), (wanted, ord(char))):
-                yield LAST if at == len(whole) else None
-        return
+        return _codes(machine, index, whole, _wanted_code(code))
     if at < 0:
         raise domain_error("not_less_than_zero", at)
-    if 0 < at <= len(whole) and machine.unify(code, ord(whole[at - 1])):
-        yield LAST
+    return 0 < at <= len(whole) and unify(code, ord(whole[at - 1]), machine.trail)
+
+
+def _codes(machine: Any, index: Term, whole: str, wanted: Term) -> Iterator[Any]:
+    for at, char in enumerate(whole, 1):
+        if machine.unify_all((index, at), (wanted, ord(char))):
+            yield LAST if at == len(whole) else None
 
 
 @nondeterministic("text_concat/3")
-def text_concat(machine: Any, left: Term, right: Term, whole: Term) -> Iterator[Any]:
+def text_concat(machine: Any, left: Term, right: Term, whole: Term) -> Union[bool, Iterator[Any]]:
     """Relate two texts with the text that they make together: a string where one of them is."""
     given = [deref(term) for term in (left, right, whole)]
     make: Any = String if any(term.__class__ is String for term in given) else atom
     start, end, text = (None if term.__class__ is Var else text_of(term) for term in given)
     if start is not None and end is not None:
         long_text(len(start) + len(end))
-        if machine.unify(whole, make(start + end)) if text is None else text == start + end:
-            yield LAST
-    elif text is None:
+        return unify(whole, make(start + end), machine.trail) if text is None else text == start + end
+    if text is None:
         raise instantiation_error()
-    else:
-        for at in range(len(text) + 1):
-            long_text(len(text))
-            if start is not None and at != len(start) or end is not None and len(text) - at != len(end):
-                continue
-            if machine.unify_all(
-                (left, _same(given[0], text[:at], make)), (right, _same(given[1], text[at:], make))
-            ):
-                yield None
+    long_text(len(text))
+    if start is not None:
+        return text.startswith(start) and unify(right, make(text[len(start) :]), machine.trail)
+    if end is not None:
+        return text.endswith(end) and unify(left, make(text[: len(text) - len(end)]), machine.trail)
+    return _halves(machine, left, right, text, make)
 
 
-def _same(given: Term, text: str, make: Any) -> Term:
-    """Return the term of a text: the given one where it has that text."""
-    return given if given.__class__ is not Var and text_of(given) == text else make(text)
+def _halves(machine: Any, left: Term, right: Term, text: str, make: Any) -> Iterator[Any]:
+    for at in range(len(text) + 1):
+        long_text(len(text))
+        if machine.unify_all((left, make(text[:at])), (right, make(text[at:]))):
+            yield LAST if at == len(text) else None
 
 
 @deterministic("split_string/4")
@@ -247,10 +246,16 @@ def _char_type(as_code: bool) -> Any:
     def wrap(char: str) -> Term:
         return ord(char) if as_code else atom(char)
 
-    def run(machine: Any, char: Term, kind: Term) -> Iterator[Any]:
+    def run(machine: Any, char: Term, kind: Term) -> Union[bool, Iterator[Any]]:
         kind = deref(kind)
         _check_type(kind)
         given = _of_code(char)
+        if given is None or kind.__class__ is Var:
+            return enumerate_(machine, char, kind, given)
+        found = next(_types(given, kind, wrap), None)
+        return found is not None and unify(kind, found, machine.trail)
+
+    def enumerate_(machine: Any, char: Term, kind: Term, given: Optional[str]) -> Iterator[Any]:
         for one in [given] if given is not None else map(chr, range(256)):
             for found in _types(one, kind, wrap):
                 pairs = [(kind, found)]

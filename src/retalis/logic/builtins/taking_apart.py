@@ -1,6 +1,6 @@
 """Terms taken apart and put together: functor, arg, univ, copies."""
 
-from typing import Any, Iterator, Sequence
+from typing import Any, Iterator, Sequence, Union
 
 from ...terms import (
     NIL,
@@ -66,7 +66,7 @@ def _term(name: Atom, args: Sequence[Term]) -> Term:
 
 
 @nondeterministic("arg/3")
-def arg(machine: Any, number: Term, term: Term, value: Term) -> Iterator[Any]:
+def arg(machine: Any, number: Term, term: Term, value: Term) -> Union[bool, Iterator[Any]]:
     """Relate a compound term with its arguments."""
     number, term = deref(number), deref(term)
     if term.__class__ is not tuple:
@@ -74,14 +74,15 @@ def arg(machine: Any, number: Term, term: Term, value: Term) -> Iterator[Any]:
             raise instantiation_error()
         raise type_error("compound", term)
     if number.__class__ is Var:
-        last = len(term) - 1
-        for at in range(1, len(term)):
-            if machine.unify_all((number, at), (value, term[at])):
-                yield LAST if at == last else None
-    else:
-        at = natural(number)
-        if 0 < at < len(term) and machine.unify(value, term[at]):
-            yield LAST
+        return _arguments(machine, number, term, value)
+    return 0 < natural(number) < len(term) and unify(value, term[number], machine.trail)
+
+
+def _arguments(machine: Any, number: Term, term: Term, value: Term) -> Iterator[Any]:
+    last = len(term) - 1
+    for at in range(1, len(term)):
+        if machine.unify_all((number, at), (value, term[at])):
+            yield LAST if at == last else None
 
 
 @deterministic("$arg/3")
