@@ -1,11 +1,13 @@
 """Tabled predicates end where plain ones recurse for ever, with all answers and each once."""
 
 import random
+from collections import Counter
 
 import pytest
 from logic.support import answers, first, prolog
 
 from retalis.logic import Limits
+from retalis.logic.builtins.tabling import tables_of
 from retalis.syntax import read_term
 
 PROGRAM = """
@@ -235,3 +237,93 @@ def test_an_error_of_a_lattice_is_that_of_the_call():
 )
 def test_modes_that_there_are_not(spec, error):
     assert answers(prolog(), f"table({spec})") == [error]
+
+
+_GOALS = (
+    "{0}({1}, {2})",
+    "{0}({1}, {2})",
+    "edge({1}, {2})",
+    "(\\+ once({0}({1}, {2})) -> fail ; {0}({1}, {2}))",
+    "findall({1}-{2}, {0}({1}, {2}), L), member({1}-{2}, L)",
+    "catch({0}({1}, {2}), _, true)",
+    "(fail ; {0}({1}, {2}))",
+    "({0}({1}, {2}) *-> true ; fail)",
+    "{0}({1}, {2}), \\+ \\+ {0}({1}, {2})",
+    "call({0}, {1}, {2})",
+)
+
+
+def closure(rules, edges):
+    """Return all answers of rules ``(name, [(kind, name)])`` along a chain of variables, bottom up."""
+    found = {name: set() for name in "pqr"}
+    while True:
+        before = {name: len(pairs) for name, pairs in found.items()}
+        for name, goals in rules:
+            pairs = None
+            for kind, other in goals:
+                step = edges if _GOALS[kind].startswith("edge") else found[other]
+                pairs = (
+                    set(step) if pairs is None else {(x, z) for x, y in pairs for w, z in step if y == w}
+                )
+            found[name] |= pairs
+        if before == {name: len(pairs) for name, pairs in found.items()}:
+            return found
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_predicates_that_call_each_other_in_all_ways(seed):
+    rng = random.Random(seed)
+    edges = {(rng.randrange(5), rng.randrange(5)) for _ in range(rng.randrange(1, 8))}
+    rules = [("p", [(2, "p")])]
+    for _ in range(rng.randrange(2, 7)):
+        goals = [(rng.randrange(len(_GOALS)), rng.choice("pqr")) for _ in range(rng.randrange(1, 4))]
+        rules.append((rng.choice("pqr"), goals))
+    rng.shuffle(rules)
+    texts = [":- table p/2, q/2, r/2.", ":- discontiguous p/2, q/2, r/2."]
+    for name, goals in rules:
+        body = [
+            _GOALS[kind].format(other, f"X{at}", f"X{at + 1}").replace("L", f"L{at}")
+            for at, (kind, other) in enumerate(goals)
+        ]
+        texts.append(f"{name}(X0, X{len(goals)}) :- {', '.join(body)}.")
+    texts += [f"{name}(_, _) :- fail." for name in "pqr"]
+    texts += [f"edge({x}, {y})." for x, y in sorted(edges)]
+    logic = prolog("\n".join(texts), rng.choice([0, 12, 1 << 60]))
+    logic.limits = Limits(inferences=20_000_000)
+    wanted = closure(rules, edges)
+    for name in rng.sample("pqr", 3):
+        call = rng.choice([f"{name}(X, Y)", f"member(X, [0,1,2,3,4]), {name}(X, Y)"])
+        found = [(int(one["X"]), int(one["Y"])) for one in answers(logic, call, 1000)]
+        assert len(found) == len(set(found))
+        assert set(found) == wanted[name], texts
+    assert logic.machine.choices == [] == logic.machine.trail
+
+
+@pytest.mark.parametrize(
+    "rules",
+    [
+        "p(X, Y) :- p(X, Z), edge(Z, Y).\np(X, Y) :- edge(X, Y).",
+        "p(X, Y) :- edge(X, Y).\np(X, Y) :- p(X, Z), edge(Z, Y).",
+        "p(X, Y) :- q(X, Z), edge(Z, Y).\np(X, X).\nq(X, Y) :- p(X, Z), edge(Z, Y).\nq(X, Y) :- edge(X, Y).",
+        "p(X, Y) :- r(X, Y, _).\nr(X, Y, D) :- r(X, Z, E), edge(Z, Y), D is E + 1.\nr(X, X, 0).",
+    ],
+)
+def test_what_a_table_costs_is_linear_in_its_answers(rules):
+    def steps(size):
+        edges = "".join(f"edge({at}, {at + 1}).\n" for at in range(size))
+        logic = prolog(f":- table p/2, q/2, r(_, _, min).\n{rules}\n{edges}")
+        seen = Counter()
+        tables = tables_of(logic.machine)
+        tables._give = counted(tables._give, seen)
+        assert int(first(logic, "aggregate_all(count, p(0, _), N)")) >= size // 2
+        return seen["calls"]
+
+    assert steps(800) < 2.5 * steps(400)
+
+
+def counted(function, seen):
+    def call(*args):
+        seen["calls"] += 1
+        return function(*args)
+
+    return call

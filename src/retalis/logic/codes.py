@@ -21,12 +21,15 @@ class Code:
         functor: of what is run, for errors.
         steady: whether the step leaves the stack of choice points alone, so that it may be done before a run,
             see `Machine.check`.
+        closes: whether it is that of a choice point below a goal whose solutions are taken together, or which is
+            over when it has one: a call in the goal cannot go on after that.
     """
 
-    __slots__ = ("name", "run", "functor", "steady")
+    __slots__ = ("name", "run", "functor", "steady", "closes")
 
-    def __init__(self, name: str, run: Callable[[Frame], Optional[Frame]]):
+    def __init__(self, name: str, run: Callable[[Frame], Optional[Frame]], closes: bool = False):
         self.name = name
+        self.closes = closes
         self.run = run
         self.functor: Any = None
         self.steady = False
@@ -46,7 +49,7 @@ class Guard(Code):
     __slots__ = ("unwind",)
 
     def __init__(self, name: str, unwind: Callable[[Frame], None]):
-        super().__init__(name, unwind)
+        super().__init__(name, unwind, True)
         self.unwind = unwind
 
 
@@ -55,13 +58,13 @@ def fail(frame: Frame) -> None:
     return
 
 
-STOP = Code("stop", fail)
+STOP = Code("stop", fail, True)
 """Choice point below a run: reached when the run has no (more) solution."""
 
 DEAD = Code("dead", fail)
 """Choice point that was taken back where the stack could not be cut."""
 
-RESUME = Code("resume", lambda frame: frame[1])
+RESUME = Code("resume", lambda frame: frame[1], True)
 """Choice point that goes on with the frame that it holds."""
 
 

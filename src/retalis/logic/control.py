@@ -47,7 +47,7 @@ class Control:
         self._reject_code = Code("reject", self._reject_run)
         self._exit_code = Code("catch exit", self._exit_run)
         self._collect_code = Code("collect", self._collect_run)
-        self._collected_code = Code("collected", lambda frame: frame[1](frame[2]))
+        self._collected_code = Code("collected", lambda frame: frame[1](frame[2]), True)
         self._plain: Dict[Functor, Callable[..., Optional[Frame]]] = {
             SEMICOLON: self._either,
             BAR: self._either,

@@ -50,9 +50,9 @@ class Machine:
         self.budget = Budget()
         self._compact_at = _COMPACT_AT
         self._enter_code = Code("attempt", self._enter_attempt)
-        self._attempt_code = Code("attempt", self._attempt_failed)
+        self._attempt_code = Code("attempt", self._attempt_failed, True)
         self._exit_code = _AttemptExit(self)
-        self.catch_code = Code("catch", fail)
+        self.catch_code = Code("catch", fail, True)
         self.goal_code: Any = None
         self.logic: Any = None
 

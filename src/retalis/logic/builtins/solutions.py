@@ -151,7 +151,7 @@ def _rest(entry: Frame) -> Optional[Frame]:
 
 
 _PORTION = Code("findnsols", _portion)
-_REST = Code("findnsols", _rest)
+_REST = Code("findnsols", _rest, True)
 
 
 # Aggregates

@@ -1,8 +1,11 @@
 """Tabling: answers of a predicate are kept for each variant of a call, so that left recursion ends.
 
-A call that is new is evaluated until no more answers come: calls of itself meanwhile see the answers found so
-far, and where they have been looked at, the evaluation is repeated as long as it finds new ones (all calls
-that depend on each other together). Everything runs as frames of the machine.
+A call that is new is evaluated, on a copy of it, until no more answers come. A call of a table that is being
+evaluated meanwhile follows its answers: it is given each as it is found, and when there are no more for now, what
+is bound since the evaluation began is kept aside with what it goes on with, until an answer comes. Tables that
+depend on each other are complete together, when the oldest of them has no follower left that has not seen all.
+Within ``\\+``, ``findall/3``, ``catch/3`` and the like a call cannot go on later; where it has missed answers, the
+evaluation of the oldest table is repeated. Everything runs as frames of the machine.
 
 An answer is what the call's unbound variables stand for, in the order in which they are met. A call that finds
 them gives its variables these values, which cannot fail: nothing is unified.
@@ -33,42 +36,13 @@ from .arguments import indicator_of
 from .clauses import declared
 from .modes import Mode, modes_of
 from .registry import control, deterministic
+from .tables import Follower, Table
 
 _ANSWER = functor("answer", 0)
 _PLAIN = frozenset((Atom, int, String))
 """Kinds of terms that are their own keys."""
 
 Call = Callable[[Frame], Optional[Frame]]
-
-
-class Table:
-    """Answers to one variant of a call.
-
-    Attributes:
-        answers: values of the call's variables, in the order found.
-        known: the answers' keys, with their positions.
-        ground: whether no answer has a variable.
-        state: "new", "active", "waiting" (evaluated in this round of an older table, which decides whether
-            there is another one) or "complete".
-        low: position on the stack of active tables of the oldest one that it depends on.
-        members: tables that can be complete only together with this one.
-        consulted: whether a call has been given answers of this table while it was active.
-    """
-
-    __slots__ = ("answers", "known", "ground", "state", "index", "low", "members", "consulted")
-
-    def __init__(self) -> None:
-        self.state = "new"
-        self.index = self.low = 0
-        self.members: Sequence[Table] = ()
-        self.consulted = False
-        self.empty()
-
-    def empty(self) -> None:
-        """Forget the answers."""
-        self.answers: List[Tuple[Term, ...]] = []
-        self.known: Dict[Any, int] = {}
-        self.ground = True
 
 
 class Tables:
@@ -78,10 +52,14 @@ class Tables:
         self.machine = machine
         self.by_call: Dict[Any, Table] = {}
         self.active: List[Table] = []
-        self.added = 0
+        self.waiting: List[Table] = []
+        self.ready: List[Tuple[Table, Follower]] = []
         self._guard = Guard("table", self._abandon)
         self._round = Code("table", self._end_of_round)
         self._next = Code("table", lambda entry: self._enumerate(*entry[1:6]))
+        self._more = Code("table", lambda entry: self._follow(*entry[1:5]))
+        self._padding = Code("table", self._leave_padding)
+        self._guard.closes = False
         self._answer = Code("answer", self._add)
         self._better = Code("answer", self._improve)
         self._kept = Code("answer", self._keep)
@@ -90,7 +68,6 @@ class Tables:
     def clear(self) -> None:
         """Forget all answers."""
         self.by_call.clear()
-        self.active.clear()
 
     def mend(self) -> None:
         """Forget all evaluations that are not over: nothing is evaluated."""
@@ -152,36 +129,68 @@ class Tables:
                     bound(var)
                 return frame[-1]  # type: ignore[no-any-return]
             if table.state == "new":
-                collect: Frame = (self._answer, table, free)
+                own: Dict[Var, Term] = {}
+                args = copy((key_of_call, *frame[1:-1]), own)[1:]
+                collect: Frame = (self._answer, table, [own[var] for var in free])
                 if modes:
-                    collect = (self._better, table, free, list(map(free.index, moded)), modes)
-                return self._evaluate((predicate.tabled, *frame[1:-1], collect), table, free, frame[-1])
+                    collect = (self._better, *collect[1:], list(map(free.index, moded)), modes)
+                return self._evaluate((predicate.tabled, *args, collect), table, free, frame[-1])
             return self._consult(table, free, frame[-1])
 
         return call
 
     def _consult(self, table: Table, free: List[Var], after: Frame) -> Optional[Frame]:
-        """Give the answers of a table that is not complete: all on the stack from there on depend on it."""
-        at = table.index if table.state == "active" else table.low
-        self.active[at].consulted = True
-        for other in self.active[at:]:
-            other.low = min(other.low, at)
-        return self._enumerate(list(table.answers), table.ground, 0, free, after)
+        """Give the answers of a table that is not complete: what is evaluated now depends on it."""
+        while table.state == "waiting" and table.parent is not None and table.parent.state == "waiting":
+            table.parent = table.parent.parent
+        found = table.parent if table.state == "waiting" else table
+        newest = self.active[-1]
+        newest.low = min(newest.low, found.index)  # type: ignore[union-attr]
+        return self._follow(table, 0, free, after)
+
+    def _follow(self, table: Table, at: int, free: List[Var], after: Frame) -> Optional[Frame]:
+        """Give the answers of a table that is not complete from ``at`` on; then wait for more."""
+        answers = table.answers
+        while at < len(answers) and answers[at] is None:
+            at += 1
+        if at < len(answers):
+            self.machine.choices.append((self._more, table, at + 1, free, after, len(self.machine.trail)))
+            return self._give(answers[at], table.ground, free, after)
+        choices, trail = self.machine.choices, self.machine.trail
+        newest = self.active[-1]
+        if any(getattr(entry[0], "closes", False) for entry in choices[newest.height :]):
+            follower = Follower(at, free, after, None, 0)
+        else:
+            bound = [(entry, entry.ref) for entry in trail[newest.mark :]]
+            follower = Follower(at, free, after, bound, len(choices))
+        table.followers.append(follower)
+        return None
 
     def _evaluate(self, clauses: Frame, table: Table, free: List[Var], after: Frame) -> Frame:
-        """Evaluate the clauses once, with the caller's variables: all bindings are undone in the end."""
+        """Evaluate the clauses once; all bindings are undone in the end."""
         machine = self.machine
-        active = self.active
-        index = len(active)
-        mark = len(machine.trail)
-        machine.choices.append((self._guard, index, self.added, mark))
+        index = len(self.active)
         table.index = table.low = index
-        table.members = ()
-        table.consulted = False
-        active.append(table)
+        table.first = len(self.waiting), len(self.ready)
+        machine.choices.append((self._guard, index, table, len(machine.trail)))
+        self.active.append(table)
         table.state = "active"
-        machine.choices.append((self._round, table, clauses, free, after, self.added, mark))
+        self._begin(table, clauses, free, after)
         return clauses
+
+    def _begin(self, table: Table, clauses: Frame, free: List[Var], after: Frame) -> None:
+        """Have the end of what is evaluated from here on be noticed."""
+        table.mark = len(self.machine.trail)
+        self.machine.choices.append((self._round, table, clauses, free, after, table.mark))
+        table.height = len(self.machine.choices)
+
+    def _found(self, table: Table, key: Any, answer: Any) -> None:
+        """Note an answer; whoever waits for one can go on."""
+        table.known[key] = len(table.answers)
+        table.answers.append(answer)
+        if table.followers:
+            self.ready += [(table, follower) for follower in table.followers]
+            table.followers.clear()
 
     def _add(self, frame: Frame) -> None:
         """Note an answer, and look for the next one."""
@@ -200,9 +209,7 @@ class Tables:
         else:
             key = answer = tuple(answer)
         if key not in table.known:
-            table.known[key] = len(table.answers)
-            table.answers.append(answer)
-            self.added += 1
+            self._found(table, key, answer)
             if key is not answer and table.ground:
                 table.ground = all(map(is_plain, answer))
 
@@ -213,9 +220,7 @@ class Tables:
         key = term_key((_ANSWER, *[value for at, value in enumerate(answer) if at not in places]))
         at = table.known.get(key)
         if at is None:
-            table.known[key] = len(table.answers)
-            table.answers.append(answer)
-            self.added += 1
+            self._found(table, key, answer)
             table.ground = table.ground and all(map(is_plain, answer))
             return None
         kept = list(answer)
@@ -228,47 +233,76 @@ class Tables:
                 kept[place] = Var()
                 goals.append(mode.goal(old, new, kept[place]))
         grows = any(mode.grows for mode in modes)
-        after = (self._kept, table, at, kept, grows)
+        after = (self._kept, table, key, kept, grows)
         return self.machine.logic.control.once(conjunction(goals), after) if goals else after
 
     def _keep(self, frame: Frame) -> None:
         """Put an answer in the place of another."""
-        _, table, at, kept, grows = frame
+        _, table, key, kept, grows = frame
         answer = copy((_ANSWER, *kept))
+        at = table.known[key]
         if term_key(answer) != term_key((_ANSWER, *table.answers[at])):
-            table.answers[at] = answer[1:]
             table.ground = table.ground and is_plain(answer)
-            self.added += grows
+            if grows:
+                table.answers[at] = None
+                self._found(table, key, answer[1:])
+            else:
+                table.answers[at] = answer[1:]
 
     def _end_of_round(self, entry: Frame) -> Optional[Frame]:
-        """Evaluate the clauses again, or be done."""
-        _, table, clauses, free, after, before, mark = entry
+        """Let followers go on, evaluate the clauses again, or be done."""
+        _, table, clauses, free, after, _ = entry
         if table.low < table.index:
-            self._hand_on(table)
-        elif table.consulted and self.added > before:
-            for member in table.members:
-                member.state = "new"
-            table.members = ()
-            self.machine.choices.append((self._round, table, clauses, free, after, self.added, mark))
+            return self._hand_on(table, free, after)
+        waiting, ready = table.first
+        again = False
+        while len(self.ready) > ready:
+            followed, follower = self.ready.pop()
+            if follower.bound is not None:
+                return self._go_on(entry, followed, follower)
+            again = True
+            del self.ready[ready:]
+        members = [table, *self.waiting[waiting:]]
+        del self.waiting[waiting:]
+        if again:
+            for member in members:
+                member.followers.clear()
+                member.state = "active" if member is table else "new"
+            self._begin(table, clauses, free, after)
             return clauses  # type: ignore[no-any-return]
-        else:
-            for member in (table, *table.members):
-                member.state = "complete"
-                member.known.clear()
-        del self.active[table.index :]
-        self.machine.choices.pop()  # the guard
-        answers = table.answers if table.state == "complete" else list(table.answers)
-        return self._enumerate(answers, table.ground, 0, free, after)
-
-    def _hand_on(self, table: Table) -> None:
-        """Leave a table that depends on an older one: that decides when both are complete."""
-        parent = self.active[table.index - 1]
-        parent.low = min(parent.low, table.low)
-        members = [table, *table.members]
         for member in members:
-            member.state = "waiting"
-            member.low = table.low
-        parent.members = [*parent.members, *members]
+            member.complete()
+        self.active.pop()
+        self.machine.choices.pop()  # the guard
+        return self._enumerate(table.answers, table.ground, 0, free, after)
+
+    def _go_on(self, entry: Frame, followed: Table, follower: Follower) -> Optional[Frame]:
+        """Bring back what was bound when a call had seen all answers, and give it those that came since."""
+        choices, trail = self.machine.choices, self.machine.trail
+        table = entry[1]
+        self._begin(*entry[1:5])
+        # Cuts count on as many choice points as there were.
+        below = len(choices)
+        choices += [(self._padding, below, len(trail))] * (follower.height - below)
+        table.height = len(choices)
+        for var, value in follower.bound or ():
+            var.ref = value
+            trail.append(var)
+        return self._follow(followed, follower.at, follower.free, follower.after)
+
+    def _leave_padding(self, entry: Frame) -> None:
+        del self.machine.choices[entry[1] :]
+
+    def _hand_on(self, table: Table, free: List[Var], after: Frame) -> Optional[Frame]:
+        """Leave a table that depends on an older one, which decides when both are complete."""
+        self.active.pop()
+        self.machine.choices.pop()  # the guard
+        parent = self.active[-1]
+        parent.low = min(parent.low, table.low)
+        table.parent = parent
+        table.state = "waiting"
+        self.waiting.append(table)
+        return self._follow(table, 0, free, after)
 
     def _enumerate(
         self, answers: List[Tuple[Term, ...]], ground: bool, at: int, free: List[Var], after: Frame
@@ -277,27 +311,33 @@ class Tables:
         count = len(answers)
         if at == count:
             return None
-        trail = self.machine.trail
-        answer = answers[at]
         if at + 1 < count:
-            self.machine.choices.append((self._next, answers, ground, at + 1, free, after, len(trail)))
-        if not ground:
+            mark = len(self.machine.trail)
+            self.machine.choices.append((self._next, answers, ground, at + 1, free, after, mark))
+        return self._give(answers[at], ground, free, after)
+
+    def _give(self, answer: Tuple[Term, ...], ground: bool, free: List[Var], after: Frame) -> Frame:
+        """Give variables the values of an answer."""
+        trail = self.machine.trail
+        if ground:
+            for var, value in zip(free, answer):
+                var.ref = value
+                trail.append(var)
+        else:
             for var, value in zip(free, copy((_ANSWER, *answer))[1:]):
                 unify(value, var, trail)  # cannot fail; of two variables the caller's stays
-            return after
-        for var, value in zip(free, answer):
-            var.ref = value
-            trail.append(var)
         return after
 
     def _abandon(self, entry: Frame) -> None:
-        """Forget evaluations that an error has ended, and that they found anything."""
-        self.added = entry[2]
-        for table in self.active[entry[1] :]:
-            for member in (table, *table.members):
-                member.state = "new"
-                member.empty()
-        del self.active[entry[1] :]
+        """Forget evaluations that an error has ended, and what they found."""
+        _, index, table, _ = entry
+        waiting, ready = table.first
+        for member in [*self.active[index:], *self.waiting[waiting:]]:
+            member.state = "new"
+            member.empty()
+        del self.active[index:]
+        del self.waiting[waiting:]
+        del self.ready[ready:]
 
 
 def tables_of(machine: Any) -> Tables:
