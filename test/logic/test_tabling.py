@@ -262,9 +262,7 @@ def closure(rules, edges):
             pairs = None
             for kind, other in goals:
                 step = edges if _GOALS[kind].startswith("edge") else found[other]
-                pairs = (
-                    set(step) if pairs is None else {(x, z) for x, y in pairs for w, z in step if y == w}
-                )
+                pairs = set(step) if pairs is None else {(x, z) for x, y in pairs for w, z in step if y == w}
             found[name] |= pairs
         if before == {name: len(pairs) for name, pairs in found.items()}:
             return found

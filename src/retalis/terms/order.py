@@ -32,8 +32,8 @@ def unlike(left: Var, right: Var) -> int:
 def compare(left: Term, right: Term, variables: Callable[[Var, Var], int] = by_age) -> int:
     """Compare in the standard order of terms: -1, 0 or 1.
 
-    Variables by age (or as ``variables`` says), then numbers by value (a float before an integer of the same value), strings and
-    atoms alphabetically, compound terms by arity, name and arguments.
+    Variables by age (or as ``variables`` says), then numbers by value (a float before an integer of the same
+    value), strings and atoms alphabetically, compound terms by arity, name and arguments.
     """
     stack = [right, left]
     for _ in ROUNDS:

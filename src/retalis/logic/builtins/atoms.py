@@ -285,14 +285,10 @@ def _occurrences(
         found = start >= 0
         if found and whole.find(wanted, start + 1) >= 0:
             return _many(machine, whole, wanted, before, length, after)
-    return bool(
-        found and machine.unify_all((before, start), (length, count), (after, size - start - count))
-    )
+    return bool(found and machine.unify_all((before, start), (length, count), (after, size - start - count)))
 
 
-def _many(
-    machine: Any, whole: str, wanted: str, before: Term, length: Term, after: Term
-) -> Iterator[Any]:
+def _many(machine: Any, whole: str, wanted: str, before: Term, length: Term, after: Term) -> Iterator[Any]:
     size = len(whole)
     start = whole.find(wanted)
     while start >= 0:

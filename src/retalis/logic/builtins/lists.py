@@ -275,7 +275,7 @@ def _nth(base: int) -> Any:
             if not at & 1023:
                 look()
         if tail.__class__ is Var and at >= base:
-            cells: Term = (CONS, item, Var())
+            cells: Any = (CONS, item, Var())
             for _ in range(at - base):
                 cells = (CONS, Var(), cells)
             return unify(tail, cells, machine.trail)

@@ -151,7 +151,9 @@ class GoalCode:
         def run(frame: Any) -> Any:
             fresh = dict(zip(inputs, frame[1:-1]))
             body = copy(goal, fresh)
-            return call(body, (HAND_OVER, *copy((_OUTPUTS, *outputs), fresh)[1:], frame[-1]) if hands_over else frame[-1])
+            if not hands_over:
+                return call(body, frame[-1])
+            return call(body, (HAND_OVER, *copy((_OUTPUTS, *outputs), fresh)[1:], frame[-1]))
 
         return run
 
