@@ -72,6 +72,8 @@ class Tables:
     def mend(self) -> None:
         """Forget all evaluations that are not over: nothing is evaluated."""
         self.active.clear()
+        self.waiting.clear()
+        self.ready.clear()
         for table in self.by_call.values():
             if table.state != "complete":
                 table.state = "new"
