@@ -1,4 +1,4 @@
-"""Answers must not depend on how often a predicate was called: the suites' goals with nothing compiled, with all of it, and as always.
+"""Answers of the suites' goals with nothing compiled, with all of it, and as always: they have to be the same.
 
 Usage: PYTHONPATH=src:test python -m logic.ways [PYTEST_ARGUMENT...]
 
@@ -49,7 +49,7 @@ def fault(error: PrologError) -> str:
 
 
 def answers(program: str, goal: str, compile_after: int, most: int = 30) -> List[str]:
-    """Return the answers to a goal that is the body of a clause, then those when the clause has been called before."""
+    """Return the answers to a goal that is the body of a clause, and those when it is called again."""
     logic = Logic(compile_after=compile_after)
     logic.output = logic.error_output = lambda text: None
     for read in read_program(program, logic.operators, "program"):

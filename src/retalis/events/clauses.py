@@ -181,7 +181,9 @@ class Checker:
         Raises:
             RuleError: where it cannot fire.
         """
-        reader = Reader(lambda part, number=0: spot(part, number) or place, self.warnings.append)
+        once = (var for var, number in occurrences([rule], None).items() if number == 1)
+        anonymous = frozenset(var for var in once if var not in self._names)
+        reader = Reader(lambda part, number=0: spot(part, number) or place, self.warnings.append, anonymous)
         if rule[0] not in ARROWS:  # P do G
             pattern = reader.read((RULE, rule), 1)
             definition = Definition(rule, None, pattern, label, place, self._names)

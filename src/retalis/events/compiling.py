@@ -1,6 +1,6 @@
 """From the pattern of a rule to its nodes: which conditions are tested where, and how long a match can be of use."""
 
-from typing import Any, FrozenSet, List, NamedTuple, Optional, Set, Tuple
+from typing import Any, Dict, FrozenSet, List, NamedTuple, Optional, Set, Tuple
 
 from ..errors import RuleError
 from ..logic import PrologError
@@ -93,6 +93,7 @@ class Compiler:
         self._counts = occurrences(head, pattern)
         self.nodes: List[Tuple[Node, Optional[int], Limit]] = []
         self.twins: List[Tuple[Built, Built]] = []
+        self._bound_by: Dict[int, Names] = {}
 
     def build(self) -> Node:
         """Return the root of the network."""
@@ -121,12 +122,24 @@ class Compiler:
             context: the variables of the patterns to its left.
             limit: the shortest interval bound above it; None for none.
         """
-        wrapping = _unwrap(pattern)
-        span = wrapping.span
-        inner = limit.within(span)
-        core = wrapping.core
-        if isinstance(core, Pair):
-            return self._joining(core, wrapping, context, inner)
+        pairs: List[Tuple[_Wrapping, Limit]] = []
+        while True:
+            wrapping = _unwrap(pattern)
+            span = wrapping.span
+            limit = inner = limit.within(span)
+            core = wrapping.core
+            if not isinstance(core, Pair):
+                break
+            pairs.append((wrapping, inner))
+            pattern = core.left
+        built = self._build_core(core, wrapping, context, inner)
+        while pairs:  # a long sequence is no deep recursion
+            wrapping, inner = pairs.pop()
+            built = self._joining(wrapping.core, wrapping, context, inner, built)
+        return built
+
+    def _build_core(self, core: Any, wrapping: _Wrapping, context: Names, inner: Limit) -> Built:
+        """Build what is no pair of patterns."""
         if isinstance(core, (Star, Aggregate)):
             return self._running(core, wrapping, context, inner)
         if isinstance(core, Occurs):
@@ -149,6 +162,17 @@ class Compiler:
             built = below._replace(node=self._add(node, None, inner))
         return self._filtered(built, wrapping, context)
 
+    def _bound(self, pattern: Any) -> Names:
+        """Return the variables that a match of a pattern may give values to; of a sequence looked for once."""
+        found = self._bound_by.get(id(pattern))
+        if found is None:
+            if isinstance(pattern, Pair) and id(pattern.left) in self._bound_by:
+                found = self._bound(pattern.left).union(bound_by(pattern.right))
+            else:
+                found = frozenset(bound_by(pattern))
+            self._bound_by[id(pattern)] = found
+        return found
+
     def _add(self, node: Any, span: Optional[int], limit: Limit) -> Any:
         self.nodes.append((node, span, limit))
         return node
@@ -167,6 +191,8 @@ class Compiler:
         """Part conditions into those that can be tested now and those that wait, with what they need."""
         now: List[Any] = []
         later: List[Any] = []
+        if not conditions:
+            return now, later
         known = surely_bound_by(core, False)
         for condition in conditions:
             mentioned = set(variables(condition.goal))
@@ -200,13 +226,14 @@ class Compiler:
             deferred.append(one)
         return node, deferred
 
-    def _joining(self, core: Pair, wrapping: _Wrapping, context: Names, limit: Limit) -> Built:
-        here = context | frozenset(bound_by(core.left))
-        left = self._build(core.left, context, limit)
+    def _joining(
+        self, core: Pair, wrapping: _Wrapping, context: Names, limit: Limit, left: Built
+    ) -> Built:
+        here = context | self._bound(core.left)
         right = self._build(core.right, here, limit)
         known = set(left.node.vars) | set(right.node.vars)
         below = [*left.deferred, *right.deferred]
-        ready, deferred = ready_where(below, surely_bound_by(core, False), context)
+        ready, deferred = ready_where(below, surely_bound_by(core, False), context) if below else ([], [])
         now, later = self._split(wrapping.conditions, core, context)
         absent = wrapping.absent
         negated: Optional[Negated] = None

@@ -94,7 +94,15 @@ class Joining(Node):
             absence.place.span = kept_for_late(span, limit) if late else limit
 
     def bind(self, out: Emit, mode: Mode) -> None:
-        """Connect the node; see `Node.bind`."""
+        """Connect the node, and those of a sequence on its left; see `Node.bind`."""
+        node: Any = self
+        while isinstance(node, Joining):
+            out = node._bind(out, mode)
+            node = node.left
+        node.bind(out, mode)
+
+    def _bind(self, out: Emit, mode: Mode) -> Emit:
+        """Connect all but the left side; return where that sends its matches."""
         policy = mode.policy
         operator = self.operator
         self.out = out
@@ -125,26 +133,28 @@ class Joining(Node):
         if operator.everything:
             self.right.bind(taking_all_at_once(right, True, out), mode)
             if not late:
-                self.left.bind(only_waits, mode)
+                arrive = only_waits
             elif policy.consuming:
-                self.left.bind(taking_one(left, policy.newest, True, out), mode)
+                arrive = taking_one(left, policy.newest, True, out)
             else:
-                self.left.bind(taking_all_at_once(left, False, out), mode)
+                arrive = taking_all_at_once(left, False, out)
         elif not policy.consuming:
             self.right.bind(taking_all(right, out), mode)
-            self.left.bind(taking_all(left, out) if both or late else only_waits, mode)
+            arrive = taking_all(left, out) if both or late else only_waits
         else:
             once = self.completed if self.double and both and operator.alone else None
             self.right.bind(taking_one(right, policy.newest, True, out, once), mode)
             if both or late:
                 arrive = taking_one(left, policy.newest, True, out, once)
-                self.left.bind(self._after_waiting(arrive) if right.wait and both else arrive, mode)
+                if right.wait and both:
+                    arrive = self._after_waiting(arrive)
             else:
-                self.left.bind(only_waits, mode)
+                arrive = only_waits
         for negated, absence in zip(self.negated, self.absences):
             absence.bind(negated, mode)
         for absence, negated in self.carried:
             absence.bind(negated, mode)
+        return arrive
 
     def _wait_later(self, match: Match, key: Any) -> None:
         """Let a right side wait when its event has been tried as a left side too.

@@ -130,20 +130,65 @@ class Found(NamedTuple):
     values: Values
 
 
+class Identity:
+    """What tells a match of several parts from others: their keys, compared without recursion.
+
+    That of a long sequence shares those of its beginnings, so that it takes no longer to make than a short one.
+    """
+
+    __slots__ = ("parts", "hash")
+
+    def __init__(self, parts: Tuple[Any, ...]):
+        self.parts = parts
+        self.hash = hash(parts)
+
+    def __hash__(self) -> int:
+        return self.hash
+
+    def __eq__(self, other: object) -> bool:
+        pairs: List[Tuple[Any, Any]] = [(self, other)]
+        while pairs:
+            one, two = pairs.pop()
+            if one is two:
+                continue
+            if one.__class__ is Identity and two.__class__ is Identity:
+                if one.hash != two.hash or len(one.parts) != len(two.parts):
+                    return False
+                pairs += zip(one.parts, two.parts)
+            elif one != two:
+                return False
+        return True
+
+
 def identity(match: Match) -> Any:
     """Return a key: equal for two matches of a node made of identical event terms."""
+    path = [match]
+    while path[-1].__class__ is not Match or not hasattr(path[-1], "identity"):
+        parts = path[-1].parts
+        if not parts or not isinstance(parts[0], Match):
+            break
+        path.append(parts[0])
+    last = path[-1]
+    waited = last.__class__ is Match and hasattr(last, "identity")
+    found: Any = last.identity if waited else _identity_of(last, ())
+    for one in reversed(path[:-1]):
+        found = _identity_of(one, (found,))
+    return found
+
+
+def _identity_of(match: Match, key: Tuple[Any, ...]) -> Any:
+    """Return the identity of a match, given those of its first parts."""
     parts = match.parts
     if parts is None:
         return term_key(match.term)
-    key = []
-    for part in parts:
+    for part in parts[len(key) :]:
         if isinstance(part, Match):
-            key.append(identity(part))
+            key += (identity(part),)
         elif part.__class__ is Found:
-            key.append(tuple([term_key(value) for value in part.values]))
+            key += (tuple([term_key(value) for value in part.values]),)
         elif part.__class__ is not Held:
-            key.append(part)
-    return key[0] if len(key) == 1 else tuple(key)
+            key += (part,)
+    return key[0] if len(key) == 1 else Identity(key)
 
 
 def leaves(match: Match) -> Iterator[Any]:

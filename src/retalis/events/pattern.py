@@ -1,9 +1,9 @@
 """Patterns of rules as trees: read from terms, checked on the way."""
 
-from typing import Any, Callable, Dict, List, NamedTuple, Optional, Set, Tuple, Union
+from typing import Any, Callable, Dict, FrozenSet, List, Mapping, NamedTuple, Optional, Set, Tuple, Union
 
 from ..errors import Place, RuleError
-from ..terms import Atom, String, Term, Var, deref, functor, variables
+from ..terms import Atom, Functor, String, Term, Var, deref, functor, rebuild, variables
 from ..timestamps import from_seconds
 from .calls import Call, asking_interval, calls
 from .meant import doubt
@@ -83,6 +83,7 @@ class Action(NamedTuple):
     every: bool
 
 
+_PATTERNS = (Occurs, Pair, Either, Absent, Star, Aggregate, Condition, Within, Action)
 SEQ = "seq"
 _GOAL_OPERATORS = {"where": (True, False), "check": (True, True), "timestamp": (True, True)}
 _GOALS_AS_PATTERN = frozenset((functor("prolog", 1), functor("query", 1), functor("db", 1)))
@@ -130,6 +131,7 @@ class Reader:
     Args:
         place: gives the place of a subterm in the rule's text, or None.
         warn: takes what is no error but probably a mistake.
+        anonymous: the variables ``_``: they stand once in the rule and have no name.
 
     Attributes:
         place: what gives the places.
@@ -139,9 +141,12 @@ class Reader:
         aggregates: the aggregates, each with its term.
     """
 
-    def __init__(self, place: Spot, warn: Callable[[RuleError], None]):
+    def __init__(
+        self, place: Spot, warn: Callable[[RuleError], None], anonymous: FrozenSet[Var] = frozenset()
+    ):
         self.place = place
         self._warn = warn
+        self._anonymous = anonymous
         self.inner: List[Term] = []
         self.goals: List[Call] = []
         self.untimed: List[Call] = []
@@ -267,9 +272,12 @@ class Reader:
         if times > 1000:
             raise self._error("ntimes takes at most 1000 repetitions", term, 2)
         pattern = self._operand(term, 1, "ntimes")
+        own = self._anonymous.intersection(bound_by(pattern, True)) if self._anonymous else ()
         result = pattern
         for _ in range(times - 1):
-            result = Pair(SEQ, result, pattern)
+            fresh = {var: Var() for var in own}
+            self._anonymous |= set(fresh.values())
+            result = Pair(SEQ, result, with_others(pattern, fresh) if own else pattern)
         return result
 
     def _span(self, term: Any) -> int:
@@ -303,10 +311,23 @@ def _is_sequence(pattern: Any) -> bool:
     return isinstance(pattern, Pair) and pattern.operator == SEQ
 
 
-def bound_by(pattern: Any) -> List[Var]:
-    """Return the variables that a match of a pattern may give values to, from left to right."""
+def with_others(part: Any, fresh: Mapping[Var, Var]) -> Any:
+    """Return a pattern with other variables in the place of some."""
+
+    def renamed(found: Any) -> Any:
+        if isinstance(found, _PATTERNS):
+            return found.__class__(*map(renamed, found))  # type: ignore[call-arg]
+        if found.__class__ is tuple and found and found[0].__class__ is not Functor:
+            return tuple(map(renamed, found))  # the branches of an ``or``
+        return rebuild(found, lambda var: fresh.get(var, var)) if found.__class__ in (tuple, Var) else found
+
+    return renamed(part)
+
+
+def bound_by(pattern: Any, negated: bool = False) -> List[Var]:
+    """Return the variables that a match of a pattern may give values to, from left to right; or all of them."""
     found: Dict[Var, None] = {}
-    for part in walk(pattern):
+    for part in walk(pattern, negated):
         for term in own_terms(part):
             for var in variables(term):
                 found.setdefault(var)

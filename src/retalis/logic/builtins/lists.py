@@ -298,7 +298,7 @@ def _nth(base: int) -> Any:
                     raise TermTooLarge
         known = at
         while tail.__class__ is Var:
-            cells = (CONS, item, Var())
+            cells: Any = (CONS, item, Var())
             for _ in range(at - known):
                 cells = (CONS, Var(), cells)
             if machine.unify_all((tail, cells), (index, at)):

@@ -48,7 +48,7 @@ def function(*names: str, locked: bool = True) -> Callable[[Any], Any]:
 
 
 def nondeterministic(*names: str, locked: bool = True) -> Callable[[Any], Any]:
-    """Register a generator ``function(machine, *args)`` that yields at each solution, or what returns one or a bool."""
+    """Register a generator ``function(machine, *args)``; see `Logic.define_nondeterministic`."""
     return _register("nondeterministic", names, locked)
 
 

@@ -4,7 +4,7 @@ A call that is new is evaluated, on a copy of it, until no more answers come. A 
 evaluated meanwhile follows its answers: it is given each as it is found, and when there are no more for now, what
 is bound since the evaluation began is kept aside with what it goes on with, until an answer comes. Tables that
 depend on each other are complete together, when the oldest of them has no follower left that has not seen all.
-Within ``\\+``, ``findall/3``, ``catch/3`` and the like a call cannot go on later; where it has missed answers, the
+Within negation, ``findall/3``, ``catch/3`` and the like a call cannot go on later; where it has missed answers, the
 evaluation of the oldest table is repeated. Everything runs as frames of the machine.
 
 An answer is what the call's unbound variables stand for, in the order in which they are met. A call that finds
