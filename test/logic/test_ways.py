@@ -30,6 +30,12 @@ like(_, _).
 down(0, _) :- !.
 down(N, X) :- M is N - 1, down(M, X).
 down(_, lost).
+item(N, T, A) :- arg(N, T, A), A \\== b.
+item(_, _, none).
+items(N, T, [A|L]) :- N > 0, !, arg(N, T, A), M is N - 1, items(M, T, L).
+items(_, _, []).
+pick(N, T, A) :- ( T = f(_, _) -> arg(N, T, A), ! ; arg(N, T, A) ), \\+ A == c.
+pick(_, _, _).
 """
 
 GOALS = [
@@ -45,6 +51,15 @@ GOALS = [
     "order(A, B, R), many(A), many(B), order(B, A, S)",
     "order(A, B, R), like(C, A), order(B, C, S), order(C, A, T)",
     "path(X, Y), order(Y, X, R), order(X, Y, S)",
+    "item(2, f(a, b, c), X)",
+    "item(N, f(a, b, c, X), X)",
+    "item(-1, f(a), X)",
+    "item(a, f(a), X)",
+    "item(N, X, Y)",
+    "items(3, f(A, B, C), L), items(3, g(C, A, B), L)",
+    "pick(N, f(a, b), A)",
+    "pick(1, f(a, b), A)",
+    "pick(N, g(a, b, c), A)",
     "down(30, X), down(2, Y), order(Y, X, R), down(3, X), order(X, Y, S)",
     "order(A, B, _), \\+ \\+ A = B, findall(A-B, order(B, A, _), L), copy_term(B-A, C-D), order(D, C, R)",
     "order(A, B, _), assertz(fact(A, B)), fact(X, Y), order(Y, X, R), order(A, X, S)",

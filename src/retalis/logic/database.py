@@ -22,8 +22,11 @@ class Database:
         machine: runs them.
         generation: counts retracted clauses, for the logical update view.
         compile_after: calls of an unchanged predicate after which it is compiled.
+        is_library: whether these are the predicates as the library sees them.
         interprets: whether that is `NEVER`: nothing of the program is compiled, and goals are run from their terms.
     """
+
+    is_library = False
 
     def __init__(self, machine: Machine, compile_after: int = COMPILE_AFTER):
         self.machine = machine
@@ -147,6 +150,8 @@ class Database:
 
 class Library:
     """The predicates as the library's own clauses see them: redefinitions by the program do not count."""
+
+    is_library = True
 
     def __init__(self, database: Database):
         self._database = database

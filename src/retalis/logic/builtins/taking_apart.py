@@ -88,13 +88,13 @@ def _arguments(machine: Any, number: Term, term: Term, value: Term) -> Iterator[
 @deterministic("$arg/3")
 def known_arg(machine: Any, number: Term, term: Term, value: Term) -> bool:
     """Do what ``arg/3`` does for a number that is known."""
-    if number.__class__ is not int:
-        number = integer(number)
     term = deref(term)
     if term.__class__ is not tuple:
         if term.__class__ is Var:
             raise instantiation_error()
         raise type_error("compound", term)
+    if number.__class__ is not int or number < 0:
+        number = natural(number)
     return 0 < number < len(term) and unify(value, term[number], machine.trail)
 
 

@@ -2,9 +2,9 @@
 
 from typing import Any, FrozenSet, List, Optional, Sequence
 
-from ...terms import Atom, Functor, Term, Var, deref, functor, variables
+from ...terms import Atom, Functor, Term, Var, conjunction, deref, functor, variables
 from .inline import forget, write_inline, write_test
-from .nodes import Condition, Cut, Either, Fail, Goal, Height, Interpret, Node, needed_by
+from .nodes import ARG, KNOWN_ARG, Condition, Cut, Either, Fail, Goal, Height, Interpret, Node, needed_by
 from .scope import Clause, Scope, Unit
 
 _MOST_CALLS = 12
@@ -54,9 +54,14 @@ class Bodies:
     def write(self, scope: Scope, nodes: Sequence[Node]) -> None:
         """Write goals to the end of the function: the last statements return the next frame."""
         at = 0
-        while at < len(nodes) and nodes[at].inline:
+        while at < len(nodes):
+            node: Node = nodes[at]
+            if not node.inline:
+                if not self._is_known(scope, nodes, at):
+                    break
+                node = self._known(scope, nodes[at:])
             scope.later = needed_by(nodes[at + 1 :])
-            write_inline(scope, nodes[at])
+            write_inline(scope, node)
             if isinstance(nodes[at], Fail):
                 return
             at += 1
@@ -72,6 +77,38 @@ class Bodies:
             self._condition(scope, rest[0], rest[1:])
         else:
             raise AssertionError(rest[0])
+
+    def _is_known(self, scope: Scope, nodes: Sequence[Node], at: int) -> bool:
+        """Tell whether a goal is ``arg/3`` whose number has most likely been given a value."""
+        node = nodes[at]
+        if not isinstance(node, Goal) or node.key is not ARG or self.unit.database.is_library:
+            return False
+        number = deref(node.args[0])
+        known = number in scope.names and number not in scope.fresh
+        return known and all(deref(other.source).__class__ in (tuple, Atom) for other in nodes[at:])
+
+    def _known(self, scope: Scope, nodes: Sequence[Node]) -> Goal:
+        """Write the test that the number of ``arg/3`` is a variable: then the rest is run from its terms.
+
+        Return the goal to write for all other numbers.
+        """
+        goal = nodes[0]
+        assert isinstance(goal, Goal)
+        number = scope.names[deref(goal.args[0])]
+        scope.dereference(number)
+        scope.line("if k is Var:")
+        before = scope.branch()
+        scope.depth += 1
+        height = scope.names.get(self.entry)
+        if height is None:
+            height = scope.temp("h")
+            scope.push(f"{height} = len(choices)")
+        rest = scope.build(conjunction(node.source for node in nodes))
+        self._flush(scope)
+        scope.line(f"return ({scope.unit.constant(self.interpret)}, {rest}, {height}, {scope.after})")
+        scope.depth -= 1
+        scope.restore(before)
+        return Goal("builtin", KNOWN_ARG, goal.args, True)
 
     # Leaving the function
 

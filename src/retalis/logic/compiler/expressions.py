@@ -71,7 +71,8 @@ def _operation(scope: Scope, expression: Term, depth: int) -> Value:
     key: Functor = expression[0]
     if key in _DIRECT:
         return _direct(scope, key, expression, depth)
-    operands = [number(scope, arg, depth + 1) for arg in expression[1:]]
+    # The last operand first, as where an expression is evaluated from its term: of two errors the same one is met.
+    operands = [number(scope, arg, depth + 1) for arg in expression[:0:-1]][::-1]
     names = ", ".join(name for name, _ in operands)
     call = f"{scope.unit.constant(EVALUABLE[key])}({names})"
     target = scope.temp()
@@ -104,8 +105,8 @@ def _direct(scope: Scope, key: Functor, expression: Term, depth: int) -> Value:
             f"{target} = {left} {symbol} {right} if {right}.__class__ is int else {slow}({left}, {right})"
         )
         return target, "num"
-    left, left_kind = number(scope, left_term, depth + 1)
     right, right_kind = number(scope, right_term, depth + 1)
+    left, left_kind = number(scope, left_term, depth + 1)
     scope.line(f"{target} = {left} {symbol} {right}")
     if key is _TIMES:  # a product of large integers is refused before it grows beyond use; so are inf and nan
         scope.line(f"if not LEAST < {target} < LARGEST:")

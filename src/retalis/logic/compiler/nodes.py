@@ -63,7 +63,7 @@ TYPE_TESTS = {
 CONTROL = {COMMA, SEMICOLON, BAR, ARROW, SOFT_ARROW, NOT, TRUE.functor, functor("!", 0)}
 """What a program may not define: control constructs."""
 
-_ARG, _KNOWN_ARG = functor("arg", 3), functor("$arg", 3)
+ARG, KNOWN_ARG = functor("arg", 3), functor("$arg", 3)
 _CUT = functor("!", 0)
 _DEEPEST = 40
 """Control constructs nested deeper than this are run by interpretation."""
@@ -85,14 +85,16 @@ class Node:
         vars: variables and heights that it needs.
         inline: it is straight Python: it leaves no choice point and calls no predicate of the program.
         cuts: it has a cut of the clause in it.
+        source: the goal in the body; None for what stands in none.
     """
 
-    __slots__ = ("vars", "inline", "cuts")
+    __slots__ = ("vars", "inline", "cuts", "source")
 
     def __init__(self, needed: FrozenSet[Any], inline: bool, cuts: bool = False):
         self.vars = needed
         self.inline = inline
         self.cuts = cuts
+        self.source: Optional[Term] = None
 
 
 class Goal(Node):
@@ -222,6 +224,7 @@ class Parser:
         for goal in conjuncts(body):
             node = self._node(goal, cut, depth)
             if not isinstance(node, Succeed):
+                node.source = goal
                 nodes.append(node)
         return nodes
 
@@ -261,8 +264,8 @@ class Parser:
         form = _FORMS.get(key)
         if form is not None:
             return Goal(form, key, args, True)
-        if key is _ARG and deref(args[0]).__class__ is int:
-            key = _KNOWN_ARG
+        if key is ARG and deref(args[0]).__class__ is int:
+            key = KNOWN_ARG
         inline = self._database.is_inline(key)
         if not inline and args and deref(args[0]).__class__ is not Var:
             known = self._database.predicate(key).known
