@@ -226,9 +226,7 @@ class Compiler:
             deferred.append(one)
         return node, deferred
 
-    def _joining(
-        self, core: Pair, wrapping: _Wrapping, context: Names, limit: Limit, left: Built
-    ) -> Built:
+    def _joining(self, core: Pair, wrapping: _Wrapping, context: Names, limit: Limit, left: Built) -> Built:
         here = context | self._bound(core.left)
         right = self._build(core.right, here, limit)
         known = set(left.node.vars) | set(right.node.vars)

@@ -39,6 +39,12 @@ class Table:
         followers: calls that have seen all answers so far.
     """
 
+    index: int
+    low: int
+    mark: int
+    height: int
+    first: Tuple[int, int]
+
     __slots__ = (
         "answers",
         "known",
@@ -55,9 +61,7 @@ class Table:
 
     def __init__(self) -> None:
         self.state = "new"
-        self.index = self.low = self.mark = self.height = 0
         self.parent: Optional[Table] = None
-        self.first = (0, 0)
         self.empty()
 
     def empty(self) -> None:

@@ -105,6 +105,7 @@ class Tables:
         def call(frame: Frame, moded: Sequence[Var] = ()) -> Optional[Frame]:
             key: Any = [key_of_call]
             free: List[Var] = []
+            walked = False
             for arg in frame[1:-1]:
                 while arg.__class__ is Var and arg.ref is not None:
                     arg = arg.ref
@@ -117,6 +118,7 @@ class Tables:
                     goal = (key_of_call, *frame[1:-1])
                     key = term_key(goal)
                     free = variables(goal)
+                    walked = True
                     break
             else:
                 key = tuple(key)
@@ -131,9 +133,13 @@ class Tables:
                     bound(var)
                 return frame[-1]  # type: ignore[no-any-return]
             if table.state == "new":
-                own: Dict[Var, Term] = {}
-                args = copy((key_of_call, *frame[1:-1]), own)[1:]
-                collect: Frame = (self._answer, table, [own[var] for var in free])
+                own = [Var() for _ in free]
+                if walked:
+                    args = copy(goal, dict(zip(free, own)))[1:]
+                else:
+                    fresh = iter(own)
+                    args = [next(fresh) if known is None else known for known in key[1:]]
+                collect: Frame = (self._answer, table, own)
                 if modes:
                     collect = (self._better, *collect[1:], list(map(free.index, moded)), modes)
                 return self._evaluate((predicate.tabled, *args, collect), table, free, frame[-1])
@@ -264,8 +270,10 @@ class Tables:
                 return self._go_on(entry, followed, follower)
             again = True
             del self.ready[ready:]
-        members = [table, *self.waiting[waiting:]]
-        del self.waiting[waiting:]
+        members = [table]
+        if len(self.waiting) > waiting:
+            members += self.waiting[waiting:]
+            del self.waiting[waiting:]
         if again:
             for member in members:
                 member.followers.clear()
