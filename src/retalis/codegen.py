@@ -41,6 +41,13 @@ _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,30}\Z")
 _COST = 20
 """Bytes that a function takes for each character of its source."""
 
+LARGEST = 1500
+"""Arguments in all the compounds of a term for which code is made; for larger ones the general routines are used.
+
+What a message or a rule of a person has stays far below. Python's compiler takes time that grows faster than long
+functions do.
+"""
+
 _serials = count(1)
 
 _Key = Tuple[str, Tuple[str, ...], str]

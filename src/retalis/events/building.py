@@ -2,8 +2,8 @@
 
 from typing import Any, Callable, Dict, List, Sequence, Tuple
 
-from ..codegen import shared_function
-from ..terms import Term, Var, deref, is_ground, resolve
+from ..codegen import LARGEST, shared_function
+from ..terms import Term, Var, copy, deref, is_ground, is_larger, resolve
 
 Values = Tuple[Term, ...]
 
@@ -13,6 +13,8 @@ def compile_builder(term: Term, order: Sequence[Var], title: str) -> Callable[[V
     term = resolve(term)
     if is_ground(term):
         return lambda values: term
+    if is_larger(term, LARGEST):
+        return lambda values: copy(term, dict(zip(order, values)))
     places = {var: f"v[{at}]" for at, var in enumerate(order)}
     lines: List[str] = []
     names: Dict[str, Any] = {"Var": Var}

@@ -3,7 +3,7 @@
 from typing import Any, Callable, Dict, Optional, Sequence, Tuple
 
 from ..logic import PrologError, resource_error
-from ..terms import Term, Var, are_ground, functor, list_items, make_list, variables
+from ..terms import Term, Var, are_ground, functor, list_items, make_list, positions, variables
 from .lanes import Completion, goal_lane
 from .matches import Match
 from .policy import Frame, emit_each
@@ -37,11 +37,12 @@ class Call:
         self.rule = rule
         self.goal = goal
         self.known = list(known)
-        mentioned = variables(goal)
+        mentioned = positions(variables(goal))
+        places = positions(self.known)
         inputs = [var for var in self.known if var in mentioned]
-        self.positions = tuple(self.known.index(var) for var in inputs)
+        self.positions = tuple(places[var] for var in inputs)
         self._takes_all = inputs == self.known
-        self.outputs = [var for var in mentioned if var not in self.known]
+        self.outputs = [var for var in mentioned if var not in places]
         self.result_vars = [*self.known, *self.outputs]
         self._compiled: Dict[Any, Any] = {}
         self._inputs = inputs

@@ -2,7 +2,7 @@
 
 from typing import AbstractSet, Any, Callable, List, NamedTuple, Optional, Set, Tuple
 
-from ..terms import NIL, Term, Var, deref, functor, variables
+from ..terms import NIL, Term, Var, deref, functor, positions, variables
 from .absence import Absence
 from .conditions import Call, Test, goal_test
 from .matches import Match
@@ -142,8 +142,9 @@ def early_test(rule: Any, node: Any, one: Deferred, names: List[Var]) -> Tuple[T
     A match where it is open goes on untested; one that has passed is marked, and not tested further up.
     """
     test, left = deferred_test(rule, node, one, names)
-    needed = [names.index(var) for var in one.needs]
-    mark = names.index(one.start)
+    places = positions(names)
+    needed = [places[var] for var in one.needs]
+    mark = places[one.start]
     new = left[len(names) :]
 
     def early(values: Values, start: int, end: int) -> Optional[Values]:
@@ -159,7 +160,8 @@ def _test_of_each(rule: Any, node: Any, one: Deferred, names: List[Var]) -> Tupl
     items: Any = one.items
     at = names.index(items.var)
     mentioned = [] if one.goal is None else variables(one.goal)
-    known = [*names, *(var for var in mentioned if var in items.same and var not in names)]
+    here = set(names)
+    known = [*names, *(var for var in mentioned if var in items.same and var not in here)]
     width = len(known)
     test_one, left = deferred_test(rule, node, one.each, [*known, *items.names])
     items.names = left[width:]
@@ -196,12 +198,13 @@ def absence_of(rule: Any, negated: Any, names: List[Var], ever: bool) -> Absence
     """
     conditions = negated.deferred
     own = negated.node.vars
-    shared = [(own.index(var), names.index(var)) for var in own if var in names]
+    places = positions(names)
+    shared = [(at, places[var]) for at, var in enumerate(own) if var in places]
     absence = Absence(rule, shared, ever)
     if not conditions:
         return absence
-    new = [var for var in own if var not in names]
-    at = [own.index(var) for var in new]
+    new = [var for var in own if var not in places]
+    at = [at for at, var in enumerate(own) if var not in places]
     known = [*names, *new]
     tests = []
     for one in conditions:

@@ -3,7 +3,7 @@
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 from ..codegen import shared_function
-from ..terms import Var
+from ..terms import Var, positions
 from .conditions import Test
 from .limits import kept_for_late
 from .matches import Found, Match, identity, taken_back
@@ -48,13 +48,13 @@ class Joining(Node):
         self.left = left
         self.right = right
         self.gap = gap
-        shared = [var for var in left.vars if var in right.vars]
-        self.pairs = tuple((left.vars.index(var), right.vars.index(var)) for var in shared)
+        in_left, in_right = positions(left.vars), positions(right.vars)
+        self.pairs = tuple((at, in_right[var]) for var, at in in_left.items() if var in in_right)
         self.left_place = Place(rule, tuple(one for one, _ in self.pairs))
         self.right_place = Place(rule, tuple(two for _, two in self.pairs))
         taken = [(f"lv[{at}]", var) for at, var in enumerate(left.vars) if var in keep]
         taken += [
-            (f"rv[{at}]", var) for at, var in enumerate(right.vars) if var in keep and var not in left.vars
+            (f"rv[{at}]", var) for at, var in enumerate(right.vars) if var in keep and var not in in_left
         ]
         if gap is not None:
             taken += [("e1", gap[0]), ("s2", gap[1])]

@@ -2,7 +2,7 @@
 
 from typing import Any, Callable, Dict, List, Optional, Tuple
 
-from ..codegen import shared_function
+from ..codegen import LARGEST, shared_function
 from ..terms import (
     Atom,
     Lazy,
@@ -12,6 +12,7 @@ from ..terms import (
     copy,
     deref,
     freeze,
+    is_larger,
     resolve,
     same_constant,
     undo,
@@ -28,13 +29,17 @@ def compile_matcher(pattern: Term) -> Matcher:
     """Return the matcher of a pattern; values come in the order of ``terms.variables(pattern)``.
 
     The event's functor is not looked at: the dispatcher has chosen by it. Events without variables are taken
-    apart in straight code; where a variable of the event stands in the way, terms are unified in general.
+    apart in straight code; where a variable of the event stands in the way, or the pattern is large, terms are
+    unified in general.
     """
     pattern = resolve(pattern)
     if pattern.__class__ is Var:
         return _whole
     if pattern.__class__ is not tuple:
         return _nothing
+    if is_larger(pattern, LARGEST):
+        order = variables(pattern)
+        return lambda term: unify_pattern(pattern, order, term)
     return _Compiler(pattern).matcher()
 
 

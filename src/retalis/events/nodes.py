@@ -6,7 +6,7 @@ frame and return the frame to go on with. `Node.bind` connects them for a policy
 
 from typing import Any, Dict, List, Optional, Sequence
 
-from ..terms import Term, Var, variables
+from ..terms import Term, Var, positions, variables
 from .conditions import Test
 from .lanes import Completion
 from .matches import Found, Match
@@ -172,7 +172,8 @@ class Alternatives(Node):
             child.bind(self._branch(index, child, out), mode)
 
     def _branch(self, index: int, child: Node, out: Emit) -> Emit:
-        layout = [child.vars.index(var) if var in child.vars else None for var in self.vars]
+        places = positions(child.vars)
+        layout = [places.get(var) for var in self.vars]
 
         def arrive(match: Match, after: Frame) -> Frame:
             values = match.values

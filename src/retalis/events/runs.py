@@ -3,7 +3,7 @@
 from typing import Any, List, Optional, Sequence, Tuple
 
 from ..errors import RuleError
-from ..terms import Term, Var, resolve, undo, unify, variables
+from ..terms import Term, Var, positions, resolve, undo, unify, variables
 from .aggregates import Collector
 from .building import compile_builder
 from .conditions import Test
@@ -41,8 +41,8 @@ class Running(Node):
         self.double = double
         self.first = first
         self.repeated = repeated
-        shared = [var for var in first.vars if var in repeated.vars]
-        self.pairs = tuple((first.vars.index(var), repeated.vars.index(var)) for var in shared)
+        in_first, in_repeated = positions(first.vars), positions(repeated.vars)
+        self.pairs = tuple((at, in_repeated[var]) for var, at in in_first.items() if var in in_repeated)
         self.place = Place(rule, tuple(one for one, _ in self.pairs))
         self.incoming = Place(rule, tuple(two for _, two in self.pairs))
         self.span: Optional[int] = None
@@ -51,14 +51,15 @@ class Running(Node):
         self.late_tests: List[Test] = []
         self.step_tests: List[Test] = []
         self.carried: List[Tuple[Any, Node]] = []
-        self.step_vars = [*first.vars, *(var for var in repeated.vars if var not in first.vars)]
-        self._step_at = [at for at, var in enumerate(repeated.vars) if var not in first.vars]
+        self.step_vars = [*first.vars, *(var for var in repeated.vars if var not in in_first)]
+        self._step_at = [at for at, var in enumerate(repeated.vars) if var not in in_first]
         self.open_vars: List[Var] = []
         self.kept = Keeping(self.incoming)
 
     def open(self, names: Sequence[Var]) -> None:
         """Have variables that no repetition gives a value, and that stand elsewhere, be the same in all."""
-        self.open_vars = [var for var in names if var not in self.step_vars]
+        here = set(self.step_vars)
+        self.open_vars = [var for var in names if var not in here]
         self.step_vars = [*self.step_vars, *self.open_vars]
 
     def finish(
@@ -73,22 +74,26 @@ class Running(Node):
             items: where conditions on each repetition are tested further up, what they get.
         """
         own = self.first.vars
+        of_first = set(own)
+        of_step = positions(self.step_vars)
         self.collector = collector
         self.empty = None if collector is None else collector.start
-        self.fixed = [var for var in self.step_vars if var in outside and var not in own]
-        self.fixed_at = [self.step_vars.index(var) for var in self.fixed]
+        self.fixed = [var for var in self.step_vars if var in outside and var not in of_first]
+        self.fixed_at = [of_step[var] for var in self.fixed]
         self.items = items
         self._same_at = len(own)
         known = [*own, *self.fixed]
         if items is not None:
-            items.names = [var for var in self.step_vars if var not in known]
-            self._items_at = [self.step_vars.index(var) for var in items.names]
+            given = set(known)
+            items.names = [var for var in self.step_vars if var not in given]
+            self._items_at = [of_step[var] for var in items.names]
             known.insert(self._same_at, items.var)
             self._same_at += 1
-        self._open_at = [known.index(var) for var in self.open_vars]
+        places = positions(known)
+        self._open_at = [places[var] for var in self.open_vars]
         if collector is not None:
-            self.result_is_open = result.__class__ is Var and result not in known
-            self.result_new = [var for var in variables(result) if var not in known]
+            self.result_is_open = result.__class__ is Var and result not in places
+            self.result_new = [var for var in variables(result) if var not in places]
             self._result_at = len(known)
             known += self.result_new
             self.make_result = compile_builder(result, known, "result of an aggregate")

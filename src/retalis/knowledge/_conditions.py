@@ -7,7 +7,7 @@ from ..codegen import shared_function
 from ..errors import UsageError
 from ..events import compile_builder
 from ..logic import Logic, PrologError
-from ..terms import CONS, Term, Var, deref, list_items, variables
+from ..terms import CONS, Term, Var, deref, list_items, positions, variables
 from ._recording import key_of
 from .memories import Memories
 from .recorder import Instance
@@ -55,6 +55,7 @@ def compile_conditions(
         "first_reaching": timestamps.first_reaching,
         "no_memory": lambda name: UsageError(f"there is no memory {logic.brief(name)}"),
     }
+    places = positions(names)
     lines = ["    missing = []"]
     previous = None
     for at, (key, (name, time)) in enumerate(zip(keys, pairs)):
@@ -65,7 +66,7 @@ def compile_conditions(
             f"        raise no_memory(name{at})",
         ]
         if time is not previous:
-            lines += _time(time, names, at, given)
+            lines += _time(time, names, places, at, given)
         previous = time
         lines += [
             "    ends = memory.memory.ends",
@@ -77,10 +78,12 @@ def compile_conditions(
     return found
 
 
-def _time(time: Term, names: Sequence[Var], at: int, given: Dict[str, Any]) -> List[str]:
+def _time(
+    time: Term, names: Sequence[Var], places: Dict[Var, int], at: int, given: Dict[str, Any]
+) -> List[str]:
     """Return the lines that find the instant of a time."""
     if time.__class__ is Var:
-        lines = [f"    time = values[{names.index(time)}]"]
+        lines = [f"    time = values[{places[time]}]"]
     else:
         given[f"build{at}"] = compile_builder(time, names, "time of a synchronized query")
         lines = [f"    time = build{at}(values)"]

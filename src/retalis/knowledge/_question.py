@@ -118,12 +118,13 @@ def compile_question(
         place: where it was read.
     """
     event, query = deref(event), deref(query)
-    mentioned = variables(query)
+    mentioned = set(variables(query))
+    known = set(names)
     if query.__class__ is Var:
-        if query not in names:
+        if query not in known:
             return None
         query = (_CALL, query)
-    found = [var for var in variables(event) if var in mentioned and var not in names]
+    found = [var for var in variables(event) if var in mentioned and var not in known]
     build = compile_builder(event, [*names, *found], f"event of a {_NAME}")
     inputs = [at for at, name in enumerate(names) if name in mentioned]
     goal = None

@@ -2,7 +2,8 @@
 
 from typing import Any, Callable, List, Optional, Tuple
 
-from ..terms import TRUE, Term, is_ground
+from ..codegen import LARGEST
+from ..terms import TRUE, Term, is_ground, is_larger
 from .codes import Frame
 from .keys import key_of
 
@@ -33,6 +34,11 @@ class Clause:
         self.ground = self.fact and is_ground(head)
         self.code: Optional[Callable[[Frame], Optional[Frame]]] = None
         self.uses = 0
+
+    @property
+    def is_large(self) -> bool:
+        """Whether it is so large that it is interpreted always; see `codegen.LARGEST`."""
+        return is_larger((None, self.head, self.body), LARGEST)
 
 
 def may_match(keys: List[Any], others: Tuple[Any, ...]) -> bool:

@@ -31,6 +31,9 @@ _MOST_FACTS = 8
 _INDEX_FROM = 8
 """Clauses from which on an index is made."""
 
+_MOST_ENTRIES = 1_000_000
+"""Entries of clauses with a variable, under each of the keys, from which on no index is made."""
+
 _MANY = 1000
 """Clauses from which on a search among them may take as long as many inferences."""
 
@@ -264,8 +267,10 @@ class Predicate:
         index: Dict[Any, List[Clause]] = {}
         others: List[Clause] = []
         clauses = [clause for clause in self.clauses if clause.died == NEVER]
-        variables = sum(clause.keys[position] is None for clause in clauses)
-        if variables * 2 <= len(clauses):
+        keys = [clause.keys[position] for clause in clauses]
+        variables = keys.count(None)
+        # Each clause with a variable is entered under each key.
+        if variables * 2 <= len(clauses) and variables * len(set(keys)) <= _MOST_ENTRIES:
             for clause in clauses:
                 _enter(index, others, clause.keys[position], clause)
         if len(index) < 2:
@@ -316,6 +321,8 @@ class Predicate:
                 if clause.uses <= self.database.compile_after and not self.library:
                     return self._interpret(frame, clause, height, trail)
                 code = self._compile_clause(clause)
+                if code is None:
+                    return self._interpret(frame, clause, height, trail)
             return code((*frame, height))
         return None
 
@@ -364,7 +371,8 @@ class Predicate:
         clauses = list(self.live())
         size = len(clauses)
         facts = all(clause.fact for clause in clauses)
-        if not size or size > (_MOST_FACTS if facts else _MOST_CLAUSES):
+        too_many = size > (_MOST_FACTS if facts else _MOST_CLAUSES)
+        if not size or too_many or any(clause.is_large for clause in clauses):
             self.compile_after = NEVER
             return False
         rules = [Rule(_args(clause.head), clause.body, clause.place) for clause in clauses]
@@ -374,7 +382,10 @@ class Predicate:
         self.compiled = True
         return True
 
-    def _compile_clause(self, clause: Clause) -> Callable[[Frame], Optional[Frame]]:
+    def _compile_clause(self, clause: Clause) -> Optional[Callable[[Frame], Optional[Frame]]]:
+        if clause.is_large:
+            clause.uses = -NEVER
+            return None
         rule = Rule(_args(clause.head), clause.body, clause.place)
         clause.code = Generator(self._view(), self.functor, [rule], self).single(0)
         return clause.code

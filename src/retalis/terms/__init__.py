@@ -42,7 +42,19 @@ from .kinds import (
 from .lists import conjunction, conjuncts, list_items, list_parts, make_list
 from .order import compare
 from .unification import same_constant, undo, unify
-from .walking import ATOMIC, are_ground, copy, freeze, is_ground, is_plain, rebuild, resolve, variables
+from .walking import (
+    ATOMIC,
+    are_ground,
+    copy,
+    freeze,
+    is_ground,
+    is_larger,
+    is_plain,
+    positions,
+    rebuild,
+    resolve,
+    variables,
+)
 
 __all__ = [
     "Atom",
@@ -73,10 +85,12 @@ __all__ = [
     "ATOMIC",
     "are_ground",
     "is_ground",
+    "is_larger",
     "is_plain",
     "list_items",
     "list_parts",
     "make_list",
+    "positions",
     "rebuild",
     "resolve",
     "same_constant",

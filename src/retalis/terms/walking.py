@@ -30,6 +30,25 @@ def variables(term: Term) -> List[Var]:
     raise TermTooLarge
 
 
+def positions(names: Sequence[Var]) -> Dict[Var, int]:
+    """Return where each variable stands among others."""
+    return {var: at for at, var in enumerate(names)}
+
+
+def is_larger(term: Term, most: int) -> bool:
+    """Tell whether the compounds of a term have more arguments than ``most``, all together."""
+    size = 0
+    stack = [term]
+    while stack:
+        item = deref(stack.pop())
+        if item.__class__ is tuple:
+            size += len(item) - 1
+            if size > most:
+                return True
+            stack.extend(item[1:])
+    return False
+
+
 def is_ground(term: Term) -> bool:
     """Tell whether a term has no unbound variable (a lazy term has none, and is not looked into)."""
     stack = [term]

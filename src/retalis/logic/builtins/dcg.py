@@ -1,6 +1,6 @@
 """Translation of grammar rules (DCG) to clauses."""
 
-from typing import List
+from typing import List, NamedTuple
 
 from ...terms import (
     COMMA,
@@ -16,6 +16,7 @@ from ...terms import (
     functor,
     list_items,
     make_list,
+    resolve,
 )
 from ..compiler.nodes import ARROW, BAR, EQUAL, NOT, SEMICOLON, SOFT_ARROW
 from ..control import add_arguments
@@ -48,18 +49,35 @@ def translate_rule(rule: Term) -> Term:
 
 
 def translate_body(body: Term, first: Term, last: Term) -> Term:
-    """Return the goal of a grammar body between two states of the list.
+    """Return the goal of a grammar body between two states of the list; without recursion, however deep it is."""
+    whole = Var()
+    pending: List[_Hole] = [_Hole(whole, body, first, last)]
+    while pending:
+        hole, body, first, last = pending.pop()
+        parts = _sequence(body)
+        goals = []
+        state = first
+        for at, part in enumerate(parts):
+            following = last if at == len(parts) - 1 else Var()
+            goals.append(_part(part, state, following, pending))
+            state = following
+        hole.ref = conjunction(goals)
+    return resolve(whole)
 
-    Conjunctions are walked with a stack; other control constructs nest as deep as the text does.
-    """
-    parts = _sequence(body)
-    goals = []
-    state = first
-    for at, part in enumerate(parts):
-        following = last if at == len(parts) - 1 else Var()
-        goals.append(_part(part, state, following))
-        state = following
-    return conjunction(goals)
+
+class _Hole(NamedTuple):
+    """A variable of a goal that stands for a body inside, until that is translated: between which states it is."""
+
+    goal: Var
+    body: Term
+    first: Term
+    last: Term
+
+
+def _inside(pending: List[_Hole], body: Term, first: Term, last: Term) -> Var:
+    hole = _Hole(Var(), body, first, last)
+    pending.append(hole)
+    return hole.goal
 
 
 def _sequence(body: Term) -> List[Term]:
@@ -74,7 +92,7 @@ def _sequence(body: Term) -> List[Term]:
     return parts
 
 
-def _part(part: Term, first: Term, last: Term) -> Term:
+def _part(part: Term, first: Term, last: Term, pending: List[_Hole]) -> Term:
     kind = part.__class__
     if kind is Var:
         return (_PHRASE, part, first, last)
@@ -92,12 +110,13 @@ def _part(part: Term, first: Term, last: Term) -> Term:
         raise type_error("callable", part)
     key = part[0]
     if key in (SEMICOLON, BAR):
-        return (SEMICOLON, translate_body(part[1], first, last), translate_body(part[2], first, last))
+        left = _inside(pending, part[1], first, last)
+        return (SEMICOLON, left, _inside(pending, part[2], first, last))
     if key in (ARROW, SOFT_ARROW):
         middle = Var()
-        return (key, translate_body(part[1], first, middle), translate_body(part[2], middle, last))
+        return (key, _inside(pending, part[1], first, middle), _inside(pending, part[2], middle, last))
     if key is NOT:
-        return (COMMA, (NOT, translate_body(part[1], first, Var())), (EQUAL, first, last))
+        return (COMMA, (NOT, _inside(pending, part[1], first, Var())), (EQUAL, first, last))
     if key is _CURLY:
         return (COMMA, part[1], (EQUAL, first, last))
     if key.name == _CALL:

@@ -120,6 +120,8 @@ def work(database: Any, key: Functor, path: Tuple[Functor, ...] = ()) -> Optiona
         return None
     total = 0
     for clause in predicate.live():
+        if clause.is_large:
+            return None
         entry = Height("height")
         nodes = parser(database, entry, (*path, key)).parse(clause.body)
         inside = work_of(database, nodes, (*path, key))

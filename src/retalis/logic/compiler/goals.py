@@ -2,8 +2,9 @@
 
 from typing import Any, Callable, List, Optional, Sequence, Tuple
 
+from ...codegen import LARGEST
 from ...errors import Place
-from ...terms import Term, Var, copy, deref, functor, resolve, variables
+from ...terms import Term, Var, copy, deref, functor, is_larger, resolve, variables
 from ..codes import Code
 from ..limits import LimitError
 from .bodies import Bodies
@@ -44,6 +45,7 @@ class GoalCode:
     ):
         self._database = database
         self._term = resolve(term)
+        self._interprets = database.interprets or is_larger(self._term, LARGEST)
         self._inputs = inputs
         self._outputs = outputs
         self._place = place
@@ -87,7 +89,7 @@ class GoalCode:
         Bindings that it makes are undone, also where it fails. It returns `BAIL` where the goal has to be run
         by frames, also to find an error again with its context; limits that run out are not looked for twice.
         """
-        if self._database.interprets:
+        if self._interprets:
             return None
         entry = Height("height")
         nodes = parser(self._database, entry).parse(self._term)
@@ -125,7 +127,7 @@ class GoalCode:
 
     def enter(self, hands_over: bool) -> Tuple[Callable[..., Any], bool]:
         """Return the function of the goal's frame, and whether it is steady, see `Code.steady`."""
-        if self._database.interprets:
+        if self._interprets:
             return self._interpreted(hands_over), False
         unit = Unit(self._database.machine, self._database)
         scope = self._scope(unit)
