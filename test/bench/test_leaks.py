@@ -12,9 +12,10 @@ from retalis.caches import Cache
 from retalis.logic.database import Database
 
 BENCH = Path(__file__).resolve().parents[2] / "bench"
+_path = list(sys.path)
 sys.path.insert(0, str(BENCH))
 leaks = importlib.import_module("leaks")
-sys.path.remove(str(BENCH))
+sys.path[:] = _path  # the benchmark adds to it as well, and its modules' names are those of test packages
 
 FIRST, LAST = 60, 460
 SPARE = 300
