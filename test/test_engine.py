@@ -83,6 +83,17 @@ def test_what_is_no_date_is_no_number():
     assert Engine().query("X is datime(1970,1,1,0,1,0,5) - datime(1970,1,1,0,0,0), X =:= 60 + 5.0e-9")
 
 
+def test_a_text_that_is_too_long_to_read_is_refused(caplog, monkeypatch):
+    engine = Watched()
+    monkeypatch.setattr("retalis.engine.LONGEST_INPUT", 20)
+    with caplog.at_level(logging.WARNING, "retalis"):
+        engine.post_text("event(a(1234567890))")
+        engine.post_text("event(a(12345678901))")
+    assert engine.events == [("a(1234567890)", engine.events[0][1], engine.events[0][2])]
+    (record,) = caplog.records
+    assert "21 characters, at most 20 are read" in record.getMessage()
+
+
 def test_stamps_are_terms_numbers_or_ros_times():
     engine = Watched()
     stamp = timestamps.datime(7 * 10**9 + 1)

@@ -28,6 +28,9 @@ from .timestamps import WholeSeconds
 
 log = logging.getLogger("retalis")
 
+LONGEST_INPUT = 10_000_000
+"""Characters of an event as text. Reading is not under the limits of what the event starts, so it has its own."""
+
 Instant = Union[int, Term]
 OnOutput = Callable[[Term, str, Term], None]
 OnEvent = Callable[[Term, int, int], None]
@@ -413,6 +416,11 @@ class Engine:
         return now
 
     def _take_text(self, text: str) -> None:
+        if len(text) > LONGEST_INPUT:
+            self._refuse(
+                f"{beginning(text)}: it has {len(text)} characters, at most {LONGEST_INPUT} are read"
+            )
+            return
         try:
             made = self._texts.event(text)
         except RetalisError as error:

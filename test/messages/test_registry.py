@@ -30,6 +30,27 @@ def package(root, name, **messages):
         (folder / f"{kind}.msg").write_text(text)
 
 
+def test_a_publisher_describes_its_own_messages_and_no_others():
+    definitions = Definitions()
+    installed = definitions.find("std_msgs/String").md5sum
+    transforms = definitions.find("tf/tfMessage").md5sum
+    forged = Definitions().add("tf/tfMessage", "int32 x\n").md5sum
+    for number in range(1100):  # more than are kept
+        with pytest.raises(MessageError, match="expected std_msgs/String, found"):
+            definitions.received("std_msgs/String", f"my_pkg/Type{number}", f"int32 x{number}\n", "*")
+    with pytest.raises(MessageError, match="expected std_msgs/String, found tf/tfMessage"):
+        definitions.received("std_msgs/String", "tf/tfMessage", "int32 x\n", forged)
+    own = definitions.received("tf/tfMessage", "tf/tfMessage", "int32 x\n", forged)
+    assert own.md5sum == forged  # this publisher's messages are read as it says
+    definitions.received("unknown_msgs/Kind", "tf/tfMessage", "int32 x\n", forged)
+    assert definitions.find("tf/tfMessage").md5sum == transforms
+    assert definitions.find("std_msgs/String").md5sum == installed
+    assert definitions.received("tf/tfMessage", "tf2_msgs/TFMessage", "", transforms).md5sum == transforms
+    assert definitions.received("my_own/Kind", "my_own/Kind", "int32 x\n", "").name == "my_own/Kind"
+    assert "my_own/Kind" in definitions
+    assert "my_pkg/Type1" not in definitions
+
+
 def test_an_added_type_is_found_with_its_nested_ones():
     registry = nothing_installed()
     definition = registry.add("pkg/Stamped", STAMPED)

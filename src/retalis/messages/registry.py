@@ -67,6 +67,13 @@ class Definitions:
             MessageError: for a text that is no definition or too long, that names a type found nowhere, or that
                 has another checksum; where too many types were added.
         """
+        definition = self._read(name, text, md5sum)
+        if name not in self._added:
+            self._note(definition, len(text))
+        return definition
+
+    def _read(self, name: str, text: str, md5sum: str) -> Definition:
+        """Return the type that a text defines, and keep it only to be found again by the same text."""
         if len(text) > LONGEST_TEXT:
             raise MessageError(
                 f"the definition of {beginning(name)} has {len(text)} characters: at most {LONGEST_TEXT} are taken"
@@ -80,8 +87,6 @@ class Definitions:
                 f"the definition of {name} that came with the messages is not theirs: "
                 f"its checksum is {definition.md5sum}, theirs {md5sum}"
             )
-        if name not in self._added:
-            self._note(definition, len(text))
         return definition
 
     def _note(self, definition: Definition, characters: int) -> None:
@@ -103,6 +108,9 @@ class Definitions:
     def received(self, name: str, sent: str, text: str, md5sum: str) -> Definition:
         """Return the definition by which to read messages as a type: the known one, or what came with them.
 
+        A type that is known stays what it is for everybody else: a publisher can describe its own messages, not
+        others'.
+
         Args:
             name: the type that is wanted.
             sent: the type as which they are sent; the wanted one may be another name of it.
@@ -115,12 +123,12 @@ class Definitions:
         known = self.find(name) if name in self else None
         if known is not None and known.md5sum == md5sum:
             return known
-        definition = self.add(sent, text, md5sum)
-        if sent == name:
-            return definition
-        if known is not None and known.md5sum != definition.md5sum:
+        definition = self._read(sent, text, md5sum)
+        if sent != name and known is not None and known.md5sum != definition.md5sum:
             raise MessageError(f"expected {name}, found {sent}")
-        return definition.renamed(name)
+        if known is None and sent not in self:
+            self._note(definition, len(text))
+        return definition if sent == name else definition.renamed(name)
 
     def find(self, name: str) -> Definition:
         """Return the definition of ``pkg/Type``.

@@ -9,7 +9,7 @@ import rospkg
 import rospy
 
 from ..engine import Settings
-from ..errors import UsageError
+from ..errors import UsageError, beginning, printable
 from ..logic import Limits
 from ..messages import BARE
 from ..program import Topics, TopicType, topic_type
@@ -101,7 +101,7 @@ def _warn_of_unknown() -> None:
         if name not in KNOWN:
             meant = get_close_matches(name, KNOWN, 1)
             hint = f"did you mean ~{meant[0]}?" if meant else f"there are ~{', ~'.join(KNOWN)}"
-            rospy.logwarn("there is no parameter ~%s; %s", name, hint)
+            rospy.logwarn("there is no parameter ~%s; %s", printable(beginning(name)), hint)
 
 
 def direct_topics(direct: Any, topics: Topics) -> Tuple[TopicType, ...]:
