@@ -22,6 +22,15 @@ from retalis.terms import atom, functor
 quick = settings(max_examples=60, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))
 
 
+MOST = 16
+"""Events of a stream under a policy that keeps all combinations: of 25 some rules make too many."""
+
+
+def affordable(case):
+    """Return a case with a stream that is worked off in a moment."""
+    return replace(case, stream=case.stream[:MOST]) if case.policy == "unrestricted" else case
+
+
 def of_engine(case, texts=None, goals="", events=None):
     texts = texts or [case.text()]
     return engine_events(texts, case.goals() + goals, case.stream if events is None else events)
@@ -37,6 +46,7 @@ def garbage_control(window):
 @settings(quick, max_examples=500)
 @given(cases())
 def test_oracle(case):
+    case = affordable(case)
     if difference(case) is not None:
         pytest.fail(report(shrink(case, lambda smaller: difference(smaller) is not None)), pytrace=False)
 
