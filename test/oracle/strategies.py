@@ -102,6 +102,12 @@ class Case:
         return f"<{self.policy}{flags}\n{self.text()}\n{events}>"
 
 
+def certain_in_order(node: Pattern) -> List[Var]:
+    """Return the variables of `certain` in their order: a set's own is another in each run."""
+    found = certain(node)
+    return [var for var in pattern_variables(node) if var in found]
+
+
 def certain(node: Pattern) -> Set[Var]:
     """Return the variables that every match of a pattern binds."""
     if isinstance(node, Leaf):
@@ -166,7 +172,7 @@ class Generator:
         kind = self.choice([*kinds, "subpattern"])
         if kind in ("seq", "forall_seq", *EITHER_ORDER):
             first = self.pattern(depth - 1, left)
-            return Both(kind, first, self.pattern(depth - 1, (*left, *certain(first))))
+            return Both(kind, first, self.pattern(depth - 1, (*left, *certain_in_order(first))))
         if kind == "or":
             return Or(self.pattern(depth - 1, left), self.pattern(depth - 1, left))
         if kind in ("star", "aggregate"):
@@ -216,7 +222,7 @@ class Generator:
         """Draw a star_times or an aggregate."""
         first = self.pattern(depth - 1, left)
         below = min(depth - 1, 1)
-        further = (*left, *certain(first))
+        further = (*left, *certain_in_order(first))
         repeated: Pattern = self.leaf()
         if self.chance(30):
             repeated = self.pattern(below, further)
@@ -251,7 +257,7 @@ class Generator:
         try:
             if not self.negating and self.chance(30):
                 return Both(self.choice(["seq", "and", "par"]), self.leaf(), self.leaf())
-            return self.pattern(depth, (*left, *certain(below)))
+            return self.pattern(depth, (*left, *certain_in_order(below)))
         finally:
             self.pool = keep
 
