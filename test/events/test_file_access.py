@@ -541,7 +541,12 @@ print(json.dumps(opened))
 def test_goals_of_events_open_nothing_but_files_of_the_programs_folder(place):
     found = subprocess.run(
         [sys.executable, "-c", SCRIPT, str(place)],
-        env={"PYTHONPATH": os.pathsep.join([str(SRC), str(SRC.parent / "test")]), "PATH": os.environ["PATH"]},
+        env={
+            "PYTHONPATH": os.pathsep.join(
+                [str(SRC), str(SRC.parent / "test"), os.environ.get("PYTHONPATH", "")]
+            ),
+            "PATH": os.environ["PATH"],
+        },
         capture_output=True,
         timeout=300,
     )
