@@ -10,7 +10,7 @@ from retalis.messages import Definitions
 from retalis.ros._raw import raw_class
 from retalis.srv import AddInputSubscription, AddOutputSubscription
 
-PATIENCE = 30.0
+PATIENCE = 60.0
 """Seconds after which a test gives up waiting."""
 
 
