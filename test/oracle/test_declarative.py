@@ -3,7 +3,7 @@
 from collections import Counter
 from dataclasses import replace
 
-from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import HealthCheck, assume, given, reject, settings
 from oracle.declarative import defined_for, firings
 from oracle.evaluator import Program
 from oracle.goals import show
@@ -27,4 +27,8 @@ def test_unrestricted_is_every_combination_once(case):
 def test_without_late_events_expiry_changes_nothing(case):
     assume(case.has_limits())
     in_order = replace(case, stream=tuple(sorted(case.stream, key=lambda event: event[2])))
-    assert in_order.expected(expiry=True) == in_order.expected(expiry=False)
+    try:
+        expected = in_order.expected(expiry=True)
+    except RecursionError:  # rules that feed each other without end have no answer
+        reject()
+    assert expected == in_order.expected(expiry=False)
