@@ -189,10 +189,11 @@ def _concat(machine: Any, left: Term, right: Term, whole: Term, make: Any) -> Un
         return text.startswith(start) and unify(right, make(text[len(start) :]), machine.trail)
     if end is not None:
         return text.endswith(end) and unify(left, make(text[: len(text) - len(end)]), machine.trail)
-    return _halves(machine, left, right, text, make)
+    return halves(machine, left, right, text, make)
 
 
-def _halves(machine: Any, left: Term, right: Term, text: str, make: Any) -> Iterator[Any]:
+def halves(machine: Any, left: Term, right: Term, text: str, make: Any) -> Iterator[Any]:
+    """Yield for each way to cut a text in two parts, made by ``make``, that unify with left and right."""
     for at in range(len(text) + 1):
         long_text(len(text))
         if machine.unify_all((left, make(text[:at])), (right, make(text[at:]))):

@@ -7,6 +7,7 @@ from ...watching import BULK, look
 from ..codes import LAST
 from ..faults import domain_error, existence_error, instantiation_error, type_error
 from .arguments import integer_or_var, partial_items
+from .atoms import halves
 from .registry import deterministic, nondeterministic
 from .text import (
     atomic_text,
@@ -147,14 +148,7 @@ def text_concat(machine: Any, left: Term, right: Term, whole: Term) -> Union[boo
         return text.startswith(start) and unify(right, make(text[len(start) :]), machine.trail)
     if end is not None:
         return text.endswith(end) and unify(left, make(text[: len(text) - len(end)]), machine.trail)
-    return _halves(machine, left, right, text, make)
-
-
-def _halves(machine: Any, left: Term, right: Term, text: str, make: Any) -> Iterator[Any]:
-    for at in range(len(text) + 1):
-        long_text(len(text))
-        if machine.unify_all((left, make(text[:at])), (right, make(text[at:]))):
-            yield LAST if at == len(text) else None
+    return halves(machine, left, right, text, make)
 
 
 @deterministic("split_string/4")
