@@ -199,6 +199,8 @@ class Installation:
         """Build the workspace, and its install space where asked for."""
         if not self.package.exists() and not self.shell.dry:
             self.package.parent.mkdir(parents=True, exist_ok=True)
+            if self.package.is_symlink():  # the copy it led to is gone
+                self.package.unlink()
             self.package.symlink_to(HERE)
         if self.package.exists() and self.package.resolve() != HERE:
             raise Problem(f"{self.package} is another copy of retalis; choose another --workspace")

@@ -277,3 +277,21 @@ def test_where_prints_the_script_to_source_and_nothing_else(install, tmp_path, c
     (tmp_path / "devel" / "setup.bash").touch()
     assert install.main(["--workspace", str(tmp_path), "where"]) == 0
     assert capsys.readouterr().out == f"{tmp_path}/devel/setup.bash\n"
+
+
+def test_a_link_to_a_copy_that_is_gone_is_made_anew(install, tmp_path, monkeypatch):
+    monkeypatch.setattr(install.subprocess, "run", nothing_installed)
+    installation = install.Installation(install.DEBIAN_12, tmp_path, Recorder(tmp_path / "log"))
+    installation.package.parent.mkdir()
+    installation.package.symlink_to(tmp_path / "gone")
+    installation.build(install=False)
+    assert installation.package.resolve() == install.HERE
+
+
+def test_a_link_to_another_copy_is_refused(install, tmp_path):
+    installation = install.Installation(install.DEBIAN_12, tmp_path, Recorder(tmp_path / "log"))
+    (tmp_path / "other").mkdir()
+    installation.package.parent.mkdir()
+    installation.package.symlink_to(tmp_path / "other")
+    with pytest.raises(install.Problem, match="is another copy of retalis"):
+        installation.build(install=False)
