@@ -1,6 +1,6 @@
 """Dictionary keys of terms: for shared variables, and for telling identical events."""
 
-from typing import Any, Dict, List
+from typing import Any, Dict, Hashable, List
 
 from ..errors import TermTooLarge
 from ..watching import BULK, look
@@ -11,12 +11,11 @@ from .walking import freeze
 _PLAIN = frozenset((Atom, int, String))
 
 
-def term_key(term: Term) -> Any:
+def term_key(term: Term) -> Hashable:
     """Return a hashable key: equal for two terms exactly when they are variants of each other."""
-    kind = term.__class__
-    if kind in _PLAIN:
+    if term.__class__ in _PLAIN:
         return term
-    if kind is tuple:
+    if term.__class__ is tuple:
         for item in term[1:]:
             if item.__class__ not in _PLAIN:
                 if item.__class__ is Var and item.ref is None:
@@ -30,7 +29,7 @@ def term_key(term: Term) -> Any:
         return variant_key(term)
 
 
-def variant_key(term: Term) -> Any:
+def variant_key(term: Term) -> Hashable:
     """Return the key of a term with variables: they count by the order in which they are met."""
     flat: List[Any] = [Var]
     numbers: Dict[Var, int] = {}
@@ -39,7 +38,7 @@ def variant_key(term: Term) -> Any:
         for _ in BULK:
             if not stack:
                 return tuple(flat)
-            item = deref(stack.pop())
+            item: Any = deref(stack.pop())
             kind = item.__class__
             if kind is tuple:
                 flat.append(item[0])

@@ -2,11 +2,21 @@
 
 from _weakref import _remove_dead_weakref  # type: ignore[attr-defined]
 from itertools import count
-from typing import Any, Callable, Dict, Optional, Tuple
+from typing import Any, Callable, Dict, List, Optional, Protocol, Tuple
 from weakref import ref
 
 Term = Any
 """The union above; Python's type system has no cheap name for it."""
+
+
+class Bound(Protocol):
+    """What stands on a trail: a variable, or something else that is taken back by setting its ``ref`` to None."""
+
+    ref: Any
+
+
+Trail = List[Bound]
+"""What was bound since the choice points were pushed, oldest first."""
 
 
 class Atom:
@@ -67,7 +77,7 @@ class String:
         self.text = text
 
     def __eq__(self, other: object) -> bool:
-        return other.__class__ is String and other.text == self.text  # type: ignore[attr-defined]
+        return other.__class__ is String and other.text == self.text
 
     def __hash__(self) -> int:
         return hash((String, self.text))
@@ -81,7 +91,7 @@ class Var:
 
     __slots__ = ("ref", "serial")
 
-    ref: Term
+    ref: "Optional[Term]"
     serial: int
 
     def __init__(self) -> None:
@@ -106,7 +116,7 @@ class Lazy:
         self.functor = functor
         self.make = make
         self.source = source
-        self.made: Term = None
+        self.made: Optional[Term] = None
 
     def term(self) -> Term:
         """Return the compound term (its arguments may be lazy in turn)."""
@@ -227,11 +237,11 @@ def deref(term: Term) -> Term:
     while True:
         kind = term.__class__
         if kind is Var:
-            ref = term.ref
+            ref: Any = term.ref  # type: ignore[union-attr]
             if ref is None:
                 return term
             term = ref
         elif kind is Lazy:
-            term = term.term()
+            term = term.term()  # type: ignore[union-attr]
         else:
             return term

@@ -1,6 +1,6 @@
 """The standard order of terms."""
 
-from typing import Callable
+from typing import Any, Callable, List
 
 from ..errors import TermTooLarge
 from ..watching import BULK, look
@@ -35,47 +35,48 @@ def compare(left: Term, right: Term, variables: Callable[[Var, Var], int] = by_a
     Variables by age (or as ``variables`` says), then numbers by value (a float before an integer of the same
     value), strings and atoms alphabetically, compound terms by arity, name and arguments.
     """
-    stack = [right, left]
+    stack: List[Any] = [right, left]
     for _ in ROUNDS:
         for _ in BULK:
             if not stack:
                 return 0
-            left = stack.pop()
-            right = stack.pop()
-            if left is right:
+            one: Any = stack.pop()
+            two: Any = stack.pop()
+            if one is two:
                 continue
-            left = deref(left)
-            right = deref(right)
-            if left is right:
+            one = deref(one)
+            two = deref(two)
+            if one is two:
                 continue
-            kind = left.__class__
-            rank, other = _RANK[kind], _RANK[right.__class__]
+            kind = one.__class__
+            rank, other = _RANK[kind], _RANK[two.__class__]
             if rank != other:
                 return -1 if rank < other else 1
             if rank == 5:
-                if len(left) != len(right):
-                    return -1 if len(left) < len(right) else 1
-                if left[0] is not right[0]:
-                    return -1 if left[0].name < right[0].name else 1
-                if len(left) > len(BULK):
-                    look(len(left))
-                for at in range(len(left) - 1, 0, -1):
-                    stack.append(right[at])
-                    stack.append(left[at])
+                if len(one) != len(two):
+                    return -1 if len(one) < len(two) else 1
+                if one[0] is not two[0]:
+                    return -1 if one[0].name < two[0].name else 1
+                if len(one) > len(BULK):
+                    look(len(one))
+                for at in range(len(one) - 1, 0, -1):
+                    stack.append(two[at])
+                    stack.append(one[at])
                 continue
-            result = variables(left, right) if rank == 0 else _compare_constants(left, right)
+            result = variables(one, two) if rank == 0 else _compare_constants(one, two)
             if result:
                 return result
         look()
     raise TermTooLarge
 
 
-def _compare_constants(left: Term, right: Term) -> int:
+def _compare_constants(left: Any, right: Any) -> int:
+    """Compare two constants of one rank that are not one object."""
     kind = left.__class__
     if kind is Atom:
         return -1 if left.name < right.name else 1
     if kind is String:
-        return (left.text > right.text) - (left.text < right.text)
+        return 1 if left.text > right.text else -1 if left.text < right.text else 0
     if left < right:
         return -1
     if left > right:

@@ -4,16 +4,16 @@ from typing import Any, List
 
 from ..watching import look
 from ._steps import MASK, check_steps
-from .kinds import Atom, Lazy, Term, Var
+from .kinds import Atom, Lazy, Trail, Var
 
 
-def unify(left: Term, right: Term, trail: List[Any]) -> bool:
+def unify(left: Any, right: Any, trail: Trail) -> bool:
     """Make two terms equal by binding variables; each bound variable is pushed on ``trail``.
 
     Of two variables the one stays that is the older one in the order of terms.
     Returns False where they do not unify; then some variables may be bound, and the caller undoes the trail.
     """
-    stack: List[Term] = []
+    stack: List[Any] = []
     steps = 0
     while True:
         if left is not right:
@@ -79,14 +79,14 @@ def _is_older(left: Var, right: Var) -> bool:
     return not hasattr(right, "serial") or left.serial < right.serial
 
 
-def same_constant(left: Term, right: Term) -> bool:
+def same_constant(left: object, right: object) -> bool:
     """Tell whether two constants of one class are the same term (``nan`` is itself; 0.0 is not -0.0)."""
     if left.__class__ is float:
-        return left.hex() == right.hex()
+        return right.__class__ is float and left.hex() == right.hex()
     return bool(left == right)
 
 
-def undo(trail: List[Any], length: int) -> None:
+def undo(trail: Trail, length: int) -> None:
     """Unbind what was bound since ``trail`` had this length, newest first."""
     while len(trail) > length:
         trail.pop().ref = None

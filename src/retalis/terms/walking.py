@@ -1,6 +1,6 @@
 """Walks over terms: variables, copies, keys."""
 
-from typing import Any, Callable, Dict, List, Optional, Sequence
+from typing import Any, Callable, Dict, Hashable, List, Optional, Sequence
 
 from ..errors import TermTooLarge
 from ..watching import BULK, look
@@ -16,7 +16,7 @@ def variables(term: Term) -> List[Var]:
         for _ in BULK:
             if not stack:
                 return list(seen)
-            item = stack.pop()
+            item: Any = stack.pop()
             kind = item.__class__
             if kind is Var:
                 item = _follow(item)
@@ -56,7 +56,7 @@ def is_ground(term: Term) -> bool:
         for _ in BULK:
             if not stack:
                 return True
-            item = stack.pop()
+            item: Any = stack.pop()
             kind = item.__class__
             if kind is Var:
                 item = _follow(item)
@@ -107,13 +107,11 @@ def rebuild(term: Term, leaf: Callable[[Var], Term]) -> Term:
     Parts without variables are shared with ``term``, not copied; lazy terms are left as they are
     (a lazy term is ground).
     """
-    kind = term.__class__
-    if kind is Var:
+    if term.__class__ is Var:
         term = _follow(term)
-        kind = term.__class__
-        if kind is Var:
+        if term.__class__ is Var:
             return leaf(term)
-    if kind is not tuple:
+    if term.__class__ is not tuple:
         return term
     # One entry for each compound term on the way down: the term, its arguments so far, changed or not.
     stack: List[List[Any]] = [[term, [term[0]], False]]
@@ -126,7 +124,7 @@ def rebuild(term: Term, leaf: Callable[[Var], Term]) -> Term:
         if size > MASK and at == 1:
             look(size)
         while at < size:
-            item = source[at]
+            item: Any = source[at]
             kind = item.__class__
             if kind is Var:
                 changed = True
@@ -191,7 +189,7 @@ def copy(term: Term, fresh: Optional[Dict[Var, Term]] = None) -> Term:
     return rebuild(term, renamed)
 
 
-def freeze(term: Term) -> Any:
+def freeze(term: Term) -> Hashable:
     """Return a hashable key: equal for two ground terms exactly when they are the same term.
 
     Raises:
@@ -206,7 +204,7 @@ def freeze(term: Term) -> Any:
         for _ in BULK:
             if not stack:
                 return flat[0] if len(flat) == 1 else tuple(flat)
-            item = stack.pop()
+            item: Any = stack.pop()
             kind = item.__class__
             if kind is Var or kind is Lazy:
                 item = deref(item)
