@@ -1,0 +1,77 @@
+"""The usual runs, for ``nox`` (https://nox.thea.codes): ``nox -l`` lists them, ``nox -s fast`` runs one.
+
+Only ``all``, ``ros`` and ``lint`` need Debian 12 or Ubuntu 20.04; the others need Python alone. What a run needs is
+installed into an environment of its own below ``.nox``.
+"""
+
+import nox
+
+nox.needs_version = ">=2022.1"
+nox.options.sessions = ["fast", "style"]
+nox.options.reuse_existing_virtualenvs = True
+
+WITHOUT_ROS = ("--ignore", "test/ros")
+
+
+def _install(session: nox.Session) -> None:
+    """Install what the tests need; on Python 3.8 the oldest versions that are promised."""
+    oldest = session.python == "3.8"
+    session.install(
+        "-r", "requirements-oldest.txt" if oldest else "requirements.txt", "pytest>=7", "hypothesis"
+    )
+    session.env["PYTHONPATH"] = ""  # the packages of a sourced ROS are for another Python
+
+
+@nox.session
+def fast(session: nox.Session) -> None:
+    """The tests that end within a minute on two cores."""
+    _install(session)
+    session.run("python", "-m", "pytest", *WITHOUT_ROS, "-m", "not slow", *session.posargs)
+
+
+@nox.session(python=["3.8", "3.11", "3.12", "3.13"])
+def tests(session: nox.Session) -> None:
+    """All tests that need no ROS (one Python: ``nox -s tests-3.8``)."""
+    _install(session)
+    session.run("python", "-m", "pytest", *WITHOUT_ROS, *session.posargs)
+
+
+@nox.session(python=False)
+def ros(session: nox.Session) -> None:
+    """The tests on a real master, in a workspace that is built where there is none."""
+    session.run("./install.py", "test", "test/ros", *session.posargs, external=True)
+
+
+@nox.session(name="all", python=False)
+def everything(session: nox.Session) -> None:
+    """What has to hold before a change is taken: style and all tests, on Python 3.8 too where there is one."""
+    session.run(".ci/run", external=True)
+
+
+@nox.session
+def style(session: nox.Session) -> None:
+    """Ruff and mypy, without ROS."""
+    session.install("-r", "requirements.txt", "ruff", "mypy", "types-PyYAML")
+    session.run("ruff", "check", ".")
+    session.run("ruff", "format", "--check", ".")
+    session.run("mypy")
+
+
+@nox.session(python=False)
+def lint(session: nox.Session) -> None:
+    """Ruff, mypy and catkin_lint, as ``.ci/run`` does."""
+    session.run("./install.py", "lint", external=True)
+
+
+@nox.session
+def docs(session: nox.Session) -> None:
+    """The snippets, links and tables of the pages."""
+    _install(session)
+    session.run("python", "-m", "pytest", "-m", "docs", *session.posargs)
+
+
+@nox.session
+def bench(session: nox.Session) -> None:
+    """The engine's benchmarks; ``nox -s bench -- --help`` for more."""
+    _install(session)
+    session.run("python", "bench/engine.py", *session.posargs)
