@@ -36,6 +36,14 @@ items(N, T, [A|L]) :- N > 0, !, arg(N, T, A), M is N - 1, items(M, T, L).
 items(_, _, []).
 pick(N, T, A) :- ( T = f(_, _) -> arg(N, T, A), ! ; arg(N, T, A) ), \\+ A == c.
 pick(_, _, _).
+third(T, A) :- arg(3, T, A).
+third(_, none).
+sum(N, T, A) :- N >= 1, K is N mod 3 + 1, arg(K, T, A), nonvar(A).
+sum(_, _, none).
+inside(N, X, A) :- N > 0, arg(N, f(X, g(X), A), g(A)), arg(N, f(A, A, X), A), A = 1.
+inside(_, _, none).
+new(N, A) :- N > 0, arg(N, T, A), T = f(a).
+new(_, none).
 """
 
 GOALS = [
@@ -60,6 +68,21 @@ GOALS = [
     "pick(N, f(a, b), A)",
     "pick(1, f(a, b), A)",
     "pick(N, g(a, b, c), A)",
+    "third(f(a, b, A), A), third(f(C, b, A), C), order(A, C, R)",
+    "third(f(A, B, C), X), order(X, A, R), order(B, X, S)",
+    "third(f(a, b), A)",
+    "third(T, A)",
+    "third(a, A)",
+    "sum(1, f(A, B, c), X)",
+    "sum(2, f(A, B, c), X), X = B",
+    "sum(2.0, f(a, b, c), X)",
+    "item(1 + 1, f(a, b, c), X)",
+    "sum(1 + 1, f(a, b, c), X)",
+    "inside(2, X, A)",
+    "inside(1, g(Y), A)",
+    "inside(1 + 1, X, A)",
+    "inside(N, X, A)",
+    "new(1, A)",
     "down(30, X), down(2, Y), order(Y, X, R), down(3, X), order(X, Y, S)",
     "order(A, B, _), \\+ \\+ A = B, findall(A-B, order(B, A, _), L), copy_term(B-A, C-D), order(D, C, R)",
     "order(A, B, _), assertz(fact(A, B)), fact(X, Y), order(Y, X, R), order(A, X, S)",

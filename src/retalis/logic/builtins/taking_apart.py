@@ -1,6 +1,6 @@
 """Terms taken apart and put together: functor, arg, univ, copies."""
 
-from typing import Any, Iterator, Sequence, Union
+from typing import Any, Iterator, Optional, Sequence, Union
 
 from ...terms import (
     NIL,
@@ -19,7 +19,7 @@ from ...watching import BULK, look
 from ..codes import LAST
 from ..faults import domain_error, instantiation_error, permission_error, resource_error, type_error
 from .arguments import check_tail, integer, is_iso, items, natural, partial_items
-from .registry import deterministic, nondeterministic
+from .registry import deterministic, function, nondeterministic
 
 _MOST_ARGUMENTS = 1_000_000
 
@@ -85,17 +85,16 @@ def _arguments(machine: Any, number: Term, term: Term, value: Term) -> Iterator[
             yield LAST if at == last else None
 
 
-@deterministic("$arg/3")
-def known_arg(machine: Any, number: Term, term: Term, value: Term) -> bool:
-    """Do what ``arg/3`` does for a number that is known."""
+@function("$arg/3")
+def known_arg(number: Term, term: Term) -> Optional[Term]:
+    """Return what ``arg/3`` finds for a number that is known; compiled clauses look plain cases up themselves."""
     term = deref(term)
     if term.__class__ is not tuple:
         if term.__class__ is Var:
             raise instantiation_error()
         raise type_error("compound", term)
-    if number.__class__ is not int or number < 0:
-        number = natural(number)
-    return 0 < number < len(term) and unify(value, term[number], machine.trail)
+    at = natural(number)
+    return term[at] if 0 < at < len(term) else None
 
 
 @deterministic("=../2")

@@ -18,6 +18,7 @@ _MOST_LEAVES = 16
 
 _OUTPUTS = functor("outputs", 0)
 _EMPTY: FrozenSet[Any] = frozenset()
+_NO_VALUE = ("", "")
 
 
 class Bodies:
@@ -94,7 +95,11 @@ class Bodies:
         """
         goal = nodes[0]
         assert isinstance(goal, Goal)
-        number = scope.names[deref(goal.args[0])]
+        var = deref(goal.args[0])
+        number = scope.names[var]
+        found = Goal("builtin", KNOWN_ARG, goal.args, True)
+        if scope.numbers.get(var, _NO_VALUE)[0] == number:
+            return found
         scope.dereference(number)
         scope.line("if k is Var:")
         before = scope.branch()
@@ -108,7 +113,7 @@ class Bodies:
         scope.line(f"return ({scope.unit.constant(self.interpret)}, {rest}, {height}, {scope.after})")
         scope.depth -= 1
         scope.restore(before)
-        return Goal("builtin", KNOWN_ARG, goal.args, True)
+        return found
 
     # Leaving the function
 

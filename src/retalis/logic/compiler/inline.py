@@ -4,7 +4,7 @@ from typing import Any, Dict, FrozenSet, List, Optional, Sequence, Set, Tuple
 
 from ...terms import Atom, Term, Var, deref, variables
 from .expressions import number
-from .nodes import COMPARISONS, ORDERS, TYPE_TESTS, Condition, Cut, Fail, Goal, Node, needed_by
+from .nodes import COMPARISONS, KNOWN_ARG, ORDERS, TYPE_TESTS, Condition, Cut, Fail, Goal, Node, needed_by
 from .scope import Scope
 from .unification import differs, forget_fresh, match
 
@@ -119,12 +119,15 @@ def _function(scope: Scope, node: Goal, functional: Any) -> None:
     """Write a call for the outputs, and their unification; void variables are left alone."""
     inputs = [node.args[at] for at in functional.inputs]
     result = scope.temp()
-    call = f"{scope.unit.constant(functional.function)}({', '.join([scope.build(arg) for arg in inputs])})"
+    call = scope.unit.constant(functional.function)
+    if node.key is KNOWN_ARG:
+        _argument(scope, result, call, *inputs)
+    else:
+        scope.line(f"{result} = {call}({', '.join([scope.build(arg) for arg in inputs])})")
+        scope.line(f"if {result} is None:")
+        scope.line(f"    {scope.fail}")
     for arg in inputs:
         forget_fresh(scope, arg)
-    scope.line(f"{result} = {call}")
-    scope.line(f"if {result} is None:")
-    scope.line(f"    {scope.fail}")
     for index, (at, show) in enumerate(zip(functional.outputs, functional.shows)):
         arg = deref(node.args[at])
         if arg.__class__ is Var and scope.clause.is_void(arg):
@@ -132,7 +135,37 @@ def _function(scope: Scope, node: Goal, functional: Any) -> None:
         value = result if functional.single else f"{result}[{index}]"
         name = scope.temp("p")
         scope.line(f"{name} = {value}" if show is None else f"{name} = {scope.unit.constant(show)}({value})")
-        match(scope, name, arg)
+        if node.key is KNOWN_ARG and arg.__class__ is Var and arg in scope.names:
+            _bind_output(scope, arg, name)
+        else:
+            match(scope, name, arg)
+
+
+def _argument(scope: Scope, result: str, otherwise: str, number: Term, whole: Term) -> None:
+    """Write the look-up of an argument; what is not a compound term and an integer is left to the built-in."""
+    at, term = scope.build(number), _dereferenced(scope, whole)
+    tests = [f"{term}.__class__ is tuple", f"0 < {at} < len({term})"]
+    if deref(number).__class__ is not int:
+        tests.insert(1, f"{at}.__class__ is int")
+    scope.line(f"if {' and '.join(tests)}:")
+    scope.line(f"    {result} = {term}[{at}]")
+    scope.line("else:")
+    scope.line(f"    {result} = {otherwise}({at}, {term})")
+    scope.line(f"    if {result} is None:")
+    scope.line(f"        {scope.fail}")
+
+
+def _bind_output(scope: Scope, var: Var, value: str) -> None:
+    """Write the unification of a variable that is there already, most likely unbound, with a value."""
+    name = scope.names[var]
+    scope.binds = True
+    scope.fresh.discard(var)
+    scope.dereference(name)
+    scope.line(f"if k is Var and {value}.__class__ is not Var:")
+    scope.line(f"    {name}.ref = {value}")
+    scope.line(f"    push({name})")
+    scope.line(f"elif not unify({name}, {value}, trail):")
+    scope.line(f"    {scope.fail}")
 
 
 def _direct(scope: Scope, node: Goal) -> None:
