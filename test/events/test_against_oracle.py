@@ -52,6 +52,12 @@ def test_oracle(case):
 
 
 @settings(quick, max_examples=150)
+@given(cases(unsure=True))
+def test_oracle_with_conditions_over_what_may_be_open(case):
+    assert difference(affordable(case)) is None
+
+
+@settings(quick, max_examples=150)
 @given(cases())
 def test_oracle_with_every_partner_looked_up_by_time(case):
     with patch.multiple(places, _FEW=0, _FEWER=0), patch.object(timeindex, "_FULL", 4):

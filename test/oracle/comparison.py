@@ -204,6 +204,9 @@ def main() -> int:
     parser.add_argument("--depth", type=int, default=4)
     parser.add_argument("--show", type=int, default=20, help="how many differences to shrink and print")
     parser.add_argument("--revision", action="store_true", help="streams that take events back")
+    parser.add_argument(
+        "--unsure", action="store_true", help="conditions also over variables that may be left open"
+    )
     parser.add_argument("--index", action="store_true", help="find partners by time however few wait")
     parser.add_argument("--new", action="store_true", help="a new engine for each case; else one is reset")
     options = parser.parse_args()
@@ -218,7 +221,7 @@ def main() -> int:
     for seed in count(options.seed):
         if compared == options.cases:
             break
-        case = random_case(seed, options.depth, options.revision)
+        case = random_case(seed, options.depth, options.revision, options.unsure)
         compared += is_defined(case)
         if used is None or compared % 500 == 0:
             used = None if options.new else Reset()

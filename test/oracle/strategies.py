@@ -137,8 +137,10 @@ def bindable(node: Pattern) -> List[Var]:
 class Generator:
     """Draws rules, streams and cases; every decision goes through ``choice``."""
 
-    def __init__(self, choice: Choice, revision: bool = False):
+    def __init__(self, choice: Choice, revision: bool = False, unsure: bool = False):
         self.choice = choice
+        self.unsure = unsure
+        """Draw conditions also over variables that some matches of a pattern leave open."""
         self.revision = revision
         """Leave out what revision is not defined for, and take events back."""
         self.negating = False
@@ -151,12 +153,16 @@ class Generator:
         """Return True in so many of a hundred draws; the simple answer is False."""
         return bool(self.choice([False] * (100 - percent) + [True] * percent))
 
-    # Patterns. ``left`` are the variables that patterns to the left are certain to bind.
+    def known(self, node: Pattern) -> List[Var]:
+        """Return variables of a pattern for conditions to look at."""
+        return bindable(node) if self.unsure and self.chance(60) else certain_in_order(node)
+
+    # Patterns. ``left`` are the variables that patterns to the left are certain to bind, or may bind.
 
     def leaf(self, pool: Optional[List[Var]] = None) -> Leaf:
         """Draw a pattern of one event."""
         name = self.choice(list(self.names))
-        shared = (pool or self.pool)[:3] * (4 if self.negating else 1)
+        shared = (pool or self.pool)[:3] * (4 if self.negating or self.unsure else 1)
         arguments = [
             self.choice([*shared, Var(), Var(), Var(), self.value(2)]) for _ in range(self.names[name])
         ]
@@ -172,7 +178,7 @@ class Generator:
         kind = self.choice([*kinds, "subpattern"])
         if kind in ("seq", "forall_seq", *EITHER_ORDER):
             first = self.pattern(depth - 1, left)
-            return Both(kind, first, self.pattern(depth - 1, (*left, *certain_in_order(first))))
+            return Both(kind, first, self.pattern(depth - 1, (*left, *self.known(first))))
         if kind == "or":
             return Or(self.pattern(depth - 1, left), self.pattern(depth - 1, left))
         if kind in ("star", "aggregate"):
@@ -222,7 +228,7 @@ class Generator:
         """Draw a star_times or an aggregate."""
         first = self.pattern(depth - 1, left)
         below = min(depth - 1, 1)
-        further = (*left, *certain_in_order(first))
+        further = (*left, *self.known(first))
         repeated: Pattern = self.leaf()
         if self.chance(30):
             repeated = self.pattern(below, further)
@@ -257,7 +263,7 @@ class Generator:
         try:
             if not self.negating and self.chance(30):
                 return Both(self.choice(["seq", "and", "par"]), self.leaf(), self.leaf())
-            return self.pattern(depth, (*left, *certain_in_order(below)))
+            return self.pattern(depth, (*left, *self.known(below)))
         finally:
             self.pool = keep
 
@@ -265,7 +271,7 @@ class Generator:
 
     def goal(self, below: Pattern, left: Tuple[Var, ...], binds: bool = False, outer: int = 30) -> Term:
         """Draw a condition over the variables of a pattern; so many in a hundred also over those to its left."""
-        own = [var for var in variables_in_order(below) if var in certain(below)]
+        own = self.known(below)
         further = [var for var in left if var not in own]
         usable = own + (further if further and self.chance(outer) else [])
         kind = self.choice(
@@ -412,14 +418,14 @@ def drawn_cases(draw: Any, depth: int = 4, revision: bool = False) -> Case:
     return Generator(lambda options: draw(st.sampled_from(list(options))), revision).case(depth)
 
 
-def cases(depth: int = 4, revision: bool = False) -> st.SearchStrategy[Case]:
+def cases(depth: int = 4, revision: bool = False, unsure: bool = False) -> st.SearchStrategy[Case]:
     """Programs with streams, drawn as the number of a case.
 
     More of them fire than of those drawn piece by piece; `comparison.shrink` makes them small.
     """
-    return st.integers(0, 10**9).map(lambda seed: random_case(seed, depth, revision))
+    return st.integers(0, 10**9).map(lambda seed: random_case(seed, depth, revision, unsure))
 
 
-def random_case(seed: int, depth: int = 4, revision: bool = False) -> Case:
+def random_case(seed: int, depth: int = 4, revision: bool = False, unsure: bool = False) -> Case:
     """Return the case of a seed."""
-    return Generator(Random(seed).choice, revision).case(depth)
+    return Generator(Random(seed).choice, revision, unsure).case(depth)

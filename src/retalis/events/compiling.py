@@ -1,6 +1,6 @@
 """From the pattern of a rule to its nodes: which conditions are tested where, and how long a match can be of use."""
 
-from typing import Any, Dict, FrozenSet, List, NamedTuple, Optional, Set, Tuple
+from typing import Any, Dict, FrozenSet, List, NamedTuple, Optional, Sequence, Set, Tuple
 
 from ..errors import RuleError
 from ..logic import PrologError
@@ -29,6 +29,7 @@ from .pattern import (
     walk,
 )
 from .runs import Running
+from .telling import Name, Telling
 
 _IS = functor("is", 2)
 Names = FrozenSet[Var]
@@ -91,6 +92,7 @@ class Compiler:
         self.pattern = pattern
         self.keep = _used_twice(head, pattern)
         self._counts = occurrences(head, pattern)
+        self._telling = Telling(self.keep)
         self.nodes: List[Tuple[Node, Optional[int], Limit]] = []
         self.twins: List[Tuple[Built, Built]] = []
         self._bound_by: Dict[int, Names] = {}
@@ -158,7 +160,7 @@ class Compiler:
         else:
             assert isinstance(core, Action)
             below = self._build(core.pattern, context, inner)
-            node = Acting(below.node, Call(self.rule, core.goal, below.node.vars), core.every)
+            node = Acting(below.node, Call(self.rule, core.goal, below.node.vars), core.every, self.keep)
             built = below._replace(node=self._add(node, None, inner))
         return self._filtered(built, wrapping, context)
 
@@ -173,66 +175,82 @@ class Compiler:
             self._bound_by[id(pattern)] = found
         return found
 
+    def _named(self, built: Built, pattern: Any) -> Name:
+        return self._telling.name(built.node.vars, pattern)
+
     def _add(self, node: Any, span: Optional[int], limit: Limit) -> Any:
         self.nodes.append((node, span, limit))
         return node
 
     def _filtered(self, built: Built, wrapping: _Wrapping, context: Names) -> Built:
         """Put the conditions of an event, ``or`` or action behind its node."""
-        now, later = self._split(wrapping.conditions, wrapping.core, context)
-        node, deferred = built.node, built.deferred
-        if now or wrapping.span is not None:
-            tests, names = self._tests(now, node.vars)
-            node = self._add(Filter(node, names, tests), wrapping.span, UNLIMITED)
-        node, put_off = self._defer_all(node, later)
-        return built._replace(node=node, deferred=[*deferred, *put_off])
+        conditions, put_off = self._split(wrapping.conditions, wrapping.core, context)
+        node = built.node
+        for one in put_off:
+            node = self._captured(node, one)
+        names: List[Var] = node.vars
+        tests: List[Test] = []
+        for condition in conditions:
+            found = self._test(node, condition, names)
+            if found is not None:
+                tests.append(found[0])
+                names = found[1]
+        if tests or wrapping.span is not None:
+            node = self._add(Filter(node, names, tests, self.keep), wrapping.span, UNLIMITED)
+        return built._replace(node=node, deferred=[*built.deferred, *put_off])
 
-    def _split(self, conditions: List[Any], core: Any, context: Names) -> Tuple[List[Any], List[Any]]:
-        """Part conditions into those that can be tested now and those that wait, with what they need."""
-        now: List[Any] = []
-        later: List[Any] = []
+    def _split(self, conditions: List[Any], core: Any, context: Names) -> Tuple[List[Any], List[Deferred]]:
+        """Tell which conditions of an operator may have to wait for variables of patterns to its left.
+
+        Returns:
+            All of them in their order, a condition or what is `Deferred`, and the latter alone.
+        """
         if not conditions:
-            return now, later
-        known = surely_bound_by(core, False)
+            return [], []
+        parted: List[Any] = []
+        known = surely_bound_by(core, False, True)
         for condition in conditions:
             mentioned = set(variables(condition.goal))
             needs = (mentioned & context) - known
             if needs:
-                later.append((condition, needs))
+                parted.append(self._deferred(condition.goal, condition.timed, None, needs))
             else:
-                now.append(condition)
+                parted.append(condition)
                 known |= mentioned
-        return now, later
+        return parted, [one for one in parted if isinstance(one, Deferred)]
 
-    def _tests(self, conditions: List[Any], names: List[Var]) -> Tuple[List[Test], List[Var]]:
-        tests: List[Test] = []
-        for condition in conditions:
-            call = Call(self.rule, condition.goal, names)
-            tests.append(goal_test(call, condition.timed, None))
-            names = call.result_vars
-        return tests, names
+    def _test(self, node: Any, condition: Any, names: List[Var]) -> Optional[Tuple[Test, List[Var]]]:
+        """Return the test of a condition where it belongs, and the names that it leaves.
 
-    def _defer(self, node: Any, goal: Any, timed: bool, absent: Any, needs: Set[Var]) -> Tuple[Any, Deferred]:
+        One that waits is tried on what may give it all that it waits for; None where nothing can.
+        """
+        if isinstance(condition, Deferred):
+            return early_test(self.rule, node, condition, names) if condition.may_be_tried(names) else None
+        call = Call(self.rule, condition.goal, names)
+        return goal_test(call, condition.timed, None), call.result_vars
+
+    def _deferred(self, goal: Any, timed: bool, absent: Any, needs: Set[Var]) -> Deferred:
         start, end = Var(), Var()
         self.keep |= {start, end}
-        node = self._add(Capture(node, start, end), None, UNLIMITED)
-        return node, Deferred(needs, goal, timed, absent, start, end)
+        if goal is not None:  # where they are found differs from match to match
+            found = variables(goal)
+            self.keep.update(found)
+            self._telling.carried.update(found)
+        return Deferred(needs, goal, timed, absent, start, end)
 
-    def _defer_all(self, node: Any, later: List[Any]) -> Tuple[Any, List[Deferred]]:
-        """Put off conditions, each with what it needs; return the last node, and what waits."""
-        deferred = []
-        for condition, needs in later:
-            node, one = self._defer(node, condition.goal, condition.timed, None, needs)
-            deferred.append(one)
-        return node, deferred
+    def _captured(self, node: Any, one: Deferred) -> Any:
+        """Have a node's interval carried on for a condition."""
+        return self._add(Capture(node, one.start, one.end), None, UNLIMITED)
 
     def _joining(self, core: Pair, wrapping: _Wrapping, context: Names, limit: Limit, left: Built) -> Built:
         here = context | self._bound(core.left)
         right = self._build(core.right, here, limit)
         known = set(left.node.vars) | set(right.node.vars)
         below = [*left.deferred, *right.deferred]
-        ready, deferred = ready_where(below, surely_bound_by(core, False), context) if below else ([], [])
-        now, later = self._split(wrapping.conditions, core, context)
+        ready, deferred = (
+            ready_where(below, surely_bound_by(core, False, True), context) if below else ([], [])
+        )
+        conditions, put_off = self._split(wrapping.conditions, core, context)
         absent = wrapping.absent
         negated: Optional[Negated] = None
         needs: Set[Var] = set()
@@ -244,8 +262,17 @@ class Compiler:
         gap = (Var(), Var()) if needs else None
         if gap is not None:
             self.keep |= set(gap)
+        naming = self._named(left, core.left), self._named(right, core.right)
         node = Joining(
-            self.rule, OPERATORS[core.operator], left.node, right.node, self.keep, gap, _meet(left, right)
+            self.rule,
+            OPERATORS[core.operator],
+            left.node,
+            right.node,
+            self.keep,
+            gap,
+            [(one.start, one.end) for one in put_off],
+            _meet(left, right),
+            naming,
         )
         node.revived = (_may_be_revived(core.left), _may_be_revived(core.right))
         self._add(node, wrapping.span, limit)
@@ -257,14 +284,14 @@ class Compiler:
                 node.test(*deferred_test(self.rule, node, one, node.vars))
             elif one.may_be_tried(node.vars):
                 node.test(*early_test(self.rule, node, one, node.vars))
-        for condition in now:
-            call = Call(self.rule, condition.goal, node.vars)
-            node.test(goal_test(call, condition.timed, None), call.result_vars)
-        result, put_off = self._defer_all(node, later)
+        for condition in conditions:
+            found = self._test(node, condition, node.vars)
+            if found is not None:
+                node.test(*found)
         deferred += put_off
         if gap is not None:
             one = Deferred(needs, None, False, (negated, False), *gap)
-            if needs - _in_goals(now):
+            if needs - _in_goals([test for test in conditions if isinstance(test, Condition)]):
                 deferred.append(one)
                 if one.may_be_tried(node.vars):
                     node.test(*early_test(self.rule, node, one, node.vars))
@@ -273,7 +300,7 @@ class Compiler:
         joined = _served(OPERATORS[core.operator].either, left, right)
         if negated is not None:
             joined += negated.first.leaves
-        return Built(result, deferred, joined, [])
+        return Built(node, deferred, joined, [])
 
     def _never(self, core: Absent, context: Names, limit: Limit) -> Built:
         below = self._build(core.pattern, context, limit)
@@ -286,7 +313,8 @@ class Compiler:
             absence = absence_of(self.rule, built, below.node.vars, True)
             node: Any = self._add(Never(below.node, built.node, absence), None, UNLIMITED)
             return below.with_negated(node, below.deferred, negated.first)
-        node, one = self._defer(below.node, None, False, (negated, True), needs)
+        one = self._deferred(None, False, (negated, True), needs)
+        node = self._captured(below.node, one)
         if one.may_be_tried(node.vars):
             node = self._add(Trying(self.rule, node), None, UNLIMITED)
             node.test, _ = early_test(self.rule, node, one, node.vars)
@@ -297,14 +325,15 @@ class Compiler:
         pattern = core.repeated if isinstance(core, Star) else core.collected
         repeated = self._build(pattern, here, limit)
         first = self._build(core.first, context, limit)
-        node = Running(self.rule, first.node, repeated.node, _meet(first, repeated))
+        naming = self._named(first, core.first), self._named(repeated, pattern)
+        node = Running(self.rule, first.node, repeated.node, _meet(first, repeated), naming, self.keep)
         node.revived = (_may_be_revived(core.first), _may_be_revived(pattern))
         self._add(node, wrapping.span, limit)
         outside = self._outside(pattern, core.value if isinstance(core, Aggregate) else None)
         if isinstance(core, Aggregate) and core.value is not None:
             node.open([var for var in variables(core.value) if var in outside])
         items = Items(outside)
-        sure = surely_bound_by(core.first, False) | surely_bound_by(pattern, False)
+        sure = surely_bound_by(core.first, False, True) | surely_bound_by(pattern, False, True)
         ready, further = ready_where(repeated.deferred, sure, context)
         for one in ready:
             test, node.step_vars = deferred_test(self.rule, node, one, node.step_vars)
@@ -316,31 +345,17 @@ class Compiler:
             node.finish(outside, self._collector(core, node.step_vars), core.result, carried)
         else:
             node.finish(outside, None, None, carried)
+        conditions, put_off = self._split(wrapping.conditions, wrapping.core, context)
+        for one in put_off:
+            node.capture(one.start, one.end)
         for one in first.deferred:
             if one.may_be_tried(node.vars):
                 node.test(*early_test(self.rule, node, one, node.vars), False)
-        now, later = self._split(wrapping.conditions, wrapping.core, context)
-        known = set(node.vars)
-        shown = set(node.result_new)
-        early: List[Any] = []
-        late: List[Any] = []
-        for condition in now:
-            mentioned = set(variables(condition.goal))
-            if mentioned & shown:
-                shown |= mentioned - known
-                late.append(condition)
-            else:
-                early.append(condition)
-        for condition in [*early, *late]:
-            call = Call(self.rule, condition.goal, node.vars)
-            node.test(
-                goal_test(call, condition.timed, None),
-                call.result_vars,
-                any(condition is one for one in late),
-            )
-        built, put_off = self._defer_all(node, later)
-        deferred += put_off
-        return Built(built, deferred, [*repeated.leaves, *first.joined], first.single)
+        for late, condition in _those_about_a_result_last(conditions, node.vars, node.result_new):
+            found = self._test(node, condition, node.vars)
+            if found is not None:
+                node.test(*found, late)
+        return Built(node, [*deferred, *put_off], [*repeated.leaves, *first.joined], first.single)
 
     def _outside(self, pattern: Any, value: Any = None) -> Set[Var]:
         """Return the variables that stand in the rule elsewhere than in a pattern (and what an aggregate takes)."""
@@ -375,6 +390,22 @@ def _may_be_revived(pattern: Any) -> bool:
 def _in_goals(conditions: List[Any]) -> Names:
     """Return the variables of conditions."""
     return frozenset(var for condition in conditions for var in variables(condition.goal))
+
+
+def _those_about_a_result_last(
+    conditions: List[Any], known: Sequence[Var], result: Sequence[Var]
+) -> List[Tuple[bool, Any]]:
+    """Return the conditions of an aggregate, and whether each looks at the result or at what follows from it."""
+    shown = set(result)
+    early, late = [], []
+    for condition in conditions:
+        mentioned = set(variables(condition.goal))
+        if mentioned & shown:
+            shown |= mentioned.difference(known)
+            late.append((True, condition))
+        else:
+            early.append((False, condition))
+    return [*early, *late]
 
 
 def _served(either: bool, left: Built, right: Built) -> List[Leaf]:

@@ -6,13 +6,14 @@ from ..codegen import shared_function
 from ..terms import Var, positions
 from .conditions import Test
 from .limits import kept_for_late
-from .matches import Found, Match, identity, taken_back
+from .matches import Found, Match, taken_back
 from .nodes import Node
 from .operators import Operator
 from .places import Place
 from .policy import Emit, Frame, Mode, Side, taking_all, taking_all_at_once, taking_one, waiting_only
 from .reach import reach_of
 from .revived import Keeping, first_side, in_order
+from .telling import Name, found_here
 
 
 class Joining(Node):
@@ -25,7 +26,9 @@ class Joining(Node):
         right: the node of the right operand.
         keep: the variables that anything else in the rule looks at.
         gap: the variables under which the gap between the sides is carried on, for an absence tested above.
+        captured: pairs of variables under which its interval is carried on, for conditions tested above.
         double: whether one event may be in both sides.
+        names: what names the matches of the left operand, and those of the right one.
 
     Attributes:
         revived: whether a match of the left and of the right side may be there after all, by a revision.
@@ -41,13 +44,17 @@ class Joining(Node):
         right: Node,
         keep: Any,
         gap: Optional[Tuple[Var, Var]],
+        captured: Sequence[Tuple[Var, Var]],
         double: bool,
+        names: Tuple[Name, Name],
     ):
         self.rule = rule
         self.operator = operator
         self.left = left
         self.right = right
         self.gap = gap
+        self.keep = keep
+        self._names = names
         in_left, in_right = positions(left.vars), positions(right.vars)
         self.pairs = tuple((at, in_right[var]) for var, at in in_left.items() if var in in_right)
         self.left_place = Place(rule, tuple(one for one, _ in self.pairs))
@@ -58,6 +65,8 @@ class Joining(Node):
         ]
         if gap is not None:
             taken += [("e1", gap[0]), ("s2", gap[1])]
+        for first, last in captured:
+            taken += [("start", first), ("end", last)]
         self.taken = [source for source, _ in taken]
         self.vars = [var for _, var in taken]
         self.absences: List[Any] = []
@@ -109,14 +118,14 @@ class Joining(Node):
         self.joined = self._join(True)
         self.left_place.reach = reach_of(operator.name, self.span, False)
         self.right_place.reach = reach_of(operator.name, self.span, True)
-        name = identity if policy.replacing else None
+        left_name, right_name = self._names if policy.replacing else (None, None)
         late = mode.out_of_order and not operator.either
         both = operator.either
         revised = mode.revised and not both and not late
         keeps = revised and self.revived[0]
         tracker = self.rule.network.tracker
-        self.left_place.identify(None if operator.everything else name)
-        self.right_place.identify(None if keeps else name)
+        self.left_place.identify(None if operator.everything else left_name)
+        self.right_place.identify(None if keeps else right_name)
         left = Side(self.left_place, self.right_place, self.joined, self.pairs, True, True, False)
         flipped = tuple((two, one) for one, two in self.pairs)
         join = self._join(False)
@@ -207,8 +216,8 @@ class Joining(Node):
                 "        return None",
             ]
         known = len(self.taken)
-        names["Found"] = Found
-        parts = f"(l, r, Found(values[{known}:]))" if len(self.vars) > known else "(l, r)"
+        names["Found"], names["own"] = Found, found_here(self.vars, known, self.keep)
+        parts = "(l, r, Found(own(values)))" if len(self.vars) > known else "(l, r)"
         lines.append(f"    return Match(values, start, end, None, None, {parts})")
         made: Callable[[Match, Match], Optional[Match]] = shared_function(
             "\n".join(lines) + "\n", names, f"join by {operator.name}"

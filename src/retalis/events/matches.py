@@ -125,9 +125,24 @@ NOTHING_HELD = Held(None, None)
 
 
 class Found(NamedTuple):
-    """Values that goals, repetitions and aggregates have given a match: they tell it from others."""
+    """Values that goals, repetitions and aggregates have given a match and that are not carried on.
+
+    They tell it from others, as do those that are; see `telling`.
+    """
 
     values: Values
+
+
+class Named(NamedTuple):
+    """The name of a match where it waits, if its events do not give all the values that it carries.
+
+    Attributes:
+        structure: its `identity`.
+        values: what those variables stand for; they may get their values further up.
+    """
+
+    structure: Any
+    values: Tuple[Any, ...]
 
 
 class Identity:
@@ -161,7 +176,7 @@ class Identity:
 
 
 def identity(match: Match) -> Any:
-    """Return a key: equal for two matches of a node made of identical event terms."""
+    """Return a key: equal for two matches of a node made of identical event terms, carried values apart."""
     path = [match]
     while path[-1].__class__ is not Match or not hasattr(path[-1], "identity"):
         parts = path[-1].parts
@@ -171,6 +186,8 @@ def identity(match: Match) -> Any:
     last = path[-1]
     waited = last.__class__ is Match and hasattr(last, "identity")
     found: Any = last.identity if waited else _identity_of(last, ())
+    if waited and found.__class__ is Named:
+        found = found.structure
     for one in reversed(path[:-1]):
         found = _identity_of(one, (found,))
     return found

@@ -12,6 +12,7 @@ from .lanes import Completion
 from .matches import Found, Match
 from .places import Place
 from .policy import Emit, Frame, Mode
+from .telling import found_here
 
 
 class Node:
@@ -85,8 +86,9 @@ class Leaf(Node):
 class Filter(Node):
     """Lets through what passes tests: conditions on an event, an ``or``, or what an action has left."""
 
-    def __init__(self, child: Node, names: Sequence[Var], tests: Sequence[Test]):
+    def __init__(self, child: Node, names: Sequence[Var], tests: Sequence[Test], keep: Any):
         self.child = child
+        self.keep = keep
         self.alone = child.alone
         self.windowed = False
         self.vars = list(names)
@@ -101,7 +103,7 @@ class Filter(Node):
         """Connect the node; see `Node.bind`."""
         tests = self.tests
         span = self.span
-        known = len(self.child.vars)
+        own = found_here(self.vars, len(self.child.vars), self.keep)
 
         def arrive(match: Match, after: Frame) -> Frame:
             start = match.start
@@ -114,7 +116,7 @@ class Filter(Node):
                 if values is None:
                     return after
             if values is not match.values:
-                match = Match(values, start, end, match.event, None, (match, Found(values[known:])))
+                match = Match(values, start, end, match.event, None, (match, Found(own(values))))
             return out(match, after)
 
         self.child.bind(arrive, mode)
@@ -186,8 +188,9 @@ class Alternatives(Node):
 class Acting(Node):
     """Calls a goal for each match: once, or for all of its solutions."""
 
-    def __init__(self, child: Node, call: Any, every: bool):
+    def __init__(self, child: Node, call: Any, every: bool, keep: Any):
         self.child = child
+        self.keep = keep
         self.alone = child.alone
         self.windowed = False
         self.call = call
@@ -205,7 +208,7 @@ class Acting(Node):
         act = call.act_on_all if self.every else call.act
         tracked = mode.tracked
         span = self.span
-        known = len(self.child.vars)
+        own = found_here(self.vars, len(self.child.vars), self.keep)
         is_of_ground = call.rule.network.dispatcher.is_of_ground
 
         def arrive(match: Match, after: Frame) -> Frame:
@@ -213,7 +216,7 @@ class Acting(Node):
                 return after
 
             def solved(term: Term, values: Any, start: int, end: int, then: Frame) -> Frame:
-                return out(Match(values, start, end, match.event, None, (match, Found(values[known:]))), then)
+                return out(Match(values, start, end, match.event, None, (match, Found(own(values)))), then)
 
             done = call.noting_cause(match, solved, after) if tracked else (solved, after)
             return act(match.term, match.values, match.start, match.end, is_of_ground(match), *done)

@@ -1,10 +1,10 @@
 """A run of a repetition or aggregate: a first match, and what has extended it so far."""
 
-from typing import Any, List, Optional, Tuple
+from typing import Any, Callable, List, Optional, Tuple
 
 from ..terms import Term, Var
 from .deferred import NO_ITEMS
-from .matches import NOTHING_HELD, Match, identity
+from .matches import NOTHING_HELD, Match
 
 Values = Tuple[Term, ...]
 
@@ -78,12 +78,16 @@ class Run(Match):
         self.sound = 0
 
 
-def by_term(run: Match) -> Any:
-    """Return what tells the starts of runs apart: their terms."""
-    return identity(run.first)  # type: ignore[attr-defined]
+def by_term(name: Callable[[Match], Any]) -> Callable[[Any], Any]:
+    """Return what tells runs apart by what names their starts: their terms."""
+    return lambda run: name(run.first)
 
 
-def by_occurrence(run: Match) -> Any:
-    """Return what tells the starts of runs apart: their terms and stamps."""
-    first = run.first  # type: ignore[attr-defined]
-    return (identity(first), int(first.start), int(first.end))
+def by_occurrence(name: Callable[[Match], Any]) -> Callable[[Any], Any]:
+    """Return what tells runs apart by what names their starts, and by the stamps of those."""
+
+    def named(run: Any) -> Any:
+        first = run.first
+        return (name(first), int(first.start), int(first.end))
+
+    return named

@@ -8,13 +8,14 @@ from .aggregates import Collector
 from .building import compile_builder
 from .conditions import Test
 from .deferred import NO_ITEMS, Items, with_item
-from .matches import Found, Held, Match, agreed, arrival, identity, taken_back, unify_sides
+from .matches import Found, Held, Match, agreed, arrival, taken_back, unify_sides
 from .nodes import Node
 from .places import Place, surely_same
 from .policy import Emit, Frame, Mode, emit_each
 from .reach import reach_of
 from .revived import Keeping, after_all, stands, that_came_before
 from .run import Run, by_occurrence, by_term
+from .telling import Name, found_here
 
 Values = Tuple[Term, ...]
 
@@ -27,6 +28,8 @@ class Running(Node):
         first: the node of P.
         repeated: the node of Q.
         double: whether one event may be in both.
+        names: what names the matches of P, and those of Q.
+        keep: the variables that anything else in the rule looks at.
 
     Attributes:
         step_vars: the variables that a repetition's own conditions know, and what they find.
@@ -36,8 +39,12 @@ class Running(Node):
 
     revived = (False, False)
 
-    def __init__(self, rule: Any, first: Node, repeated: Node, double: bool):
+    def __init__(
+        self, rule: Any, first: Node, repeated: Node, double: bool, names: Tuple[Name, Name], keep: Any
+    ):
         self.rule = rule
+        self._first_name, self._repeated_name = names
+        self._keep = keep
         self.double = double
         self.first = first
         self.repeated = repeated
@@ -47,6 +54,7 @@ class Running(Node):
         self.incoming = Place(rule, tuple(two for _, two in self.pairs))
         self.span: Optional[int] = None
         self.result_new: List[Var] = []
+        self._captures = 0
         self.tests: List[Test] = []
         self.late_tests: List[Test] = []
         self.step_tests: List[Test] = []
@@ -99,6 +107,11 @@ class Running(Node):
             self.make_result = compile_builder(result, known, "result of an aggregate")
         self.vars = known
 
+    def capture(self, start: Var, end: Var) -> None:
+        """Add the interval to the values, for a condition that may have to be tested further up too."""
+        self.vars = [*self.vars, start, end]
+        self._captures += 1
+
     def test(self, test: Test, names: Sequence[Var], late: bool) -> None:
         """Add a condition; ``names`` are the variables it leaves.
 
@@ -130,8 +143,9 @@ class Running(Node):
         self.keeps, self.ordered = revised and self.revived[0], revised and self.revived[1]
         self.place.reach = reach_of("seq", self.span, False)
         self.incoming.reach = reach_of("seq", self.span, True)
-        self.place.identify(by_term if policy.replacing else by_occurrence)
-        self.incoming.identify(identity if policy.replacing and not self.keeps else None)
+        self.place.identify((by_term if policy.replacing else by_occurrence)(self._first_name))
+        self.incoming.identify(self._repeated_name if policy.replacing and not self.keeps else None)
+        self._found = found_here(self.vars, self._same_at, self._keep)
         self.out = out
         if policy.consuming:
             self.repeated.bind(self._extend_one(out, policy.newest), mode)
@@ -263,6 +277,7 @@ class Running(Node):
             step = test(step, match.start, match.end)
             if step is None:
                 return False, None
+            values = step[: len(values)]  # it may have given open variables of the start a value
         extended, result = self._take(run, match, values, step, last)
         if extended and self.tracked:
             self.rule.network.tracker.hold_repetition(run, match, self)
@@ -350,6 +365,8 @@ class Running(Node):
             values += tuple([Var() for _ in self.fixed]) if fixed is None else fixed
         if self.result_new:
             values += tuple([Var() for _ in self.result_new])
+        if self._captures:
+            values += (start, end) * self._captures
         for test in self.tests:
             values = test(values, start, end)
             if values is None:
@@ -372,7 +389,7 @@ class Running(Node):
                 found = test(found, start, end)
             if found is None:
                 return None
-        own = Found(found[self._same_at :])
+        own = Found(self._found(found))
         event = run.event if run.fixed is None else None
         # Without what is held the start would look like a condition around a match.
         return Match(found, start, end, event, None, (run.first, run.held, own))
