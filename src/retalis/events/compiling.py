@@ -3,7 +3,7 @@
 from typing import Any, Dict, FrozenSet, List, NamedTuple, Optional, Sequence, Set, Tuple
 
 from ..errors import RuleError
-from ..logic import PrologError
+from ..logic import PrologError, keep_back
 from ..terms import Term, Var, functor, variables
 from .aggregates import Collector
 from .building import compile_builder
@@ -375,8 +375,9 @@ class Compiler:
                 goal.append(logic.compile_goal((_IS, number, expression), [expression], [number]))
             try:
                 found = goal[0].test((term,))
-            except PrologError:
-                return None
+            except PrologError as error:
+                keep_back(error)
+                raise RuleError(f"aggregate {core.kind} needs numbers: {error.message}") from error
             return None if found is None else found[0]
 
         return Collector(core.kind, value, evaluate)
