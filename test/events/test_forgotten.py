@@ -1,6 +1,7 @@
 """Facts that were meant as goals."""
 
 import pytest
+from events.refusals import warnings_of
 
 from retalis import Engine
 from retalis.errors import ProgramErrors
@@ -61,3 +62,10 @@ def test_facts_that_look_like_forms_of_the_loader_stay():
         "etalis_module(m, _)",
     ):
         assert engine.call(goal), goal
+
+
+@pytest.mark.parametrize("text, warned", [("hot(X) - t(X).", True), ("a - b.", True), ("a - 1.", False)])
+def test_a_dash_where_an_arrow_was_meant_is_warned_of(text, warned):
+    found = warnings_of(f"b <- a.\n{text}")
+    assert [(line, column) for line, column, _ in found] == [(2, text.index("-") + 1)] * warned
+    assert all("<-" in message and ":-" in message for _, _, message in found)

@@ -40,6 +40,7 @@ _FACTS = frozenset(
     functor(name, 2) for name in ("seq", "cnot", "fnot", "forall_seq", "ntimes", "event_multiply")
 )
 """Facts of these were meant as rules: they are the names of nothing else."""
+_DASH = functor("-", 2)
 TOO_DEEP = "the pattern is too deep: too many operators stand one in the other"
 
 
@@ -145,6 +146,12 @@ class Checker:
         elif head in _FACTS:
             self._warn(
                 "this is a fact; between head and pattern of an event rule stands <-", spot(term) or place
+            )
+        elif head is _DASH and all(deref(side).__class__ in (Atom, tuple) for side in term[1:]):
+            self._warn(
+                "this is a fact of -/2; between head and pattern of an event rule stands <-, before the body of a "
+                "clause :-",
+                spot(term) or place,
             )
         elif head is _CLAUSE:
             body = deref(term[2])

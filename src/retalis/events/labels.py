@@ -1,7 +1,7 @@
 """Labels of rules and their properties: ``L : R`` and ``L([property(Name, Value), ...]) : R``."""
 
 from math import isfinite
-from typing import NamedTuple, Optional, Tuple
+from typing import Any, NamedTuple, Optional, Tuple
 
 from ..errors import RuleError
 from ..terms import COLON, Atom, Term, Var, deref, functor, list_items
@@ -76,8 +76,20 @@ def label_error(term: Term, spot: Spot) -> Optional[RuleError]:
             part = deref(item)
             if not _is_property(part):
                 at = spot(part) if part.__class__ is tuple else spot(label)
-                return RuleError(f"expected property(Name, Value); {_FORMS}", at)
+                return RuleError(f"expected {_property_meant(part)}; {_FORMS}", at)
     return RuleError(_FORMS, spot(term, 1))
+
+
+def _property_meant(part: Term) -> str:
+    """Return the property that something in the list of a label was probably meant as."""
+    name: Any = None
+    value: Any = None
+    if part.__class__ is tuple and len(part) == 2:
+        name, value = part[0].name, deref(part[1])
+    elif part.__class__ is tuple and len(part) == 3:  # window = 3, window-3
+        name, value = getattr(deref(part[1]), "name", None), deref(part[2])
+    known = name in KNOWN_PROPERTIES and value.__class__ in (int, float)
+    return f"property({name}, {value})" if known else "property(Name, Value)"
 
 
 def _is_property(term: Term) -> bool:
