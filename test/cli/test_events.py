@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from retalis.cli import main
+from retalis.cli._stream import is_left_unread
 
 ROOT = Path(__file__).resolve().parents[2]
 RULES = "alarm(X) <- smoke(X) seq heat(X) where X \\= lab.\n"
@@ -469,3 +470,39 @@ def test_goals_of_a_stream_open_files_of_the_program_and_of_folders_that_are_nam
     assert (status, lines, errors) == (0, ["event(a,[1,1]).", "p(1).", "p(2)."], "")
     assert (tmp_path / "out" / "persistent.txt").read_text() == "event(a,[1,1]).\n"
     assert list((tmp_path / "here").iterdir()) == []
+
+
+def test_tells_what_waits_unread_and_never_waits_itself(tmp_path):
+    reading, writing = os.pipe()
+    assert not is_left_unread(reading)
+    os.write(writing, b"event(a).\n")
+    assert is_left_unread(reading)
+    os.read(reading, 100)
+    os.close(writing)
+    assert not is_left_unread(reading)
+    os.close(reading)
+    assert not is_left_unread(reading)
+    with open(os.devnull, "rb") as nothing:
+        assert not is_left_unread(nothing.fileno())
+    path = tmp_path / "events.txt"
+    path.write_text("event(a).\n")
+    with open(path, "rb") as file:
+        assert is_left_unread(file.fileno())
+        os.lseek(file.fileno(), 0, os.SEEK_END)
+        assert not is_left_unread(file.fileno())
+
+
+@pytest.mark.parametrize("stream, warned", [((), True), (("--stream", "-"), False)])
+def test_warns_of_events_on_standard_input_that_are_not_read(tmp_path, stream, warned):
+    rules = tmp_path / "rules.txt"
+    rules.write_text(RULES)
+    done = subprocess.run(
+        [sys.executable, "-m", "retalis", "events", "--rules", str(rules), *stream],
+        input="event(smoke(a),[1,2]).\n",
+        env={**os.environ, "PYTHONPATH": str(ROOT / "src")},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert ("standard input was not read; --stream -" in done.stderr) is warned
+    assert done.stdout == ("" if warned else "event(smoke(a),[1,2]).\n")

@@ -1,6 +1,11 @@
 """Streams of terms: events and goals, one after the other, from a file or a pipe."""
 
+import fcntl
+import os
 import re
+import stat
+import termios
+from array import array
 from typing import IO, Iterator, NamedTuple, Optional, Sequence, Union
 
 from ..errors import Place, SyntaxFault, place_in
@@ -64,3 +69,18 @@ def _is_unfinished(found: Sequence[Read], text: str, line: int) -> bool:
     if not isinstance(last, SyntaxFault) or last.place is None or text.rstrip().endswith("."):
         return False
     return last.place.line >= line
+
+
+def is_left_unread(number: int = 0) -> bool:
+    """Tell whether there is something to read in a pipe or file, by its number, that nobody has read; never waits."""
+    try:
+        mode = os.fstat(number)
+        if stat.S_ISREG(mode.st_mode):
+            return mode.st_size > os.lseek(number, 0, os.SEEK_CUR)
+        if not stat.S_ISFIFO(mode.st_mode):
+            return False
+        waiting = array("i", [0])
+        fcntl.ioctl(number, termios.FIONREAD, waiting)
+    except OSError:  # closed
+        return False
+    return waiting[0] > 0

@@ -21,7 +21,7 @@ from ..terms import Term, Var, atom, deref, functor, rebuild, variables
 from ._folders import add_folders, allow_folders
 from ._limits import add_limits, limited
 from ._report import Report, to_reader
-from ._stream import read_stream
+from ._stream import is_left_unread, read_stream
 
 EVENT = functor("event", 2)
 MEMORY_EVENT = functor("memory_event", 2)
@@ -98,6 +98,8 @@ def run(options: argparse.Namespace) -> int:
         session.ask()
         session.engine.reports.sum_up()
     sys.stdout.flush()
+    if options.stream is None and is_left_unread():
+        print("warning: standard input was not read; --stream - takes events from it", file=sys.stderr)
     return 1 if report.errors else 0
 
 
