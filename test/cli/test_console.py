@@ -2,6 +2,7 @@
 
 import io
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -219,6 +220,7 @@ def test_terminal(tmp_path):
             "TERM": "dumb",
             "PYTHONUNBUFFERED": "",
         }
+        signal.signal(signal.SIGINT, signal.SIG_DFL)  # what a shell starts in the background ignores it
         os.execve(sys.executable, [sys.executable, "-m", "retalis", "console"], environment)
     screen = _Screen(terminal)
     screen.until("?- ")
