@@ -86,7 +86,7 @@ def choose_platform(release: Dict[str, str]) -> Platform:
     key = (release.get("ID", ""), release.get("VERSION_ID", ""))
     if key not in PLATFORMS:
         raise Problem(
-            "this is {}; ROS 1 is to be had on Debian 12 and Ubuntu 20.04. Without ROS: "
+            "this is {}; ROS 1 is available on Debian 12 and Ubuntu 20.04. Without ROS: "
             "pip install -r requirements.txt, then python3 -m retalis".format(
                 release.get("PRETTY_NAME", "an unknown system")
             )
@@ -164,7 +164,7 @@ class Installation:
 
     def _add_source(self, line: str, uid: int) -> None:
         """Tell apt where ROS is, with its key."""
-        print(f"apt will be told of ROS noetic: {SOURCE_FILE} with the key {KEY_FILE}", flush=True)
+        print(f"ROS noetic will be added to apt: {SOURCE_FILE} with the key {KEY_FILE}", flush=True)
         if self.shell.dry:
             return
         for text, place in ((fetch_key(), KEY_FILE), (line.encode() + b"\n", SOURCE_FILE)):
@@ -183,9 +183,9 @@ class Installation:
         stamp = self.venv / ("done-" + digest(self.platform.name, str(self.venv), *texts))
         if stamp.exists():
             return
-        print(f"Python packages that the distribution lacks will be put into {self.venv}", flush=True)
+        print(f"Python packages that the distribution lacks will be installed into {self.venv}", flush=True)
         make = [PYTHON, "-m", "venv", "--system-site-packages", str(self.venv)]
-        self.shell.step("Making a virtual environment", "venv", make)
+        self.shell.step("Creating a virtual environment", "venv", make)
         pip = [str(self.venv / "bin" / "python3"), "-m", "pip", "--disable-pip-version-check"]
         files = [part for name in requirements for part in ("-r", str(HERE / name))]
         self.shell.step("Installing Python packages", "pip", [*pip, "install", *files])
@@ -240,8 +240,8 @@ def arguments(argv: Sequence[str]) -> argparse.Namespace:
         help="catkin workspace (default: in ~/.cache/retalis)",
     )
     add("--no-system", action="store_true", help="install no system packages; stop where some are missing")
-    add("--install", action="store_true", help="make the install space too (catkin_make install)")
-    add("--dry-run", action="store_true", help="say what would be done, and do nothing")
+    add("--install", action="store_true", help="also build the install space (catkin_make install)")
+    add("--dry-run", action="store_true", help="print what would be done and do nothing")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND")
     commands.add_parser("build", help="install what is needed and build (the default)")
     commands.add_parser("demo", help="... and run the NAO example (see demo --help)", add_help=False)
@@ -253,13 +253,13 @@ def arguments(argv: Sequence[str]) -> argparse.Namespace:
     for misplaced in {"--workspace", "--no-system", "--install", "--dry-run"} & {
         one.split("=")[0] for one in rest
     }:
-        parser.error(f"{misplaced} stands before the command")
+        parser.error(f"{misplaced} must come before the command")
     if options.rest and options.command not in ("demo", "test"):
         parser.error("unknown argument: " + options.rest[0])
     options.command = options.command or "build"
     options.workspace = (options.workspace or default_workspace(HERE, os.environ)).expanduser().resolve()
     if options.workspace == HERE or HERE in options.workspace.parents:
-        parser.error("the workspace has to be outside of the package: ROS searches a package's whole folder")
+        parser.error("the workspace must be outside the package: ROS searches a package's whole folder")
     return options
 
 
@@ -288,7 +288,7 @@ def main(argv: Sequence[str]) -> int:
     setup = options.workspace / "devel" / "setup.bash"
     if options.command == "where":
         if not setup.exists():
-            raise Problem("nothing is built yet; ./install.py builds it")
+            raise Problem("nothing has been built yet; run ./install.py")
         print(setup)
         return 0
     shell = Shell(options.workspace / "log", options.dry_run)

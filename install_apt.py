@@ -77,7 +77,7 @@ def without_armour(key: bytes) -> bytes:
         rb"-----BEGIN PGP PUBLIC KEY BLOCK-----(.*?)-----END PGP PUBLIC KEY BLOCK-----", key, re.DOTALL
     )
     if not blocks:
-        raise Problem(f"what came from {KEY_URL} is no key; add it as {INSTRUCTIONS} says")
+        raise Problem(f"what {KEY_URL} returned is not a key; add it as {INSTRUCTIONS} says")
     return b"".join(base64.b64decode(b"".join(_body(block))) for block in blocks)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 def positive(text: str) -> int:
     """Return a whole number above zero."""
     if not text.isdecimal() or int(text) == 0:
-        raise argparse.ArgumentTypeError(f"{text} is no whole number above zero")
+        raise argparse.ArgumentTypeError(f"{text} is not a whole number above zero")
     return int(text)
 
 
@@ -19,7 +19,7 @@ def above_zero(text: str) -> float:
     except ValueError:
         number = 0.0
     if not 0 < number < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text} is no number above zero")
+        raise argparse.ArgumentTypeError(f"{text} is not a number above zero")
     return number
 
 

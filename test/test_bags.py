@@ -83,7 +83,7 @@ def test_an_empty_bag(tmp_path):
 
 
 def test_a_bag_is_not_overwritten(bag):
-    with pytest.raises(BagError, match="exists already"):
+    with pytest.raises(BagError, match="already exists"):
         BagWriter(bag)
 
 
@@ -103,7 +103,7 @@ def test_a_missing_bag(tmp_path):
 def test_files_that_are_no_bags(tmp_path, content):
     path = tmp_path / "a.bag"
     path.write_bytes(content)
-    with pytest.raises(BagError, match="no complete ROS 1 bag"):
+    with pytest.raises(BagError, match="not a complete ROS 1 bag"):
         BagReader(path)
 
 

@@ -91,7 +91,7 @@ def test_a_text_that_is_too_long_to_read_is_refused(caplog, monkeypatch):
         engine.post_text("event(a(12345678901))")
     assert engine.events == [("a(1234567890)", engine.events[0][1], engine.events[0][2])]
     (record,) = caplog.records
-    assert "21 characters, at most 20 are read" in record.getMessage()
+    assert "21 characters, at most 20 are allowed" in record.getMessage()
 
 
 def test_stamps_are_terms_numbers_or_ros_times():
@@ -289,7 +289,7 @@ def test_events_that_a_subscriber_makes_of_its_own_follow_from_what_it_was_sent(
     engine.on_output(next_one)
     engine.event("n(0)", 1)
     assert seen == [f"n({number})" for number in range(11)]
-    assert "more than 10 events were derived one from the other" in caplog.text
+    assert "more than 10 events were derived one from another" in caplog.text
     assert engine.dispatcher.current is None
 
 
@@ -373,7 +373,7 @@ def test_alarms_past_the_bound_are_dropped_and_reported():
     for number in range(5):
         engine.event(f"e({number})", 1)
     assert len(engine.clock.alarms) == 3
-    assert ["1 were dropped" in warnings[0], "2 were dropped" in warnings[1]] == [True, True]
+    assert ["1 have been dropped" in warnings[0], "2 have been dropped" in warnings[1]] == [True, True]
     engine.clock.move_to(20 * 10**9)
     engine.advance()
     assert [text for text in rung if text.startswith("late")] == ["late(0)", "late(1)", "late(2)"]
@@ -414,10 +414,10 @@ def test_each_refused_event_is_shown_with_what_is_wrong(caplog):
     for text in ("event(X)", "event(a,[2,1])", "foo", "event(a", "halt(" + "x" * 1000 + ")"):
         engine.post_text(text)
     shown = [record.getMessage() for record in caplog.records]
-    assert shown[0] == "an event is refused: event(X): Arguments are not sufficiently instantiated"
-    assert shown[1] == "an event is refused: event(a,[2,1]): Type error: `interval' expected, found `[2,1]'"
-    assert shown[2] == "an event is refused: foo: only event/1,2 and new_event/2,3,5 are taken"
-    assert shown[3].startswith("an event is refused: event text:1:8: expected")
+    assert shown[0] == "event refused: event(X): Arguments are not sufficiently instantiated"
+    assert shown[1] == "event refused: event(a,[2,1]): Type error: `interval' expected, found `[2,1]'"
+    assert shown[2] == "event refused: foo: only event/1,2 and new_event/2,3,5 are accepted"
+    assert shown[3].startswith("event refused: event text:1:8: expected")
     assert len(shown[4]) < 300
 
 
@@ -444,7 +444,7 @@ def test_an_error_of_a_rule_has_the_names_of_its_variables_and_its_place_once(ca
 def test_an_id_that_is_taken_is_said_to_be(goal):
     engine = Engine()
     assert engine.call(goal)
-    with pytest.raises(PrologError, match="there is one already"):
+    with pytest.raises(PrologError, match="one already exists"):
         engine.call(goal)
 
 

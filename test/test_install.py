@@ -94,7 +94,7 @@ def test_each_copy_of_the_sources_has_its_own_workspace(install):
 def test_a_workspace_inside_the_package_is_refused(install, place, capsys):
     with pytest.raises(SystemExit):
         install.arguments(["--workspace", str(HERE / place)])
-    assert "outside of the package" in capsys.readouterr().err
+    assert "outside the package" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("argv", [["lint", "--fast"], ["--fast"], ["buidl"]])
@@ -240,7 +240,7 @@ def test_an_update_that_fails_otherwise_ends_the_run(install, noetic, monkeypatc
 
 
 def test_what_is_no_key_is_refused(apt):
-    with pytest.raises(apt.Problem, match="is no key"):
+    with pytest.raises(apt.Problem, match="is not a key"):
         apt.without_armour(b"<html>")
 
 
@@ -267,11 +267,11 @@ def test_without_system_the_missing_packages_are_named(install, noetic):
 def test_an_option_behind_the_command_is_refused_before_anything_is_done(install, capsys):
     with pytest.raises(SystemExit):
         install.arguments(["demo", "--workspace=/somewhere"])
-    assert "--workspace stands before the command" in capsys.readouterr().err
+    assert "--workspace must come before the command" in capsys.readouterr().err
 
 
 def test_where_prints_the_script_to_source_and_nothing_else(install, tmp_path, capsys):
-    with pytest.raises(install.Problem, match="nothing is built yet"):
+    with pytest.raises(install.Problem, match="nothing has been built yet"):
         install.main(["--workspace", str(tmp_path), "where"])
     (tmp_path / "devel").mkdir()
     (tmp_path / "devel" / "setup.bash").touch()

@@ -53,28 +53,28 @@ def test_conditions_that_loop_share_the_inferences_of_their_event(caplog):
     assert spent(engine, lambda: engine.event("in(1)", 1)) < 2 * 100_000
     assert caplog.text.count("Not enough resources: inferences") == 1
     assert "subscription s0" in caplog.text
-    assert f"in/1 is past its limit of inferences; goals refused: {MANY - 1}" in caplog.text
+    assert f"in/1 has exceeded its limit of inferences; goals refused: {MANY - 1}" in caplog.text
 
 
 def test_conditions_that_loop_share_the_seconds_of_their_event(ticking, caplog):
     engine = make(goals=subscriptions("loop"), seconds=0.5)
     engine.event("in(1)", 1)
     assert ticking[0] < 2 * 0.5
-    assert f"in/1 is past its limit of seconds; goals refused: {MANY - 1}" in caplog.text
+    assert f"in/1 has exceeded its limit of seconds; goals refused: {MANY - 1}" in caplog.text
 
 
 @pytest.mark.parametrize("condition", ["catch(loop, _, true)", "\\+ catch(loop, _, fail)", "ignore(loop)"])
 def test_conditions_that_catch_their_limit_share_it_too(condition, caplog):
     engine = make(goals=subscriptions(condition), inferences=100_000)
     assert spent(engine, lambda: engine.event("in(1)", 1)) < 2 * 100_000
-    assert "in/1 is past its limit of inferences; goals refused: " in caplog.text
+    assert "in/1 has exceeded its limit of inferences; goals refused: " in caplog.text
 
 
 def test_many_short_goals_share_the_inferences_of_their_event(caplog):
     engine = make(goals=subscriptions("count(300)"), inferences=20_000)
     assert spent(engine, lambda: engine.event("in(1)", 1)) < 2 * 20_000
     assert 10 < len(engine.sent) < 100
-    assert "in/1 is past its limit of inferences; goals refused: " in caplog.text
+    assert "in/1 has exceeded its limit of inferences; goals refused: " in caplog.text
 
 
 def test_the_next_event_has_its_own_limits(caplog):
@@ -120,13 +120,13 @@ def test_goals_of_long_chains_of_events_are_refused_too(caplog):
     )
     assert spent(engine, lambda: engine.event("tick(0)", 1)) < 2 * 50_000
     assert caplog.text.count("Not enough resources") == 1
-    assert "tick/1 is past its limit of inferences; goals refused" in caplog.text
+    assert "tick/1 has exceeded its limit of inferences; goals refused" in caplog.text
 
 
 def test_a_chain_without_goals_that_branches_without_end_ends(caplog):
     engine = make(rules="tick <- tick.\ntick <- tick.", inferences=50_000)
     engine.event("tick", 1)
-    assert "tick is past its limit of inferences; goals refused" in caplog.text
+    assert "tick has exceeded its limit of inferences; goals refused" in caplog.text
     engine.event("other", 2)
     assert engine.seen[-1] == "other"
 

@@ -30,13 +30,16 @@ def warnings(definitions, rules="", goals=""):
     [
         (
             "a <- my_msgs__0__Warm(_).",
-            "my_msgs__0__Warm/1 is no message: my_msgs/Warm has 2 slots: header, warmth",
+            "my_msgs__0__Warm/1 does not match its type: my_msgs/Warm has 2 slots: header, warmth",
         ),
         (
             "a <- b where X = my_msgs__0__Warm(std_msgs__0__Header(_, _), 1).",
-            "std_msgs__0__Header/2 is no message: std_msgs/Header has 3 slots: seq, stamp, frame_id",
+            "std_msgs__0__Header/2 does not match its type: std_msgs/Header has 3 slots: seq, stamp, frame_id",
         ),
-        ("a <- my_msgs__0__Empty(_).", "my_msgs__0__Empty/1 is no message: my_msgs/Empty has 0 slots"),
+        (
+            "a <- my_msgs__0__Empty(_).",
+            "my_msgs__0__Empty/1 does not match its type: my_msgs/Empty has 0 slots",
+        ),
         (
             "a <- my_msgs__0__Warn(_, _).",
             "there is no message type my_msgs/Warn here; did you mean my_msgs/Warm?",
@@ -51,8 +54,9 @@ def test_rules_with_wrong_messages_are_warned_of_with_their_places(definitions, 
 def test_patterns_of_memories_and_subscriptions_are_looked_at(definitions):
     goals = "memorize(my_msgs__0__Warm(_), [], _, m, 5)\nsubscribe(my_msgs__0__Warm(_, _, _), [], _, out, s)"
     assert warnings(definitions, goals=goals) == [
-        "memory m: my_msgs__0__Warm/1 is no message: my_msgs/Warm has 2 slots: header, warmth",
-        "a subscription of topic out: my_msgs__0__Warm/3 is no message: my_msgs/Warm has 2 slots: header, warmth",
+        "memory m: my_msgs__0__Warm/1 does not match its type: my_msgs/Warm has 2 slots: header, warmth",
+        "a subscription of topic out: my_msgs__0__Warm/3 does not match its type: "
+        "my_msgs/Warm has 2 slots: header, warmth",
     ]
 
 
@@ -64,7 +68,7 @@ def test_right_and_foreign_terms_are_left_alone(definitions):
 @pytest.mark.parametrize("text", ["ann", '"ann"'])
 def test_texts_without_their_quotes_are_warned_of(definitions, text):
     header = f"std_msgs__0__Header(_, _, {text})"
-    wrong = """frame_id of std_msgs/Header is a text, which events have with its quotes: write '"ann"'"""
+    wrong = """frame_id of std_msgs/Header is a string, which keeps its quotes in events: write '"ann"'"""
     rules = f"a <- b seq (my_msgs__0__Warm({header}, _) where true)."
     assert [found.split("\n")[0] for found in warnings(definitions, rules)] == [f"text:1:1: {wrong}"]
     goals = f"memorize(my_msgs__0__Warm({header}, _), [], _, m, 5)"
@@ -124,7 +128,7 @@ def test_rules_that_no_goal_reads_are_warned_of(tmp_path):
     (tmp_path / "eventRules.txt").write_text("a <- b.")
     (warning,) = unread_rules(engine, tmp_path)
     assert warning.message == (
-        f"{tmp_path}/eventRules.txt is not read: no goal of goalPredicates.txt says "
+        f"{tmp_path}/eventRules.txt is not read: no goal in goalPredicates.txt calls "
         "compile_event_file('eventRules.txt')"
     )
     (tmp_path / "goalPredicates.txt").write_text("compile_event_file('eventRules.txt')")

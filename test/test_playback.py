@@ -121,8 +121,8 @@ def test_a_type_goes_by_the_name_that_the_program_gives_it(program, bag):
     path = bag((SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(1.0)"))
     _, events, problems = run(program("", "", IN.replace("my_msgs/Point", "other_msgs/Dot")), path)
     assert problems == [
-        "topic /in is asked for as other_msgs/Dot, which is unknown here; the bag has my_msgs/Point: "
-        "taken under that name"
+        "topic /in is requested as other_msgs/Dot, which is unknown here; the bag has my_msgs/Point, "
+        "which is used instead"
     ]
     assert [event for event, _, _ in events] == ["other_msgs__0__Dot(1.0)"]
 

@@ -37,12 +37,12 @@ def test_elements_stand_at_any_depth_and_comments_count_for_nothing(tmp_path):
     [
         (
             "<publish_subscribe>\n  <group>\n",
-            "no XML: no element found; <group> of line 2 is not closed",
+            "not XML: no element found; <group> of line 2 is not closed",
             3,
             1,
         ),
         ("<publish_subscribe>\n  <group>\n</publish_subscribe>", "<group> of line 2 is not closed", 3, 3),
-        ("<root/>", "the root has to be <publish_subscribe>, found <root>", 1, 1),
+        ("<root/>", "the root must be <publish_subscribe>, found <root>", 1, 1),
         ('<publish_subscribe>\n <publish_to name="x"/>\n</publish_subscribe>', 'needs msg_type="..."', 2, 2),
         (
             '<publish_subscribe><publish_to name="x" msg_type="String"/></publish_subscribe>',
@@ -80,10 +80,10 @@ def test_a_missing_file_is_named(tmp_path):
 def test_where_a_text_is_no_utf_8_is_said(tmp_path):
     path = tmp_path / "latin.txt"
     path.write_bytes("a.\nb. % gr\u00fcn\n".encode("latin-1"))
-    with pytest.raises(UsageError, match=r"latin.txt: no UTF-8 text \(line 2: invalid start byte 0xfc\)"):
+    with pytest.raises(UsageError, match=r"latin.txt: not UTF-8 text \(line 2: invalid start byte 0xfc\)"):
         read_text(path)
     engine = Engine(settings=Settings(folders=[tmp_path]))
-    with pytest.raises(PrologError, match=r"no UTF-8 text \(line 2: invalid start byte 0xfc\)"):
+    with pytest.raises(PrologError, match=r"not UTF-8 text \(line 2: invalid start byte 0xfc\)"):
         engine.call(f"compile_event_file('{path}')")
 
 
@@ -130,4 +130,4 @@ def test_what_would_be_large_is_refused_with_a_short_error(tmp_path, text, messa
 
 def test_a_file_that_is_too_large_is_refused(tmp_path):
     (error,) = xml_errors(tmp_path, "<publish_subscribe>" + " " * (4 << 20) + "</publish_subscribe>")
-    assert "has 4194343 characters: at most 4194304 are taken" in error.message
+    assert "has 4194343 characters: at most 4194304 are allowed" in error.message

@@ -98,7 +98,7 @@ HOSTILE = "\x1b]0;title\x07\x1b[2J \u202e\ud800 \x9b31m ok é\n"
 
 def test_what_is_logged_does_nothing_to_a_terminal(caplog):
     reports = Reports()
-    reports.warning(f"an event is refused: {HOSTILE}")
+    reports.warning(f"event refused: {HOSTILE}")
     reports.error(RetalisError(HOSTILE, Place("x\x1b", 1, 1, HOSTILE)))
     for record in caplog.records:
         text = record.getMessage()

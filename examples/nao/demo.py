@@ -243,7 +243,9 @@ def report(poses: Poses, bag: Path, seen: Collection[str]) -> bool:
             shown = " ".join(f"{value:8.3f}" for value in place) if place else "not located"
             print(f"{name:<8} {shown}")
         found = len(set(seen) & set(poses.located))
-        print(f"{found} of {len(seen)} markers located by {poses.count} poses; the truth is not known")
+        print(
+            f"{found} of {len(seen)} markers located by {poses.count} poses; the true positions are not known"
+        )
         return found == len(seen)
     comparisons = nao_truth.compare(truth, poses.located)
     good = sum(comparison.good for comparison in comparisons)
@@ -272,7 +274,7 @@ def arguments(argv: Optional[Sequence[str]]) -> argparse.Namespace:
     if options.bag and not options.bag.is_file():
         parser.error(f"no such file: {options.bag}")
     if options.seconds <= 0 or options.rate <= 0:
-        parser.error("seconds and rate are positive numbers")
+        parser.error("seconds and rate must be positive numbers")
     return options
 
 

@@ -111,7 +111,9 @@ def _parameters(function: Callable[..., Any]) -> List[inspect.Parameter]:
     found = list(inspect.signature(function).parameters.values())
     for one in found:
         if one.kind not in (one.POSITIONAL_ONLY, one.POSITIONAL_OR_KEYWORD):
-            raise UsageError(f"{function.__name__} takes *args or **kwargs: no predicate has such arguments")
+            raise UsageError(
+                f"{function.__name__} takes *args or **kwargs; a predicate has a fixed number of arguments"
+            )
     return found
 
 
@@ -135,9 +137,7 @@ def define_foreign(logic: Logic, runner: Any, *sources: Any) -> List[Functor]:
             else [one for one in getattr(source, "__dict__", {}).values() if _is_marked(one)]
         )
         if not functions or not all(_is_marked(one) for one in functions):
-            raise UsageError(
-                f"{getattr(source, '__name__', source)} has no function with the decorator foreign"
-            )
+            raise UsageError(f"{getattr(source, '__name__', source)} has no function decorated with @foreign")
         for function in functions:
             done.append(_define(logic, runner, function, getattr(function, _MARK)))
     return done
@@ -211,7 +211,7 @@ def _unify(machine: Any, outputs: Sequence[Term], result: Any) -> bool:
     if len(outputs) == 1:
         return bool(machine.unify(outputs[0], to_term(result)))
     if len(result) != len(outputs):
-        raise UsageError(f"a foreign predicate gave {len(result)} values for {len(outputs)} outputs")
+        raise UsageError(f"a foreign predicate returned {len(result)} values for {len(outputs)} outputs")
     return bool(machine.unify_all(*[(output, to_term(value)) for output, value in zip(outputs, result)]))
 
 
@@ -270,7 +270,7 @@ def to_python(term: Term) -> Any:
 
 
 class _Parts:
-    """On the stack of `to_python` behind the parts of a list (without a name) or compound term."""
+    """On the stack of `to_python` after the parts of a list (without a name) or compound term."""
 
     __slots__ = ("count", "name")
 
@@ -305,7 +305,7 @@ def to_term(value: Any) -> Term:
         UsageError: for a value that is none of these.
     """
     if value is None:
-        raise UsageError("None is no term")
+        raise UsageError("None is not a term")
     if isinstance(value, bool):
         return TRUE if value else FALSE
     if isinstance(value, Compound):
@@ -327,7 +327,7 @@ def to_term(value: Any) -> Term:
     try:
         items = iter(value)
     except TypeError:
-        raise UsageError(f"a {type(value).__name__} is no term: {value!r}") from None
+        raise UsageError(f"a {type(value).__name__} is not a term: {value!r}") from None
     found = []
     for count, item in enumerate(items, 1):
         found.append(to_term(item))

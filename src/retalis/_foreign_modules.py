@@ -28,7 +28,7 @@ def define_use_foreign(logic: Logic, runner: Any, files: Any, allowed: bool) -> 
             raise type_error("atom", module)
         reason = "" if allowed else "the setting allow_foreign is off"
         if not files.door.is_loading:
-            reason = "Python is loaded by the program's own files only, while these are loaded"
+            reason = "Python may be loaded only by the program's own files, while they are being loaded"
         if reason:
             raise permission_error("load", "foreign_module", module, reason)
         name: str = module.name if module.__class__ is Atom else module.text  # type: ignore[assignment]

@@ -104,7 +104,7 @@ def read_goals(text: str, operators: Operators, source: str) -> Iterator[Read]:
                 stop += 1
             if stop < len(lines):
                 longer = _read(lines, at, stop + 1, operators, source)
-                # Where the longer one fails behind the first line, its lines belong together: none is a goal.
+                # Where the longer one fails after the first line, its lines belong together: none is a goal.
                 if not isinstance(longer, SyntaxFault) or _line(longer) > at + 1:
                     goal, end = longer, stop + 1
                 else:

@@ -51,7 +51,7 @@ class InputReader:
         """Return the event that a text makes, or None where it is another goal.
 
         Raises:
-            SyntaxFault: where it is no goal.
+            SyntaxFault: where it is not a goal.
             PrologError: where it is such a goal with arguments that make no event.
         """
         if text.startswith("event("):

@@ -36,7 +36,7 @@ class _Text(NamedTuple):
 
 
 def wrong_messages(engine: Any, definitions: Definitions, types: Collection[str]) -> Iterator[RuleError]:
-    """Yield a warning for each kind of term in rules and patterns that is no message of a type that is known.
+    """Yield a warning for each kind of term in rules and patterns that is not a message of a type that is known.
 
     Args:
         engine: whose program it is.
@@ -89,7 +89,7 @@ def unread_rules(engine: Any, folder: Path) -> Iterator[RuleError]:
     """Yield a warning where a program's folder has rules that no goal has read."""
     path, goals = folder / RULES, folder / GOALS
     if path.is_file() and not engine.rules.files.has_loaded(path) and RULES not in _text(goals):
-        yield RuleError(f"{path} is not read: no goal of {GOALS} says compile_event_file('{RULES}')")
+        yield RuleError(f"{path} is not read: no goal in {GOALS} calls compile_event_file('{RULES}')")
 
 
 def _text(path: Path) -> str:
@@ -122,7 +122,7 @@ def _bare_texts(texts: Iterable[_Text], definitions: Definitions) -> Iterator[Ru
             for slot, value in zip(definitions.find(kind).fields, map(deref, part[1:])):
                 bare = getattr(value, "name" if isinstance(value, Atom) else "text", None)
                 if slot.describe() == "string" and bare is not None and not bare.startswith('"'):
-                    wrong = f"{slot.name} of {kind} is a text, which events have with its quotes"
+                    wrong = f"{slot.name} of {kind} is a string, which keeps its quotes in events"
                     yield RuleError(f"{text.who}{wrong}: write '\"{bare}\"'", text.place)
 
 
@@ -158,4 +158,5 @@ def _wrong(key: Functor, kind: str, definitions: Definitions, near: Collection[s
     slots = [slot.name for slot in definitions.find(kind).fields]
     if len(slots) == key.arity:
         return ""
-    return f"{key} is no message: {kind} has {len(slots)} slots{': ' if slots else ''}{', '.join(slots)}"
+    named = f": {', '.join(slots)}" if slots else ""
+    return f"{key} does not match its type: {kind} has {len(slots)} slots{named}"

@@ -229,7 +229,7 @@ class Runner:
             raise
 
     def follow(self, work: Callable[[], Any]) -> None:
-        """Have something done, from inside a piece of work, right behind that."""
+        """Have something done, from inside a piece of work, right after that."""
         calls = self._calls
         call = Call(work)
         call.follows = True
@@ -254,8 +254,8 @@ class Runner:
     def _refuse(self, call: Call, callback: Tuple[str]) -> None:
         if call.take():
             raise UsageError(
-                f"the engine has been in {callback[0]} for {self._patience:g} s and more, which may be waiting for"
-                " this thread: what a callback waits for must not ask the engine (post to it instead)"
+                f"the engine has been in {callback[0]} for {self._patience:g} s or longer and may be waiting for"
+                " this thread: a thread that a callback waits for must not query the engine (post to it instead)"
             )
 
     def _is_inside(self) -> bool:

@@ -127,11 +127,9 @@ class Shortfall:
                 span = spans(one.start, one.end, two.start, two.end)
                 if span is not None:
                     found.append(Found(values, *span, None, (one.end, two.start)))
-        reason = "a side of it is missing"
+        reason = "one side is missing"
         if left.found and right.found:
-            reason = (
-                _WRONG.get(pattern.operator, "no two of them fit") if agree else "no two with the same values"
-            )
+            reason = _WRONG.get(pattern.operator, "no pair fits") if agree else "no pair with the same values"
         return Part(f"{pattern.operator}: {self._seen(found, reason)}", found[-_MOST:], [left, right])
 
     def _either(self, pattern: Any) -> Part:
@@ -143,7 +141,7 @@ class Shortfall:
         part, negated = self.of(pattern.pattern), self.of(pattern.negated)
         found = [one for one in part.found if not any(self._blocks(no, one) for no in negated.found)]
         name = "cnot" if pattern.inside else "cnot or fnot"
-        reason = "ruled out by what must not happen" if part.found else "nothing that could be ruled out"
+        reason = "ruled out by what must not happen" if part.found else "nothing to rule out"
         held = found if negated.found else [_NOWHERE]
         noted = Part(f"must not happen: {negated.text}", held, [])
         return Part(f"{name}: {self._seen(found, reason)}", found, [part, noted])
@@ -158,7 +156,7 @@ class Shortfall:
     def _star(self, pattern: Any) -> Part:
         first, repeated = self.of(pattern.first), self.of(pattern.repeated)
         found = first.found + self._later(first, repeated)
-        return Part(f"star_times: {self._seen(found, 'it did not begin')}", found, [first, repeated])
+        return Part(f"star_times: {self._seen(found, 'it did not start')}", found, [first, repeated])
 
     def _aggregate(self, pattern: Any) -> Part:
         first, collected = self.of(pattern.first), self.of(pattern.collected)

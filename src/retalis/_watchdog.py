@@ -78,7 +78,7 @@ def watch(
             reports.error(error)
 
     def refused(number: int, what: str, entry: Any) -> None:
-        text = f"{_name(entry)} is past its limit of {what}; goals refused: {number}"
+        text = f"{_name(entry)} has exceeded its limit of {what}; goals refused: {number}"
         reports.warning(text, ("refused goals", _name(entry)))
 
     budget.on_refused = refused
@@ -114,7 +114,7 @@ def _held_up(logic: Logic, dispatcher: Dispatcher, entry: Any, seconds: float) -
         who = f"goal {_name((goal,))}"
     term = current[0] if current.__class__ is tuple else getattr(current, "term", None)
     event = "" if term is None else f" at event {_name((term,))}"
-    text = f"{who} runs{event}; {_name(entry)} has been worked on for {seconds:.1f} s"
+    text = f"{who} is running{event}; {_name(entry)} has taken {seconds:.1f} s so far"
     return RuleError(text, place), ("held up", who)
 
 

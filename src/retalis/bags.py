@@ -59,7 +59,7 @@ class BagReader:
         messages: the number of messages.
 
     Raises:
-        BagError: where the file is missing, is no ROS 1 bag, or is cut off (``rosbag reindex`` helps).
+        BagError: where the file is missing, is not a ROS 1 bag, or is cut off (``rosbag reindex`` helps).
     """
 
     def __init__(self, path: PathLike):
@@ -116,13 +116,13 @@ class BagReader:
                 chunk.find(_IS_MESSAGE, offset, at) < 0
             ):  # a connection's record that stands before its message
                 if chunk.find(_IS_CONNECTION, offset, at) < 0:
-                    raise ValueError("the index points at no message")
+                    raise ValueError("the index does not point to a message")
                 offset = at + 4 + size_at(chunk, at)[0]
                 at = offset + 4 + size_at(chunk, offset)[0]
             (size,) = size_at(chunk, at)
             data = chunk[at + 4 : at + 4 + size]
             if len(data) != size:
-                raise ValueError("a message is cut off")
+                raise ValueError("a message is truncated")
             yield Record(topic, time, data)
 
     def close(self) -> None:
@@ -147,7 +147,7 @@ class BagWriter:
         self.path = Path(path)
         writer = _rosbag1().Writer
         if self.path.exists():
-            raise BagError(f"{self.path} exists already")
+            raise BagError(f"{self.path} already exists")
         try:
             self._writer = writer(self.path)
             self._writer.open()
@@ -196,7 +196,7 @@ def _chunk(reader: Any, position: int) -> bytes:
     reader.bio.seek(found.datapos)
     raw = reader.bio.read(found.datasize)
     if len(raw) != found.datasize:
-        raise ValueError("a chunk is cut off")
+        raise ValueError("a chunk is truncated")
     return bytes(found.decompressor(raw))
 
 
@@ -208,7 +208,7 @@ def _open(path: Path) -> Any:
         reader = rosbag1.Reader(path)
         reader.open()
     except Exception as error:  # broken bags raise whatever their bytes lead to
-        raise BagError(f"{path} is no complete ROS 1 bag: {_reason(error)}") from error
+        raise BagError(f"{path} is not a complete ROS 1 bag: {_reason(error)}") from error
     return reader
 
 

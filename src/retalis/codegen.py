@@ -79,10 +79,10 @@ def define(source: str, names: Dict[str, Any], title: str) -> Dict[str, Any]:
         ValueError: where a name is none of ours, or the source holds what no source of ours does.
     """
     if not source.isascii():
-        raise ValueError("generated source has to be ASCII")
+        raise ValueError("generated source must be ASCII")
     for name in names:
         if not _NAME.match(name):
-            raise ValueError(f"{shortened(name)} is no name for generated source")
+            raise ValueError(f"{shortened(name)} is not a name for generated source")
     file = f"retalis, {_clean(title)} #{next(_serials)}"
     names["__builtins__"] = _BUILTINS
     names["__name__"] = file
@@ -114,7 +114,7 @@ def _maker(source: str, names: Tuple[str, ...], title: str) -> Callable[..., Any
     """Return a function that makes the function of a source for the values of names."""
     for name in names:
         if not _NAME.match(name):
-            raise ValueError(f"{shortened(name)} is no name for generated source")
+            raise ValueError(f"{shortened(name)} is not a name for generated source")
     lines = ["    " + line for line in source.splitlines(True)]
     text = "".join([f"def maker({', '.join(names)}):\n", *lines, "\n    return made\n"])
     maker: Callable[..., Any] = define(text, {}, title).pop("maker")

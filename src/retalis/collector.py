@@ -9,7 +9,7 @@ _YOUNG, _MIDDLE, _OLD = 50_000, 20, 100
 
 
 def relax() -> None:
-    """Have the collector look seldom, and never at what is there by now; call it when all is loaded.
+    """Have the collector look rarely, and never at what is there by now; call it when all is loaded.
 
     Events leave no cycles behind. What they do leave, the records of memories and what waits, is found alive
     each time it is looked at: with Python's own settings a full memory of 16,384 records makes a look-up in

@@ -81,7 +81,7 @@ class Door:
             return ""
         folders = [*self._write, *(self._own if self.is_loading else ())]
         if not folders:
-            raise UsageError("there is no folder in which goals may write")
+            raise UsageError("there is no folder that goals may write to")
         return folders[0]
 
     def require(self, path: str, name: str) -> str:
@@ -108,7 +108,7 @@ class Door:
 
         Raises:
             PrologError: permission, existence and resource errors.
-            UsageError: where it cannot be read or is no text.
+            UsageError: where it cannot be read or is not a text.
         """
         folders = self._readable
         real = _resolved(path, name, folders)
@@ -178,19 +178,19 @@ def check_name(name: str) -> None:
         PrologError: where no file can have the name.
     """
     if "\0" in name:
-        raise domain_error("source_sink", atom(name), "a file's name has no NUL character")
+        raise domain_error("source_sink", atom(name), "a file name cannot contain a NUL character")
     try:
         data = name.encode("utf-8")
     except UnicodeEncodeError:
-        raise domain_error("source_sink", atom(name), "a file's name has no surrogates") from None
+        raise domain_error("source_sink", atom(name), "a file name cannot contain surrogates") from None
     if len(data) > _LONGEST_PATH or max(map(len, data.split(b"/"))) > _LONGEST_PART:
-        most = f"a file's name has at most {_LONGEST_PATH} bytes, {_LONGEST_PART} between slashes"
+        most = f"a file name has at most {_LONGEST_PATH} bytes, and {_LONGEST_PART} between slashes"
         raise representation_error("max_path_length", f"{most}; found {shortened(name)}")
 
 
 def _real_folders(folders: Optional[Iterable[Any]]) -> Folders:
     if isinstance(folders, (str, bytes)):
-        raise UsageError(f"expected several folders, found {folders!r}")
+        raise UsageError(f"expected a list of folders, found {folders!r}")
     return None if folders is None else [os.path.realpath(folder) for folder in folders]
 
 
@@ -210,7 +210,9 @@ def _resolved(path: str, name: str, folders: Folders) -> str:
 
 def _check_place(real: str, name: str, folders: Folders) -> None:
     if folders is not None and not any(f"{real}/".startswith(f"{folder.rstrip('/')}/") for folder in folders):
-        raise permission_error("open", "source_sink", atom(name), "it is in no folder that goals may open")
+        raise permission_error(
+            "open", "source_sink", atom(name), "it is not in a folder that goals may open files in"
+        )
 
 
 def _open(real: str, flags: int, name: str, folders: Folders) -> int:
@@ -246,7 +248,7 @@ def _open_to_write(real: str, name: str, folders: Folders) -> int:
 
 def _check_kind(found: os.stat_result, name: str) -> None:
     if not stat.S_ISREG(found.st_mode):
-        reason = "Is a directory" if stat.S_ISDIR(found.st_mode) else "it is no regular file"
+        reason = "Is a directory" if stat.S_ISDIR(found.st_mode) else "it is not a regular file"
         raise permission_error("open", "source_sink", atom(name), reason)
 
 

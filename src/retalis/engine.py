@@ -47,7 +47,7 @@ class Settings(NamedTuple):
             once.
         limit_start: whether the goals of a goal file (`Engine.call_goals`) have these limits too.
         watchdog: seconds after which a warning names what is at work; None for never.
-        max_depth: how long a chain of events that lead to events may be.
+        max_depth: longest chain of events derived one from another.
         queue: how many events may wait for the one that is being worked on.
         allow_goals: whether any goal is taken as input, not only events.
         allow_foreign: whether programs may load Python modules with ``use_foreign/1``.
@@ -234,7 +234,7 @@ class Engine:
 
         Raises:
             UsageError: for a wrong stamp or an end before the start.
-            SyntaxFault: for a text that is no term.
+            SyntaxFault: for a text that is not a term.
         """
         first = None if start is None else timestamps.from_any(start)
         last = first if end is None else timestamps.from_any(end)
@@ -281,7 +281,7 @@ class Engine:
         """Return the solutions of a goal, each as its variables' values by name.
 
         Raises:
-            SyntaxFault: for a text that is no term.
+            SyntaxFault: for a text that is not a term.
             PrologError: what the goal raised.
         """
         if isinstance(goal, str):
@@ -418,7 +418,7 @@ class Engine:
     def _take_text(self, text: str) -> None:
         if len(text) > LONGEST_INPUT:
             self._refuse(
-                f"{beginning(text)}: it has {len(text)} characters, at most {LONGEST_INPUT} are read"
+                f"{beginning(text)}: it has {len(text)} characters, at most {LONGEST_INPUT} are allowed"
             )
             return
         try:
@@ -431,7 +431,7 @@ class Engine:
         elif self.settings.allow_goals:
             self._take_goal(text)
         else:
-            self._refuse(f"{beginning(text)}: only event/1,2 and new_event/2,3,5 are taken")
+            self._refuse(f"{beginning(text)}: only event/1,2 and new_event/2,3,5 are accepted")
 
     def _take_goal(self, text: str) -> None:
         goal = self._texts.goal(text)
@@ -442,7 +442,7 @@ class Engine:
             self.reports.warning(f"the goal {beginning(text)} ends with an error: {error}")
 
     def _refuse(self, reason: Any) -> None:
-        self.reports.warning(f"an event is refused: {reason}", "refused", texts=20)
+        self.reports.warning(f"event refused: {reason}", "refused", texts=20)
 
     def _watch_clock(self) -> None:
         """Start anew where time went back, and let alarms ring that are due."""
@@ -477,5 +477,5 @@ class Engine:
 
     def _report_drop(self, dropped: int) -> None:
         self.reports.warning(
-            f"events come faster than they are worked off: {dropped} dropped so far", "dropped"
+            f"events come in faster than they can be processed: {dropped} dropped so far", "dropped"
         )

@@ -37,7 +37,7 @@ class Place(NamedTuple):
     """A position in a text; line and column count from 1.
 
     ``text`` is the line itself, so that the error can be shown without reading the source again; of a long one the
-    part around the column, which begins ``before`` characters behind the start of the line.
+    part around the column, which begins ``before`` characters after the start of the line.
     """
 
     source: str
@@ -89,9 +89,9 @@ def shortened(text: str) -> str:
 
 
 def undecodable(error: UnicodeDecodeError) -> str:
-    """Return what is wrong with a text that is no UTF-8, and where."""
+    """Return what is wrong with a text that is not UTF-8, and where."""
     line = error.object.count(b"\n", 0, error.start) + 1
-    return f"no UTF-8 text (line {line}: {error.reason} 0x{error.object[error.start]:02x})"
+    return f"not UTF-8 text (line {line}: {error.reason} 0x{error.object[error.start]:02x})"
 
 
 class RetalisError(Exception):

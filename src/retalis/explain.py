@@ -53,7 +53,7 @@ def explain(engine: Engine, asked: Term) -> Explanation:
         asked: the event, as far as it is known; or ``event(TERM,[T1,T2])`` to ask for an interval too.
 
     Raises:
-        UsageError: where it is no event.
+        UsageError: where it is not an event.
     """
     return engine.do(lambda: _Explainer(engine).explain(asked))  # type: ignore[no-any-return]
 
@@ -84,7 +84,7 @@ class _Explainer:
         """Return why an event happened; what was said before is not said again."""
         text = self._event(one)
         if one.takes_back is not None:
-            return Line(f"{text} takes back", [Line(self._event(it), []) for it in one.takes_back])
+            return Line(f"{text} retracts", [Line(self._event(it), []) for it in one.takes_back])
         made_by = self._made_by.get(id(one), [])
         if one.match is None and not made_by:
             return Line(f"{text} came from outside", [])
@@ -93,7 +93,7 @@ class _Explainer:
         self._shown.add(id(one))
         sources = [self._because(source, depth + 1) for source in one.sources() or made_by]
         if one.rule is None:
-            return Line(f"{text} was set free by", sources)
+            return Line(f"{text} was released by", sources)
         return Line(f"{text} by {self._rule(one.rule)}", sources)
 
     def _missing(self, term: Term, interval: Optional[Tuple[int, int]], above: Tuple[Any, ...]) -> List[Line]:
@@ -126,7 +126,7 @@ class _Explainer:
     def _taken_back(self, term: Term) -> List[Line]:
         """Return such events that did happen and were taken back."""
         gone = [one for rev in self._kept for one in rev.takes_back or () if _is_instance(one.term, term)]
-        return [Line(f"{self._event(one)} was taken back", []) for one in gone[-_SHOWN:]]
+        return [Line(f"{self._event(one)} was retracted", []) for one in gone[-_SHOWN:]]
 
     def _alike(self, term: Term) -> List[Line]:
         """Return events of the same name that did happen."""
@@ -138,7 +138,7 @@ class _Explainer:
         if not found:
             return []
         shown = list(found)[-_SHOWN:]
-        return [Line(f"of this name there were {len(found)}", [Line(text, []) for text in shown])]
+        return [Line(f"{len(found)} of this name happened", [Line(text, []) for text in shown])]
 
     def _rule(self, rule: Any) -> str:
         place = "" if rule.place is None else f" ({rule.place.source}:{rule.place.line})"
@@ -173,12 +173,12 @@ def _why_not(rule: Any, part: Part, interval: Optional[Tuple[int, int]]) -> str:
     if interval is not None and not any((one.start, one.end) == interval for one in part.found):
         return "nowhere with that interval"
     if rule.window is not None and all(one.end - one.start > rule.window for one in part.found):
-        return f"all took longer than the window of its label, {timestamps.to_seconds(rule.window):g} seconds"
+        return f"all took longer than the window of the rule's label, {timestamps.to_seconds(rule.window):g} seconds"
     collected = [one for one in walk(rule.definition.pattern) if isinstance(one, Aggregate)]
     if any(deref(one.result).__class__ is not Var for one in collected):
-        return "with other results, or all of it was used up by other matches"
+        return "with other results, or other matches consumed all of it"
     return (
-        "all of it was used up by other matches, came in another order, had ended its window, or a goal after do "
+        "other matches consumed all of it, it came in another order, its window had ended, or a goal after do "
         "failed"
     )
 

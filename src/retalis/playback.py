@@ -148,7 +148,7 @@ class Playback:
             return error
         if not is_known and topic.type != kind:
             log.warning(
-                "topic %s is asked for as %s, which is unknown here; the bag has %s: taken under that name",
+                "topic %s is requested as %s, which is unknown here; the bag has %s, which is used instead",
                 topic.name,
                 kind,
                 topic.type,

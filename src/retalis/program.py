@@ -39,7 +39,7 @@ def topic_type(topic: str, kind: str) -> TopicType:
     """Return a topic and its type, as they came from outside.
 
     Raises:
-        UsageError: where one of them is no name that ROS allows.
+        UsageError: where one of them is not a name that ROS allows.
     """
     fault = topic_fault(topic) or type_fault(kind)
     if fault is not None:
@@ -100,12 +100,12 @@ class _TopicReader:
     def read(self) -> Topics:
         try:
             if len(self.text) > LARGEST:
-                raise SyntaxFault(f"the file has {len(self.text)} characters: at most {LARGEST} are taken")
+                raise SyntaxFault(f"the file has {len(self.text)} characters: at most {LARGEST} are allowed")
             self.parser.Parse(self.text, True)
         except SyntaxFault as fault:
             self.errors.append(fault)
         except expat.ExpatError as error:
-            message = f"this is no XML: {expat.errors.messages[error.code]}"
+            message = f"this is not XML: {expat.errors.messages[error.code]}"
             if self.open:
                 message += f"; <{self.open[-1][0][:SHOWN]}> of line {self.open[-1][1]} is not closed"
             self.errors.append(SyntaxFault(message, self.place(error.lineno, error.offset)))
@@ -123,18 +123,18 @@ class _TopicReader:
 
     def doctype(self, *declared: object) -> None:
         """Refuse what entities could be declared in: they make a large text of a few, or read other files."""
-        raise SyntaxFault("a document type (<!DOCTYPE ...>) is not taken", self.here())
+        raise SyntaxFault("a document type (<!DOCTYPE ...>) is not allowed", self.here())
 
     def element(self, tag: str, attributes: Dict[str, str]) -> None:
         place = self.here()
         if len(self.open) >= DEEPEST:
-            raise SyntaxFault(f"elements lie in each other more than {DEEPEST} deep", place)
+            raise SyntaxFault(f"elements are nested more than {DEEPEST} deep", place)
         tag = tag if tag in self.found else tag[:SHOWN]
         self.open.append((tag, place.line))
         if not self.inside:
             self.inside = True
             if tag != "publish_subscribe":
-                self.wrong(f"the root has to be <publish_subscribe>, found <{tag}>", place)
+                self.wrong(f"the root must be <publish_subscribe>, found <{tag}>", place)
             return
         if tag not in self.found:
             if "msg_type" in attributes:  # any other element only groups what is in it

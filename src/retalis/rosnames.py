@@ -42,4 +42,4 @@ def _fault(form: "re.Pattern[str]", text: str, expected: str) -> Optional[str]:
     if form.fullmatch(text):
         return None
     strange = _STRANGE.search(text)
-    return f"{problem}: {ascii(strange.group())} is no part of it" if strange else problem
+    return f"{problem}: {ascii(strange.group())} is not allowed in it" if strange else problem

@@ -29,7 +29,7 @@ DATIME6: Functor = functor("datime", 6)
 _DAY = 86_400
 _EPOCH_DAY = date(1970, 1, 1).toordinal()
 FIRST, LAST = (1 - _EPOCH_DAY) * _DAY * SECOND, (date.max.toordinal() + 1 - _EPOCH_DAY) * _DAY * SECOND
-"""The first instant of those that have a datime, and the first behind them."""
+"""The first instant of those that have a datime, and the first after them."""
 
 _FIELD_LIMITS = ((1, 9999), (1, 12), (1, 31), (0, 23), (0, 59))
 
@@ -74,7 +74,7 @@ def from_seconds(seconds: float) -> int:
     try:
         whole = int(seconds)
     except (ValueError, OverflowError):
-        raise UsageError(f"{seconds} is no number of seconds") from None
+        raise UsageError(f"{seconds} is not a number of seconds") from None
     return whole * SECOND + round((seconds - whole) * 1e9)
 
 

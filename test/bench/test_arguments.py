@@ -14,14 +14,14 @@ BENCH = Path(__file__).resolve().parents[2] / "bench"
     [
         ("events.py --from nofile", "there is no nofile"),
         ("events.py --json nofolder/figures.json", "there is no folder nofolder"),
-        ("curves.py --runs 0", "0 is no whole number above zero"),
+        ("curves.py --runs 0", "0 is not a whole number above zero"),
         ("engine.py --all --python nosuch", "there is no program nosuch"),
         ("engine.py --all --against nofolder", "there is no nofolder"),
         ("logic.py --one nosuch nrev", "there is no engine nosuch"),
         ("logic.py --one retalis nosuch", "there is no case nosuch"),
-        ("offline.py --seconds 0", "0 is no number above zero"),
-        ("offline.py --runs many", "many is no whole number above zero"),
-        ("node.py --speed fast", "fast is no number above zero"),
+        ("offline.py --seconds 0", "0 is not a number above zero"),
+        ("offline.py --runs many", "many is not a whole number above zero"),
+        ("node.py --speed fast", "fast is not a number above zero"),
         ("performance.py --ros nofile", "there is no nofile"),
     ],
 )

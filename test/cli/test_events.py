@@ -316,13 +316,13 @@ def test_explains_patterns_and_intervals(run):
         ("x <- heat(hall) fnot smoke(_).", "- cnot or fnot: ruled out by what must not happen"),
         ("x <- smoke(A) equals heat(A).", "- equals: no two of them have the same interval"),
         ("x <- gas or oil.", "- or: none of them"),
-        ("x <- smoke(garage) seq heat(hall) star_times.", "- star_times: it did not begin"),
+        ("x <- smoke(garage) seq heat(hall) star_times.", "- star_times: it did not start"),
         ("x <- heat(lab) seq aggregate(max(X),smoke(X),_).", "- max: nothing was collected"),
         ("x <- heat(lab) check (t1(S), S = 9).", "- check t1(A),A = 9: false for all"),
-        ("x <- smoke(hall) do fail.", "- but all of it was used up by other matches"),
+        ("x <- smoke(hall) do fail.", "- but other matches consumed all of it"),
         (
             "l([property(window, 2)]) : x <- smoke(hall) and heat(lab).",
-            "- but all took longer than the window of its label, 2 seconds",
+            "- but all took longer than the window of the rule's label, 2 seconds",
         ),
         (
             "x <- y(9). y(N) <- smoke(hall) seq aggregate(count,heat(_),N).",
@@ -365,9 +365,9 @@ def test_explains_what_was_taken_back(run):
     stream = STREAM + "event(rev(smoke(hall)),[9,9]).\n"
     lines = explained(run, "alarm(hall)", rules, stream)
     assert lines[0].endswith("did not happen")
-    assert "  alarm(hall) [1,2] was taken back" in lines
+    assert "  alarm(hall) [1,2] was retracted" in lines
     assert explained(run, "rev(alarm(_))", rules, stream)[1:] == [
-        "  rev(alarm(hall)) [9,9] takes back",
+        "  rev(alarm(hall)) [9,9] retracts",
         "    alarm(hall) [1,2]",
     ]
 
@@ -376,7 +376,7 @@ def test_explains_what_a_query_and_a_goal_have_made(run):
     rules = "synchronized(pose(X), true, []) <- b(X).\nnull do new_event(made(X), [1,1]) <- pose(X).\n"
     lines = explained(run, "made(3)", rules, "event(b(3),[2,2]).\n")
     texts = [line.split(" by")[0].strip() for line in lines[1:]]
-    assert texts[:2] == ["made(3) [1,1]", "pose(3) [2,2] was set free"]
+    assert texts[:2] == ["made(3) [1,1]", "pose(3) [2,2] was released"]
     assert texts[-1] == "b(3) [2,2] came from outside"
 
 
@@ -447,7 +447,7 @@ def test_with_nothing_to_do_it_says_what_is_missing(capsys):
     with pytest.raises(SystemExit) as caught:
         main(["events", "--json"])
     assert caught.value.code == 2
-    assert "there is nothing to do: give --rules, --goals, --stream or --queries" in capsys.readouterr().err
+    assert "nothing to do: give --rules, --goals, --stream or --queries" in capsys.readouterr().err
 
 
 def test_goals_of_a_stream_open_files_of_the_program_and_of_folders_that_are_named(

@@ -7,12 +7,12 @@ from events.refusals import errors_of, warnings_of
 @pytest.mark.parametrize(
     ("aggregate", "part"),
     [
-        ("aggregate(sum(Y), b(X), N)", "nothing gives Y a value, neither what sum collects"),
-        ("aggregate(max(X + Y), b(X), N)", "nothing gives Y a value"),
-        ("aggregate(avg(_), b(X), N)", "nothing gives a variable a value"),
+        ("aggregate(sum(Y), b(X), N)", "Y never gets a value: neither what sum collects"),
+        ("aggregate(max(X + Y), b(X), N)", "Y never gets a value"),
+        ("aggregate(avg(_), b(X), N)", "a variable never gets a value"),
         ("aggregate(min(foo), b(X), N)", "min needs numbers"),
         ("aggregate(sum(f(X)), b(X), N)", "sum needs numbers"),
-        ("aggregate(sum(Y), b(X) cnot c(Y), N)", "nothing gives Y a value"),
+        ("aggregate(sum(Y), b(X) cnot c(Y), N)", "Y never gets a value"),
     ],
 )
 def test_refused(aggregate, part):
@@ -29,9 +29,9 @@ def test_what_comes_later_gives_no_value():
 @pytest.mark.parametrize(
     ("aggregate", "column", "part"),
     [
-        ("aggregate(count, b(N), N)", 40, "N is both what comes in and the result of count"),
-        ("aggregate(sum(N), b(N), N)", 41, "N is both what comes in and the result of sum"),
-        ("aggregate(list(Y), b(X), N)", 27, "nothing gives Y a value"),
+        ("aggregate(count, b(N), N)", 40, "N is both a collected value and the result of count"),
+        ("aggregate(sum(N), b(N), N)", 41, "N is both a collected value and the result of sum"),
+        ("aggregate(list(Y), b(X), N)", 27, "Y never gets a value"),
     ],
 )
 def test_warned_of(aggregate, column, part):

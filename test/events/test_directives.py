@@ -14,7 +14,7 @@ from events.running import Program
         (":- (true ; fail), !, atom_length(_, _), true.", 22, "instantiated"),
         (":- true, (fail, 5), true.", 17, "callable"),
         ("?- true, atom_length(_, _).", 10, "instantiated"),
-        (":- d do no_such.", 4, "an event rule stands without the :- before it"),
+        (":- d do no_such.", 4, "an event rule is written without :- before it"),
         (":- use_module(no_such_file).", 4, "No such file"),
         (":- include(no_such_file).", 4, "No such file"),
     ],

@@ -320,7 +320,7 @@ def test_settings_allow_folders(place):
         assert was_read(engine)
     beside = engine_of(place, folders=(str(place / "out"),))
     assert "No permission" in told(lambda: beside.call(f"consult({outside})"))
-    with pytest.raises(RetalisError, match="expected several folders"):
+    with pytest.raises(RetalisError, match="expected a list of folders"):
         Engine(settings=Settings(folders="/data"))
 
 
@@ -359,7 +359,7 @@ def test_nothing_is_written_by_default(place):
     before = sorted(path.name for path in (place / "program").iterdir())
     _, (warning,) = persistent(place)
     assert warning.startswith(
-        "1 persistent events could not be written: there is no folder in which goals may write"
+        "1 persistent events could not be written: there is no folder that goals may write to"
     )
     assert sorted(path.name for path in (place / "program").iterdir()) == before
 

@@ -23,8 +23,8 @@ def test_they_are_errors_that_name_the_arrow(goal, key):
     with pytest.raises(ProgramErrors) as caught:
         engine.load(rules=f"c <- a.\nfact(1).\n  {goal}.\n")
     (error,) = caught.value.errors
-    assert error.message.startswith(f"a fact of {key} would take the place of the system's predicate")
-    assert "with :- before it" in error.message
+    assert error.message.startswith(f"a fact of {key} would replace the built-in predicate")
+    assert "write :- before a goal" in error.message
     assert (error.place.line, error.place.column) == (3, 3)
     assert not engine.call("catch(fact(1), _, fail)")
     assert engine.logic.is_of_system(next(k for k in engine.logic.names() if str(k) == key))

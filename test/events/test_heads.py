@@ -10,18 +10,18 @@ from retalis.clock import StreamClock
 @pytest.mark.parametrize(
     ("rule", "column", "part"),
     [
-        ("a seq b <- c.", 3, "seq is an operator of patterns"),
-        ("l : a and b <- c.", 7, "and is an operator of patterns"),
-        ("a 'SEQ' b <- c.", 3, "seq is an operator of patterns"),
-        ("a, b <- c.", 2, "write a rule for each"),
-        ("a(X) <- b(X), c(X) <- d(X).", 13, "write a rule for each"),
+        ("a seq b <- c.", 3, "seq is a pattern operator"),
+        ("l : a and b <- c.", 7, "and is a pattern operator"),
+        ("a 'SEQ' b <- c.", 3, "seq is a pattern operator"),
+        ("a, b <- c.", 2, "write one rule for each"),
+        ("a(X) <- b(X), c(X) <- d(X).", 13, "write one rule for each"),
         ("a ; b <- c.", 3, "not one of two"),
-        ("(a <- b) <- c.", 4, "no rule"),
+        ("(a <- b) <- c.", 4, "not a rule"),
         ("a do f do g <- c.", 3, "one do"),
         ("exceptionAlarm(5, 5) <- a.", 16, "the head of a rule is an event"),
-        ("exceptionAlarm(a seq b, 5) <- a.", 18, "operator of patterns"),
+        ("exceptionAlarm(a seq b, 5) <- a.", 18, "pattern operator"),
         ("exceptionAlarm(E, 5) <- a.", 1, "event of this alarm a value"),
-        ("exceptionAlarm(e, 1.0Inf) <- a.", 19, "no number of seconds"),
+        ("exceptionAlarm(e, 1.0Inf) <- a.", 19, "not a number of seconds"),
         ("exceptionAlarmAbsoluteDatime(e, datime(2020,13,1,0,0,0,0)) <- a.", 33, "no such date"),
         ("exceptionAlarmAbsoluteDatime(e, datime(2019,2,29,0,0,0)) <- a.", 33, "no such date"),
         ("exceptionAlarmAbsoluteDatime(e, datime(Y,2,30,0,0,0)) <- a(Y).", 33, "no such date"),
@@ -49,9 +49,9 @@ def test_refused(rule, column, part):
         ("exception_alarm(e, 5) <- a.", "did you mean exceptionAlarm("),
         ("a meets b <- c.", "in patterns meets is an operator"),
         ("a(X) where X > 1 <- c(X).", "in patterns where is an operator"),
-        ("X > 1 <- c(X).", "behind where"),
+        ("X > 1 <- c(X).", "after where"),
         ("synchronized(x, no_such(1), []) <- a.", "no predicate no_such/1"),
-        ("rev(a(X)) <- b.", "the very event that it names"),
+        ("rev(a(X)) <- b.", "exactly the event that it names"),
     ],
 )
 def test_warned_of(rule, part):
@@ -80,7 +80,7 @@ def test_an_alarm_in_the_past_is_warned_of_now_and_then():
     program.feed(" ".join(f"a@{at}" for at in range(1, 11)))
     found = [str(warning).split("\n")[0] for warning in program.warnings]
     assert [text.rsplit(" ", 3)[1] for text in found] == ["1", "2", "4", "8"]
-    assert "so it rings at once; 2 so far" in found[1] and "so it is an ordinary event; 8 so far" in found[3]
+    assert "so it fires at once; 2 so far" in found[1] and "so it is an ordinary event; 8 so far" in found[3]
     assert found[0].startswith(
         "text:1:1: rule exceptionAlarmAbsoluteDatime(e,3): the instant of its alarm is in the past"
     )
@@ -102,7 +102,7 @@ def test_what_is_taken_back_and_was_not_there_is_warned_of_now_and_then():
     found = [str(warning).split("\n")[0] for warning in program.warnings]
     assert [text.rsplit(" ", 3)[1] for text in found] == ["1", "2", "4", "8"]
     assert found[0] == (
-        "text:1:1: rule rev(a(X)): rev takes back nothing: no event a(1) is known that still holds; 1 so far"
+        "text:1:1: rule rev(a(X)): rev retracts nothing: no event a(1) that still holds is known; 1 so far"
     )
 
 

@@ -29,7 +29,7 @@ def errors_of(rules):
         ("c <- a and aggregate(count,b,_).", 12, "right side of a seq"),
         ("c <- a seq aggregate(median(X),b(X),_).", 22, "no such aggregate"),
         ("c <- a and prolog(true).", 12, "beside seq"),
-        ("c <- prolog(true) seq prolog(true).", 19, "waits for no event"),
+        ("c <- prolog(true) seq prolog(true).", 19, "does not wait for any event"),
         ("c <- 5 seq a.", 6, "not a number"),
         ('c <- a seq "b".', 12, "not a string"),
         ("c <- a or b or 7.", 16, "not a number"),
@@ -39,17 +39,17 @@ def errors_of(rules):
         ("c <- a event_multiply (f ; 5).", 28, "event_multiply needs a goal"),
         ("c do 5 <- a.", 6, "do needs a goal"),
         ("c <- a seq prolog(5).", 19, "prolog needs a goal"),
-        ("c <- a where X.", 14, "nothing gives X a goal"),
-        ("c <- a(X) where (X, Y).", 21, "nothing gives Y a goal"),
-        ("c do X <- a.", 6, "nothing gives X a goal"),
+        ("c <- a where X.", 14, "X never gets a goal"),
+        ("c <- a(X) where (X, Y).", 21, "Y never gets a goal"),
+        ("c do X <- a.", 6, "X never gets a goal"),
         ("5 <- a.", 1, "head of a rule"),
         ("X <- a.", 1, "head a value"),
         ("l : 5 <- a.", 5, "head of a rule"),
         ("exceptionAlarm(e,-1) <- a.", 18, "positive number"),
-        ("c < - a.", 1, "without a blank"),
+        ("c < - a.", 1, "without a space"),
         ("r([property(window,x)]) : c <- a.", 20, "number of seconds"),
         ("atom(x).", 1, "permission"),
-        ("c -> a.", 1, "arrow is written <-"),
+        ("c -> a.", 1, "the arrow of an event rule is <-"),
         (":- set_etalis_flag(garbage_control, all).", 4, "garbage_control takes off, general, pattern"),
         (":- set_etalis_flag(garbage_contrl, general).", 4, "did you mean garbage_control?"),
     ],
@@ -67,7 +67,7 @@ def test_a_pattern_that_is_too_deep_is_refused_at_its_place(pattern):
     with pytest.raises(ProgramErrors) as caught:
         program.engine.load(rules=f"b <- a.\nc <- {pattern}.")
     (error,) = caught.value.errors
-    assert (error.place.line, "too deep" in error.message) == (2, True)
+    assert (error.place.line, "too deeply" in error.message) == (2, True)
     assert program.feed("a@1") == "d@1-1"
 
 
@@ -79,8 +79,8 @@ def test_all_errors_at_once():
 @pytest.mark.parametrize(
     ("rule", "part"),
     [
-        ("c(X) <- a.", "bind X of the head"),
-        ("c(X, Y, Z) <- a(Y).", "bind X and Z of the head"),
+        ("c(X) <- a.", "bind X in the head"),
+        ("c(X, Y, Z) <- a(Y).", "bind X and Z in the head"),
         ("aggregate(x) <- a seq aggregate(count, b).", "aggregate takes 3"),
         ("exceptionAlarm(x) <- a.", "exceptionAlarm takes 2"),
         ("syncronized(x, true) <- a.", "syncronized takes 3"),

@@ -11,7 +11,7 @@ COMPARISONS = ["X > 1", "X =< 1", "X == 1", "X = 1", "X \\== 1", "Y is X + 1", "
 def test_a_comparison_in_the_place_of_a_pattern_is_an_event(text):
     ((line, column, message),) = warnings_of(f"% first\nc <- a(X) and {text}.")
     assert (line, column) == (2, 17)
-    assert message == "this is an event; a condition is written behind where"
+    assert message == "this is an event; a condition is written after where"
 
 
 @pytest.mark.parametrize(
@@ -19,7 +19,7 @@ def test_a_comparison_in_the_place_of_a_pattern_is_an_event(text):
     [
         ("c <- a and true.", 12, "true is an event here"),
         ("c <- fail or a.", 6, "fail is an event here"),
-        ("c <- [a, b(1)].", 6, "list of patterns is one event"),
+        ("c <- [a, b(1)].", 6, "list of patterns is a single event"),
         ("c <- a, b.", 7, "use and or seq"),
         ("c <- a(X), X > 1.", 10, "for a condition, where"),
         ("c <- a ; b.", 8, "use or"),
@@ -30,14 +30,14 @@ def test_a_comparison_in_the_place_of_a_pattern_is_an_event(text):
         ("c <- a cnot b.", 8, "no R ended before P started"),
         ("c <- (a and b) cnot d.", 16, "no R ended before P started"),
         ("c <- a seq (b cnot d).", 15, "no R ended before P started"),
-        ("c <- b <- a.", 8, "write it in brackets"),
-        ("l : c do true <- b <- a.", 20, "write it in brackets"),
-        ("a seq b.", 3, "event rule stands <-"),
+        ("c <- b <- a.", 8, "put it in brackets"),
+        ("l : c do true <- b <- a.", 20, "put it in brackets"),
+        ("a seq b.", 3, "an event rule has <-"),
         ("c :- a seq b.", 8, "the arrow of an event rule is <-"),
         ("c :- a where X > 1.", 8, "the arrow of an event rule is <-"),
         ("c <- a(X) where X > 1 within 3.", 23, "(Pattern where Goal) within"),
         ("c <- a(X) where X > 1 or b.", 23, "(Pattern where Goal) or"),
-        ("c do ins_event_rule(d <- a, b) <- a.", 6, "in brackets of its own"),
+        ("c do ins_event_rule(d <- a, b) <- a.", 6, "needs brackets of its own"),
     ],
 )
 def test_warned_of_at_its_place(rule, column, part):
@@ -69,8 +69,8 @@ def test_rules_that_come_at_run_time_are_warned_of_by_what_they_are():
     )
     program.feed("a@1 b@2")
     assert [str(warning) for warning in program.warnings] == [
-        "c<-a,b: a comma between patterns makes one event of them; use and or seq (for a condition, where)",
-        "d<-e;f: a semicolon between patterns makes one event of them; use or",
+        "c<-a,b: a comma between patterns makes them a single event; use and or seq (for a condition, where)",
+        "d<-e;f: a semicolon between patterns makes them a single event; use or",
     ]
     assert program.errors == []
 

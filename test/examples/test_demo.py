@@ -94,9 +94,9 @@ def test_report_of_a_bag_without_truth(demo, tmp_path, capsys):
     assert capsys.readouterr().out.splitlines() == [
         "4x4_1       1.000    2.000    3.000",
         "4x4_2    not located",
-        "1 of 2 markers located by 1 poses; the truth is not known",
+        "1 of 2 markers located by 1 poses; the true positions are not known",
         "4x4_1       1.000    2.000    3.000",
-        "1 of 1 markers located by 1 poses; the truth is not known",
+        "1 of 1 markers located by 1 poses; the true positions are not known",
     ]
 
 

@@ -208,7 +208,7 @@ def test_the_command(tmp_path):
     )
     again = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
     assert again.returncode == 1
-    assert again.stderr == f"make_bag.py: {output} exists already\n"
+    assert again.stderr == f"make_bag.py: {output} already exists\n"
     assert subprocess.run([*command, "--force"], capture_output=True, check=False, timeout=60).returncode == 0
 
 

@@ -387,7 +387,7 @@ def test_a_limit_of_a_caller_that_runs_out_meanwhile_is_that_of_the_caller(run, 
     (found,) = engine.query(goal)
     assert engine.show(found["R"]) == "time_limit_exceeded"
     assert names(engine) == ["done(1)"]
-    assert "the time limit of a call that led here has run out" in caplog.text
+    assert "the time limit of a calling goal has been reached" in caplog.text
 
 
 @pytest.mark.parametrize("goal", ["", "do noted(X) ", "do noted(X, T) "])

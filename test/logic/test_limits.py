@@ -249,7 +249,7 @@ def test_a_limit_that_runs_out_in_a_goal_of_a_rule_is_that_of_the_caller(
     (found,) = engine.query(goal)
     assert engine.show(found["R"]) == result
     assert seen == ["in", "seen"]
-    assert f"goal loop: the {kind} limit of a call that led here has run out" in caplog.text
+    assert f"goal loop: the {kind} limit of a calling goal has been reached" in caplog.text
 
 
 def test_a_limit_that_a_goal_of_a_rule_has_set_is_its_own(caplog):

@@ -39,7 +39,7 @@ def test_a_type_without_slots_is_an_atom():
     assert found.decode(b"") is atom("std_msgs__0__Empty")
     assert found.lazy(b"") is atom("std_msgs__0__Empty")
     assert found.functor is functor("std_msgs__0__Empty", 0)
-    with pytest.raises(MessageError, match="1 bytes are no std_msgs/Empty: 1 are left over"):
+    with pytest.raises(MessageError, match="1 bytes are not a std_msgs/Empty: 1 are left over"):
         found.decode(b"x")
 
 
@@ -112,19 +112,22 @@ def test_a_lazy_message_is_decoded_when_it_is_looked_at():
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        (b"", "0 bytes are no pkg/Type: they end in slot all"),
-        (struct.pack("<I", 1), "4 bytes are no pkg/Type: they end in slot all"),
+        (b"", "0 bytes are not a pkg/Type: they end inside slot all"),
+        (struct.pack("<I", 1), "4 bytes are not a pkg/Type: they end inside slot all"),
         (
             struct.pack("<I", 2) + header(1, 2, 3, b"ab") + bytes(8) + header(1, 2, 3, b"abc")[:-1],
-            "end in slot all[1].header.frame_id",
+            "end inside slot all[1].header.frame_id",
         ),
-        (struct.pack("<I", 1) + header(1, 2, 3, b"ab"), "end in slot all[0].x"),
+        (struct.pack("<I", 1) + header(1, 2, 3, b"ab"), "end inside slot all[0].x"),
         (
             struct.pack("<I", 1) + header(1, 2, 3, b"ab") + b"123456789",
-            "31 bytes are no pkg/Type: 1 are left over",
+            "31 bytes are not a pkg/Type: 1 are left over",
         ),
-        (struct.pack("<I", 2**32 - 1) + header(1, 2, 3, b"ab") + b"12345678", "end in slot all"),
-        (struct.pack("<IIIII", 1, 1, 2, 3, 2**32 - 1) + b"12345678", "end in slot all[0].header.frame_id"),
+        (struct.pack("<I", 2**32 - 1) + header(1, 2, 3, b"ab") + b"12345678", "end inside slot all"),
+        (
+            struct.pack("<IIIII", 1, 1, 2, 3, 2**32 - 1) + b"12345678",
+            "end inside slot all[0].header.frame_id",
+        ),
     ],
 )
 def test_broken_messages(data, message):
@@ -142,7 +145,7 @@ def test_every_cut_of_a_message_is_an_error():
     data += struct.pack("<I3s9fI6d", 3, b"abc", *range(9), 6, *range(6))
     found.decode(data)
     for size in range(len(data)):
-        with pytest.raises(MessageError, match="they end in slot|left over"):
+        with pytest.raises(MessageError, match="they end inside slot|left over"):
             found.decode(data[:size])
     with pytest.raises(MessageError, match="1 are left over"):
         found.decode(data + b"\0")
@@ -202,7 +205,7 @@ EMPTY = section("pkg/Empty", "")
     ],
 )  # fmt: skip
 def test_elements_without_bytes_are_bounded_in_number(text, data):
-    with pytest.raises(MessageError, match="elements without bytes in its arrays: at most 10000 are taken"):
+    with pytest.raises(MessageError, match="zero-byte elements in its arrays: at most 10000 are allowed"):
         decoder(text).decode(data)
 
 
@@ -210,15 +213,13 @@ def test_how_many_elements_without_bytes_is_a_setting():
     definitions = Definitions(Installed([], [], rosbags=False), bare=3)
     found = definitions.decoder(definitions.add("pkg/Type", "pkg/Empty[] x\n" + EMPTY))
     assert len(list_items(args(found.decode(struct.pack("<I", 3)))[0])) == 3
-    with pytest.raises(
-        MessageError, match="a pkg/Type has 4 elements without bytes in its arrays: at most 3"
-    ):
+    with pytest.raises(MessageError, match="a pkg/Type has 4 zero-byte elements in its arrays: at most 3"):
         found.decode(struct.pack("<I", 4))
-    with pytest.raises(MessageError, match="they end in slot x"):
+    with pytest.raises(MessageError, match="they end inside slot x"):
         found.decode(b"12")
 
 
 def test_a_long_array_is_refused_before_it_is_made():
     text = "pkg/Text[] x\n" + section("pkg/Text", "string s\n")
-    with pytest.raises(MessageError, match="they end in slot"):
+    with pytest.raises(MessageError, match="they end inside slot"):
         decoder(text).decode(struct.pack("<I", 0xFFFFFFFF) + bytes(64))

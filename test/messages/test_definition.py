@@ -125,7 +125,7 @@ def test_broken_sections():
     assert "expected 'MSG: pkg/Type'" in fault("int32 x\n" + "=" * 80 + "\nint32 y\n").message
     assert "expected 'MSG: pkg/Type'" in fault("int32 x\n" + "=" * 80 + "\n").message
     both = "int32 x\n" + ("=" * 80 + "\nMSG: a/B\nint8 {}\n") * 2
-    assert "a/B is defined twice, differently" in fault(both.format("x", "y")).message
+    assert "a/B is defined twice with different contents" in fault(both.format("x", "y")).message
     assert len(split_sections("pkg/Type", both.format("x", "x"))) == 2
 
 
@@ -162,11 +162,11 @@ TOO_MUCH = {
     "deep": (
         "pkg/T0 t\n" + "".join(section(f"pkg/T{n}", f"pkg/T{n + 1} a\n") for n in range(900))
         + section("pkg/T900", "int8 x\n"),
-        "types cannot lie in each other more than 50 deep",
+        "types cannot be nested more than 50 deep",
     ),
     "itself": ("pkg/A a\n" + section("pkg/A", "pkg/B b\n") + section("pkg/B", "pkg/A[] a\n"), "contains itself"),
     "types": ("".join(section(f"pkg/T{n}", "int8 x\n") for n in range(2000)), "more than 1000 types"),
-    "text": ("# " + "x" * (1 << 20), "has 1048578 characters: at most 1048576 are taken"),
+    "text": ("# " + "x" * (1 << 20), "has 1048578 characters: at most 1048576 are allowed"),
     "name": ("int8 " + "x" * 1000 + "\n", "longer than 255 characters"),
     "line": ("? " * 100_000, "expected 'type name'"),
 }  # fmt: skip
@@ -215,7 +215,7 @@ def test_ever_new_definitions_do_not_pile_up():
     assert len(known._nested) == len(known._added) == 1
     for number in range(999):
         known.add(f"pkg/T{number}", "int8 x\n")
-    with pytest.raises(MessageError, match="pkg/More is not taken: the definitions of 1000 message types"):
+    with pytest.raises(MessageError, match="pkg/More is refused: the definitions of 1000 message types"):
         known.add("pkg/More", "int8 x\n")
     assert known.add("pkg/T5", "int8 x\n") is known.find("pkg/T5")
 

@@ -161,7 +161,7 @@ def test_a_type_without_slots():
         ("string[]", make_list([atom("a"), 3]), "slot x[1]: expected a string, got 3"),
         ("uint8[2]", atom('"abc"'), "slot x: expected 2 elements (uint8[2]), got 3"),
         ("uint8[]", make_list([300]), "slot x[0]: expected uint8 from 0 to 255, got 300"),
-        ("uint8[]", 3, "slot x: expected a text or a list (uint8[]), got 3"),
+        ("uint8[]", 3, "slot x: expected a string or a list (uint8[]), got 3"),
         ("int8", Var(), "slot x: expected int8, got an unbound variable"),
         ("int8", (functor("f", 2), 1, 2), "slot x: expected int8, got f/2"),
         ("string", String("x" * 100), None),

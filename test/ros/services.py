@@ -150,7 +150,7 @@ class Services(unittest.TestCase):
     def test_a_taken_memory_is_an_error(self):
         self.assertEqual(self.add_memory("w(X)", "", "_", "twice", "5").result, "ok")
         taken = self.add_memory("w(X)", "", "_", "twice", "5")
-        self.assertEqual(taken.result, "error: there is a memory twice already")
+        self.assertEqual(taken.result, "error: a memory twice already exists")
         self.assertEqual(self.delete_memory("twice").result, "ok")
 
     def test_a_topic_without_a_type_is_warned_of(self):

@@ -125,5 +125,5 @@ def test_an_unknown_parameter_is_warned_of(monkeypatch):
     monkeypatch.setattr(rospy, "logwarn", lambda text, *values: warned.append(text % values))
     read_parameters(["node", "/some/package"])
     assert warned[0] == "there is no parameter ~max_second; did you mean ~max_seconds?"
-    assert warned[1].startswith("there is no parameter ~quick; there are ~program, ~direct, ")
+    assert warned[1].startswith("there is no parameter ~quick; the parameters are ~program, ~direct, ")
     assert len(warned) == 2

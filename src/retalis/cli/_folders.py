@@ -13,14 +13,14 @@ def add_folders(parser: Any) -> None:
         action="append",
         default=[],
         metavar="FOLDER",
-        help="goals of events, streams and queries may read files there, besides the program's own folder",
+        help="a further folder in which goals of events, streams and queries may read files",
     )
     parser.add_argument(
         "--write-folder",
         action="append",
         default=[],
         metavar="FOLDER",
-        help="goals may write files there, and read them; persistent events go into the first",
+        help="a folder in which goals may write and read files; persistent events go into the first",
     )
 
 

@@ -14,16 +14,16 @@ _OPTIONS = (
         float,
         None,
         "N",
-        "seconds that an event, goal or query may take with all that it starts",
+        "seconds that an event, goal or query may take, with everything that it starts",
     ),
-    ("--max-inferences", int, None, "N", "inferences that it may make"),
+    ("--max-inferences", int, None, "N", "inferences that it may take"),
     ("--max-megabytes", int, _MEGABYTES, "N", f"memory that it may take, in megabytes ({_MEGABYTES})"),
     (
         "--watchdog",
         float,
         None,
         "N",
-        "warn of what takes longer than so many seconds, with rule, goal and event",
+        "warn about anything that takes longer than this many seconds, naming rule, goal and event",
     ),
 )
 
@@ -31,7 +31,8 @@ _OPTIONS = (
 def add_limits(parser: Any) -> None:
     """Add the options to the parser of a command."""
     group = parser.add_argument_group(
-        "limits", "What is past one ends with a resource error, and the rest goes on; 0 is without limit."
+        "limits",
+        "Whatever exceeds a limit ends with a resource error, and the rest goes on; 0 means no limit.",
     )
     for name, kind, default, metavar, text in _OPTIONS:
         group.add_argument(name, type=_from_zero(kind), default=default, metavar=metavar, help=text)
@@ -40,7 +41,7 @@ def add_limits(parser: Any) -> None:
         type=_depth,
         default=Settings().max_depth,
         metavar="N",
-        help=f"how long a chain of events that lead to events may be ({Settings().max_depth})",
+        help=f"longest chain of events derived one from another ({Settings().max_depth})",
     )
 
 
@@ -56,7 +57,7 @@ def _from_zero(kind: Any) -> Callable[[str], Any]:
     def read(text: str) -> Any:
         number = _number(kind, text)
         if number is None or not number >= 0:
-            raise argparse.ArgumentTypeError(f"expected a number from 0 on, found {text}")
+            raise argparse.ArgumentTypeError(f"expected a number of 0 or more, found {text}")
         return number
 
     return read
@@ -65,7 +66,7 @@ def _from_zero(kind: Any) -> Callable[[str], Any]:
 def _depth(text: str) -> int:
     number = _number(int, text)
     if number is None or number < 1:
-        raise argparse.ArgumentTypeError(f"expected a whole number from 1 on, found {text}")
+        raise argparse.ArgumentTypeError(f"expected a whole number of 1 or more, found {text}")
     return int(number)
 
 

@@ -25,7 +25,7 @@ class Lines:
     def __init__(self, file: IO[str]):
         self._file = file
         self.rest = ""
-        """What stands behind the full stop in the line that was read last."""
+        """What stands after the full stop in the line that was read last."""
 
     def line(self, prompt: str) -> Optional[str]:
         """Return the next line, or None at the end."""
@@ -121,7 +121,7 @@ def completions(text: str, names: Iterable[str]) -> List[str]:
 def read_clause(lines: Union[Lines, Terminal], logic: Logic, prompt: str) -> Optional[Read]:
     """Return the next term that is typed or piped, a `SyntaxFault`, or None at the end.
 
-    What follows its full stop in the line is kept for the next one; behind an error it is left out.
+    What follows its full stop in the line is kept for the next one; after an error it is left out.
     """
     held, lines.rest = lines.rest, ""
     while True:

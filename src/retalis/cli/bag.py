@@ -36,13 +36,13 @@ def add_parser(commands: Any) -> None:
         metavar="FOLDER",
         help="folder with pub_sub.xml and goalPredicates.txt",
     )
-    parser.add_argument("--output", type=Path, metavar="BAG", help="write what is published into a bag")
+    parser.add_argument("--output", type=Path, metavar="BAG", help="write what is published to a bag")
     parser.add_argument(
         "--topic",
         action="append",
         default=[],
         metavar="TOPIC=TYPE",
-        help="a topic that becomes events, besides those in pub_sub.xml",
+        help="a topic to turn into events, in addition to those in pub_sub.xml",
     )
     parser.add_argument("--quiet", action="store_true", help="print no outputs")
     add_limits(parser)

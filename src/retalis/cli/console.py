@@ -52,8 +52,8 @@ def add_parser(commands: Any) -> None:
         metavar="FILE",
         help="files of rules and clauses, or a program's folder",
     )
-    add("--goal", "-g", action="append", default=[], metavar="GOAL", help="ask this and then end")
-    add("--most", type=int, default=1000, help="solutions shown of a goal that comes from a pipe (1000)")
+    add("--goal", "-g", action="append", default=[], metavar="GOAL", help="ask this goal, then exit")
+    add("--most", type=int, default=1000, help="solutions shown for a goal read from a pipe (1000)")
     add_limits(parser)
     parser.set_defaults(run=run)
 

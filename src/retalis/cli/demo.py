@@ -24,8 +24,10 @@ def add_parser(commands: Any) -> None:
         "was located last, beside its true position. Exit status 0 when all markers were located.",
     )
     parser.add_argument("--bag", type=Path, help="play this bag instead (made by examples/nao/make_bag.py)")
-    parser.add_argument("--seconds", type=_positive, default=20.0, help="length of the bag that is made (20)")
-    parser.add_argument("--seed", type=int, default=1, help="seed of the bag that is made (1)")
+    parser.add_argument(
+        "--seconds", type=_positive, default=20.0, help="length of the simulated bag in seconds (20)"
+    )
+    parser.add_argument("--seed", type=int, default=1, help="random seed of the simulated bag (1)")
     parser.set_defaults(run=run)
 
 
@@ -57,7 +59,7 @@ def run(options: argparse.Namespace) -> int:
             truth = truth_module.load(bag)
         except OSError as error:
             raise UsageError(
-                f"cannot read {error.filename}, which make_bag.py writes beside a bag"
+                f"cannot read {error.filename}, which make_bag.py writes next to a bag"
             ) from error
         located = locate(bag, folder.parent.parent / "application_source", report)
     comparisons = truth_module.compare(truth, located)
@@ -88,6 +90,4 @@ def example_folder() -> Path:
         for folder in (root / "examples" / "nao", root / "share" / "retalis" / "examples" / "nao"):
             if (folder / "make_bag.py").exists():
                 return folder
-    raise UsageError(
-        "the folder examples/nao is found neither in the source tree nor in an installed package"
-    )
+    raise UsageError("the folder examples/nao is neither in the source tree nor in an installed package")

@@ -33,7 +33,7 @@ MEMORY_EVENTS = frozenset(
 DESCRIPTION = """\
 Call the goals, load the rules, feed the stream, and print each event in the order in which it happened, as
 event(TERM,[T1,T2]). The stream is Prolog terms: event(TERM,[T1,T2])., event(TERM)., or any goal. The clock is the
-stream's: the stamp of an event moves it, the goal sleep(Seconds) moves it, alarms go by it. Errors go to standard
+stream's: event stamps and the goal sleep(Seconds) move it, and alarms follow it. Errors go to standard
 error with their place; the exit status is 1 if there was one.
 """
 JSON = """\
@@ -63,9 +63,9 @@ def add_parser(commands: Any) -> None:
         action="append",
         default=[],
         metavar="FILE",
-        help="goals called first, one a line",
+        help="goals called first, one per line",
     )
-    add("--stream", metavar="FILE", help="events and goals; - is standard input, read as it comes")
+    add("--stream", metavar="FILE", help="events and goals; - is standard input, read as it arrives")
     add("--outputs", metavar="FILE", help="write what subscribers get, as output(TERM,TOPIC,ID); - prints it")
     add("--queries", type=Path, metavar="FILE", help="goals whose solutions are printed at the end")
     add("--memory-events", action="store_true", help="print memory events too, as memory_event(TERM,[T1,T2])")
@@ -78,7 +78,7 @@ def add_parser(commands: Any) -> None:
         "with variables, or event(TERM,[T1,T2])",
     )
     add("--clock", metavar="TERM", help="pin the clock to an instant: datime(2001,1,1,0,0,0,0) or seconds")
-    add("--json", action="store_true", help="print one JSON object a line instead of terms")
+    add("--json", action="store_true", help="print one JSON object per line instead of terms")
     add_folders(parser)
     add_limits(parser)
     parser.set_defaults(run=run, wrong=parser.error)
@@ -87,7 +87,7 @@ def add_parser(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command; the status is 1 if there was an error."""
     if not (options.rules or options.goals or options.stream or options.queries or options.explain):
-        options.wrong("there is nothing to do: give --rules, --goals, --stream or --queries")
+        options.wrong("nothing to do: give --rules, --goals, --stream or --queries")
     report = Report().listen()
     with ExitStack() as stack:
         printer = Printer(options.json, options.memory_events, _opened(options.outputs, stack))
@@ -219,7 +219,7 @@ class Session:
                 else:
                     self._try(lambda item=item: self._step(item))
         except UnicodeDecodeError as error:
-            raise UsageError(f"the stream is no UTF-8 text: {error}") from error
+            raise UsageError(f"the stream is not UTF-8 text: {error}") from error
 
     def _step(self, item: Any) -> None:
         try:

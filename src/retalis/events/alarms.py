@@ -13,7 +13,7 @@ _LEAP_YEAR = 2000
 
 
 def alarm_of(head: Term, start: int, end: int) -> Optional[Tuple[Term, int, int]]:
-    """Return the event, its start and the instant at which it fires; None for a head that is no alarm.
+    """Return the event, its start and the instant at which it fires; None for a head that is not an alarm.
 
     An instant before the start is none: as in the original engine, the head is an ordinary event then.
 
@@ -40,7 +40,7 @@ def duration(term: Term) -> int:
     """Return the duration of an alarm in ns.
 
     Raises:
-        UsageError: where it is no positive number.
+        UsageError: where it is not a positive number.
     """
     seconds = deref(term)
     if seconds.__class__ not in (int, float) or not seconds > 0:
@@ -64,7 +64,7 @@ def require_alarm(head: Term) -> None:
         try:
             from_any(filled)
         except UsageError as error:
-            unknown = "there is no such date and time; " if _is_datime(filled) else ""
+            unknown = "no such date and time exists; " if _is_datime(filled) else ""
             raise UsageError(f"{unknown}{error.message}") from None
 
 

@@ -41,7 +41,7 @@ _FACTS = frozenset(
 )
 """Facts of these were meant as rules: they are the names of nothing else."""
 _DASH = functor("-", 2)
-TOO_DEEP = "the pattern is too deep: too many operators stand one in the other"
+TOO_DEEP = "the pattern is nested too deeply"
 
 
 class Step(NamedTuple):
@@ -125,7 +125,7 @@ class Checker:
     def _directive(self, term: Any, spot: Spot, place: Optional[Place]) -> None:
         goal, at = deref(term[1]), spot(term, 1) or place
         if is_rule(goal):
-            raise RuleError("an event rule stands without the :- before it", at)
+            raise RuleError("an event rule is written without :- before it", at)
         kind = _USING.get(goal[0]) if goal.__class__ is tuple else None
         if kind is None:
             self.steps.append(Step("directive", goal, at, goals_of(term, spot)))
@@ -142,15 +142,14 @@ class Checker:
             if wrong is not None:
                 raise wrong
             if head is RULE or _holds_label(deref(term[2])):
-                self._warn("this is no labelled rule (a rule has one label), so it is kept as a fact", place)
+                self._warn(
+                    "this is not a labelled rule (a rule has one label), so it is kept as a fact", place
+                )
         elif head in _FACTS:
-            self._warn(
-                "this is a fact; between head and pattern of an event rule stands <-", spot(term) or place
-            )
+            self._warn("this is a fact; an event rule has <- between head and pattern", spot(term) or place)
         elif head is _DASH and all(deref(side).__class__ in (Atom, tuple) for side in term[1:]):
             self._warn(
-                "this is a fact of -/2; between head and pattern of an event rule stands <-, before the body of a "
-                "clause :-",
+                "this is a fact of -/2; an event rule has <- between head and pattern, a clause :- before its body",
                 spot(term) or place,
             )
         elif head is _CLAUSE:
@@ -225,7 +224,7 @@ class Checker:
         """Warn of a rule in the place of a pattern that has no brackets: two arrows in a row."""
         inner, begin = deref(rule[2]), spot(rule, 2)
         if inner.__class__ is tuple and inner[0] in ARROWS and begin is not None and begin.character != "(":
-            self._warn("this is a rule inside the pattern of another; write it in brackets", spot(inner))
+            self._warn("this rule is inside the pattern of another; put it in brackets", spot(inner))
 
     def _goals(self, goals: List[Call], pattern: Any, spot: Spot, place: Optional[Place]) -> None:
         """Check what the goals of a rule call, and note it: what is not there may come with the rest of the file."""
@@ -234,9 +233,7 @@ class Checker:
             term = call.term
             if term.__class__ is Var and counts[term] == sum(one.term is term for one in goals):
                 name = self._names.get(term, "this variable")
-                raise RuleError(
-                    f"nothing gives {name} a goal to call", spot(call.parent, call.number) or place
-                )
+                raise RuleError(f"{name} never gets a goal to call", spot(call.parent, call.number) or place)
             self._called(call, spot, place)
 
     def _called(self, call: Call, spot: Spot, place: Optional[Place]) -> None:
@@ -256,9 +253,9 @@ class Checker:
             raise RuleError(f"nothing in the pattern gives {which} a value", place)
         if free:
             names = [self._names[var] for var in free if var in self._names]
-            which = f"{' and '.join(names)} of the head" if names else f"{len(free)} variable(s) of the head"
+            which = f"{' and '.join(names)} in the head" if names else f"{len(free)} variable(s) in the head"
             exactly = (
-                " (rev takes back the very event that it names)"
+                " (rev retracts exactly the event that it names)"
                 if head.__class__ is tuple and head[0] is _REV
                 else ""
             )
@@ -277,7 +274,7 @@ def nowhere(part: Term, number: int = 0) -> Optional[Place]:
 
 
 def _holds_label(term: Term) -> bool:
-    """Tell whether a term has the form of a label and something behind it."""
+    """Tell whether a term has the form of a label and something after it."""
     return term.__class__ is tuple and (term[0] is RULE or term[0] is COLON)
 
 
@@ -285,8 +282,8 @@ def _advice(goal: Any) -> str:
     """Return what was probably meant by a goal, where there is no such predicate."""
     name = SPELLINGS.get(goal[0])
     if name is not None:
-        return f"{name} is a part of the goal here; for the pattern it is written (Pattern where Goal) {name} ..."
-    return "a rule with a comma in it stands in brackets of its own" if goal[0] is _INSERT else ""
+        return f"{name} is part of the goal here; to apply it to the pattern, write (Pattern where Goal) {name} ..."
+    return "a rule that contains a comma needs brackets of its own" if goal[0] is _INSERT else ""
 
 
 def _name(term: Term) -> str:
@@ -308,9 +305,11 @@ def clause_error(logic: Any, term: Term) -> Optional[str]:
             return None
         head, _ = split_clause(copy(term))
         if head.__class__ is tuple and head[0] is _LESS and _is_negative(deref(head[2])):
-            return "this compares two terms; the arrow of an event rule is <-, without a blank"
+            return "this compares two terms; the arrow of an event rule is <-, without a space"
         logic.database.require_writable(head.functor if head.__class__ is Atom else head[0], "modify")
     except PrologError as error:
         is_near = term.__class__ is tuple and term[0] in _NEARLY_ARROWS
-        return error.message + ("; a rule's arrow is written <-, a clause's :-" if is_near else "")
+        return error.message + (
+            "; the arrow of an event rule is <-, that of a clause is :-" if is_near else ""
+        )
     return None

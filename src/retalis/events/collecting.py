@@ -25,7 +25,7 @@ def check_aggregate(
         pattern: of the rule.
         names: of the variables.
         spot: gives the places of parts of the term.
-        warn: takes what is no error but probably a mistake.
+        warn: takes what is not an error but probably a mistake.
 
     Raises:
         RuleError: where what it is given is never a number and has to be one.
@@ -38,17 +38,20 @@ def check_aggregate(
         free = [var for var in free if counts[var] == 1]
     if free:
         name = names.get(free[0], "a variable")
-        message = f"nothing gives {name} a value, neither what {part.kind} collects nor what is before it"
+        message = (
+            f"{name} never gets a value: neither what {part.kind} collects nor what comes before it binds it"
+        )
         error = RuleError(message, spot(deref(term[1])))
         if part.kind != "list":
             raise error
         warn(error)
     if part.value is not None and part.kind != "list" and not _may_be_number(part.value):
-        raise RuleError(f"{part.kind} needs numbers, or expressions of numbers", spot(deref(term[1])))
+        raise RuleError(f"{part.kind} needs numbers or arithmetic expressions", spot(deref(term[1])))
     if part.result.__class__ is Var and part.result in (collected | set(mentioned)) - first:
         name = names.get(part.result, "a variable")
         message = (
-            f"{name} is both what comes in and the result of {part.kind}, which fires where they are the same"
+            f"{name} is both a collected value and the result of {part.kind}, "
+            "which fires only where they are equal"
         )
         warn(RuleError(message, spot(term, 3)))
 

@@ -101,9 +101,7 @@ class Compiler:
         """Return the root of the network."""
         built = self._build(self.pattern, frozenset(), UNLIMITED)
         if built.deferred:
-            raise RuleError(
-                "a condition looks at variables that no pattern to its left binds", self.rule.place
-            )
+            raise RuleError("a condition uses variables that no pattern to its left binds", self.rule.place)
         for rank, leaf in enumerate(built.leaves):
             leaf.rank = rank
         for built_again, first in self.twins:
@@ -135,13 +133,13 @@ class Compiler:
             pairs.append((wrapping, inner))
             pattern = core.left
         built = self._build_core(core, wrapping, context, inner)
-        while pairs:  # a long sequence is no deep recursion
+        while pairs:  # a long sequence is not a deep recursion
             wrapping, inner = pairs.pop()
             built = self._joining(wrapping.core, wrapping, context, inner, built)
         return built
 
     def _build_core(self, core: Any, wrapping: _Wrapping, context: Names, inner: Limit) -> Built:
-        """Build what is no pair of patterns."""
+        """Build what is not a pair of patterns."""
         if isinstance(core, (Star, Aggregate)):
             return self._running(core, wrapping, context, inner)
         if isinstance(core, Occurs):
@@ -183,7 +181,7 @@ class Compiler:
         return node
 
     def _filtered(self, built: Built, wrapping: _Wrapping, context: Names) -> Built:
-        """Put the conditions of an event, ``or`` or action behind its node."""
+        """Put the conditions of an event, ``or`` or action after its node."""
         conditions, put_off = self._split(wrapping.conditions, wrapping.core, context)
         node = built.node
         for one in put_off:

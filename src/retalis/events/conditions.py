@@ -83,7 +83,7 @@ class Call:
             start: where the match starts; handed on.
             end: where it ends; handed on.
             ground: whether it is known that no value has variables.
-            solved: takes what was handed on, with the values that were found behind the others.
+            solved: takes what was handed on, with the values that were found after the others.
             after: the frame to go on with.
         """
         given = values if self._takes_all else tuple([values[at] for at in self.positions])

@@ -76,7 +76,7 @@ class Dispatcher:
             stage: when it is served.
             pattern: an atom, a compound term, or a variable for any event. It is copied.
             action: does its part and returns the frame to go on with, ``next`` if there is nothing more to do.
-            rank: place within the stage; by default behind all there are.
+            rank: place within the stage; by default after all there are.
             lane: does the same as ``action`` for an event without variables whose arguments are the
                 values, where nobody else listens; it may leave ``current`` to `event`.
             looks_on: whether ``action`` always returns the next frame; where all do so, it may leave ``current``
@@ -98,7 +98,7 @@ class Dispatcher:
         return listener
 
     def remove(self, listener: Listener) -> None:
-        """Take a listener away; removing it twice is no error."""
+        """Take a listener away; removing it twice is not an error."""
         group = self._listeners.get(listener.functor, {})
         if group.pop(listener, 0) is None:
             if not group:
@@ -161,7 +161,7 @@ class Dispatcher:
                 is served, which is made only where somebody listens.
 
         Raises:
-            UsageError: where the term is no event, the interval is reversed, or the chain of derived events
+            UsageError: where the term is not an event, the interval is reversed, or the chain of derived events
                 is too long.
         """
         if start > end:
@@ -238,7 +238,7 @@ class Dispatcher:
         return after
 
     def _too_deep(self) -> UsageError:
-        return UsageError(f"more than {self.max_depth} events were derived one from the other")
+        return UsageError(f"more than {self.max_depth} events were derived one from another")
 
     def _refuse_past_limits(self) -> None:
         """Raise an error where all is used up that what came in may use: it derives no more long chains of events."""

@@ -27,7 +27,7 @@ def fact_error(logic: Any, term: Term, defined: Set[Functor]) -> Optional[str]:
     if key is None or key in defined or not logic.is_of_system(key):
         return None
     return (
-        f"a fact of {key} would take the place of the system's predicate: a goal is written with :- before it; "
+        f"a fact of {key} would replace the built-in predicate: write :- before a goal; "
         f"to define a predicate of that name, declare it (:- dynamic {key}.)"
     )
 

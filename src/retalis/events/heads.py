@@ -20,7 +20,7 @@ def check_head(head: Term, spot: Spot, place: Optional[Place], warn: Callable[[R
         head: the head, without what it does.
         spot: gives the places of its parts.
         place: its own.
-        warn: takes what is no error but probably a mistake.
+        warn: takes what is not an error but probably a mistake.
 
     Raises:
         RuleError: for what never happens.
@@ -37,7 +37,7 @@ def check_head(head: Term, spot: Spot, place: Optional[Place], warn: Callable[[R
     if doubted is not None:
         warn(RuleError(doubted, place))
     if head[0] is _COLON:
-        warn(RuleError("this is an event with a colon in it: a rule has one label", place))
+        warn(RuleError("this is an event that contains a colon: a rule has one label", place))
     if head[0] in ALARMS:
         try:
             require_alarm(head)
@@ -57,7 +57,7 @@ def _check_query(head: Any, spot: Spot) -> None:
             raise RuleError(f"{head[0].name} needs a goal", spot(call.parent, call.number))
     items, rest = list_parts(head[3])
     if not (rest is NIL or rest.__class__ is Var) or not all(_may_be_pair(item) for item in items):
-        raise RuleError(f"{head[0].name} waits for a list of [Memory, Time]", spot(head, 3))
+        raise RuleError(f"{head[0].name} takes a list of [Memory, Time]", spot(head, 3))
 
 
 def _may_be_pair(term: Term) -> bool:

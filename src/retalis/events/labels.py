@@ -29,7 +29,7 @@ class Property(NamedTuple):
     def problem(self) -> Optional[str]:
         """What is wrong with it, or None."""
         if not self.known:
-            return f"there is no property {self.name}; there are {', '.join(KNOWN_PROPERTIES)}"
+            return f"there is no property {self.name}; the properties are {', '.join(KNOWN_PROPERTIES)}"
         if self.value.__class__ not in (int, float) or not (self.value >= 0 and isfinite(self.value)):
             return f"property {self.name} needs a number of seconds"
         return None

@@ -34,7 +34,7 @@ def least(one: Optional[int], other: Optional[int]) -> Optional[int]:
 
 
 def kept_for_late(span: Optional[int], limit: Optional[int]) -> Optional[int]:
-    """Return for how long what lies between two sides is kept where the first may come late; None for ever.
+    """Return for how long what lies between two sides is kept where the first may come late; None forever.
 
     The second side waits for ``limit``, and the two are no longer than ``span`` together, in ns.
     """

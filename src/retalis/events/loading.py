@@ -193,7 +193,10 @@ class Loader:
                 steps.append(step)
         for call in checker.untimed:
             if call.key not in defined and logic.is_of_system(call.key):
-                message = f"{call.key} holds in the goals of check only: write check for where, do or another"
+                message = (
+                    f"{call.key} is defined only in the goals of check: "
+                    "write check instead of where, do or another operator"
+                )
                 errors.append(RuleError(message, call.place))
         rules = self._compiled([*checker.rules, *checker.inner], errors)
         for warning in checker.warnings.with_rest():

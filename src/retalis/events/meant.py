@@ -23,18 +23,18 @@ _COMPARISONS = [
     "@=<",
     "@>=",
 ]
-_BEHIND = "a condition is written behind where"
+_BEHIND = "a condition is written after where"
 _CONDITION = f"this is an event; {_BEHIND}"
 _ALARM = "an alarm is a head; the event that follows it is its first argument"
 
 _MEANT: Dict[Any, str] = {
     functor(
         ",", 2
-    ): "a comma between patterns makes one event of them; use and or seq (for a condition, where)",
-    functor(";", 2): "a semicolon between patterns makes one event of them; use or",
-    functor("->", 2): "an arrow between patterns makes one event of them; use seq",
-    functor("\\+", 1): "what has not happened is written cnot or fnot; this is an event",
-    functor("not", 1): "what has not happened is written cnot or fnot; this is an event",
+    ): "a comma between patterns makes them a single event; use and or seq (for a condition, where)",
+    functor(";", 2): "a semicolon between patterns makes them a single event; use or",
+    functor("->", 2): "an arrow between patterns makes them a single event; use seq",
+    functor("\\+", 1): "the absence of an event is written with cnot or fnot; this is an event",
+    functor("not", 1): "the absence of an event is written with cnot or fnot; this is an event",
     functor("exceptionAlarm", 2): _ALARM,
     functor("exceptionAlarmAbsoluteDatime", 2): _ALARM,
     **{functor(name, 2): _CONDITION for name in _COMPARISONS},
@@ -48,7 +48,7 @@ _ARITIES = {
     "exceptionAlarm": 2,
     "exceptionAlarmAbsoluteDatime": 2,
 }
-"""How many arguments what is no event takes; with others it is one. Names that events may have are not here."""
+"""How many arguments what is not an event takes; with others it is one. Names that events may have are not here."""
 
 _FORMS = {"aggregate": "takes 3 arguments: aggregate(Kind, Pattern, Result)"}
 
@@ -65,9 +65,12 @@ _NO_EVENTS = frozenset(("seq", "and", "or", "cnot", "fnot", "forall_seq", "ntime
 """Operators whose names are those of no events; those of others may be, as ``meets(Ann, Bob)``."""
 _ONE = "the head of a rule is one event"
 _NO_HEADS = {
-    functor(",", 2): f"{_ONE}; write a rule for each",
+    functor(",", 2): f"{_ONE}; write one rule for each",
     functor(";", 2): f"{_ONE}, not one of two",
-    **{functor(name, 2): f"{_ONE}, no rule; a full stop is between rules" for name in ("<-", "iff", "IFF")},
+    **{
+        functor(name, 2): f"{_ONE}, not a rule; rules are separated by full stops"
+        for name in ("<-", "iff", "IFF")
+    },
 }
 
 
@@ -83,7 +86,7 @@ def doubt(term: Term) -> Optional[str]:
     if term[0] is CONS:
         items = list_items(term)
         if items is not None and all(deref(item).__class__ in (Atom, tuple) for item in items):
-            return "a list of patterns is one event; use and, or or seq between them"
+            return "a list of patterns is a single event; join them with and, or, or seq"
     return wrong_arity(term)
 
 
@@ -104,14 +107,14 @@ def head_error(head: Any, operator: Optional[str]) -> Optional[str]:
     if operator == "do":
         return "a head has one do: Head do (Goal, Goal)"
     if operator in _NO_EVENTS and head[0].name.isidentifier():
-        return f"{_ONE}; {operator} is an operator of patterns"
+        return f"{_ONE}; {operator} is a pattern operator"
     return _NO_HEADS.get(head[0])
 
 
 def head_doubt(head: Any, operator: Optional[str]) -> Optional[str]:
     """Return why a compound head, or what is that operator of patterns, was probably meant otherwise, or None."""
     if operator is not None:
-        return f"no pattern takes this event: in patterns {head[0].name} is an operator"
+        return f"no pattern can match this event: in patterns {head[0].name} is an operator"
     if len(head) == 3 and head[0].name in _COMPARISONS:
         return _CONDITION
     return wrong_arity(head) if head[0].name in _SPECIAL_NAMES else _alike(head)

@@ -125,7 +125,7 @@ class Rules:
         return list(self._rules)
 
     def add(self, definition: Definition) -> Rule:
-        """Add a rule behind all others; it sees later events only."""
+        """Add a rule after all others; it sees later events only."""
         rule = self.compile(definition)
         self.activate(rule)
         return rule
@@ -338,7 +338,7 @@ class Rules:
 
         if len(self.clock.alarms) >= self.cap:
             rule.alarms_dropped += 1
-            text = f": more than {self.cap} alarms are set; {rule.alarms_dropped} were dropped so far"
+            text = f": more than {self.cap} alarms are set; {rule.alarms_dropped} have been dropped so far"
             self._warn_seldom(rule, rule.alarms_dropped, text)
             return
         self.clock.call_at(instant, fire)
@@ -348,7 +348,7 @@ class Rules:
         if not is_absolute(head) or (alarm is not None and alarm[2] >= self.clock.now()):
             return
         rule.alarms_past += 1
-        then = "it is an ordinary event" if alarm is None else "it rings at once"
+        then = "it is an ordinary event" if alarm is None else "it fires at once"
         text = f": the instant of its alarm is in the past, so {then}; {rule.alarms_past} so far"
         self._warn_seldom(rule, rule.alarms_past, text)
 
@@ -358,7 +358,7 @@ class Rules:
         number = self.revs_of_nothing
         if number & (number - 1) == 0:
             who = "" if rule is None else f"{rule.name}: "
-            text = f"{who}rev takes back nothing: no event {self.logic.brief(term)} is known that still holds"
+            text = f"{who}rev retracts nothing: no event {self.logic.brief(term)} that still holds is known"
             place = None if rule is None else rule.place
             self.on_warning(RuleError(f"{text}; {number} so far", place))
 
@@ -376,7 +376,7 @@ class Rules:
 
     def dropped(self, rule: Rule) -> None:
         """Report that a rule has too many partial matches."""
-        text = f" has more than {self.cap} partial matches; {rule.dropped} of the oldest were dropped so far"
+        text = f" has more than {self.cap} partial matches; {rule.dropped} of the oldest have been dropped so far"
         self._warn_seldom(rule, rule.dropped, text)
 
     def _warn_seldom(self, rule: Rule, number: int, text: str) -> None:

@@ -120,8 +120,8 @@ STAR_TIMES = functor("star_times", 1)
 AGGREGATE = functor("aggregate", 3)
 ARROWS = frozenset(functor(name, 2) for name in ("<-", "iff", "IFF"))
 _NOT_INSIDE = (
-    "P cnot R above what is no sequence means that no R ended before P started (write fnot); that none was between "
-    "two events is (P seq Q) cnot R"
+    "P cnot R where P is not a sequence means that no R ended before P started (write fnot); for no R between "
+    "two events write (P seq Q) cnot R"
 )
 
 
@@ -130,7 +130,7 @@ class Reader:
 
     Args:
         place: gives the place of a subterm in the rule's text, or None.
-        warn: takes what is no error but probably a mistake.
+        warn: takes what is not an error but probably a mistake.
         anonymous: the variables ``_``: they stand once in the rule and have no name.
 
     Attributes:
@@ -179,9 +179,7 @@ class Reader:
         if name == "or":
             return self._alternatives(term)
         if name == "not":
-            raise self._error(
-                "there is no operator not; cnot and fnot say that something did not happen", term
-            )
+            raise self._error("there is no operator not; use cnot or fnot for the absence of an event", term)
         if name in ("cnot", "fnot"):
             return self._absence(name, term)
         if name == "ntimes":
@@ -216,7 +214,7 @@ class Reader:
         left_goal = self._called(left)
         right_goal = self._called(right)
         if left_goal is not None and right_goal is not None:
-            raise self._error("a sequence of two goals waits for no event", term)
+            raise self._error("a sequence of two goals does not wait for any event", term)
         if right_goal is not None:
             return Condition(self.read(term, 1), right_goal, False)
         if left_goal is not None:
@@ -239,7 +237,9 @@ class Reader:
         arity = len(kind) - 1 if kind.__class__ is tuple else 0
         if _AGGREGATES.get(name) != arity:
             known = "count, sum(X), min(X), max(X), avg(X), list(X)"
-            raise self._error(f"there is no such aggregate; there are {known}", kind if arity else term)
+            raise self._error(
+                f"there is no such aggregate; the aggregates are {known}", kind if arity else term
+            )
         collected = self._operand(term, 2, "aggregate")
         found = Aggregate(first, name, deref(kind[1]) if arity else None, collected, deref(term[3]))
         self.aggregates.append((found, term))

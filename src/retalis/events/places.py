@@ -221,7 +221,7 @@ class Place:
         return found
 
     def _behind(self, key: Any, order: int, newest: bool) -> Optional[Match]:
-        """Return the next match under a key behind one of an order, which may have gone."""
+        """Return the next match under a key after one of an order, which may have gone."""
         for match in reversed(self.with_key(key)) if newest else self.with_key(key):
             if match.order < order if newest else match.order > order:
                 return match

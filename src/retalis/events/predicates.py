@@ -262,7 +262,9 @@ class _Streams:
     def fire_list(self, machine: Any, arguments: Sequence[Term], after: Frame) -> Frame:
         goals = list_items(arguments[0])
         if goals is None:
-            self.rules.on_warning(UsageError("fire_event_list takes a list; one event is fired"))
+            self.rules.on_warning(
+                UsageError("fire_event_list takes a list; what it was given is fired as a single event")
+            )
             goals = [callable_of(arguments[0])]
         return self._each([copy(goal) for goal in goals], after)
 

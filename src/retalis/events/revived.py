@@ -36,7 +36,7 @@ class Keeping:
 
 
 def after_all(tracker: Any, came: int) -> bool:
-    """Tell whether what came then is no part of the event that is served: it is there after all, by a revision."""
+    """Tell whether what came then is not a part of the event that is served: it is there after all, by a revision."""
     return came < tracker.present()
 
 

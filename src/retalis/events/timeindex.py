@@ -170,7 +170,7 @@ class TimeIndex:
         """
         last = self._root.newest
         changes = -1
-        while self.changes != changes:  # begins again behind the last one, when there was a change
+        while self.changes != changes:  # begins again after the last one, when there was a change
             self.searched = changes = self.changes
             for match in self._within(limits, newest, beyond):
                 if match.order > last:

@@ -40,7 +40,7 @@ def compile_conditions(
 ) -> Optional[Callable[[Values], Behind]]:
     """Return a function of the values of ``names`` that returns what these conditions wait for.
 
-    It raises a `UsageError` as `behind` does. None is returned where a value may decide which memories they are.
+    It raises a `UsageError` as `after` does. None is returned where a value may decide which memories they are.
     """
     try:
         pairs = _pairs(logic, conditions)
@@ -112,7 +112,7 @@ def reach(time: Term) -> int:
     """Return the instant that a memory has to reach for a time condition.
 
     Raises:
-        UsageError: for what is no time.
+        UsageError: for what is not a time.
     """
     time = deref(time)
     if time.__class__ is float:

@@ -28,7 +28,7 @@ class Question:
         around: where it is asked.
         goal: the query; None where it has a solution always.
         inputs: places of the goal's inputs among the values.
-        build: makes the event from the values and, behind them, what the goal has given.
+        build: makes the event from the values and, after them, what the goal has given.
         unsolved: makes from the values alone what the event is before, for reports.
 
     Attributes:

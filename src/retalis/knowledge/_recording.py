@@ -20,7 +20,7 @@ from ..terms import (
 )
 
 Warn = Callable[..., None]
-"""Takes a warning as text and what kind it is: those of one kind are shown ever more seldom."""
+"""Takes a warning as text and what kind it is: those of one kind are shown at growing intervals."""
 
 Values = Tuple[Term, ...]
 Recording = Callable[[Term, Values, bool], Optional[Term]]

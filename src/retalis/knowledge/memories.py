@@ -72,13 +72,13 @@ class Memories:
         """Make a memory of ``Pattern, Conditions, Record, Id, Size`` and return the frame that tells of it.
 
         Raises:
-            PrologError: for a taken id or arguments that are no memory.
+            PrologError: for a taken id or arguments that are not a memory.
         """
         definition = copy(definition)
         pattern, conditions, form, name, size = (deref(part) for part in definition[1:])
         key = key_of(name)
         if key in self.instances:
-            raise permission_error("create", "memory", name, "there is one already")
+            raise permission_error("create", "memory", name, "one already exists")
         if size.__class__ is not int:
             raise type_error("integer", size)
         if size < 0:
@@ -158,7 +158,7 @@ class Memories:
             return self._dispatcher.dispatch(update, instant, instant, after)
         except UsageError as error:
             self._problem(
-                f"the update of memory {self._logic.brief(update[1])} is not told: {error}", UPDATED
+                f"the update of memory {self._logic.brief(update[1])} is not reported: {error}", UPDATED
             )
             return after
 

@@ -38,14 +38,14 @@ class Subscriptions:
         """Add a subscription of ``Pattern, Conditions, Format, Topic, Id``.
 
         Raises:
-            PrologError: for a taken key or arguments that are no subscription.
+            PrologError: for a taken key or arguments that are not a subscription.
         """
         definition = copy(definition)
         pattern, conditions, form, topic, name = (deref(part) for part in definition[1:])
         topic_text = self._topic(topic)
         key = (topic_text, key_of(name))
         if key in self._listeners:
-            raise permission_error("create", "subscription", (MINUS, topic, name), "there is one already")
+            raise permission_error("create", "subscription", (MINUS, topic, name), "one already exists")
         shape, _ = recording(
             self._logic,
             self._dispatcher,

@@ -195,7 +195,9 @@ class WaitingQueries:
             if any(instance not in there for instance, _ in missing):
                 self._all.pop(order)
                 event = waiting[1].event(waiting[2])
-                self._warn(f"{self._logic.brief(event)} is dropped: a memory is deleted", ("deleted", None))
+                self._warn(
+                    f"{self._logic.brief(event)} is dropped: its memory was deleted", ("deleted", None)
+                )
                 continue
             while len(missing) > 1 and missing[-1][0].has(missing[-1][1]):
                 missing.pop()
@@ -235,7 +237,8 @@ class WaitingQueries:
             named = ", ".join(show(event) for event in dropped[:NAMED])
             more = f" and {len(dropped) - NAMED} more" if len(dropped) > NAMED else ""
             self._warn(
-                f"the memory {show(instance.id)} is deleted; dropped is what waits for it: {named}{more}",
+                f"the memory {show(instance.id)} was deleted; "
+                f"dropped are the events that waited for it: {named}{more}",
                 ("deleted", instance),
             )
 

@@ -1,7 +1,7 @@
 """Arithmetic: the evaluable functions, and the evaluation of an expression that is known only at run time.
 
 Integers are unbounded; `/` of integers is an integer where it is exact and a float otherwise; an operation
-on floats whose result is no finite number raises, as SWI-Prolog does with its default flags.
+on floats whose result is not a finite number raises, as SWI-Prolog does with its default flags.
 """
 
 import math

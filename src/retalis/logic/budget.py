@@ -61,7 +61,7 @@ class Budget:
         self.limited = self._bounded and self.turn is None
 
     def count_for(self, turn: Any) -> None:
-        """Take the pieces of work of a turn (see `turn`) for entries; ``turn.follow`` does something behind one."""
+        """Take the pieces of work of a turn (see `turn`) for entries; ``turn.follow`` does something after one."""
         self.turn = turn
         self.limited = False
         watch_for(self)

@@ -64,7 +64,7 @@ class LimitPassed(LimitError):
     def message(self) -> str:  # type: ignore[override]
         """What went wrong, as text."""
         if self.open:
-            return f"the {self.kind} limit of a call that led here has run out"
+            return f"the {self.kind} limit of a calling goal has been reached"
         return super().message
 
     def close(self) -> None:

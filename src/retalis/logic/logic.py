@@ -138,7 +138,7 @@ class Logic:
 
         It unifies before each yield; the bindings are undone before it goes on. What it binds for a
         solution that does not work out it has to undo itself: `Machine.unify_all` does. Yielding `LAST`
-        says that there are no more solutions. A function that is no generator may return a bool instead of
+        says that there are no more solutions. A function that is not a generator may return a bool instead of
         one, as a deterministic predicate does, where the arguments leave at most one solution: that costs a
         fraction of a generator.
 
@@ -223,7 +223,7 @@ class Logic:
         """Add a clause (its variables are copied); DCG rules are translated.
 
         Raises:
-            PrologError: where the term is no clause, or belongs to a predicate of the system.
+            PrologError: where the term is not a clause, or belongs to a predicate of the system.
         """
         term = deref(term)
         if term.__class__ is tuple and term[0] is _ARROW:
@@ -416,7 +416,7 @@ def split_clause(term: Term) -> Tuple[Term, Term]:
     """Return head and body of a clause.
 
     Raises:
-        PrologError: instantiation and type errors where the term is no clause.
+        PrologError: instantiation and type errors where the term is not a clause.
     """
     head: Term = term
     body: Term = TRUE

@@ -154,7 +154,7 @@ class Machine:
     def error(self, exc: Exception, frame: Frame, mark: int) -> PrologError:
         """Return the error of an exception that a step outside of a run raised, and take back its bindings.
 
-        What is no error of the program is raised again.
+        What is not an error of the program is raised again.
         """
         try:
             self._handle(exc, frame, len(self.choices))
@@ -188,7 +188,7 @@ class Machine:
                     self.idle = (0, 0)
                 if len(choices) != height or choices[base] is not stop:
                     raise RetalisError(
-                        "solutions of an outer goal were asked for while an inner goal is open"
+                        "solutions of an outer goal were requested while an inner goal is still open"
                     )
                 frame = None
         finally:

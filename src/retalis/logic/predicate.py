@@ -88,7 +88,7 @@ class Predicate:
 
     @property
     def defined(self) -> bool:
-        """Tell whether calling it is no existence error."""
+        """Tell whether calling it is not an existence error."""
         return self.kind != "undefined" or self.dynamic
 
     @property

@@ -110,7 +110,7 @@ def _bytes(slot: Field, term: Term, path: str) -> bytes:
         for index, item in enumerate(_items(slot, value, path)):
             _single(slot._replace(length=None), item, f"{path}[{index}]", chunks)
         return b"".join(chunks)
-    raw = _text(value, path, f"a text or a list ({slot.describe()})")
+    raw = _text(value, path, f"a string or a list ({slot.describe()})")
     _check_length(slot, len(raw), path)
     return raw
 

@@ -136,9 +136,9 @@ def _add_section(sections: Dict[str, str], name: str, lines: List[str]) -> None:
     text = "\n".join(lines) + "\n" if lines else ""
     known = sections.setdefault(name, text)
     if known.split() != text.split():
-        raise MessageError(f"{name[:SHOWN]} is defined twice, differently")
+        raise MessageError(f"{name[:SHOWN]} is defined twice with different contents")
     if len(sections) > MOST_SECTIONS:
-        raise MessageError(f"a definition cannot bring more than {MOST_SECTIONS} types")
+        raise MessageError(f"a definition cannot contain more than {MOST_SECTIONS} types")
 
 
 def parse(name: str, text: str, find: Callable[[str, str], Definition], source: str = "") -> Definition:
@@ -172,7 +172,9 @@ class _Reader:
         try:
             self.text.encode()
         except UnicodeEncodeError as error:
-            raise self._error("half a character, which no file can hold", error.start) from None
+            raise self._error(
+                "half a surrogate pair, which cannot be stored in a file", error.start
+            ) from None
         for offset, line in _lines(self.text):
             self._line(offset, line)
         return tuple(self.fields.values()), tuple(self.constants.values())

@@ -18,20 +18,20 @@ def element_size(slot: Field) -> Optional[int]:
 
 
 def explain(definition: Definition, data: bytes) -> str:
-    """Say why bytes are no message of a type."""
+    """Say why bytes are not a message of a type."""
     size = len(data)
     try:
         end = _Walk(data).end(definition, 0, "")
     except _Cut as cut:
-        return f"{size} bytes are no {definition.name}: they end in slot {beginning(cut.path)}"
-    return f"{size} bytes are no {definition.name}: {size - end} are left over"
+        return f"{size} bytes are not a {definition.name}: they end inside slot {beginning(cut.path)}"
+    return f"{size} bytes are not a {definition.name}: {size - end} are left over"
 
 
 def check_bare(definition: Definition, data: bytes, most: int) -> None:
     """Count the elements without bytes in a message: their number is all that there is of them.
 
     Raises:
-        MessageError: where there are too many, or the bytes are no message.
+        MessageError: where there are too many, or the bytes are not a message.
     """
     walk = _Walk(data)
     try:
@@ -40,7 +40,7 @@ def check_bare(definition: Definition, data: bytes, most: int) -> None:
         raise MessageError(explain(definition, data)) from None
     if walk.bare > most:
         raise MessageError(
-            f"a {definition.name} has {walk.bare} elements without bytes in its arrays: at most {most} are taken"
+            f"a {definition.name} has {walk.bare} zero-byte elements in its arrays: at most {most} are allowed"
         )
 
 

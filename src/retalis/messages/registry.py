@@ -64,7 +64,7 @@ class Definitions:
             md5sum: the checksum that came with the text; it is compared where it is given and is not ``*``.
 
         Raises:
-            MessageError: for a text that is no definition or too long, that names a type found nowhere, or that
+            MessageError: for a text that is not a definition or too long, that names a type found nowhere, or that
                 has another checksum; where too many types were added.
         """
         definition = self._read(name, text, md5sum)
@@ -76,7 +76,7 @@ class Definitions:
         """Return the type that a text defines, and keep it only to be found again by the same text."""
         if len(text) > LONGEST_TEXT:
             raise MessageError(
-                f"the definition of {beginning(name)} has {len(text)} characters: at most {LONGEST_TEXT} are taken"
+                f"the definition of {beginning(name)} has {len(text)} characters: at most {LONGEST_TEXT} are allowed"
             )
         definition = self._by_text.get((name, text))
         if definition is None:
@@ -84,8 +84,8 @@ class Definitions:
             self._by_text.keep((name, text), definition, 2 * len(text) + _SLOT * definition.measure.slots)
         if md5sum not in ("", "*", definition.md5sum):
             raise MessageError(
-                f"the definition of {name} that came with the messages is not theirs: "
-                f"its checksum is {definition.md5sum}, theirs {md5sum}"
+                f"the definition of {name} that came with the messages does not match theirs: "
+                f"its checksum is {definition.md5sum}, theirs is {md5sum}"
             )
         return definition
 
@@ -97,8 +97,8 @@ class Definitions:
         """
         if len(self._added) >= MOST_TYPES or self._characters + characters > MOST_TEXT:
             raise MessageError(
-                f"{definition.name} is not taken: the definitions of {len(self._added)} message types were taken, "
-                f"with {self._characters} characters (at most {MOST_TYPES}, with {MOST_TEXT})"
+                f"{definition.name} is refused: the definitions of {len(self._added)} message types "
+                f"are held already, with {self._characters} characters (at most {MOST_TYPES}, with {MOST_TEXT})"
             )
         self._characters += characters
         self._added[definition.name] = definition
@@ -197,7 +197,7 @@ class _Resolver:
             if name in self.open:
                 raise MessageError(f"{name} contains itself")
             if len(self.open) > DEEPEST:
-                raise MessageError(f"types cannot lie in each other more than {DEEPEST} deep")
+                raise MessageError(f"types cannot be nested more than {DEEPEST} deep")
             self.open.add(name)
             try:
                 found = self.done[name] = self.read(name)
@@ -224,7 +224,7 @@ class _Resolver:
         if name in _SAME:
             return self.resolve(_SAME[name]).renamed(name)
         raise MessageError(
-            f"no definition of the message type {beginning(name)} is installed or was received"
+            f"no definition of the message type {beginning(name)} is installed or has been received"
         )
 
     def _nested(self, written: str, package: str) -> Definition:

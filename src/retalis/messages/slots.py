@@ -103,9 +103,11 @@ class Measure(NamedTuple):
     def problem(self) -> str:
         """Return what is too much; an empty text where nothing is."""
         if self.slots > MOST_SLOTS:
-            return f"a type cannot have more than {MOST_SLOTS} slots, those of the types in it included"
+            return (
+                f"a type cannot have more than {MOST_SLOTS} slots, including those of the types it contains"
+            )
         if self.depth > DEEPEST:
-            return f"types cannot lie in each other more than {DEEPEST} deep"
+            return f"types cannot be nested more than {DEEPEST} deep"
         if self.least > LARGEST:
             return f"a message cannot have more than {LARGEST} bytes"
         return ""

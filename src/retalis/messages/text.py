@@ -61,7 +61,7 @@ def text_bytes(term: Term) -> Optional[bytes]:
         return name.encode("utf-8", "surrogateescape")
     except UnicodeEncodeError as error:
         raise MessageError(
-            f"expected a text, got one with the code point {ord(name[error.start]):#x}"
+            f"expected bytes as text, got the code point {ord(name[error.start]):#x}"
         ) from None
 
 

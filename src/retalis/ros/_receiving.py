@@ -111,7 +111,7 @@ class Pace:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVLOWAT, least)
             self.least = least
         except OSError as error:  # it has been closed, which the next read tells
-            rospy.logdebug("a connection's pace stays: %s", error)
+            rospy.logdebug("the receive rate of a connection stays as it was: %s", error)
 
 
 class Reader:
@@ -179,7 +179,7 @@ class Reader:
             except OSError as error:
                 raise TransportTerminated(f"cannot receive: {error}") from error
             if not data:
-                raise TransportTerminated("the sender has closed the connection")
+                raise TransportTerminated("the sender closed the connection")
         received = len(data)
         link.stat_bytes += received
         if parts:

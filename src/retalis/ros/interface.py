@@ -97,7 +97,7 @@ class Interface:
             raise UsageError(f"topic {topic} is subscribed by node retalis itself (its parameter ~direct)")
         with self._lock:
             if name in self._inputs:
-                raise UsageError(f"topic {topic} is subscribed already (as {self._inputs[name].kind})")
+                raise UsageError(f"topic {topic} is already subscribed (as {self._inputs[name].kind})")
             self._inputs[name] = Input(
                 self._definitions,
                 name,
@@ -147,7 +147,7 @@ class Interface:
             known = self._outputs.get(name)
             if known is not None:
                 if known[1].definition.name != kind:
-                    raise UsageError(f"topic {topic} has the type {known[1].definition.name} already")
+                    raise UsageError(f"topic {topic} already has the type {known[1].definition.name}")
                 return
             outlet = Outlet(name, raw_class(definition), self._queue, self._reports)
             self._outputs[name] = (outlet, self._definitions.encoder(definition))
@@ -240,7 +240,7 @@ class Input:
         """Note who takes the messages of a connection; its header is kept, so that its id stays its own."""
         try:
             take = self._one_by_one(self._taker(self._learn(header)))
-        except Exception as error:  # rospy would try again at once, and for ever
+        except Exception as error:  # rospy would try again at once, and forever
             if not isinstance(error, MessageError):
                 self._reports.error(error)
             reason = getattr(error, "message", "internal error")
@@ -271,7 +271,7 @@ class Input:
         )
         if not is_known and sent != self.kind:
             rospy.logwarn(
-                "topic %s is subscribed as %s, which is unknown here; %s publishes %s: taken under that name",
+                "topic %s is subscribed as %s, which is unknown here; %s publishes %s, which is used instead",
                 self._name,
                 self.kind,
                 printable(beginning(header.get("callerid", "somebody"))),
@@ -284,12 +284,12 @@ def resolve(topic: str) -> str:
     """Return the full name of a topic, remapping and namespace applied.
 
     Raises:
-        UsageError: where it is no name.
+        UsageError: where it is not a name.
     """
     fault = topic_fault(topic.strip())
     if fault is not None or not topic.strip(" /"):
-        raise UsageError(fault or f'"{topic}" is no topic name')
+        raise UsageError(fault or f'"{topic}" is not a topic name')
     try:
         return str(rospy.resolve_name(topic.strip()))
     except (ValueError, rospy.ROSException) as error:
-        raise UsageError(f'"{topic}" is no topic name: {error}') from error
+        raise UsageError(f'"{topic}" is not a topic name: {error}') from error

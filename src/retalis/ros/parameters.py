@@ -100,7 +100,7 @@ def _warn_of_unknown() -> None:
     for name in rospy.get_param("~", {}):
         if name not in KNOWN:
             meant = get_close_matches(name, KNOWN, 1)
-            hint = f"did you mean ~{meant[0]}?" if meant else f"there are ~{', ~'.join(KNOWN)}"
+            hint = f"did you mean ~{meant[0]}?" if meant else f"the parameters are ~{', ~'.join(KNOWN)}"
             rospy.logwarn("there is no parameter ~%s; %s", printable(beginning(name)), hint)
 
 
@@ -173,7 +173,7 @@ def _limit(name: str, kind: Any, default: Any) -> Any:
     value = rospy.get_param(name, default)
     if isinstance(value, bool) or not isinstance(value, (int, kind)) or not value >= 0:
         raise UsageError(
-            f"parameter {name}: expected a number from 0 on (0 is without limit), found {value!r}"
+            f"parameter {name}: expected a number of 0 or more (0 means no limit), found {value!r}"
         )
     return kind(value) or None
 

@@ -55,7 +55,7 @@ class EngineServices:
             topic, key = name(request.topic, "topic"), name(request.id, "id")
             if self._engine.knowledge.subscriptions.has(topic, key):
                 raise UsageError(
-                    f"there is a subscription {shown(request.id)} of topic {shown(request.topic)} already"
+                    f"a subscription {shown(request.id)} of topic {shown(request.topic)} already exists"
                 )
             self._add(request, "subscribe", topic, key)
             self._warn_of_type(request.topic.strip())
@@ -70,7 +70,8 @@ class EngineServices:
             typed = False
         if not typed:
             rospy.logwarn(
-                "topic %s has no type: %s has no <publish_to> of that name; its events come as text on %s only",
+                "topic %s has no type: %s has no <publish_to> of that name; "
+                "its events are published only as text on %s",
                 printable(beginning(topic)),
                 TOPICS,
                 OUTPUT,
@@ -80,7 +81,7 @@ class EngineServices:
         def work() -> None:
             key, size = name(request.id, "id"), self._size(request.size)
             if self._engine.knowledge.memories.find(key) is not None:
-                raise UsageError(f"there is a memory {shown(request.id)} already")
+                raise UsageError(f"a memory {shown(request.id)} already exists")
             self._add(request, "memorize", key, size)
 
         return answer(lambda: self._engine.do(work))
@@ -117,7 +118,7 @@ class EngineServices:
         free = [name for name, var in names.items() if var in variables(form) and var not in bound]
         if free and not isinstance(form, Var):
             rospy.logwarn(
-                "%s %s: nothing in event and conditions gives %s of the format a value",
+                "%s %s: nothing in event or conditions gives %s in the format a value",
                 goal,
                 shown(request.id),
                 " and ".join(free),
@@ -151,7 +152,7 @@ class EngineServices:
         except ValueError:
             raise UsageError(f'size: expected a whole number, found "{beginning(text)}"') from None
         if size < 0:
-            raise UsageError(f"size: expected a whole number from 0 on, found {size}")
+            raise UsageError(f"size: expected a whole number of 0 or more, found {size}")
         return size
 
     def _call(self, goal: Term) -> None:

@@ -163,7 +163,7 @@ def _number(text: str) -> Any:
 
 
 def _builder(skeleton: str, operators: Operators) -> Optional[Builder]:
-    """Compile the function that builds the terms of a skeleton; None where a part is no plain argument."""
+    """Compile the function that builds the terms of a skeleton; None where a part is not a plain argument."""
     skeleton = _JOINTS.sub(r"\1\0", skeleton)
     if len(_ALONE.findall(skeleton)) != skeleton.count("'") + skeleton.count('""'):
         return None

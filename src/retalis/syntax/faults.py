@@ -18,13 +18,13 @@ _ELSEWHERE = {
     "=>": '"greater or equal" is written >=, a rule\'s arrow <-',
     "!=": '"not equal" is written \\== (or =\\= for numbers)',
     "<>": '"not equal" is written \\== (or =\\= for numbers)',
-    "&&": 'goals are joined by "," and patterns by "and"',
-    "&": 'goals are joined by "," and patterns by "and"',
-    "||": 'alternatives are joined by ";" in goals and by "or" in patterns',
-    "#": 'in a goal "#" is no operator',
-    "not": "a goal is negated by \\+; what has not happened is written cnot or fnot",
+    "&&": 'goals are joined with "," and patterns with "and"',
+    "&": 'goals are joined with "," and patterns with "and"',
+    "||": 'alternatives are joined with ";" in goals and with "or" in patterns',
+    "#": '"#" is not an operator in a goal',
+    "not": "a goal is negated with \\+; the absence of an event is written with cnot or fnot",
     "<--": "a rule's arrow is written <-",
-    ".": "a full stop ends a clause only where a blank or a new line follows; a number needs digits on both"
+    ".": "a full stop ends a clause only where a space or a new line follows; a number needs digits on both"
     " sides of its point",
 }
 """Operators of other languages."""
@@ -52,10 +52,10 @@ def _operand_hint(parser: "Open", token: AnyToken) -> str:
     before = _before(parser)
     if before is not None and before[0] == ",":
         if token[0] == END:
-            return "a clause ends in a full stop without a comma before it"
-        return "is a comma too much before it?"
+            return "a clause ends with a full stop, without a comma before it"
+        return "is the comma before it superfluous?"
     if token[0] == "|":
-        return '"|" can stand only between terms; to write the atom, quote it'
+        return '"|" is allowed only between terms; to write the atom, quote it'
     return ""
 
 
@@ -86,20 +86,21 @@ def _operator_hint(parser: "Open", token: AnyToken, opened: Optional[int]) -> st
     if starts_line(text, start):
         if opened is not None:
             return f"the {_opener(parser, opened)} is still open"
-        return f"is the full stop behind {shown(before, text)} missing?"
+        return f"is a full stop missing after {shown(before, text)}?"
     if before[0] == NAME and before[1] in _ELSEWHERE and before[1] != ".":
         return _ELSEWHERE[before[1]]
     if kind == NAME and value == "!" and text[start + 1 : start + 2] == "=":
         return _ELSEWHERE["!="]
     if before[0] == QUOTED and before[3] == start:
-        return "a quote inside quotes is written twice, as in 'it''s'"
+        return "a quote inside quotes is doubled, as in 'it''s'"
     if kind == NUMBER and before[0] == NAME and before[1] == ".":
         return "a number needs digits on both sides of its point"
     if kind == "(" and before[0] in (NAME, QUOTED):
-        return f"no blank may stand between {before[1]} and its bracket"
+        return f"no space is allowed between {before[1]} and its bracket"
     if kind == OPEN_CT and before[0] == VARIABLE:
         return (
-            f"{before[1]} is a variable; the name of an event or predicate begins in lower case or is quoted"
+            f"{before[1]} is a variable; "
+            "the name of an event or predicate starts with a lower-case letter or is quoted"
         )
     if kind == NUMBER and before[0] == NUMBER:
         return "is a comma missing? (groups of digits are written 1_000_000)"
@@ -116,10 +117,10 @@ def _unknown_operator(parser: "Open", name: str) -> str:
     if close:
         return f'did you mean "{close[0]}"?'
     if parser.table is not parser.patterns:
-        return f'"{name}" is no operator here; is a comma missing?'
+        return f'"{name}" is not an operator here; is a comma missing?'
     if name in _SEQUENCE:
-        return 'that an event ends before another starts is written "seq", the earlier one first'
-    return f'"{name}" is no operator; between two patterns stands "seq", "and", "or" or another'
+        return 'to say that one event ends before another starts, write "seq", the earlier one first'
+    return f'"{name}" is not an operator; two patterns are joined with "seq", "and", "or" or another'
 
 
 def unbalanced(parser: "Open", opened: Optional[int]) -> SyntaxFault:
@@ -127,7 +128,9 @@ def unbalanced(parser: "Open", opened: Optional[int]) -> SyntaxFault:
     token = parser.tokens[parser.at]
     what = shown(token, parser.source.text)
     if opened is None:
-        return _fault(parser, f"{what} closes nothing: expected an operator or a full stop before it", "")
+        return _fault(
+            parser, f"{what} does not close anything: expected an operator or a full stop before it", ""
+        )
     closer = CLOSER[parser.tokens[opened][0]]
     return _fault(parser, f'expected "{closer}" for the {_opener(parser, opened)} before {what}', "")
 
@@ -146,10 +149,11 @@ def clash(parser: "Open", found: Operator, start: int, outer: Optional[Operator]
     if found.functor.name in _NECKS and (outer or left in _NECKS):
         other = outer.functor.name if outer else left
         message = f'expected one arrow in a clause, not "{other}" and "{name}"'
-        hint = "an event rule has <-, a clause of Prolog :-; is a full stop missing between two clauses?"
+        hint = "an event rule has <-, a Prolog clause :-; is a full stop missing between two clauses?"
     elif outer is not None:
         message = (
-            f'expected brackets: "{name}" ({found.priority} {found.type}) is no argument of "{outer.functor.name}"'
+            f'expected brackets: "{name}" ({found.priority} {found.type}) cannot be an argument of "'
+            f'{outer.functor.name}"'
             f" ({outer.priority} {outer.type})"
         )
         hint = ""
@@ -166,7 +170,7 @@ def clash(parser: "Open", found: Operator, start: int, outer: Optional[Operator]
 def _opener(parser: "Open", opened: int) -> str:
     offset = parser.tokens[opened][2]
     place = parser.source.place(offset)
-    return f'"{parser.source.text[offset]}" of line {place.line}, column {place.column}'
+    return f'"{parser.source.text[offset]}" in line {place.line}, column {place.column}'
 
 
 def _before(parser: "Open") -> Optional[AnyToken]:

@@ -28,7 +28,7 @@ def integer(text: str, radix: int = 10) -> int:
         ValueError: where a digit is none in this radix, or there are too many.
     """
     if len(text) > _LONGEST:
-        raise ValueError(f"a number of {len(text)} digits is too long (the longest has {_LONGEST})")
+        raise ValueError(f"a number of {len(text)} digits is too long (at most {_LONGEST} are allowed)")
     if len(text) <= _SAFE or radix in (2, 4, 8, 16, 32):
         return int(text, radix)
     values = [int(text[max(0, at - _SAFE) : at], radix) for at in range(len(text), 0, -_SAFE)]

@@ -193,7 +193,7 @@ class Open:
         bracket = self._innermost()
         if kind == LIST:
             if bracket[6]:
-                raise self.source.fault('expected "]": a list has one term behind "|"', start)
+                raise self.source.fault('expected "]": a list has one term after "|"', start)
             self._add(bracket)
             self._begin_segment(self.at, self.operators.infix)
             return
@@ -211,7 +211,7 @@ class Open:
         if self.brackets[-1][1] == LIST:
             bracket = self._innermost()
             if bracket[6]:
-                raise self.source.fault('expected "]": a list has one term behind "|"', start)
+                raise self.source.fault('expected "]": a list has one term after "|"', start)
             self._add(bracket)
             bracket[6] = True
             self.at += 1

@@ -135,9 +135,9 @@ class Operators:
             UsageError: where priority or kind are none.
         """
         if not 0 <= priority <= 1200:
-            raise UsageError(f"{priority} is no priority of an operator: expected 0 to 1200")
+            raise UsageError(f"{priority} is not an operator priority: expected 0 to 1200")
         if kind not in TYPES:
-            raise UsageError(f"{kind} is no type of operator: expected one of {' '.join(TYPES)}")
+            raise UsageError(f"{kind} is not an operator type: expected one of {' '.join(TYPES)}")
         table, arity = self._table(kind)
         self._patterns = None
         if priority == 0:

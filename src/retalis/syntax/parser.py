@@ -79,7 +79,7 @@ class Parser(Open):
             self._begin_segment(self.at, self.operators.infix)
 
     def _atom(self, name: str, start: int) -> None:
-        """Take a name that is no operator here: an atom, or the functor of a compound term."""
+        """Take a name that is not an operator here: an atom, or the functor of a compound term."""
         if self.tokens[self.at][0] == OPEN_CT:
             self._open_arguments(name, start)
         else:
@@ -89,7 +89,9 @@ class Parser(Open):
         at = self.at
         self.at = at + 1
         if self.tokens[self.at][0] == ")":
-            raise self.source.fault(f'a term has at least one argument: expected "{name}" alone', start)
+            raise self.source.fault(
+                f'a compound term has at least one argument: expected "{name}" alone', start
+            )
         modes: Tuple[bool, ...] = ()
         if self.table is self.patterns:
             arity = self.rules.commas.get(at, 0) + 1
@@ -124,7 +126,7 @@ class Parser(Open):
             self._bare_operator(name, start)
 
     def _signed(self, following: AnyToken) -> Term:
-        """Return the number behind a minus, or None (ISO Prolog allows layout between the two)."""
+        """Return the number after a minus, or None (ISO Prolog allows layout between the two)."""
         if following[0] == NUMBER:
             return following[1]
         if following[0] == NAME and self.flags.event_text and self.tokens[self.at + 1][0] != OPEN_CT:
@@ -134,7 +136,9 @@ class Parser(Open):
     def _bare_operator(self, name: str, start: int) -> None:
         """Check ISO's demand that an operator that is an operand stands alone or in brackets."""
         if self.tokens[self.at][0] not in _ENDS or self.stack[-1][1] < self.GROUP:
-            raise self.source.fault(f"expected the operator {name} in brackets, as it is an operand", start)
+            raise self.source.fault(
+                f"expected brackets around the operator {name}, as it is an operand", start
+            )
 
     def _is_prefix(self, following: AnyToken) -> bool:
         """Tell whether a prefix operator is one here, and not an atom, by what follows."""
@@ -146,7 +150,7 @@ class Parser(Open):
         operators = self.operators
         if value in operators.prefix or not (value in self.table or value in operators.postfix):
             return True
-        # An infix operator follows: with an operand behind it, it is that; else it is an atom itself.
+        # An infix operator follows: with an operand after it, it is that; else it is an atom itself.
         after = self.tokens[self.at + 1]
         if after[0] in _ENDS or after[0] == OPEN_CT:
             return True

@@ -85,7 +85,7 @@ def unquote(body: str, quote: str, strict: bool = False) -> str:
         if doubled is not None:
             return doubled if doubled == quote else doubled + doubled
         if strict and not _is_standard(found):
-            raise ValueError(f"{found.group(0)} is no escape sequence of ISO Prolog", found.start())
+            raise ValueError(f"{found.group(0)} is not an escape sequence of ISO Prolog", found.start())
         if newline or nothing:
             return ""
         if other is not None:
@@ -94,7 +94,7 @@ def unquote(body: str, quote: str, strict: bool = False) -> str:
             raise ValueError(_unknown(found.group(0)), found.start())
         code = int(octal, 8) if octal else int(hexadecimal or short or long, 16)
         if code > 0x10FFFF or 0xD800 <= code < 0xE000:
-            raise ValueError(f"{found.group(0)} names no Unicode character", found.start())
+            raise ValueError(f"{found.group(0)} is not a Unicode character", found.start())
         return chr(code)
 
     return _ESCAPE.sub(value, body)
@@ -108,4 +108,4 @@ def _is_standard(found: "Match[str]") -> bool:
 
 
 def _unknown(escape: str) -> str:
-    return rf"{escape} is no escape sequence: to write a backslash in quotes, double it (\\)"
+    return rf"{escape} is not an escape sequence: to write a backslash in quotes, double it (\\)"

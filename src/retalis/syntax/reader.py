@@ -16,7 +16,7 @@ _FEW = 16
 """Tokens that are looked at first where a full stop was missing."""
 
 _AHEAD = 4
-"""Tokens behind the one that it is at that the parser may look at, and one."""
+"""Tokens after the one that it is at that the parser may look at, and one."""
 
 
 class ReadTerm:
@@ -189,7 +189,7 @@ def read_term(
     found = list(tokens(where, lambda: flags))
     for at, token in enumerate(found):
         if token[0] == END and at + 1 < len(found):
-            raise where.fault("expected nothing behind the full stop", found[at + 1][2])
+            raise where.fault("expected nothing after the full stop", found[at + 1][2])
     if not found or found[0][0] == END:
         raise where.fault("expected a term", found[0][2] if found else 0)
     parser = _parser(found, where, operators, flags, positions)

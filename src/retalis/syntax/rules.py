@@ -86,7 +86,7 @@ class Layout(NamedTuple):
 
     Attributes:
         rules: first token of each segment that is a rule -> does a head come first (else a pattern).
-        labels: ``:`` or ``'rule:'`` of a label -> does a head come behind it (else a pattern).
+        labels: ``:`` or ``'rule:'`` of a label -> does a head come after it (else a pattern).
         commas: opening bracket -> how many commas are directly in it.
     """
 

@@ -16,7 +16,7 @@ from .quoted import closing, unclosed_end, unquote
 
 NAME, QUOTED, NUMBER, VARIABLE, TEXT, END = "name", "quoted", "number", "variable", "text", "end"
 OPEN_CT = "f("
-"""An opening bracket directly behind a token: after a name it makes a compound term."""
+"""An opening bracket directly after a token: after a name it makes a compound term."""
 
 AnyToken = Tuple[str, Any, int, int]
 """Kind, value, start, end. The kind of a bracket, comma or bar is the character itself."""
@@ -152,7 +152,7 @@ def _valued(kind: str, found: str, start: int, end: int, text: str, flags: ReadF
 def _unclosed(quote: str, start: int, text: str) -> str:
     message = f"this quote {quote} is not closed on its line"
     if quote == "'" and text[start - 1 : start].isalnum():
-        message += "; in a name an apostrophe has to be quoted, as in 'it''s'"
+        message += "; a name with an apostrophe must be quoted, as in 'it''s'"
     return message
 
 
@@ -163,15 +163,17 @@ _CURLY.update({"\u201c": '"', "\u201d": '"', "\u201e": '"', "\u201f": '"', "\u00
 def _stray(char: str) -> str:
     straight = _CURLY.get(char)
     if straight is not None:
-        return f"{char} is a typographic quote, as word processors and web pages make them: write {straight}"
+        return (
+            f"{char} is a typographic quote, as produced by word processors and web pages: write {straight}"
+        )
     name = unicodedata.name(char, f"U+{ord(char):04X}")
-    return f"the character {char!r} ({name}) can stand only in quotes or comments"
+    return f"the character {char!r} ({name}) is allowed only in quotes or comments"
 
 
 def _number(found: str, start: int, end: int, text: str, flags: ReadFlags) -> AnyToken:
     follow = text[end : end + 1]
     if follow == "_" or follow.isalnum():
-        return "bad", f"{found}{follow}... is no number, and a name cannot begin with a digit", start, end
+        return "bad", f"{found}{follow}... is not a number, and a name cannot start with a digit", start, end
     try:
         return NUMBER, _number_value(found, flags), start, end
     except ValueError as error:
@@ -183,20 +185,20 @@ def _number_value(text: str, flags: ReadFlags) -> Term:
         return numerals.integer(text)
     second = text[1]
     if flags.iso and (text == "0''" or (second == "'" and text[0] != "0")):
-        raise ValueError(f"{text} is no number in ISO Prolog")
+        raise ValueError(f"{text} is not a number in ISO Prolog")
     if second == "'" and text[0] == "0":
         char = "'" if text == "0'''" else unquote(text[2:], "", flags.iso)
         if not char:
-            raise ValueError(f"{text} names no character")
+            raise ValueError(f"{text} is not a character")
         return ord(char[0])
     if second in "xob" or "'" in text:
         try:
             return numerals.radix_integer(text)
         except ValueError:
-            raise ValueError(f"{text} is no number: expected digits of a radix from 2 to 36") from None
+            raise ValueError(f"{text} is not a number: expected digits in a radix from 2 to 36") from None
     if "." in text or "e" in text or "E" in text:
         if flags.iso and ("." not in text or text[-1] in "fN"):
-            raise ValueError(f"{text} is no number in ISO Prolog: expected digits, a point and digits")
+            raise ValueError(f"{text} is not a number in ISO Prolog: expected digits, a point and digits")
         try:
             return numerals.float_value(text)
         except ValueError:

@@ -30,7 +30,7 @@ class WriteOptions(NamedTuple):
         ignore_ops: operators are written as functor and arguments.
         brace_terms: ``{}(a)`` is written ``{a}``.
         numbervars: ``'$VAR'(1)`` is written ``B``.
-        spacing: a blank behind the commas of arguments and lists.
+        spacing: a blank after the commas of arguments and lists.
         wide: a blank on either side of the infix operators that bind least: of rules and conditions.
         variable_names: variable -> name; others are ``_G1`` and so on.
         priority: a term of a higher priority is put in brackets.

@@ -14,7 +14,7 @@ time goes there. Compound terms are immutable; ground ones are shared and never 
 
 Everything here works without recursion: a list of a million elements is as safe as one of three. Unification
 does not look for cycles, so a program can make a term that contains itself; walking one raises `TermTooLarge`
-after `MOST` steps, instead of going on for ever.
+after `MOST` steps, instead of going on forever.
 """
 
 from ._steps import MOST, ROUNDS

@@ -69,7 +69,7 @@ class Functor:
 
 
 class String:
-    """A Prolog string: text that is no atom. Equal strings are equal terms."""
+    """A Prolog string: text that is not an atom. Equal strings are equal terms."""
 
     __slots__ = ("text",)
 

@@ -73,7 +73,7 @@ def partial_items(term: Term) -> List[Term]:
     """Return the items of a list, proper or partial, up to its tail.
 
     Raises:
-        PrologError: a type error for what is no list.
+        PrologError: a type error for what is not a list.
     """
     found, tail = list_parts(term)
     if tail is NIL or tail.__class__ is Var:

@@ -324,7 +324,7 @@ def _join(parts: Term, between: str) -> Any:
     """Return the joined text, or None where the list or an item is not bound yet."""
     found: List[str] = []
     if list_items(parts) is None:
-        partial_items(parts)  # raises for what is no list
+        partial_items(parts)  # raises for what is not a list
         return None
     for item in items(parts):
         item = deref(item)

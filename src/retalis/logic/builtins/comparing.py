@@ -219,7 +219,7 @@ def variant(machine: Any, left: Term, right: Term) -> bool:
 
 @deterministic("\\=@=/2")
 def no_variant(machine: Any, left: Term, right: Term) -> bool:
-    """Test that two terms are no variants."""
+    """Test that two terms are not variants."""
     return not is_variant(left, right)
 
 

@@ -129,7 +129,7 @@ class Formatter:
         return self.arguments.pop()
 
     def _directive(self, text: str, at: int) -> int:
-        """Do the directive that starts behind the tilde; return where it ends."""
+        """Do the directive that starts after the tilde; return where it ends."""
         number: Optional[int] = None
         if text[at : at + 1] == "`":
             number = ord(text[at + 1 : at + 2] or "`")

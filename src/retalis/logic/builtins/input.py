@@ -12,7 +12,7 @@ _INPUT, _OUTPUT, _ERROR = (atom(name) for name in ("user_input", "user_output", 
 
 
 def _check(stream: Term) -> None:
-    """Raise an error for what is no input stream."""
+    """Raise an error for what is not an input stream."""
     stream = deref(stream)
     if stream.__class__ is Var:
         raise instantiation_error()

@@ -32,7 +32,7 @@ def numbervars_from_zero(machine: Any, term: Term) -> bool:
 
 @deterministic("term_variables/3")
 def term_variables(machine: Any, term: Term, found: Term, tail: Term) -> bool:
-    """Give the variables of a term with a tail behind them."""
+    """Give the variables of a term with a tail after them."""
     return unify(found, make_list(variables(term), tail), machine.trail)
 
 

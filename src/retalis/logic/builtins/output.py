@@ -27,7 +27,7 @@ def write_to(machine: Any, stream: Term, text: str) -> None:
     """Write text to a stream by its alias.
 
     Raises:
-        PrologError: where it is no output stream.
+        PrologError: where it is not an output stream.
     """
     name = deref(stream)
     if name.__class__ is Var:

@@ -1,4 +1,4 @@
-"""Lists as sets and ordered sets: deterministic, and strict about what is no list.
+"""Lists as sets and ordered sets: deterministic, and strict about what is not a list.
 
 As for the single-sided rules of SWI-Prolog's library, arguments that fit no clause are an error.
 """

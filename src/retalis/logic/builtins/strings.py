@@ -79,7 +79,7 @@ def string_to_atom(machine: Any, text: Term, name: Term) -> bool:
 
 @deterministic("number_string/2")
 def number_string(machine: Any, number: Term, text: Term) -> bool:
-    """Relate a number with its string; fails where the text is no number."""
+    """Relate a number with its string; fails where the text is not a number."""
     number = deref(number)
     if number.__class__ not in (Var, int, float):
         raise type_error("number", number)
@@ -267,7 +267,7 @@ def _changed(char: str, changed: str) -> str:
 
 
 def _check_type(kind: Term) -> None:
-    """Raise a type error for what is no type of characters."""
+    """Raise a type error for what is not a type of characters."""
     if kind.__class__ is tuple and len(kind) == 2 and kind[0].name in _PARAMETRIC:
         return
     if kind.__class__ is not Var and (kind.__class__ is not Atom or kind.name not in _CLASSES):

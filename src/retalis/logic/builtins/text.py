@@ -82,7 +82,7 @@ def text_of(term: Term, kind: str = "text", numbers: bool = True) -> str:
         numbers: a number is a text.
 
     Raises:
-        PrologError: an instantiation error where it is not bound, a type error where it is no text.
+        PrologError: an instantiation error where it is not bound, a type error where it is not a text.
     """
     term = deref(term)
     if term is NIL:
@@ -135,7 +135,7 @@ def _checked_list(term: Term, kind: str) -> str:
 
 
 def wrong_item(items: List[Term]) -> Optional[PrologError]:
-    """Return the error for the first item that is no code among codes, or no character among characters."""
+    """Return the error for the first item that is not a code among codes, or no character among characters."""
     of_characters = None
     for item in items:
         if item.__class__ is Var:
@@ -202,7 +202,7 @@ def atomic_text(term: Term, kind: str = "atomic") -> str:
 
 
 def no_compound(term: Term, kind: str) -> None:
-    """Raise a type error for a result that is given and is no constant."""
+    """Raise a type error for a result that is given and is not a constant."""
     term = deref(term)
     if term.__class__ is tuple:
         raise type_error(kind, term)

@@ -36,7 +36,7 @@ def _of_stamp(stamp: float) -> Tuple[datetime, float]:
     try:
         whole = int(stamp // 1)
         found = _EPOCH + timedelta(seconds=whole)
-    except (OverflowError, ValueError):  # what is infinite is no number of seconds
+    except (OverflowError, ValueError):  # what is infinite is not a number of seconds
         raise domain_error("time_stamp", stamp) from None
     return found, found.second + (stamp - whole)
 

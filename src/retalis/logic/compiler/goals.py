@@ -57,7 +57,7 @@ class GoalCode:
         """Read the goal with the predicates that are defined by now.
 
         Raises:
-            PrologError: a type error where it is no goal.
+            PrologError: a type error where it is not a goal.
         """
         self._entry = Height("height")
         self._nodes = Parser(self._database, self._entry).parse(self._term)

@@ -217,7 +217,7 @@ class Parser:
         """Return the nodes of a body.
 
         Raises:
-            PrologError: a type error where part of the body is no goal.
+            PrologError: a type error where part of the body is not a goal.
         """
         cut = self.clause if cut is None else cut
         nodes: List[Node] = []

@@ -124,7 +124,7 @@ def _constant(scope: Scope, name: str, value: Term) -> None:
 
 
 def differs(value: Term, name: str, const: str) -> str:
-    """Return the test that a dereferenced local (``k`` its class) is not a constant that is no atom."""
+    """Return the test that a dereferenced local (``k`` its class) is not a constant that is not an atom."""
     kind = value.__class__
     if kind is int:
         return f"k is not int or {name} != {const}"
