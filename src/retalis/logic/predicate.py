@@ -16,6 +16,7 @@ from .compiler.direct import Direct
 from .compiler.facts import fact_search
 from .faults import PrologError
 from .functional import Functional
+from .index import Index
 from .keys import key_of
 from .machine import Machine
 
@@ -30,9 +31,6 @@ _MOST_FACTS = 8
 
 _INDEX_FROM = 8
 """Clauses from which on an index is made."""
-
-_MOST_ENTRIES = 1_000_000
-"""Entries of clauses with a variable, under each of the keys, from which on no index is made."""
 
 _MANY = 1000
 """Clauses from which on a search among them may take as long as many inferences."""
@@ -76,7 +74,7 @@ class Predicate:
         self.dead = 0
         self.calls = 0
         self.compile_after = database.compile_after
-        self.indexes: Dict[int, Tuple[Dict[Any, List[Clause]], List[Clause]]] = {}
+        self.indexes: Dict[int, Index] = {}
         self.poor: Dict[int, int] = {}
         self.run: Callable[[Frame], Optional[Frame]] = self._call
         self.steady = False
@@ -122,8 +120,8 @@ class Predicate:
             return
         self.clauses.append(clause)
         self.kind = "user"
-        for position, (index, others) in self.indexes.items():
-            _enter(index, others, clause.keys[position], clause)
+        for position, index in self.indexes.items():
+            index.add(clause.keys[position], clause)
 
     def remove(self, clause: Clause) -> bool:
         """Remove a clause; calls that are under way still see it. Return whether it was there."""
@@ -255,29 +253,27 @@ class Predicate:
                 found = self._index(position)
                 if found is None:
                     continue
-            index, others = found
-            candidates = index.get(key, others)
+            others = found.others
+            candidates = found.joined(key) if others else found.own.get(key, others)
             if len(candidates) < len(best):
                 best, by = candidates, position
                 if len(best) <= 2:
                     break
         return best, by
 
-    def _index(self, position: int) -> Optional[Tuple[Dict[Any, List[Clause]], List[Clause]]]:
-        index: Dict[Any, List[Clause]] = {}
-        others: List[Clause] = []
+    def _index(self, position: int) -> Optional[Index]:
+        index = Index()
         clauses = [clause for clause in self.clauses if clause.died == NEVER]
         keys = [clause.keys[position] for clause in clauses]
         variables = keys.count(None)
-        # Each clause with a variable is entered under each key.
-        if variables * 2 <= len(clauses) and variables * len(set(keys)) <= _MOST_ENTRIES:
+        if variables * 2 <= len(clauses):
             for clause in clauses:
-                _enter(index, others, clause.keys[position], clause)
-        if len(index) < 2:
+                index.add(clause.keys[position], clause)
+        if len(index.own) < 2:
             self.poor[position] = len(clauses)
             return None
-        self.indexes[position] = index, others
-        return index, others
+        self.indexes[position] = index
+        return index
 
     def _next(self, entry: Frame) -> Optional[Frame]:
         return self._advance(*entry[1:7])
@@ -392,18 +388,6 @@ class Predicate:
 
     def _view(self) -> Any:
         return self.database.library if self.library else self.database
-
-
-def _enter(index: Dict[Any, List[Clause]], others: List[Clause], key: Any, clause: Clause) -> None:
-    """Add a clause to an index: ``others`` holds those that any key may match."""
-    if key is None:
-        for found in index.values():
-            found.append(clause)
-        others.append(clause)
-    elif key in index:
-        index[key].append(clause)
-    else:
-        index[key] = [*others, clause]
 
 
 def fact_names(machine: Machine) -> Dict[str, Any]:
