@@ -11,12 +11,14 @@ from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tu
 from . import codegen, timestamps
 from .errors import RetalisError
 from .events.operators import OPERATORS, Operator
-from .events.pattern import Absent, Action, Aggregate, Condition, Either, Occurs, Pair, Star, Within
+from .events.pattern import Absent, Action, Aggregate, Condition, Either, Occurs, Pair, Repeated, Star, Within
 from .syntax import write_term
 from .terms import Term, Var, copy, functor, undo, unify, variables
 
 _MOST = 200
 """How many occurrences of a part are looked at, the newest of them."""
+_WRITTEN_OUT = 50
+"""How many repetitions of a part are looked at."""
 
 _VALUES = functor("values", 0)
 _EQUAL = functor("=", 2)
@@ -88,6 +90,7 @@ class Shortfall:
         self._look: Dict[Any, Callable[[Any], Part]] = {
             Occurs: self._occurs,
             Pair: self._pair,
+            Repeated: self._repeated,
             Either: self._either,
             Absent: self._absent,
             Star: self._star,
@@ -131,6 +134,9 @@ class Shortfall:
         if left.found and right.found:
             reason = _WRONG.get(pattern.operator, "no pair fits") if agree else "no pair with the same values"
         return Part(f"{pattern.operator}: {self._seen(found, reason)}", found[-_MOST:], [left, right])
+
+    def _repeated(self, pattern: Any) -> Part:
+        return self.of(pattern._replace(times=min(pattern.times, _WRITTEN_OUT)).written_out())
 
     def _either(self, pattern: Any) -> Part:
         parts = [self.of(branch) for branch in pattern.branches]

@@ -25,6 +25,7 @@ def errors_of(rules):
         ("c <- a not b.", 8, "no operator not"),
         ("c <- a ntimes 0.", 15, "positive integer"),
         ("c <- a ntimes X.", 15, "positive integer"),
+        ("c <- a ntimes 10001.", 15, "at most 10000 repetitions"),
         ("c <- a star_times.", 8, "right side of a seq"),
         ("c <- a and aggregate(count,b,_).", 12, "right side of a seq"),
         ("c <- a seq aggregate(median(X),b(X),_).", 22, "no such aggregate"),

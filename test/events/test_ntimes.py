@@ -3,7 +3,9 @@
 import random
 
 import pytest
-from events.running import Program, fired
+from events.running import Program, fired, text_of
+
+from retalis.events.repeating import Repeating
 
 POLICIES = ("recent", "recent_2", "chronological", "chronological_2", "unrestricted")
 
@@ -47,9 +49,168 @@ def test_a_named_variable_has_one_value_though_it_stands_once():
     assert fired("c <- a(_) ntimes 2.", "a(1)@1 a(2)@2 a(1)@3") == "c@1-2 c@2-3"
 
 
+REPEATED = [
+    "a(X,_)",
+    "a(_,_)",
+    "a(X,Y)",
+    "(a(X,_) where X > 1)",
+    "(a(X,_) or b(_,X))",
+    "(a(X,_) or b(X,Y))",
+    "(a(X,_) within 2)",
+    "(a(X,_) check (t1(S), t2(E), E - S < 2))",
+    "(a(_,_) or d)",
+    "d",
+]
+AROUND = [
+    "{}",
+    "{}",
+    "{}",
+    "b(X,_) seq {}",
+    "{} seq b(X,_)",
+    "{} and b(X,_)",
+    "{} or b(X,_)",
+    "{} cnot b(_,2)",
+    "{} fnot b(1,1)",
+    "{} within 6",
+    "{} where X > 1",
+    "b(X,Y) seq aggregate(count,{},N)",
+    "b(_,Y) seq ({} star_times)",
+    "(b(X,_) seq b(X,_)) cnot {}",
+    "b(X,Z) seq ({} where Z > 1)",
+    "({} seq b(X,_)) ntimes 2",
+    "{} forall_seq b(_,_)",
+    "{} ntimes 2",
+    "{} par b(_,X)",
+]
+
+
+def drawn_stream(rng, late, revised):
+    """Return events: some touching or overlapping, some with variables, some late or taken back."""
+    found, known, now = [], [], 10
+    for _ in range(rng.choice([8, 12, 24])):
+        now += rng.choice([0, 0, 1, 1, 1, 2])
+        end = now - rng.choice([1, 2, 4]) if late and rng.random() < 0.3 else now
+        start = end - rng.choice([0, 0, 0, 0, 1, 3])
+        value = "Z" if rng.random() < 0.02 else rng.choice(["1", "1", "2", "f(1)"])
+        event = rng.choice(["a({},{})"] * 5 + ["b({},{})", "d"]).format(value, rng.randrange(1, 4))
+        if revised and known and rng.random() < 0.15:
+            event, start = f"rev({rng.choice(known)})", end
+        elif "Z" not in event:
+            known.append(event)
+        found.append(f"{event}@{start}-{end}")
+    return found
+
+
+def drawn_flags(rng, late, revised):
+    flags = ["revision_flag"] * revised + ["out_of_order"] * (late and rng.random() < 0.7)
+    flags += ["etalis_justification"] * (rng.random() < 0.2)
+    if rng.random() < 0.15:
+        window = rng.choice([2, 5])
+        flags += [("garbage_control", "general"), ("garbage_window", window), ("garbage_window_step", 1)]
+    return flags
+
+
+def answer(rule, policy, flags, stream, changes):
+    """Return what follows from each event, and how many partial matches wait in the end."""
+    program = Program(rule, flags, policy)
+    found = []
+    for at, event in enumerate(stream):
+        for flag, value in changes.get(at, ()):
+            program.set(flag, value)
+        found.append(program.feed(event))
+    return found, program.engine.rules.waiting
+
+
+@pytest.mark.parametrize("group", range(10))
+def test_by_chance_it_is_the_sequence_written_out(group):
+    for number in range(25):
+        rng = random.Random(f"{group} {number}")
+        policy, late, revised = rng.choice(POLICIES), rng.random() < 0.3, rng.random() < 0.3
+        changes = {}
+        if rng.random() < 0.25:
+            for at in rng.sample(range(12), 2):
+                changes[at] = [
+                    rng.choice(
+                        [
+                            ("event_consumption_policy", rng.choice(POLICIES)),
+                            ("out_of_order", rng.choice(["on", "off"])),
+                        ]
+                    )
+                ]
+        pattern, times, around = rng.choice(REPEATED), rng.randrange(1, 6), rng.choice(AROUND)
+        label = f"r([property(event_rule_window,{rng.choice([2, 4, 8])})]) : " if rng.random() < 0.2 else ""
+        head = rng.choice(["c(X,Y,N)", "c(X)", "c"])
+        flags = drawn_flags(rng, late, revised)
+        stream = drawn_stream(rng, late, revised)
+        if policy == "unrestricted" or changes:
+            stream = stream[:12]
+        short, long = (
+            f"{label}{head} <- {around.format(text)}."
+            for text in (f"({pattern} ntimes {times})", f"({' seq '.join([pattern] * times)})")
+        )
+        given = (policy, flags, stream, changes)
+        assert answer(short, *given) == answer(long, *given), (short, given)
+
+
+def test_what_waits_goes_on_when_the_policy_changes():
+    program = Program("c <- a(_) ntimes 5.")
+    assert program.feed("a(1)@1 a(2)@2 a(3)@3") == ""
+    program.set("event_consumption_policy", "unrestricted")
+    assert program.feed("a(4)@4") == ""
+    program.set("event_consumption_policy", "chronological")
+    assert program.feed("a(5)@5") == "c@1-5"
+
+
+def test_events_of_the_rule_itself_count_where_they_come():
+    rules = "a(X,3) <- c(X). c(X) <- {}."
+    stream = "a(1,1)@1 a(1,1)@2 a(1,2)@3 a(1,2)@4 a(1,1)@5 a(1,1)@6 a(1,1)@7"
+    long = " seq ".join(["a(X,_)"] * 4)
+    assert fired(rules.format("a(X,_) ntimes 4"), stream) == fired(rules.format(long), stream)
+
+
+@pytest.mark.parametrize("policy", POLICIES)
+def test_an_explanation_is_that_of_the_sequence_written_out(policy):
+    stream = "a(1,1)@1 a(1,1)@2-3 a(1,2)@3 a(1,2)@4 a(1,1)@5 a(1,1)@6 a(1,1)@7"
+    found = []
+    for pattern in ("a(X,_) ntimes 4", "a(X,_) seq a(X,_) seq a(X,_) seq a(X,_)"):
+        program = Program(f"c(X) <- {pattern}.", ["etalis_justification"], policy)
+        program.feed(stream)
+        ask = "findall(E-J, (E = c(_), justify_event(E,_,J)), L)"
+        found.append([text_of(solution["L"]) for solution in program.engine.query(ask)])
+    assert found[0] == found[1]
+    assert "seqf(seqf(seqf(" in found[0][0]
+
+
+@pytest.mark.parametrize("times", [1000, 10_000])
 @pytest.mark.parametrize("policy", POLICIES[:-1])
-def test_a_thousand_times(policy):
-    program = Program("c(X) <- a(X,_) ntimes 1000.", policy=policy)
+def test_as_many_events_as_repetitions_cost_so_many_steps(policy, times):
+    program = Program(f"c(X) <- a(X,_) ntimes {times}.", policy=policy)
     assert program.errors == []
-    assert program.feed(" ".join(f"a(1,{at % 7})@{at}" for at in range(30))) == ""
-    assert program.engine.rules.rules[0].waiting == 30
+    rule = program.engine.rules.rules[0]
+    assert len(rule.nodes) < 10
+    for at in range(times - 1):
+        program.engine.event(f"a(1,{at % 7})", at, at)
+    assert rule.waiting == times - 1
+    assert program.feed(f"a(1,0)@{times}") == f"c(1)@0-{times}"
+    assert program.feed(f"a(1,0)@{times + 1}") == f"c(1)@1-{times + 1}"
+    (node,) = [node for node, _, _ in rule.nodes if isinstance(node, Repeating)]
+    assert node.visits == times + 1
+
+
+def test_a_window_removes_what_is_too_old_from_the_longest_on():
+    program = Program("c <- (a(_) ntimes 1000) within 10.", policy="chronological")
+    for at in range(100):
+        program.engine.event(f"a({at})", at, at)
+    rule = program.engine.rules.rules[0]
+    assert rule.waiting == 10
+    (node,) = [node for node, _, _ in rule.nodes if isinstance(node, Repeating)]
+    assert node.visits == 100
+    assert sum(len(train.tokens) for train in node.trains.values()) <= 12
+
+
+def test_of_values_that_do_not_wait_nothing_is_kept():
+    program = Program("c(X) <- (a(X) ntimes 10) within 10.")
+    for at in range(5000):
+        program.engine.event(f"a({at})", at, at)
+    (node,) = [node for node, _, _ in program.engine.rules.rules[0].nodes if isinstance(node, Repeating)]
+    assert len(node.trains) <= 11

@@ -4,10 +4,11 @@ A pattern is one of the classes below; their fields are terms (`retalis.terms`),
 Nodes compare by identity: the same pattern written at two places of a rule is two nodes.
 """
 
+from collections import Counter
 from dataclasses import dataclass, fields, replace
-from typing import Any, Iterator, List, Optional, Tuple
+from typing import Any, Dict, Iterable, Iterator, List, Optional, Tuple
 
-from retalis.terms import Term, Var, variables
+from retalis.terms import Term, Var, rebuild, variables
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,10 +114,11 @@ class Star(Pattern):
 
 @dataclass(frozen=True, eq=False)
 class Ntimes(Pattern):
-    """``pattern ntimes times``."""
+    """``pattern ntimes times``; the variables ``own`` stand once in the rule and are written ``_``."""
 
     pattern: Pattern
     times: int
+    own: Tuple[Var, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +162,7 @@ def parts(node: Pattern) -> List[Any]:
     """Return what a pattern is made of, from left to right: patterns, terms, numbers."""
     if isinstance(node, Prolog) and node.before:
         return [node.goal, node.pattern]
-    return [getattr(node, field.name) for field in fields(node)]
+    return [getattr(node, field.name) for field in fields(node) if field.name != "own"]
 
 
 def children(node: Pattern) -> List[Pattern]:
@@ -195,11 +197,69 @@ def expand(node: Pattern) -> Pattern:
             changed[field.name] = expand(part)
     if not isinstance(node, Ntimes):
         return replace(node, **changed)
-    # "ntimes N is exactly Q seq ... seq Q, variables shared"
+    # "ntimes N is exactly Q seq ... seq Q, named variables shared, each _ fresh in each repetition"
     result = expand(node.pattern)
     for _ in range(node.times - 1):
-        result = Both("seq", result, expand(node.pattern))
+        fresh = {var: Var() for var in node.own}
+        result = Both("seq", result, expand(renamed(node.pattern, fresh)))
     return result
+
+
+def renamed(node: Pattern, fresh: Dict[Var, Var]) -> Pattern:
+    """Return a pattern with other variables in the place of some."""
+
+    def changed(part: Any) -> Any:
+        if isinstance(part, Pattern):
+            return renamed(part, fresh)
+        if part.__class__ is tuple and (not part or part[0].__class__ is Var):
+            return tuple([fresh.get(var, var) for var in part])
+        return (
+            part
+            if isinstance(part, (str, bool)) or part is None
+            else rebuild(part, lambda v: fresh.get(v, v))
+        )
+
+    return replace(node, **{field.name: changed(getattr(node, field.name)) for field in fields(node)})
+
+
+def with_own(rule: Rule) -> Rule:
+    """Return a rule in which the variables that stand only once, in an ``ntimes``, are written ``_``."""
+    terms = [rule.head, *([] if rule.do is None else [rule.do])]
+    counts = Counter(_occurrences((*terms, *_terms(rule.pattern))))
+
+    def marked(node: Pattern) -> Pattern:
+        changes: Dict[str, Any] = {
+            field.name: marked(getattr(node, field.name))
+            for field in fields(node)
+            if isinstance(getattr(node, field.name), Pattern)
+        }
+        if isinstance(node, Ntimes):
+            inside = pattern_variables(node)
+            changes["own"] = tuple([var for var in inside if counts[var] == 1])
+        return replace(node, **changes)
+
+    return replace(rule, pattern=marked(rule.pattern))
+
+
+def _terms(node: Pattern) -> List[Term]:
+    """Return the terms that stand in a pattern."""
+    return [
+        part
+        for one in walk(node)
+        for part in parts(one)
+        if part is not None and not isinstance(part, (str, bool, Pattern))
+    ]
+
+
+def _occurrences(terms: Iterable[Term]) -> Iterator[Var]:
+    """Yield every occurrence of a variable."""
+    stack = list(terms)
+    while stack:
+        term = stack.pop()
+        if term.__class__ is Var:
+            yield term
+        elif term.__class__ is tuple:
+            stack += term[1:]
 
 
 def take_out_subpatterns(rules: List[Rule]) -> List[Rule]:

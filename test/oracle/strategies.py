@@ -37,6 +37,7 @@ from .patterns import (
     Within,
     pattern_variables,
     walk,
+    with_own,
 )
 from .text import write_rule
 
@@ -173,7 +174,18 @@ class Generator:
         if depth == 0 or self.chance(5 if self.negating else 15):
             return self.leaf()
         kinds = ["seq"] * 5 + ["and"] * 2 + [*EITHER_ORDER, "or", "where", "where", "check", "do", "multiply"]
-        kinds += ["prolog", "cnot", "cnot", "fnot", "ntimes", "within", "star", "aggregate", "forall_seq"]
+        kinds += [
+            "prolog",
+            "cnot",
+            "cnot",
+            "fnot",
+            "ntimes",
+            "ntimes",
+            "within",
+            "star",
+            "aggregate",
+            "forall_seq",
+        ]
         kinds += ["cnot", "fnot", "fnot", "where", "star", "aggregate"] * (3 * self.negating)
         kind = self.choice([*kinds, "subpattern"])
         if kind in ("seq", "forall_seq", *EITHER_ORDER):
@@ -186,7 +198,9 @@ class Generator:
         if kind == "subpattern":
             return self.subpattern(min(depth - 1, 2))
         if kind == "ntimes":
-            return Ntimes(self.pattern(min(depth - 1, 1)), self.choice([1, 2, 2, 3]))
+            return Ntimes(
+                self.pattern(min(depth - 1, self.choice([0, 1, 1]))), self.choice([1, 2, 3, 3, 4, 5])
+            )
         if kind in ("do", "multiply"):
             below = self.pattern(depth - 1)
             if kind == "do":
@@ -325,7 +339,8 @@ class Generator:
         term = functor(head, len(shown))(*shown) if shown else atom(head)
         window = self.choice([None] * 12 + [1, 2, 4, 8, Fraction(3, 2)])
         label = self.choice([None, f"r_{head}"]) if window is None else f"r_{head}"
-        return Rule(term, body, label, window, do)
+        made = Rule(term, body, label, window, do)
+        return with_own(made) if self.chance(50) else made
 
     def value(self, odd: int = 5) -> Term:
         """Draw an argument of an event; so many in a hundred are no integers."""

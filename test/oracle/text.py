@@ -32,6 +32,7 @@ from .patterns import (
     Sub,
     Where,
     Within,
+    walk,
 )
 
 _TOKEN = re.compile(r"\s*(-?\d+(?:\.\d+)?|[A-Z_]\w*|[a-z]\w*|'[^']*'|\[\]|[-+*/<>=\\:]+|.)")
@@ -215,6 +216,9 @@ def write_pattern(node: Pattern, names: Names) -> str:
 def write_rule(rule: Rule, form: str = "V{}") -> str:
     """Write a rule in the language's notation, with its full stop; ``form`` makes names of variables."""
     names = Names(form)
+    for node in walk(rule.pattern):
+        if isinstance(node, Ntimes):
+            names.update(dict.fromkeys(node.own, "_"))
     head = write_term(rule.head, names)
     if rule.do is not None:
         head += f" do ({write_term(rule.do, names)})"

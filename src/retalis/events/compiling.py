@@ -1,5 +1,6 @@
 """From the pattern of a rule to its nodes: which conditions are tested where, and how long a match can be of use."""
 
+from functools import partial
 from typing import Any, Dict, FrozenSet, List, NamedTuple, Optional, Sequence, Set, Tuple
 
 from ..errors import RuleError
@@ -22,12 +23,14 @@ from .pattern import (
     Either,
     Occurs,
     Pair,
+    Repeated,
     Star,
     Within,
     bound_by,
     surely_bound_by,
     walk,
 )
+from .repeating import Repeating
 from .runs import Running
 from .telling import Name, Telling
 
@@ -142,6 +145,8 @@ class Compiler:
         """Build what is not a pair of patterns."""
         if isinstance(core, (Star, Aggregate)):
             return self._running(core, wrapping, context, inner)
+        if isinstance(core, Repeated):
+            return self._repeated(core, context, inner)
         if isinstance(core, Occurs):
             leaf = self._add(Leaf(self.rule, core.term), None, UNLIMITED)
             built = Built(leaf, [], [], [leaf])
@@ -161,6 +166,19 @@ class Compiler:
             node = Acting(below.node, Call(self.rule, core.goal, below.node.vars), core.every, self.keep)
             built = below._replace(node=self._add(node, None, inner))
         return self._filtered(built, wrapping, context)
+
+    def _repeated(self, core: Repeated, context: Names, limit: Limit) -> Built:
+        """Build a pattern that happens several times; written out where repetitions need nodes of their own."""
+        if core.is_of_single_events():
+            before = len(self.nodes)
+            one = self._build(core.pattern, context | self._bound(core.pattern), limit)
+            if not one.deferred:
+                naming = partial(self._telling.name, pattern=core.pattern)
+                repeating = Repeating(self.rule, one.node, core.times, self.keep, naming)
+                node = self._add(repeating, None, limit)
+                return Built(node, [], one.leaves, [])
+            del self.nodes[before:]
+        return self._build(core.written_out(), context, limit)
 
     def _bound(self, pattern: Any) -> Names:
         """Return the variables that a match of a pattern may give values to; of a sequence looked for once."""

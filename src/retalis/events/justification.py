@@ -5,8 +5,9 @@ from typing import Any, Iterator, List, Sequence, Set, Tuple
 from ..terms import Term, Var, atom, copy, functor, make_list, resolve, undo, unify
 from ..terms.keys import variant_key
 from ..timestamps import interval_term
+from .chains import repetitions
 from .matches import Found, Held, Match
-from .pattern import Absent, Action, Aggregate, Condition, Either, Occurs, Pair, Star, Within
+from .pattern import Absent, Action, Aggregate, Condition, Either, Occurs, Pair, Repeated, Star, Within
 from .tracking import Occurrence
 
 _EVENT = functor("event", 2)
@@ -19,6 +20,8 @@ _FAILED_BODY = functor("failed", 1)
 _UNLABELED = atom("unlabeled")
 _LARGEST = 500
 """How many rules an explanation of what did not happen goes through."""
+_WRITTEN_OUT = 100
+"""How many repetitions of a pattern it shows."""
 
 
 class Justifier:
@@ -107,6 +110,8 @@ class _Missing:
     def _pattern(self, pattern: Any) -> Term:
         if isinstance(pattern, Occurs):
             return self._event(pattern.term)
+        if isinstance(pattern, Repeated):
+            pattern = _shown_of(pattern)
         name, parts = _parts(pattern)
         operands = [part.term if isinstance(part, _Quoted) else self._pattern(part) for part in parts]
         shown = functor(name, len(parts))(*[_as_term(part) for part in parts])
@@ -144,10 +149,21 @@ def describe(pattern: Any, match: Match, show: Any) -> Term:
         parts = match.parts or ()
     if isinstance(pattern, Either):
         return describe(pattern.branches[parts[0]], parts[1], show)
+    if isinstance(pattern, Repeated):
+        return _described_one_by_one(pattern, match, show)
     if isinstance(pattern, Pair):
         left = describe(pattern.left, parts[0], show)
         return functor(f"{pattern.operator}f", 2)(left, describe(pattern.right, parts[1], show))
     return _describe_run(pattern, parts, show)
+
+
+def _described_one_by_one(pattern: Repeated, match: Match, show: Any) -> Term:
+    """Return the term of several repetitions: that of the sequence written out."""
+    first, *others = repetitions(match, pattern.times)
+    shown = describe(pattern.pattern, first, show)
+    for one in others:
+        shown = functor("seqf", 2)(shown, describe(pattern.pattern, one, show))
+    return shown
 
 
 def _is_wrapped(parts: Sequence[Any]) -> bool:
@@ -187,6 +203,11 @@ def _parts(pattern: Any) -> Tuple[str, List[Any]]:
     return name, [pattern.pattern, _Quoted(resolve(pattern.goal))]
 
 
+def _shown_of(part: Repeated) -> Any:
+    """Return what an explanation shows of repetitions: the sequence written out, of not too many of them."""
+    return part._replace(times=min(part.times, _WRITTEN_OUT)).written_out()
+
+
 class _Quoted:
     """A part of an explanation that is shown as it stands."""
 
@@ -199,6 +220,8 @@ def _as_term(part: Any) -> Term:
         return part.term
     if isinstance(part, Occurs):
         return resolve(part.term)
+    if isinstance(part, Repeated):
+        part = _shown_of(part)
     name, parts = _parts(part)
     return functor(name, len(parts))(*[_as_term(one) for one in parts])
 

@@ -124,6 +124,17 @@ class Held:
 NOTHING_HELD = Held(None, None)
 
 
+class Repetitions:
+    """Matches that one was made of, one after the other; told apart by them, as by parts."""
+
+    __slots__ = ()
+
+    @property
+    def matches(self) -> List[Match]:
+        """All of them, oldest first."""
+        raise NotImplementedError
+
+
 class Found(NamedTuple):
     """Values that goals, repetitions and aggregates have given a match and that are not carried on.
 
@@ -170,7 +181,7 @@ class Identity:
                 if one.hash != two.hash or len(one.parts) != len(two.parts):
                     return False
                 pairs += zip(one.parts, two.parts)
-            elif one != two:
+            elif one.__class__ is Identity or two.__class__ is Identity or one != two:
                 return False
         return True
 
@@ -219,7 +230,7 @@ def leaves(match: Match) -> Iterator[Any]:
             for inner in reversed(part.parts):
                 if isinstance(inner, Match):
                     stack.append(inner)
-                elif inner.__class__ is Held:
+                elif inner.__class__ is Held or isinstance(inner, Repetitions):
                     stack.extend(reversed(inner.matches))
 
 
@@ -234,8 +245,11 @@ def sources(match: Match) -> Iterator[Any]:
         for inner in reversed(part.parts):
             if isinstance(inner, Match):
                 stack.append(inner)
-            elif inner.__class__ is Held and inner.match is not None:
-                yield inner
+            elif inner.__class__ is Held:
+                if inner.match is not None:
+                    yield inner
+            elif isinstance(inner, Repetitions):
+                stack.extend(reversed(inner.matches))
 
 
 def arrival(match: Match) -> int:

@@ -12,7 +12,9 @@ from .operators import OPERATORS
 Spot = Callable[..., Optional[Place]]
 """Gives the place of a compound term: that of its functor, or with a number that of an argument."""
 
-Pattern = Union["Occurs", "Pair", "Either", "Absent", "Star", "Aggregate", "Condition", "Within", "Action"]
+Pattern = Union[
+    "Occurs", "Pair", "Repeated", "Either", "Absent", "Star", "Aggregate", "Condition", "Within", "Action"
+]
 
 
 class Occurs(NamedTuple):
@@ -27,6 +29,33 @@ class Pair(NamedTuple):
     operator: str
     left: Any
     right: Any
+
+
+class Repeated(NamedTuple):
+    """A pattern several times in sequence; ``own`` are the variables that are fresh in each repetition."""
+
+    pattern: Any
+    times: int
+    own: Tuple[Var, ...]
+
+    def written_out(self) -> Any:
+        """Return the same as a sequence of patterns."""
+        result = self.pattern
+        for _ in range(self.times - 1):
+            fresh = {var: Var() for var in self.own}
+            result = Pair(SEQ, result, with_others(self.pattern, fresh) if fresh else self.pattern)
+        return result
+
+    def is_of_single_events(self) -> bool:
+        """Tell whether each repetition is one event, and of each event there is one match at most."""
+        parts = walk(self.pattern)
+        if not all(isinstance(part, (Occurs, Either, Condition, Within)) for part in parts):
+            return False
+        terms = [part.term for part in parts if isinstance(part, Occurs)]
+        kinds = {term[0] if term.__class__ is tuple else term for term in terms}
+        return len(terms) == 1 or (
+            len(kinds) == len(terms) and not any(one.__class__ is Var for one in kinds)
+        )
 
 
 class Either(NamedTuple):
@@ -83,8 +112,10 @@ class Action(NamedTuple):
     every: bool
 
 
-_PATTERNS = (Occurs, Pair, Either, Absent, Star, Aggregate, Condition, Within, Action)
+_PATTERNS = (Occurs, Pair, Repeated, Either, Absent, Star, Aggregate, Condition, Within, Action)
 SEQ = "seq"
+MOST_TIMES = 10_000
+"""How many repetitions ``ntimes`` takes at most."""
 _GOAL_OPERATORS = {"where": (True, False), "check": (True, True), "timestamp": (True, True)}
 _GOALS_AS_PATTERN = frozenset((functor("prolog", 1), functor("query", 1), functor("db", 1)))
 _AGGREGATES = {"count": 0, "sum": 1, "min": 1, "max": 1, "avg": 1, "list": 1}
@@ -269,16 +300,16 @@ class Reader:
         times = deref(term[2])
         if times.__class__ is not int or times < 1:
             raise self._error("ntimes needs a positive integer", term, 2)
-        if times > 1000:
-            raise self._error("ntimes takes at most 1000 repetitions", term, 2)
+        if times > MOST_TIMES:
+            raise self._error(f"ntimes takes at most {MOST_TIMES} repetitions", term, 2)
         pattern = self._operand(term, 1, "ntimes")
-        own = self._anonymous.intersection(bound_by(pattern, True)) if self._anonymous else ()
-        result = pattern
-        for _ in range(times - 1):
-            fresh = {var: Var() for var in own}
-            self._anonymous |= set(fresh.values())
-            result = Pair(SEQ, result, with_others(pattern, fresh) if own else pattern)
-        return result
+        if times == 1:
+            return pattern
+        own = tuple([var for var in bound_by(pattern, True) if var in self._anonymous])
+        fresh = {var: Var() for var in own}
+        self._anonymous |= set(fresh.values())
+        last = with_others(pattern, fresh) if fresh else pattern
+        return Pair(SEQ, pattern if times == 2 else Repeated(pattern, times - 1, own), last)
 
     def _span(self, term: Any) -> int:
         span = deref(term[2])
@@ -317,8 +348,8 @@ def with_others(part: Any, fresh: Mapping[Var, Var]) -> Any:
     def renamed(found: Any) -> Any:
         if isinstance(found, _PATTERNS):
             return found.__class__(*map(renamed, found))  # type: ignore[call-arg]
-        if found.__class__ is tuple and found and found[0].__class__ is not Functor:
-            return tuple(map(renamed, found))  # the branches of an ``or``
+        if found.__class__ is tuple and (not found or found[0].__class__ is not Functor):
+            return tuple(map(renamed, found))  # the branches of an ``or``, the variables of repetitions
         return rebuild(found, lambda var: fresh.get(var, var)) if found.__class__ in (tuple, Var) else found
 
     return renamed(part)
@@ -388,7 +419,7 @@ def children(part: Any, negated: bool = True) -> Tuple[Any, ...]:
         return (part.first, part.repeated)
     if isinstance(part, Aggregate):
         return (part.first, part.collected)
-    if isinstance(part, (Condition, Within, Action)):
+    if isinstance(part, (Repeated, Condition, Within, Action)):
         return (part.pattern,)
     return ()
 
@@ -407,6 +438,8 @@ def _as_term(pattern: Any) -> Term:
         marks: Tuple[Any, ...] = ()
         if isinstance(part, Pair):
             kind = part.operator
+        elif isinstance(part, Repeated):
+            marks = (part.times,)
         elif isinstance(part, Either):
             marks = (len(part.branches),)
         elif isinstance(part, Absent):

@@ -1,0 +1,326 @@
+"""The node of a pattern that has to happen several times in sequence: what so many nodes of `seq` would do.
+
+In the usual case, all sequences that wait take the next repetition, and one more begins with it: nothing is done for
+each of them (see `trains`). What does not go on with the others waits apart, by the number of its repetitions. Where
+this does not hold (nothing is used up, first sides come late, values have variables), there are nodes of `seq`.
+"""
+
+from typing import Any, Callable, Collection, Dict, Iterator, List, Optional, Sequence, Tuple
+
+from ..terms import Var, positions
+from .chains import Chain, Log, joined_at_once, joined_one_by_one, pieces_of
+from .joining import Joining
+from .matches import Match, identity
+from .nodes import Node
+from .operators import OPERATORS
+from .places import Place, key_function
+from .policy import Emit, Frame, Mode, emit_each
+from .reach import reach_of
+from .telling import Name
+from .tracking import known_in
+from .trains import Moving, Token, Train
+
+_SEQ = OPERATORS["seq"]
+
+
+class _Relay(Node):
+    """Stands for one of the repetitions where these have nodes of their own."""
+
+    def __init__(self, like: Node, shared: Collection[Var]):
+        self.vars = [var if var in shared else Var() for var in like.vars]
+
+    def bind(self, out: Emit, mode: Mode) -> None:
+        """Send matches to ``out`` from now on."""
+        self._out = out
+
+    def take(self, match: Match, after: Frame) -> Frame:
+        """Send on a match of its own, which may wait by itself."""
+        own = Match(match.values, match.start, match.end, match.event, match.term, match.parts)
+        return self._out(own, after)
+
+
+class Repeating(Node):
+    """Puts a number of matches of one pattern together, one after the other.
+
+    Args:
+        rule: the rule it belongs to.
+        child: the node of the pattern; of each event it makes one match at most.
+        times: how many repetitions there are, at least two.
+        keep: the variables that anything else in the rule looks at. Each repetition has the same values of them.
+
+        named: gives what names matches that carry the values of some variables.
+
+    Attributes:
+        limit: for how many nanoseconds what waits is of use; None for no bound.
+        trains: the sequences that go on together, by their values.
+        visits: how many sequences, or numbers of repetitions, were looked at one by one.
+    """
+
+    def __init__(self, rule: Any, child: Node, times: int, keep: Any, named: Callable[[Any], Name]):
+        self.rule = rule
+        self.child = child
+        self.times = times
+        self.vars = [var for var in child.vars if var in keep]
+        self._names = named(child.vars), named(self.vars)
+        at = positions(child.vars)
+        self._kept = tuple([at[var] for var in self.vars])
+        self._key = key_function(self._kept)
+        self._places: Dict[int, Place] = {}
+        self._apart: Dict[Any, Dict[int, None]] = {}
+        self._joinings: List[Joining] = []
+        self._relays: List[_Relay] = []
+        self.trains: Dict[Any, Train] = {}
+        self._moving = Moving(self)
+        self.span: Optional[int] = None
+        self.limit: Optional[int] = None
+        self._mode = Mode()
+        self._together = False
+        self.visits = 0
+
+    def places(self) -> Sequence[Any]:
+        """Return where matches wait."""
+        right = [joining.right_place for joining in self._joinings]
+        return (self._moving, *self._places.values(), *right)
+
+    def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
+        """Set the bounds; see `Node.set_span`."""
+        self.span = span
+        self.limit = limit
+        for place in self._places.values():
+            place.span = limit
+        for joining in self._joinings:
+            joining.set_span(span, limit)
+
+    def bind(self, out: Emit, mode: Mode) -> None:
+        """Connect the node; see `Node.bind`."""
+        self._out = out
+        self._mode = mode
+        open_ones = any(None in place.newest for place in self._places.values())
+        if not mode.policy.consuming or mode.out_of_order or open_ones:
+            self._part()
+        else:
+            self._together = True
+            for number, place in self._places.items():
+                for one in place.all() if number > 1 else ():
+                    joined_at_once(one, number)
+                self._set_up(place, number)
+                for key in place.newest:
+                    self._apart.setdefault(key, {})[number] = None
+        self.child.bind(self._arrive, mode)
+
+    def values_of(self, token: Token) -> Any:
+        """Return the values of a sequence."""
+        return token.values if token.apart > 1 else tuple([token.values[at] for at in self._kept])
+
+    def _arrive(self, match: Match, after: Frame) -> Frame:
+        if self._together:
+            try:
+                key = self._key(match.values)
+            except ValueError:
+                self._part()
+            else:
+                made = self._take(match, key)
+                return after if made is None else self._out(made, after)
+        return emit_each(self._served(), lambda relay, then: relay.take(match, then), after)
+
+    # ---- together ------------------------------------------------------------------------------------
+
+    def _take(self, match: Match, key: Any) -> Optional[Match]:
+        """Have what waits take a repetition; return what is complete with it."""
+        train = self.trains.get(key)
+        apart = self._apart.get(key)
+        if train is None:
+            train = Train(self, key)
+        if match.start <= train.end:
+            return self._take_apart(train, match, apart)
+        train.renew(self.times)
+        if apart:
+            self._join_train(train, match, apart)
+        if self.span is not None and match.end > self.rule.clock:
+            self._leave_behind(train, match)
+        longest = train.advance(match, self.times)
+        self.trains[key] = train
+        self.visits += 1
+        made = None
+        if longest is not None:
+            made = train.match_of(longest, self.times)
+            longest.leave()
+        token: Any = train.tokens[0]
+        self.rule.keep(token, self.limit)
+        if self._mode.tracked:
+            self._note(train, match)
+        if apart and self._mode.policy.replacing:
+            self._replace(train, apart)
+        return made
+
+    def _join_train(self, train: Train, match: Match, apart: Dict[int, None]) -> None:
+        """Have those that wait apart go on with the train in the place of those there, as the policy says."""
+        newest = self._mode.policy.newest
+        for number in list(apart):
+            self.visits += 1
+            token = train.at(number)
+            if token is not None and newest and self._fits(token, match):
+                continue  # it is newer than those that wait apart
+            other = self._first_fit(number, train.key, match, apart)
+            if other is None:
+                continue
+            if token is not None:
+                self._stop(train, token, number)
+            other.leave()
+            other = Token(other, number, train)
+            train.put(number, other)
+            self.rule.keep(other, self.limit)
+
+    def _leave_behind(self, train: Train, match: Match) -> None:
+        """Have wait apart what would be too long with a match of which the rule's clock knows nothing."""
+        for number, token in list(train.present()):
+            self.visits += 1
+            if not self._fits(token, match):
+                self._stop(train, token, number)
+
+    def _replace(self, train: Train, apart: Dict[int, None]) -> None:
+        """Have those in the train take the place of those apart that are of the same events."""
+        for number in apart:
+            token, place = train.at(number), self._places[number]
+            if token is not None and train.key in place.newest:
+                older = place.namesake(train.match_of(token, number), train.key)
+                if older is not None:
+                    older.leave()
+
+    def _take_apart(self, train: Train, match: Match, apart: Optional[Dict[int, None]]) -> Optional[Match]:
+        """Have what waits apart take a repetition that began before the last one of the train had ended."""
+        made = None
+        for number in sorted(apart, reverse=True) if apart else ():
+            self.visits += 1
+            other = self._first_fit(number, train.key, match, apart)
+            if other is None:
+                continue
+            other.leave()
+            values = other.values if number > 1 else tuple([other.values[at] for at in self._kept])
+            chain = Chain((*pieces_of(other, number), (Log([match]), 0, 1)))
+            longer = Match(values, other.start, match.end, None, None, (chain,))
+            if number + 1 == self.times:
+                made = longer
+            else:
+                self._set_apart(train, longer, number + 1)
+        self._set_apart(train, match, 1)
+        return made
+
+    def _first_fit(self, number: int, key: Any, match: Match, apart: Any) -> Optional[Match]:
+        """Return which of those that wait apart a repetition takes."""
+        place = self._places[number]
+        if key not in place.newest:
+            del apart[number]
+            return None
+        for one in place.partners(key, match.start, match.end, self._mode.policy.newest):
+            if one.end < match.start and self._fits(one, match):
+                return one
+        return None
+
+    def _fits(self, one: Match, match: Match) -> bool:
+        return self.span is None or match.end - one.start <= self.span
+
+    def _set_apart(self, train: Train, match: Match, number: int) -> None:
+        """Have a new sequence wait apart; it is newer than that of the train."""
+        token = train.at(number)
+        if token is not None:
+            if self._mode.policy.replacing and identity(train.match_of(token, number)) == identity(match):
+                token.leave()
+            else:
+                self._stop(train, token, number)
+        self._wait_apart(match, number, train.key)
+
+    def _stop(self, train: Train, token: Token, number: int) -> None:
+        """Have a sequence leave the train and wait apart, since when it took its last repetition."""
+        match = train.match_of(token, number)
+        token.leave()
+        rule = self.rule
+        before, rule.order = rule.order, train.order - number
+        try:
+            self._wait_apart(match, number, train.key)
+        finally:
+            rule.order = before
+
+    def _wait_apart(self, match: Match, number: int, key: Any) -> None:
+        place = self._place(number)
+        place.add(match, key)
+        if key not in self._apart and len(self._apart) > 2 * self.rule.waiting + 1000:
+            self._apart = {}
+            for at, other in self._places.items():
+                for one in other.newest:
+                    self._apart.setdefault(one, {})[at] = None
+        self._apart.setdefault(key, {})[number] = None
+
+    def _place(self, number: int) -> Place:
+        place = self._places.get(number)
+        if place is None:
+            shared = self._kept if number == 1 else tuple(range(len(self._kept)))
+            place = self._places[number] = Place(self.rule, shared)
+            place.span = self.limit
+            self._set_up(place, number)
+        return place
+
+    def _set_up(self, place: Place, number: int) -> None:
+        place.reach = reach_of("seq", self.span, False)
+        # Those under one key have the same values, of which longer sequences need not be told apart.
+        name = self._names[0] if number == 1 else identity
+        place.identify(name if self._mode.policy.replacing else None)
+
+    # ---- events that are taken back ------------------------------------------------------------------
+
+    def _note(self, train: Train, match: Match) -> None:
+        """Have the events of a repetition know that all of the train holds them."""
+        number = train.taken - 1
+        for occurrence in known_in(match):
+            if occurrence.gone:
+                self.forget(train, number)
+                return
+            occurrence.held.append((self, train, number))
+
+    def forget(self, train: Train, number: int) -> bool:
+        """Remove all that is made of a repetition whose event was taken back; nothing follows from that."""
+        for _, token in list(train.present()):
+            if token.since <= number:
+                token.leave()
+        return False
+
+    # ---- with nodes of seq ---------------------------------------------------------------------------
+
+    def _part(self) -> None:
+        """Have all sequences wait in nodes of seq from now on."""
+        for train in sorted(self.trains.values(), key=lambda one: one.order):
+            for number, token in list(train.present()):
+                self._stop(train, token, number)
+        self._apart = {}
+        self._together = False
+        for number, place in self._places.items():
+            for one in place.all() if number > 1 else ():
+                joined_one_by_one(one, number)
+        if not self._joinings:
+            shared = frozenset(self.vars)
+            self._relays = [_Relay(self.child, shared) for _ in range(self.times)]
+            left: Any = self._relays[0]
+            for number, relay in enumerate(self._relays[1:], 1):
+                left = Joining(self.rule, _SEQ, left, relay, shared, None, (), True, self._names_at(number))
+                left.left_place = self._place(number)
+                left.set_span(self.span, self.limit)
+                self._joinings.append(left)
+        self._joinings[-1].bind(self._give if self._mode.policy.replacing else self._out, self._mode)
+
+    def _names_at(self, number: int) -> Tuple[Name, Name]:
+        one, some = self._names
+        return (one if number == 1 else some), one
+
+    def _give(self, match: Match, after: Frame) -> Frame:
+        """Send on a match of all repetitions as those are that went on together, whose place it may take."""
+        joined_at_once(match, self.times)
+        return self._out(match, after)
+
+    def _served(self) -> Iterator[Any]:
+        """Yield what takes a match, the last repetition first; what can complete nothing only where it may wait."""
+        relays, late = self._relays, self._mode.out_of_order
+        for number in range(self.times - 1, 0, -1):
+            if late or self._places[number].newest:
+                self.visits += 1
+                yield relays[number]
+        yield relays[0]
