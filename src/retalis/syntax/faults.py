@@ -1,14 +1,12 @@
 """What is wrong with a clause, and what its author most likely meant."""
 
 from difflib import get_close_matches
-from typing import TYPE_CHECKING, Any, List, Optional
+from typing import Any, List, Optional
 
 from ..errors import SyntaxFault
 from .operators import CANONICAL, Operator
+from .state import State
 from .tokens import END, NAME, NUMBER, OPEN_CT, QUOTED, VARIABLE, AnyToken, shown
-
-if TYPE_CHECKING:
-    from .opened import Open
 
 CLOSER = {"(": ")", OPEN_CT: ")", "[": "]", "{": "}"}
 _CLOSERS = frozenset(CLOSER.values())
@@ -32,7 +30,7 @@ _ELSEWHERE = {
 _SEQUENCE = frozenset(("before", "after", "then", "followed_by"))
 
 
-def no_operand(parser: "Open", innermost: List[Any]) -> SyntaxFault:
+def no_operand(parser: State, innermost: List[Any]) -> SyntaxFault:
     """Return the error about a token that stands where a term should begin."""
     token = parser.tokens[parser.at]
     what = shown(token, parser.source.text)
@@ -48,7 +46,7 @@ def no_operand(parser: "Open", innermost: List[Any]) -> SyntaxFault:
     return _fault(parser, message, _operand_hint(parser, token))
 
 
-def _operand_hint(parser: "Open", token: AnyToken) -> str:
+def _operand_hint(parser: State, token: AnyToken) -> str:
     before = _before(parser)
     if before is not None and before[0] == ",":
         if token[0] == END:
@@ -59,7 +57,7 @@ def _operand_hint(parser: "Open", token: AnyToken) -> str:
     return ""
 
 
-def no_operator(parser: "Open", bracket: List[Any]) -> SyntaxFault:
+def no_operator(parser: State, bracket: List[Any]) -> SyntaxFault:
     """Return the error about a token that stands where a term has ended."""
     token = parser.tokens[parser.at]
     text = parser.source.text
@@ -76,7 +74,7 @@ def no_operator(parser: "Open", bracket: List[Any]) -> SyntaxFault:
     return _fault(parser, message, _operator_hint(parser, token, opened))
 
 
-def _operator_hint(parser: "Open", token: AnyToken, opened: Optional[int]) -> str:
+def _operator_hint(parser: State, token: AnyToken, opened: Optional[int]) -> str:
     kind, value, start, _ = token
     text = parser.source.text
     before = _before(parser)
@@ -109,7 +107,7 @@ def _operator_hint(parser: "Open", token: AnyToken, opened: Optional[int]) -> st
     return ""
 
 
-def _unknown_operator(parser: "Open", name: str) -> str:
+def _unknown_operator(parser: State, name: str) -> str:
     if name in _ELSEWHERE:
         return _ELSEWHERE[name]
     words = [known for known in {**parser.operators.infix, **parser.operators.postfix} if known[0].isalpha()]
@@ -123,7 +121,7 @@ def _unknown_operator(parser: "Open", name: str) -> str:
     return f'"{name}" is not an operator; two patterns are joined with "seq", "and", "or" or another'
 
 
-def unbalanced(parser: "Open", opened: Optional[int]) -> SyntaxFault:
+def unbalanced(parser: State, opened: Optional[int]) -> SyntaxFault:
     """Return the error about a closing bracket, or an end, that does not fit what is open."""
     token = parser.tokens[parser.at]
     what = shown(token, parser.source.text)
@@ -135,7 +133,7 @@ def unbalanced(parser: "Open", opened: Optional[int]) -> SyntaxFault:
     return _fault(parser, f'expected "{closer}" for the {_opener(parser, opened)} before {what}', "")
 
 
-def clash(parser: "Open", found: Operator, start: int, outer: Optional[Operator]) -> SyntaxFault:
+def clash(parser: State, found: Operator, start: int, outer: Optional[Operator]) -> SyntaxFault:
     """Return the error about an operator whose priority does not fit.
 
     Args:
@@ -167,13 +165,13 @@ def clash(parser: "Open", found: Operator, start: int, outer: Optional[Operator]
     return _fault(parser, message, hint, start)
 
 
-def _opener(parser: "Open", opened: int) -> str:
+def _opener(parser: State, opened: int) -> str:
     offset = parser.tokens[opened][2]
     place = parser.source.place(offset)
     return f'"{parser.source.text[offset]}" in line {place.line}, column {place.column}'
 
 
-def _before(parser: "Open") -> Optional[AnyToken]:
+def _before(parser: State) -> Optional[AnyToken]:
     return parser.tokens[parser.at - 1] if parser.at else None
 
 
@@ -182,7 +180,7 @@ def starts_line(text: str, offset: int) -> bool:
     return offset > 0 and text[offset - 1] == "\n"
 
 
-def _fault(parser: "Open", message: str, hint: str, offset: Optional[int] = None) -> SyntaxFault:
+def _fault(parser: State, message: str, hint: str, offset: Optional[int] = None) -> SyntaxFault:
     if offset is None:
         offset = parser.tokens[parser.at][2]
     return parser.source.fault(f"{message}; {hint}" if hint else message, offset)

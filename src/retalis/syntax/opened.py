@@ -6,17 +6,14 @@ Every stack entry begins with the highest priority that may stand there. An oper
 closes the operators before it, as far as their arguments allow; at a bracket that is a priority clash.
 """
 
-from typing import Any, Dict, List, Optional, Sequence, Tuple
+from typing import Any, List, Optional, Tuple
 
-from ..terms import COMMA, CONS, NIL, Term, Var, functor
+from ..terms import COMMA, CONS, NIL, Term, functor
 from . import faults
-from .operators import Operator, Operators
-from .rules import ARROW, GOAL_RIGHT, NO_RULES, Layout
-from .tokens import END, AnyToken, ReadFlags, Source
-
-_INFIX, _PREFIX, _GROUP, ARGUMENTS, LIST = range(5)  # the operators come first
-
-Table = Dict[str, Operator]
+from .operators import Operator
+from .rules import ARROW, GOAL_RIGHT
+from .state import GROUP, INFIX, LIST, PREFIX, State, Table
+from .tokens import END
 
 _CURLY = functor("{}", 1)
 _RULE = functor("rule:", 2)
@@ -25,46 +22,8 @@ _NECKS = frozenset((functor(":-", 2), functor("-->", 2)))
 _COMMA = Operator(1000, 999, 1000, COMMA, "xfy")
 
 
-class Open:
-    """What is open, and the term that was read last (``left``).
-
-    ``INFIX``, ``PREFIX`` and ``GROUP`` are kinds of entries on its stack, for those who look at it.
-
-    Attributes:
-        names: name -> variable, in order of appearance, without ``_``.
-        counts: name -> how often it stands in the clause.
-        spots: ``id`` of a compound term -> offsets of its functor and of its arguments.
-    """
-
-    INFIX, PREFIX, GROUP = _INFIX, _PREFIX, _GROUP
-
-    def __init__(
-        self,
-        tokens: Sequence[AnyToken],
-        source: Source,
-        operators: Operators,
-        flags: ReadFlags,
-        rules: Layout = NO_RULES,
-        spots: Optional[Dict[int, Tuple[int, ...]]] = None,
-    ):
-        self.tokens = tokens
-        self.source = source
-        self.operators = operators
-        self.flags = flags
-        self.rules = rules
-        self.spots = spots
-        self.names: Dict[str, Var] = {}
-        self.counts: Dict[str, int] = {}
-        self.at = 0
-        self.stack: List[Any] = []
-        self.brackets: List[List[Any]] = []
-        self.table: Table = operators.infix
-        self.patterns: Optional[Table] = operators.patterns() if rules is not NO_RULES else None
-        self.left: Term = None
-        self.left_priority = 0
-        self.left_at = 0
-        self.wants_operand = True
-        self.argument_limit = 999 if flags.iso else 1200
+class Open(State):
+    """What is open while a clause is read, opened and closed."""
 
     def _have(self, term: Term, start: int) -> None:
         self.left = term
@@ -75,12 +34,12 @@ class Open:
     def _push_prefix(self, found: Operator, start: int) -> None:
         if found.priority > self.stack[-1][0]:
             top = self.stack[-1]
-            raise faults.clash(self, found, start, top[2] if top[1] <= _PREFIX else None)
-        self.stack.append((found.right, _PREFIX, found, start, self.table))
+            raise faults.clash(self, found, start, top[2] if top[1] <= PREFIX else None)
+        self.stack.append((found.right, PREFIX, found, start, self.table))
 
     def _push_group(self, at: Optional[int], start: int) -> None:
         """Open a round or curly bracket, or the clause itself (``at`` is None)."""
-        self._push_bracket([1200, _GROUP, at, self.table, start])
+        self._push_bracket([1200, GROUP, at, self.table, start])
         inner = self.table if at is None or self.tokens[at][0] != "{" else self.operators.infix
         self._begin_segment(self.at, inner)
 
@@ -96,13 +55,6 @@ class Open:
         self.table = table if table is not None else self.operators.infix
         self.wants_operand = True
 
-    def text_at(self, start: int) -> str:
-        """Return the text of the token that begins at an offset."""
-        for token in self.tokens:
-            if token[2] == start:
-                return self.source.text[start : token[3]]
-        return ""
-
     # -- operators ---------------------------------------------------------------------------------------
 
     def _make_room(self, found: Operator, name: str, start: int) -> Operator:
@@ -116,7 +68,7 @@ class Open:
             limit, priority = top[0], found[0]
             if limit > priority:
                 break
-            if top[1] > _PREFIX:
+            if top[1] > PREFIX:
                 if limit < priority:
                     raise faults.clash(self, found, start, None)
                 break
@@ -141,7 +93,7 @@ class Open:
             found = self._make_room(found, name, start)
         if self.table is self.patterns and found.functor in _NECKS:
             raise faults.clash(self, found, start, self.operators.infix.get("<-", found))
-        self.stack.append((found.right, _INFIX, found, self.left, self.left_at, start, self.table))
+        self.stack.append((found.right, INFIX, found, self.left, self.left_at, start, self.table))
         self.wants_operand = True
         if self.patterns is not None:
             self._switch(found, label)
@@ -159,7 +111,7 @@ class Open:
         """Build the term of the innermost waiting operator."""
         top = self.stack.pop()
         found = top[2]
-        if top[1] == _INFIX:
+        if top[1] == INFIX:
             left_at = top[4]
             self._build((found.functor, top[3], self.left), top[5], (left_at, self.left_at))
             self.left_at = left_at
@@ -180,14 +132,14 @@ class Open:
     def _innermost(self) -> List[Any]:
         """Close all waiting operators of the innermost bracket and return its entry."""
         stack = self.stack
-        while stack[-1][1] <= _PREFIX:
+        while stack[-1][1] <= PREFIX:
             self._reduce()
         return self.brackets[-1]
 
     def _comma(self, start: int) -> None:
         kind = self.brackets[-1][1]
         self.at += 1
-        if kind == _GROUP:
+        if kind == GROUP:
             self._push_infix(_COMMA, ",", start)
             return
         bracket = self._innermost()
@@ -233,7 +185,7 @@ class Open:
         self.stack.pop()
         self.brackets.pop()
         self.table = bracket[3]
-        if bracket[1] == _GROUP:
+        if bracket[1] == GROUP:
             if kind == "}":
                 self._build((_CURLY, self.left), bracket[4], (self.left_at,))
             self.left_at = bracket[4]

@@ -8,9 +8,10 @@ from typing import Tuple
 
 from ..terms import FALSE, TRUE, Term, Var, atom, functor
 from . import faults
-from .opened import ARGUMENTS, LABEL, LIST, Open
+from .opened import LABEL, Open
 from .operators import CANONICAL_IN_PATTERNS
 from .rules import PATTERN_ARGUMENTS
+from .state import ARGUMENTS, LIST
 from .tokens import END, NAME, NUMBER, OPEN_CT, QUOTED, TEXT, VARIABLE, AnyToken
 
 _ENDS = frozenset((")", "]", "}", ",", "|", END, "eof"))
