@@ -4,9 +4,8 @@ from typing import Any, Optional
 
 from ..errors import RetalisError, TermTooLarge
 from ..terms import SLASH, Functor, Term, Var, atom, functor
+from .messages import CONTEXT, ERROR, describe
 
-ERROR = functor("error", 2)
-CONTEXT = functor("context", 2)
 _TYPE_ERROR = functor("type_error", 2)
 _DOMAIN_ERROR = functor("domain_error", 2)
 _EXISTENCE_ERROR = functor("existence_error", 2)
@@ -37,8 +36,6 @@ class PrologError(RetalisError):
     @property
     def message(self) -> str:  # type: ignore[override]
         """What went wrong, as text."""
-        from .messages import describe  # deferred: writing terms is needed only where an error is shown
-
         return describe(self.term)
 
 

@@ -14,8 +14,9 @@ from ..terms import Atom, Term, Var, copy, deref, undo, unify
 from ..watching import watched_by
 from .budget import Budget
 from .codes import BAIL, DEAD, STOP, Code, Frame, Guard, fail
-from .faults import CONTEXT, ERROR, PrologError, from_python, indicator, resource_error
+from .faults import PrologError, from_python, indicator, resource_error
 from .limits import SLICE
+from .messages import CONTEXT, ERROR
 
 _FEW = (None,) * 16
 """Steps that a run begins with: most events and goals are done with sooner, without setting up the loop."""

@@ -1,8 +1,10 @@
 """Text of error terms, for logs and exceptions."""
 
 from ..syntax import writeq
-from ..terms import COLON, SLASH, Atom, String, Term, Var, deref
-from .faults import CONTEXT, ERROR
+from ..terms import COLON, SLASH, Atom, String, Term, Var, deref, functor
+
+ERROR = functor("error", 2)
+CONTEXT = functor("context", 2)
 
 
 def describe(ball: Term) -> str:

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any, Dict, List
 from ..terms import FALSE, Atom, Functor, Term, atom, copy, deref, undo, unify
 from .clause import Clause
 from .codes import Frame
-from .faults import CONTEXT, existence_error, indicator
+from .faults import existence_error, indicator
+from .messages import CONTEXT
 from .predicate import Predicate
 
 if TYPE_CHECKING:

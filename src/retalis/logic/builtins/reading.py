@@ -5,7 +5,8 @@ from typing import Any, List
 from ...errors import SyntaxFault
 from ...syntax import ReadFlags, read_term
 from ...terms import String, Term, Var, atom, deref, functor, make_list, unify, variables
-from ..faults import ERROR, PrologError, instantiation_error, type_error
+from ..faults import PrologError, instantiation_error, type_error
+from ..messages import ERROR
 from .arguments import option_values, partial_items
 from .registry import deterministic
 from .text import text_of

@@ -19,8 +19,8 @@ from ...terms import (
 )
 from ..codes import LAST
 from ..compiler.nodes import ARROW, NOT, SEMICOLON, SOFT_ARROW
-from ..faults import ERROR, indicator
-from ..messages import describe
+from ..faults import indicator
+from ..messages import ERROR, describe
 from ..predicate import Predicate
 from .arguments import atom_of, indicator_of
 from .output import formatted, letter_names, write_to
