@@ -4,7 +4,7 @@ from typing import Any, Callable, Dict, List, NamedTuple, Optional
 
 from ..errors import Errors, Place, RetalisError, RuleError
 from ..logic import PrologError
-from ..logic.logic import split_clause
+from ..logic.control import split_clause
 from ..syntax import ReadTerm
 from ..terms import COLON, Atom, Term, Var, atom, copy, deref, functor, list_items, variables
 from .alarms import ALARMS

@@ -30,6 +30,7 @@ from .faults import PrologError, instantiation_error, type_error
 _CUT = functor("!", 0)
 _FAIL = functor("fail", 0)
 _COLON = functor(":", 2)
+_NECK = functor(":-", 2)
 _STRUCTURES = {COMMA, SEMICOLON, BAR, ARROW, SOFT_ARROW, NOT}
 
 
@@ -324,3 +325,27 @@ def control_predicates(control: Control) -> Dict[Tuple[str, int], Any]:
     for key in (*_STRUCTURES, ONCE, IGNORE):
         found[key.name, key.arity] = structure(key)
     return found
+
+
+def split_clause(term: Term) -> Tuple[Term, Term]:
+    """Return head and body of a clause.
+
+    Raises:
+        PrologError: instantiation and type errors where the term is not a clause.
+    """
+    head: Term = term
+    body: Term = TRUE
+    if term.__class__ is tuple and term[0] is _NECK:
+        head, body = deref(term[1]), deref(term[2])
+    if head.__class__ is tuple and head[0].name == ":" and len(head) == 3:
+        head = deref(head[2])
+    kind = head.__class__
+    if kind is Var:
+        raise instantiation_error()
+    if kind is not tuple and kind is not Atom:
+        raise type_error("callable", head)
+    if body.__class__ is Var:
+        body = (CALL, body)
+    else:
+        body = check_body(body)
+    return head, body

@@ -1,14 +1,12 @@
 """Tracing a goal by its ports: call, exit, redo, fail and exception."""
 
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, Callable, Iterator, Optional
+from typing import Any, Callable, Iterator, Optional
 
 from ..syntax import write_term
 from ..terms import COLON, COMMA, Atom, Functor, Term, copy, deref, functor, undo, unify
 from .codes import Code, Frame, Guard
-
-if TYPE_CHECKING:
-    from .logic import Logic
+from .predicates import Predicates
 
 _SILENT = frozenset(functor(name, 0) for name in ("true", "!", "fail", "false", "otherwise"))
 _CONTROL = frozenset(
@@ -41,7 +39,7 @@ class Tracer:
         tell: called with a line for each port.
     """
 
-    def __init__(self, logic: "Logic", tell: Callable[[str], None]):
+    def __init__(self, logic: Predicates, tell: Callable[[str], None]):
         self._logic = logic
         self._tell = tell
         self._control = logic.control

@@ -1,7 +1,7 @@
 """Calls of procedures that nobody defined: an error that names the caller and what may have been meant."""
 
 from difflib import get_close_matches
-from typing import TYPE_CHECKING, Any, Dict, List
+from typing import Any, Dict, List
 
 from ..terms import FALSE, Atom, Functor, Term, atom, copy, deref, undo, unify
 from .clause import Clause
@@ -9,12 +9,10 @@ from .codes import Frame
 from .faults import existence_error, indicator
 from .messages import CONTEXT
 from .predicate import Predicate
-
-if TYPE_CHECKING:
-    from .logic import Logic
+from .predicates import Predicates
 
 
-def undefined(logic: "Logic", predicate: Predicate, frame: Frame) -> Any:
+def undefined(logic: Predicates, predicate: Predicate, frame: Frame) -> Any:
     """Raise the existence error of a procedure (or fail, as the flag ``unknown`` says)."""
     flag = deref(logic.flags["unknown"])
     if flag is atom("fail") or flag is FALSE:
@@ -31,7 +29,7 @@ def undefined(logic: "Logic", predicate: Predicate, frame: Frame) -> Any:
     raise existence_error("procedure", indicator(key), context)
 
 
-def _callers(logic: "Logic", predicate: Predicate, frame: Frame) -> List[str]:
+def _callers(logic: Predicates, predicate: Predicate, frame: Frame) -> List[str]:
     """Return the clauses that may have made a call, at most three.
 
     A last call leaves no trace of its clause, so these are the clauses with a goal that the call is an instance
@@ -82,7 +80,7 @@ def _agree(goal: Term, call: Term) -> bool:
     return agree
 
 
-def similar(logic: "Logic", key: Functor) -> List[str]:
+def similar(logic: Predicates, key: Functor) -> List[str]:
     """Return indicators of defined procedures whose name is the same or nearly so."""
     names: Dict[str, List[Functor]] = {}
     for other in logic.names():

@@ -16,7 +16,6 @@ from . import (  # noqa: F401  (imported for what they register)
     lists,
     numbering,
     output,
-    ports,
     poses,
     reading,
     recorded,
@@ -30,8 +29,7 @@ from . import (  # noqa: F401  (imported for what they register)
     timing,
 )
 from .dcg import translate_rule
-from .library import library_index, load_library
 from .registry import ENTRIES
 from .state import default_flags
 
-__all__ = ["ENTRIES", "default_flags", "library_index", "load_library", "translate_rule"]
+__all__ = ["ENTRIES", "default_flags", "translate_rule"]

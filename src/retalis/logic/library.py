@@ -3,19 +3,19 @@
 import re
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Dict, Tuple
+from typing import Dict, Tuple
 
-from ...errors import SyntaxFault
-from ...syntax import Operators, read_program
-from ...terms import Atom, deref
-from ...watching import unwatched, watched_by
-from ..clause import Clause
-from ..predicate import Predicate
+from ..errors import SyntaxFault
+from ..syntax import Operators, read_program
+from ..terms import Atom, deref
+from ..watching import unwatched, watched_by
+from .builtins import translate_rule
+from .clause import Clause
+from .control import split_clause
+from .database import Database
+from .predicate import Predicate
 
-if TYPE_CHECKING:
-    from ..logic import Logic
-
-FOLDER = Path(__file__).resolve().parent.parent / "library"
+FOLDER = Path(__file__).resolve().parent / "library"
 
 _EXPORTS = re.compile(r"^% defines: (.*)$", re.MULTILINE)
 
@@ -32,24 +32,20 @@ def library_index() -> Dict[Tuple[str, int], str]:
     return found
 
 
-def load_library(logic: "Logic", part: str) -> None:
+def load_library(database: Database, part: str) -> None:
     """Load a file of the library; that does not count for the goal that needs it."""
     before = watched_by(unwatched)
     try:
-        _load(logic, part)
+        _load(database, part)
     finally:
         watched_by(before)
 
 
-def _load(logic: "Logic", part: str) -> None:
+def _load(database: Database, part: str) -> None:
     path = FOLDER / f"{part}.pl"
-    database = logic.database
     for read in read_program(path.read_text(encoding="utf-8"), Operators.prolog(), f"library({part})"):
         if isinstance(read, SyntaxFault):
             raise read
-        from ..logic import split_clause
-        from .dcg import translate_rule
-
         term = deref(read.term)
         if term.__class__ is tuple and term[0].name == "-->":
             term = translate_rule(term)

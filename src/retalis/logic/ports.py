@@ -2,9 +2,9 @@
 
 from typing import Any, Optional
 
-from ..codes import Code, Frame, Guard
-from ..tracing import Tracer
-from .registry import control
+from .builtins.registry import control
+from .codes import Code, Frame, Guard
+from .tracing import Tracer
 
 
 @control("trace/1")
