@@ -1,8 +1,6 @@
 """Python's cyclic garbage collector in a process that runs an engine."""
 
 import gc
-from contextlib import contextmanager
-from typing import Iterator
 
 _YOUNG, _MIDDLE, _OLD = 50_000, 20, 100
 """How many new objects, and then how many collections, it takes to look at a generation."""
@@ -18,15 +16,3 @@ def relax() -> None:
     gc.collect()
     gc.freeze()
     gc.set_threshold(_YOUNG, _MIDDLE, _OLD)
-
-
-@contextmanager
-def paused() -> Iterator[None]:
-    """Keep the collector from looking while something large is built: it would walk all of it again and again."""
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()

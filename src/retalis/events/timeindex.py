@@ -5,11 +5,11 @@ the orders below it lie, so that a search goes only where there may be something
 named, or limited from one side, every match found costs the logarithm of what waits.
 """
 
+import gc
 import heapq
 from bisect import bisect_left, bisect_right, insort
+from contextlib import contextmanager
 from typing import Any, Iterable, Iterator, List, Optional, Tuple
-
-from ..collector import paused
 
 Limits = Tuple[int, int, int, int]
 """The least and the largest start, the least and the largest end; all of them inclusive."""
@@ -203,3 +203,15 @@ class TimeIndex:
             for kid in kids[max(0, start - 1) : max(1, stop)]:
                 if kid.low <= high and kid.high >= low and kid.oldest < before and kid.newest > after:
                     heapq.heappush(heap, (-kid.newest if newest else kid.oldest, kid))
+
+
+@contextmanager
+def paused() -> Iterator[None]:
+    """Keep the collector from looking while something large is built: it would walk all of it again and again."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
