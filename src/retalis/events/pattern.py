@@ -4,6 +4,7 @@ from typing import Any, Callable, Dict, FrozenSet, List, Mapping, NamedTuple, Op
 
 from ..errors import Place, RuleError
 from ..terms import Atom, Functor, String, Term, Var, deref, functor, rebuild, variables
+from ..terms.keys import variant_key
 from ..timestamps import from_seconds
 from .calls import Call, asking_interval, calls
 from .meant import doubt
@@ -426,8 +427,6 @@ def children(part: Any, negated: bool = True) -> Tuple[Any, ...]:
 
 def same_rule_key(head: Optional[Term], pattern: Any) -> Any:
     """Return a key: equal for rules that are the same but for the names of variables and spellings."""
-    from ..terms.keys import variant_key
-
     return variant_key((functor("<-", 2), functor("none", 0) if head is None else head, _as_term(pattern)))
 
 

@@ -7,6 +7,7 @@ from ...watching import look
 from ..codes import LAST
 from ..faults import domain_error, instantiation_error, representation_error, type_error
 from .arguments import atom_of, integer_or_var, is_iso, items, partial_items
+from .reading import parse
 from .registry import deterministic, nondeterministic
 from .text import (
     LARGEST_CODE,
@@ -145,8 +146,6 @@ def atom_number(machine: Any, text: Term, number: Term) -> bool:
 @deterministic("term_to_atom/2")
 def term_to_atom(machine: Any, term: Term, text: Term) -> bool:
     """Relate a term with its text."""
-    from .reading import parse
-
     given = deref(text)
     if deref(term).__class__ is Var and given.__class__ is not Var:
         return unify(term, parse(machine, text_of(given)), machine.trail)
