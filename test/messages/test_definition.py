@@ -2,7 +2,8 @@ import pytest
 
 from retalis.errors import MessageError
 from retalis.messages import Definitions, Installed
-from retalis.messages.definition import VARIABLE, functor_name, parse, split_sections, type_name
+from retalis.messages.definition import VARIABLE, functor_name, type_name
+from retalis.messages.parsing import parse, split_sections
 
 HEADER = "uint32 seq\ntime stamp\nstring frame_id\n"
 

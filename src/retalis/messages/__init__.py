@@ -5,13 +5,12 @@ for the forms of the slots, `Definitions` for where types come from.
 """
 
 from .decoding import Decoder
-from .definition import Constant, Definition, functor_name, type_name
+from .definition import Constant, Definition, Field, functor_name, type_name
 from .encoding import Encoder
 from .eventtexts import text_writer
 from .installed import Installed
 from .layout import BARE
 from .registry import Definitions
-from .slots import Field
 
 __all__ = [
     "BARE",

@@ -8,9 +8,9 @@ from .. import codegen
 from ..terms import CONS, FALSE, NIL, TRUE, Lazy, Term, atom, functor
 from ._texts import read_text, texts
 from .arrays import SMALL, alike, array_maker, record_maker, variable_array
-from .definition import Definition
+from .definition import Definition, Field, measure_of
 from .layout import element_size
-from .slots import PRIMITIVES, TIMES, VARIABLE, Field, measure_of
+from .slots import PRIMITIVES, TIMES, VARIABLE
 from .text import text_term
 
 

@@ -6,8 +6,7 @@ from typing import Any, Callable, List, Optional, Tuple
 from ..terms import Term
 from ._decode_code import Code
 from ._texts import keep_text, read_texts, text_cache
-from .definition import Definition
-from .slots import Field
+from .definition import Definition, Field
 
 
 class Unsuited(Exception):

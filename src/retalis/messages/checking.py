@@ -7,8 +7,9 @@ from typing import Callable, Dict, List
 from ..errors import MessageError
 from ..terms import FALSE, NIL, TRUE, Atom, Functor, Term, Var, atom, deref, functor, list_items
 from ..terms import String as PrologString
-from .definition import Definition, integer_range
-from .slots import PRIMITIVES, TIMES, VARIABLE, Field
+from .definition import Definition, Field
+from .parsing import integer_range
+from .slots import PRIMITIVES, TIMES, VARIABLE
 from .text import text_bytes
 
 _BOOLS: Dict[Atom, bool] = {TRUE: True, atom("True"): True, FALSE: False, atom("False"): False}

@@ -16,8 +16,8 @@ from ..errors import MessageError
 from ..terms import CONS, FALSE, NIL, TRUE, Atom, Lazy, Term, atom, functor
 from .arrays import SMALL, array_maker
 from .checking import Checker
-from .definition import Definition
-from .slots import PRIMITIVES, TIMES, VARIABLE, Field
+from .definition import Definition, Field
+from .slots import PRIMITIVES, TIMES, VARIABLE
 from .text import text_atom, text_bytes
 
 _BOOLS = {TRUE: True, FALSE: False}

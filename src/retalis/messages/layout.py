@@ -4,8 +4,8 @@ from struct import unpack_from
 from typing import Optional
 
 from ..errors import MessageError, beginning
-from .definition import Definition
-from .slots import VARIABLE, Field, measure_of
+from .definition import Definition, Field, measure_of
+from .slots import VARIABLE
 
 BARE = 10_000
 """Elements without bytes (messages without slots in an array) that a message may have, where no setting says so."""

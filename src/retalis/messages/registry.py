@@ -6,10 +6,11 @@ from ..caches import Cache
 from ..errors import MessageError, beginning
 from ..rosnames import type_fault
 from .decoding import Decoder
-from .definition import Definition, parse, split_sections
+from .definition import Definition
 from .encoding import Encoder
 from .installed import Installed
 from .layout import BARE
+from .parsing import parse, split_sections
 from .slots import DEEPEST
 
 _SAME = {"tf/tfMessage": "tf2_msgs/TFMessage"}
