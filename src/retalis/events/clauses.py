@@ -14,7 +14,8 @@ from .directives import Goals, goals_of
 from .heads import SYNCHRONIZED, check_head
 from .labels import RULE, Property, is_rule, label_error, labelled
 from .occurrences import occurrences
-from .pattern import ARROWS, SPELLINGS, Action, Reader, Spot, bound_by
+from .pattern import Action, bound_by
+from .reading import ARROWS, SPELLINGS, Reader, Spot
 from .rule import Definition
 
 _CLAUSE = functor(":-", 2)

@@ -6,7 +6,8 @@ from ..errors import RuleError
 from ..logic.arithmetic import EVALUABLE
 from ..terms import CONS, Atom, String, Term, Var, deref, variables
 from .occurrences import occurrences
-from .pattern import Aggregate, Spot, bound_by
+from .pattern import Aggregate, bound_by
+from .reading import Spot
 
 
 def check_aggregate(

@@ -7,7 +7,7 @@ from ..terms import NIL, Atom, Term, Var, deref, functor, list_parts
 from .alarms import ALARMS, require_alarm
 from .calls import calls
 from .meant import head_doubt, head_error
-from .pattern import SPELLINGS, Spot
+from .reading import SPELLINGS, Spot
 
 SYNCHRONIZED = frozenset((functor("syncronized", 3), functor("synchronized", 3)))
 _COLON = functor(":", 2)

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple, Optional, Tuple
 
 from ..errors import RuleError
 from ..terms import COLON, Atom, Term, Var, deref, functor, list_items
-from .pattern import ARROWS, SPELLINGS, Spot
+from .reading import ARROWS, SPELLINGS, Spot
 
 RULE = functor("rule:", 2)
 _PROPERTY = functor("property", 2)
