@@ -22,7 +22,7 @@ from arguments import positive  # noqa: E402
 from retalis import Engine  # noqa: E402
 from retalis._reports import Reports  # noqa: E402
 from retalis.engine import Settings  # noqa: E402
-from retalis.errors import RetalisError  # noqa: E402
+from retalis.foundation import RetalisError  # noqa: E402
 from retalis.messages import Definitions, Installed  # noqa: E402
 from retalis.syntax import EventReader, Operators, event_text, read_term, to_text  # noqa: E402
 from retalis.terms import atom, functor  # noqa: E402

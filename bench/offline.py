@@ -21,7 +21,7 @@ sys.path[:0] = [str(HERE), str(HERE.parent / "src"), str(HERE.parent / "examples
 
 from arguments import above_zero, existing, interpreter, positive, target  # noqa: E402
 
-from retalis.errors import RetalisError  # noqa: E402
+from retalis.foundation import RetalisError  # noqa: E402
 
 
 def once(bag: Path) -> Dict[str, float]:

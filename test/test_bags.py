@@ -5,7 +5,7 @@ import pytest
 pytest.importorskip("rosbags")
 
 from retalis.bags import BagError, BagReader, BagWriter, Topic  # noqa: E402
-from retalis.errors import RetalisError  # noqa: E402
+from retalis.foundation import RetalisError  # noqa: E402
 from retalis.messages import Definitions, Installed  # noqa: E402
 from retalis.terms import atom  # noqa: E402
 

@@ -6,7 +6,7 @@ import os
 import pytest
 
 from retalis.door import Door, check_name
-from retalis.errors import RetalisError, UsageError
+from retalis.foundation import RetalisError, UsageError
 from retalis.logic import PrologError
 
 

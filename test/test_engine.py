@@ -10,7 +10,7 @@ import pytest
 from retalis import foreign, timestamps
 from retalis.clock import StreamClock
 from retalis.engine import Engine, Settings
-from retalis.errors import ProgramErrors, RetalisError, SyntaxFault, UsageError
+from retalis.foundation import ProgramErrors, RetalisError, SyntaxFault, UsageError
 from retalis.logic import PrologError
 from retalis.terms import atom, deref, functor
 

@@ -11,7 +11,7 @@ import pytest
 from retalis import Compound, Engine, foreign
 from retalis._foreign import to_python, to_term
 from retalis.engine import Settings
-from retalis.errors import ProgramErrors, RetalisError, UsageError
+from retalis.foundation import ProgramErrors, RetalisError, UsageError
 from retalis.logic import Limits, PrologError
 from retalis.syntax import Operators, read_term, writeq
 from retalis.terms import String, Term, atom, functor

@@ -1,7 +1,7 @@
 import pytest
 
 from retalis._goalfile import read_goals
-from retalis.errors import SyntaxFault
+from retalis.foundation import SyntaxFault
 from retalis.syntax import Operators, read_term, writeq
 
 

@@ -6,8 +6,8 @@ are free it has to come back as it was; where ROS says what a name is, it is ref
 
 import pytest
 
-from retalis import Engine, codegen, foreign
-from retalis.errors import MessageError, ProgramErrors, RetalisError, UsageError
+from retalis import Engine, foreign
+from retalis.foundation import MessageError, ProgramErrors, RetalisError, UsageError, codegen
 from retalis.messages import Definitions, Installed, text_writer
 from retalis.program import read_topics, topic_type
 from retalis.syntax import Operators, read_term, writeq

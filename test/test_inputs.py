@@ -1,7 +1,7 @@
 import pytest
 
 from retalis._inputs import InputReader, event_of
-from retalis.errors import RetalisError
+from retalis.foundation import RetalisError
 from retalis.syntax import EventReader, Operators
 from retalis.terms import freeze, functor
 from retalis.timestamps import SECOND, WholeSeconds

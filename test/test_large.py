@@ -8,9 +8,9 @@ import re
 
 import pytest
 
-from retalis import Engine, codegen
-from retalis.errors import ProgramErrors
+from retalis import Engine
 from retalis.events import building, matching
+from retalis.foundation import ProgramErrors, codegen
 from retalis.logic import clause
 from retalis.logic.compiler import goals
 

@@ -4,7 +4,7 @@ import pytest
 
 from retalis._lint import unknown_memories, unread_rules, wrong_messages
 from retalis.engine import Engine
-from retalis.errors import ProgramErrors
+from retalis.foundation import ProgramErrors
 from retalis.messages import Definitions
 
 HEADER = "uint32 seq\ntime stamp\nstring frame_id\n"

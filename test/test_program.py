@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from retalis.engine import Engine, Settings
-from retalis.errors import ProgramErrors, UsageError
+from retalis.foundation import ProgramErrors, UsageError
 from retalis.logic import PrologError
 from retalis.program import TopicType, read_text, read_topics
 

@@ -3,7 +3,7 @@ import logging
 import pytest
 
 from retalis._reports import Reports
-from retalis.errors import Place, RetalisError, RuleError, place_at
+from retalis.foundation import Place, RetalisError, RuleError, place_at
 
 
 @pytest.fixture

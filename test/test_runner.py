@@ -3,7 +3,7 @@ import threading
 import pytest
 
 from retalis._runner import Call, Recovery, Runner
-from retalis.errors import UsageError
+from retalis.foundation import UsageError
 
 
 def make(size=100):

@@ -19,7 +19,7 @@ import inspect
 import numbers
 from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple, get_type_hints
 
-from .errors import RetalisError, TermTooLarge, UsageError
+from .foundation import BULK, RetalisError, TermTooLarge, UsageError, look
 from .logic import Logic, PrologError, instantiation_error, permission_error, type_error
 from .terms import (
     CONS,
@@ -41,7 +41,6 @@ from .terms import (
     list_items,
     make_list,
 )
-from .watching import BULK, look
 
 _MASK = len(BULK) - 1
 _ERROR = functor("error", 2)

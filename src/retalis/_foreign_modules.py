@@ -5,7 +5,7 @@ import importlib.util
 from typing import Any
 
 from ._foreign import define_foreign
-from .errors import UsageError
+from .foundation import UsageError
 from .logic import Logic, instantiation_error, permission_error, type_error
 from .terms import Atom, String, Term, Var, deref
 

@@ -4,7 +4,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Callable, Iterator, List, NamedTuple, Optional, Tuple, Union
 
-from .errors import Place, ProgramErrors, RetalisError, RuleError, SyntaxFault
+from .foundation import Place, ProgramErrors, RetalisError, RuleError, SyntaxFault
 from .syntax import Operators, ReadTerm, read_term
 from .terms import Term, deref, functor
 

@@ -4,8 +4,7 @@ import re
 from typing import Any, Callable, Dict, NamedTuple, Optional, Sequence
 
 from . import timestamps
-from .caches import Cache
-from .errors import SyntaxFault, UsageError
+from .foundation import Cache, SyntaxFault, UsageError
 from .logic import callable_of, instant_of, integer, type_error
 from .syntax import EventReader, Operators
 from .terms import Functor, Term, deref, functor, list_items

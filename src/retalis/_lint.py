@@ -4,8 +4,8 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Collection, Iterable, Iterator, List, NamedTuple, Optional, Set
 
-from .errors import Place, RuleError, UsageError
 from .events.pattern import Occurs, walk
+from .foundation import Place, RuleError, UsageError
 from .messages import Definitions, type_name
 from .program import GOALS, RULES, read_text
 from .terms import Atom, Functor, Term, deref, functor, list_items

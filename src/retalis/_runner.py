@@ -13,7 +13,7 @@ import threading
 from collections import deque
 from typing import Any, Callable, Deque, Optional, Tuple
 
-from .errors import RetalisError, UsageError
+from .foundation import RetalisError, UsageError
 
 _this_thread = threading.get_ident
 

@@ -8,10 +8,10 @@ from contextlib import closing
 from functools import lru_cache
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
-from . import codegen, timestamps
-from .errors import RetalisError
+from . import timestamps
 from .events.operators import OPERATORS, Operator
 from .events.pattern import Absent, Action, Aggregate, Condition, Either, Occurs, Pair, Repeated, Star, Within
+from .foundation import RetalisError, codegen
 from .syntax import write_term
 from .terms import Term, Var, copy, functor, undo, unify, variables
 

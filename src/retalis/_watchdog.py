@@ -6,8 +6,8 @@ from typing import Any, Callable, Optional
 from weakref import ref
 
 from ._reports import Reports
-from .errors import Place, RuleError, beginning
 from .events import Dispatcher
+from .foundation import Place, RuleError, beginning
 from .logic import Budget, Goal, Logic
 from .terms import Atom, deref
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from struct import Struct
 from typing import Any, Collection, Dict, Iterator, List, NamedTuple, Optional, Tuple, Union
 
-from .errors import RetalisError
+from .foundation import RetalisError
 from .messages import Definition
 
 _SIZE = Struct("<I")

@@ -10,7 +10,7 @@ import stat
 from contextlib import contextmanager
 from typing import Any, Iterable, Iterator, List, Optional
 
-from .errors import RetalisError, UsageError, shortened, undecodable
+from .foundation import RetalisError, UsageError, shortened, undecodable
 from .logic import domain_error, existence_error, permission_error, representation_error, resource_error
 from .terms import atom
 

@@ -17,8 +17,8 @@ from ._runner import Runner
 from ._watchdog import watch
 from .clock import Clock, StreamClock
 from .door import MEGABYTE
-from .errors import Errors, ProgramErrors, RetalisError, RuleError, UsageError, beginning
 from .events import Dispatcher, Rules, Stage
+from .foundation import Errors, ProgramErrors, RetalisError, RuleError, UsageError, beginning
 from .knowledge import Knowledge
 from .logic import Limits, Logic
 from .program import GOALS, read_text

@@ -5,8 +5,8 @@ from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple
 from . import timestamps
 from ._shortfall import Part, Shortfall, names_of
 from .engine import Engine
-from .errors import UsageError
 from .events.pattern import Aggregate, walk
+from .foundation import UsageError
 from .syntax import write_term
 from .terms import Atom, Term, Var, atom, copy, deref, functor, list_items, undo, unify
 

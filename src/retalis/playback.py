@@ -9,10 +9,9 @@ from ._lint import unknown_memories, unread_rules, wrong_messages
 from .bags import BagReader, Topic
 from .clock import StreamClock
 from .engine import Engine, Settings
-from .errors import MessageError, ProgramErrors, RetalisError, shortened
+from .foundation import MessageError, ProgramErrors, RetalisError, shortened, topic_fault, type_fault
 from .messages import Decoder, Definition, Definitions
 from .program import TOPICS, TopicType, read_topics
-from .rosnames import topic_fault, type_fault
 from .terms import Term
 
 log = logging.getLogger("retalis")

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Dict, List, NamedTuple, Tuple, Union
 from xml.parsers import expat
 
-from .errors import (
+from .foundation import (
     SHOWN,
     Errors,
     Place,
@@ -13,9 +13,10 @@ from .errors import (
     SyntaxFault,
     UsageError,
     place_in,
+    topic_fault,
+    type_fault,
     undecodable,
 )
-from .rosnames import topic_fault, type_fault
 
 GOALS = "goalPredicates.txt"
 TOPICS = "pub_sub.xml"

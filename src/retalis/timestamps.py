@@ -17,7 +17,7 @@ from functools import lru_cache
 from math import frexp, ldexp
 from typing import Optional, Tuple
 
-from .errors import UsageError
+from .foundation import UsageError
 from .terms import CONS, NIL, Functor, Lazy, Term, Var, deref, functor, list_items
 
 SECOND = 1_000_000_000

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from retalis.caches import Cache
+from retalis.foundation import Cache
 from retalis.logic.database import Database
 
 BENCH = Path(__file__).resolve().parents[2] / "bench"

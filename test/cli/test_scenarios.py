@@ -6,7 +6,7 @@ import pytest
 from events.test_scenarios import BASE, SCENARIOS, normal, short, wanted_of
 
 from retalis.cli import main
-from retalis.errors import SyntaxFault
+from retalis.foundation import SyntaxFault
 from retalis.syntax import Operators, read_program
 from retalis.terms import deref, list_items
 from retalis.timestamps import from_term

@@ -3,7 +3,7 @@
 import pytest
 from events.running import Program
 
-from retalis.errors import ProgramErrors
+from retalis.foundation import ProgramErrors
 
 
 def errors_of(rules):

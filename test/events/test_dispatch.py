@@ -4,8 +4,8 @@ import pytest
 from events.running import Program, fired
 
 from retalis.engine import Engine, Settings
-from retalis.errors import UsageError
 from retalis.events import Dispatcher, Stage
+from retalis.foundation import UsageError
 from retalis.terms import NIL, Lazy, Var, atom, functor, make_list
 
 A, B, F = functor("a", 1), functor("b", 2), functor("f", 1)

@@ -10,7 +10,7 @@ import pytest
 
 from retalis.clock import StreamClock
 from retalis.engine import Engine, Settings
-from retalis.errors import ProgramErrors, RetalisError
+from retalis.foundation import ProgramErrors, RetalisError
 from retalis.terms import CONS, NIL, atom, functor, make_list
 
 SRC = Path(__file__).resolve().parents[2] / "src"

@@ -5,7 +5,7 @@ from events.running import Program, show
 
 from retalis.clock import StreamClock
 from retalis.engine import Engine, Settings
-from retalis.errors import ProgramErrors
+from retalis.foundation import ProgramErrors
 from retalis.logic import PrologError
 
 

@@ -4,8 +4,8 @@ import pytest
 
 from retalis.clock import StreamClock
 from retalis.engine import Engine
-from retalis.errors import ProgramErrors
 from retalis.events.flags import FLAGS
+from retalis.foundation import ProgramErrors
 from retalis.logic import PrologError
 from retalis.timestamps import SECOND
 

@@ -4,7 +4,7 @@ import pytest
 from events.refusals import warnings_of
 
 from retalis import Engine
-from retalis.errors import ProgramErrors
+from retalis.foundation import ProgramErrors
 
 
 @pytest.mark.parametrize(

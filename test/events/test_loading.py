@@ -6,7 +6,7 @@ import pytest
 from events.running import Program, fired
 
 from retalis import Engine
-from retalis.errors import ProgramErrors
+from retalis.foundation import ProgramErrors
 from retalis.logic import Predicate
 from retalis.terms import atom, functor
 

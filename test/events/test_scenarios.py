@@ -12,7 +12,7 @@ from events.contradictions import CONTRADICTED, Contradiction
 
 from retalis.clock import StreamClock
 from retalis.engine import Engine, Settings
-from retalis.errors import RetalisError
+from retalis.foundation import RetalisError
 from retalis.syntax import Operators, read_term, write_term
 from retalis.terms import atom, copy, deref, functor, variables
 from retalis.timestamps import SECOND, from_term, to_term

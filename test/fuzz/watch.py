@@ -19,7 +19,7 @@ GROWTH = 50 << 20
 LOOKS = 0.1
 """Seconds of CPU time between two looks at an input that takes long."""
 
-CODE_MAKERS = ("retalis.codegen",)
+CODE_MAKERS = ("retalis.foundation.codegen",)
 """The modules that may compile and run source."""
 
 FINDERS = ("retalis.messages.installed",)

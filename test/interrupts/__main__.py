@@ -22,7 +22,7 @@ import time
 from collections import Counter
 from difflib import ndiff
 
-from retalis.errors import RetalisError
+from retalis.foundation import RetalisError
 from retalis.terms import functor
 
 from .checks import faults

@@ -1,6 +1,6 @@
 """What holds of an engine that does nothing, whatever was interrupted before."""
 
-from retalis.watching import WATCH
+from retalis.foundation import WATCH
 
 
 def faults(engine):

@@ -7,7 +7,7 @@ import functools
 from pathlib import Path
 from typing import Any, Iterator, List, NamedTuple, Tuple
 
-from retalis.errors import SyntaxFault
+from retalis.foundation import SyntaxFault
 from retalis.logic import Limits, Logic, PrologError
 from retalis.syntax import ReadFlags, read_program, read_term, write_term
 from retalis.terms import (

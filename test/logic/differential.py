@@ -17,7 +17,7 @@ from generated import Generator  # noqa: E402
 from reasons import REASONS, reason  # noqa: E402, F401
 from swipl import ask  # noqa: E402
 
-from retalis.errors import SyntaxFault, TermTooLarge  # noqa: E402
+from retalis.foundation import SyntaxFault, TermTooLarge  # noqa: E402
 from retalis.logic import Limits, Logic, PrologError  # noqa: E402
 from retalis.syntax import read_term, write_term  # noqa: E402
 from retalis.terms import String, copy, functor, variables  # noqa: E402

@@ -4,11 +4,10 @@ import pytest
 from logic.support import first, prolog
 
 from retalis.engine import Engine, Settings
-from retalis.errors import ProgramErrors
+from retalis.foundation import ProgramErrors, look
 from retalis.logic import Limits, PrologError
 from retalis.syntax import writeq
 from retalis.terms import Var, atom, functor
-from retalis.watching import look
 
 PROGRAM = """
 loop :- loop.

@@ -3,13 +3,13 @@
 import pytest
 from logic.support import prolog
 
+from retalis.foundation import watched_by
 from retalis.logic import Limits, PrologError
 from retalis.logic.builtins.strings import _split
 from retalis.logic.builtins.text import each
 from retalis.syntax import read_term, writeq
 from retalis.syntax.numerals import integer, integer_text
 from retalis.terms import Var, atom, compare, copy, functor, is_ground, make_list, unify
-from retalis.watching import watched_by
 
 PROGRAM = """
 wide(T, N) :- length(L, 60), foldl([_,A,f(A,A)]>>true, L, N, T).

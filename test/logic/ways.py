@@ -18,7 +18,7 @@ from typing import Any, Dict, Iterator, List, Tuple
 import pytest
 
 from retalis.engine import Engine
-from retalis.errors import TermTooLarge
+from retalis.foundation import TermTooLarge
 from retalis.logic import Logic, PrologError
 from retalis.logic.clause import NEVER
 from retalis.logic.database import Database

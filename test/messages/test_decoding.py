@@ -2,7 +2,7 @@ import struct
 
 import pytest
 
-from retalis.errors import MessageError
+from retalis.foundation import MessageError
 from retalis.messages import Definitions, Installed, _texts
 from retalis.terms import Lazy, atom, deref, functor, list_items, make_list
 

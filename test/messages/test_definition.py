@@ -1,6 +1,6 @@
 import pytest
 
-from retalis.errors import MessageError
+from retalis.foundation import MessageError
 from retalis.messages import Definitions, Installed
 from retalis.messages.definition import VARIABLE, functor_name, type_name
 from retalis.messages.parsing import parse, split_sections

@@ -2,7 +2,7 @@ import struct
 
 import pytest
 
-from retalis.errors import MessageError
+from retalis.foundation import MessageError
 from retalis.messages import Definitions, Installed
 from retalis.terms import CONS, NIL, Lazy, String, Var, atom, functor, make_list
 

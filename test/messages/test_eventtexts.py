@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retalis.errors import MessageError
+from retalis.foundation import MessageError
 from retalis.messages import Definitions, Installed, text_writer
 from retalis.syntax import EventReader, event_text, to_text
 from retalis.terms import freeze

@@ -2,7 +2,7 @@ import sys
 
 import pytest
 
-from retalis.errors import MessageError
+from retalis.foundation import MessageError
 from retalis.messages import Definitions, Installed
 
 STAMPED = """Header header

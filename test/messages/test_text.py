@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retalis.errors import MessageError
+from retalis.foundation import MessageError
 from retalis.messages.text import text_atom, text_bytes
 from retalis.terms import NIL, String, atom
 

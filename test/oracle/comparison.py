@@ -14,8 +14,8 @@ from typing import Any, Callable, Iterable, Iterator, List, Optional, Sequence, 
 
 from retalis.clock import StreamClock
 from retalis.engine import Engine
-from retalis.errors import RetalisError
 from retalis.events import places, timeindex
+from retalis.foundation import RetalisError
 from retalis.terms import Term, atom, functor
 from retalis.timestamps import SECOND
 

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retalis.errors import SyntaxFault
+from retalis.foundation import SyntaxFault
 from retalis.syntax import Operators, ReadFlags, ReadTerm, read_program, read_term, writeq
 
 OPERATORS = Operators.prolog()

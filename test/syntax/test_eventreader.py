@@ -5,7 +5,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from sample_terms import shape, terms
 
-from retalis.errors import SyntaxFault
+from retalis.foundation import SyntaxFault
 from retalis.syntax import EventReader, Operators, ReadFlags, read_term, to_text, write_term
 from retalis.terms import FALSE, TRUE, Var, atom, list_items
 

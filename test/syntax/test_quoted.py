@@ -2,7 +2,7 @@
 
 import pytest
 
-from retalis.errors import SyntaxFault
+from retalis.foundation import SyntaxFault
 from retalis.syntax import EventReader, Operators, ReadFlags, read_term
 from retalis.syntax.quoted import closing, unclosed_end
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from retalis.errors import SyntaxFault
+from retalis.foundation import SyntaxFault
 from retalis.syntax import Operators, ReadTerm, read_program, reader, writeq
 
 OPERATORS = Operators.prolog()

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from retalis.errors import SyntaxFault
+from retalis.foundation import SyntaxFault
 from retalis.syntax import Operators, ReadFlags, read_term, to_text, write_term
 from retalis.terms import NIL, String, atom, make_list
 

@@ -5,7 +5,7 @@ import os
 import sys
 from typing import List, Optional
 
-from ..errors import RetalisError
+from ..foundation import RetalisError
 from . import bag, console, demo, events
 from ._report import NobodyReads, leave
 

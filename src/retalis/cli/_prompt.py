@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import IO, Callable, Iterable, List, Optional, Union
 
-from ..errors import SyntaxFault
+from ..foundation import SyntaxFault
 from ..logic import Logic
 from ..syntax import ReadFlags, ReadTerm, read_program
 

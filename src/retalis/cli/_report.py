@@ -4,7 +4,7 @@ import logging
 import sys
 from typing import Any, Callable
 
-from ..errors import RetalisError
+from ..foundation import RetalisError
 
 _log = logging.getLogger("retalis")
 

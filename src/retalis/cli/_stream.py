@@ -8,7 +8,7 @@ import termios
 from array import array
 from typing import IO, Iterator, NamedTuple, Optional, Sequence, Union
 
-from ..errors import Place, SyntaxFault, place_in
+from ..foundation import Place, SyntaxFault, place_in
 from ..syntax import EventReader, Operators, ReadTerm, read_program
 from ..terms import Term
 

@@ -8,7 +8,7 @@ from typing import Any, Dict, List
 from ..bags import BagReader, BagWriter
 from ..collector import relax
 from ..engine import Settings
-from ..errors import UsageError, shortened
+from ..foundation import UsageError, shortened
 from ..playback import Output, Playback
 from ..program import TopicType, topic_type
 from ..syntax import to_text

@@ -12,7 +12,7 @@ from .._inputs import event_of
 from ..clock import Clock
 from ..collector import relax
 from ..engine import Engine, Settings
-from ..errors import ProgramErrors, RetalisError, RuleError, SyntaxFault
+from ..foundation import ProgramErrors, RetalisError, RuleError, SyntaxFault
 from ..logic.tracing import Tracer
 from ..program import read_text
 from ..syntax import ReadTerm

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Dict, Tuple
 
 from ..bags import BagReader
-from ..errors import UsageError
+from ..foundation import UsageError
 from ..playback import Playback
 from ..terms import deref
 from ._progress import progress

@@ -13,8 +13,8 @@ from .._inputs import event_of
 from ..clock import StreamClock
 from ..collector import relax
 from ..engine import Engine, Settings
-from ..errors import ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
 from ..explain import Explanation, Line, explain, prepare
+from ..foundation import ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
 from ..program import read_text
 from ..syntax import Operators, read_term, write_term
 from ..terms import Term, Var, atom, deref, functor, rebuild, variables

@@ -2,7 +2,7 @@
 
 from typing import Any, Callable, NamedTuple, Optional, Tuple
 
-from ..errors import RuleError
+from ..foundation import RuleError
 from ..terms import NIL, Term, make_list
 
 Values = Tuple[Term, ...]

@@ -2,7 +2,7 @@
 
 from typing import Optional, Tuple
 
-from ..errors import UsageError
+from ..foundation import UsageError
 from ..terms import CONS, Term, Var, deref, functor, list_items, make_list
 from ..timestamps import DATIME6, DATIME7, WholeSeconds, from_any, from_seconds
 

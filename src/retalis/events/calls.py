@@ -2,7 +2,7 @@
 
 from typing import Any, Callable, Iterator, List, NamedTuple, Optional, Set
 
-from ..errors import Place, RuleError
+from ..foundation import Place, RuleError
 from ..terms import COMMA, CONS, SLASH, Atom, Functor, Term, Var, deref, functor, list_items
 
 _GOALS_IN = {

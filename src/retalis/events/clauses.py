@@ -2,7 +2,7 @@
 
 from typing import Any, Callable, Dict, List, NamedTuple, Optional
 
-from ..errors import Errors, Place, RetalisError, RuleError
+from ..foundation import Errors, Place, RetalisError, RuleError
 from ..logic import PrologError
 from ..logic.control import split_clause
 from ..syntax import ReadTerm

@@ -2,7 +2,7 @@
 
 from typing import Any, Callable, Mapping
 
-from ..errors import RuleError
+from ..foundation import RuleError
 from ..logic.arithmetic import EVALUABLE
 from ..terms import CONS, Atom, String, Term, Var, deref, variables
 from .occurrences import occurrences

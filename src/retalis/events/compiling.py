@@ -3,7 +3,7 @@
 from functools import partial
 from typing import Any, Dict, FrozenSet, List, NamedTuple, Optional, Sequence, Set, Tuple
 
-from ..errors import RuleError
+from ..foundation import RuleError
 from ..logic import PrologError, keep_back
 from ..terms import Term, Var, functor, variables
 from .aggregates import Collector

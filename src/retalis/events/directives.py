@@ -2,7 +2,7 @@
 
 from typing import Any, List, Optional, Tuple
 
-from ..errors import Place, RuleError
+from ..foundation import Place, RuleError
 from ..logic import PrologError
 from ..terms import COMMA, Atom, Term, Var, deref, functor
 from .calls import calls

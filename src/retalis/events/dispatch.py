@@ -8,8 +8,7 @@ from itertools import count
 from typing import Any, Callable, Collection, Dict, List, Optional, Tuple
 from weakref import WeakValueDictionary
 
-from ..caches import Cache
-from ..errors import UsageError
+from ..foundation import Cache, UsageError
 from ..logic import Budget, Goal, PrologError, keep_back
 from ..terms import Atom, Functor, Lazy, Term, Var, copy, deref, is_ground, is_plain
 from ..terms.keys import term_key

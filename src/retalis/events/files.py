@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Iterator, List, Optional, Set
 
 from ..door import Door, check_name
-from ..errors import UsageError
+from ..foundation import UsageError
 from ..terms import Term
 from .libraries import file_name
 

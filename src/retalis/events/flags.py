@@ -3,7 +3,7 @@
 from difflib import get_close_matches
 from typing import Callable, Dict, List, NamedTuple, Optional, Tuple
 
-from ..errors import UsageError
+from ..foundation import UsageError
 from ..terms import Atom, Term, atom
 from .policy import Mode, Policy
 

@@ -6,7 +6,7 @@ are at hand already, by the same tests that the dispatcher makes, which events n
 
 from typing import Any, Callable, Tuple
 
-from ..codegen import shared_function
+from ..foundation import shared_function
 from ..terms import Atom
 from ..timestamps import LAST, SECOND
 from ._plans import NOBODY, Choice

@@ -2,7 +2,7 @@
 
 from typing import Any, Callable, Optional
 
-from ..errors import Place, RuleError, UsageError
+from ..foundation import Place, RuleError, UsageError
 from ..terms import NIL, Atom, Term, Var, deref, functor, list_parts
 from .alarms import ALARMS, require_alarm
 from .calls import calls

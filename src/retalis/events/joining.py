@@ -2,7 +2,7 @@
 
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
-from ..codegen import shared_function
+from ..foundation import shared_function
 from ..terms import Var, positions
 from .conditions import Test
 from .limits import kept_for_late

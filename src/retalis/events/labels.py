@@ -3,7 +3,7 @@
 from math import isfinite
 from typing import Any, NamedTuple, Optional, Tuple
 
-from ..errors import RuleError
+from ..foundation import RuleError
 from ..terms import COLON, Atom, Term, Var, deref, functor, list_items
 from .reading import ARROWS, SPELLINGS, Spot
 

@@ -2,7 +2,7 @@
 
 from typing import Any, NamedTuple, Optional
 
-from ..codegen import shared_function
+from ..foundation import shared_function
 from ..terms import undo
 from ._plans import NOBODY
 from .gates import Gate

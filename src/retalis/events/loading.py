@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Set, Tuple
 
-from ..errors import Errors, Place, ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
+from ..foundation import Errors, Place, ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
 from ..logic import PrologError
 from ..syntax import Operators, read_program
 from ..terms import Atom, Term, conjuncts, copy, deref, functor, list_items

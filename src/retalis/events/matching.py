@@ -2,7 +2,7 @@
 
 from typing import Any, Callable, Dict, List, Optional, Tuple
 
-from ..codegen import LARGEST, shared_function
+from ..foundation import LARGEST, shared_function
 from ..terms import (
     Atom,
     Lazy,

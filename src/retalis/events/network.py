@@ -4,7 +4,7 @@ import logging
 from pathlib import Path
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
-from ..errors import Place, RetalisError, RuleError
+from ..foundation import Place, RetalisError, RuleError
 from ..logic import Logic, keep_back
 from ..terms import Term, atom, copy, deref, unify, variables
 from ..terms.keys import term_key

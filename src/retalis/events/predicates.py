@@ -2,7 +2,7 @@
 
 from typing import Any, Callable, Dict, Iterator, List, Sequence, Tuple
 
-from ..errors import Errors, ProgramErrors, SyntaxFault, UsageError
+from ..foundation import Errors, ProgramErrors, SyntaxFault, UsageError
 from ..logic import PrologError, callable_of, domain_error, existence_error, instantiation_error, type_error
 from ..syntax import read_program
 from ..terms import (

@@ -3,7 +3,7 @@
 from functools import lru_cache
 from typing import Callable, Dict, List, NamedTuple, Optional, Tuple
 
-from ..codegen import shared_function
+from ..foundation import shared_function
 from .operators import OPERATORS, Operator
 from .timeindex import LEAST, MOST, Limits
 

@@ -2,7 +2,7 @@
 
 from typing import Any, Callable, Dict, FrozenSet, List, Optional, Tuple
 
-from ..errors import Place, RuleError
+from ..foundation import Place, RuleError
 from ..terms import Atom, String, Term, Var, deref, functor
 from ..timestamps import from_seconds
 from .calls import Call, asking_interval, calls

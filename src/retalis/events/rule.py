@@ -4,7 +4,7 @@ from collections import deque
 from types import MappingProxyType
 from typing import Any, Deque, List, Mapping, NamedTuple, Optional, Tuple
 
-from ..errors import Place, RuleError, UsageError
+from ..foundation import Place, RuleError, UsageError
 from ..terms import Atom, Term, Var, deref, is_ground
 from ._plans import NOBODY
 from .alarms import alarm_of

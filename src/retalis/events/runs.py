@@ -2,7 +2,7 @@
 
 from typing import Any, List, Optional, Sequence, Tuple
 
-from ..errors import RuleError
+from ..foundation import RuleError
 from ..terms import Term, Var, positions, resolve, undo, unify, variables
 from .aggregates import Collector
 from .building import compile_builder

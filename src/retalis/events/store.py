@@ -5,7 +5,7 @@ import os
 from collections import deque
 from typing import Any, Deque, Iterator, List, Optional, Tuple
 
-from ..errors import RetalisError, UsageError
+from ..foundation import RetalisError, UsageError
 from ..logic import Predicate
 from ..terms import SLASH, Atom, Functor, Term, Var, copy, deref, functor, undo, unify
 from ..timestamps import interval_term

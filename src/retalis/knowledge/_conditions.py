@@ -3,9 +3,8 @@
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 from .. import timestamps
-from ..codegen import shared_function
-from ..errors import UsageError
 from ..events import compile_builder
+from ..foundation import UsageError, shared_function
 from ..logic import Logic, PrologError
 from ..terms import CONS, Term, Var, deref, list_items, positions, variables
 from ._recording import key_of

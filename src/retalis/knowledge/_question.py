@@ -2,8 +2,8 @@
 
 from typing import Any, Callable, NamedTuple, Optional, Sequence, Tuple
 
-from ..errors import Place, UsageError
 from ..events import AT_ONCE, Dispatcher, compile_builder
+from ..foundation import Place, UsageError
 from ..logic import Goal, Logic, PrologError, keep_back
 from ..terms import TRUE, Term, Var, deref, functor, variables
 from ._recording import Warn

@@ -3,8 +3,8 @@
 from operator import attrgetter
 from typing import Any, Callable, Iterator, Optional, Tuple
 
-from ..errors import UsageError
 from ..events import Dispatcher
+from ..foundation import UsageError
 from ..logic import Logic, Machine, instantiation_error, type_error
 from ..terms import Atom, Term, Var, deref, functor
 from ._recording import Warn, key_of

@@ -3,8 +3,8 @@
 from typing import Any, Callable, Dict, Iterator, Optional, Tuple
 
 from .. import timestamps
-from ..errors import UsageError
 from ..events import NOBODY, Dispatcher, Stage, term_key
+from ..foundation import UsageError
 from ..logic import Logic, Machine, domain_error, instant_of, permission_error, type_error
 from ..terms import MINUS, NIL, Atom, Functor, Lazy, Term, Var, copy, deref, freeze, functor
 from ._recording import Warn, is_whole, key_of, recording

@@ -3,8 +3,8 @@
 from itertools import count
 from typing import Any, Dict, Iterator, List, Optional, Tuple
 
-from ..errors import UsageError
 from ..events import LEFT_OUT, RESTORE, Dispatcher, Leaf, Stage
+from ..foundation import UsageError
 from ..logic import Logic
 from ..terms import Term, Var, are_ground, functor
 from ._conditions import Behind, behind, compile_conditions

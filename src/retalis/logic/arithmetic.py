@@ -7,9 +7,8 @@ on floats whose result is not a finite number raises, as SWI-Prolog does with it
 import math
 from typing import Any, Callable, Dict, List, Union
 
-from ..errors import TermTooLarge
+from ..foundation import TermTooLarge, look
 from ..terms import CONS, MOST, NIL, Atom, Functor, Lazy, String, Term, Var, deref, functor
-from ..watching import look
 from .faults import domain_error, evaluation_error, indicator, instantiation_error, resource_error, type_error
 
 Number = Union[int, float]

@@ -6,7 +6,7 @@ from threading import get_ident
 from time import monotonic
 from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple
 
-from ..watching import WATCH, watch_for
+from ..foundation import WATCH, watch_for
 from .faults import resource_error
 from .limits import LOOP, NO_LIMITS, SLICE, LimitError, LimitPassed, Limits
 

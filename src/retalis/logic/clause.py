@@ -2,7 +2,7 @@
 
 from typing import Any, Callable, List, Optional, Tuple
 
-from ..codegen import LARGEST
+from ..foundation import LARGEST
 from ..terms import TRUE, Term, is_ground, is_larger
 from .codes import Frame
 from .keys import key_of

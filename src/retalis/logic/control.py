@@ -2,7 +2,7 @@
 
 from typing import Any, Callable, Dict, List, Optional, Tuple
 
-from ..errors import TermTooLarge
+from ..foundation import BULK, TermTooLarge, look
 from ..terms import (
     COMMA,
     FALSE,
@@ -21,7 +21,6 @@ from ..terms import (
     list_parts,
     make_list,
 )
-from ..watching import BULK, look
 from .codes import DEAD, RESUME, CatchMark, Code, Frame
 from .compiler.nodes import ARROW, BAR, CALL, IGNORE, NOT, ONCE, SEMICOLON, SOFT_ARROW
 from .database import Database

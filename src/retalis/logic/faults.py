@@ -2,7 +2,7 @@
 
 from typing import Any, Optional
 
-from ..errors import RetalisError, TermTooLarge
+from ..foundation import RetalisError, TermTooLarge
 from ..terms import SLASH, Functor, Term, Var, atom, functor
 from .messages import CONTEXT, ERROR, describe
 

@@ -7,7 +7,7 @@ import time
 from typing import Callable
 
 from .. import timestamps
-from ..errors import UsageError
+from ..foundation import UsageError
 from ..terms import Functor, Term, functor
 from .arithmetic import (
     EVALUABLE,

@@ -2,7 +2,7 @@
 
 from typing import Any, List, Optional, Sequence, Tuple
 
-from ..errors import Place
+from ..foundation import Place
 from ..terms import Term, Var, undo
 from .codes import BAIL, Code, Frame
 from .compiler.goals import GoalCode

@@ -5,10 +5,9 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Dict, Tuple
 
-from ..errors import SyntaxFault
+from ..foundation import SyntaxFault, unwatched, watched_by
 from ..syntax import Operators, read_program
 from ..terms import Atom, deref
-from ..watching import unwatched, watched_by
 from .builtins import translate_rule
 from .clause import Clause
 from .control import split_clause

@@ -5,7 +5,7 @@ from contextlib import contextmanager
 from time import time_ns
 from typing import Any, Callable, Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
 
-from ..errors import Place, beginning
+from ..foundation import Place, beginning
 from ..syntax import Operators, write_term
 from ..terms import Atom, Functor, Term, Var, copy, deref, functor
 from . import builtins, ports  # noqa: F401  (it registers trace/1)

@@ -9,9 +9,8 @@ There is no recursion: the depth of a program is the length of a chain of frames
 from sys import getrefcount
 from typing import Any, Callable, Iterator, List, Optional, Tuple
 
-from ..errors import RetalisError, TermTooLarge
+from ..foundation import RetalisError, TermTooLarge, watched_by
 from ..terms import Atom, Term, Var, copy, deref, undo, unify
-from ..watching import watched_by
 from .budget import Budget
 from .codes import BAIL, DEAD, STOP, Code, Frame, Guard, fail
 from .faults import PrologError, from_python, indicator, resource_error

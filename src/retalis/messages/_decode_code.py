@@ -4,7 +4,7 @@ from struct import Struct
 from struct import error as StructError
 from typing import Any, Callable, Dict, List, Tuple
 
-from .. import codegen
+from ..foundation import codegen
 from ..terms import CONS, FALSE, NIL, TRUE, Lazy, Term, atom, functor
 from ._texts import read_text, texts
 from .arrays import SMALL, alike, array_maker, record_maker, variable_array

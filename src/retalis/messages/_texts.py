@@ -3,7 +3,7 @@
 from struct import error as StructError
 from typing import Any, List, Optional, Tuple
 
-from ..caches import Cache
+from ..foundation import Cache
 from ..terms import Term
 from .text import text_term
 

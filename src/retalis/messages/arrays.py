@@ -5,7 +5,7 @@ from struct import Struct, calcsize, unpack
 from struct import error as StructError
 from typing import Any, Callable, Dict, List, Tuple
 
-from .. import codegen
+from ..foundation import codegen
 from ..terms import CONS, NIL, Term
 
 SMALL = 4

@@ -4,7 +4,7 @@ from struct import error as StructError
 from struct import pack
 from typing import Callable, Dict, List
 
-from ..errors import MessageError
+from ..foundation import MessageError
 from ..terms import FALSE, NIL, TRUE, Atom, Functor, Term, Var, atom, deref, functor, list_items
 from ..terms import String as PrologString
 from .definition import Definition, Field

@@ -10,8 +10,7 @@ from struct import Struct
 from struct import error as StructError
 from typing import Callable, Optional
 
-from .. import codegen
-from ..errors import MessageError
+from ..foundation import MessageError, codegen
 from ..terms import Lazy, Term, functor
 from ._decode_code import Code
 from ._frame_code import FrameCode, Unsuited

@@ -5,8 +5,7 @@ from dataclasses import dataclass, field
 from struct import calcsize
 from typing import Dict, Iterable, List, NamedTuple, Optional, Tuple, Union
 
-from ..errors import MessageError
-from ..rosnames import type_fault
+from ..foundation import MessageError, type_fault
 from .slots import DEEPEST, LARGEST, MOST_SLOTS, PRIMITIVES, TIMES, VARIABLE
 
 HEADER = "std_msgs/Header"

@@ -10,9 +10,7 @@ from struct import error as StructError
 from sys import getsizeof
 from typing import Any, Callable, Dict, List
 
-from .. import codegen
-from ..caches import Cache
-from ..errors import MessageError
+from ..foundation import Cache, MessageError, codegen
 from ..terms import CONS, FALSE, NIL, TRUE, Atom, Lazy, Term, atom, functor
 from .arrays import SMALL, array_maker
 from .checking import Checker

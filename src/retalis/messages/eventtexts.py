@@ -3,7 +3,7 @@
 import re
 from typing import Any, Callable, List
 
-from .. import codegen
+from ..foundation import codegen
 from ..syntax import float_text, to_text
 from ..terms import Term
 from ._frame_code import FrameCode, Unsuited

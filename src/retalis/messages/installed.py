@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import Dict, Iterator, List, Optional, Sequence, Tuple
 
-from ..rosnames import type_fault
+from ..foundation import type_fault
 
 _SHARE = ("/usr/share", "/usr/local/share")
 _MODULES = ("/usr/lib/python3/dist-packages",)

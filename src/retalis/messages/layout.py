@@ -3,7 +3,7 @@
 from struct import unpack_from
 from typing import Optional
 
-from ..errors import MessageError, beginning
+from ..foundation import MessageError, beginning
 from .definition import Definition, Field, measure_of
 from .slots import VARIABLE
 

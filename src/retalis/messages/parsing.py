@@ -3,8 +3,7 @@
 import re
 from typing import Callable, Container, Dict, Iterator, List, Tuple
 
-from ..errors import SHOWN, MessageError, Place, place_at, place_in, shortened
-from ..rosnames import plain_fault
+from ..foundation import SHOWN, MessageError, Place, place_at, place_in, plain_fault, shortened
 from .definition import HEADER, SEPARATOR, Constant, Definition, Field, Measure, Value
 from .slots import BUILTIN, LARGEST, MOST_SLOTS, PRIMITIVES, VARIABLE
 

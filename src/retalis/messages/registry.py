@@ -2,9 +2,7 @@
 
 from typing import Dict, List, Optional, Sequence, Set, Tuple, Union
 
-from ..caches import Cache
-from ..errors import MessageError, beginning
-from ..rosnames import type_fault
+from ..foundation import Cache, MessageError, beginning, type_fault
 from .decoding import Decoder
 from .definition import Definition
 from .encoding import Encoder

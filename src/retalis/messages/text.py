@@ -5,7 +5,7 @@ from base64 import b64decode, b64encode
 from binascii import Error as Base64Error
 from typing import Optional
 
-from ..errors import MessageError
+from ..foundation import MessageError
 from ..terms import NIL, Atom, Functor, Lazy, String, Term, atom, functor
 
 MARK = "FFFFFFFFFF"

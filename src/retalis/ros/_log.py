@@ -5,7 +5,7 @@ from typing import List
 
 import rospy
 
-from ..errors import ProgramErrors, RetalisError
+from ..foundation import ProgramErrors, RetalisError
 
 
 class _RosHandler(logging.Handler):

@@ -6,7 +6,7 @@ from typing import Any, Callable, List
 from std_msgs.msg import String
 
 from .._reports import Reports
-from ..errors import MessageError
+from ..foundation import MessageError
 from ._sending import Outlet
 
 MOST = 64

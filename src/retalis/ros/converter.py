@@ -3,7 +3,7 @@
 import rospy
 
 from .._reports import Reports
-from ..errors import RetalisError, UsageError, beginning
+from ..foundation import RetalisError, UsageError, beginning
 from ..messages import Decoder, Definitions, text_writer
 from ..program import TOPICS, Topics, read_topics
 from ..syntax import EventReader, event_text, to_text

@@ -7,11 +7,9 @@ from typing import Any, Callable, ContextManager, Dict, Iterable, List, Optional
 import rospy
 
 from .._reports import Reports
-from ..caches import Cache
-from ..errors import MessageError, RetalisError, UsageError, beginning, printable
+from ..foundation import Cache, MessageError, RetalisError, UsageError, beginning, printable, topic_fault
 from ..messages import Decoder, Definitions, Encoder
 from ..program import TopicType, topic_type
-from ..rosnames import topic_fault
 from ..terms import Term
 from ._raw import raw_bytes, raw_class
 from ._receiving import read_by

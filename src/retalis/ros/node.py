@@ -8,7 +8,7 @@ from std_msgs.msg import String
 from .._lint import unknown_memories, unread_rules, wrong_messages
 from ..clock import Alarm, Clock
 from ..engine import Engine
-from ..errors import RetalisError
+from ..foundation import RetalisError
 from ..messages import Decoder, Definitions, Installed
 from ..program import TOPICS, Topics, read_topics
 from ..syntax import to_text

@@ -9,7 +9,7 @@ import rospkg
 import rospy
 
 from ..engine import Settings
-from ..errors import UsageError, beginning, printable
+from ..foundation import UsageError, beginning, printable
 from ..logic import Limits
 from ..messages import BARE
 from ..program import Topics, TopicType, topic_type

@@ -7,7 +7,7 @@ from typing import Any, Callable
 import rospy
 
 from ..collector import relax
-from ..errors import RetalisError
+from ..foundation import RetalisError
 from ._log import forward_log
 from .parameters import Parameters, read_parameters
 

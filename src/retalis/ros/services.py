@@ -5,7 +5,7 @@ from typing import Any, Callable, Dict, Iterable, List, Tuple
 import rospy
 
 from ..engine import Engine
-from ..errors import RetalisError, SyntaxFault, UsageError, beginning, printable
+from ..foundation import RetalisError, SyntaxFault, UsageError, beginning, printable
 from ..program import TOPICS
 from ..syntax import Operators, read_term
 from ..terms import COMMA, TRUE, Atom, Term, Var, atom, conjuncts, deref, functor, make_list, variables

@@ -4,7 +4,7 @@ import re
 import unicodedata
 from typing import Callable, Match
 
-from ..caches import Texts
+from ..foundation import Texts
 
 _PLAIN = re.compile(r"[^\W\d_]\w*\Z|[-+*/\\^<>=~:.?@#&$]+\Z|\[\]\Z|\{\}\Z|[!;]\Z")
 _ESCAPED = re.compile(r"""[^ -&(-\[\]-~]|[\\'"`]""")

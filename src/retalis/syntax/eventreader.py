@@ -20,8 +20,7 @@ import re
 from json import JSONDecoder
 from typing import Any, Dict, List, Match, Optional, Tuple
 
-from ..caches import Cache
-from ..errors import SyntaxFault
+from ..foundation import Cache, SyntaxFault
 from ..terms import Term, atom
 from .operators import Operators
 from .quoted import closing, unquote

@@ -3,7 +3,7 @@
 from difflib import get_close_matches
 from typing import Any, List, Optional
 
-from ..errors import SyntaxFault
+from ..foundation import SyntaxFault
 from .operators import CANONICAL, Operator
 from .state import State
 from .tokens import END, NAME, NUMBER, OPEN_CT, QUOTED, VARIABLE, AnyToken, shown

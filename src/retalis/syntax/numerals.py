@@ -7,7 +7,7 @@ integers are converted here in halves, which is also faster.
 from decimal import MAX_EMAX, MAX_PREC, Decimal, Inexact, localcontext
 from typing import Dict
 
-from ..watching import look
+from ..foundation import look
 
 _SAFE = 4000
 """Decimal digits that every Python version converts."""

@@ -3,7 +3,7 @@
 from functools import lru_cache
 from typing import Dict, Iterator, List, NamedTuple, Optional, Tuple
 
-from ..errors import UsageError
+from ..foundation import UsageError
 from ..terms import Functor, functor
 
 

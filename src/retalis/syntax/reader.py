@@ -2,7 +2,7 @@
 
 from typing import Dict, Iterator, List, Optional, Tuple, Union
 
-from ..errors import Place, SyntaxFault
+from ..foundation import Place, SyntaxFault
 from ..terms import Term, Var
 from .faults import starts_line
 from .operators import Operators

@@ -2,7 +2,7 @@
 
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
 
-from .. import codegen
+from ..foundation import codegen
 from ..terms import CONS, NIL, Atom, Functor, Term, Var, atom, make_list
 
 

@@ -8,9 +8,8 @@ from typing import Any, Callable, Dict, Iterator, List, Match, NamedTuple, Optio
 
 from lark import Lark
 
-from ..errors import Place, SyntaxFault, place_on
+from ..foundation import BULK, Place, SyntaxFault, look, place_on
 from ..terms import String, Term, atom, make_list
-from ..watching import BULK, look
 from . import numerals
 from .quoted import closing, unclosed_end, unquote
 

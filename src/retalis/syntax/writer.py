@@ -6,9 +6,8 @@ parted by a blank, and nothing else is, as SWI-Prolog 9 does it.
 
 from typing import Any, Callable, List, Mapping, NamedTuple, Optional, Tuple
 
-from ..errors import TermTooLarge
+from ..foundation import BULK, TermTooLarge, look
 from ..terms import CONS, NIL, Atom, Functor, String, Term, Var, deref, functor, list_parts, resolve, serial
-from ..watching import BULK, look
 from .atoms import atom_text, quote
 from .numerals import float_text, integer_text
 from .operators import Operator, Operators

@@ -1,7 +1,6 @@
 """How far walks over terms go."""
 
-from ..errors import TermTooLarge
-from ..watching import BULK, look
+from ..foundation import BULK, TermTooLarge, look
 
 MOST = 5_000_000
 """Steps after which walking a term is given up."""

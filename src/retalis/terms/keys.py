@@ -2,8 +2,7 @@
 
 from typing import Any, Dict, Hashable, List
 
-from ..errors import TermTooLarge
-from ..watching import BULK, look
+from ..foundation import BULK, TermTooLarge, look
 from ._steps import ROUNDS
 from .kinds import Atom, String, Term, Var, deref
 from .walking import freeze

@@ -2,8 +2,7 @@
 
 from typing import Iterable, Iterator, List, Optional, Tuple
 
-from ..errors import TermTooLarge
-from ..watching import BULK, look
+from ..foundation import BULK, TermTooLarge, look
 from ._steps import ROUNDS
 from .kinds import COMMA, CONS, NIL, TRUE, Term, deref
 

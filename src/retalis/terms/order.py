@@ -2,8 +2,7 @@
 
 from typing import Any, Callable, List
 
-from ..errors import TermTooLarge
-from ..watching import BULK, look
+from ..foundation import BULK, TermTooLarge, look
 from ._steps import ROUNDS
 from .kinds import Atom, String, Term, Var, deref, serial
 

@@ -2,7 +2,7 @@
 
 from typing import Any, List
 
-from ..watching import look
+from ..foundation import look
 from ._steps import MASK, check_steps
 from .kinds import Atom, Lazy, Trail, Var
 

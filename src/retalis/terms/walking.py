@@ -2,8 +2,7 @@
 
 from typing import Any, Callable, Dict, Hashable, List, Optional, Sequence
 
-from ..errors import TermTooLarge
-from ..watching import BULK, look
+from ..foundation import BULK, TermTooLarge, look
 from ._steps import MASK, MOST, ROUNDS, check_steps
 from .kinds import Atom, Lazy, String, Term, Var, deref
 

@@ -7,7 +7,7 @@ import sys
 import tempfile
 from itertools import repeat
 
-from retalis.errors import UsageError
+from retalis.foundation import UsageError
 
 from .base import Kind
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from retalis import Engine
 from retalis.engine import Settings
-from retalis.errors import RetalisError
+from retalis.foundation import RetalisError
 from retalis.logic import Limits
 
 from ..mutate import to_text

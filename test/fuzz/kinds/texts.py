@@ -1,6 +1,6 @@
 """Texts for the reader: a term or a syntax fault."""
 
-from retalis.errors import SyntaxFault
+from retalis.foundation import SyntaxFault
 from retalis.syntax import EventReader, Operators, ReadFlags, read_program, read_term, write_term
 
 from ..mutate import TOKENS, changed_text, soup, to_bytes, to_text

@@ -3,8 +3,8 @@
 from time import monotonic
 from typing import Any, Optional
 
+from ...foundation import watched_by
 from ...terms import CONS, NIL, TRUE, String, Var, atom, deref, functor, unify
-from ...watching import watched_by
 from ..arithmetic import evaluate
 from ..codes import Code, Frame, Guard
 from ..compiler.nodes import CALL, NOT

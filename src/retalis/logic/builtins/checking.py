@@ -2,7 +2,7 @@
 
 from typing import Any, Callable, Dict, Optional
 
-from ...errors import TermTooLarge
+from ...foundation import TermTooLarge
 from ...terms import (
     NIL,
     Atom,

@@ -2,8 +2,7 @@
 
 from typing import Any, Dict
 
-from ... import codegen
-from ...errors import TermTooLarge
+from ...foundation import TermTooLarge, codegen, look
 from ...terms import (
     CONS,
     MOST,
@@ -23,7 +22,6 @@ from ...terms import (
     variables,
 )
 from ...terms.order import by_age, unlike
-from ...watching import look
 from ..arithmetic import evaluate
 from ..compiler.nodes import COMPARISONS, ORDERS
 from ..faults import domain_error, instantiation_error, type_error

@@ -6,7 +6,7 @@ Comparisons are by the instant that a stamp names, whatever its form.
 from typing import Any, Optional, Tuple
 
 from ... import timestamps
-from ...errors import UsageError
+from ...foundation import UsageError
 from ...terms import CONS, NIL, Lazy, Term, Var, deref, unify
 from ...timestamps import DATIME6, DATIME7, SECOND
 from ..faults import domain_error, instantiation_error, type_error

@@ -2,7 +2,7 @@
 
 from typing import Any, Iterator, List, Optional, Union
 
-from ...errors import TermTooLarge
+from ...foundation import BULK, TermTooLarge, look
 from ...terms import (
     CONS,
     MINUS,
@@ -21,7 +21,6 @@ from ...terms import (
     undo,
     unify,
 )
-from ...watching import BULK, look
 from ..arithmetic import EVALUABLE, add, evaluate
 from ..codes import LAST, Code, Frame
 from ..faults import (

@@ -4,8 +4,8 @@ from functools import cmp_to_key
 from operator import attrgetter, itemgetter
 from typing import Any, Callable, Dict, List, Optional, Sequence
 
+from ...foundation import BULK, look
 from ...terms import Atom, String, Term, Var, compare, deref, serial
-from ...watching import BULK, look
 
 _PLAIN: Dict[type, Optional[Callable[[Term], Any]]] = {
     int: None,

@@ -2,7 +2,7 @@
 
 from typing import Any, List
 
-from ...errors import SyntaxFault
+from ...foundation import SyntaxFault
 from ...syntax import ReadFlags, read_term
 from ...terms import String, Term, Var, atom, deref, functor, make_list, unify, variables
 from ..faults import PrologError, instantiation_error, type_error

@@ -6,7 +6,7 @@ As for the single-sided rules of SWI-Prolog's library, arguments that fit no cla
 from itertools import repeat
 from typing import Any, Callable, Iterator
 
-from ...errors import TermTooLarge
+from ...foundation import TermTooLarge
 from ...terms import CONS, MOST, NIL, Term, Var, compare, deref, functor, list_items, unify
 from ..faults import no_matching_rule
 from .arguments import atom_of

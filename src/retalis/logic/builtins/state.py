@@ -2,7 +2,7 @@
 
 from typing import Any, Dict, Iterator
 
-from ...errors import UsageError
+from ...foundation import UsageError
 from ...terms import CONS, FALSE, NIL, TRUE, Atom, Term, Var, atom, copy, deref, functor, unify
 from ..codes import LAST
 from ..faults import (

@@ -2,6 +2,7 @@
 
 from typing import Any, Iterator, Optional, Sequence, Union
 
+from ...foundation import BULK, look
 from ...terms import (
     NIL,
     Atom,
@@ -15,7 +16,6 @@ from ...terms import (
     resolve,
     unify,
 )
-from ...watching import BULK, look
 from ..codes import LAST
 from ..faults import domain_error, instantiation_error, permission_error, resource_error, type_error
 from .arguments import check_tail, integer, is_iso, items, natural, partial_items

@@ -2,10 +2,9 @@
 
 from typing import Any, Callable, List, Optional, Sequence
 
-from ...errors import SyntaxFault
+from ...foundation import BULK, SyntaxFault, look
 from ...syntax import read_term, write_term
 from ...terms import NIL, Atom, String, Term, Var, atom, deref, list_items, list_parts, make_list, unify
-from ...watching import BULK, look
 from ..faults import (
     PrologError,
     instantiation_error,

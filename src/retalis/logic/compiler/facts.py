@@ -2,7 +2,7 @@
 
 from typing import Any, Callable, Dict, List, Optional
 
-from ... import codegen
+from ...foundation import codegen
 
 
 def fact_search(arity: int, indexed: Optional[int], namespace: Dict[str, Any]) -> Callable[..., Any]:

@@ -2,8 +2,7 @@
 
 from typing import Any, Callable, List, Optional, Sequence, Tuple
 
-from ...codegen import LARGEST
-from ...errors import Place
+from ...foundation import LARGEST, Place
 from ...terms import Term, Var, copy, deref, functor, is_larger, resolve, variables
 from ..codes import Code
 from ..limits import LimitError

@@ -2,7 +2,7 @@
 
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
-from ...errors import Place
+from ...foundation import Place
 from ...terms import TRUE, Atom, Functor, Term, Var, deref
 from ..codes import Code
 from ..keys import key_of

@@ -4,7 +4,8 @@ import math
 from functools import partial
 from typing import Any, Callable, Dict, FrozenSet, List, NamedTuple, Optional, Set, Tuple
 
-from ... import codegen, terms
+from ... import terms
+from ...foundation import codegen
 from ...terms import Atom, Functor, Lazy, String, Term, Var, copy, deref, functor, is_ground
 from ...terms.order import by_number, unlike
 from .. import arithmetic

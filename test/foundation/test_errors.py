@@ -2,7 +2,7 @@
 
 import pytest
 
-from retalis.errors import SHOWN, Place, beginning, place_at, place_in
+from retalis.foundation import SHOWN, Place, beginning, place_at, place_in
 from retalis.syntax import Operators, read_program
 
 

@@ -5,9 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from retalis.caches import ENTRY, Cache, Texts
+from retalis.foundation import Cache, Texts
+from retalis.foundation.caches import ENTRY
 
-SOURCE = Path(__file__).resolve().parents[1] / "src" / "retalis"
+SOURCE = Path(__file__).resolve().parents[2] / "src" / "retalis"
 
 DECORATED = {
     ("messages/arrays.py", "array_maker"): "one entry for each of the 13 number types",

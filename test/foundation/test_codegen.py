@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from retalis import codegen
+from retalis.foundation import codegen
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 SOURCES = [
     *(ROOT / "src").rglob("*.py"),
     *(ROOT / "examples").rglob("*.py"),

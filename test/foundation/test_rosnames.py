@@ -2,7 +2,7 @@
 
 import pytest
 
-from retalis.rosnames import plain_fault, topic_fault, type_fault
+from retalis.foundation import plain_fault, topic_fault, type_fault
 
 STRANGE = ["x²", "ﬁle", "x\0", "\ud800", "x y", "x\n", "1x", "", "a:b", "\u212a", "x" * 256, "x;y", "é"]
 
