@@ -25,7 +25,7 @@ from processes import machine  # noqa: E402
 
 from retalis.collector import relax  # noqa: E402
 from retalis.engine import Engine  # noqa: E402
-from retalis.terms import Var, functor, make_list  # noqa: E402
+from retalis.prolog.terms import Var, functor, make_list  # noqa: E402
 
 SECOND = 10**9
 FEW = (1, 10, 40, 160, 640)

@@ -23,7 +23,7 @@ from arguments import existing, interpreter, positive, target  # noqa: E402
 
 from retalis.collector import relax  # noqa: E402
 from retalis.engine import Engine  # noqa: E402
-from retalis.terms import functor  # noqa: E402
+from retalis.prolog.terms import functor  # noqa: E402
 
 
 class Result(NamedTuple):

@@ -16,8 +16,10 @@ sys.path.insert(0, str(HERE.parent / "src"))
 
 from retalis.clock import StreamClock  # noqa: E402
 from retalis.engine import Engine  # noqa: E402
-from retalis.terms import functor  # noqa: E402
-from retalis.timestamps import SECOND  # noqa: E402
+from retalis.prolog.terms import (  # noqa: E402
+    SECOND,
+    functor,
+)
 
 SECONDS = 10_000
 """The length of the windows; one half match comes each second."""

@@ -38,8 +38,12 @@ from arguments import above_zero, existing, positive, target  # noqa: E402
 from retalis.clock import StreamClock  # noqa: E402
 from retalis.engine import Engine  # noqa: E402
 from retalis.events import Stage  # noqa: E402
-from retalis.terms import Term, atom, functor  # noqa: E402
-from retalis.timestamps import SECOND  # noqa: E402
+from retalis.prolog.terms import (  # noqa: E402
+    SECOND,  # noqa: E402
+    Term,
+    atom,
+    functor,
+)
 
 POLICIES = ("recent", "recent_2", "chronological", "chronological_2", "unrestricted")
 Interval = Tuple[int, int]

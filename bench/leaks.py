@@ -24,8 +24,8 @@ from retalis._reports import Reports  # noqa: E402
 from retalis.engine import Settings  # noqa: E402
 from retalis.foundation import RetalisError  # noqa: E402
 from retalis.messages import Definitions, Installed  # noqa: E402
-from retalis.syntax import EventReader, Operators, event_text, read_term, to_text  # noqa: E402
-from retalis.terms import atom, functor  # noqa: E402
+from retalis.prolog.syntax import EventReader, Operators, event_text, read_term, to_text  # noqa: E402
+from retalis.prolog.terms import atom, functor  # noqa: E402
 
 Round = Callable[[int], Any]
 CASES: Dict[str, Callable[[], Round]] = {}

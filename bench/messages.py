@@ -23,7 +23,7 @@ from arguments import positive, target  # noqa: E402
 from nao_robot import Robot  # noqa: E402
 
 from retalis.messages import Definition, Definitions  # noqa: E402
-from retalis.terms import deref  # noqa: E402
+from retalis.prolog.terms import deref  # noqa: E402
 
 BATCH = 2000
 

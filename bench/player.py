@@ -108,7 +108,7 @@ class Player:
     def _stamped(self) -> Any:
         """Yield topic, frame, child frame and stamp of each message; blanks for those that have none."""
         from retalis.messages import Definitions
-        from retalis.terms import deref, list_items
+        from retalis.prolog.terms import deref, list_items
 
         definitions = Definitions()
         for record in self.records:

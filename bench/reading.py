@@ -20,7 +20,7 @@ from retalis._goalfile import read_goals  # noqa: E402
 from retalis.foundation import RetalisError, SyntaxFault  # noqa: E402
 from retalis.messages.parsing import parse  # noqa: E402
 from retalis.program import _TopicReader  # noqa: E402
-from retalis.syntax import EventReader, Operators, read_program, read_term  # noqa: E402
+from retalis.prolog.syntax import EventReader, Operators, read_program, read_term  # noqa: E402
 
 Shape = Callable[[int], str]
 Read = Callable[[str], bool]

@@ -2,8 +2,8 @@
 
 from typing import Dict, List, Tuple
 
-from retalis.syntax import Operators, read_program, write_term
-from retalis.terms import Term, deref, functor
+from retalis.prolog.syntax import Operators, read_program, write_term
+from retalis.prolog.terms import Term, deref, functor
 
 NAMES: Dict[Tuple[str, int], Tuple[str, Tuple[int, ...]]] = {
     ("tf__0__tfMessage", 1): ("robot__0__Links", (1,)),

@@ -8,8 +8,8 @@ from renamed import make_renamed, renamed_program
 
 from retalis.engine import Engine
 from retalis.messages import Definitions
-from retalis.syntax import Operators, read_term
-from retalis.terms import Term, atom, functor, make_list
+from retalis.prolog.syntax import Operators, read_term
+from retalis.prolog.terms import Term, atom, functor, make_list
 
 APPLICATION = Path(__file__).resolve().parent.parent / "application_source"
 BASE = 1_413_748_205

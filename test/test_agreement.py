@@ -7,7 +7,7 @@ import pytest
 
 from retalis.bags import BagReader
 from retalis.playback import Playback
-from retalis.terms import deref, list_items
+from retalis.prolog.terms import deref, list_items
 
 HERE = Path(__file__).resolve().parent
 NAO = HERE.parent / "examples" / "nao"

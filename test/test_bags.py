@@ -7,7 +7,7 @@ pytest.importorskip("rosbags")
 from retalis.bags import BagError, BagReader, BagWriter, Topic  # noqa: E402
 from retalis.foundation import RetalisError  # noqa: E402
 from retalis.messages import Definitions, Installed  # noqa: E402
-from retalis.terms import atom  # noqa: E402
+from retalis.prolog.terms import atom  # noqa: E402
 
 BAGS = Path(__file__).parents[2] / "shared" / "bags"
 REAL = sorted(BAGS.glob("*.bag")) if BAGS.is_dir() else []

@@ -1,5 +1,5 @@
 from retalis.clock import Clock, StreamClock
-from retalis.timestamps import SECOND
+from retalis.prolog.terms import SECOND
 
 
 def test_stamps_never_repeat_and_never_go_back():

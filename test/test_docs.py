@@ -9,8 +9,9 @@ from xml.etree import ElementTree
 
 import pytest
 
-from retalis import Engine, timestamps
-from retalis.syntax import Operators, read_program
+from retalis import Engine
+from retalis.prolog.syntax import Operators, read_program
+from retalis.prolog.terms import timestamps
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from retalis import foreign, timestamps
+from retalis import foreign
 from retalis.clock import StreamClock
 from retalis.engine import Engine, Settings
 from retalis.foundation import ProgramErrors, RetalisError, SyntaxFault, UsageError
 from retalis.logic import PrologError
-from retalis.terms import atom, deref, functor
+from retalis.prolog.terms import atom, deref, functor, timestamps
 
 sys.path.append(str(Path(__file__).resolve().parent))
 from watched import Watched  # noqa: E402

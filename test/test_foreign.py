@@ -13,8 +13,8 @@ from retalis._foreign import to_python, to_term
 from retalis.engine import Settings
 from retalis.foundation import ProgramErrors, RetalisError, UsageError
 from retalis.logic import Limits, PrologError
-from retalis.syntax import Operators, read_term, writeq
-from retalis.terms import String, Term, atom, functor
+from retalis.prolog.syntax import Operators, read_term, writeq
+from retalis.prolog.terms import String, Term, atom, functor
 
 
 @foreign

@@ -2,7 +2,7 @@ import pytest
 
 from retalis._goalfile import read_goals
 from retalis.foundation import SyntaxFault
-from retalis.syntax import Operators, read_term, writeq
+from retalis.prolog.syntax import Operators, read_term, writeq
 
 
 def read(text):

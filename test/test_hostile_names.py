@@ -10,8 +10,8 @@ from retalis import Engine, foreign
 from retalis.foundation import MessageError, ProgramErrors, RetalisError, UsageError, codegen
 from retalis.messages import Definitions, Installed, text_writer
 from retalis.program import read_topics, topic_type
-from retalis.syntax import Operators, read_term, writeq
-from retalis.terms import Var, atom, functor, make_list
+from retalis.prolog.syntax import Operators, read_term, writeq
+from retalis.prolog.terms import Var, atom, functor, make_list
 
 NAMES = [
     '__import__("os").system("harm")',

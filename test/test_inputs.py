@@ -2,9 +2,8 @@ import pytest
 
 from retalis._inputs import InputReader, event_of
 from retalis.foundation import RetalisError
-from retalis.syntax import EventReader, Operators
-from retalis.terms import freeze, functor
-from retalis.timestamps import SECOND, WholeSeconds
+from retalis.prolog.syntax import EventReader, Operators
+from retalis.prolog.terms import SECOND, WholeSeconds, freeze, functor
 
 STAMP = "datime(2014,10,19,19,50,5,981209993)"
 TEXTS = [

@@ -55,7 +55,7 @@ def test_the_source_archive_has_what_it_is_built_from(copy, tmp_path):
         "examples/nao/make_bag.py",
         "application_source/pub_sub.xml",
         "srv/AddMemory.srv",
-        "src/retalis/syntax/tokens.lark",
+        "src/retalis/prolog/syntax/tokens.lark",
         "src/retalis/logic/library/lists.pl",
         "install_apt.py",
     ):
@@ -65,7 +65,7 @@ def test_the_source_archive_has_what_it_is_built_from(copy, tmp_path):
         found.extractall(unpacked)
     (folder,) = unpacked.iterdir()
     setup(folder, "build")
-    assert (folder / "build" / "lib" / "retalis" / "syntax" / "tokens.lark").is_file()
+    assert (folder / "build" / "lib" / "retalis" / "prolog" / "syntax" / "tokens.lark").is_file()
 
 
 def test_an_installation_has_the_example(copy, tmp_path):

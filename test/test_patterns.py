@@ -18,7 +18,7 @@ from typing import Any, Dict, Iterator, List, NamedTuple, Set, Tuple
 import pytest
 
 import retalis
-from retalis.syntax import tokens
+from retalis.prolog.syntax import tokens
 
 PACKAGE = Path(retalis.__file__).parent
 SIZE = 100_000
@@ -56,7 +56,7 @@ ESCAPES = (
 BLANKS = (" ", "\t", "\n", " \n")
 
 CASES: Dict[str, Case] = {
-    # syntax/eventreader.py
+    # prolog/syntax/eventreader.py
     r"([(,\[|] *)"
     r"(-?(?:[0-9]{1,200}(?:\.[0-9]{1,200}(?:[eE](?:-[0-9]{1,3}|\+?[0-9]{1,2}))?)?|inf|nan))"
     r"(?=[,)\]|])": Case(
@@ -76,7 +76,7 @@ CASES: Dict[str, Case] = {
     "\0([(,\\[|] *)\0": Case(
         "search", "the blanks behind a comma once more", ("", "\0,"), (" ", "\0", "\0,", "\0, ")
     ),
-    # syntax/atoms.py
+    # prolog/syntax/atoms.py
     r"[^\W\d_]\w*\Z|[-+*/\\^<>=~:.?@#&$]+\Z|\[\]\Z|\{\}\Z|[!;]\Z": Case(
         "match",
         "a name with a blank at its end: its characters once more",
@@ -86,7 +86,7 @@ CASES: Dict[str, Case] = {
     r"""[^ -&(-\[\]-~]|[\\'"`]""": Case(
         "search", "one look at each character", ("",), ("a", "'", "\\", "\n")
     ),
-    # syntax/quoted.py
+    # prolog/syntax/quoted.py
     r"""\\(?: x([0-9a-fA-F]+)\\?
           | ([0-7]+)\\?
           | u([0-9a-fA-F]{4}) | U([0-9a-fA-F]{8})
@@ -168,7 +168,7 @@ CASES: Dict[str, Case] = {
         ("1", "T", "-", "+"),
     ),
     r"%(\d{0,2})f": Case("search", "three characters at each", ("", "%"), ("%", "1", "%1", "%12")),
-    # syntax/tokens.lark, by the name of the terminal
+    # prolog/syntax/tokens.lark, by the name of the terminal
     "LAYOUT": Case("match", "one run", ("",), BLANKS),
     "LINE_COMMENT": Case("match", "one run", ("%",), ("%", "a", " ")),
     "BLOCK_COMMENT": Case(
@@ -194,7 +194,7 @@ CASES: Dict[str, Case] = {
 }
 
 USES = frozenset(("compile", "match", "fullmatch", "search", "sub", "subn", "split", "findall", "finditer"))
-IN_THE_GRAMMAR = "syntax/tokens.py"
+IN_THE_GRAMMAR = "prolog/syntax/tokens.py"
 """It compiles the terminals of the grammar, which are looked at one by one."""
 
 

@@ -8,8 +8,8 @@ from retalis.bags import BagReader, BagWriter
 from retalis.messages import Definitions
 from retalis.playback import Playback
 from retalis.program import TopicType
-from retalis.syntax import Operators, read_term, to_text
-from retalis.terms import deref
+from retalis.prolog.syntax import Operators, read_term, to_text
+from retalis.prolog.terms import deref
 
 SECOND = 10**9
 POINT = "float64 x\n"

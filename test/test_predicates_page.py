@@ -7,8 +7,8 @@ import pytest
 
 from retalis.cli._answers import bindings
 from retalis.logic import Limits, Logic, PrologError
-from retalis.syntax import read_term, write_term
-from retalis.terms import Var, functor
+from retalis.prolog.syntax import read_term, write_term
+from retalis.prolog.terms import Var, functor
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "predicates.md"
 CODE = re.compile(r"`` (.+?) ``")

@@ -10,7 +10,7 @@ from retalis._watchdog import Watchdog
 from retalis.engine import Engine, Settings
 from retalis.logic import Budget, Limits
 from retalis.logic.limits import LimitError
-from retalis.terms import atom
+from retalis.prolog.terms import atom
 
 
 class Turn:

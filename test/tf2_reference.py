@@ -10,7 +10,7 @@ geometry_msgs = pytest.importorskip("geometry_msgs.msg")
 
 from retalis.bags import BagReader  # noqa: E402
 from retalis.messages import Definitions  # noqa: E402
-from retalis.terms import deref, list_items  # noqa: E402
+from retalis.prolog.terms import deref, list_items  # noqa: E402
 
 
 def name(atom):

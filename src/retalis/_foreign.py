@@ -21,7 +21,7 @@ from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Se
 
 from .foundation import BULK, RetalisError, TermTooLarge, UsageError, look
 from .logic import Logic, PrologError, instantiation_error, permission_error, type_error
-from .terms import (
+from .prolog.terms import (
     CONS,
     FALSE,
     MINUS,

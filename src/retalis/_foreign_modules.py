@@ -7,7 +7,7 @@ from typing import Any
 from ._foreign import define_foreign
 from .foundation import UsageError
 from .logic import Logic, instantiation_error, permission_error, type_error
-from .terms import Atom, String, Term, Var, deref
+from .prolog.terms import Atom, String, Term, Var, deref
 
 
 def define_use_foreign(logic: Logic, runner: Any, files: Any, allowed: bool) -> None:

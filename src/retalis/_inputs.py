@@ -3,12 +3,10 @@
 import re
 from typing import Any, Callable, Dict, NamedTuple, Optional, Sequence
 
-from . import timestamps
 from .foundation import Cache, SyntaxFault, UsageError
 from .logic import callable_of, instant_of, integer, type_error
-from .syntax import EventReader, Operators
-from .terms import Functor, Term, deref, functor, list_items
-from .timestamps import WholeSeconds
+from .prolog.syntax import EventReader, Operators
+from .prolog.terms import Functor, Term, WholeSeconds, deref, functor, list_items, timestamps
 
 _SECOND = re.compile(r"datime\((\d{1,9}),(\d{1,9}),(\d{1,9}),(\d{1,9}),(\d{1,9}),(\d{1,9}),", re.ASCII)
 _NANOSECOND = re.compile(r"\d{1,9}\)", re.ASCII)

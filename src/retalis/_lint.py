@@ -8,7 +8,7 @@ from .events.pattern import Occurs, walk
 from .foundation import Place, RuleError, UsageError
 from .messages import Definitions, type_name
 from .program import GOALS, RULES, read_text
-from .terms import Atom, Functor, Term, deref, functor, list_items
+from .prolog.terms import Atom, Functor, Term, deref, functor, list_items
 
 _READS = frozenset(
     functor(name, arity)

@@ -5,8 +5,7 @@ from typing import Any, Sequence
 from ._inputs import READERS
 from .events import Dispatcher
 from .logic import Logic
-from .terms import Term, functor
-from .timestamps import FIRST, LAST, SECOND
+from .prolog.terms import FIRST, LAST, SECOND, Term, functor
 
 
 def define_new_event(logic: Logic, dispatcher: Dispatcher) -> None:

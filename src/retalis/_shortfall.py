@@ -8,12 +8,11 @@ from contextlib import closing
 from functools import lru_cache
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
-from . import timestamps
 from .events.operators import OPERATORS, Operator
 from .events.pattern import Absent, Action, Aggregate, Condition, Either, Occurs, Pair, Repeated, Star, Within
 from .foundation import RetalisError, codegen
-from .syntax import write_term
-from .terms import Term, Var, copy, functor, undo, unify, variables
+from .prolog.syntax import write_term
+from .prolog.terms import Term, Var, copy, functor, timestamps, undo, unify, variables
 
 _MOST = 200
 """How many occurrences of a part are looked at, the newest of them."""

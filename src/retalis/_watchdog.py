@@ -9,7 +9,7 @@ from ._reports import Reports
 from .events import Dispatcher
 from .foundation import Place, RuleError, beginning
 from .logic import Budget, Goal, Logic
-from .terms import Atom, deref
+from .prolog.terms import Atom, deref
 
 Warn = Callable[[float, Any], None]
 

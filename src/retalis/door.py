@@ -12,7 +12,7 @@ from typing import Any, Iterable, Iterator, List, Optional
 
 from .foundation import RetalisError, UsageError, shortened, undecodable
 from .logic import domain_error, existence_error, permission_error, representation_error, resource_error
-from .terms import atom
+from .prolog.terms import atom
 
 MEGABYTE = 1_000_000
 

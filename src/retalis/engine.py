@@ -5,7 +5,6 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any, Callable, Dict, Generator, List, NamedTuple, Optional, Tuple, Union, cast
 
-from . import timestamps
 from ._foreign import define_foreign
 from ._foreign_modules import define_use_foreign
 from ._goalfile import errors_in, goals_of
@@ -22,9 +21,8 @@ from .foundation import Errors, ProgramErrors, RetalisError, RuleError, UsageErr
 from .knowledge import Knowledge
 from .logic import Limits, Logic
 from .program import GOALS, read_text
-from .syntax import read_term
-from .terms import Functor, Term, Var, atom, copy, variables
-from .timestamps import WholeSeconds
+from .prolog.syntax import read_term
+from .prolog.terms import Functor, Term, Var, WholeSeconds, atom, copy, timestamps, variables
 
 log = logging.getLogger("retalis")
 

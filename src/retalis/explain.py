@@ -2,13 +2,12 @@
 
 from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple
 
-from . import timestamps
 from ._shortfall import Part, Shortfall, names_of
 from .engine import Engine
 from .events.pattern import Aggregate, walk
 from .foundation import UsageError
-from .syntax import write_term
-from .terms import Atom, Term, Var, atom, copy, deref, functor, list_items, undo, unify
+from .prolog.syntax import write_term
+from .prolog.terms import Atom, Term, Var, atom, copy, deref, functor, list_items, timestamps, undo, unify
 
 EVENT = functor("event", 2)
 _SHOWN = 10

@@ -12,7 +12,7 @@ from .engine import Engine, Settings
 from .foundation import MessageError, ProgramErrors, RetalisError, shortened, topic_fault, type_fault
 from .messages import Decoder, Definition, Definitions
 from .program import TOPICS, TopicType, read_topics
-from .terms import Term
+from .prolog.terms import Term
 
 log = logging.getLogger("retalis")
 

@@ -15,7 +15,7 @@ from retalis.cli._report import Report
 from retalis.cli.console import Console
 from retalis.engine import Settings
 from retalis.logic import Limits
-from retalis.syntax import Operators, read_term
+from retalis.prolog.syntax import Operators, read_term
 
 SOURCE = Path(__file__).resolve().parents[2] / "src"
 

@@ -7,9 +7,9 @@ from events.test_scenarios import BASE, SCENARIOS, normal, short, wanted_of
 
 from retalis.cli import main
 from retalis.foundation import SyntaxFault
-from retalis.syntax import Operators, read_program
-from retalis.terms import deref, list_items
-from retalis.timestamps import from_term
+from retalis.prolog.syntax import Operators, read_program
+from retalis.prolog.terms import deref, list_items
+from retalis.prolog.terms.timestamps import from_term
 
 CLOCK = "datime(2001,1,1,1,0,0)"
 STAMPED = ("event1_same_second",)

@@ -2,9 +2,8 @@
 
 from retalis.clock import StreamClock
 from retalis.engine import Engine, Settings
-from retalis.syntax import write_term
-from retalis.terms import copy, functor, variables
-from retalis.timestamps import SECOND
+from retalis.prolog.syntax import write_term
+from retalis.prolog.terms import SECOND, copy, functor, variables
 
 FUTURE = 1_000_000 * SECOND
 

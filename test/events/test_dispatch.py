@@ -6,7 +6,7 @@ from events.running import Program, fired
 from retalis.engine import Engine, Settings
 from retalis.events import Dispatcher, Stage
 from retalis.foundation import UsageError
-from retalis.terms import NIL, Lazy, Var, atom, functor, make_list
+from retalis.prolog.terms import NIL, Lazy, Var, atom, functor, make_list
 
 A, B, F = functor("a", 1), functor("b", 2), functor("f", 1)
 

@@ -11,7 +11,7 @@ import pytest
 from retalis.clock import StreamClock
 from retalis.engine import Engine, Settings
 from retalis.foundation import ProgramErrors, RetalisError
-from retalis.terms import CONS, NIL, atom, functor, make_list
+from retalis.prolog.terms import CONS, NIL, atom, functor, make_list
 
 SRC = Path(__file__).resolve().parents[2] / "src"
 

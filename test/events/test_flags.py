@@ -7,7 +7,7 @@ from retalis.engine import Engine
 from retalis.events.flags import FLAGS
 from retalis.foundation import ProgramErrors
 from retalis.logic import PrologError
-from retalis.timestamps import SECOND
+from retalis.prolog.terms import SECOND
 
 SEQ = "out(X) <- a(X) seq b(X)."
 AB = (("a(1)", 1), ("a(9)", 50), ("b(1)", 51))

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from retalis.engine import Engine, Settings
 from retalis.events import Dispatcher, Stage
 from retalis.logic import Limits
-from retalis.terms import Var, atom, functor, make_list
+from retalis.prolog.terms import Var, atom, functor, make_list
 
 TF, A, PACK = functor("tf", 2), functor("a", 1), functor("pack", 1)
 X, Y = atom("x"), atom("y")

@@ -8,7 +8,7 @@ from events.running import Program, fired
 from retalis import Engine
 from retalis.foundation import ProgramErrors
 from retalis.logic import Predicate
-from retalis.terms import atom, functor
+from retalis.prolog.terms import atom, functor
 
 
 def errors_of(rules):

@@ -6,7 +6,7 @@ from retalis.events import places
 from retalis.events.matches import Match
 from retalis.events.places import Place
 from retalis.events.reach import reach_of
-from retalis.terms import Var, atom
+from retalis.prolog.terms import Var, atom
 
 
 class Rule:

@@ -1,7 +1,7 @@
 """Decision trees: who is served, in which order, and who is not even looked at."""
 
 from retalis.events._plans import make_plan
-from retalis.terms import Var, functor
+from retalis.prolog.terms import Var, functor
 
 P = functor("p", 2)
 

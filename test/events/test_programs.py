@@ -8,7 +8,8 @@ from events.running import FUTURE, show, text_of
 
 from retalis.clock import StreamClock
 from retalis.engine import Engine
-from retalis.timestamps import SECOND, to_term
+from retalis.prolog.terms import SECOND
+from retalis.prolog.terms.timestamps import to_term
 
 FILE = Path(__file__).parent.parent / "data" / "programs.txt"
 START = 978_307_200  # 2001

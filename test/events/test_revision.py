@@ -6,7 +6,7 @@ from events.running import Program, fired, show
 from retalis.clock import StreamClock
 from retalis.events import revived, tracking
 from retalis.events.matches import Held
-from retalis.timestamps import SECOND
+from retalis.prolog.terms import SECOND
 
 
 def revised(rules, stream, policy=None):

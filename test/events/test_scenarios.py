@@ -13,9 +13,9 @@ from events.contradictions import CONTRADICTED, Contradiction
 from retalis.clock import StreamClock
 from retalis.engine import Engine, Settings
 from retalis.foundation import RetalisError
-from retalis.syntax import Operators, read_term, write_term
-from retalis.terms import atom, copy, deref, functor, variables
-from retalis.timestamps import SECOND, from_term, to_term
+from retalis.prolog.syntax import Operators, read_term, write_term
+from retalis.prolog.terms import SECOND, atom, copy, deref, functor, variables
+from retalis.prolog.terms.timestamps import from_term, to_term
 
 FOLDER = Path(__file__).parent.parent / "data" / "scenarios"
 SCENARIOS = sorted(FOLDER.glob("*.json"))

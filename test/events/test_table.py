@@ -6,9 +6,8 @@ from events import table
 from retalis.clock import StreamClock
 from retalis.engine import Engine
 from retalis.explain import explain
-from retalis.syntax import Operators, read_term
-from retalis.terms import atom
-from retalis.timestamps import SECOND
+from retalis.prolog.syntax import Operators, read_term
+from retalis.prolog.terms import SECOND, atom
 
 POLICIES = ("recent", "recent_2", "chronological", "chronological_2", "unrestricted")
 BEFORE = ("z", 0, 0.2)

@@ -19,7 +19,7 @@ import nao_truth  # noqa: E402
 
 from retalis.bags import BagReader  # noqa: E402
 from retalis.messages import Definitions, Installed  # noqa: E402
-from retalis.terms import deref, list_items  # noqa: E402
+from retalis.prolog.terms import deref, list_items  # noqa: E402
 
 SECONDS = 12
 

@@ -15,11 +15,11 @@ DECORATED = {
     ("_shortfall.py", "_spans"): "one entry for each operator",
     ("events/reach.py", "reach_of"): "1000 entries of an operator's name and two numbers",
     ("logic/library.py", "library_index"): "one entry",
-    ("syntax/eventtext.py", "_second_text"): "64 seconds, of the years 1 to 9999",
-    ("syntax/operators.py", "_standard"): "one entry",
-    ("timestamps.py", "first_reaching"): "64 floats",
-    ("timestamps.py", "_day_fields"): "64 numbers",
-    ("timestamps.py", "_day_number"): "64 dates",
+    ("prolog/syntax/eventtext.py", "_second_text"): "64 seconds, of the years 1 to 9999",
+    ("prolog/syntax/operators.py", "_standard"): "one entry",
+    ("prolog/terms/timestamps.py", "first_reaching"): "64 floats",
+    ("prolog/terms/timestamps.py", "_day_fields"): "64 numbers",
+    ("prolog/terms/timestamps.py", "_day_number"): "64 dates",
 }
 """Functions with a cache of their own, which counts entries and not bytes: why that is a bound of bytes."""
 

@@ -3,7 +3,7 @@
 import pytest
 
 from retalis.foundation import SHOWN, Place, beginning, place_at, place_in
-from retalis.syntax import Operators, read_program
+from retalis.prolog.syntax import Operators, read_program
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ from collections import Counter
 from difflib import ndiff
 
 from retalis.foundation import RetalisError
-from retalis.terms import functor
+from retalis.prolog.terms import functor
 
 from .checks import faults
 from .injection import AtBytecode, Interrupt, by_signal, looking_often, time_runs_out

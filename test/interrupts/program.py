@@ -11,9 +11,8 @@ from events.running import text_of
 from retalis.clock import StreamClock
 from retalis.engine import Engine, Settings
 from retalis.logic import Limits, PrologError
-from retalis.syntax import Operators, read_term
-from retalis.terms import atom, copy
-from retalis.timestamps import SECOND
+from retalis.prolog.syntax import Operators, read_term
+from retalis.prolog.terms import SECOND, atom, copy
 
 RULES = """
 :- table path/2.

@@ -6,7 +6,7 @@ import pytest
 
 from retalis.engine import Engine
 from retalis.knowledge import Memory
-from retalis.terms import atom, functor
+from retalis.prolog.terms import atom, functor
 
 from .__main__ import Campaign
 from .checks import faults

@@ -11,7 +11,7 @@ import pytest
 
 from retalis.engine import Engine, Settings
 from retalis.events import Stage
-from retalis.terms import Var, functor
+from retalis.prolog.terms import Var, functor
 
 KINDS = (("done", 2), ("ask", 3), ("v", 2), ("seen", 1))
 GOALS = (

@@ -9,7 +9,7 @@ import pytest
 
 from retalis.engine import Engine
 from retalis.logic import PrologError
-from retalis.terms import deref, list_items
+from retalis.prolog.terms import deref, list_items
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 from watched import Watched  # noqa: E402

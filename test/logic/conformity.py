@@ -9,8 +9,8 @@ from typing import Any, Iterator, List, NamedTuple, Tuple
 
 from retalis.foundation import SyntaxFault
 from retalis.logic import Limits, Logic, PrologError
-from retalis.syntax import ReadFlags, read_program, read_term, write_term
-from retalis.terms import (
+from retalis.prolog.syntax import ReadFlags, read_program, read_term, write_term
+from retalis.prolog.terms import (
     Term,
     atom,
     conjuncts,

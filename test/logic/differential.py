@@ -19,8 +19,8 @@ from swipl import ask  # noqa: E402
 
 from retalis.foundation import SyntaxFault, TermTooLarge  # noqa: E402
 from retalis.logic import Limits, Logic, PrologError  # noqa: E402
-from retalis.syntax import read_term, write_term  # noqa: E402
-from retalis.terms import String, copy, functor, variables  # noqa: E402
+from retalis.prolog.syntax import read_term, write_term  # noqa: E402
+from retalis.prolog.terms import String, copy, functor, variables  # noqa: E402
 
 RECORD = Path(__file__).with_name("goals_kinds.tsv")
 MOST = 5

@@ -3,8 +3,8 @@
 from typing import Any, Dict, List
 
 from retalis.logic import Logic, PrologError
-from retalis.syntax import read_program, read_term, write_term
-from retalis.terms import Term, copy, functor, variables
+from retalis.prolog.syntax import read_program, read_term, write_term
+from retalis.prolog.terms import Term, copy, functor, variables
 
 NEVER = 1 << 60
 

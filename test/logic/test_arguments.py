@@ -1,7 +1,7 @@
 """What built-ins make of wrong and of partial arguments."""
 
 import pytest
-from logic.support import answers, prolog
+from prolog.support import answers, prolog
 
 ERRORS = {
     "X is getbit(5, -1)": "domain_error(not_less_than_zero,-1)",

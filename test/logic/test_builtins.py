@@ -4,7 +4,7 @@ import math
 import random
 
 import pytest
-from logic.support import answers, first, prolog
+from prolog.support import answers, first, prolog
 
 PROGRAM = r"""
 :- table path/2, conn/2, fib/2.

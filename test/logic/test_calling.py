@@ -1,7 +1,7 @@
 """Goals under conditions: limits, portions, goals that would have to wait, ports."""
 
 import pytest
-from logic.support import answers, first, prolog
+from prolog.support import answers, first, prolog
 
 from retalis.logic import Limits
 

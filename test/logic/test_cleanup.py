@@ -1,9 +1,9 @@
 """When cleanups run."""
 
 import pytest
-from logic.support import answers, prolog
+from prolog.support import answers, prolog
 
-from retalis.syntax import read_term
+from retalis.prolog.syntax import read_term
 
 LATER = "member(X, [1,2,3])"
 

@@ -3,7 +3,7 @@
 import random
 
 import pytest
-from logic.support import NEVER, answers, prolog
+from prolog.support import NEVER, answers, prolog
 
 VARS = ["X", "Y", "Z", "U", "V"]
 CONSTANTS = ["a", "b", "1", "2", "[]", "1.5", '"s"']

@@ -1,7 +1,7 @@
 """Control: cut, if-then-else, negation, exceptions, and how deep it goes."""
 
 import pytest
-from logic.support import NEVER, answers, first, prolog
+from prolog.support import NEVER, answers, first, prolog
 
 from retalis.logic import PrologError
 
@@ -159,7 +159,7 @@ def test_only_clauses_that_may_have_made_the_call_are_named(compile_after, goal,
 
 
 def first_goal(logic, text):
-    from retalis.syntax import read_term
+    from retalis.prolog.syntax import read_term
 
     return read_term(text, logic.operators).term
 

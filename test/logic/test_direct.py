@@ -3,13 +3,13 @@
 import random
 
 import pytest
-from logic.support import NEVER, prolog, show
-from logic.test_compiled import term
+from prolog.support import NEVER, prolog, show
+from prolog.test_compiled import term
 
 from retalis.logic import PrologError
 from retalis.logic.codes import BAIL
-from retalis.syntax import read_term
-from retalis.terms import Var, functor
+from retalis.prolog.syntax import read_term
+from retalis.prolog.terms import Var, functor
 
 PROGRAM = """
 inc(X, Y) :- Y is X + 1.

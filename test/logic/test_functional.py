@@ -1,10 +1,10 @@
 """Predicates that are functions of some of their arguments: called by compiled clauses, by terms, by goals."""
 
 import pytest
-from logic.support import NEVER, answers, prolog
+from prolog.support import NEVER, answers, prolog
 
 from retalis.logic import PrologError, type_error
-from retalis.terms import atom, deref, functor
+from retalis.prolog.terms import atom, deref, functor
 
 PROGRAM = """
 half(X, Y) :- half_of(X, Y).

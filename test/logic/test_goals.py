@@ -3,11 +3,11 @@
 import traceback
 
 import pytest
-from logic.support import answers, first, prolog
+from prolog.support import answers, first, prolog
 
 from retalis.logic import LAST, Code, Limits, Logic, PrologError, type_error
-from retalis.syntax import read_term
-from retalis.terms import Var, atom, deref, functor
+from retalis.prolog.syntax import read_term
+from retalis.prolog.terms import Var, atom, deref, functor
 
 
 def goal(logic, text, inputs, outputs):

@@ -3,7 +3,7 @@
 from random import Random
 
 import pytest
-from logic.support import answers, prolog
+from prolog.support import answers, prolog
 
 from retalis.logic import index
 from retalis.logic.index import Index

@@ -1,13 +1,13 @@
 """What runs away ends with a resource error, and the engine goes on."""
 
 import pytest
-from logic.support import first, prolog
+from prolog.support import first, prolog
 
 from retalis.engine import Engine, Settings
 from retalis.foundation import ProgramErrors, look
 from retalis.logic import Limits, PrologError
-from retalis.syntax import writeq
-from retalis.terms import Var, atom, functor
+from retalis.prolog.syntax import writeq
+from retalis.prolog.terms import Var, atom, functor
 
 PROGRAM = """
 loop :- loop.

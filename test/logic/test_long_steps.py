@@ -1,15 +1,15 @@
 """Long work inside one step counts as inferences and ends with a resource error, as endless goals do."""
 
 import pytest
-from logic.support import prolog
+from prolog.support import prolog
 
 from retalis.foundation import watched_by
 from retalis.logic import Limits, PrologError
 from retalis.logic.builtins.strings import _split
 from retalis.logic.builtins.text import each
-from retalis.syntax import read_term, writeq
-from retalis.syntax.numerals import integer, integer_text
-from retalis.terms import Var, atom, compare, copy, functor, is_ground, make_list, unify
+from retalis.prolog.syntax import read_term, writeq
+from retalis.prolog.syntax.numerals import integer, integer_text
+from retalis.prolog.terms import Var, atom, compare, copy, functor, is_ground, make_list, unify
 
 PROGRAM = """
 wide(T, N) :- length(L, 60), foldl([_,A,f(A,A)]>>true, L, N, T).

@@ -1,7 +1,7 @@
 """The program's say in how terms are printed."""
 
 import pytest
-from logic.support import answers, prolog
+from prolog.support import answers, prolog
 
 PROGRAM = """
 portray(secret(_)) :- write('***').

@@ -1,10 +1,10 @@
 """What is compiled before it is called, and that programs behave alike with and without."""
 
-from logic.support import answers, first, prolog
+from prolog.support import answers, first, prolog
 
 from retalis.logic import Logic
-from retalis.syntax import read_term
-from retalis.terms import Var, functor
+from retalis.prolog.syntax import read_term
+from retalis.prolog.terms import Var, functor
 
 PROGRAM = """
 go(X) :- helper(X, Y), facts(Y).

@@ -1,7 +1,7 @@
 """The recorded database."""
 
 import pytest
-from logic.support import answers, first, prolog
+from prolog.support import answers, first, prolog
 
 from retalis.logic.builtins import recorded
 

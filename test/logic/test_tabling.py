@@ -4,11 +4,11 @@ import random
 from collections import Counter
 
 import pytest
-from logic.support import answers, first, prolog
+from prolog.support import answers, first, prolog
 
 from retalis.logic import Limits
 from retalis.logic.builtins.tabling import tables_of
-from retalis.syntax import read_term
+from retalis.prolog.syntax import read_term
 
 PROGRAM = """
 :- table path/2, even/1, odd/1, fib/2, p/1, q/1, expr/2, term/2, factor/2.

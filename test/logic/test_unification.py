@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from retalis.logic import Logic
-from retalis.terms import Var, atom, compare, copy, functor, resolve, undo, unify, variables
+from retalis.prolog.terms import Var, atom, compare, copy, functor, resolve, undo, unify, variables
 
 ATOMS = st.sampled_from([atom("a"), atom("[]"), atom("b")])
 SHARED = [Var() for _ in range(4)]

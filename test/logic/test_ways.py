@@ -1,8 +1,8 @@
 """Answers do not depend on what has been compiled; ``ways.py`` compares those of all suites."""
 
 import pytest
-from logic.test_differential import recorded
-from logic.ways import compare
+from prolog.test_differential import recorded
+from prolog.ways import compare
 
 PROGRAM = """
 :- dynamic(fact/2).

@@ -23,8 +23,8 @@ from retalis.logic import Logic, PrologError
 from retalis.logic.clause import NEVER
 from retalis.logic.database import Database
 from retalis.logic.predicate import COMPILE_AFTER
-from retalis.syntax import read_program, read_term, write_term
-from retalis.terms import copy, functor, variables
+from retalis.prolog.syntax import read_program, read_term, write_term
+from retalis.prolog.terms import copy, functor, variables
 
 WAYS = {"never": NEVER, "at once": 0, "default": COMPILE_AFTER}
 SUITES = ("test/logic", "test/events", "test/knowledge", "test/test_engine.py", "test/test_program.py")

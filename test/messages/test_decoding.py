@@ -4,7 +4,7 @@ import pytest
 
 from retalis.foundation import MessageError
 from retalis.messages import Definitions, Installed, _texts
-from retalis.terms import Lazy, atom, deref, functor, list_items, make_list
+from retalis.prolog.terms import Lazy, atom, deref, functor, list_items, make_list
 
 HEADER = "\n".join(["=" * 80, "MSG: std_msgs/Header", "uint32 seq", "time stamp", "string frame_id", ""])
 

@@ -4,7 +4,7 @@ import pytest
 
 from retalis.foundation import MessageError
 from retalis.messages import Definitions, Installed
-from retalis.terms import CONS, NIL, Lazy, String, Var, atom, functor, make_list
+from retalis.prolog.terms import CONS, NIL, Lazy, String, Var, atom, functor, make_list
 
 STAMPED = """\
 Header header

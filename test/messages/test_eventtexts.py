@@ -6,9 +6,8 @@ from hypothesis import strategies as st
 
 from retalis.foundation import MessageError
 from retalis.messages import Definitions, Installed, text_writer
-from retalis.syntax import EventReader, event_text, to_text
-from retalis.terms import freeze
-from retalis.timestamps import datime
+from retalis.prolog.syntax import EventReader, event_text, to_text
+from retalis.prolog.terms import datime, freeze
 
 HEADER = "\n".join(["=" * 80, "MSG: std_msgs/Header", "uint32 seq", "time stamp", "string frame_id", ""])
 POSE = "Header header\nstring name\nfloat64 x\nfloat32 y\nint64 n\n" + HEADER

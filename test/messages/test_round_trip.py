@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from messages.wire import messages, serialize, to_term
 from retalis.messages import Definitions, Installed
-from retalis.syntax import EventReader, to_text
-from retalis.terms import freeze
+from retalis.prolog.syntax import EventReader, to_text
+from retalis.prolog.terms import freeze
 
 INSTALLED = sorted(
     f"{path.parts[-3]}/{path.stem}"

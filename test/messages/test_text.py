@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from retalis.foundation import MessageError
 from retalis.messages.text import text_atom, text_bytes
-from retalis.terms import NIL, String, atom
+from retalis.prolog.terms import NIL, String, atom
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import struct
 from hypothesis import strategies as st
 
 from retalis.messages import Definition
-from retalis.terms import CONS, NIL, atom, functor
+from retalis.prolog.terms import CONS, NIL, atom, functor
 
 CODES = {
     "bool": "?",

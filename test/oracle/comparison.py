@@ -16,8 +16,7 @@ from retalis.clock import StreamClock
 from retalis.engine import Engine
 from retalis.events import places, timeindex
 from retalis.foundation import RetalisError
-from retalis.terms import Term, atom, functor
-from retalis.timestamps import SECOND
+from retalis.prolog.terms import SECOND, Term, atom, functor
 
 from . import revision
 from .goals import show

@@ -7,7 +7,7 @@ operand place. Comments name the sentence of the language's definition that the 
 from dataclasses import replace
 from typing import Any, Callable, Dict, FrozenSet, Iterable, List, Optional, Sequence, Set, Tuple
 
-from retalis.terms import Term, copy
+from retalis.prolog.terms import Term, copy
 
 from .conditions import Test, all_solutions
 from .goals import first, instance, show

@@ -6,7 +6,7 @@ A substitution maps variables to terms and is never changed, only extended by ma
 from fractions import Fraction
 from typing import Any, Dict, Iterator, Optional, Set
 
-from retalis.terms import CONS, NIL, Atom, String, Term, Var, atom, functor, list_items, make_list
+from retalis.prolog.terms import CONS, NIL, Atom, String, Term, Var, atom, functor, list_items, make_list
 
 Bindings = Dict[Var, Term]
 

@@ -6,7 +6,7 @@ Times are any exact numbers, in seconds.
 from dataclasses import dataclass, field
 from typing import Any, Callable, Dict, FrozenSet, List, NamedTuple, Optional, Tuple
 
-from retalis.terms import Term, make_list
+from retalis.prolog.terms import Term, make_list
 
 from .goals import Bindings, quotient, show
 

@@ -8,7 +8,7 @@ from collections import Counter
 from dataclasses import dataclass, fields, replace
 from typing import Any, Dict, Iterable, Iterator, List, Optional, Tuple
 
-from retalis.terms import Term, Var, rebuild, variables
+from retalis.prolog.terms import Term, Var, rebuild, variables
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,7 @@
 from dataclasses import replace
 from typing import Any, Dict, List, Optional, Set, Tuple
 
-from retalis.terms import Var, variables
+from retalis.prolog.terms import Var, variables
 
 from .conditions import Conditions
 from .goals import Bindings, GoalError, instance, number, unbound, unify

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any, Dict, FrozenSet, Iterable, List, Optional, Sequence, Set, Tuple
 from typing import Counter as CounterOf
 
-from retalis.terms import Term, copy, functor
+from retalis.prolog.terms import Term, copy, functor
 
 from .conditions import Test
 from .declarative import Combinations, Found, has_outer_absence

@@ -9,9 +9,9 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Tuple
 
-from retalis.syntax import Operators, read_program, read_term
-from retalis.terms import Term, conjuncts, deref, list_items
-from retalis.timestamps import SECOND, from_term
+from retalis.prolog.syntax import Operators, read_program, read_term
+from retalis.prolog.terms import SECOND, Term, conjuncts, deref, list_items
+from retalis.prolog.terms.timestamps import from_term
 
 from .goals import show
 from .patterns import Check, Do, Multiply, Rule, Where, walk

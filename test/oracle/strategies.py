@@ -11,7 +11,7 @@ from typing import Any, Callable, Dict, List, Optional, Sequence, Set, Tuple
 
 from hypothesis import strategies as st
 
-from retalis.terms import Term, Var, atom, functor, make_list, variables
+from retalis.prolog.terms import Term, Var, atom, functor, make_list, variables
 
 from .evaluator import run
 from .goals import show

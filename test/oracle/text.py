@@ -9,7 +9,7 @@ import re
 from fractions import Fraction
 from typing import Any, Dict, Iterable, List, Tuple
 
-from retalis.terms import Term, Var, atom, functor, list_items, make_list
+from retalis.prolog.terms import Term, Var, atom, functor, list_items, make_list
 
 from .goals import show
 from .patterns import (

@@ -16,7 +16,7 @@ sys.path.append(str(Path(__file__).resolve().parent))
 from harness import DEFINITIONS, Collector, RawPublisher, open_the_way, service, wait_until  # noqa: E402
 
 from retalis import srv  # noqa: E402
-from retalis.syntax import Operators, read_term  # noqa: E402
+from retalis.prolog.syntax import Operators, read_term  # noqa: E402
 
 POSE = (
     "geometry_msgs__0__PoseStamped(std_msgs__0__Header(0,[5,7],{name}),"

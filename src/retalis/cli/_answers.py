@@ -2,8 +2,8 @@
 
 from typing import Callable, Dict, Iterator, List, NamedTuple
 
-from ..syntax import Operators, write_term
-from ..terms import Term, Var, compare, deref, functor, variables
+from ..prolog.syntax import Operators, write_term
+from ..prolog.terms import Term, Var, compare, deref, functor, variables
 
 _BINDING = 699
 """The highest priority that the right side of ``=`` may have."""

@@ -8,7 +8,7 @@ from typing import IO, Callable, Iterable, List, Optional, Union
 
 from ..foundation import SyntaxFault
 from ..logic import Logic
-from ..syntax import ReadFlags, ReadTerm, read_program
+from ..prolog.syntax import ReadFlags, ReadTerm, read_program
 
 HISTORY = Path.home() / ".retalis_history"
 

@@ -9,8 +9,8 @@ from array import array
 from typing import IO, Iterator, NamedTuple, Optional, Sequence, Union
 
 from ..foundation import Place, SyntaxFault, place_in
-from ..syntax import EventReader, Operators, ReadTerm, read_program
-from ..terms import Term
+from ..prolog.syntax import EventReader, Operators, ReadTerm, read_program
+from ..prolog.terms import Term
 
 
 class ReadLine(NamedTuple):

@@ -11,8 +11,8 @@ from ..engine import Settings
 from ..foundation import UsageError, shortened
 from ..playback import Output, Playback
 from ..program import TopicType, topic_type
-from ..syntax import to_text
-from ..terms import atom, functor
+from ..prolog.syntax import to_text
+from ..prolog.terms import atom, functor
 from ._folders import add_folders, allow_folders
 from ._limits import add_limits, limited
 from ._progress import progress

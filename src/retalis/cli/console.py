@@ -15,8 +15,8 @@ from ..engine import Engine, Settings
 from ..foundation import ProgramErrors, RetalisError, RuleError, SyntaxFault
 from ..logic.tracing import Tracer
 from ..program import read_text
-from ..syntax import ReadTerm
-from ..terms import COMMA, NIL, Atom, String, Term, Var, deref, functor, list_items
+from ..prolog.syntax import ReadTerm
+from ..prolog.terms import COMMA, NIL, Atom, String, Term, Var, deref, functor, list_items
 from ._answers import bindings
 from ._limits import add_limits, limited
 from ._prompt import Lines, Terminal, read_clause

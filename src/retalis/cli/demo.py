@@ -10,7 +10,7 @@ from typing import Any, Dict, Tuple
 from ..bags import BagReader
 from ..foundation import UsageError
 from ..playback import Playback
-from ..terms import deref
+from ..prolog.terms import deref
 from ._progress import progress
 from ._report import Report
 

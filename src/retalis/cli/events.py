@@ -7,7 +7,6 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import IO, Any, Dict, List, Optional
 
-from .. import timestamps
 from .._goalfile import goal_of, read_goals
 from .._inputs import event_of
 from ..clock import StreamClock
@@ -16,8 +15,8 @@ from ..engine import Engine, Settings
 from ..explain import Explanation, Line, explain, prepare
 from ..foundation import ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
 from ..program import read_text
-from ..syntax import Operators, read_term, write_term
-from ..terms import Term, Var, atom, deref, functor, rebuild, variables
+from ..prolog.syntax import Operators, read_term, write_term
+from ..prolog.terms import Term, Var, atom, deref, functor, rebuild, timestamps, variables
 from ._folders import add_folders, allow_folders
 from ._limits import add_limits, limited
 from ._report import Report, to_reader

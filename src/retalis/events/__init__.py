@@ -1,6 +1,6 @@
 """Event rules: dispatch, patterns, operators, consumption policies, and the network that runs them."""
 
-from ..terms.keys import term_key
+from ..prolog.terms import term_key
 from ._plans import NOBODY
 from .building import compile_builder
 from .dispatch import Dispatcher

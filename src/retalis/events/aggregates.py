@@ -3,7 +3,7 @@
 from typing import Any, Callable, NamedTuple, Optional, Tuple
 
 from ..foundation import RuleError
-from ..terms import NIL, Term, make_list
+from ..prolog.terms import NIL, Term, make_list
 
 Values = Tuple[Term, ...]
 

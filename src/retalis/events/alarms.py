@@ -3,8 +3,20 @@
 from typing import Optional, Tuple
 
 from ..foundation import UsageError
-from ..terms import CONS, Term, Var, deref, functor, list_items, make_list
-from ..timestamps import DATIME6, DATIME7, WholeSeconds, from_any, from_seconds
+from ..prolog.terms import (
+    CONS,
+    DATIME6,
+    DATIME7,
+    Term,
+    Var,
+    WholeSeconds,
+    deref,
+    from_any,
+    from_seconds,
+    functor,
+    list_items,
+    make_list,
+)
 
 _AFTER = functor("exceptionAlarm", 2)
 _AT = functor("exceptionAlarmAbsoluteDatime", 2)

@@ -3,7 +3,7 @@
 from typing import Any, Callable, Iterator, List, NamedTuple, Optional, Set
 
 from ..foundation import Place, RuleError
-from ..terms import COMMA, CONS, SLASH, Atom, Functor, Term, Var, deref, functor, list_items
+from ..prolog.terms import COMMA, CONS, SLASH, Atom, Functor, Term, Var, deref, functor, list_items
 
 _GOALS_IN = {
     functor(name, arity): places

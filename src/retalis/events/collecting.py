@@ -4,7 +4,7 @@ from typing import Any, Callable, Mapping
 
 from ..foundation import RuleError
 from ..logic.arithmetic import EVALUABLE
-from ..terms import CONS, Atom, String, Term, Var, deref, variables
+from ..prolog.terms import CONS, Atom, String, Term, Var, deref, variables
 from .occurrences import occurrences
 from .pattern import Aggregate, bound_by
 from .reading import Spot

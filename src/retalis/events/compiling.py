@@ -5,7 +5,7 @@ from typing import Any, Dict, FrozenSet, List, NamedTuple, Optional, Sequence, S
 
 from ..foundation import RuleError
 from ..logic import PrologError, keep_back
-from ..terms import Term, Var, functor, variables
+from ..prolog.terms import Term, Var, functor, variables
 from .aggregates import Collector
 from .building import compile_builder
 from .conditions import Call, Test, goal_test

@@ -3,7 +3,7 @@
 from typing import Any, Callable, Dict, Optional, Sequence, Tuple
 
 from ..logic import PrologError, resource_error
-from ..terms import Term, Var, are_ground, functor, list_items, make_list, positions, variables
+from ..prolog.terms import Term, Var, are_ground, functor, list_items, make_list, positions, variables
 from .lanes import Completion, goal_lane
 from .matches import Match
 from .policy import Frame, emit_each

@@ -2,7 +2,7 @@
 
 from typing import AbstractSet, Any, Callable, List, NamedTuple, Optional, Set, Tuple
 
-from ..terms import NIL, Term, Var, deref, functor, positions, variables
+from ..prolog.terms import NIL, Term, Var, deref, functor, positions, variables
 from .absence import Absence
 from .conditions import Call, Test, goal_test
 from .matches import Match

@@ -4,7 +4,7 @@ from typing import Any, List, Optional, Tuple
 
 from ..foundation import Place, RuleError
 from ..logic import PrologError
-from ..terms import COMMA, Atom, Term, Var, deref, functor
+from ..prolog.terms import COMMA, Atom, Term, Var, deref, functor
 from .calls import calls
 
 _GOAL = functor("$goal", 1)

@@ -10,8 +10,7 @@ from weakref import WeakValueDictionary
 
 from ..foundation import Cache, UsageError
 from ..logic import Budget, Goal, PrologError, keep_back
-from ..terms import Atom, Functor, Lazy, Term, Var, copy, deref, is_ground, is_plain
-from ..terms.keys import term_key
+from ..prolog.terms import Atom, Functor, Lazy, Term, Var, copy, deref, is_ground, is_plain, term_key
 from ._plans import Choice, Onlookers, make_plan
 from .gates import Gate
 from .matching import Matcher, Values, compile_matcher

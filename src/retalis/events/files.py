@@ -7,7 +7,7 @@ from typing import Any, Iterator, List, Optional, Set
 
 from ..door import Door, check_name
 from ..foundation import UsageError
-from ..terms import Term
+from ..prolog.terms import Term
 from .libraries import file_name
 
 

@@ -4,7 +4,7 @@ from difflib import get_close_matches
 from typing import Callable, Dict, List, NamedTuple, Optional, Tuple
 
 from ..foundation import UsageError
-from ..terms import Atom, Term, atom
+from ..prolog.terms import Atom, Term, atom
 from .policy import Mode, Policy
 
 _SWITCH = ("off", "on")

@@ -7,8 +7,7 @@ are at hand already, by the same tests that the dispatcher makes, which events n
 from typing import Any, Callable, Tuple
 
 from ..foundation import shared_function
-from ..terms import Atom
-from ..timestamps import LAST, SECOND
+from ..prolog.terms import LAST, SECOND, Atom
 from ._plans import NOBODY, Choice
 
 Passes = Callable[..., bool]

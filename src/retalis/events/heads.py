@@ -3,7 +3,7 @@
 from typing import Any, Callable, Optional
 
 from ..foundation import Place, RuleError, UsageError
-from ..terms import NIL, Atom, Term, Var, deref, functor, list_parts
+from ..prolog.terms import NIL, Atom, Term, Var, deref, functor, list_parts
 from .alarms import ALARMS, require_alarm
 from .calls import calls
 from .meant import head_doubt, head_error

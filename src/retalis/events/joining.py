@@ -3,7 +3,7 @@
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 from ..foundation import shared_function
-from ..terms import Var, positions
+from ..prolog.terms import Var, positions
 from .conditions import Test
 from .limits import kept_for_late
 from .matches import Found, Match, taken_back

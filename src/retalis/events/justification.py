@@ -2,9 +2,19 @@
 
 from typing import Any, Iterator, List, Sequence, Set, Tuple
 
-from ..terms import Term, Var, atom, copy, functor, make_list, resolve, undo, unify
-from ..terms.keys import variant_key
-from ..timestamps import interval_term
+from ..prolog.terms import (
+    Term,
+    Var,
+    atom,
+    copy,
+    functor,
+    interval_term,
+    make_list,
+    resolve,
+    undo,
+    unify,
+    variant_key,
+)
 from .chains import repetitions
 from .matches import Found, Held, Match
 from .pattern import Absent, Action, Aggregate, Condition, Either, Occurs, Pair, Repeated, Star, Within

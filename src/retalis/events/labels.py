@@ -4,7 +4,7 @@ from math import isfinite
 from typing import Any, NamedTuple, Optional, Tuple
 
 from ..foundation import RuleError
-from ..terms import COLON, Atom, Term, Var, deref, functor, list_items
+from ..prolog.terms import COLON, Atom, Term, Var, deref, functor, list_items
 from .reading import ARROWS, SPELLINGS, Spot
 
 RULE = functor("rule:", 2)

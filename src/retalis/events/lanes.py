@@ -3,7 +3,7 @@
 from typing import Any, NamedTuple, Optional
 
 from ..foundation import shared_function
-from ..terms import undo
+from ..prolog.terms import undo
 from ._plans import NOBODY
 from .gates import Gate
 from .serving import Action, Lane

@@ -5,8 +5,8 @@ from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Se
 
 from ..foundation import Errors, Place, ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
 from ..logic import PrologError
-from ..syntax import Operators, read_program
-from ..terms import Atom, Term, conjuncts, copy, deref, functor, list_items
+from ..prolog.syntax import Operators, read_program
+from ..prolog.terms import Atom, Term, conjuncts, copy, deref, functor, list_items
 from .calls import Unknown, unknown_calls
 from .clauses import DIRECTIVES, TOO_DEEP, Checker, Definition, Step, clause_error, nowhere
 from .directives import Directives

@@ -2,8 +2,7 @@
 
 from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Tuple
 
-from ..terms import Term, Var, copy, resolve, undo, unify
-from ..terms.keys import term_key
+from ..prolog.terms import Term, Var, copy, resolve, term_key, undo, unify
 
 Values = Tuple[Term, ...]
 

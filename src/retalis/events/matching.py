@@ -3,7 +3,7 @@
 from typing import Any, Callable, Dict, List, Optional, Tuple
 
 from ..foundation import LARGEST, shared_function
-from ..terms import (
+from ..prolog.terms import (
     Atom,
     Lazy,
     String,

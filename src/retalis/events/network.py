@@ -6,9 +6,7 @@ from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 from ..foundation import Place, RetalisError, RuleError
 from ..logic import Logic, keep_back
-from ..terms import Term, atom, copy, deref, unify, variables
-from ..terms.keys import term_key
-from ..timestamps import SECOND, from_seconds
+from ..prolog.terms import SECOND, Term, atom, copy, deref, from_seconds, term_key, unify, variables
 from .alarms import is_absolute
 from .calls import called_by
 from .clauses import Checker, nowhere

@@ -6,7 +6,7 @@ frame and return the frame to go on with. `Node.bind` connects them for a policy
 
 from typing import Any, Dict, List, Optional, Sequence
 
-from ..terms import Term, Var, positions, variables
+from ..prolog.terms import Term, Var, positions, variables
 from .conditions import Test
 from .lanes import Completion
 from .matches import Found, Match

@@ -4,8 +4,8 @@ from typing import Any, Callable, Dict, Iterator, List, Sequence, Tuple
 
 from ..foundation import Errors, ProgramErrors, SyntaxFault, UsageError
 from ..logic import PrologError, callable_of, domain_error, existence_error, instantiation_error, type_error
-from ..syntax import read_program
-from ..terms import (
+from ..prolog.syntax import read_program
+from ..prolog.terms import (
     CONS,
     Atom,
     String,
@@ -15,13 +15,15 @@ from ..terms import (
     copy,
     deref,
     freeze,
+    from_any,
     functor,
+    interval_term,
     list_items,
     make_list,
     resolve,
+    shown,
     undo,
 )
-from ..timestamps import from_any, interval_term, shown
 from .flags import FLAGS
 from .store import solutions
 

@@ -3,8 +3,7 @@
 from typing import Any, Callable, Dict, FrozenSet, List, Optional, Tuple
 
 from ..foundation import Place, RuleError
-from ..terms import Atom, String, Term, Var, deref, functor
-from ..timestamps import from_seconds
+from ..prolog.terms import Atom, String, Term, Var, deref, from_seconds, functor
 from .calls import Call, asking_interval, calls
 from .meant import doubt
 from .operators import OPERATORS

@@ -7,7 +7,7 @@ this does not hold (nothing is used up, first sides come late, values have varia
 
 from typing import Any, Callable, Collection, Dict, Iterator, List, Optional, Sequence, Tuple
 
-from ..terms import Var, positions
+from ..prolog.terms import Var, positions
 from .chains import Chain, Log, joined_at_once, joined_one_by_one, pieces_of
 from .joining import Joining
 from .matches import Match, identity

@@ -5,7 +5,7 @@ from types import MappingProxyType
 from typing import Any, Deque, List, Mapping, NamedTuple, Optional, Tuple
 
 from ..foundation import Place, RuleError, UsageError
-from ..terms import Atom, Term, Var, deref, is_ground
+from ..prolog.terms import Atom, Term, Var, deref, is_ground
 from ._plans import NOBODY
 from .alarms import alarm_of
 from .building import compile_builder

@@ -2,7 +2,7 @@
 
 from typing import Any, Callable, List, Optional, Tuple
 
-from ..terms import Term, Var
+from ..prolog.terms import Term, Var
 from .deferred import NO_ITEMS
 from .matches import NOTHING_HELD, Match
 

@@ -3,7 +3,7 @@
 from typing import Any, List, Optional, Sequence, Tuple
 
 from ..foundation import RuleError
-from ..terms import Term, Var, positions, resolve, undo, unify, variables
+from ..prolog.terms import Term, Var, positions, resolve, undo, unify, variables
 from .aggregates import Collector
 from .building import compile_builder
 from .conditions import Test

@@ -7,8 +7,7 @@ from typing import Any, Deque, Iterator, List, Optional, Tuple
 
 from ..foundation import RetalisError, UsageError
 from ..logic import Predicate
-from ..terms import SLASH, Atom, Functor, Term, Var, copy, deref, functor, undo, unify
-from ..timestamps import interval_term
+from ..prolog.terms import SLASH, Atom, Functor, Term, Var, copy, deref, functor, interval_term, undo, unify
 from .serving import Listener, Stage
 
 log = logging.getLogger("retalis.events")

@@ -7,8 +7,7 @@ from an event further up: two matches are of the same term only if it is the sam
 from operator import itemgetter
 from typing import AbstractSet, Any, Callable, Dict, FrozenSet, List, Sequence, Set, Tuple
 
-from ..terms import Term, Var, variables
-from ..terms.keys import term_key
+from ..prolog.terms import Term, Var, term_key, variables
 from .matches import Match, Named, identity
 from .pattern import Aggregate, Either, Star, children, own_terms
 

@@ -4,8 +4,7 @@ from collections import deque
 from itertools import count
 from typing import Any, Deque, Dict, Iterator, List, Optional, Tuple
 
-from ..terms import Term, Var, functor
-from ..terms.keys import term_key
+from ..prolog.terms import Term, Var, functor, term_key
 from .matches import Held, Match, leaves, sources, taken_back
 from .policy import Frame
 from .run import Run

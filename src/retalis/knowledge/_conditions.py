@@ -2,11 +2,10 @@
 
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
-from .. import timestamps
 from ..events import compile_builder
 from ..foundation import UsageError, shared_function
 from ..logic import Logic, PrologError
-from ..terms import CONS, Term, Var, deref, list_items, positions, variables
+from ..prolog.terms import CONS, Term, Var, deref, list_items, positions, timestamps, variables
 from ._recording import key_of
 from .memories import Memories
 from .recorder import Instance

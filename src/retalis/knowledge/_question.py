@@ -5,7 +5,7 @@ from typing import Any, Callable, NamedTuple, Optional, Sequence, Tuple
 from ..events import AT_ONCE, Dispatcher, compile_builder
 from ..foundation import Place, UsageError
 from ..logic import Goal, Logic, PrologError, keep_back
-from ..terms import TRUE, Term, Var, deref, functor, variables
+from ..prolog.terms import TRUE, Term, Var, deref, functor, variables
 from ._recording import Warn
 
 Values = Tuple[Term, ...]

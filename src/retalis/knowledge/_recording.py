@@ -4,7 +4,7 @@ from typing import Any, Callable, List, Optional, Tuple
 
 from ..events import Dispatcher, compile_builder
 from ..logic import Logic, PrologError, instantiation_error, keep_back, type_error
-from ..terms import (
+from ..prolog.terms import (
     COMMA,
     EMPTY_BLOCK,
     TRUE,

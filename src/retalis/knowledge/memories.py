@@ -2,11 +2,24 @@
 
 from typing import Any, Callable, Dict, Iterator, Optional, Tuple
 
-from .. import timestamps
-from ..events import NOBODY, Dispatcher, Stage, term_key
+from ..events import NOBODY, Dispatcher, Stage
 from ..foundation import UsageError
 from ..logic import Logic, Machine, domain_error, instant_of, permission_error, type_error
-from ..terms import MINUS, NIL, Atom, Functor, Lazy, Term, Var, copy, deref, freeze, functor
+from ..prolog.terms import (
+    MINUS,
+    NIL,
+    Atom,
+    Functor,
+    Lazy,
+    Term,
+    Var,
+    copy,
+    deref,
+    freeze,
+    functor,
+    term_key,
+    timestamps,
+)
 from ._recording import Warn, is_whole, key_of, recording
 from .recorder import UPDATED, Instance, Recorder
 

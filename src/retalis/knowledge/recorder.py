@@ -4,7 +4,7 @@ from heapq import heapify, heappop, heappush
 from typing import Any, Callable, Dict, Iterator, List, Tuple
 
 from ..events import NOBODY, Dispatcher, Stage
-from ..terms import Term, Var, deref, functor, is_ground
+from ..prolog.terms import Term, Var, deref, functor, is_ground
 from ._recording import Recording
 from .memory import Memory, Record
 

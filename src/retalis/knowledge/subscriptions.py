@@ -4,7 +4,7 @@ from typing import Any, Callable, Dict, Iterator, Tuple
 
 from ..events import Dispatcher, Stage
 from ..logic import Logic, permission_error
-from ..terms import MINUS, Atom, Term, copy, deref
+from ..prolog.terms import MINUS, Atom, Term, copy, deref
 from ._recording import Warn, itself, key_of, recording
 
 Deliver = Callable[[Term, str, Term], None]

@@ -8,7 +8,7 @@ import math
 from typing import Any, Callable, Dict, List, Union
 
 from ..foundation import TermTooLarge, look
-from ..terms import CONS, MOST, NIL, Atom, Functor, Lazy, String, Term, Var, deref, functor
+from ..prolog.terms import CONS, MOST, NIL, Atom, Functor, Lazy, String, Term, Var, deref, functor
 from .faults import domain_error, evaluation_error, indicator, instantiation_error, resource_error, type_error
 
 Number = Union[int, float]

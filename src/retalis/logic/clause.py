@@ -3,7 +3,7 @@
 from typing import Any, Callable, List, Optional, Tuple
 
 from ..foundation import LARGEST
-from ..terms import TRUE, Term, is_ground, is_larger
+from ..prolog.terms import TRUE, Term, is_ground, is_larger
 from .codes import Frame
 from .keys import key_of
 

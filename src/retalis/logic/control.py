@@ -3,7 +3,7 @@
 from typing import Any, Callable, Dict, List, Optional, Tuple
 
 from ..foundation import BULK, TermTooLarge, look
-from ..terms import (
+from ..prolog.terms import (
     COMMA,
     FALSE,
     NIL,

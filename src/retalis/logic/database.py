@@ -3,7 +3,7 @@
 from typing import Any, Callable, Dict, Iterable, Optional, Set
 from weakref import WeakValueDictionary
 
-from ..terms import Functor, Term, deref
+from ..prolog.terms import Functor, Term, deref
 from .clause import NEVER
 from .codes import Frame
 from .compiler.direct import Direct

@@ -3,7 +3,7 @@
 from typing import Any, Optional
 
 from ..foundation import RetalisError, TermTooLarge
-from ..terms import SLASH, Functor, Term, Var, atom, functor
+from ..prolog.terms import SLASH, Functor, Term, Var, atom, functor
 from .messages import CONTEXT, ERROR, describe
 
 _TYPE_ERROR = functor("type_error", 2)

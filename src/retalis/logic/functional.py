@@ -2,7 +2,7 @@
 
 from typing import Any, Callable, NamedTuple, Optional, Tuple
 
-from ..terms import Term, unify
+from ..prolog.terms import Term, unify
 
 
 class Functional(NamedTuple):

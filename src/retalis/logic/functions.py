@@ -6,9 +6,8 @@ import sys
 import time
 from typing import Callable
 
-from .. import timestamps
 from ..foundation import UsageError
-from ..terms import Functor, Term, functor
+from ..prolog.terms import Functor, Term, functor, timestamps
 from .arithmetic import (
     EVALUABLE,
     HUGE,

@@ -3,7 +3,7 @@
 from typing import Any, List, Optional, Sequence, Tuple
 
 from ..foundation import Place
-from ..terms import Term, Var, undo
+from ..prolog.terms import Term, Var, undo
 from .codes import BAIL, Code, Frame
 from .compiler.goals import GoalCode
 from .database import Database

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from ..terms import Atom, Lazy, Term, Var, deref
+from ..prolog.terms import Atom, Lazy, Term, Var, deref
 
 
 def key_of(term: Term) -> Any:

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Dict, Tuple
 
 from ..foundation import SyntaxFault, unwatched, watched_by
-from ..syntax import Operators, read_program
-from ..terms import Atom, deref
+from ..prolog.syntax import Operators, read_program
+from ..prolog.terms import Atom, deref
 from .builtins import translate_rule
 from .clause import Clause
 from .control import split_clause

@@ -2,7 +2,7 @@
 
 from typing import Any, NamedTuple, Optional
 
-from ..terms import Term
+from ..prolog.terms import Term
 from .faults import PrologError
 
 SLICE = (None,) * 1024

@@ -6,8 +6,8 @@ from time import time_ns
 from typing import Any, Callable, Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
 
 from ..foundation import Place, beginning
-from ..syntax import Operators, write_term
-from ..terms import Atom, Functor, Term, Var, copy, deref, functor
+from ..prolog.syntax import Operators, write_term
+from ..prolog.terms import Atom, Functor, Term, Var, copy, deref, functor
 from . import builtins, ports  # noqa: F401  (it registers trace/1)
 from .clause import Clause
 from .codes import Frame

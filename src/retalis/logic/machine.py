@@ -10,7 +10,7 @@ from sys import getrefcount
 from typing import Any, Callable, Iterator, List, Optional, Tuple
 
 from ..foundation import RetalisError, TermTooLarge, watched_by
-from ..terms import Atom, Term, Var, copy, deref, undo, unify
+from ..prolog.terms import Atom, Term, Var, copy, deref, undo, unify
 from .budget import Budget
 from .codes import BAIL, DEAD, STOP, Code, Frame, Guard, fail
 from .faults import PrologError, from_python, indicator, resource_error

@@ -1,7 +1,7 @@
 """Text of error terms, for logs and exceptions."""
 
-from ..syntax import writeq
-from ..terms import COLON, SLASH, Atom, String, Term, Var, deref, functor
+from ..prolog.syntax import writeq
+from ..prolog.terms import COLON, SLASH, Atom, String, Term, Var, deref, functor
 
 ERROR = functor("error", 2)
 CONTEXT = functor("context", 2)

@@ -8,7 +8,7 @@ again and again without changing is compiled.
 from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple
 
 from ..foundation import look
-from ..terms import Functor, Term, Var, copy, undo, unify
+from ..prolog.terms import Functor, Term, Var, copy, undo, unify
 from .clause import NEVER, Clause, may_match
 from .codes import Code, Frame
 from .compiler import Generator, Rule

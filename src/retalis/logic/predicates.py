@@ -2,8 +2,8 @@
 
 from typing import Any, Callable, Dict, Iterator, Optional, Tuple
 
-from ..syntax import Operators
-from ..terms import Functor, Term, Var, deref, functor
+from ..prolog.syntax import Operators
+from ..prolog.terms import Functor, Term, Var, deref, functor
 from . import builtins
 from .codes import LAST, Code, Frame
 from .control import Control, control_predicates

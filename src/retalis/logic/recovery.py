@@ -2,7 +2,7 @@
 
 from typing import Any, NamedTuple, Optional
 
-from ..terms import undo
+from ..prolog.terms import undo
 from .builtins.portraying import Capture
 from .codes import Guard
 

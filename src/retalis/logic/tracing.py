@@ -3,8 +3,8 @@
 from contextlib import contextmanager
 from typing import Any, Callable, Iterator, Optional
 
-from ..syntax import write_term
-from ..terms import COLON, COMMA, Atom, Functor, Term, copy, deref, functor, undo, unify
+from ..prolog.syntax import write_term
+from ..prolog.terms import COLON, COMMA, Atom, Functor, Term, copy, deref, functor, undo, unify
 from .codes import Code, Frame, Guard
 from .predicates import Predicates
 

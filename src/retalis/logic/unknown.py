@@ -3,7 +3,7 @@
 from difflib import get_close_matches
 from typing import Any, Dict, List
 
-from ..terms import FALSE, Atom, Functor, Term, atom, copy, deref, undo, unify
+from ..prolog.terms import FALSE, Atom, Functor, Term, atom, copy, deref, undo, unify
 from .clause import Clause
 from .codes import Frame
 from .faults import existence_error, indicator

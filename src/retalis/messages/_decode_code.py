@@ -5,7 +5,7 @@ from struct import error as StructError
 from typing import Any, Callable, Dict, List, Tuple
 
 from ..foundation import codegen
-from ..terms import CONS, FALSE, NIL, TRUE, Lazy, Term, atom, functor
+from ..prolog.terms import CONS, FALSE, NIL, TRUE, Lazy, Term, atom, functor
 from ._texts import read_text, texts
 from .arrays import SMALL, alike, array_maker, record_maker, variable_array
 from .definition import Definition, Field, measure_of

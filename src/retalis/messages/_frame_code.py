@@ -3,7 +3,7 @@
 from struct import Struct
 from typing import Any, Callable, List, Optional, Tuple
 
-from ..terms import Term
+from ..prolog.terms import Term
 from ._decode_code import Code
 from ._texts import keep_text, read_texts, text_cache
 from .definition import Definition, Field

@@ -4,7 +4,7 @@ from struct import error as StructError
 from typing import Any, List, Optional, Tuple
 
 from ..foundation import Cache
-from ..terms import Term
+from ..prolog.terms import Term
 from .text import text_term
 
 _COST = 4

@@ -6,7 +6,7 @@ from struct import error as StructError
 from typing import Any, Callable, Dict, List, Tuple
 
 from ..foundation import codegen
-from ..terms import CONS, NIL, Term
+from ..prolog.terms import CONS, NIL, Term
 
 SMALL = 4
 """Arrays up to this length are decoded with the message: a lazy term would cost as much."""

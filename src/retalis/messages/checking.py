@@ -5,8 +5,8 @@ from struct import pack
 from typing import Callable, Dict, List
 
 from ..foundation import MessageError
-from ..terms import FALSE, NIL, TRUE, Atom, Functor, Term, Var, atom, deref, functor, list_items
-from ..terms import String as PrologString
+from ..prolog.terms import FALSE, NIL, TRUE, Atom, Functor, Term, Var, atom, deref, functor, list_items
+from ..prolog.terms import String as PrologString
 from .definition import Definition, Field
 from .parsing import integer_range
 from .slots import PRIMITIVES, TIMES, VARIABLE

@@ -11,7 +11,7 @@ from struct import error as StructError
 from typing import Callable, Optional
 
 from ..foundation import MessageError, codegen
-from ..terms import Lazy, Term, functor
+from ..prolog.terms import Lazy, Term, functor
 from ._decode_code import Code
 from ._frame_code import FrameCode, Unsuited
 from .definition import HEADER, Definition

@@ -11,7 +11,7 @@ from sys import getsizeof
 from typing import Any, Callable, Dict, List
 
 from ..foundation import Cache, MessageError, codegen
-from ..terms import CONS, FALSE, NIL, TRUE, Atom, Lazy, Term, atom, functor
+from ..prolog.terms import CONS, FALSE, NIL, TRUE, Atom, Lazy, Term, atom, functor
 from .arrays import SMALL, array_maker
 from .checking import Checker
 from .definition import Definition, Field

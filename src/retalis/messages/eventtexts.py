@@ -4,8 +4,8 @@ import re
 from typing import Any, Callable, List
 
 from ..foundation import codegen
-from ..syntax import float_text, to_text
-from ..terms import Term
+from ..prolog.syntax import float_text, to_text
+from ..prolog.terms import Term
 from ._frame_code import FrameCode, Unsuited
 from .decoding import Decoder
 

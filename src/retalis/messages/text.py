@@ -6,7 +6,7 @@ from binascii import Error as Base64Error
 from typing import Optional
 
 from ..foundation import MessageError
-from ..terms import NIL, Atom, Functor, Lazy, String, Term, atom, functor
+from ..prolog.terms import NIL, Atom, Functor, Lazy, String, Term, atom, functor
 
 MARK = "FFFFFFFFFF"
 """What the base64 form begins with; a text that begins so is written in base64 itself."""

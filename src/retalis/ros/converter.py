@@ -6,8 +6,8 @@ from .._reports import Reports
 from ..foundation import RetalisError, UsageError, beginning
 from ..messages import Decoder, Definitions, text_writer
 from ..program import TOPICS, Topics, read_topics
-from ..syntax import EventReader, event_text, to_text
-from ..terms import deref
+from ..prolog.syntax import EventReader, event_text, to_text
+from ..prolog.terms import deref
 from ._log import shown
 from ._texts import TextPublisher
 from ._time import ros_now

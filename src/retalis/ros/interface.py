@@ -10,7 +10,7 @@ from .._reports import Reports
 from ..foundation import Cache, MessageError, RetalisError, UsageError, beginning, printable, topic_fault
 from ..messages import Decoder, Definitions, Encoder
 from ..program import TopicType, topic_type
-from ..terms import Term
+from ..prolog.terms import Term
 from ._raw import raw_bytes, raw_class
 from ._receiving import read_by
 from ._sending import Outlet

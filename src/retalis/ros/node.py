@@ -11,8 +11,8 @@ from ..engine import Engine
 from ..foundation import RetalisError
 from ..messages import Decoder, Definitions, Installed
 from ..program import TOPICS, Topics, read_topics
-from ..syntax import to_text
-from ..terms import Term, atom, functor
+from ..prolog.syntax import to_text
+from ..prolog.terms import Term, atom, functor
 from ._log import shown
 from ._sending import Outlet
 from ._texts import text_frame

@@ -7,8 +7,8 @@ import rospy
 from ..engine import Engine
 from ..foundation import RetalisError, SyntaxFault, UsageError, beginning, printable
 from ..program import TOPICS
-from ..syntax import Operators, read_term
-from ..terms import COMMA, TRUE, Atom, Term, Var, atom, conjuncts, deref, functor, make_list, variables
+from ..prolog.syntax import Operators, read_term
+from ..prolog.terms import COMMA, TRUE, Atom, Term, Var, atom, conjuncts, deref, functor, make_list, variables
 from .interface import OUTPUT, Interface, resolve
 
 OK = "ok"

@@ -3,8 +3,8 @@
 import re
 from pathlib import Path
 
-from retalis.syntax import write_term
-from retalis.terms import atom
+from retalis.prolog.syntax import write_term
+from retalis.prolog.terms import atom
 
 from ..mutate import changed_text, to_bytes, to_text
 from .base import ARGUMENTS, LOGGED, Kind, silent_engine

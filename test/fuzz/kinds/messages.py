@@ -3,8 +3,8 @@
 import struct
 
 from retalis.messages import Definitions, text_writer
-from retalis.syntax import EventReader
-from retalis.syntax import to_text as text_of
+from retalis.prolog.syntax import EventReader
+from retalis.prolog.syntax import to_text as text_of
 
 from ..mutate import changed_bytes, changed_text, to_bytes, to_text
 from ..watch import Finding

@@ -8,9 +8,9 @@ import json
 import re
 
 from retalis.messages import Definitions, Installed, functor_name, text_writer
-from retalis.syntax import EventReader, read_term, writeq
-from retalis.syntax import to_text as text_of
-from retalis.terms import atom, functor
+from retalis.prolog.syntax import EventReader, read_term, writeq
+from retalis.prolog.syntax import to_text as text_of
+from retalis.prolog.terms import atom, functor
 
 from ..mutate import soup, to_bytes, to_text
 from ..watch import Finding

@@ -1,7 +1,7 @@
 """Texts for the reader: a term or a syntax fault."""
 
 from retalis.foundation import SyntaxFault
-from retalis.syntax import EventReader, Operators, ReadFlags, read_program, read_term, write_term
+from retalis.prolog.syntax import EventReader, Operators, ReadFlags, read_program, read_term, write_term
 
 from ..mutate import TOKENS, changed_text, soup, to_bytes, to_text
 from .base import Kind

@@ -2,7 +2,7 @@
 
 from typing import Any, List, Optional
 
-from ...terms import NIL, SLASH, TRUE, Atom, Term, Var, deref, functor, list_parts
+from ...prolog.terms import NIL, SLASH, TRUE, Atom, Term, Var, deref, functor, list_parts
 from ..faults import domain_error, instantiation_error, type_error
 
 

@@ -3,7 +3,7 @@
 from typing import Any, Iterator, List, Union
 
 from ...foundation import look
-from ...terms import Atom, String, Term, Var, atom, deref, is_ground, list_items, make_list, unify
+from ...prolog.terms import Atom, String, Term, Var, atom, deref, is_ground, list_items, make_list, unify
 from ..codes import LAST
 from ..faults import domain_error, instantiation_error, representation_error, type_error
 from .arguments import atom_of, integer_or_var, is_iso, items, partial_items

@@ -4,7 +4,7 @@ from time import monotonic
 from typing import Any, Optional
 
 from ...foundation import watched_by
-from ...terms import CONS, NIL, TRUE, String, Var, atom, deref, functor, unify
+from ...prolog.terms import CONS, NIL, TRUE, String, Var, atom, deref, functor, unify
 from ..arithmetic import evaluate
 from ..codes import Code, Frame, Guard
 from ..compiler.nodes import CALL, NOT

@@ -3,7 +3,7 @@
 import random
 from typing import Any
 
-from ...terms import Term, Var, deref, make_list, unify
+from ...prolog.terms import Term, Var, deref, make_list, unify
 from ..faults import domain_error, instantiation_error
 from .arguments import integer, items
 from .registry import deterministic

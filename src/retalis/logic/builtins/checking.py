@@ -3,7 +3,7 @@
 from typing import Any, Callable, Dict, Optional
 
 from ...foundation import TermTooLarge
-from ...terms import (
+from ...prolog.terms import (
     NIL,
     Atom,
     String,

@@ -2,7 +2,7 @@
 
 from typing import Any, Callable, Iterator, List, Optional, Union
 
-from ...terms import (
+from ...prolog.terms import (
     COMMA,
     CONS,
     NIL,

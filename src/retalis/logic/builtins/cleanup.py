@@ -2,7 +2,7 @@
 
 from typing import Any, Optional
 
-from ...terms import Term, Var, atom, deref, undo
+from ...prolog.terms import Term, Var, atom, deref, undo
 from ..codes import Code, Frame, Guard
 from ..compiler.nodes import IGNORE
 from ..faults import PrologError, instantiation_error

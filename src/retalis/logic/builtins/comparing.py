@@ -3,7 +3,7 @@
 from typing import Any, Dict
 
 from ...foundation import TermTooLarge, codegen, look
-from ...terms import (
+from ...prolog.terms import (
     CONS,
     MOST,
     NIL,
@@ -12,6 +12,7 @@ from ...terms import (
     Term,
     Var,
     atom,
+    by_age,
     compare,
     deref,
     is_ground,
@@ -19,9 +20,9 @@ from ...terms import (
     make_list,
     undo,
     unify,
+    unlike,
     variables,
 )
-from ...terms.order import by_age, unlike
 from ..arithmetic import evaluate
 from ..compiler.nodes import COMPARISONS, ORDERS
 from ..faults import domain_error, instantiation_error, type_error

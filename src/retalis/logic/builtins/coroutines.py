@@ -7,7 +7,7 @@ them. Where the answer depends on a variable that is not bound yet, these are in
 from typing import Any, List, Optional, Tuple
 
 from ...foundation import BULK, TermTooLarge, look
-from ...terms import COMMA, ROUNDS, Term, Var, deref, functor, is_ground, undo, unify
+from ...prolog.terms import COMMA, ROUNDS, Term, Var, deref, functor, is_ground, undo, unify
 from ..codes import Frame
 from ..faults import domain_error, instantiation_error
 from .comparing import different

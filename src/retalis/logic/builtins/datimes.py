@@ -5,10 +5,8 @@ Comparisons are by the instant that a stamp names, whatever its form.
 
 from typing import Any, Optional, Tuple
 
-from ... import timestamps
 from ...foundation import UsageError
-from ...terms import CONS, NIL, Lazy, Term, Var, deref, unify
-from ...timestamps import DATIME6, DATIME7, SECOND
+from ...prolog.terms import CONS, DATIME6, DATIME7, NIL, SECOND, Lazy, Term, Var, deref, timestamps, unify
 from ..faults import domain_error, instantiation_error, type_error
 from .arguments import integer
 from .registry import deterministic, function

@@ -2,7 +2,7 @@
 
 from typing import List, NamedTuple
 
-from ...terms import (
+from ...prolog.terms import (
     COMMA,
     CONS,
     EMPTY_BLOCK,

@@ -2,7 +2,7 @@
 
 from typing import Any, Callable, Dict, List, Optional, Tuple
 
-from ...terms import Atom, String, Term, atom, deref, functor
+from ...prolog.terms import Atom, String, Term, atom, deref, functor
 from ..arithmetic import bounded, evaluate
 from ..faults import domain_error, error, existence_error, resource_error
 from .portraying import caught, printed

@@ -2,7 +2,7 @@
 
 from typing import Any, Iterator
 
-from ...terms import Atom, Term, Var, atom, deref, unify
+from ...prolog.terms import Atom, Term, Var, atom, deref, unify
 from ..faults import domain_error, existence_error, instantiation_error, permission_error
 from .arguments import option_values
 from .registry import deterministic, nondeterministic

@@ -2,7 +2,7 @@
 
 from typing import Any, Optional
 
-from ...terms import CONS, SLASH, Term, copy, deref, functor, make_list, variables
+from ...prolog.terms import CONS, SLASH, Term, copy, deref, functor, make_list, variables
 from ..codes import Frame
 from ..control import add_arguments
 from .registry import control

@@ -3,7 +3,7 @@
 from typing import Any, Iterator, List, Optional, Union
 
 from ...foundation import BULK, TermTooLarge, look
-from ...terms import (
+from ...prolog.terms import (
     CONS,
     MINUS,
     MOST,

@@ -2,7 +2,7 @@
 
 from typing import Callable, Dict, NamedTuple, Optional, Tuple
 
-from ...terms import SLASH, Atom, Functor, Term, Var, compare, deref, functor
+from ...prolog.terms import SLASH, Atom, Functor, Term, Var, compare, deref, functor
 from ..compiler.nodes import ARROW, SEMICOLON
 from ..faults import domain_error, instantiation_error, type_error
 from .arguments import natural

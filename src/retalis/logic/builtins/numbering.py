@@ -3,7 +3,7 @@
 from typing import Any, Dict, Iterator
 from zlib import crc32
 
-from ...terms import Term, Var, atom, deref, functor, is_ground, make_list, unify, variables
+from ...prolog.terms import Term, Var, atom, deref, functor, is_ground, make_list, unify, variables
 from ..arithmetic import evaluate
 from ..codes import LAST
 from .arguments import atom_of, integer

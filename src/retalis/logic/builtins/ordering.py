@@ -5,7 +5,7 @@ from operator import attrgetter, itemgetter
 from typing import Any, Callable, Dict, List, Optional, Sequence
 
 from ...foundation import BULK, look
-from ...terms import Atom, String, Term, Var, compare, deref, serial
+from ...prolog.terms import Atom, String, Term, Var, compare, deref, serial
 
 _PLAIN: Dict[type, Optional[Callable[[Term], Any]]] = {
     int: None,

@@ -2,8 +2,8 @@
 
 from typing import Any, Dict, Optional
 
-from ...syntax import write_term
-from ...terms import CONS, NIL, Atom, Term, Var, atom, deref, list_items, resolve, unify
+from ...prolog.syntax import write_term
+from ...prolog.terms import CONS, NIL, Atom, Term, Var, atom, deref, list_items, resolve, unify
 from ..arithmetic import evaluate
 from ..codes import Code, Frame, Guard
 from ..faults import (

@@ -2,8 +2,8 @@
 
 from typing import Any, Callable, List, Optional, Tuple
 
-from ...syntax import write_term
-from ...terms import Term, functor
+from ...prolog.syntax import write_term
+from ...prolog.terms import Term, functor
 from ..compiler.nodes import NOT
 from .text import long_text
 

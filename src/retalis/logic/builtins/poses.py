@@ -8,7 +8,7 @@ translation by the first rotation; rotations are interpolated spherically, on th
 from math import atan2, sin, sqrt
 from typing import Any, List, Sequence, Tuple
 
-from ...terms import CONS, NIL, Atom, Term, Var, atom, deref, list_items, make_list
+from ...prolog.terms import CONS, NIL, Atom, Term, Var, atom, deref, list_items, make_list
 from ..faults import domain_error, instantiation_error, type_error
 from .registry import deterministic, function
 

@@ -3,8 +3,8 @@
 from typing import Any, List
 
 from ...foundation import SyntaxFault
-from ...syntax import ReadFlags, read_term
-from ...terms import String, Term, Var, atom, deref, functor, make_list, unify, variables
+from ...prolog.syntax import ReadFlags, read_term
+from ...prolog.terms import String, Term, Var, atom, deref, functor, make_list, unify, variables
 from ..faults import PrologError, instantiation_error, type_error
 from ..messages import ERROR
 from .arguments import option_values, partial_items

@@ -2,7 +2,7 @@
 
 from typing import Any, Dict, Iterator, List, Optional, Set
 
-from ...terms import Functor, Term, Var, copy, deref, functor, unify
+from ...prolog.terms import Functor, Term, Var, copy, deref, functor, unify
 from ..codes import LAST
 from ..faults import existence_error, instantiation_error, type_error, uninstantiation_error
 from ..keys import key_of

@@ -2,8 +2,8 @@
 
 from typing import Any, Dict, Iterator, List
 
-from ...syntax import write_term
-from ...terms import (
+from ...prolog.syntax import write_term
+from ...prolog.terms import (
     COMMA,
     SLASH,
     TRUE,

@@ -7,7 +7,7 @@ from itertools import repeat
 from typing import Any, Callable, Iterator
 
 from ...foundation import TermTooLarge
-from ...terms import CONS, MOST, NIL, Term, Var, compare, deref, functor, list_items, unify
+from ...prolog.terms import CONS, MOST, NIL, Term, Var, compare, deref, functor, list_items, unify
 from ..faults import no_matching_rule
 from .arguments import atom_of
 from .lists import memberchk

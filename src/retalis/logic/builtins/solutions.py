@@ -2,7 +2,7 @@
 
 from typing import Any, Callable, List, Optional
 
-from ...terms import (
+from ...prolog.terms import (
     COMMA,
     MINUS,
     NIL,

@@ -3,7 +3,7 @@
 from typing import Any, Dict, Iterator
 
 from ...foundation import UsageError
-from ...terms import CONS, FALSE, NIL, TRUE, Atom, Term, Var, atom, copy, deref, functor, unify
+from ...prolog.terms import CONS, FALSE, NIL, TRUE, Atom, Term, Var, atom, copy, deref, functor, unify
 from ..codes import LAST
 from ..faults import (
     domain_error,

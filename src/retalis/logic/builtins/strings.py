@@ -3,7 +3,7 @@
 from typing import Any, Iterator, Optional, Union
 
 from ...foundation import BULK, look
-from ...terms import NIL, Atom, String, Term, Var, atom, deref, functor, is_ground, make_list, unify
+from ...prolog.terms import NIL, Atom, String, Term, Var, atom, deref, functor, is_ground, make_list, unify
 from ..codes import LAST
 from ..faults import domain_error, existence_error, instantiation_error, type_error
 from .arguments import integer_or_var, partial_items

@@ -2,7 +2,7 @@
 
 from typing import Any, Dict, List, NamedTuple, Optional, Tuple
 
-from ...terms import Term, Var
+from ...prolog.terms import Term, Var
 from ..codes import Frame
 
 

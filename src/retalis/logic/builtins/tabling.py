@@ -13,7 +13,7 @@ them gives its variables these values, which cannot fail: nothing is unified.
 
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
-from ...terms import (
+from ...prolog.terms import (
     SLASH,
     Atom,
     Functor,
@@ -25,10 +25,10 @@ from ...terms import (
     deref,
     functor,
     is_plain,
+    term_key,
     unify,
     variables,
 )
-from ...terms.keys import term_key
 from ..codes import Code, Frame, Guard
 from ..faults import uninstantiation_error
 from ..predicate import Predicate

@@ -3,19 +3,7 @@
 from typing import Any, Iterator, Optional, Sequence, Union
 
 from ...foundation import BULK, look
-from ...terms import (
-    NIL,
-    Atom,
-    Term,
-    Var,
-    atom,
-    copy,
-    deref,
-    functor,
-    make_list,
-    resolve,
-    unify,
-)
+from ...prolog.terms import NIL, Atom, Term, Var, atom, copy, deref, functor, make_list, resolve, unify
 from ..codes import LAST
 from ..faults import domain_error, instantiation_error, permission_error, resource_error, type_error
 from .arguments import check_tail, integer, is_iso, items, natural, partial_items

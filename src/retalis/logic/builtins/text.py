@@ -3,8 +3,20 @@
 from typing import Any, Callable, List, Optional, Sequence
 
 from ...foundation import BULK, SyntaxFault, look
-from ...syntax import read_term, write_term
-from ...terms import NIL, Atom, String, Term, Var, atom, deref, list_items, list_parts, make_list, unify
+from ...prolog.syntax import read_term, write_term
+from ...prolog.terms import (
+    NIL,
+    Atom,
+    String,
+    Term,
+    Var,
+    atom,
+    deref,
+    list_items,
+    list_parts,
+    make_list,
+    unify,
+)
 from ..faults import (
     PrologError,
     instantiation_error,

@@ -9,7 +9,7 @@ import time
 from datetime import date, datetime, timedelta, timezone
 from typing import Any, Callable, Dict, Iterator, Tuple
 
-from ...terms import Atom, Term, Var, atom, deref, functor, make_list, unify
+from ...prolog.terms import Atom, Term, Var, atom, deref, functor, make_list, unify
 from ..codes import LAST
 from ..faults import domain_error, instantiation_error, type_error
 from .arguments import integer

@@ -2,7 +2,7 @@
 
 from typing import Any, FrozenSet, List, Optional, Sequence
 
-from ...terms import Atom, Functor, Term, Var, conjunction, deref, functor, variables
+from ...prolog.terms import Atom, Functor, Term, Var, conjunction, deref, functor, variables
 from .inline import forget, write_inline, write_test
 from .nodes import ARG, KNOWN_ARG, Condition, Cut, Either, Fail, Goal, Height, Interpret, Node, needed_by
 from .scope import Clause, Scope, Unit

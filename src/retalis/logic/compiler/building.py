@@ -7,7 +7,7 @@ the cells in one go, from the last to the first, so that no variable is needed i
 
 from typing import Any, List, NamedTuple, Optional, Sequence, Tuple
 
-from ...terms import Term, Var, deref
+from ...prolog.terms import Term, Var, deref
 from .inline import write_inline
 from .nodes import Goal, Node, needed_by
 from .scope import Clause, Scope

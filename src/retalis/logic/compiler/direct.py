@@ -8,7 +8,7 @@ of unification, arithmetic, comparison, pure built-ins, facts, and other such pr
 
 from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Tuple
 
-from ...terms import Functor, functor, undo
+from ...prolog.terms import Functor, functor, undo
 from ..codes import BAIL
 from ..keys import key_of
 from .inline import write_inline

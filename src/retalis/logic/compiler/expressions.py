@@ -2,7 +2,7 @@
 
 from typing import Tuple
 
-from ...terms import Atom, Functor, Term, Var, deref, functor
+from ...prolog.terms import Atom, Functor, Term, Var, deref, functor
 from ..arithmetic import EVALUABLE
 from .scope import Scope
 

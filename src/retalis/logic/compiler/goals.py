@@ -3,7 +3,7 @@
 from typing import Any, Callable, List, Optional, Sequence, Tuple
 
 from ...foundation import LARGEST, Place
-from ...terms import Term, Var, copy, deref, functor, is_larger, resolve, variables
+from ...prolog.terms import Term, Var, copy, deref, functor, is_larger, resolve, variables
 from ..codes import Code
 from ..limits import LimitError
 from .bodies import Bodies

@@ -2,7 +2,7 @@
 
 from typing import Any, Dict, FrozenSet, List, Optional, Sequence, Set, Tuple
 
-from ...terms import Atom, Term, Var, deref, variables
+from ...prolog.terms import Atom, Term, Var, deref, variables
 from .expressions import number
 from .nodes import COMPARISONS, KNOWN_ARG, ORDERS, TYPE_TESTS, Condition, Cut, Fail, Goal, Node, needed_by
 from .scope import Scope

@@ -2,7 +2,7 @@
 
 from typing import Any, Callable, Dict, FrozenSet, Iterable, List, Optional, Tuple
 
-from ...terms import (
+from ...prolog.terms import (
     COLON,
     COMMA,
     FALSE,

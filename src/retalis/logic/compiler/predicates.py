@@ -3,7 +3,7 @@
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 from ...foundation import Place
-from ...terms import TRUE, Atom, Functor, Term, Var, deref
+from ...prolog.terms import TRUE, Atom, Functor, Term, Var, deref
 from ..codes import Code
 from ..keys import key_of
 from .bodies import Bodies

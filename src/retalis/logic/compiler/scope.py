@@ -4,10 +4,22 @@ import math
 from functools import partial
 from typing import Any, Callable, Dict, FrozenSet, List, NamedTuple, Optional, Set, Tuple
 
-from ... import terms
 from ...foundation import codegen
-from ...terms import Atom, Functor, Lazy, String, Term, Var, copy, deref, functor, is_ground
-from ...terms.order import by_number, unlike
+from ...prolog import terms
+from ...prolog.terms import (
+    Atom,
+    Functor,
+    Lazy,
+    String,
+    Term,
+    Var,
+    by_number,
+    copy,
+    deref,
+    functor,
+    is_ground,
+    unlike,
+)
 from .. import arithmetic
 from ..codes import DEAD, RESUME, Code
 from ..limits import LOOP

@@ -1,6 +1,6 @@
 """Code that unifies a local with a term that is known when the clause is compiled."""
 
-from ...terms import Atom, String, Term, Var, deref, same_constant
+from ...prolog.terms import Atom, String, Term, Var, deref, same_constant
 from .scope import Scope, _is_large
 
 _FEWEST, _MOST = 3, 40

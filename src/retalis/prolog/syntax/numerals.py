@@ -1,0 +1,130 @@
+"""Numbers and their text, in both directions.
+
+Python refuses to convert long decimal texts (4,300 digits, a guard against slow conversion), so long
+integers are converted here in halves, which is also faster.
+"""
+
+from decimal import MAX_EMAX, MAX_PREC, Decimal, Inexact, localcontext
+from typing import Dict
+
+from ...foundation import look
+
+_SAFE = 4000
+"""Decimal digits that every Python version converts."""
+
+_SAFE_BITS = 4096
+
+_LONGEST = 1_000_000
+"""Digits of the longest number that is read: a second's work."""
+
+_MOST = 10**_SAFE
+_LEAST = -_MOST
+
+
+def integer(text: str, radix: int = 10) -> int:
+    """Return the integer that a text of digits names.
+
+    Raises:
+        ValueError: where a digit is none in this radix, or there are too many.
+    """
+    if len(text) > _LONGEST:
+        raise ValueError(f"a number of {len(text)} digits is too long (at most {_LONGEST} are allowed)")
+    if len(text) <= _SAFE or radix in (2, 4, 8, 16, 32):
+        return int(text, radix)
+    values = [int(text[max(0, at - _SAFE) : at], radix) for at in range(len(text), 0, -_SAFE)]
+    scale = radix**_SAFE
+    while len(values) > 1:  # least significant first; neighbours are joined until one is left
+        look()
+        if len(values) % 2:
+            values.append(0)
+        values = [low + high * scale for low, high in zip(values[::2], values[1::2])]
+        scale *= scale
+    return values[0]
+
+
+def integer_text(value: int) -> str:
+    """Return the decimal text of an integer of any size."""
+    if _LEAST < value < _MOST:
+        return str(value)
+    if value < 0:
+        return "-" + integer_text(-value)
+    with localcontext() as context:
+        context.prec, context.Emax = MAX_PREC, MAX_EMAX
+        context.traps[Inexact] = True
+        return str(_decimal(value))
+
+
+def _decimal(value: int) -> Decimal:
+    """Return an integer as a decimal number, whose products take little more than linear time.
+
+    The bits are halved until Python converts them quickly; the halves are put together as decimals.
+    """
+    sizes = [value.bit_length()]
+    while sizes[-1] > _SAFE_BITS:
+        sizes.append((sizes[-1] + 1) // 2)
+    parts = [value]
+    for size in sizes[1:]:  # most significant first
+        look()
+        mask = (1 << size) - 1
+        parts = [half for part in parts for half in (part >> size, part & mask)]
+    numbers = [Decimal(part) for part in parts]
+    for size in reversed(sizes[1:]):
+        look()
+        scale = Decimal(2) ** size
+        numbers = [high * scale + low for high, low in zip(numbers[::2], numbers[1::2])]
+    return numbers[0]
+
+
+def float_text(value: float) -> str:
+    """Return a float as SWI-Prolog 9 writes it: shortest text that reads back, always with a point.
+
+    Whole numbers from 1e15 on have an exponent, as there; infinities and nan are ``1.0Inf`` and ``1.5NaN``.
+    """
+    text = repr(value)
+    if "e" in text:
+        mantissa, exponent = text.split("e")
+        return f"{mantissa if '.' in mantissa else mantissa + '.0'}e{int(exponent):+d}"
+    if len(text) > 17 and text.endswith(".0") and len(text) - (text[0] == "-") > 17:
+        return _exponent_form(text)
+    return _SPECIAL.get(text, text)
+
+
+_SPECIAL: Dict[str, str] = {"inf": "1.0Inf", "-inf": "-1.0Inf", "nan": "1.5NaN"}
+
+
+def _exponent_form(text: str) -> str:
+    """Return a whole number of 16 digits or more in exponent form."""
+    sign = "-" if text[0] == "-" else ""
+    digits = text[len(sign) : -2]
+    fraction = digits[1:].rstrip("0") or "0"
+    return f"{sign}{digits[0]}.{fraction}e+{len(digits) - 1}"
+
+
+def float_value(text: str) -> float:
+    """Return the float that a text names.
+
+    Raises:
+        ValueError: where the number is too large for a double.
+    """
+    if text.endswith("Inf"):
+        return float("inf")
+    if text.endswith("NaN"):
+        return float("nan")
+    value = float(text)
+    if value == float("inf"):
+        raise ValueError(text)
+    return value
+
+
+def radix_integer(text: str) -> int:
+    """Return the integer of a text such as ``16'FF``, ``0xFF``, ``0o17`` or ``0b11``.
+
+    Raises:
+        ValueError: where the radix is not 2 to 36, or a digit is none in it.
+    """
+    if "'" in text:
+        radix, digits = text.split("'")
+        if not (1 < len(radix) + 1 < 4 and 2 <= int(radix) <= 36):
+            raise ValueError(text)
+        return integer(digits, int(radix))
+    return integer(text[2:].replace("_", ""), {"x": 16, "o": 8, "b": 2}[text[1]])

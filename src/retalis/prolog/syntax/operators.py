@@ -1,0 +1,197 @@
+"""Operator tables: Prolog's operators, the event language's, and those that a program declares."""
+
+from functools import lru_cache
+from typing import Dict, Iterator, List, NamedTuple, Optional, Tuple
+
+from ...foundation import UsageError
+from ..terms import Functor, functor
+
+
+class Operator(NamedTuple):
+    """One definition of an operator.
+
+    Attributes:
+        priority: 1 to 1200.
+        left: the highest priority that its left argument may have; 0 for prefix operators.
+        right: the same for its right argument; 0 for postfix operators.
+        functor: of the term that it makes.
+        type: ``xfx``, ``xfy``, ``yfx``, ``fy``, ``fx``, ``xf`` or ``yf``.
+    """
+
+    priority: int
+    left: int
+    right: int
+    functor: Functor
+    type: str
+
+
+_INFIX, _PREFIX, _POSTFIX = ("xfx", "xfy", "yfx"), ("fy", "fx"), ("xf", "yf")
+TYPES = _INFIX + _PREFIX + _POSTFIX
+
+_ISO = """
+1200 xfx :- -->
+1200 fx :- ?-
+1100 xfy ;
+1050 xfy ->
+1000 xfy ,
+900 fy \\+
+700 xfx = \\= == \\== @< @=< @> @>= =.. is =:= =\\= < =< > >=
+500 yfx + - /\\ \\/
+400 yfx * / // mod rem div << >>
+200 xfx **
+200 xfy ^
+200 fy - + \\
+"""
+
+_SWI = """
+1200 xfx =>
+1150 fx dynamic discontiguous initialization meta_predicate module_transparent multifile public table
+1150 fx thread_initialization thread_local volatile
+1105 xfy |
+1050 xfy *->
+800 xfx :=
+700 xfx =@= \\=@= >:< :< as
+600 xfy :
+400 yfx rdiv xor
+1 fx $
+"""
+
+_EVENTS = """
+1200 xfy rule: <- iff
+1124 yfx do
+1060 yfx where
+1055 xfy within
+1053 yfx or
+1050 yfx check timestamp event_multiply
+1045 yfx par
+1040 yfx and
+1031 yfx cnot fnot not
+1025 yfx seq forall_seq equals meets during starts finishes ntimes
+200 xf star_times
+"""
+
+_SIGNS = {"*": "seq", "#": "par", "/\\": "and", "\\/": "or"}
+"""What these stand for in patterns; elsewhere they are Prolog's."""
+
+
+def _spellings() -> Dict[str, str]:
+    """Return the canonical name of each spelling of an operator of the event language."""
+    found = {}
+    for line in _EVENTS.split("\n"):
+        for name in line.split()[2:]:
+            for spelling in (name, name.capitalize(), name.title(), name.upper()):
+                found[spelling] = "<-" if name == "iff" else name
+    return found
+
+
+CANONICAL: Dict[str, str] = _spellings()
+"""Spelling of an operator of the event language -> its canonical name."""
+
+CANONICAL_IN_PATTERNS: Dict[str, str] = {**CANONICAL, **_SIGNS}
+
+
+class Operators:
+    """A table of operators.
+
+    `prolog` makes the usual one; programs change their own copy by `add`. A name may be a prefix operator
+    and, at the same time, an infix or postfix one.
+    """
+
+    __slots__ = ("prefix", "infix", "postfix", "_patterns")
+
+    def __init__(self) -> None:
+        self.prefix: Dict[str, Operator] = {}
+        self.infix: Dict[str, Operator] = {}
+        self.postfix: Dict[str, Operator] = {}
+        self._patterns: Optional[Dict[str, Operator]] = None
+
+    @classmethod
+    def prolog(cls) -> "Operators":
+        """Return a table with the operators of ISO Prolog, SWI-Prolog 9 and the event language."""
+        return _standard().copy()
+
+    @classmethod
+    def iso(cls) -> "Operators":
+        """Return a table with the operators of ISO 13211-1 only."""
+        return _read_table(_ISO)
+
+    def copy(self) -> "Operators":
+        """Return a table with the same operators, which changes by itself."""
+        table = Operators()
+        table.prefix = dict(self.prefix)
+        table.infix = dict(self.infix)
+        table.postfix = dict(self.postfix)
+        return table
+
+    def add(self, priority: int, kind: str, name: str) -> None:
+        """Define an operator, or remove it where ``priority`` is 0.
+
+        Args:
+            priority: 0 to 1200.
+            kind: one of ``xfx xfy yfx fy fx xf yf``.
+            name: of the operator; a quoted spelling of an event operator makes the same term as that.
+
+        Raises:
+            UsageError: where priority or kind are none.
+        """
+        if not 0 <= priority <= 1200:
+            raise UsageError(f"{priority} is not an operator priority: expected 0 to 1200")
+        if kind not in TYPES:
+            raise UsageError(f"{kind} is not an operator type: expected one of {' '.join(TYPES)}")
+        table, arity = self._table(kind)
+        self._patterns = None
+        if priority == 0:
+            table.pop(name, None)
+            return
+        place = kind.index("f")
+        left = 0 if place == 0 else priority - (kind[0] == "x")
+        right = 0 if place == len(kind) - 1 else priority - (kind[-1] == "x")
+        table[name] = Operator(priority, left, right, functor(CANONICAL.get(name, name), arity), kind)
+
+    def _table(self, kind: str) -> Tuple[Dict[str, Operator], int]:
+        if kind in _INFIX:
+            return self.infix, 2
+        return (self.prefix, 1) if kind in _PREFIX else (self.postfix, 1)
+
+    def patterns(self) -> Dict[str, Operator]:
+        """Return the infix operators as they are in patterns, where ``*`` is ``seq`` and so on."""
+        found = self._patterns
+        if found is None:
+            found = self._patterns = dict(self.infix)
+            for sign, name in _SIGNS.items():
+                meant = _standard().infix[name]
+                found[sign] = self.infix.get(name, meant)._replace(functor=meant.functor)
+        return found
+
+    def find(self, name: str) -> List[Operator]:
+        """Return the definitions of a name: prefix, infix, postfix, those that there are."""
+        tables = (self.prefix, self.infix, self.postfix)
+        return [table[name] for table in tables if name in table]
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.infix or name in self.prefix or name in self.postfix
+
+    def __iter__(self) -> Iterator[Tuple[int, str, str]]:
+        """Yield priority, type and name of every operator, as ``current_op/3`` has them."""
+        for table in (self.prefix, self.infix, self.postfix):
+            for name, found in table.items():
+                yield found.priority, found.type, name
+
+
+def _read_table(text: str) -> Operators:
+    made = Operators()
+    for line in text.strip().split("\n"):
+        priority, kind, *names = line.split()
+        for name in names:
+            made.add(int(priority), kind, name)
+    return made
+
+
+@lru_cache(maxsize=1)
+def _standard() -> Operators:
+    made = _read_table("\n".join(table.strip() for table in (_ISO, _SWI, _EVENTS)))
+    for spelling, name in CANONICAL.items():
+        for table in (made.infix, made.postfix):
+            if name in table:
+                table[spelling] = table[name]
+    return made

@@ -1,0 +1,139 @@
+"""Compiles the function that builds all terms of one shape."""
+
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
+
+from ...foundation import codegen
+from ..terms import CONS, NIL, Atom, Functor, Term, Var, atom, make_list
+
+
+class Builder(NamedTuple):
+    """Builds the terms of a shape.
+
+    Attributes:
+        build: makes one from its numbers, its quoted and its double-quoted texts; raises ValueError where they are
+            not as many.
+        ground: whether there is no variable in them.
+    """
+
+    build: Callable[[List[Any], List[str], List[str]], Term]
+    ground: bool
+
+
+_LINES = 3000
+"""A shape of more compound terms is not worth a function."""
+
+_NESTED = 16
+"""A list of more items is made by a loop."""
+
+_LOCALS = 200
+"""More numbers are taken by index from their list, not unpacked into variables."""
+
+
+class ShapeCompiler:
+    """Writes the Python function for a term with marks in it."""
+
+    def __init__(self, marks: Dict[Term, str]):
+        """Take the marks: a constant of the term -> its variable: ``n0``, ... numbers; ``q0``, ``s0``, ... text."""
+        self._marks = marks
+        self._used: Dict[str, int] = dict.fromkeys(marks.values(), 0)
+        self._constants: Dict[Any, str] = {}
+        self._names: Dict[str, Any] = {"atom": atom, "make_list": make_list, "Var": Var, "C": CONS, "N": NIL}
+        self._variables: Dict[Var, str] = {}
+        self._lines: List[str] = []
+
+    def compile(self, term: Term) -> Optional[Builder]:
+        """Return what builds it; None where a mark is missing, stands twice, or the term is too large."""
+        result = self._expression(term)
+        if result is None or any(count != 1 for count in self._used.values()):
+            return None
+        body = [*self._unpacking(), *(f"{name} = Var()" for name in self._variables.values()), *self._lines]
+        lines = ["def build(n, q, s):", *(" " + line for line in body), f" return {result}"]
+        return Builder(codegen.function(lines, self._names, "event text", "build"), not self._variables)
+
+    def _unpacking(self) -> List[str]:
+        lines = []
+        for kind in "nqs":
+            names = [name for name in self._marks.values() if name[0] == kind]
+            if names and not (kind == "n" and len(names) > _LOCALS):
+                lines.append(f"{', '.join(names)}, = {kind}")
+            else:
+                lines.append(f"if len({kind}) != {len(names)}: raise ValueError")
+        return lines
+
+    def _expression(self, term: Term) -> Optional[str]:
+        """Write the lines that build the parts of a term; return the expression of the term."""
+        # An entry is a term to do, or a compound term whose arguments are on top of the results.
+        stack: List[Tuple[Term, int]] = [(term, -1)]
+        results: List[str] = []
+        while stack:
+            part, count = stack.pop()
+            if part.__class__ is not tuple:
+                results.append(self._leaf(part))
+            elif count < 0:
+                items = _items(part)
+                stack.append((part, len(items)))
+                stack.extend((item, -1) for item in reversed(items))
+            else:
+                arguments = results[len(results) - count :]
+                del results[len(results) - count :]
+                results.append(self._compound(part, arguments))
+                if len(self._lines) > _LINES:
+                    return None
+        return results[0]
+
+    def _leaf(self, term: Term) -> str:
+        kind = term.__class__
+        if kind is Var:
+            return self._variables.setdefault(term, f"v{len(self._variables)}")
+        mark = self._marks.get(term) if kind is int or kind is Atom else None
+        if mark is None:
+            return self._constant(term)
+        self._used[mark] += 1
+        if mark[0] == "n":
+            return mark if len(self._marks) <= _LOCALS else f"n[{mark[1:]}]"
+        return f"atom({mark})" if mark[0] == "q" else f"atom(f'\"{{{mark}}}\"')"
+
+    def _constant(self, value: Any) -> str:
+        key = (value.__class__, value.hex() if value.__class__ is float else value)
+        name = self._constants.get(key)
+        if name is None:
+            name = self._constants[key] = f"k{len(self._constants)}"
+            self._names[name] = value
+        return name
+
+    def _compound(self, term: Tuple[Any, ...], arguments: List[str]) -> str:
+        found: Functor = term[0]
+        if found is not CONS:
+            return self._temporary(f"({self._constant(found)}, {', '.join(arguments)})")
+        *items, tail = arguments
+        if len(items) > _NESTED:
+            first = items[0]
+            run = [f"n[{at}]" for at in range(_index(first), _index(first) + len(items))]
+            several = (
+                f"n[{run[0][2:-1]}:{int(run[-1][2:-1]) + 1}]" if run == items else f"({', '.join(items)})"
+            )
+            return self._temporary(f"make_list({several}, {tail})")
+        for item in reversed(items):
+            tail = f"(C, {item}, {tail})"
+        return self._temporary(tail)
+
+    def _temporary(self, expression: str) -> str:
+        self._lines.append(f"t{len(self._lines)} = {expression}")
+        return f"t{len(self._lines) - 1}"
+
+
+def _items(term: Tuple[Any, ...]) -> List[Term]:
+    """Return the arguments of a compound term; of a list, its items and its tail."""
+    if term[0] is not CONS:
+        return list(term[1:])
+    items = []
+    rest: Term = term
+    while rest.__class__ is tuple and rest[0] is CONS:
+        items.append(rest[1])
+        rest = rest[2]
+    items.append(rest)
+    return items
+
+
+def _index(name: str) -> int:
+    return int(name[2:-1]) if name[:2] == "n[" else -1

@@ -1,0 +1,312 @@
+"""Terms to text that reads back as the same term.
+
+Works without recursion: a stack holds what is still to be written. Two tokens that would run together are
+parted by a blank, and nothing else is, as SWI-Prolog 9 does it.
+"""
+
+from typing import Any, Callable, List, Mapping, NamedTuple, Optional, Tuple
+
+from ...foundation import BULK, TermTooLarge, look
+from ..terms import CONS, NIL, Atom, Functor, String, Term, Var, deref, functor, list_parts, resolve, serial
+from .atoms import atom_text, quote
+from .numerals import float_text, integer_text
+from .operators import Operator, Operators
+
+_CURLY = functor("{}", 1)
+_NUMBERED = functor("$VAR", 1)
+_LONG = 64 * len(BULK)
+_MASK = len(BULK) - 1
+_LONGEST = 1 << 26
+"""Characters of the longest text that is written."""
+_SYMBOLS = frozenset("-+*/\\^<>=~:.?@#&$")
+
+
+class WriteOptions(NamedTuple):
+    """How a term is written; the names are those of ``write_term/2``.
+
+    Attributes:
+        quoted: atoms and strings are quoted where they have to be.
+        ignore_ops: operators are written as functor and arguments.
+        brace_terms: ``{}(a)`` is written ``{a}``.
+        numbervars: ``'$VAR'(1)`` is written ``B``.
+        spacing: a blank after the commas of arguments and lists.
+        wide: a blank on either side of the infix operators that bind least: of rules and conditions.
+        variable_names: variable -> name; others are ``_G1`` and so on.
+        priority: a term of a higher priority is put in brackets.
+        portray: gives the text of a term that is written in a way of its own, and None for others.
+    """
+
+    quoted: bool = True
+    ignore_ops: bool = False
+    brace_terms: bool = True
+    numbervars: bool = False
+    spacing: bool = False
+    wide: bool = False
+    variable_names: Optional[Mapping[Var, str]] = None
+    priority: int = 1200
+    portray: Optional[Callable[[Term], Optional[str]]] = None
+
+
+class _Writer:
+    def __init__(self, operators: Operators, options: WriteOptions):
+        self.operators = operators
+        self.options = options
+        self.out: List[str] = []
+        self.last = ""
+        self.after: Optional[_Name] = None
+        self.names = options.variable_names or {}
+        self.atom: Callable[[str], str] = atom_text if options.quoted else str
+        self.comma = ", " if options.spacing else ","
+        self.portray = options.portray
+        self.stack: List[Any] = []
+        self.counted = 0
+        self.size = 0
+
+    def write(self, term: Term) -> str:
+        """Return the text of ``term``.
+
+        An entry of the stack is a token (a str), a prefix operator, or a term and the priority that it may
+        have, with a third item where it is the argument of an operator.
+        """
+        stack = self.stack
+        stack.append((term, self.options.priority))
+        steps = 0
+        while stack:
+            steps += 1
+            if not steps & _MASK:
+                self._check(term, steps)
+            entry = stack.pop()
+            kind = entry.__class__
+            if kind is str:
+                self._put(entry)
+            elif kind is _Name:
+                entry.parted = self._put(entry.text)
+                self.after = entry
+            else:
+                self._term(deref(entry[0]), entry[1], len(entry) == 3)
+        return "".join(self.out)
+
+    def _check(self, term: Term, steps: int) -> None:
+        look()
+        if steps == _LONG:
+            resolve(term)  # raises for a term that contains itself
+        self.size += sum(map(len, self.out[self.counted :]))
+        self.counted = len(self.out)
+        if self.size > _LONGEST:
+            raise TermTooLarge
+
+    def _put(self, token: str) -> bool:
+        """Add a token, with a blank before it where it would run into the one before; tell whether so."""
+        if not token:
+            return False
+        last, first = self.last, token[0]
+        parted = bool(last) and (
+            _run_together(last, first) or (self.after is not None and self.after.needs_blank(first))
+        )
+        if parted:
+            self.out.append(" ")
+        self.after = None
+        self.out.append(token)
+        self.last = token[-1]
+        return parted
+
+    def _term(self, term: Term, limit: int, is_operand: bool) -> None:
+        kind = term.__class__
+        if self.portray is not None and kind is not Var:
+            text = self.portray(term)
+            if text is not None:
+                self._put(text)
+                return
+        if kind is tuple:
+            self._compound(term, limit)
+        elif kind is Atom:
+            self._atom_term(term.name, is_operand)
+        elif kind is int:
+            self._put(integer_text(term))
+        elif kind is float:
+            self._put(float_text(term))
+        elif kind is String:
+            self._put(quote(term.text, '"') if self.options.quoted else term.text)
+        else:
+            self._put(self.names.get(term) or f"_G{serial(term)}")
+
+    def _atom_term(self, name: str, is_operand: bool) -> None:
+        if is_operand and (name in self.operators or name == "."):
+            self._put("(")
+            self._put(self.atom(name))
+            self._put(")")
+        else:
+            self._put(self.atom(name))
+
+    def _compound(self, term: Tuple[Any, ...], limit: int) -> None:
+        found: Functor = term[0]
+        if found is CONS:
+            self._list(term)
+            return
+        options = self.options
+        if found is _NUMBERED and options.numbervars and self._numbered(deref(term[1])):
+            return
+        if found is _CURLY and options.brace_terms:
+            self.stack += ("}", (term[1], 1200), "{")
+            return
+        if options.ignore_ops or found.arity > 2 or not self._operator(term, found, limit):
+            self._canonical(term, found)
+
+    def _numbered(self, number: Term) -> bool:
+        if number.__class__ is not int or number < 0:
+            return False
+        letter = chr(ord("A") + number % 26)
+        self._put(letter + (str(number // 26) if number >= 26 else ""))
+        return True
+
+    def _canonical(self, term: Tuple[Any, ...], found: Functor) -> None:
+        stack = self.stack
+        stack.append(")")
+        for argument in term[:1:-1]:
+            stack.append((argument, 999))
+            stack.append(self.comma)
+        if found.arity:
+            stack.append((term[1], 999))
+        self._put(self.atom(found.name))
+        self._put("(")
+
+    def _list(self, term: Tuple[Any, ...]) -> None:
+        entries: List[Any] = ["["]
+        items, rest = list_parts(term)
+        for item in items:
+            entries += ((item, 999), self.comma)
+        entries.pop()
+        if rest is not NIL:
+            entries += ("|", (rest, 999))
+        entries.append("]")
+        entries.reverse()
+        self.stack += entries
+
+    def _operator(self, term: Tuple[Any, ...], found: Functor, limit: int) -> bool:
+        """Write a term with its operator; False where its functor is none."""
+        name = found.name
+        if found.arity == 2:
+            infix = self.operators.infix.get(name)
+            if infix is None:
+                return False
+            entries = self._infix(term, infix, name)
+            priority = infix.priority
+        else:
+            prefix = self.operators.prefix.get(name)
+            postfix = self.operators.postfix.get(name)
+            if prefix is not None:
+                entries = [_Name(self.atom(name), True), (term[1], self._right(prefix, term[1]), True)]
+                priority = prefix.priority
+            elif postfix is not None:
+                entries = [(term[1], postfix.left, True), self.atom(name)]
+                priority = postfix.priority
+            else:
+                return False
+        if priority > limit:
+            entries = ["(", *entries, ")"]
+        entries.reverse()
+        self.stack += entries
+        return True
+
+    def _infix(self, term: Tuple[Any, ...], infix: Operator, name: str) -> List[Any]:
+        text: Any
+        if name == ",":
+            text = self.comma
+        elif name == "|":
+            text = "|"
+        elif self.options.wide and infix.priority >= _WIDE:
+            text = f" {self.atom(name)} "
+        else:
+            text = _Name(self.atom(name), False)
+        left = 0 if name in _AFTER_A_LABEL and _is_labelled(term[1]) else infix.left
+        return [(term[1], left, True), text, (term[2], self._right(infix, term[2]), True)]
+
+    def _right(self, found: Operator, argument: Term) -> int:
+        """Return the priority that the right argument may have.
+
+        Where it is an operator of the same priority that would take the operator before it as its left
+        argument, it needs brackets, as ``a xfy (b yfx c)``.
+        """
+        argument = deref(argument)
+        if found.right != found.priority or argument.__class__ is not tuple:
+            return found.right
+        name, arity = argument[0].name, argument[0].arity
+        if arity == 2:
+            inner = self.operators.infix.get(name)
+        elif arity == 1 and name not in self.operators.prefix:
+            inner = self.operators.postfix.get(name)
+        else:
+            return found.right
+        if inner is not None and inner.priority == inner.left == found.priority:
+            return found.right - 1
+        return found.right
+
+
+_WIDE = 700
+_AFTER_A_LABEL = frozenset(("do", "<-"))
+
+
+def _is_labelled(term: Term) -> bool:
+    """Tell whether a term would read as the label of a rule where it stands before ``do`` or ``<-``."""
+    term = deref(term)
+    return term.__class__ is tuple and term[0].arity == 2 and term[0].name == ":"
+
+
+class _Name:
+    """An operator before its argument, waiting on the writer's stack."""
+
+    __slots__ = ("text", "is_prefix", "parted")
+
+    def __init__(self, text: str, is_prefix: bool):
+        self.text = text
+        self.is_prefix = is_prefix
+        self.parted = False
+
+    def needs_blank(self, following: str) -> bool:
+        """Tell whether a blank must part the operator from a token that begins with this character."""
+        if not self.is_prefix:
+            return self.parted
+        if following == "(" or (self.text == "-" and following.isdigit()):
+            return True
+        return following in _SYMBOLS and _is_word(self.text[-1])
+
+
+def _is_word(char: str) -> bool:
+    return char.isalnum() or char == "_"
+
+
+def _run_together(last: str, first: str) -> bool:
+    """Tell whether two tokens would read as one, by the last character of one and the first of the other."""
+    if first in _SYMBOLS:
+        return last in _SYMBOLS
+    if first == "'":
+        return last == "'" or last.isdigit()
+    if _is_word(first):
+        return _is_word(last)
+    return first == last and first in '"`'
+
+
+def write_term(term: Term, operators: Optional[Operators] = None, **options: Any) -> str:
+    """Return the text of a term.
+
+    Args:
+        term: any term; bound variables are followed, lazy terms are looked at.
+        operators: the table to write with; Prolog's by default.
+        **options: see `WriteOptions`.
+    """
+    return _Writer(operators or _usual(), WriteOptions(**options)).write(term)
+
+
+def writeq(term: Term, operators: Optional[Operators] = None) -> str:
+    """Return the text of a term as ``writeq/1`` writes it: quoted, with operators and ``'$VAR'``."""
+    return _Writer(operators or _usual(), _QUOTED).write(term)
+
+
+_QUOTED = WriteOptions(numbervars=True)
+_tables: List[Operators] = []
+
+
+def _usual() -> Operators:
+    if not _tables:
+        _tables.append(Operators.prolog())
+    return _tables[0]

@@ -1,0 +1,69 @@
+"""Lists and conjunctions."""
+
+from typing import Iterable, Iterator, List, Optional, Tuple
+
+from ...foundation import BULK, TermTooLarge, look
+from ._steps import ROUNDS
+from .kinds import COMMA, CONS, NIL, TRUE, Term, deref
+
+
+def make_list(items: Iterable[Term], tail: Term = NIL) -> Term:
+    """Return the Prolog list of ``items``."""
+    left = list(items)
+    while len(left) > len(BULK):
+        for item in reversed(left[-len(BULK) :]):
+            tail = (CONS, item, tail)
+        del left[-len(BULK) :]
+        look()
+    for item in reversed(left):
+        tail = (CONS, item, tail)
+    return tail
+
+
+def list_items(term: Term) -> Optional[List[Term]]:
+    """Return the items of a proper list, or None where ``term`` is none (partial lists included)."""
+    items, tail = list_parts(term)
+    return items if tail is NIL else None
+
+
+def list_parts(term: Term) -> Tuple[List[Term], Term]:
+    """Return the items of a list, proper or partial, and its tail."""
+    items: List[Term] = []
+    term = deref(term)
+    for _ in ROUNDS:
+        for _ in BULK:
+            if term.__class__ is not tuple or term[0] is not CONS:
+                return items, term
+            items.append(term[1])
+            term = term[2]
+            if term.__class__ is not tuple:
+                term = deref(term)
+        look()
+    raise TermTooLarge
+
+
+def conjuncts(term: Term) -> Iterator[Term]:
+    """Yield the goals of a conjunction from left to right."""
+    stack = [term]
+    for _ in ROUNDS:
+        for _ in BULK:
+            if not stack:
+                return
+            goal = deref(stack.pop())
+            if goal.__class__ is tuple and goal[0] is COMMA:
+                stack += (goal[2], goal[1])
+            else:
+                yield goal
+        look()
+    raise TermTooLarge
+
+
+def conjunction(goals: Iterable[Term]) -> Term:
+    """Return the goals as one goal; ``true`` for none."""
+    goals = list(goals)
+    if not goals:
+        return TRUE
+    result = goals[-1]
+    for goal in reversed(goals[:-1]):
+        result = (COMMA, goal, result)
+    return result

@@ -1,0 +1,264 @@
+"""Instants as integer nanoseconds since the epoch (UTC), and their terms.
+
+Inside, an instant is an ``int`` of nanoseconds, so comparisons are exact. What a program sees is a term:
+``datime(Year,Month,Day,Hour,Minute,Second,Nanosecond)``, the same without the last field, or a number
+of seconds. An instant keeps the form that it came in:
+
+* a plain ``int`` shows as ``datime/7`` with float seconds, as ``new_event/3`` makes them;
+* a `WholeSeconds` shows as ``datime/7`` with integer seconds, as the clock makes them;
+* a `Stamp` shows as the very term it was read from.
+
+All three are integers: they compare and subtract by the instant they name, whatever their form.
+"""
+
+from calendar import isleap
+from datetime import date
+from functools import lru_cache
+from math import frexp, ldexp
+from typing import Optional, Tuple
+
+from ...foundation import UsageError
+from .kinds import CONS, NIL, Functor, Lazy, Term, Var, deref, functor
+from .lists import list_items
+
+SECOND = 1_000_000_000
+"""Nanoseconds in a second."""
+
+DATIME7: Functor = functor("datime", 7)
+DATIME6: Functor = functor("datime", 6)
+
+_DAY = 86_400
+_EPOCH_DAY = date(1970, 1, 1).toordinal()
+FIRST, LAST = (1 - _EPOCH_DAY) * _DAY * SECOND, (date.max.toordinal() + 1 - _EPOCH_DAY) * _DAY * SECOND
+"""The first instant of those that have a datime, and the first after them."""
+
+_FIELD_LIMITS = ((1, 9999), (1, 12), (1, 31), (0, 23), (0, 59))
+
+
+class WholeSeconds(int):
+    """An instant whose term has integer seconds."""
+
+    __slots__ = ()
+
+
+class Stamp(int):
+    """An instant that keeps the term it was read from."""
+
+    term: Term
+
+    @classmethod
+    def of(cls, nanoseconds: int, term: Term) -> "Stamp":
+        """Return the stamp of an instant (ns) that shows as ``term``."""
+        stamp = cls(nanoseconds)
+        stamp.term = term
+        return stamp
+
+
+def from_parts(seconds: int, nanoseconds: int) -> int:
+    """Return the instant of a ROS time, in the form that ``new_event/3`` gives."""
+    return seconds * SECOND + nanoseconds
+
+
+def to_parts(instant: int) -> Tuple[int, int]:
+    """Return an instant as ROS seconds and nanoseconds."""
+    return divmod(int(instant), SECOND)
+
+
+def from_seconds(seconds: float) -> int:
+    """Return a number of seconds (int or float) as nanoseconds, to the nearest one.
+
+    Raises:
+        UsageError: for ``nan`` and the infinities.
+    """
+    if seconds.__class__ is int:
+        return int(seconds) * SECOND
+    try:
+        whole = int(seconds)
+    except (ValueError, OverflowError):
+        raise UsageError(f"{seconds} is not a number of seconds") from None
+    return whole * SECOND + round((seconds - whole) * 1e9)
+
+
+def to_seconds(nanoseconds: int) -> float:
+    """Return nanoseconds as float seconds, rounded the way ``Sec + NSec * 1e-9`` is."""
+    whole, rest = divmod(int(nanoseconds), SECOND)
+    return whole + rest * 1e-9
+
+
+@lru_cache(maxsize=64)
+def first_reaching(seconds: float) -> int:
+    """Return the first instant whose `to_seconds` is at least ``seconds``.
+
+    A double near the present is coarse (2.4e-7 s), so an instant and its float seconds do not name the
+    same nanosecond; this is the bound that makes ``Z is Sec + NSec * 1e-9`` equal to the instant itself.
+    """
+    # What rounds to it begins half of the last binary place below; the search is for what rounding leaves open.
+    guess = from_seconds(seconds) - int(ldexp(SECOND, frexp(seconds)[1] - 54))
+    low, high, reach = guess - 1, guess + 1, 1
+    while to_seconds(low) >= seconds:
+        low -= reach
+        reach *= 2
+    while to_seconds(high) < seconds:
+        high += reach
+        reach *= 2
+    while high - low > 1:
+        middle = (low + high) // 2
+        if to_seconds(middle) >= seconds:
+            high = middle
+        else:
+            low = middle
+    return high
+
+
+@lru_cache(maxsize=64)
+def _day_fields(day: int) -> Tuple[int, int, int]:
+    found = date.fromordinal(day + _EPOCH_DAY)
+    return found.year, found.month, found.day
+
+
+@lru_cache(maxsize=64)
+def _day_number(year: int, month: int, day: int) -> int:
+    """Return days since the epoch; ValueError where there is no such day."""
+    return date(year, month, day).toordinal() - _EPOCH_DAY
+
+
+def fields(instant: int) -> Tuple[int, int, int, int, int, int, int]:
+    """Return year, month, day, hour, minute, second and nanosecond of an instant (UTC).
+
+    Raises:
+        UsageError: outside the years 1 to 9999.
+    """
+    instant = int(instant)
+    if not in_range(instant):
+        raise UsageError(f"{instant} ns since the epoch is outside the years 1 to 9999")
+    seconds, nanoseconds = divmod(instant, SECOND)
+    day, rest = divmod(seconds, _DAY)
+    minutes, second = divmod(rest, 60)
+    hour, minute = divmod(minutes, 60)
+    return (*_day_fields(day), hour, minute, second, nanoseconds)
+
+
+def in_range(instant: int) -> bool:
+    """Tell whether an instant lies in the years 1 to 9999, which alone have a datime."""
+    return FIRST <= instant < LAST
+
+
+def datime(instant: int) -> Term:
+    """Return an instant as ``datime/7`` with integer seconds."""
+    return (DATIME7, *fields(instant))
+
+
+def datime6(instant: int) -> Term:
+    """Return an instant as ``datime/6``; parts of a second are cut off."""
+    return (DATIME6, *fields(instant)[:6])
+
+
+def to_term(instant: int) -> Term:
+    """Return the term of an instant, in the form it came in."""
+    kind = instant.__class__
+    if kind is int:
+        year, month, day, hour, minute, second, nanosecond = fields(instant)
+        return (DATIME7, year, month, day, hour, minute, float(second), nanosecond)
+    if kind is WholeSeconds:
+        return datime(instant)
+    return instant.term  # type: ignore[attr-defined]
+
+
+def shown(instant: int) -> Term:
+    """Return the term of an instant as a lazy one: most are handed on to `from_term` and never looked at."""
+    if instant.__class__ is Stamp:
+        return instant.term  # type: ignore[attr-defined]
+    return Lazy(DATIME7, to_term, instant)
+
+
+def interval_term(start: int, end: int) -> Term:
+    """Return an interval as the list ``[T1,T2]``."""
+    return (CONS, shown(start), (CONS, shown(end), NIL))
+
+
+def from_term(term: Term) -> int:
+    """Return the instant that a term names, keeping its form.
+
+    Takes ``datime/7`` (seconds integer or float), ``datime/6``, and numbers, which are seconds.
+
+    Raises:
+        UsageError: where the term names no instant.
+    """
+    while term.__class__ is Var and term.ref is not None:
+        term = term.ref
+    if term.__class__ is Lazy and term.make is to_term and term.made is None:
+        return term.source
+    term = deref(term)
+    kind = term.__class__
+    if kind is int or kind is float:
+        return Stamp.of(from_seconds(term), term)
+    if kind is tuple:
+        if term[0] is DATIME7:
+            instant, exact = _from_fields(term)
+            if exact is not None:
+                return WholeSeconds(instant) if exact is int else instant
+        elif term[0] is DATIME6:
+            instant, exact = _from_fields(term)
+            if exact is not None:
+                return Stamp.of(instant, term)
+    raise UsageError("expected datime(Year,Month,Day,Hour,Minute,Second,Nanosecond), datime/6 or a number")
+
+
+def is_instant(term: Term) -> bool:
+    """Tell whether `from_term` takes a term."""
+    try:
+        from_term(term)
+    except UsageError:
+        return False
+    return True
+
+
+def _from_fields(term: Term) -> Tuple[int, Optional[type]]:
+    """Return the instant of a datime term and the class of its seconds field; None where it is wrong."""
+    values = [deref(value) for value in term[1:]]
+    second = values[5]
+    nanosecond = values[6] if len(values) == 7 else 0
+    for value, (low, high) in zip(values, _FIELD_LIMITS):
+        if value.__class__ is not int or not low <= value <= high:
+            return 0, None
+    if second.__class__ not in (int, float) or not 0 <= second < 61 or nanosecond.__class__ is not int:
+        return 0, None
+    try:
+        day = _day_number(*values[:3])
+    except ValueError:
+        return 0, None
+    whole = ((day * 24 + values[3]) * 60 + values[4]) * 60
+    instant = whole * SECOND + from_seconds(second) + nanosecond
+    if second.__class__ is float and second != int(second):
+        return Stamp.of(instant, (term[0], *values)), Stamp
+    return instant, second.__class__
+
+
+def from_any(term: Term) -> int:
+    """Return the instant of a stamp term or of a ROS time ``[Sec,NSec]``.
+
+    Raises:
+        UsageError: where the term is neither.
+    """
+    term = deref(term)
+    if term.__class__ is tuple and term[0] is CONS:
+        parts = list_items(term)
+        if parts is not None and len(parts) == 2:
+            seconds, nanoseconds = deref(parts[0]), deref(parts[1])
+            if seconds.__class__ is int and nanoseconds.__class__ is int:
+                return from_parts(seconds, nanoseconds)
+        raise UsageError("expected [Sec,NSec] with two integers")
+    return from_term(term)
+
+
+def ros_time(instant: int) -> Term:
+    """Return an instant as the term ``[Sec,NSec]``."""
+    seconds, nanoseconds = to_parts(instant)
+    return (CONS, seconds, (CONS, nanoseconds, NIL))
+
+
+def month_days(year: int, month: int) -> int:
+    """Return the number of days of a month of the (proleptic Gregorian) calendar."""
+    if month == 2:
+        return 29 if isleap(year) else 28
+    return 30 if month in (4, 6, 9, 11) else 31

@@ -1,0 +1,92 @@
+"""Unification."""
+
+from typing import Any, List
+
+from ...foundation import look
+from ._steps import MASK, check_steps
+from .kinds import Atom, Lazy, Trail, Var
+
+
+def unify(left: Any, right: Any, trail: Trail) -> bool:
+    """Make two terms equal by binding variables; each bound variable is pushed on ``trail``.
+
+    Of two variables the one stays that is the older one in the order of terms.
+    Returns False where they do not unify; then some variables may be bound, and the caller undoes the trail.
+    """
+    stack: List[Any] = []
+    steps = 0
+    while True:
+        if left is not right:
+            kind = left.__class__
+            while kind is Var:
+                ref = left.ref
+                if ref is None:
+                    break
+                left = ref
+                kind = ref.__class__
+            other = right.__class__
+            while other is Var:
+                ref = right.ref
+                if ref is None:
+                    break
+                right = ref
+                other = ref.__class__
+            if left is right:
+                pass
+            elif kind is Var:
+                if other is Var and hasattr(left, "serial") and _is_older(left, right):
+                    left, right = right, left
+                left.ref = right  # a lazy term stays lazy
+                trail.append(left)
+            elif other is Var:
+                right.ref = left
+                trail.append(right)
+            else:
+                if kind is Lazy:
+                    left = left.term()
+                    kind = left.__class__
+                if other is Lazy:
+                    right = right.term()
+                    other = right.__class__
+                if kind is not other:
+                    return False
+                if kind is tuple:
+                    if left[0] is not right[0]:
+                        return False
+                    size = len(left)
+                    if size > 1:
+                        steps += 1
+                        if not steps & MASK:
+                            check_steps(steps)
+                        if size > MASK:
+                            look(size)
+                        for at in range(size - 1, 1, -1):
+                            stack.append(right[at])
+                            stack.append(left[at])
+                        left = left[1]
+                        right = right[1]
+                        continue
+                elif left is not right and (kind is Atom or not same_constant(left, right)):
+                    return False
+        if not stack:
+            return True
+        left = stack.pop()
+        right = stack.pop()
+
+
+def _is_older(left: Var, right: Var) -> bool:
+    """Tell whether a variable that has a number comes before another one, which may have none yet."""
+    return not hasattr(right, "serial") or left.serial < right.serial
+
+
+def same_constant(left: object, right: object) -> bool:
+    """Tell whether two constants of one class are the same term (``nan`` is itself; 0.0 is not -0.0)."""
+    if left.__class__ is float:
+        return right.__class__ is float and left.hex() == right.hex()
+    return bool(left == right)
+
+
+def undo(trail: Trail, length: int) -> None:
+    """Unbind what was bound since ``trail`` had this length, newest first."""
+    while len(trail) > length:
+        trail.pop().ref = None

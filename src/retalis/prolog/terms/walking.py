@@ -1,0 +1,221 @@
+"""Walks over terms: variables, copies, keys."""
+
+from typing import Any, Callable, Dict, Hashable, List, Optional, Sequence
+
+from ...foundation import BULK, TermTooLarge, look
+from ._steps import MASK, MOST, ROUNDS, check_steps
+from .kinds import Atom, Lazy, String, Term, Var, deref
+
+
+def variables(term: Term) -> List[Var]:
+    """Return the unbound variables of a term, each once, in the order they are met from left to right."""
+    seen: Dict[Var, None] = {}
+    stack = [term]
+    for _ in ROUNDS:
+        for _ in BULK:
+            if not stack:
+                return list(seen)
+            item: Any = stack.pop()
+            kind = item.__class__
+            if kind is Var:
+                item = _follow(item)
+                kind = item.__class__
+                if kind is Var:
+                    seen.setdefault(item)
+                    continue
+            if kind is tuple:
+                stack.extend(item[:0:-1])
+        look()
+    raise TermTooLarge
+
+
+def positions(names: Sequence[Var]) -> Dict[Var, int]:
+    """Return where each variable stands among others."""
+    return {var: at for at, var in enumerate(names)}
+
+
+def is_larger(term: Term, most: int) -> bool:
+    """Tell whether the compounds of a term have more arguments than ``most``, all together."""
+    size = 0
+    stack = [term]
+    while stack:
+        item = deref(stack.pop())
+        if item.__class__ is tuple:
+            size += len(item) - 1
+            if size > most:
+                return True
+            stack.extend(item[1:])
+    return False
+
+
+def is_ground(term: Term) -> bool:
+    """Tell whether a term has no unbound variable (a lazy term has none, and is not looked into)."""
+    stack = [term]
+    for _ in ROUNDS:
+        for _ in BULK:
+            if not stack:
+                return True
+            item: Any = stack.pop()
+            kind = item.__class__
+            if kind is Var:
+                item = _follow(item)
+                kind = item.__class__
+                if kind is Var:
+                    return False
+            if kind is tuple:
+                if len(item) > MASK:
+                    look(len(item))
+                stack.extend(item[1:])
+        look()
+    raise TermTooLarge
+
+
+ATOMIC = frozenset((Atom, int, float, String))
+"""Classes of terms that are constants, with nothing inside and no variable."""
+
+
+def are_ground(values: Sequence[Term]) -> bool:
+    """Tell whether terms have no variables, not even bound ones at their tops."""
+    for value in values:
+        kind = value.__class__
+        if kind not in ATOMIC and (kind is Var or (kind is tuple and not is_ground(value))):
+            return False
+    return True
+
+
+def is_plain(term: Term) -> bool:
+    """Tell whether there is no variable in a term, bound or not: then it is as it is shown."""
+    if term.__class__ is not tuple:
+        return term.__class__ is not Var
+    pending = [term]
+    for done, compound in enumerate(pending, 1):
+        if not done & MASK:
+            check_steps(done)
+        for item in compound:
+            kind = item.__class__
+            if kind is tuple:
+                pending.append(item)
+            elif kind is Var:
+                return False
+    return True
+
+
+def rebuild(term: Term, leaf: Callable[[Var], Term]) -> Term:
+    """Return ``term`` with bound variables followed and each unbound one replaced by ``leaf`` of it.
+
+    Parts without variables are shared with ``term``, not copied; lazy terms are left as they are
+    (a lazy term is ground).
+    """
+    if term.__class__ is Var:
+        term = _follow(term)
+        if term.__class__ is Var:
+            return leaf(term)
+    if term.__class__ is not tuple:
+        return term
+    # One entry for each compound term on the way down: the term, its arguments so far, changed or not.
+    stack: List[List[Any]] = [[term, [term[0]], False]]
+    steps = 0
+    while True:
+        entry = stack[-1]
+        source, done, changed = entry
+        at = len(done)
+        size = len(source)
+        if size > MASK and at == 1:
+            look(size)
+        while at < size:
+            item: Any = source[at]
+            kind = item.__class__
+            if kind is Var:
+                changed = True
+                item = _follow(item)
+                kind = item.__class__
+                if kind is Var:
+                    item = leaf(item)
+                    kind = None
+            if kind is tuple:
+                entry[2] = changed
+                stack.append([item, [item[0]], False])
+                steps += 1
+                if not steps & MASK:
+                    _check_path(stack, steps)
+                break
+            done.append(item)
+            at += 1
+        else:
+            result = tuple(done) if changed else source
+            stack.pop()
+            if not stack:
+                return result
+            parent = stack[-1]
+            if result is not parent[0][len(parent[1])]:
+                parent[2] = True
+            parent[1].append(result)
+
+
+def _check_path(stack: List[List[Any]], steps: int) -> None:
+    """Raise an error where a term on the way down stands in itself, or there have been too many steps."""
+    look()
+    depth = len(stack)
+    if steps > MOST or (steps & (steps - 1) == 0 and len({id(entry[0]) for entry in stack}) < depth):
+        raise TermTooLarge
+
+
+def _follow(term: Term) -> Term:
+    while term.__class__ is Var and term.ref is not None:
+        term = term.ref
+    return term
+
+
+def resolve(term: Term) -> Term:
+    """Return ``term`` with all bound variables replaced by what they stand for."""
+    return term if is_plain(term) else rebuild(term, _same)
+
+
+def _same(var: Var) -> Term:
+    return var
+
+
+def copy(term: Term, fresh: Optional[Dict[Var, Term]] = None) -> Term:
+    """Return ``term`` with new variables for its unbound ones; ``fresh`` maps old to new, and is filled."""
+    mapping: Dict[Var, Term] = {} if fresh is None else fresh
+
+    def renamed(var: Var) -> Term:
+        new = mapping.get(var)
+        if new is None:
+            new = mapping[var] = Var()
+        return new
+
+    return rebuild(term, renamed)
+
+
+def freeze(term: Term) -> Hashable:
+    """Return a hashable key: equal for two ground terms exactly when they are the same term.
+
+    Raises:
+        ValueError: where the term has an unbound variable.
+    """
+    kind = term.__class__
+    if kind is Atom or kind is int or kind is String:
+        return term
+    flat: List[Any] = []
+    stack = [term]
+    for _ in ROUNDS:
+        for _ in BULK:
+            if not stack:
+                return flat[0] if len(flat) == 1 else tuple(flat)
+            item: Any = stack.pop()
+            kind = item.__class__
+            if kind is Var or kind is Lazy:
+                item = deref(item)
+                kind = item.__class__
+            if kind is tuple:
+                flat.append(item[0])
+                stack.extend(item[:0:-1])
+            elif kind is float:
+                flat.append((float, item.hex()))
+            elif kind is Var:
+                raise ValueError("a key of a term with variables")
+            else:
+                flat.append(item)
+        look()
+    raise TermTooLarge
