@@ -27,7 +27,7 @@ import others  # noqa: E402
 from arguments import interpreter, positive, target  # noqa: E402
 
 from retalis.collector import relax  # noqa: E402
-from retalis.logic import Logic  # noqa: E402
+from retalis.prolog.logic import Logic  # noqa: E402
 from retalis.prolog.syntax import read_program, read_term  # noqa: E402
 
 PROGRAMS = HERE / "logic" / "programs.pl"

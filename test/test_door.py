@@ -7,7 +7,7 @@ import pytest
 
 from retalis.door import Door, check_name
 from retalis.foundation import RetalisError, UsageError
-from retalis.logic import PrologError
+from retalis.prolog.machine import PrologError
 
 
 @pytest.fixture

@@ -11,8 +11,8 @@ import pytest
 from retalis import Engine
 from retalis.events import building, matching
 from retalis.foundation import ProgramErrors, codegen
-from retalis.logic import clause
-from retalis.logic.compiler import goals
+from retalis.prolog.compiler import goals
+from retalis.prolog.database import clause
 
 
 def slots(count):

@@ -3,7 +3,7 @@
 import pytest
 
 from retalis.engine import Engine, Settings
-from retalis.logic import Limits, PrologError, budget
+from retalis.prolog.machine import Limits, PrologError, budget
 
 RULES = """
 loop :- loop.

@@ -56,7 +56,7 @@ def test_the_source_archive_has_what_it_is_built_from(copy, tmp_path):
         "application_source/pub_sub.xml",
         "srv/AddMemory.srv",
         "src/retalis/prolog/syntax/tokens.lark",
-        "src/retalis/logic/library/lists.pl",
+        "src/retalis/prolog/library/lists.pl",
         "install_apt.py",
     ):
         assert name in names

@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 from retalis.cli._answers import bindings
-from retalis.logic import Limits, Logic, PrologError
+from retalis.prolog.logic import Logic
+from retalis.prolog.machine import Limits, PrologError
 from retalis.prolog.syntax import read_term, write_term
 from retalis.prolog.terms import Var, functor
 

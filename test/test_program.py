@@ -4,8 +4,8 @@ import pytest
 
 from retalis.engine import Engine, Settings
 from retalis.foundation import ProgramErrors, UsageError
-from retalis.logic import PrologError
 from retalis.program import TopicType, read_text, read_topics
+from retalis.prolog.machine import PrologError
 
 APPLICATION = Path(__file__).parent.parent / "application_source"
 

@@ -8,8 +8,7 @@ import pytest
 from retalis import _watchdog
 from retalis._watchdog import Watchdog
 from retalis.engine import Engine, Settings
-from retalis.logic import Budget, Limits
-from retalis.logic.limits import LimitError
+from retalis.prolog.machine import Budget, LimitError, Limits
 from retalis.prolog.terms import atom
 
 

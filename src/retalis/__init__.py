@@ -11,7 +11,7 @@ __path__ = extend_path(__path__, __name__)
 
 __all__ = ["Compound", "Engine", "foreign"]
 
-_HOMES = {"Compound": "_foreign", "Engine": "engine", "foreign": "_foreign"}
+_HOMES = {"Compound": "prolog.foreign.functions", "Engine": "engine", "foreign": "prolog.foreign.functions"}
 """Where names of this package stand: they are imported when somebody asks, so ``retalis.srv`` costs no engine."""
 
 _DOORS = {"errors": "foundation.errors", "terms": "prolog.terms"}

@@ -4,7 +4,8 @@ import re
 from typing import Any, Callable, Dict, NamedTuple, Optional, Sequence
 
 from .foundation import Cache, SyntaxFault, UsageError
-from .logic import callable_of, instant_of, integer, type_error
+from .prolog.builtins import callable_of, instant_of, integer
+from .prolog.machine import type_error
 from .prolog.syntax import EventReader, Operators
 from .prolog.terms import Functor, Term, WholeSeconds, deref, functor, list_items, timestamps
 

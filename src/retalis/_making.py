@@ -4,7 +4,7 @@ from typing import Any, Sequence
 
 from ._inputs import READERS
 from .events import Dispatcher
-from .logic import Logic
+from .prolog.logic import Logic
 from .prolog.terms import FIRST, LAST, SECOND, Term, functor
 
 

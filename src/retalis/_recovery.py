@@ -9,7 +9,7 @@ from typing import Any
 from ._runner import Recovery
 from .events import Dispatcher, Rules
 from .knowledge import Knowledge
-from .logic import Logic, go_back, mend, state_of
+from .prolog.logic import Logic, go_back, mend, state_of
 
 
 class EngineRecovery(Recovery):

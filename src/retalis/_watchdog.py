@@ -8,7 +8,9 @@ from weakref import ref
 from ._reports import Reports
 from .events import Dispatcher
 from .foundation import Place, RuleError, beginning
-from .logic import Budget, Goal, Logic
+from .prolog.database import Goal
+from .prolog.logic import Logic
+from .prolog.machine import Budget
 from .prolog.terms import Atom, deref
 
 Warn = Callable[[float, Any], None]

@@ -5,8 +5,6 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any, Callable, Dict, Generator, List, NamedTuple, Optional, Tuple, Union, cast
 
-from ._foreign import define_foreign
-from ._foreign_modules import define_use_foreign
 from ._goalfile import errors_in, goals_of
 from ._inputs import InputReader
 from ._making import define_new_event
@@ -19,8 +17,10 @@ from .door import MEGABYTE
 from .events import Dispatcher, Rules, Stage
 from .foundation import Errors, ProgramErrors, RetalisError, RuleError, UsageError, beginning
 from .knowledge import Knowledge
-from .logic import Limits, Logic
 from .program import GOALS, read_text
+from .prolog.foreign import define_foreign, define_use_foreign
+from .prolog.logic import Logic
+from .prolog.machine import Limits
 from .prolog.syntax import read_term
 from .prolog.terms import Functor, Term, Var, WholeSeconds, atom, copy, timestamps, variables
 

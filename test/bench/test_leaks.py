@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from retalis.foundation import Cache
-from retalis.logic.database import Database
+from retalis.prolog.database import Database
 
 BENCH = Path(__file__).resolve().parents[2] / "bench"
 _path = list(sys.path)

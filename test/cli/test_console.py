@@ -14,7 +14,7 @@ from retalis.cli._prompt import Lines, completions
 from retalis.cli._report import Report
 from retalis.cli.console import Console
 from retalis.engine import Settings
-from retalis.logic import Limits
+from retalis.prolog.machine import Limits
 from retalis.prolog.syntax import Operators, read_term
 
 SOURCE = Path(__file__).resolve().parents[2] / "src"

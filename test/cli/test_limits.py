@@ -11,8 +11,8 @@ from retalis.cli._prompt import Lines
 from retalis.cli._report import Report
 from retalis.cli.console import Console
 from retalis.engine import Settings
-from retalis.logic import Limits
 from retalis.messages import Definitions
+from retalis.prolog.machine import Limits
 
 RULES = "loop :- loop.\nloop(X) <- in(X) where (X = 2, loop).\nout(X) <- in(X).\n"
 STREAM = "event(in(1),[1,1]).\nevent(in(2),[2,2]).\nloop.\nevent(in(3),[3,3]).\n"

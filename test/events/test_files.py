@@ -6,7 +6,7 @@ from events.running import Program, show
 from retalis.clock import StreamClock
 from retalis.engine import Engine, Settings
 from retalis.foundation import ProgramErrors
-from retalis.logic import PrologError
+from retalis.prolog.machine import PrologError
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ from retalis.clock import StreamClock
 from retalis.engine import Engine
 from retalis.events.flags import FLAGS
 from retalis.foundation import ProgramErrors
-from retalis.logic import PrologError
+from retalis.prolog.machine import PrologError
 from retalis.prolog.terms import SECOND
 
 SEQ = "out(X) <- a(X) seq b(X)."

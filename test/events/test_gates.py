@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from retalis.engine import Engine, Settings
 from retalis.events import Dispatcher, Stage
-from retalis.logic import Limits
+from retalis.prolog.machine import Limits
 from retalis.prolog.terms import Var, atom, functor, make_list
 
 TF, A, PACK = functor("tf", 2), functor("a", 1), functor("pack", 1)

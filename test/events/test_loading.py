@@ -7,7 +7,7 @@ from events.running import Program, fired
 
 from retalis import Engine
 from retalis.foundation import ProgramErrors
-from retalis.logic import Predicate
+from retalis.prolog.database import Predicate
 from retalis.prolog.terms import atom, functor
 
 

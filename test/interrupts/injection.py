@@ -7,7 +7,7 @@ from itertools import count
 from pathlib import Path
 
 import retalis
-from retalis.logic import Limits, budget, machine
+from retalis.prolog.machine import Limits, budget, machine
 
 _SOURCE = str(Path(retalis.__file__).parent)
 

@@ -10,7 +10,7 @@ from events.running import text_of
 
 from retalis.clock import StreamClock
 from retalis.engine import Engine, Settings
-from retalis.logic import Limits, PrologError
+from retalis.prolog.machine import Limits, PrologError
 from retalis.prolog.syntax import Operators, read_term
 from retalis.prolog.terms import SECOND, atom, copy
 

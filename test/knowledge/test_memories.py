@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from retalis.engine import Engine
-from retalis.logic import PrologError
+from retalis.prolog.machine import PrologError
 from retalis.prolog.terms import deref, list_items
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))

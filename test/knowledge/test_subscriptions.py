@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from retalis.logic import PrologError
+from retalis.prolog.machine import PrologError
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 from watched import Watched  # noqa: E402

@@ -13,7 +13,7 @@ import pytest
 
 from retalis.engine import Engine, Settings
 from retalis.events import Stage
-from retalis.logic import Limits
+from retalis.prolog.machine import Limits
 from retalis.prolog.terms import Var, atom, functor
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))

@@ -8,8 +8,8 @@ rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 
 from retalis.engine import Settings  # noqa: E402
 from retalis.foundation import UsageError  # noqa: E402
-from retalis.logic import Limits  # noqa: E402
 from retalis.program import Topics, TopicType  # noqa: E402
+from retalis.prolog.machine import Limits  # noqa: E402
 from retalis.ros.parameters import DIRECT, direct_topics, read_parameters  # noqa: E402
 
 TF, MARKERS = DIRECT

@@ -4,7 +4,7 @@ import argparse
 from typing import Any, Callable
 
 from ..engine import Settings
-from ..logic import Limits
+from ..prolog.machine import Limits
 
 _MEGABYTES = 2000
 

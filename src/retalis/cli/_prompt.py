@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import IO, Callable, Iterable, List, Optional, Union
 
 from ..foundation import SyntaxFault
-from ..logic import Logic
+from ..prolog.logic import Logic
 from ..prolog.syntax import ReadFlags, ReadTerm, read_program
 
 HISTORY = Path.home() / ".retalis_history"

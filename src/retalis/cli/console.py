@@ -13,8 +13,8 @@ from ..clock import Clock
 from ..collector import relax
 from ..engine import Engine, Settings
 from ..foundation import ProgramErrors, RetalisError, RuleError, SyntaxFault
-from ..logic.tracing import Tracer
 from ..program import read_text
+from ..prolog.logic import Tracer
 from ..prolog.syntax import ReadTerm
 from ..prolog.terms import COMMA, NIL, Atom, String, Term, Var, deref, functor, list_items
 from ._answers import bindings

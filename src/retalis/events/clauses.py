@@ -3,8 +3,8 @@
 from typing import Any, Callable, Dict, List, NamedTuple, Optional
 
 from ..foundation import Errors, Place, RetalisError, RuleError
-from ..logic import PrologError
-from ..logic.control import split_clause
+from ..prolog.database import split_clause
+from ..prolog.machine import PrologError
 from ..prolog.syntax import ReadTerm
 from ..prolog.terms import COLON, Atom, Term, Var, atom, copy, deref, functor, list_items, variables
 from .alarms import ALARMS

@@ -3,7 +3,7 @@
 from typing import Any, Callable, Mapping
 
 from ..foundation import RuleError
-from ..logic.arithmetic import EVALUABLE
+from ..prolog.arithmetic import EVALUABLE
 from ..prolog.terms import CONS, Atom, String, Term, Var, deref, variables
 from .occurrences import occurrences
 from .pattern import Aggregate, bound_by

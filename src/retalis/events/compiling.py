@@ -4,7 +4,7 @@ from functools import partial
 from typing import Any, Dict, FrozenSet, List, NamedTuple, Optional, Sequence, Set, Tuple
 
 from ..foundation import RuleError
-from ..logic import PrologError, keep_back
+from ..prolog.machine import PrologError, keep_back
 from ..prolog.terms import Term, Var, functor, variables
 from .aggregates import Collector
 from .building import compile_builder

@@ -2,7 +2,7 @@
 
 from typing import Any, Callable, Dict, Optional, Sequence, Tuple
 
-from ..logic import PrologError, resource_error
+from ..prolog.machine import PrologError, resource_error
 from ..prolog.terms import Term, Var, are_ground, functor, list_items, make_list, positions, variables
 from .lanes import Completion, goal_lane
 from .matches import Match

@@ -3,7 +3,7 @@
 from typing import Any, List, Optional, Tuple
 
 from ..foundation import Place, RuleError
-from ..logic import PrologError
+from ..prolog.machine import PrologError
 from ..prolog.terms import COMMA, Atom, Term, Var, deref, functor
 from .calls import calls
 

@@ -9,7 +9,8 @@ from typing import Any, Callable, Collection, Dict, List, Optional, Tuple
 from weakref import WeakValueDictionary
 
 from ..foundation import Cache, UsageError
-from ..logic import Budget, Goal, PrologError, keep_back
+from ..prolog.database import Goal
+from ..prolog.machine import Budget, PrologError, keep_back
 from ..prolog.terms import Atom, Functor, Lazy, Term, Var, copy, deref, is_ground, is_plain, term_key
 from ._plans import Choice, Onlookers, make_plan
 from .gates import Gate

@@ -1,6 +1,6 @@
 """Files and libraries as ``use_module/1``, ``ensure_loaded/1`` and ``include/1`` name them."""
 
-from ..logic import existence_error, instantiation_error, type_error
+from ..prolog.machine import existence_error, instantiation_error, type_error
 from ..prolog.terms import SLASH, Atom, String, Term, Var, deref, functor
 
 LIBRARY = functor("library", 1)

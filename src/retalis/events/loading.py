@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Set, Tuple
 
 from ..foundation import Errors, Place, ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
-from ..logic import PrologError
+from ..prolog.machine import PrologError
 from ..prolog.syntax import Operators, read_program
 from ..prolog.terms import Atom, Term, conjuncts, copy, deref, functor, list_items
 from .calls import Unknown, unknown_calls

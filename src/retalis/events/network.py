@@ -5,7 +5,8 @@ from pathlib import Path
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 from ..foundation import Place, RetalisError, RuleError
-from ..logic import Logic, keep_back
+from ..prolog.logic import Logic
+from ..prolog.machine import keep_back
 from ..prolog.terms import SECOND, Term, atom, copy, deref, from_seconds, term_key, unify, variables
 from .alarms import is_absolute
 from .calls import called_by

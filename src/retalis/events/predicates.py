@@ -3,7 +3,8 @@
 from typing import Any, Callable, Dict, Iterator, List, Sequence, Tuple
 
 from ..foundation import Errors, ProgramErrors, SyntaxFault, UsageError
-from ..logic import PrologError, callable_of, domain_error, existence_error, instantiation_error, type_error
+from ..prolog.builtins import callable_of
+from ..prolog.machine import PrologError, domain_error, existence_error, instantiation_error, type_error
 from ..prolog.syntax import read_program
 from ..prolog.terms import (
     CONS,

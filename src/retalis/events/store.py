@@ -6,7 +6,7 @@ from collections import deque
 from typing import Any, Deque, Iterator, List, Optional, Tuple
 
 from ..foundation import RetalisError, UsageError
-from ..logic import Predicate
+from ..prolog.database import Predicate
 from ..prolog.terms import SLASH, Atom, Functor, Term, Var, copy, deref, functor, interval_term, undo, unify
 from .serving import Listener, Stage
 

@@ -4,7 +4,8 @@ from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 from ..events import compile_builder
 from ..foundation import UsageError, shared_function
-from ..logic import Logic, PrologError
+from ..prolog.logic import Logic
+from ..prolog.machine import PrologError
 from ..prolog.terms import CONS, Term, Var, deref, list_items, positions, timestamps, variables
 from ._recording import key_of
 from .memories import Memories

@@ -4,7 +4,9 @@ from typing import Any, Callable, NamedTuple, Optional, Sequence, Tuple
 
 from ..events import AT_ONCE, Dispatcher, compile_builder
 from ..foundation import Place, UsageError
-from ..logic import Goal, Logic, PrologError, keep_back
+from ..prolog.database import Goal
+from ..prolog.logic import Logic
+from ..prolog.machine import PrologError, keep_back
 from ..prolog.terms import TRUE, Term, Var, deref, functor, variables
 from ._recording import Warn
 

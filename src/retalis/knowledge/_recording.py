@@ -3,7 +3,8 @@
 from typing import Any, Callable, List, Optional, Tuple
 
 from ..events import Dispatcher, compile_builder
-from ..logic import Logic, PrologError, instantiation_error, keep_back, type_error
+from ..prolog.logic import Logic
+from ..prolog.machine import PrologError, instantiation_error, keep_back, type_error
 from ..prolog.terms import (
     COMMA,
     EMPTY_BLOCK,

@@ -5,7 +5,8 @@ from typing import Any, Callable, Iterator, Optional, Tuple
 
 from ..events import Dispatcher
 from ..foundation import UsageError
-from ..logic import Logic, Machine, instantiation_error, type_error
+from ..prolog.logic import Logic
+from ..prolog.machine import Machine, instantiation_error, type_error
 from ..prolog.terms import Atom, Term, Var, deref, functor
 from ._recording import Warn, key_of
 from .memories import Instance, Memories, define_read_access, enumerate_records

@@ -4,7 +4,9 @@ from typing import Any, Callable, Dict, Iterator, Optional, Tuple
 
 from ..events import NOBODY, Dispatcher, Stage
 from ..foundation import UsageError
-from ..logic import Logic, Machine, domain_error, instant_of, permission_error, type_error
+from ..prolog.builtins import instant_of
+from ..prolog.logic import Logic
+from ..prolog.machine import Machine, domain_error, permission_error, type_error
 from ..prolog.terms import (
     MINUS,
     NIL,

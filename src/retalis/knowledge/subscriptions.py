@@ -3,7 +3,8 @@
 from typing import Any, Callable, Dict, Iterator, Tuple
 
 from ..events import Dispatcher, Stage
-from ..logic import Logic, permission_error
+from ..prolog.logic import Logic
+from ..prolog.machine import permission_error
 from ..prolog.terms import MINUS, Atom, Term, copy, deref
 from ._recording import Warn, itself, key_of, recording
 

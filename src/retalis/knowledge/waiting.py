@@ -5,7 +5,7 @@ from typing import Any, Dict, Iterator, List, Optional, Tuple
 
 from ..events import LEFT_OUT, RESTORE, Dispatcher, Leaf, Stage
 from ..foundation import UsageError
-from ..logic import Logic
+from ..prolog.logic import Logic
 from ..prolog.terms import Term, Var, are_ground, functor
 from ._conditions import Behind, behind, compile_conditions
 from ._question import (

@@ -10,9 +10,9 @@ import rospy
 
 from ..engine import Settings
 from ..foundation import UsageError, beginning, printable
-from ..logic import Limits
 from ..messages import BARE
 from ..program import Topics, TopicType, topic_type
+from ..prolog.machine import Limits
 
 DIRECT = (TopicType("tf", "tf/tfMessage"), TopicType("ar_pose_marker", "ar_pose/ARMarkers"))
 """The topics that node retalis subscribes by itself by default, as the original did."""

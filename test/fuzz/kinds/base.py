@@ -6,7 +6,7 @@ from pathlib import Path
 from retalis import Engine
 from retalis.engine import Settings
 from retalis.foundation import RetalisError
-from retalis.logic import Limits
+from retalis.prolog.machine import Limits
 
 from ..mutate import to_text
 from ..watch import Finding

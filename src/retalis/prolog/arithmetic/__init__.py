@@ -1,0 +1,16 @@
+"""Arithmetic: the evaluable functions, and the evaluation of expressions."""
+
+from . import bits, functions  # noqa: F401  (they register evaluable functions)
+from .evaluation import EVALUABLE, LARGEST, LEAST, add, bounded, checked, evaluate, multiply, subtract
+
+__all__ = [
+    "add",
+    "bounded",
+    "checked",
+    "EVALUABLE",
+    "evaluate",
+    "LARGEST",
+    "LEAST",
+    "multiply",
+    "subtract",
+]

@@ -1,0 +1,46 @@
+"""Built-in predicates by theme; importing this package registers all of them."""
+
+from . import (  # noqa: F401  (imported for what they register)
+    atoms,
+    calling,
+    chance,
+    checking,
+    clauses,
+    cleanup,
+    comparing,
+    coroutines,
+    datimes,
+    input,
+    lambdas,
+    lists,
+    numbering,
+    output,
+    poses,
+    reading,
+    recorded,
+    reports,
+    sets,
+    solutions,
+    state,
+    strings,
+    tabling,
+    taking_apart,
+    timing,
+)
+from .arguments import callable_of, integer
+from .datimes import instant_of
+from .dcg import translate_rule
+from .portraying import Capture
+from .registry import ENTRIES, control
+from .state import default_flags
+
+__all__ = [
+    "callable_of",
+    "Capture",
+    "control",
+    "default_flags",
+    "ENTRIES",
+    "instant_of",
+    "integer",
+    "translate_rule",
+]

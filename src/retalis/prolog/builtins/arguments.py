@@ -1,0 +1,114 @@
+"""Checks of arguments: each returns the value in Python's form or raises the ISO error."""
+
+from typing import Any, List, Optional
+
+from ..machine import domain_error, instantiation_error, type_error
+from ..terms import NIL, SLASH, TRUE, Atom, Term, Var, deref, functor, list_parts
+
+
+def is_iso(machine: Any) -> bool:
+    """Tell whether the flag ``iso`` asks for the standard's checks."""
+    return machine.logic.flags["iso"] is TRUE
+
+
+def integer(term: Term) -> int:
+    """Return an integer argument."""
+    term = deref(term)
+    if term.__class__ is int:
+        return term  # type: ignore[no-any-return]
+    if term.__class__ is Var:
+        raise instantiation_error()
+    raise type_error("integer", term)
+
+
+def natural(term: Term) -> int:
+    """Return an integer argument that is not negative."""
+    value = integer(term)
+    if value < 0:
+        raise domain_error("not_less_than_zero", value)
+    return value
+
+
+def integer_or_var(term: Term) -> Optional[int]:
+    """Return an integer argument, or None where it is unbound."""
+    term = deref(term)
+    return None if term.__class__ is Var else integer(term)
+
+
+def atom_of(term: Term) -> Atom:
+    """Return an argument that has to be an atom."""
+    term = deref(term)
+    if term.__class__ is Atom:
+        return term  # type: ignore[no-any-return]
+    if term.__class__ is Var:
+        raise instantiation_error()
+    raise type_error("atom", term)
+
+
+def callable_of(term: Term) -> Term:
+    """Return an argument that has to be an atom or a compound term."""
+    term = deref(term)
+    if term.__class__ is tuple or term.__class__ is Atom:
+        return term
+    if term.__class__ is Var:
+        raise instantiation_error()
+    raise type_error("callable", term)
+
+
+def items(term: Term) -> List[Term]:
+    """Return the items of an argument that has to be a proper list.
+
+    Raises:
+        PrologError: an instantiation error for a partial list, a type error for what is none.
+    """
+    found, tail = list_parts(term)
+    if tail is NIL:
+        return found
+    if tail.__class__ is Var:
+        raise instantiation_error()
+    raise type_error("list", term)
+
+
+def partial_items(term: Term) -> List[Term]:
+    """Return the items of a list, proper or partial, up to its tail.
+
+    Raises:
+        PrologError: a type error for what is not a list.
+    """
+    found, tail = list_parts(term)
+    if tail is NIL or tail.__class__ is Var:
+        return found
+    raise type_error("list", term)
+
+
+def check_tail(term: Term) -> None:
+    """Raise a type error for the end of what is neither a list nor a partial one."""
+    tail = list_parts(term)[1]
+    if tail is not NIL and tail.__class__ is not Var:
+        raise type_error("list", tail)
+
+
+def indicator_of(term: Term) -> Any:
+    """Return the functor that ``Name/Arity`` names."""
+    term = deref(term)
+    if term.__class__ is Var:
+        raise instantiation_error()
+    if term.__class__ is tuple and term[0].name == ":" and len(term) == 3:
+        return indicator_of(term[2])
+    if term.__class__ is not tuple or term[0] is not SLASH:
+        raise type_error("predicate_indicator", term)
+    name, arity = deref(term[1]), deref(term[2])
+    if name.__class__ is Var or arity.__class__ is Var:
+        raise instantiation_error()
+    if name.__class__ is not Atom:
+        raise type_error("atom", name)
+    return functor(name.name, natural(arity))
+
+
+def option_values(term: Term) -> List[Term]:
+    """Return the options of an option list, dereferenced."""
+    found = [deref(item) for item in items(term)]
+    for item in found:
+        if item.__class__ is Var:
+            raise instantiation_error()
+    return found

@@ -1,0 +1,350 @@
+"""Atoms and their text: conversions, concatenation, parts."""
+
+from typing import Any, Iterator, List, Union
+
+from ...foundation import look
+from ..machine import LAST, domain_error, instantiation_error, representation_error, type_error
+from ..terms import Atom, String, Term, Var, atom, deref, is_ground, list_items, make_list, unify
+from .arguments import atom_of, integer_or_var, is_iso, items, partial_items
+from .reading import parse
+from .registry import deterministic, nondeterministic
+from .text import (
+    LARGEST_CODE,
+    atomic_text,
+    chars,
+    check_parts,
+    codes,
+    constant_text,
+    each,
+    joined,
+    long_text,
+    no_compound,
+    number_or_error,
+    number_text,
+    parse_number,
+    parts_text,
+    text_of,
+)
+
+
+@deterministic("atom_length/2")
+def atom_length(machine: Any, text: Term, length: Term) -> bool:
+    """Give the number of characters of an atom."""
+    size = deref(length)
+    value = len(atom_of(text).name if is_iso(machine) else text_of(text))
+    if size.__class__ is not Var:
+        if size.__class__ is not int:
+            raise type_error("integer", size)
+        if size < 0:
+            raise domain_error("not_less_than_zero", size)
+    return unify(size, value, machine.trail)
+
+
+def _converter(to_list: Any, from_text: Any, kind: str) -> Any:
+    def run(machine: Any, constant: Term, parts: Term) -> bool:
+        found = constant_text(deref(constant))
+        if found is not None:
+            check_parts(parts)
+            given = deref(parts)
+            if given.__class__ is String:
+                return given.text == found  # type: ignore[no-any-return]
+            return unify(parts, to_list(found), machine.trail)
+        if deref(constant).__class__ is not Var:
+            raise type_error(kind, deref(constant))
+        text = parts_text(machine, parts, to_list is codes)
+        return unify(constant, from_text(machine, text), machine.trail)
+
+    return run
+
+
+def _atom(machine: Any, text: str) -> Term:
+    return atom(text)
+
+
+def _number(machine: Any, text: str) -> Term:
+    return number_or_error(text, machine.logic.operators)
+
+
+def _any_constant(machine: Any, text: str) -> Term:
+    found = parse_number(text, machine.logic.operators)
+    return atom(text) if found is None else found
+
+
+deterministic("atom_codes/2")(_converter(codes, _atom, "atom"))
+deterministic("atom_chars/2")(_converter(chars, _atom, "atom"))
+deterministic("name/2")(_converter(codes, _any_constant, "atomic"))
+
+
+def _number_converter(to_list: Any) -> Any:
+    def run(machine: Any, number: Term, parts: Term) -> bool:
+        number = deref(number)
+        if number.__class__ not in (Var, int, float):
+            raise type_error("number", number)
+        # The text decides where it is there: "0x10" is 16, whatever number the other side is.
+        if not is_iso(machine):
+            check_parts(parts)
+        if number.__class__ is not Var and not is_ground(parts):
+            return unify(parts, to_list(number_text(number)), machine.trail)
+        text = parts_text(machine, parts, to_list is codes)
+        return unify(number, number_or_error(text, machine.logic.operators), machine.trail)
+
+    return run
+
+
+deterministic("number_codes/2")(_number_converter(codes))
+deterministic("number_chars/2")(_number_converter(chars))
+
+
+def _no_code(machine: Any, code: int) -> Exception:
+    return representation_error("character_code") if is_iso(machine) else type_error("character_code", code)
+
+
+@deterministic("char_code/2")
+def char_code(machine: Any, char: Term, code: Term) -> bool:
+    """Relate a character with its code."""
+    char, code = deref(char), deref(code)
+    if char.__class__ is Atom:
+        if len(char.name) != 1:
+            raise type_error("character", char)
+        if code.__class__ not in (Var, int):
+            raise type_error("integer", code)
+        if code.__class__ is int and not 0 <= code <= LARGEST_CODE:
+            raise _no_code(machine, code)
+        return unify(code, ord(char.name), machine.trail)
+    if char.__class__ is not Var:
+        raise type_error("character", char)
+    if code.__class__ is Var:
+        raise instantiation_error()
+    if code.__class__ is not int:
+        raise type_error("integer", code)
+    if not 0 <= code <= LARGEST_CODE:
+        raise _no_code(machine, code)
+    return unify(char, atom(chr(code)), machine.trail)
+
+
+@deterministic("atom_number/2")
+def atom_number(machine: Any, text: Term, number: Term) -> bool:
+    """Relate an atom with the number that it reads as."""
+    text, number = deref(text), deref(number)
+    if text.__class__ is Var:
+        if number.__class__ is Var:
+            raise instantiation_error()
+        if number.__class__ not in (int, float):
+            raise type_error("number", number)
+        return unify(text, atom(number_text(number)), machine.trail)
+    if text.__class__ not in (Atom, String):
+        if number.__class__ is Var:
+            raise type_error("atom", text)
+        if number.__class__ not in (int, float):
+            raise type_error("number", number)
+        return False
+    found = parse_number(atomic_text(text), machine.logic.operators)
+    return found is not None and unify(number, found, machine.trail)
+
+
+@deterministic("term_to_atom/2")
+def term_to_atom(machine: Any, term: Term, text: Term) -> bool:
+    """Relate a term with its text."""
+    given = deref(text)
+    if deref(term).__class__ is Var and given.__class__ is not Var:
+        return unify(term, parse(machine, text_of(given)), machine.trail)
+    if given.__class__ is Var or deref(term).__class__ is not Var:
+        if given.__class__ is not Var:
+            return unify(term, parse(machine, text_of(given)), machine.trail)
+        if deref(term).__class__ is Var:
+            raise instantiation_error()
+    return unify(text, atom(machine.logic.show(term)), machine.trail)
+
+
+@nondeterministic("atom_concat/3")
+def atom_concat(machine: Any, left: Term, right: Term, whole: Term) -> Union[bool, Iterator[Any]]:
+    """Relate two texts with the atom that they make together."""
+    return _concat(machine, left, right, whole, atom)
+
+
+@nondeterministic("string_concat/3")
+def string_concat(machine: Any, left: Term, right: Term, whole: Term) -> Union[bool, Iterator[Any]]:
+    """Relate two texts with the string that they make together."""
+    return _concat(machine, left, right, whole, String)
+
+
+def _concat(machine: Any, left: Term, right: Term, whole: Term, make: Any) -> Union[bool, Iterator[Any]]:
+    left, right = deref(left), deref(right)
+    start = None if left.__class__ is Var else atomic_text(left)
+    end = None if right.__class__ is Var else atomic_text(right)
+    if start is not None and end is not None:
+        found = deref(whole)
+        text = constant_text(found)
+        if text is None and found.__class__ is not Var:
+            raise type_error("atomic", found)
+        long_text(len(start) + len(end))
+        return text == start + end if text is not None else unify(whole, make(start + end), machine.trail)
+    if deref(whole).__class__ is Var:
+        raise instantiation_error()
+    text = atomic_text(whole)
+    long_text(len(text))
+    if start is not None:
+        return text.startswith(start) and unify(right, make(text[len(start) :]), machine.trail)
+    if end is not None:
+        return text.endswith(end) and unify(left, make(text[: len(text) - len(end)]), machine.trail)
+    return halves(machine, left, right, text, make)
+
+
+def halves(machine: Any, left: Term, right: Term, text: str, make: Any) -> Iterator[Any]:
+    """Yield for each way to cut a text in two parts, made by ``make``, that unify with left and right."""
+    for at in range(len(text) + 1):
+        long_text(len(text))
+        if machine.unify_all((left, make(text[:at])), (right, make(text[at:]))):
+            yield LAST if at == len(text) else None
+
+
+@nondeterministic("sub_atom/5")
+def sub_atom(
+    machine: Any, text: Term, before: Term, length: Term, after: Term, part: Term
+) -> Union[bool, Iterator[Any]]:
+    """Enumerate the parts of an atom."""
+    return sub_text(machine, text, before, length, after, part, atom)
+
+
+@nondeterministic("sub_string/5")
+def sub_string(
+    machine: Any, text: Term, before: Term, length: Term, after: Term, part: Term
+) -> Union[bool, Iterator[Any]]:
+    """Enumerate the parts of a string."""
+    return sub_text(machine, text, before, length, after, part, String)
+
+
+def sub_text(
+    machine: Any, text: Term, before: Term, length: Term, after: Term, part: Term, make: Any
+) -> Union[bool, Iterator[Any]]:
+    """Enumerate the parts of a text in order of their start, then of their length."""
+    if deref(text).__class__ is Var:
+        raise instantiation_error()
+    kind = "atom" if make is atom else "string"
+    whole = atomic_text(text, kind)
+    size = len(whole)
+    b, count, a = integer_or_var(before), integer_or_var(length), integer_or_var(after)
+    for value in (b, count, a):
+        if value is not None and value < 0:
+            raise domain_error("not_less_than_zero", value)
+    given = deref(part)
+    if given.__class__ is not Var:
+        if is_iso(machine):
+            atom_of(given)
+        return _occurrences(machine, whole, atomic_text(given, kind), before, length, after, b, a)
+    if b is not None and count is not None:
+        start, end = b, b + count
+    elif b is not None and a is not None:
+        start, end = b, size - a
+    elif count is not None and a is not None:
+        start, end = size - a - count, size - a
+    else:
+        return _parts(machine, whole, _spans(size, b, count, a), before, length, after, part, make)
+    return bool(
+        0 <= start <= end <= size
+        and machine.unify_all(
+            (before, start), (length, end - start), (after, size - end), (part, make(whole[start:end]))
+        )
+    )
+
+
+def _parts(
+    machine: Any, whole: str, spans: Any, before: Term, length: Term, after: Term, part: Term, make: Any
+) -> Iterator[Any]:
+    size = len(whole)
+    for at, (start, end) in enumerate(spans):
+        if not at & 255:
+            look()
+        long_text(end - start)
+        if machine.unify_all(
+            (before, start), (length, end - start), (after, size - end), (part, make(whole[start:end]))
+        ):
+            yield None
+
+
+def _spans(size: int, b: Any, count: Any, a: Any) -> Iterator[Any]:
+    if b is not None:
+        return ((b, end) for end in range(b, size + 1))
+    if count is not None:
+        return ((start, start + count) for start in range(size - count + 1))
+    if a is not None:
+        return ((start, size - a) for start in range(size - a + 1))
+    return ((start, end) for start in range(size + 1) for end in range(start, size + 1))
+
+
+def _occurrences(
+    machine: Any, whole: str, wanted: str, before: Term, length: Term, after: Term, b: Any, a: Any
+) -> Union[bool, Iterator[Any]]:
+    size, count = len(whole), len(wanted)
+    if b is not None or a is not None:
+        start = b if b is not None else size - a - count
+        found = start >= 0 and whole.startswith(wanted, start)
+    else:
+        start = whole.find(wanted)
+        found = start >= 0
+        if found and whole.find(wanted, start + 1) >= 0:
+            return _many(machine, whole, wanted, before, length, after)
+    return bool(found and machine.unify_all((before, start), (length, count), (after, size - start - count)))
+
+
+def _many(machine: Any, whole: str, wanted: str, before: Term, length: Term, after: Term) -> Iterator[Any]:
+    size = len(whole)
+    start = whole.find(wanted)
+    while start >= 0:
+        following = whole.find(wanted, start + 1)
+        if machine.unify_all((before, start), (length, len(wanted)), (after, size - start - len(wanted))):
+            yield LAST if following < 0 else None
+        start = following
+
+
+@deterministic("atomic_list_concat/2")
+def atomic_list_concat(machine: Any, parts: Term, whole: Term) -> bool:
+    """Join texts to an atom."""
+    return unify(whole, atom(joined([atomic_text(item, "text") for item in items(parts)])), machine.trail)
+
+
+@deterministic("atomic_list_concat/3")
+def atomic_list_concat_separated(machine: Any, parts: Term, separator: Term, whole: Term) -> bool:
+    """Join texts with a separator to an atom, or split an atom at it."""
+    between = atomic_text(separator, "text")
+    text = _join(parts, between)
+    if text is not None:
+        found = constant_text(deref(whole))
+        return found == text if found is not None else unify(whole, atom(text), machine.trail)
+    if deref(whole).__class__ is Var:
+        raise instantiation_error()
+    if not between:
+        raise domain_error("non_empty_atom", separator)
+    return unify(parts, make_list(each(atom, atomic_text(whole).split(between))), machine.trail)
+
+
+def _join(parts: Term, between: str) -> Any:
+    """Return the joined text, or None where the list or an item is not bound yet."""
+    found: List[str] = []
+    if list_items(parts) is None:
+        partial_items(parts)  # raises for what is not a list
+        return None
+    for item in items(parts):
+        item = deref(item)
+        text = constant_text(item)
+        if text is None:
+            if item.__class__ is Var:
+                return None
+            raise type_error("text", item)
+        found.append(text)
+    return joined(found, between)
+
+
+def _case(change: Any, make: Any, kind: str) -> Any:
+    def run(machine: Any, text: Term, result: Term) -> bool:
+        changed = change(atomic_text(text))
+        no_compound(result, kind)
+        return unify(result, make(changed), machine.trail)
+
+    return run
+
+
+deterministic("upcase_atom/2")(_case(str.upper, atom, "atom"))
+deterministic("downcase_atom/2")(_case(str.lower, atom, "atom"))
+deterministic("string_upper/2")(_case(str.upper, String, "string"))
+deterministic("string_lower/2")(_case(str.lower, String, "string"))

@@ -1,0 +1,261 @@
+"""The clause store as predicates: assert, retract, clause, declarations."""
+
+from typing import Any, Callable, Iterator, List, Optional, Union
+
+from ..compiler import CONTROL, key_of
+from ..database import NEVER, Clause, Predicate, may_match
+from ..machine import LAST, indicator, instantiation_error, permission_error, type_error
+from ..terms import (
+    COMMA,
+    CONS,
+    NIL,
+    SLASH,
+    Atom,
+    Functor,
+    Term,
+    Var,
+    atom,
+    conjuncts,
+    copy,
+    deref,
+    functor,
+    undo,
+    unify,
+)
+from .arguments import indicator_of
+from .registry import control, deterministic, nondeterministic
+
+_NECK = functor(":-", 2)
+
+
+def _check_rights(machine: Any, key: Functor, action: str, kind: str) -> Predicate:
+    """Return a predicate whose clauses may be changed or looked at."""
+    predicate: Predicate = machine.logic.database.predicate(key)
+    if key in CONTROL or (
+        predicate.library and (predicate.locked or action == "modify") and not predicate.dynamic
+    ):
+        raise permission_error(action, kind, indicator(key))
+    return predicate
+
+
+def _assert(first: bool) -> Any:
+    def run(machine: Any, term: Term) -> bool:
+        logic = machine.logic
+        clause = logic.add_clause(_strip(term), first=first)
+        predicate = clause.predicate
+        if not predicate.compiled and len(predicate) == 1:
+            predicate.dynamic = True
+        return True
+
+    return run
+
+
+def _strip(term: Term) -> Term:
+    """Return a clause without a module in front."""
+    term = deref(term)
+    while term.__class__ is tuple and term[0].name == ":" and len(term) == 3:
+        term = deref(term[2])
+    return term
+
+
+deterministic("assertz/1", "assert/1")(_assert(False))
+deterministic("asserta/1")(_assert(True))
+
+
+def _split(term: Term) -> Any:
+    term = _strip(term)
+    if term.__class__ is tuple and term[0] is _NECK:
+        return _strip(term[1]), term[2]
+    return term, atom("true")
+
+
+def _key(head: Term) -> Functor:
+    if head.__class__ is Var:
+        raise instantiation_error()
+    if head.__class__ is tuple:
+        return head[0]  # type: ignore[no-any-return]
+    if head.__class__ is Atom:
+        return head.functor  # type: ignore[no-any-return]
+    raise type_error("callable", head)
+
+
+def _candidates(predicate: Predicate, head: Term) -> Iterator[Any]:
+    """Yield the clauses whose heads may match, as they are now."""
+    frame = (None, *head[1:], None) if head.__class__ is tuple else (None, None)
+    keys = [key_of(arg) for arg in frame[1:-1]]
+    generation = predicate.database.generation
+    clauses, _ = predicate.select(frame)
+    for at in range(len(clauses)):
+        clause = clauses[at]
+        if clause.died > generation and may_match(keys, clause.keys):
+            yield clause
+
+
+@nondeterministic("retract/1")
+def retract(machine: Any, term: Term) -> Union[bool, Iterator[Any]]:
+    """Remove the clauses that unify, one at each solution."""
+    head, body = _split(term)
+    predicate = _check_rights(machine, _key(head), "modify", "static_procedure")
+    return _each_clause(machine.trail, predicate, head, body, predicate.remove)
+
+
+def _each_clause(
+    trail: List[Any], predicate: Predicate, head: Term, body: Term, action: Optional[Callable[[Clause], Any]]
+) -> Union[bool, Iterator[Any]]:
+    """Go through the clauses that unify with a head and a body; ``action`` is for those that are still there."""
+    found = list(_candidates(predicate, head))
+    if len(found) > 1:
+        return _clauses(trail, found, head, body, action)
+    return bool(found) and _is_clause(trail, found[0], head, body, action)
+
+
+def _clauses(
+    trail: List[Any], found: List[Clause], head: Term, body: Term, action: Optional[Callable[[Clause], Any]]
+) -> Iterator[Any]:
+    last = found[-1]
+    for clause in found:
+        mark = len(trail)
+        if _is_clause(trail, clause, head, body, action):
+            yield LAST if clause is last else None
+        else:
+            undo(trail, mark)
+
+
+def _is_clause(
+    trail: List[Any], clause: Clause, head: Term, body: Term, action: Optional[Callable[[Clause], Any]]
+) -> bool:
+    if action is not None and clause.died != NEVER:
+        return False
+    own_head, own_body = _renamed(clause)
+    if not unify(own_head, head, trail) or not unify(own_body, body, trail):
+        return False
+    if action is not None:
+        action(clause)
+    return True
+
+
+def _renamed(clause: Any) -> Any:
+    if clause.ground:
+        return clause.head, clause.body
+    fresh: Any = {}
+    return copy(clause.head, fresh), copy(clause.body, fresh)
+
+
+@deterministic("retractall/1")
+def retractall(machine: Any, head: Term) -> bool:
+    """Remove all clauses whose heads unify; the predicate is dynamic afterwards."""
+    head = _strip(head)
+    key = _key(head)
+    predicate = _check_rights(machine, key, "modify", "static_procedure")
+    if not predicate.defined:
+        predicate.dynamic = True
+        return True
+    trail = machine.trail
+    mark = len(trail)
+    for clause in list(_candidates(predicate, head)):
+        if unify(head, clause.head if clause.ground else copy(clause.head), trail):
+            predicate.remove(clause)
+        undo(trail, mark)
+    return True
+
+
+@nondeterministic("clause/2")
+def clause_of(machine: Any, head: Term, body: Term) -> Union[bool, Iterator[Any]]:
+    """Enumerate the clauses of a predicate."""
+    head = _strip(head)
+    key = _key(head)
+    body = deref(body)
+    if body.__class__ not in (Var, Atom, tuple):
+        raise type_error("callable", body)
+    predicate = _check_rights(machine, key, "access", "private_procedure")
+    return _each_clause(machine.trail, predicate, head, body, None)
+
+
+@deterministic("abolish/1")
+def abolish(machine: Any, term: Term) -> bool:
+    """Remove a predicate."""
+    key = indicator_of(term)
+    predicate = _check_rights(machine, key, "modify", "static_procedure")
+    if predicate.defined and not predicate.dynamic and machine.logic.flags["iso"] is atom("true"):
+        raise permission_error("modify", "static_procedure", indicator(key))
+    predicate.clear()
+    return True
+
+
+@deterministic("abolish/2")
+def abolish_named(machine: Any, name: Term, arity: Term) -> bool:
+    """Remove a predicate."""
+    return abolish(machine, (SLASH, name, arity))
+
+
+def _each(term: Term) -> Iterator[Functor]:
+    """Yield the functors that a declaration names: indicators in lists and conjunctions."""
+    return map(indicator_of, declared(term))
+
+
+def declared(term: Term) -> Iterator[Term]:
+    """Yield what a declaration names: items of lists and conjunctions."""
+    stack = [term]
+    while stack:
+        item = deref(stack.pop())
+        if item.__class__ is tuple and item[0] is COMMA:
+            stack += reversed(list(conjuncts(item)))
+        elif item.__class__ is tuple and item[0] is CONS:
+            stack += (item[2], item[1])
+        elif item.__class__ is tuple and item[0].name == "as":
+            stack.append(item[1])
+        elif item is not NIL:
+            yield item
+
+
+def _declaration(attribute: Optional[str]) -> Any:
+    def run(machine: Any, term: Term) -> bool:
+        for key in _each(term):
+            predicate = machine.logic.database.writable(key, "modify")
+            if attribute is not None:
+                setattr(predicate, attribute, True)
+        return True
+
+    return run
+
+
+deterministic("dynamic/1")(_declaration("dynamic"))
+deterministic("discontiguous/1")(_declaration("discontiguous"))
+deterministic("multifile/1")(_declaration("multifile"))
+deterministic("module_transparent/1", "meta_predicate/1", "volatile/1", "public/1")(
+    lambda machine, term: True
+)
+
+
+@nondeterministic("current_predicate/1")
+def current_predicate(machine: Any, term: Term) -> Iterator[Any]:
+    """Enumerate the program's predicates that have clauses."""
+    term = _strip(term)
+    if term.__class__ is Var:
+        term = (SLASH, Var(), Var())
+        pattern = True
+    else:
+        pattern = term.__class__ is tuple and term[0] is SLASH
+    if not pattern:
+        raise type_error("predicate_indicator", term)
+    name, arity = deref(term[1]), deref(term[2])
+    if name.__class__ not in (Var, Atom):
+        raise type_error("atom", name)
+    if arity.__class__ not in (Var, int):
+        raise type_error("integer", arity)
+    database = machine.logic.database
+    if name.__class__ is Atom and arity.__class__ is int:
+        predicate = database.predicates.get(functor(name.name, arity))
+        if predicate is not None and predicate.kind == "user" and len(predicate):
+            yield LAST
+        return
+    for key, predicate in list(database.predicates.items()):
+        there = predicate.kind == "user" and not predicate.library and len(predicate)
+        if there and machine.unify_all((name, atom(key.name)), (arity, key.arity)):
+            yield None
+
+
+@control("garbage_collect/0", "prompt/2")
+def nothing(machine: Any, args: Any, after: Any) -> Any:
+    """Do nothing: there is nothing to do."""
+    return after

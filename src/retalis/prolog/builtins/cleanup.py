@@ -1,0 +1,76 @@
+"""Cleanup: what runs when a goal is over, however it ends."""
+
+from typing import Any, Optional
+
+from ..compiler import IGNORE
+from ..machine import Code, Frame, Guard, PrologError, instantiation_error, keep_back
+from ..terms import Term, Var, atom, deref, undo
+from .registry import control
+
+
+class _Cleanup:
+    """The cleanup of a goal; held by the goal's guard among the choice points and by nothing else.
+
+    So it is told of a cut, too, without costing other cuts anything: a guard that is cut off is freed, and this
+    with it.
+    """
+
+    __slots__ = ("machine", "goal", "done")
+
+    def __init__(self, machine: Any, goal: Term):
+        self.machine = machine
+        self.goal = goal
+        self.done = False
+
+    def run(self) -> None:
+        """Run the cleanup at once; its failure and its bindings do not count, its error is reported."""
+        if self.done:
+            return
+        self.done = True
+        machine = self.machine
+        mark = len(machine.trail)
+        try:
+            machine.logic.once(self.goal)
+        except PrologError as error:
+            if keep_back(error):
+                machine.logic.error_output(f"Warning: cleanup: {error.message}\n")
+        undo(machine.trail, mark)
+
+    def __del__(self) -> None:
+        self.run()
+
+
+@control("setup_call_cleanup/3")
+def setup_call_cleanup(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+    """Run a goal, and a cleanup once it has failed, thrown, exited without choice points, or been cut."""
+    setup, goal, cleanup = args
+    if deref(cleanup).__class__ is Var:
+        raise instantiation_error()
+    return machine.logic.control.once(setup, (_GUARDED, machine, goal, cleanup, after))  # type: ignore[no-any-return]
+
+
+@control("call_cleanup/2")
+def call_cleanup(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+    """Run a goal, and a cleanup once it has failed, thrown, exited without choice points, or been cut."""
+    return setup_call_cleanup(machine, (atom("true"), *args), after)
+
+
+def _guarded(frame: Frame) -> Optional[Frame]:
+    _, machine, goal, cleanup, after = frame
+    height = len(machine.choices)
+    machine.choices.append((_CLEANUP, _Cleanup(machine, cleanup), len(machine.trail)))
+    return machine.logic.control.call(goal, (_LEFT, machine, height, after))  # type: ignore[no-any-return]
+
+
+def _left(frame: Frame) -> Optional[Frame]:
+    _, machine, height, after = frame
+    if len(machine.choices) > height + 1:
+        return after  # type: ignore[no-any-return]
+    cleanup = machine.choices.pop()[1]
+    cleanup.done = True
+    return machine.logic.control.once((IGNORE, cleanup.goal), after)  # type: ignore[no-any-return]
+
+
+_GUARDED = Code("setup_call_cleanup", _guarded)
+_LEFT = Code("setup_call_cleanup", _left)
+_CLEANUP = Guard("setup_call_cleanup", lambda entry: entry[1].run())

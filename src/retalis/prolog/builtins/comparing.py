@@ -1,0 +1,251 @@
+"""Unification, comparison, arithmetic and type tests as predicates (clauses have most of them in line)."""
+
+from typing import Any, Dict
+
+from ...foundation import TermTooLarge, codegen, look
+from ..arithmetic import evaluate
+from ..compiler import COMPARISONS, ORDERS
+from ..machine import domain_error, instantiation_error, type_error
+from ..terms import (
+    CONS,
+    MOST,
+    NIL,
+    Atom,
+    String,
+    Term,
+    Var,
+    atom,
+    by_age,
+    compare,
+    deref,
+    is_ground,
+    list_parts,
+    make_list,
+    undo,
+    unify,
+    unlike,
+    variables,
+)
+from .arguments import integer, integer_or_var, is_iso, natural, partial_items
+from .registry import deterministic
+
+_ORDERS = {-1: atom("<"), 0: atom("="), 1: atom(">")}
+
+
+@deterministic("=/2")
+def equal(machine: Any, left: Term, right: Term) -> bool:
+    """Unify."""
+    return unify(left, right, machine.trail)
+
+
+@deterministic("\\=/2")
+def different(machine: Any, left: Term, right: Term) -> bool:
+    """Test that two terms do not unify."""
+    mark = len(machine.trail)
+    found = unify(left, right, machine.trail)
+    undo(machine.trail, mark)
+    return not found
+
+
+@deterministic("unify_with_occurs_check/2")
+def unify_with_occurs_check(machine: Any, left: Term, right: Term) -> bool:
+    """Unify, unless that would make an infinite term."""
+    trail = machine.trail
+    mark = len(trail)
+    return unify(left, right, trail) and not any(
+        _is_cyclic(var) for var in trail[mark:] if var.__class__ is Var
+    )
+
+
+def _is_cyclic(var: Var) -> bool:
+    """Tell whether the binding of a variable contains the variable."""
+    seen = set()
+    stack = [var.ref]
+    steps = 0
+    while stack:
+        steps += 1
+        if not steps & 1023:
+            look()
+        item = stack.pop()
+        if item is var:
+            return True
+        if item.__class__ is Var:
+            if item.ref is not None and item not in seen:
+                seen.add(item)
+                stack.append(item.ref)
+        elif item.__class__ is tuple:
+            stack.extend(item[1:])
+    return False
+
+
+@deterministic("compare/3")
+def compare_terms(machine: Any, order: Term, left: Term, right: Term, variables: Any = by_age) -> bool:
+    """Compare in the standard order."""
+    order = deref(order)
+    if order.__class__ is not Var:
+        if order.__class__ is not Atom:
+            raise type_error("atom", order)
+        if order not in _ORDERS.values():
+            raise domain_error("order", order)
+    return unify(order, _ORDERS[compare(left, right, variables)], machine.trail)
+
+
+def _order(test: str) -> Any:
+    variables = unlike if test in ("== 0", "!= 0") else by_age
+    lines = ["def made(machine, left, right):", f"    return compare(left, right, variables) {test}"]
+    return codegen.function(lines, {"compare": compare, "variables": variables}, f"comparison {test}")
+
+
+def _arithmetic(operator: str) -> Any:
+    lines = ["def made(machine, left, right):", f"    return evaluate(left) {operator} evaluate(right)"]
+    return codegen.function(lines, {"evaluate": evaluate}, f"comparison {operator}")
+
+
+for _key, _test in ORDERS.items():
+    deterministic(str(_key))(_order(_test))
+for _key, _test in COMPARISONS.items():
+    deterministic(str(_key))(_arithmetic(_test))
+
+
+@deterministic("is/2")
+def is_value(machine: Any, result: Term, expression: Term) -> bool:
+    """Evaluate."""
+    return unify(result, evaluate(expression), machine.trail)
+
+
+@deterministic("succ/2")
+def succ(machine: Any, smaller: Term, greater: Term) -> bool:
+    """Relate an integer that is not negative with the next one."""
+    smaller = deref(smaller)
+    if smaller.__class__ is Var:
+        greater = deref(greater)
+        if greater.__class__ is Var:
+            raise instantiation_error()
+        value = natural(greater)
+        return value > 0 and unify(smaller, value - 1, machine.trail)
+    value = natural(smaller)
+    if deref(greater).__class__ is not Var:
+        natural(greater)
+    return unify(greater, value + 1, machine.trail)
+
+
+@deterministic("plus/3")
+def plus(machine: Any, left: Term, right: Term, total: Term) -> bool:
+    """Relate two integers with their sum; one of the three may be unbound."""
+    left, right, total = deref(left), deref(right), deref(total)
+    for known in (left, right, total):
+        integer_or_var(known)
+    if total.__class__ is Var:
+        return unify(total, integer(left) + integer(right), machine.trail)
+    if right.__class__ is Var:
+        return unify(right, integer(total) - integer(left), machine.trail)
+    return unify(left, integer(total) - integer(right), machine.trail)
+
+
+def _type_test(*classes: type) -> Any:
+    def test(machine: Any, term: Term) -> bool:
+        return deref(term).__class__ in classes
+
+    return test
+
+
+deterministic("var/1")(_type_test(Var))
+deterministic("atom/1")(_type_test(Atom))
+deterministic("integer/1", "rational/1")(_type_test(int))
+deterministic("float/1")(_type_test(float))
+deterministic("number/1")(_type_test(int, float))
+deterministic("string/1")(_type_test(String))
+deterministic("compound/1")(_type_test(tuple))
+deterministic("atomic/1")(_type_test(Atom, int, float, String))
+deterministic("nonvar/1")(_type_test(Atom, int, float, String, tuple))
+deterministic("callable/1")(_type_test(Atom, tuple))
+deterministic("is_stream/1")(lambda machine, *args: False)
+
+
+@deterministic("blob/2")
+def blob(machine: Any, term: Term, kind: Term) -> bool:
+    """Give the kind of an atom: there are only those of text."""
+    return deref(term).__class__ is Atom and unify(kind, atom("text"), machine.trail)
+
+
+@deterministic("is_list/1")
+def is_list(machine: Any, term: Term) -> bool:
+    """Test for a proper list."""
+    return list_parts(term)[1] is NIL
+
+
+@deterministic("ground/1")
+def ground(machine: Any, term: Term) -> bool:
+    """Test for a term without variables."""
+    return is_ground(term)
+
+
+@deterministic("term_variables/2")
+def term_variables(machine: Any, term: Term, result: Term) -> bool:
+    """Give the variables of a term."""
+    if is_iso(machine):
+        partial_items(result)
+    return unify(result, make_list(variables(term)), machine.trail)
+
+
+@deterministic("?=/2")
+def decided(machine: Any, left: Term, right: Term) -> bool:
+    """Test that ``==`` of two terms cannot change any more."""
+    return compare(left, right, unlike) == 0 or different(machine, left, right)
+
+
+@deterministic("subsumes_term/2")
+def subsumes_term(machine: Any, general: Term, specific: Term) -> bool:
+    """Test that a term can be made equal to another by binding its own variables only."""
+    trail = machine.trail
+    mark = len(trail)
+    before = variables(specific)
+    found = unify(general, specific, trail)
+    if found:
+        after = [deref(var) for var in before]
+        found = all(var.__class__ is Var for var in after) and len(set(after)) == len(before)
+        # A variable of the specific term may be bound to one of the general term, not the other way round.
+        found = found and variables((CONS, *before)) == after
+    undo(trail, mark)
+    return found
+
+
+@deterministic("=@=/2")
+def variant(machine: Any, left: Term, right: Term) -> bool:
+    """Test that two terms are equal up to the names of their variables."""
+    return is_variant(left, right)
+
+
+@deterministic("\\=@=/2")
+def no_variant(machine: Any, left: Term, right: Term) -> bool:
+    """Test that two terms are not variants."""
+    return not is_variant(left, right)
+
+
+def is_variant(left: Term, right: Term) -> bool:
+    """Tell whether two terms are equal up to the names of their variables."""
+    forth: Dict[Var, Var] = {}
+    back: Dict[Var, Var] = {}
+    stack = [(left, right)]
+    steps = 0
+    while stack:
+        steps += 1
+        if not steps & 1023:
+            look()
+            if steps > MOST:
+                raise TermTooLarge
+        left, right = stack.pop()
+        left, right = deref(left), deref(right)
+        kind = left.__class__
+        if kind is not right.__class__:
+            return False
+        if kind is Var:
+            if forth.setdefault(left, right) is not right or back.setdefault(right, left) is not left:
+                return False
+        elif kind is tuple:
+            if left[0] is not right[0]:
+                return False
+            stack.extend(zip(left[:0:-1], right[:0:-1]))
+        elif compare(left, right):
+            return False
+    return True

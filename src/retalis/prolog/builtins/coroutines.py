@@ -1,0 +1,94 @@
+"""Goals on unbound variables: ``freeze/2``, ``dif/2`` and ``when/2`` where they can be decided at once.
+
+No goal waits for a variable here: unification is written into the compiled clauses, and would cost more in all of
+them. Where the answer depends on a variable that is not bound yet, these are instantiation errors.
+"""
+
+from typing import Any, List, Optional, Tuple
+
+from ...foundation import BULK, TermTooLarge, look
+from ..machine import Frame, domain_error, instantiation_error
+from ..terms import COMMA, ROUNDS, Term, Var, deref, functor, is_ground, undo, unify
+from .comparing import different
+from .registry import control, deterministic
+
+_SEMICOLON = functor(";", 2)
+_NONVAR = functor("nonvar", 1)
+_GROUND = functor("ground", 1)
+_DECIDED = functor("?=", 2)
+
+
+@deterministic("dif/2")
+def dif(machine: Any, left: Term, right: Term) -> bool:
+    """Test that two terms can never be equal; an error where they may become so."""
+    trail = machine.trail
+    mark = len(trail)
+    if not unify(left, right, trail):
+        undo(trail, mark)
+        return True
+    undecided = len(trail) > mark
+    undo(trail, mark)
+    if undecided:
+        raise instantiation_error()
+    return False
+
+
+@control("freeze/2")
+def freeze(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+    """Call a goal when a variable is bound: it has to be already."""
+    if deref(args[0]).__class__ is Var:
+        raise instantiation_error()
+    return machine.logic.control.call(args[1], after)  # type: ignore[no-any-return]
+
+
+@control("when/2")
+def when(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+    """Call a goal when a condition holds: it has to hold already."""
+    if not _holds(machine, args[0]):
+        raise instantiation_error()
+    return machine.logic.control.call(args[1], after)  # type: ignore[no-any-return]
+
+
+def _holds(machine: Any, condition: Term) -> bool:
+    """Tell whether a condition holds; no recursion, however deep it is."""
+    lefts: List[
+        Tuple[Any, Term]
+    ] = []  # conjunctions and disjunctions whose left side is looked at: key, right side
+    for _ in ROUNDS:
+        for _ in BULK:
+            condition = deref(condition)
+            if condition.__class__ is tuple and condition[0] in (COMMA, _SEMICOLON):
+                lefts.append((condition[0], condition[2]))
+                condition = condition[1]
+                continue
+            holds = _simple(machine, condition)
+            while lefts:
+                key, right = lefts.pop()
+                if holds is (key is COMMA):  # the right side decides
+                    condition = right
+                    break
+            else:
+                return holds
+        look()
+    raise TermTooLarge
+
+
+def _simple(machine: Any, condition: Term) -> bool:
+    if condition.__class__ is Var:
+        raise instantiation_error()
+    key = condition[0] if condition.__class__ is tuple else None
+    if key is _NONVAR:
+        return deref(condition[1]).__class__ is not Var
+    if key is _GROUND:
+        return is_ground(condition[1])
+    if key is _DECIDED:
+        return different(machine, condition[1], condition[2]) or _same(machine, *condition[1:])
+    raise domain_error("when_condition", condition)
+
+
+def _same(machine: Any, left: Term, right: Term) -> bool:
+    trail = machine.trail
+    mark = len(trail)
+    same = unify(left, right, trail) and len(trail) == mark
+    undo(trail, mark)
+    return same

@@ -1,0 +1,337 @@
+"""Lists: what wants speed; the rest is in the library (library/lists.pl)."""
+
+from typing import Any, Iterator, List, Optional, Union
+
+from ...foundation import BULK, TermTooLarge, look
+from ..arithmetic import EVALUABLE, add, evaluate
+from ..machine import (
+    LAST,
+    Code,
+    Frame,
+    domain_error,
+    instantiation_error,
+    no_argument,
+    no_matching_rule,
+    resource_error,
+    type_error,
+)
+from ..terms import (
+    CONS,
+    MINUS,
+    MOST,
+    NIL,
+    ROUNDS,
+    Atom,
+    Term,
+    Var,
+    compare,
+    deref,
+    functor,
+    list_items,
+    list_parts,
+    make_list,
+    undo,
+    unify,
+)
+from .arguments import integer, is_iso, items, natural, partial_items
+from .ordering import by_age, sort_terms, sort_unique
+from .ordering import sort_by as by_keys
+from .registry import control, deterministic, nondeterministic
+
+_MAX, _MIN = EVALUABLE[functor("max", 2)], EVALUABLE[functor("min", 2)]
+_REVERSE, _LAST_ITEM = functor("$reverse", 2), functor("$last", 2)
+
+
+@control("length/2")
+def length(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+    """Relate a list with its length."""
+    found, tail = list_parts(args[0])
+    count = len(found)
+    size = deref(args[1])
+    if size.__class__ is not Var:
+        natural(size)
+    if tail is NIL:
+        return after if unify(size, count, machine.trail) else None
+    if tail.__class__ is not Var:
+        raise type_error("list", args[0])
+    if size.__class__ is int:
+        if size - count > MOST:
+            raise resource_error("memory")
+        return after if size >= count and unify(tail, _open_list(size - count), machine.trail) else None
+    if size is tail:
+        return None
+    return _longer(machine, tail, size, count, count, after)
+
+
+def _open_list(size: int) -> Term:
+    result: Term = NIL
+    for at in range(size):
+        result = (CONS, Var(), result)
+        if not at & 1023:
+            look()
+    return result
+
+
+def _longer(machine: Any, tail: Term, size: Term, count: int, total: int, after: Frame) -> Optional[Frame]:
+    machine.choices.append((_LONGER, machine, tail, size, count, total + 1, after, len(machine.trail)))
+    return after if machine.unify_all((tail, _open_list(total - count)), (size, total)) else None
+
+
+_LONGER = Code("length", lambda entry: _longer(*entry[1:7]))
+_LONGER.functor = functor("length", 2)
+
+
+@deterministic("msort/2")
+def msort(machine: Any, unsorted: Term, result: Term) -> bool:
+    """Sort in the standard order, keeping duplicates."""
+    return unify(result, make_list(sort_terms(items(unsorted))), machine.trail)
+
+
+@deterministic("sort/2")
+def sort(machine: Any, unsorted: Term, result: Term) -> bool:
+    """Sort in the standard order without duplicates."""
+    found = sort_unique(items(unsorted))
+    if is_iso(machine):
+        partial_items(result)
+    return unify(result, make_list(found), machine.trail)
+
+
+@deterministic("sort/4")
+def sort_by(machine: Any, key: Term, order: Term, unsorted: Term, result: Term) -> bool:
+    """Sort by an argument (0: the whole term) in one of the orders ``@<``, ``@=<``, ``@>``, ``@>=``."""
+    at = _sort_key(key)
+    order = deref(order)
+    if order.__class__ is Var:
+        raise instantiation_error()
+    if order.__class__ is not Atom:
+        raise type_error("atom", order)
+    direction = order.name.lstrip("@")
+    if direction not in ("<", "=<", ">", ">="):
+        raise domain_error("order", order)
+    found = by_age(items(unsorted))
+    pairs = by_keys(found, [_argument(item, at) for item in found], direction[0] == ">")
+    if "=" not in direction:
+        pairs = [pair for n, pair in enumerate(pairs) if n == 0 or compare(pairs[n - 1][0], pair[0])]
+    return unify(result, make_list([item for _, item in pairs]), machine.trail)
+
+
+def _sort_key(key: Term) -> Optional[int]:
+    """Return which argument is the key, 0 for the whole term; None for the name of a field, which no term has."""
+    key = deref(key)
+    if key.__class__ is Atom or list_items(key):
+        return None
+    if key.__class__ not in (int, Var):
+        raise type_error("sort_key", key)
+    number = integer(key)
+    if number < 0:
+        raise domain_error("not_less_than_one", key)
+    return number
+
+
+def _argument(item: Term, at: Optional[int]) -> Term:
+    if at == 0:
+        return item
+    item = deref(item)
+    if item.__class__ is Var:
+        raise instantiation_error()
+    if item.__class__ is not tuple or at is None:
+        raise type_error("compound", item)
+    if at >= len(item):
+        raise no_argument(at, item)
+    return item[at]
+
+
+@deterministic("keysort/2")
+def keysort(machine: Any, pairs: Term, result: Term) -> bool:
+    """Sort pairs ``Key-Value`` by key, keeping the order of equal keys."""
+    found = [deref(pair) for pair in items(pairs)]
+    for pair in found:
+        if pair.__class__ is Var:
+            raise instantiation_error()
+        if pair.__class__ is not tuple or pair[0] is not MINUS:
+            raise type_error("pair", pair)
+    found = [pair for _, pair in by_keys(found, [pair[1] for pair in found])]
+    if is_iso(machine):
+        for pair in map(deref, partial_items(result)):
+            if pair.__class__ is not Var and (pair.__class__ is not tuple or pair[0] is not MINUS):
+                raise type_error("pair", pair)
+    return unify(result, make_list(found), machine.trail)
+
+
+@control("reverse/2", locked=False)
+def reverse(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+    """Reverse a list."""
+    found = list_items(args[0])
+    if found is None:
+        return (machine.logic.database.predicate(_REVERSE), *args, after)
+    return after if unify(args[1], make_list(found[::-1]), machine.trail) else None
+
+
+@deterministic("memberchk/2", locked=False)
+def memberchk(machine: Any, item: Term, given: Term) -> bool:
+    """Find the first item of a list that unifies; a partial list is extended."""
+    trail = machine.trail
+    tail = deref(given)
+    seen = 0
+    while tail.__class__ is tuple and tail[0] is CONS:
+        for _ in BULK:
+            if tail.__class__ is not tuple or tail[0] is not CONS:
+                break
+            mark = len(trail)
+            if unify(item, tail[1], trail):
+                return True
+            undo(trail, mark)
+            tail = deref(tail[2])
+        else:
+            look()
+            seen += 1
+            if seen > len(ROUNDS):
+                raise TermTooLarge
+    if tail.__class__ is not Var and tail is not NIL:
+        raise type_error("list", tail)
+    return tail.__class__ is Var and unify(tail, (CONS, item, Var()), trail)
+
+
+def _folded(name: str, step: Any, start: Optional[int]) -> Any:
+    """Return a predicate that folds the numbers of a list; without a start it begins with the first of them."""
+    outer, inner = functor(name, 2), functor(name, 3)
+
+    def run(machine: Any, given: Term, result: Term) -> bool:
+        found, tail = list_parts(given)
+        value: Any = start
+        for at, item in enumerate(found):
+            value = item if start is None and at == 0 else step(value, item)
+            if not at & 1023:
+                look()
+        if tail is not NIL:
+            known = value is None
+            raise no_matching_rule("lists", (outer, tail, result) if known else (inner, tail, value, result))
+        return value is not None and unify(result, value, machine.trail)
+
+    return run
+
+
+def _better(function: Any) -> Any:
+    return lambda best, item: function(evaluate(best), evaluate(item))
+
+
+deterministic("sum_list/2", "sumlist/2", locked=False)(_folded("sum_list", add, 0))
+deterministic("max_list/2", locked=False)(_folded("max_list", _better(_MAX), None))
+deterministic("min_list/2", locked=False)(_folded("min_list", _better(_MIN), None))
+
+
+@deterministic("numlist/3", locked=False)
+def numlist(machine: Any, low: Term, high: Term, result: Term) -> bool:
+    """Give the list of integers between two."""
+    first, last = integer(low), integer(high)
+    if last - first > MOST:
+        raise resource_error("memory")
+    numbers: Term = NIL
+    for at in range(last, first - 1, -1):
+        numbers = (CONS, at, numbers)
+        if not at & 1023:
+            look()
+    return first <= last and unify(result, numbers, machine.trail)
+
+
+@control("last/2", locked=False)
+def last(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+    """Give the last item of a list."""
+    found = list_items(args[0])
+    if found is None:
+        return (machine.logic.database.predicate(_LAST_ITEM), *args, after)
+    return after if found and unify(args[1], found[-1], machine.trail) else None
+
+
+@deterministic("list_to_set/2", locked=False)
+def list_to_set(machine: Any, given: Term, result: Term) -> bool:
+    """Drop duplicates (by ``==``), keeping the first."""
+    found = items(given)
+    pairs = by_keys(range(len(found)), found)  # stable: of equal ones the first comes first
+    kept = sorted(at for n, (item, at) in enumerate(pairs) if n == 0 or compare(pairs[n - 1][0], item))
+    return unify(result, make_list([found[at] for at in kept]), machine.trail)
+
+
+@deterministic("list_to_ord_set/2", locked=False)
+def list_to_ord_set(machine: Any, given: Term, result: Term) -> bool:
+    """Sort without duplicates."""
+    return sort(machine, given, result)
+
+
+def _nth(base: int) -> Any:
+    def run(machine: Any, index: Term, given: Term, item: Term) -> Union[bool, Iterator[Any]]:
+        index = deref(index)
+        if index.__class__ is Var:
+            return enumerate_(machine, index, given, item)
+        integer(index)
+        if index < base:
+            return False
+        if index > MOST:
+            raise resource_error("term_size")
+        at = index
+        tail = deref(given)
+        while at > base and tail.__class__ is tuple and tail[0] is CONS:
+            at -= 1
+            tail = deref(tail[2])
+            if not at & 1023:
+                look()
+        if tail.__class__ is Var and at >= base:
+            cells: Any = (CONS, item, Var())
+            for _ in range(at - base):
+                cells = (CONS, Var(), cells)
+            return unify(tail, cells, machine.trail)
+        return (
+            at == base and tail.__class__ is tuple and tail[0] is CONS and unify(item, tail[1], machine.trail)
+        )
+
+    def enumerate_(machine: Any, index: Term, given: Term, item: Term) -> Iterator[Any]:
+        tail = deref(given)
+        at = base
+        while tail.__class__ is tuple and tail[0] is CONS:
+            rest = deref(tail[2])
+            if machine.unify_all((item, tail[1]), (index, at)):
+                yield LAST if rest is NIL else None
+            at += 1
+            tail = rest
+            if not at & 1023:
+                look()
+                if at > MOST:
+                    raise TermTooLarge
+        known = at
+        while tail.__class__ is Var:
+            cells: Any = (CONS, item, Var())
+            for _ in range(at - known):
+                cells = (CONS, Var(), cells)
+            if machine.unify_all((tail, cells), (index, at)):
+                yield None
+            at += 1
+
+    return run
+
+
+nondeterministic("nth0/3", locked=False)(_nth(0))
+nondeterministic("nth1/3", locked=False)(_nth(1))
+
+
+@nondeterministic("between/3")
+def between(machine: Any, low: Term, high: Term, value: Term) -> Union[bool, Iterator[Any]]:
+    """Enumerate the integers between two; the upper one may be ``inf``."""
+    first = integer(low)
+    high = deref(high)
+    if high.__class__ is Atom and high.name in ("inf", "infinite"):
+        limit = None
+    else:
+        limit = integer(high)
+    value = deref(value)
+    if value.__class__ is not Var:
+        return first <= integer(value) and (limit is None or value <= limit)
+    return _integers(machine.trail, first, limit, value)
+
+
+def _integers(trail: List[Any], first: int, limit: Optional[int], value: Var) -> Iterator[Any]:
+    at = first
+    while limit is None or at <= limit:
+        value.ref = at
+        trail.append(value)
+        yield LAST if at == limit else None
+        at += 1

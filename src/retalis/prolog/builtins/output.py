@@ -1,0 +1,352 @@
+"""Output: write and its sisters, format, and output caught as text."""
+
+from typing import Any, Dict, Optional
+
+from ..arithmetic import evaluate
+from ..machine import (
+    Code,
+    Frame,
+    Guard,
+    domain_error,
+    existence_error,
+    instantiation_error,
+    permission_error,
+    resource_error,
+    type_error,
+)
+from ..syntax import write_term
+from ..terms import CONS, NIL, Atom, Term, Var, atom, deref, list_items, resolve, unify
+from .arguments import integer, is_iso, option_values
+from .formatting import Formatter
+from .portraying import Capture, portray_of, printed
+from .registry import control, deterministic
+from .text import LARGEST_CODE, fill_sink, is_sink, make_text, whole_text
+
+_WIDEST = 10_000_000
+
+
+def write_to(machine: Any, stream: Term, text: str) -> None:
+    """Write text to a stream by its alias.
+
+    Raises:
+        PrologError: where it is not an output stream.
+    """
+    name = deref(stream)
+    if name.__class__ is Var:
+        raise instantiation_error()
+    if name.__class__ is not Atom:
+        raise domain_error("stream_or_alias", name)
+    if name.name == "user_error":
+        machine.logic.error_output(text)
+    elif name.name in ("user_output", "current_output"):
+        machine.logic.write(text)
+    elif name.name == "user_input":
+        raise permission_error("output", "stream", name)
+    else:
+        raise existence_error("stream", name)
+
+
+def _writer(**options: Any) -> Any:
+    def text(machine: Any, term: Term) -> str:
+        return write_term(term, machine.logic.operators, **options)
+
+    return text
+
+
+def letter_names(term: Term) -> Dict[Var, str]:
+    """Return names for the variables of a term: A, B, ..., and ``_`` for those that occur once."""
+    counts: Dict[Var, int] = {}
+    stack = [resolve(term)]
+    while stack:
+        item = stack.pop()
+        if item.__class__ is Var:
+            counts[item] = counts.get(item, 0) + 1
+        elif item.__class__ is tuple:
+            stack.extend(item[:0:-1])
+    names: Dict[Var, str] = {}
+    number = 0
+    for var, count in counts.items():
+        if count == 1:
+            names[var] = "_"
+        else:
+            names[var] = chr(65 + number % 26) + (str(number // 26) if number > 25 else "")
+            number += 1
+    return names
+
+
+def _canonical(machine: Any, term: Term) -> str:
+    operators = machine.logic.operators
+    names = letter_names(term)
+    return write_term(term, operators, ignore_ops=True, brace_terms=False, variable_names=names)
+
+
+_WRITERS: Dict[str, Any] = {
+    "write": _writer(quoted=False, numbervars=True),
+    "print": printed,
+    "writeln": _writer(quoted=False, numbervars=True),
+    "writeq": _writer(quoted=True, numbervars=True),
+    "write_canonical": _canonical,
+}
+
+
+def _define(name: str, text: Any) -> None:
+    end = "\n" if name == "writeln" else ""
+
+    def one(machine: Any, term: Term) -> bool:
+        machine.logic.write(text(machine, term) + end)
+        return True
+
+    def two(machine: Any, stream: Term, term: Term) -> bool:
+        write_to(machine, stream, text(machine, term) + end)
+        return True
+
+    deterministic(f"{name}/1")(one)
+    deterministic(f"{name}/2")(two)
+
+
+for _name, _text in _WRITERS.items():
+    _define(_name, _text)
+
+
+@deterministic("nl/0")
+def nl(machine: Any) -> bool:
+    """Write a newline."""
+    machine.logic.write("\n")
+    return True
+
+
+@deterministic("nl/1")
+def nl_to(machine: Any, stream: Term) -> bool:
+    """Write a newline to a stream."""
+    write_to(machine, stream, "\n")
+    return True
+
+
+def _blanks(count: Term) -> str:
+    number = evaluate(count)
+    if not isinstance(number, int):
+        raise type_error("integer_expression", deref(count))
+    if number > _WIDEST:
+        raise resource_error("memory")
+    return " " * number
+
+
+@deterministic("tab/1")
+def tab(machine: Any, count: Term) -> bool:
+    """Write blanks."""
+    machine.logic.write(_blanks(count))
+    return True
+
+
+@deterministic("tab/2")
+def tab_to(machine: Any, stream: Term, count: Term) -> bool:
+    """Write blanks to a stream."""
+    write_to(machine, stream, _blanks(count))
+    return True
+
+
+def character_of(machine: Any, char: Term) -> str:
+    """Return the character that an argument is; a code is taken too unless the flag ``iso`` is set.
+
+    Raises:
+        PrologError: instantiation and type errors.
+    """
+    found = deref(char)
+    if found.__class__ is Var:
+        raise instantiation_error()
+    if found.__class__ is int and not is_iso(machine) and 0 <= found <= LARGEST_CODE:
+        return chr(found)
+    if found.__class__ is not Atom or len(found.name) != 1:
+        raise type_error("character", found)
+    return str(found.name)
+
+
+@deterministic("put_char/1")
+def put_char(machine: Any, char: Term) -> bool:
+    """Write a character."""
+    machine.logic.write(character_of(machine, char))
+    return True
+
+
+@deterministic("put_char/2")
+def put_char_to(machine: Any, stream: Term, char: Term) -> bool:
+    """Write a character to a stream."""
+    write_to(machine, stream, character_of(machine, char))
+    return True
+
+
+@deterministic("flush_output/0", "ttyflush/0")
+def flush_output(machine: Any) -> bool:
+    """Do nothing: output is not held back."""
+    return True
+
+
+@deterministic("flush_output/1")
+def flush_output_of(machine: Any, stream: Term) -> bool:
+    """Do nothing: output is not held back."""
+    return True
+
+
+# write_term
+
+
+def write_options(machine: Any, options: Term) -> Dict[str, Any]:
+    """Return the options of ``write_term`` for the writer."""
+    found: Dict[str, Any] = {"quoted": False}
+    iso = is_iso(machine)
+    for option in option_values(options):
+        if option.__class__ is not tuple or len(option) != 2:
+            raise domain_error("write_option", option) if iso else type_error("option", option)
+        name, value = option[0].name, deref(option[1])
+        if value.__class__ is Var:
+            raise instantiation_error()
+        if name in ("quoted", "ignore_ops", "numbervars", "brace_terms", "portray"):
+            if value.__class__ is not Atom or value.name not in ("true", "false"):
+                raise domain_error("write_option", option) if iso else type_error("bool", value)
+            found[name] = value.name == "true"
+        elif name == "spacing":
+            if value not in (atom("standard"), atom("next_argument")):
+                raise domain_error("spacing", value)
+            found["spacing"] = value.name == "next_argument"
+        elif name == "priority":
+            found["priority"] = integer(value)
+        elif name == "variable_names":
+            found["variable_names"] = _variable_names(option)
+    if "portray" in found:
+        found["portray"] = portray_of(machine) if found["portray"] else None
+    return found
+
+
+def _variable_names(option: Term) -> Dict[Var, str]:
+    names: Dict[Var, str] = {}
+    for pair in option_values(option[1]):
+        if pair.__class__ is not tuple or str(pair[0]) != "=/2":
+            raise domain_error("write_option", option)
+        var = deref(pair[2])
+        name = deref(pair[1])
+        if name.__class__ is Var:
+            raise instantiation_error()
+        if name.__class__ is not Atom:
+            raise domain_error("write_option", option)
+        if var.__class__ is Var:
+            names.setdefault(var, name.name)
+    return names
+
+
+@deterministic("write_term/2")
+def write_term_2(machine: Any, term: Term, options: Term) -> bool:
+    """Write a term with options."""
+    machine.logic.write(write_term(term, machine.logic.operators, **write_options(machine, options)))
+    return True
+
+
+@deterministic("write_term/3")
+def write_term_3(machine: Any, stream: Term, term: Term, options: Term) -> bool:
+    """Write a term with options to a stream."""
+    write_to(machine, stream, write_term(term, machine.logic.operators, **write_options(machine, options)))
+    return True
+
+
+# format
+
+
+def _arguments(term: Term) -> Any:
+    term = deref(term)
+    if term is NIL:
+        return []
+    if term.__class__ is tuple and term[0] is CONS:
+        found = list_items(term)
+        if found is not None:
+            return found
+    return [term]
+
+
+def _format_text(form: Term) -> str:
+    form = deref(form)
+    if form.__class__ in (int, float):
+        raise type_error("text", form)
+    return whole_text(form, "text")
+
+
+def formatted(machine: Any, form: Term, arguments: Term, column: int) -> str:
+    """Return the text of ``format(form, arguments)``."""
+    return Formatter(machine, column).format(_format_text(form), _arguments(arguments))
+
+
+@deterministic("format/1")
+def format_1(machine: Any, form: Term) -> bool:
+    """Write formatted text."""
+    return format_2(machine, form, NIL)
+
+
+@deterministic("format/2")
+def format_2(machine: Any, form: Term, arguments: Term) -> bool:
+    """Write formatted text."""
+    logic = machine.logic
+    formatter = Formatter(machine, logic.column)
+    try:
+        formatter.format(_format_text(form), _arguments(arguments))
+    finally:  # what comes before an error is written
+        logic.write(formatter.line.text())
+    return True
+
+
+@deterministic("format/3")
+def format_3(machine: Any, sink: Term, form: Term, arguments: Term) -> bool:
+    """Write formatted text to a stream, or unify it: ``atom(A)``, ``string(S)``, ``codes(Cs)``, ``chars(Cs)``."""
+    sink = deref(sink)
+    if is_sink(sink):
+        return fill_sink(machine, sink, formatted(machine, form, arguments, 0))
+    if sink.__class__ not in (Var, Atom):
+        raise type_error("output", sink)
+    write_to(machine, sink, "")
+    write_to(machine, sink, formatted(machine, form, arguments, 0))
+    return True
+
+
+@deterministic("sformat/3")
+def sformat(machine: Any, text: Term, form: Term, arguments: Term) -> bool:
+    """Give formatted text as a string."""
+    return unify(text, make_text("string", formatted(machine, form, arguments, 0)), machine.trail)
+
+
+@deterministic("sformat/2")
+def sformat_2(machine: Any, text: Term, form: Term) -> bool:
+    """Give formatted text as a string."""
+    return sformat(machine, text, form, NIL)
+
+
+# Output caught as text
+
+
+@control("with_output_to/2")
+def with_output_to(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+    """Run a goal once and unify what it writes: ``atom(A)``, ``string(S)``, ``codes(Cs)``, ``chars(Cs)``."""
+    sink = deref(args[0])
+    if sink.__class__ is Var:
+        raise instantiation_error()
+    if not is_sink(sink):
+        raise existence_error("stream", sink) if sink.__class__ is Atom else type_error("output", sink)
+    logic = machine.logic
+    height = len(machine.choices)
+    machine.choices.append((_CAUGHT, logic, logic.output, logic.column, len(machine.trail)))
+    capture = logic.output = Capture(logic)
+    captured = capture.texts
+    logic.column = 0
+    return logic.control.call(args[1], (_RELEASE, machine, height, sink, captured, after))  # type: ignore[no-any-return]
+
+
+def _give_back(entry: Frame) -> None:
+    logic = entry[1]
+    logic.output, logic.column = entry[2], entry[3]
+
+
+def _release(frame: Frame) -> Optional[Frame]:
+    _, machine, height, sink, captured, after = frame
+    _give_back(machine.choices[height])
+    del machine.choices[height:]
+    return after if fill_sink(machine, sink, "".join(captured)) else None
+
+
+_CAUGHT = Guard("with_output_to", _give_back)
+_RELEASE = Code("with_output_to", _release)

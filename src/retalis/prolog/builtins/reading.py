@@ -1,0 +1,103 @@
+"""Reading terms from text."""
+
+from typing import Any, List
+
+from ...foundation import SyntaxFault
+from ..machine import ERROR, PrologError, instantiation_error, type_error
+from ..syntax import ReadFlags, read_term
+from ..terms import String, Term, Var, atom, deref, functor, make_list, unify, variables
+from .arguments import option_values, partial_items
+from .registry import deterministic
+from .text import text_of
+
+_EQUAL = functor("=", 2)
+_SYNTAX = functor("syntax_error", 1)
+_POSITION = functor("string", 2)
+
+
+def read_flags(machine: Any) -> ReadFlags:
+    """Return how quotes read, by the program's flags."""
+    flags = machine.logic.flags
+    return ReadFlags(
+        double_quotes=flags["double_quotes"].name,
+        back_quotes=flags["back_quotes"].name,
+        iso=flags["iso"] is atom("true"),
+    )
+
+
+def parse(machine: Any, text: str) -> Term:
+    """Return the term that a text is.
+
+    Raises:
+        PrologError: a syntax error.
+    """
+    return read(machine, text).term
+
+
+def read(machine: Any, text: str) -> Any:
+    """Return the `ReadTerm` of a text; of one without a term, that of ``end_of_file``."""
+    try:
+        if not text.strip():
+            text = "end_of_file"
+        return read_term(text, machine.logic.operators, flags=read_flags(machine), positions=False)
+    except SyntaxFault as fault:
+        column = fault.place.column if fault.place is not None else 0
+        raise PrologError(
+            (ERROR, (_SYNTAX, atom(fault.message)), (_POSITION, atom(text), column - 1))
+        ) from fault
+
+
+@deterministic("term_string/2")
+def term_string(machine: Any, term: Term, text: Term) -> bool:
+    """Relate a term with its text as a string."""
+    given = deref(text)
+    if given.__class__ is not Var:
+        return unify(term, parse(machine, text_of(given)), machine.trail)
+    return unify(text, String(machine.logic.show(term)), machine.trail)
+
+
+@deterministic("term_string/3")
+def term_string_options(machine: Any, term: Term, text: Term, options: Term) -> bool:
+    """Do what ``term_string/2`` does."""
+    return term_string(machine, term, text)
+
+
+@deterministic("atom_to_term/3")
+def atom_to_term(machine: Any, text: Term, term: Term, bindings: Term) -> bool:
+    """Read a term and its variables' names from a text."""
+    if deref(text).__class__ is Var:
+        raise instantiation_error()
+    whole = text_of(text)
+    partial_items(bindings)
+    found = read(machine, whole)
+    names = make_list([(_EQUAL, atom(name), var) for name, var in found.names.items()])
+    return machine.unify_all((term, found.term), (bindings, names))  # type: ignore[no-any-return]
+
+
+@deterministic("read_term_from_atom/3")
+def read_term_from_atom(machine: Any, text: Term, term: Term, options: Term) -> bool:
+    """Read a term from a text."""
+    whole = text_of(text, numbers=False)
+    asked = option_values(options)
+    for option in asked:
+        if option.__class__ is not tuple:
+            raise type_error("option", option)
+    found = read(machine, whole)
+    return unify(term, found.term, machine.trail) and _unify_options(machine, found, asked)
+
+
+def _unify_options(machine: Any, found: Any, options: List[Any]) -> bool:
+    """Unify what the options of ``read_term`` ask for."""
+    for option in options:
+        name = option[0].name
+        if name == "variables":
+            value = make_list(variables(found.term))
+        elif name in ("variable_names", "bindings"):
+            value = make_list([(_EQUAL, atom(text), var) for text, var in found.names.items()])
+        elif name == "singletons":
+            value = make_list([(_EQUAL, atom(text), found.names[text]) for text in found.singletons])
+        else:
+            continue
+        if not unify(option[1], value, machine.trail):
+            return False
+    return True

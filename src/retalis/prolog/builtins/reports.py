@@ -1,0 +1,265 @@
+"""Messages, assertions, and the listing of clauses."""
+
+from typing import Any, Dict, Iterator, List
+
+from ..compiler import ARROW, NOT, SEMICOLON, SOFT_ARROW
+from ..database import Predicate
+from ..machine import ERROR, LAST, describe, indicator
+from ..syntax import write_term
+from ..terms import COMMA, SLASH, TRUE, Atom, String, Term, Var, atom, copy, deref, functor, list_items
+from .arguments import atom_of, indicator_of
+from .output import formatted, letter_names, write_to
+from .registry import deterministic, nondeterministic
+
+_NECK, _DIRECTIVE = functor(":-", 2), functor(":-", 1)
+_FORMAT = functor("format", 2)
+
+# Messages
+
+
+@deterministic("print_message/2")
+def print_message(machine: Any, kind: Term, message: Term) -> bool:
+    """Report a message: ``format(Form,Args)``, an error term, or any term; ``silent`` kinds say nothing."""
+    name = atom_of(kind).name
+    if name in ("silent", "debug", "banner"):
+        return True
+    text = message_text(machine, deref(message))
+    lead = {"error": "ERROR: ", "warning": "Warning: "}.get(name, "")
+    machine.logic.message(name, f"{lead}{text}\n")
+    return True
+
+
+def message_text(machine: Any, message: Term) -> str:
+    """Return a message as text."""
+    if message.__class__ is tuple:
+        if message[0] is _FORMAT:
+            return formatted(machine, message[1], message[2], 0)
+        if message[0] is ERROR:
+            return describe(message)
+    if message.__class__ is String:
+        return message.text  # type: ignore[no-any-return]
+    return machine.logic.show(message)  # type: ignore[no-any-return]
+
+
+@deterministic("print_message_lines/3")
+def print_message_lines(machine: Any, stream: Term, prefix: Term, lines: Term) -> bool:
+    """Write the lines of a message: ``Form-Args``, ``Form`` and ``nl`` items."""
+    out = []
+    for line in list_items(lines) or []:
+        line = deref(line)
+        if line.__class__ is Atom and line.name == "nl":
+            out.append("\n")
+        elif line.__class__ is tuple and line[0].name == "-":
+            out.append(formatted(machine, line[1], line[2], 0))
+        else:
+            out.append(formatted(machine, line, atom("[]"), 0))
+    write_to(machine, stream, "".join(out))
+    return True
+
+
+# Listing
+
+
+@deterministic("portray_clause/1")
+def portray_clause(machine: Any, term: Term) -> bool:
+    """Write a clause, laid out, with its variables named."""
+    machine.logic.write(clause_text(machine, term))
+    return True
+
+
+@deterministic("portray_clause/2")
+def portray_clause_to(machine: Any, stream: Term, term: Term) -> bool:
+    """Write a clause to a stream."""
+    write_to(machine, stream, clause_text(machine, term))
+    return True
+
+
+def clause_text(machine: Any, term: Term) -> str:
+    """Return a clause laid out with a goal a line and variables named A, B, ...; ``_`` for those alone."""
+    term = copy(term)
+    names = letter_names(term)
+    term = deref(term)
+    layout = _Layout(machine.logic.operators, names)
+    if term.__class__ is tuple and term[0] is _NECK and deref(term[2]) is not TRUE:
+        layout.put(f"{layout.text(term[1], 1199)} :-\n    ")
+        layout.body(term[2], 1, 1199)
+    elif term.__class__ is tuple and term[0] is _NECK:
+        layout.put(layout.text(term[1], 1199))
+    elif term.__class__ is tuple and term[0] is _DIRECTIVE:
+        layout.put(":- ")
+        layout.body(term[1], 1, 1199)
+    else:
+        layout.put(layout.text(term, 1199))
+    return layout.done() + ".\n"
+
+
+class _Layout:
+    """Bodies with a goal a line and control constructs as columns."""
+
+    def __init__(self, operators: Any, names: Dict[Var, str]):
+        self._operators = operators
+        self._names = names
+        self._out: List[str] = []
+
+    def put(self, text: str) -> None:
+        """Add text."""
+        self._out.append(text)
+
+    def done(self) -> str:
+        """Return what was written."""
+        return "".join(self._out)
+
+    def text(self, term: Term, priority: int) -> str:
+        """Return a term on one line."""
+        return write_term(
+            term,
+            self._operators,
+            quoted=True,
+            numbervars=True,
+            spacing=True,
+            priority=priority,
+            variable_names=self._names,
+        )
+
+    def body(self, goal: Term, depth: int, priority: int) -> None:
+        """Write a body; conjunctions go on without recursion."""
+        goal = deref(goal)
+        while goal.__class__ is tuple and goal[0] is COMMA:
+            self.body(goal[1], depth, 999)
+            self.put(f",\n{'    ' * depth}")
+            goal = deref(goal[2])
+        if goal.__class__ is tuple and goal[0] in (SEMICOLON, ARROW, SOFT_ARROW) and depth < 40:
+            self.put("(   ")
+            self._branches(goal, depth)
+            self.put(f"\n{'    ' * depth})")
+        elif goal.__class__ is tuple and goal[0] is NOT and depth < 40:
+            self.put("\\+ ")
+            self.body(goal[1], depth, 200)
+        else:
+            self.put(self.text(goal, 999))
+
+    def _branches(self, goal: Term, depth: int) -> None:
+        lead = f"\n{'    ' * depth}"
+        while goal.__class__ is tuple and goal[0] is SEMICOLON:
+            self._branch(deref(goal[1]), depth, lead)
+            self.put(f"{lead};   ")
+            goal = deref(goal[2])
+        self._branch(goal, depth, lead)
+
+    def _branch(self, goal: Term, depth: int, lead: str) -> None:
+        if goal.__class__ is tuple and goal[0] in (ARROW, SOFT_ARROW):
+            self.body(goal[1], depth + 1, 999)
+            self.put(f"{lead}{'->' if goal[0] is ARROW else '*->'}{'  ' if goal[0] is ARROW else ' '}")
+            goal = deref(goal[2])
+        self.body(goal, depth + 1, 999)
+
+
+@deterministic("listing/1")
+def listing(machine: Any, which: Term) -> bool:
+    """Write the clauses of a predicate, by name or ``Name/Arity``, or of a list of them."""
+    which = deref(which)
+    found = list_items(which)
+    for item in found if found is not None and which.__class__ is tuple else [which]:
+        for predicate in _named(machine, deref(item)):
+            _list_predicate(machine, predicate)
+    return True
+
+
+def _named(machine: Any, which: Term) -> List[Predicate]:
+    database = machine.logic.database
+    if which.__class__ is tuple and which[0] is SLASH and deref(which[2]).__class__ is not Var:
+        key = indicator_of(which)
+        return [database.predicate(key)] if key in database.predicates else []
+    name = atom_of(which[1] if which.__class__ is tuple and which[0] is SLASH else which).name
+    found = [predicate for key, predicate in database.predicates.items() if key.name == name]
+    return sorted(found, key=lambda predicate: predicate.functor.arity)  # type: ignore[no-any-return]
+
+
+@deterministic("listing/0")
+def listing_all(machine: Any) -> bool:
+    """Write all clauses of the program."""
+    found = list(machine.logic.database.predicates.values())
+    hidden = {predicate.tabled for predicate in found}
+    for predicate in found:
+        if not predicate.library and predicate not in hidden:
+            _list_predicate(machine, predicate)
+    return True
+
+
+def _with_clauses(predicate: Predicate) -> Predicate:
+    """Return the predicate that has the clauses of one: for a tabled one that which its tables call."""
+    return predicate if predicate.tabled is None else predicate.tabled  # type: ignore[no-any-return]
+
+
+def _list_predicate(machine: Any, predicate: Predicate) -> None:
+    own = _with_clauses(predicate)
+    if own.kind != "user" and not predicate.dynamic:
+        return
+    logic = machine.logic
+    declared = "table" if own is not predicate else "dynamic" if predicate.dynamic else None
+    if declared is not None:
+        logic.write(f":- {declared} {logic.show(indicator(predicate.functor))}.\n\n")
+    for clause in own.live():
+        logic.write(clause_text(machine, (_NECK, clause.head, clause.body)))
+    logic.write("\n")
+
+
+# Properties
+
+
+@nondeterministic("predicate_property/2")
+def predicate_property(machine: Any, head: Term, prop: Term) -> Iterator[Any]:
+    """Enumerate what is known of a predicate."""
+    head = deref(head)
+    logic = machine.logic
+    if head.__class__ is tuple and head[0].name == ":" and len(head) == 3:
+        head = deref(head[2])
+    if head.__class__ is Var:
+        for key, predicate in list(logic.database.predicates.items()):
+            if not predicate.defined or predicate.library:
+                continue
+            general = (key, *[Var() for _ in range(key.arity)]) if key.arity else atom(key.name)
+            for found in _properties(predicate):
+                if machine.unify_all((head, general), (prop, found)):
+                    yield None
+        return
+    key = head[0] if head.__class__ is tuple else atom_of(head).functor
+    predicate = logic.lookup(key)
+    for found in [] if predicate is None else _properties(predicate):
+        if machine.unify(prop, found):
+            yield None
+
+
+def _properties(predicate: Predicate) -> Iterator[Term]:
+    yield atom("defined")
+    yield atom("visible")
+    yield atom("dynamic" if predicate.dynamic else "static")
+    if predicate.library:
+        yield atom("system" if predicate.locked else "library")
+        if predicate.locked:
+            yield atom("built_in")
+    own = _with_clauses(predicate)
+    if own.kind != "user" and not predicate.dynamic:
+        yield atom("foreign")
+    else:
+        yield (functor("number_of_clauses", 1), len(own))
+    if predicate.discontiguous:
+        yield atom("discontiguous")
+    if predicate.multifile:
+        yield atom("multifile")
+    if predicate.tabled is not None:
+        yield atom("tabled")
+
+
+@nondeterministic("nth_clause/3")
+def nth_clause(machine: Any, head: Term, number: Term, reference: Term) -> Iterator[Any]:
+    """Enumerate the clauses of a predicate with their numbers; the reference is the clause itself."""
+    head = deref(head)
+    key = head[0] if head.__class__ is tuple else atom_of(head).functor
+    predicate = machine.logic.lookup(key)
+    given = deref(number)
+    for at, clause in enumerate([] if predicate is None else _with_clauses(predicate).live(), 1):
+        if given.__class__ is int and at != given:
+            continue
+        if machine.unify_all((number, at), (reference, copy((_NECK, clause.head, clause.body)))):
+            yield None if given.__class__ is Var else LAST

@@ -1,0 +1,296 @@
+"""Global variables, flags, operators, counters: what outlives a goal."""
+
+from typing import Any, Dict, Iterator
+
+from ...foundation import UsageError
+from ..machine import (
+    LAST,
+    domain_error,
+    existence_error,
+    instantiation_error,
+    permission_error,
+    representation_error,
+    type_error,
+)
+from ..terms import CONS, FALSE, NIL, TRUE, Atom, Term, Var, atom, copy, deref, functor, unify
+from .arguments import atom_of, integer, is_iso, items
+from .registry import control, deterministic, nondeterministic
+
+
+def default_flags() -> Dict[str, Term]:
+    """Return the Prolog flags with their values at start."""
+    return {
+        "bounded": FALSE,
+        "max_integer": (1 << 63) - 1,
+        "min_integer": -(1 << 63),
+        "max_tagged_integer": (1 << 60) - 1,
+        "min_tagged_integer": -(1 << 60),
+        "max_arity": atom("unbounded"),
+        "integer_rounding_function": atom("toward_zero"),
+        "debug": atom("off"),
+        "unknown": atom("error"),
+        "double_quotes": atom("string"),
+        "back_quotes": atom("codes"),
+        "iso": FALSE,
+        "occurs_check": FALSE,
+        "prefer_rationals": FALSE,
+        "char_conversion": atom("off"),
+        "dialect": atom("retalis"),
+        "version": 90000,
+    }
+
+
+_CHANGEABLE: Dict[str, Any] = {
+    "debug": ("on", "off"),
+    "unknown": ("error", "fail", "warning"),
+    "double_quotes": ("codes", "chars", "atom", "string"),
+    "back_quotes": ("codes", "chars", "string", "symbol_char"),
+    "iso": ("true", "false"),
+    "occurs_check": ("false",),
+    "char_conversion": ("on", "off"),
+}
+
+
+@deterministic("set_prolog_flag/2")
+def set_prolog_flag(machine: Any, flag: Term, value: Term) -> bool:
+    """Set a flag."""
+    name, value = atom_of(flag), deref(value)
+    if value.__class__ is Var:
+        raise instantiation_error()
+    flags = machine.logic.flags
+    allowed = _CHANGEABLE.get(name.name)
+    if allowed is None:
+        if name.name in flags and name.name in default_flags():
+            raise permission_error("modify", "flag", name)
+        if name.name not in flags:
+            raise domain_error("prolog_flag", name)
+    elif value.__class__ is not Atom or value.name not in allowed:
+        raise domain_error("flag_value", (functor("+", 2), name, value))
+    flags[name.name] = value
+    return True
+
+
+@deterministic("create_prolog_flag/3")
+def create_prolog_flag(machine: Any, flag: Term, value: Term, options: Term) -> bool:
+    """Make a flag of the program's own."""
+    machine.logic.flags[atom_of(flag).name] = copy(value)
+    return True
+
+
+@nondeterministic("current_prolog_flag/2")
+def current_prolog_flag(machine: Any, flag: Term, value: Term) -> Iterator[Any]:
+    """Enumerate flags."""
+    flag = deref(flag)
+    flags = machine.logic.flags
+    if flag.__class__ is Atom:
+        if flag.name not in flags and is_iso(machine):
+            raise domain_error("prolog_flag", flag)
+        if flag.name in flags and machine.unify(value, flags[flag.name]):
+            yield LAST
+        return
+    if flag.__class__ is not Var:
+        raise type_error("atom", flag)
+    for name, known in list(flags.items()):
+        if machine.unify_all((flag, atom(name)), (value, known)):
+            yield None
+
+
+# Operators
+
+
+_SPECIFIERS = ("xfx", "xfy", "yfx", "fy", "fx", "xf", "yf")
+
+
+@deterministic("op/3")
+def op(machine: Any, priority: Term, kind: Term, names: Term) -> bool:
+    """Define operators."""
+    value = integer(priority)
+    name_of_kind = atom_of(kind).name
+    if not 0 <= value <= 1200:
+        raise domain_error("operator_priority", value)
+    if name_of_kind not in _SPECIFIERS:
+        raise domain_error("operator_specifier", atom(name_of_kind))
+    names = deref(names)
+    found = [] if names is NIL else items(names) if names.__class__ is tuple and names[0] is CONS else [names]
+    in_list = found != [names]
+    for item in found:
+        item = deref(item)
+        if item.__class__ is tuple and item[0].name == ":":
+            item = deref(item[2])
+        name = _operator_name(item, value, name_of_kind, machine.logic.operators, in_list)
+        if len(name_of_kind) == 3 and is_iso(machine) and name in machine.logic.operators.postfix:
+            raise permission_error("create", "operator", item)
+        try:
+            machine.logic.operators.add(value, name_of_kind, name)
+        except UsageError as fault:
+            raise domain_error("operator", item) from fault
+    return True
+
+
+def _operator_name(term: Term, priority: int, kind: str, operators: Any, in_list: bool) -> str:
+    if term.__class__ is Var:
+        raise instantiation_error()
+    if term.__class__ is not Atom:
+        raise type_error("atom" if in_list else "list", term)
+    name: str = term.name
+    if name == ",":
+        raise permission_error("modify", "operator", term)
+    if name == "|" and (priority < 1001 and priority or len(kind) != 3):
+        raise permission_error("create", "operator", term)
+    if term is NIL or name == "{}":
+        raise permission_error("create", "operator", term)
+    if len(kind) == 2 and kind[0] != "f" and name in operators.infix:
+        raise permission_error("create", "operator", term)
+    return name
+
+
+@nondeterministic("current_op/3")
+def current_op(machine: Any, priority: Term, kind: Term, name: Term) -> Iterator[Any]:
+    """Enumerate operators."""
+    priority, kind, name = deref(priority), deref(kind), deref(name)
+    if priority.__class__ is not Var and (priority.__class__ is not int or not 0 <= priority <= 1200):
+        raise domain_error("operator_priority", priority)
+    if kind.__class__ is not Var and (kind.__class__ is not Atom or kind.name not in _SPECIFIERS):
+        raise domain_error("operator_specifier", kind)
+    if name.__class__ not in (Var, Atom):
+        raise type_error("atom", name)
+    for found_priority, found_kind, found_name in list(machine.logic.operators):
+        if name.__class__ is Atom and name.name != found_name:
+            continue
+        if machine.unify_all((priority, found_priority), (kind, atom(found_kind)), (name, atom(found_name))):
+            yield None
+
+
+# Conversions of characters
+
+
+@deterministic("char_conversion/2")
+def char_conversion(machine: Any, char: Term, other: Term) -> bool:
+    """Take two characters; nothing is converted when a program is read."""
+    _character(char)
+    _character(other)
+    return True
+
+
+@nondeterministic("current_char_conversion/2")
+def current_char_conversion(machine: Any, char: Term, other: Term) -> Iterator[Any]:
+    """Give each character itself."""
+    given = deref(char) if deref(char).__class__ is not Var else deref(other)
+    if given.__class__ is not Var:
+        _character(given)
+        if machine.unify_all((char, given), (other, given)):
+            yield LAST
+        return
+    for code in range(256):
+        if machine.unify_all((char, atom(chr(code))), (other, atom(chr(code)))):
+            yield None
+
+
+def _character(term: Term) -> None:
+    if len(atom_of(term).name) != 1:
+        raise representation_error("character")
+
+
+# Global variables
+
+
+class _Restore:
+    """Trail entry that gives a global variable its old value back."""
+
+    __slots__ = ("values", "name", "old")
+
+    def __init__(self, values: Dict[str, Term], name: str):
+        self.values = values
+        self.name = name
+        self.old = values.get(name)
+
+    @property
+    def ref(self) -> Any:
+        return None
+
+    @ref.setter
+    def ref(self, value: Any) -> None:
+        if self.old is None:
+            self.values.pop(self.name, None)
+        else:
+            self.values[self.name] = self.old
+
+
+def _key(name: Term) -> str:
+    name = deref(name)
+    if name.__class__ is int:
+        return f"\0{name}"
+    return atom_of(name).name
+
+
+@deterministic("nb_setval/2")
+def nb_setval(machine: Any, name: Term, value: Term) -> bool:
+    """Set a global variable to a copy of a term; backtracking does not undo it."""
+    machine.logic.globals[atom_of(name).name] = copy(value)
+    return True
+
+
+@deterministic("b_setval/2")
+def b_setval(machine: Any, name: Term, value: Term) -> bool:
+    """Set a global variable; backtracking undoes it."""
+    values = machine.logic.globals
+    key = atom_of(name).name
+    machine.trail.append(_Restore(values, key))
+    values[key] = deref(value)
+    return True
+
+
+@deterministic("nb_getval/2", "b_getval/2")
+def getval(machine: Any, name: Term, value: Term) -> bool:
+    """Look a global variable up."""
+    key = atom_of(name).name
+    values = machine.logic.globals
+    if key not in values:
+        raise existence_error("variable", deref(name))
+    return unify(value, values[key], machine.trail)
+
+
+# Counters and flags as the original's programs use them
+
+
+@deterministic("incCounter/1", locked=False)
+def inc_counter(machine: Any, name: Term) -> bool:
+    """Add one to a counter."""
+    counters = machine.logic.state.setdefault("counters", {})
+    key = _key(name)
+    counters[key] = counters.get(key, 0) + 1
+    return True
+
+
+@deterministic("resetCounter/1", locked=False)
+def reset_counter(machine: Any, name: Term) -> bool:
+    """Set a counter to zero."""
+    machine.logic.state.setdefault("counters", {})[_key(name)] = 0
+    return True
+
+
+@deterministic("counter/2", locked=False)
+def counter(machine: Any, name: Term, value: Term) -> bool:
+    """Look a counter up."""
+    return unify(value, machine.logic.state.get("counters", {}).get(_key(name), 0), machine.trail)
+
+
+@deterministic("set_flag/2", locked=False)
+def set_flag(machine: Any, name: Term, value: Term) -> bool:
+    """Set a flag of the program."""
+    machine.logic.state.setdefault("flags", {})[_key(name)] = copy(value)
+    return True
+
+
+@deterministic("get_flag/2", locked=False)
+def get_flag(machine: Any, name: Term, value: Term) -> bool:
+    """Look a flag of the program up; ``nil`` where it is not set."""
+    return unify(value, machine.logic.state.get("flags", {}).get(_key(name), atom("nil")), machine.trail)
+
+
+@control("halt/0", "halt/1")
+def halt(machine: Any, args: Any, after: Any) -> Any:
+    """Refuse: a program may not end the process it runs in."""
+    if args:
+        integer(args[0])
+    raise permission_error("halt", "process", TRUE)

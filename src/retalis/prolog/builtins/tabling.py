@@ -1,0 +1,393 @@
+"""Tabling: answers of a predicate are kept for each variant of a call, so that left recursion ends.
+
+A call that is new is evaluated, on a copy of it, until no more answers come. A call of a table that is being
+evaluated meanwhile follows its answers: it is given each as it is found, and when there are no more for now, what
+is bound since the evaluation began is kept aside with what it goes on with, until an answer comes. Tables that
+depend on each other are complete together, when the oldest of them has no follower left that has not seen all.
+Within negation, ``findall/3``, ``catch/3`` and the like a call cannot go on later; where it has missed answers, the
+evaluation of the oldest table is repeated. Everything runs as frames of the machine.
+
+An answer is what the call's unbound variables stand for, in the order in which they are met. A call that finds
+them gives its variables these values, which cannot fail: nothing is unified.
+"""
+
+from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
+
+from ..database import Predicate
+from ..machine import Code, Frame, Guard, uninstantiation_error
+from ..terms import (
+    SLASH,
+    Atom,
+    Functor,
+    String,
+    Term,
+    Var,
+    conjunction,
+    copy,
+    deref,
+    functor,
+    is_plain,
+    term_key,
+    unify,
+    variables,
+)
+from .arguments import indicator_of
+from .clauses import declared
+from .modes import Mode, modes_of
+from .registry import control, deterministic
+from .tables import Follower, Table
+
+_ANSWER = functor("answer", 0)
+_PLAIN = frozenset((Atom, int, String))
+"""Kinds of terms that are their own keys."""
+
+Call = Callable[[Frame], Optional[Frame]]
+
+
+class Tables:
+    """All tables of a program, and the ones being evaluated."""
+
+    def __init__(self, machine: Any):
+        self.machine = machine
+        self.by_call: Dict[Any, Table] = {}
+        self.active: List[Table] = []
+        self.waiting: List[Table] = []
+        self.ready: List[Tuple[Table, Follower]] = []
+        self._guard = Guard("table", self._abandon)
+        self._round = Code("table", self._end_of_round)
+        self._next = Code("table", lambda entry: self._enumerate(*entry[1:6]))
+        self._more = Code("table", lambda entry: self._follow(*entry[1:5]))
+        self._padding = Code("table", self._leave_padding)
+        self._guard.closes = False
+        self._answer = Code("answer", self._add)
+        self._better = Code("answer", self._improve)
+        self._kept = Code("answer", self._keep)
+        self._moded = Code("table", lambda frame: frame[3] if machine.unify_all(*zip(*frame[1:3])) else None)
+
+    def clear(self) -> None:
+        """Forget all answers."""
+        self.by_call.clear()
+
+    def mend(self) -> None:
+        """Forget all evaluations that are not over: nothing is evaluated."""
+        self.active.clear()
+        self.waiting.clear()
+        self.ready.clear()
+        for table in self.by_call.values():
+            if table.state != "complete":
+                table.state = "new"
+                table.empty()
+
+    def moded_caller(self, predicate: Predicate, modes: Dict[int, Mode]) -> Call:
+        """Return the function that does calls of a predicate some of whose arguments have modes."""
+        plain = self.caller(predicate, list(modes.values()))
+
+        def call(frame: Frame) -> Optional[Frame]:
+            inner = list(frame)
+            for at in modes:
+                value = deref(frame[at])
+                if value.__class__ is not Var:
+                    raise uninstantiation_error(value)
+                inner[at] = Var()
+            given, fresh = [frame[at] for at in modes], [inner[at] for at in modes]
+            inner[-1] = (self._moded, given, fresh, frame[-1])
+            return plain(tuple(inner), fresh)
+
+        return call
+
+    def caller(self, predicate: Predicate, modes: Sequence[Mode] = ()) -> Any:
+        """Return the function that does calls of a predicate, given the variables of arguments with modes."""
+        key_of_call = predicate.functor
+        find = self.by_call.get
+        bound = self.machine.trail.append
+
+        def call(frame: Frame, moded: Sequence[Var] = ()) -> Optional[Frame]:
+            key: Any = [key_of_call]
+            free: List[Var] = []
+            walked = False
+            for arg in frame[1:-1]:
+                while arg.__class__ is Var and arg.ref is not None:
+                    arg = arg.ref
+                if arg.__class__ in _PLAIN:
+                    key.append(arg)
+                elif arg.__class__ is Var and arg not in free:
+                    free.append(arg)
+                    key.append(None)
+                else:  # a key that takes a walk
+                    goal = (key_of_call, *frame[1:-1])
+                    key = term_key(goal)
+                    free = variables(goal)
+                    walked = True
+                    break
+            else:
+                key = tuple(key)
+            table = find(key)
+            if table is None:
+                table = self.by_call[key] = Table()
+            elif table.state == "complete":
+                if len(table.answers) != 1 or not table.ground:
+                    return self._enumerate(table.answers, table.ground, 0, free, frame[-1])
+                for var, value in zip(free, table.answers[0]):
+                    var.ref = value
+                    bound(var)
+                return frame[-1]  # type: ignore[no-any-return]
+            if table.state == "new":
+                own = [Var() for _ in free]
+                if walked:
+                    args = copy(goal, dict(zip(free, own)))[1:]
+                else:
+                    fresh = iter(own)
+                    args = [next(fresh) if known is None else known for known in key[1:]]
+                collect: Frame = (self._answer, table, own)
+                if modes:
+                    collect = (self._better, *collect[1:], list(map(free.index, moded)), modes)
+                return self._evaluate((predicate.tabled, *args, collect), table, free, frame[-1])
+            return self._consult(table, free, frame[-1])
+
+        return call
+
+    def _consult(self, table: Table, free: List[Var], after: Frame) -> Optional[Frame]:
+        """Give the answers of a table that is not complete: what is evaluated now depends on it."""
+        while table.state == "waiting" and table.parent is not None and table.parent.state == "waiting":
+            table.parent = table.parent.parent
+        found = table.parent if table.state == "waiting" else table
+        newest = self.active[-1]
+        newest.low = min(newest.low, found.index)  # type: ignore[union-attr]
+        return self._follow(table, 0, free, after)
+
+    def _follow(self, table: Table, at: int, free: List[Var], after: Frame) -> Optional[Frame]:
+        """Give the answers of a table that is not complete from ``at`` on; then wait for more."""
+        answers = table.answers
+        while at < len(answers) and answers[at] is None:
+            at += 1
+        if at < len(answers):
+            self.machine.choices.append((self._more, table, at + 1, free, after, len(self.machine.trail)))
+            return self._give(answers[at], table.ground, free, after)
+        choices, trail = self.machine.choices, self.machine.trail
+        newest = self.active[-1]
+        if any(getattr(entry[0], "closes", False) for entry in choices[newest.height :]):
+            follower = Follower(at, free, after, None, 0)
+        else:
+            bound = [(entry, entry.ref) for entry in trail[newest.mark :]]
+            follower = Follower(at, free, after, bound, len(choices))
+        table.followers.append(follower)
+        return None
+
+    def _evaluate(self, clauses: Frame, table: Table, free: List[Var], after: Frame) -> Frame:
+        """Evaluate the clauses once; all bindings are undone in the end."""
+        machine = self.machine
+        index = len(self.active)
+        table.index = table.low = index
+        table.first = len(self.waiting), len(self.ready)
+        machine.choices.append((self._guard, index, table, len(machine.trail)))
+        self.active.append(table)
+        table.state = "active"
+        self._begin(table, clauses, free, after)
+        return clauses
+
+    def _begin(self, table: Table, clauses: Frame, free: List[Var], after: Frame) -> None:
+        """Have the end of what is evaluated from here on be noticed."""
+        table.mark = len(self.machine.trail)
+        self.machine.choices.append((self._round, table, clauses, free, after, table.mark))
+        table.height = len(self.machine.choices)
+
+    def _found(self, table: Table, key: Any, answer: Any) -> None:
+        """Note an answer; whoever waits for one can go on."""
+        table.known[key] = len(table.answers)
+        table.answers.append(answer)
+        if table.followers:
+            self.ready += [(table, follower) for follower in table.followers]
+            table.followers.clear()
+
+    def _add(self, frame: Frame) -> None:
+        """Note an answer, and look for the next one."""
+        _, table, free = frame
+        answer: Any = []
+        for var in free:
+            value = var.ref
+            while value.__class__ is Var and value.ref is not None:
+                value = value.ref
+            if value.__class__ not in _PLAIN:
+                whole = copy((_ANSWER, *free))
+                key = term_key(whole)
+                answer = whole[1:]
+                break
+            answer.append(value)
+        else:
+            key = answer = tuple(answer)
+        if key not in table.known:
+            self._found(table, key, answer)
+            if key is not answer and table.ground:
+                table.ground = all(map(is_plain, answer))
+
+    def _improve(self, frame: Frame) -> Optional[Frame]:
+        """Note an answer of a table with modes, or what is better of it and the one that is there."""
+        _, table, free, places, modes = frame
+        answer = copy((_ANSWER, *free))[1:]
+        key = term_key((_ANSWER, *[value for at, value in enumerate(answer) if at not in places]))
+        at = table.known.get(key)
+        if at is None:
+            self._found(table, key, answer)
+            table.ground = table.ground and all(map(is_plain, answer))
+            return None
+        kept = list(answer)
+        goals = []
+        for place, mode in zip(places, modes):
+            old, new = table.answers[at][place], answer[place]
+            if mode.pick is not None:
+                kept[place] = mode.pick(old, new)
+            else:
+                kept[place] = Var()
+                goals.append(mode.goal(old, new, kept[place]))
+        grows = any(mode.grows for mode in modes)
+        after = (self._kept, table, key, kept, grows)
+        return self.machine.logic.control.once(conjunction(goals), after) if goals else after
+
+    def _keep(self, frame: Frame) -> None:
+        """Put an answer in the place of another."""
+        _, table, key, kept, grows = frame
+        answer = copy((_ANSWER, *kept))
+        at = table.known[key]
+        if term_key(answer) != term_key((_ANSWER, *table.answers[at])):
+            table.ground = table.ground and is_plain(answer)
+            if grows:
+                table.answers[at] = None
+                self._found(table, key, answer[1:])
+            else:
+                table.answers[at] = answer[1:]
+
+    def _end_of_round(self, entry: Frame) -> Optional[Frame]:
+        """Let followers go on, evaluate the clauses again, or be done."""
+        _, table, clauses, free, after, _ = entry
+        if table.low < table.index:
+            return self._hand_on(table, free, after)
+        waiting, ready = table.first
+        again = False
+        while len(self.ready) > ready:
+            followed, follower = self.ready.pop()
+            if follower.bound is not None:
+                return self._go_on(entry, followed, follower)
+            again = True
+            del self.ready[ready:]
+        members = [table]
+        if len(self.waiting) > waiting:
+            members += self.waiting[waiting:]
+            del self.waiting[waiting:]
+        if again:
+            for member in members:
+                member.followers.clear()
+                member.state = "active" if member is table else "new"
+            self._begin(table, clauses, free, after)
+            return clauses  # type: ignore[no-any-return]
+        for member in members:
+            member.complete()
+        self.active.pop()
+        self.machine.choices.pop()  # the guard
+        return self._enumerate(table.answers, table.ground, 0, free, after)
+
+    def _go_on(self, entry: Frame, followed: Table, follower: Follower) -> Optional[Frame]:
+        """Bring back what was bound when a call had seen all answers, and give it those that came since."""
+        choices, trail = self.machine.choices, self.machine.trail
+        table = entry[1]
+        self._begin(*entry[1:5])
+        # Cuts count on as many choice points as there were.
+        below = len(choices)
+        choices += [(self._padding, below, len(trail))] * (follower.height - below)
+        table.height = len(choices)
+        for var, value in follower.bound or ():
+            var.ref = value
+            trail.append(var)
+        return self._follow(followed, follower.at, follower.free, follower.after)
+
+    def _leave_padding(self, entry: Frame) -> None:
+        del self.machine.choices[entry[1] :]
+
+    def _hand_on(self, table: Table, free: List[Var], after: Frame) -> Optional[Frame]:
+        """Leave a table that depends on an older one, which decides when both are complete."""
+        self.active.pop()
+        self.machine.choices.pop()  # the guard
+        parent = self.active[-1]
+        parent.low = min(parent.low, table.low)
+        table.parent = parent
+        table.state = "waiting"
+        self.waiting.append(table)
+        return self._follow(table, 0, free, after)
+
+    def _enumerate(
+        self, answers: List[Tuple[Term, ...]], ground: bool, at: int, free: List[Var], after: Frame
+    ) -> Optional[Frame]:
+        """Give variables the values of an answer; the next ones on backtracking."""
+        count = len(answers)
+        if at == count:
+            return None
+        if at + 1 < count:
+            mark = len(self.machine.trail)
+            self.machine.choices.append((self._next, answers, ground, at + 1, free, after, mark))
+        return self._give(answers[at], ground, free, after)
+
+    def _give(self, answer: Tuple[Term, ...], ground: bool, free: List[Var], after: Frame) -> Frame:
+        """Give variables the values of an answer."""
+        trail = self.machine.trail
+        if ground:
+            for var, value in zip(free, answer):
+                var.ref = value
+                trail.append(var)
+        else:
+            for var, value in zip(free, copy((_ANSWER, *answer))[1:]):
+                unify(value, var, trail)  # cannot fail; of two variables the caller's stays
+        return after
+
+    def _abandon(self, entry: Frame) -> None:
+        """Forget evaluations that an error has ended, and what they found."""
+        _, index, table, _ = entry
+        waiting, ready = table.first
+        for member in [*self.active[index:], *self.waiting[waiting:]]:
+            member.state = "new"
+            member.empty()
+        del self.active[index:]
+        del self.waiting[waiting:]
+        del self.ready[ready:]
+
+
+def tables_of(machine: Any) -> Tables:
+    """Return the tables of a machine's program."""
+    found: Optional[Tables] = machine.logic.state.get("tables")
+    if found is None:
+        found = machine.logic.state["tables"] = Tables(machine)
+    return found
+
+
+@deterministic("table/1")
+def table_declaration(machine: Any, which: Term) -> bool:
+    """Declare predicates tabled."""
+    for item in declared(which):
+        if item.__class__ is tuple and item[0].name == ":" and len(item) == 3:
+            item = deref(item[2])
+        if item.__class__ is tuple and item[0] is not SLASH:
+            declare(machine, *modes_of(item))
+        else:
+            declare(machine, indicator_of(item), {})
+    return True
+
+
+def declare(machine: Any, key: Functor, modes: Dict[int, Mode]) -> None:
+    """Make a predicate tabled: its clauses go to a hidden predicate that the tables call."""
+    database = machine.logic.database
+    predicate = database.writable(key, "modify")
+    if predicate.tabled is not None:
+        return
+    hidden = database.predicate(functor(f"{key.name} tabled", key.arity))
+    for clause in list(predicate.live()):
+        hidden.add(clause)
+    tables = tables_of(machine)
+    predicate.table(hidden, tables.moded_caller(predicate, modes) if modes else tables.caller(predicate))
+    database.forget()
+
+
+@control("abolish_all_tables/0")
+def abolish_all_tables(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+    """Forget the answers of all tabled predicates."""
+    tables = tables_of(machine)
+    if not tables.active:
+        tables.clear()
+    return after

@@ -1,0 +1,165 @@
+"""Terms taken apart and put together: functor, arg, univ, copies."""
+
+from typing import Any, Iterator, Optional, Sequence, Union
+
+from ...foundation import BULK, look
+from ..machine import LAST, domain_error, instantiation_error, permission_error, resource_error, type_error
+from ..terms import NIL, Atom, Term, Var, atom, copy, deref, functor, make_list, resolve, unify
+from .arguments import check_tail, integer, is_iso, items, natural, partial_items
+from .registry import deterministic, function, nondeterministic
+
+_MOST_ARGUMENTS = 1_000_000
+
+
+@deterministic("functor/3")
+def functor_of(machine: Any, term: Term, name: Term, arity: Term) -> bool:
+    """Relate a term with its name and arity."""
+    term = deref(term)
+    if term.__class__ is tuple:
+        return machine.unify_all((name, atom(term[0].name)), (arity, len(term) - 1))
+    if term.__class__ is not Var:
+        return machine.unify_all((name, term), (arity, 0))
+    return unify(term, _blank(deref(name), deref(arity)), machine.trail)
+
+
+def _blank(name: Term, arity: Term) -> Term:
+    if name.__class__ is Var:
+        raise instantiation_error()
+    count = integer(arity)
+    if count == 0:
+        if name.__class__ is tuple:
+            raise type_error("atomic", name)
+        return name
+    if count < 0:
+        raise domain_error("not_less_than_zero", count)
+    if name.__class__ is tuple:
+        raise type_error("atomic", name)
+    if name.__class__ is not Atom:
+        raise type_error("atom", name)
+    return _term(name, [Var() for _ in range(_arity(count))])
+
+
+def _arity(count: int) -> int:
+    """Return a number of arguments that a term may have; look at the limits before many are made."""
+    if count > _MOST_ARGUMENTS:
+        raise resource_error("memory")
+    if count > len(BULK):
+        look(count)
+    return count
+
+
+def _term(name: Atom, args: Sequence[Term]) -> Term:
+    return (functor(name.name, _arity(len(args))), *args)
+
+
+@nondeterministic("arg/3")
+def arg(machine: Any, number: Term, term: Term, value: Term) -> Union[bool, Iterator[Any]]:
+    """Relate a compound term with its arguments."""
+    number, term = deref(number), deref(term)
+    if term.__class__ is not tuple:
+        if term.__class__ is Var:
+            raise instantiation_error()
+        raise type_error("compound", term)
+    if number.__class__ is Var:
+        return _arguments(machine, number, term, value)
+    return 0 < natural(number) < len(term) and unify(value, term[number], machine.trail)
+
+
+def _arguments(machine: Any, number: Term, term: Term, value: Term) -> Iterator[Any]:
+    last = len(term) - 1
+    for at in range(1, len(term)):
+        if machine.unify_all((number, at), (value, term[at])):
+            yield LAST if at == last else None
+
+
+@function("$arg/3")
+def known_arg(number: Term, term: Term) -> Optional[Term]:
+    """Return what ``arg/3`` finds for a number that is known; compiled clauses look plain cases up themselves."""
+    term = deref(term)
+    if term.__class__ is not tuple:
+        if term.__class__ is Var:
+            raise instantiation_error()
+        raise type_error("compound", term)
+    at = natural(number)
+    return term[at] if 0 < at < len(term) else None
+
+
+@deterministic("=../2")
+def univ(machine: Any, term: Term, parts: Term) -> bool:
+    """Relate a term with the list of its name and arguments."""
+    term = deref(term)
+    if term.__class__ is not Var and is_iso(machine):
+        partial_items(parts)
+    if term.__class__ is tuple:
+        check_tail(parts)
+        return unify(parts, make_list([atom(term[0].name), *term[1:]]), machine.trail)
+    if term.__class__ is not Var:
+        if deref(parts).__class__ not in (Var, tuple):
+            check_tail(parts)
+        return unify(parts, make_list([term]), machine.trail)
+    found = partial_items(parts)
+    if not found:
+        if deref(parts) is NIL:
+            raise domain_error("non_empty_list", NIL)
+        raise instantiation_error()
+    head, args = deref(found[0]), items(parts)[1:]
+    if not args:
+        if head.__class__ is Var:
+            raise instantiation_error()
+        if head.__class__ is tuple:
+            raise type_error("atomic", head)
+        return unify(term, head, machine.trail)
+    if head.__class__ is not Atom:
+        if head.__class__ is Var:
+            raise instantiation_error()
+        raise type_error("atom", head)
+    return unify(term, _term(head, args), machine.trail)
+
+
+@deterministic("copy_term/2", "duplicate_term/2", "copy_term_nat/2")
+def copy_term(machine: Any, term: Term, result: Term) -> bool:
+    """Copy a term with new variables."""
+    return unify(result, copy(term), machine.trail)
+
+
+@deterministic("compound_name_arity/3")
+def compound_name_arity(machine: Any, term: Term, name: Term, arity: Term) -> bool:
+    """Relate a compound term, also one without arguments, with its name and arity."""
+    term = deref(term)
+    if term.__class__ is tuple:
+        return machine.unify_all((name, atom(term[0].name)), (arity, len(term) - 1))
+    if term.__class__ is not Var:
+        raise type_error("compound", term)
+    name = deref(name)
+    if name.__class__ is Var or deref(arity).__class__ is Var:
+        raise instantiation_error()
+    if name.__class__ is not Atom:
+        raise type_error("atom", name)
+    count = natural(arity)
+    return unify(term, _term(name, [Var() for _ in range(_arity(count))]), machine.trail)
+
+
+@deterministic("compound_name_arguments/3")
+def compound_name_arguments(machine: Any, term: Term, name: Term, arguments: Term) -> bool:
+    """Relate a compound term with its name and list of arguments."""
+    term = deref(term)
+    if term.__class__ is tuple:
+        if not unify(name, atom(term[0].name), machine.trail):
+            return False
+        check_tail(arguments)
+        return unify(arguments, make_list(term[1:]), machine.trail)
+    if term.__class__ is not Var:
+        raise type_error("compound", term)
+    name = deref(name)
+    if name.__class__ is Var:
+        raise instantiation_error()
+    if name.__class__ is not Atom:
+        raise type_error("atom", name)
+    found = items(arguments)
+    return unify(term, _term(name, found), machine.trail)
+
+
+@deterministic("setarg/3", "nb_setarg/3")
+def setarg(machine: Any, number: Term, term: Term, value: Term) -> bool:
+    """Refuse: terms do not change here."""
+    raise permission_error("modify", "term", resolve(term))

@@ -1,0 +1,276 @@
+"""Text arguments: atoms, strings, numbers, lists of codes or characters, as Python strings and back."""
+
+from typing import Any, Callable, List, Optional, Sequence
+
+from ...foundation import BULK, SyntaxFault, look
+from ..machine import (
+    PrologError,
+    instantiation_error,
+    representation_error,
+    resource_error,
+    syntax_error,
+    type_error,
+)
+from ..syntax import read_term, write_term
+from ..terms import NIL, Atom, String, Term, Var, atom, deref, list_items, list_parts, make_list, unify
+from .arguments import is_iso
+
+LARGEST_CODE = 0x10FFFF
+_LONG = 10**300
+
+LONGEST = 1 << 25
+"""Characters of the longest text that a goal may make."""
+
+_LOOK_FROM = 1 << 15
+
+
+def long_text(size: int) -> None:
+    """Check the length of a text that is about to be made; where it is long, look at the goal's limits.
+
+    Raises:
+        PrologError: a resource error where the text would be too long.
+    """
+    if size > _LOOK_FROM:
+        if size > LONGEST:
+            raise resource_error("memory")
+        look()
+
+
+def each(make: Callable[[Any], Term], parts: Sequence[Any]) -> List[Term]:
+    """Return what is made of each part, of a character of a text say; look at the goal's limits meanwhile."""
+    if len(parts) <= len(BULK):
+        return list(map(make, parts))
+    made: List[Term] = []
+    for at in range(0, len(parts), len(BULK)):
+        look()
+        made += map(make, parts[at : at + len(BULK)])
+    return made
+
+
+def joined(parts: Sequence[str], between: str = "") -> str:
+    """Return texts joined, unless they are too long together."""
+    long_text(sum(map(len, parts)) + len(between) * len(parts))
+    return between.join(parts)
+
+
+def number_text(value: Any) -> str:
+    """Return a number as it is written."""
+    return write_term(value)
+
+
+def constant_text(term: Term) -> Optional[str]:
+    """Return the text of an atom, string or number; None for anything else."""
+    kind = term.__class__
+    if kind is Atom:
+        return term.name  # type: ignore[no-any-return]
+    if kind is String:
+        return term.text  # type: ignore[no-any-return]
+    if kind is int:
+        return str(term) if -_LONG < term < _LONG else number_text(term)
+    if kind is float:
+        return number_text(term)
+    return None
+
+
+def text_of(term: Term, kind: str = "text", numbers: bool = True) -> str:
+    """Return the text of an argument: a constant, or a list of codes or characters.
+
+    Args:
+        term: the argument; ``[]`` is the empty list.
+        kind: the type that an error names.
+        numbers: a number is a text.
+
+    Raises:
+        PrologError: an instantiation error where it is not bound, a type error where it is not a text.
+    """
+    term = deref(term)
+    if term is NIL:
+        return ""
+    if term.__class__ is tuple:
+        return _checked_list(term, kind)
+    found = constant_text(term)
+    if found is None:
+        raise instantiation_error()
+    if not numbers and term.__class__ in (int, float):
+        raise type_error(kind, term)
+    return found
+
+
+def whole_text(term: Term, kind: str) -> str:
+    """Do what `text_of` does, but name the whole argument as the culprit."""
+    term = deref(term)
+    if term.__class__ is tuple:
+        text = _good_list_text(term)
+        if text is None:
+            raise type_error(kind, term)
+        return text
+    return text_of(term)
+
+
+def is_text_list(term: Term) -> bool:
+    """Tell whether a term is a list of codes or of characters."""
+    return _good_list_text(term) is not None
+
+
+def _good_list_text(term: Term) -> Optional[str]:
+    try:
+        return _checked_list(term, "list")
+    except PrologError:
+        return None
+
+
+def _checked_list(term: Term, kind: str) -> str:
+    found, tail = list_parts(term)
+    if tail is not NIL and tail.__class__ is not Var:
+        raise type_error(kind, term)
+    long_text(len(found))
+    items = [deref(item) for item in found]
+    culprit = wrong_item(items)
+    if culprit is not None:
+        raise culprit
+    if tail is not NIL or any(item.__class__ is Var for item in items):
+        raise instantiation_error()
+    return "".join([chr(item) if item.__class__ is int else item.name for item in items])
+
+
+def wrong_item(items: List[Term]) -> Optional[PrologError]:
+    """Return the error for the first item that is not a code among codes, or no character among characters."""
+    of_characters = None
+    for item in items:
+        if item.__class__ is Var:
+            continue
+        is_character = item.__class__ is Atom and len(item.name) == 1
+        is_code = item.__class__ is int and 0 <= item <= LARGEST_CODE
+        if of_characters is None:
+            of_characters = is_character
+        if not (is_character if of_characters else is_code):
+            return type_error("character" if of_characters else "character_code", item)
+    return None
+
+
+def parts_text(machine: Any, term: Term, as_codes: bool) -> str:
+    """Return the text of an argument that has to be a list of codes or characters; strings are taken too.
+
+    Raises:
+        PrologError: an instantiation error for a list that is not wholly bound; type errors.
+    """
+    term = deref(term)
+    if term.__class__ is String:
+        return term.text  # type: ignore[no-any-return]
+    if term.__class__ is not tuple and term is not NIL and term.__class__ is not Var:
+        raise type_error("list", term)
+    if is_iso(machine):
+        _check_standard(list_parts(term)[0], as_codes)
+    return text_of(term, "list")
+
+
+def _check_standard(items: List[Term], as_codes: bool) -> None:
+    """Raise the standard's error for an item that is none of a list of codes, or of characters."""
+    first = deref(items[0]) if items else None
+    are_codes = as_codes if first is None else first.__class__ is int
+    for item in map(deref, items):
+        if item.__class__ is int and are_codes and not 0 <= item <= LARGEST_CODE:
+            raise representation_error("character_code")
+        is_part = item.__class__ is int if are_codes else item.__class__ is Atom and len(item.name) == 1
+        if item.__class__ is not Var and not is_part:
+            raise type_error("character_code" if as_codes else "character", item)
+
+
+def check_parts(term: Term) -> None:
+    """Raise the error for what cannot become a list of codes or characters."""
+    term = deref(term)
+    if term.__class__ in (Var, String):
+        return
+    found, tail = list_parts(term)
+    if tail is not NIL and tail.__class__ is not Var:
+        raise type_error("list", term)
+    error = wrong_item([deref(item) for item in found])
+    if error is not None:
+        raise error
+
+
+def atomic_text(term: Term, kind: str = "atomic") -> str:
+    """Return the text of an argument that has to be a constant."""
+    term = deref(term)
+    found = constant_text(term)
+    if found is None:
+        if term.__class__ is Var:
+            raise instantiation_error()
+        raise type_error(kind, term)
+    return found
+
+
+def no_compound(term: Term, kind: str) -> None:
+    """Raise a type error for a result that is given and is not a constant."""
+    term = deref(term)
+    if term.__class__ is tuple:
+        raise type_error(kind, term)
+
+
+def codes(text: str) -> Term:
+    """Return a text as a list of codes."""
+    return make_list(each(ord, text))
+
+
+def chars(text: str) -> Term:
+    """Return a text as a list of characters."""
+    return make_list(each(atom, text))
+
+
+def parse_number(text: str, operators: Any) -> Optional[Term]:
+    """Return the number that a text is, with white space before it and a sign allowed; None for no number."""
+    stripped = text.lstrip()
+    body = stripped[1:] if stripped[:1] in ("-", "+") else stripped
+    if not body or not (body[0].isdigit() or body[:3] in ("inf", "nan")) or body[-1].isspace():
+        return None
+    try:
+        term = read_term(body, operators, positions=False).term
+    except SyntaxFault:
+        return None
+    if term.__class__ is Atom and term.name in ("inf", "nan"):
+        term = float(term.name)
+    if term.__class__ not in (int, float) or body.rstrip(".") != body:
+        return None
+    return -term if stripped[0] == "-" else term
+
+
+def number_or_error(text: str, operators: Any) -> Term:
+    """Return the number that a text is.
+
+    Raises:
+        PrologError: a syntax error where it is none.
+    """
+    found = parse_number(text, operators)
+    if found is None:
+        raise syntax_error("illegal_number")
+    return found
+
+
+def make_text(like: str, text: str) -> Term:
+    """Return a text as an atom, string, codes or chars."""
+    if like == "atom":
+        return atom(text)
+    if like == "string":
+        return String(text)
+    return codes(text) if like == "codes" else chars(text)
+
+
+def is_sink(sink: Term) -> bool:
+    """Tell whether a term asks for text: ``atom(A)``, ..., also ``codes(Cs,Tail)`` and ``chars(Cs,Tail)``."""
+    if sink.__class__ is not tuple:
+        return False
+    name = sink[0].name
+    return (
+        len(sink) == 2
+        and name in ("atom", "string", "codes", "chars")
+        or len(sink) == 3
+        and name in ("codes", "chars")
+    )
+
+
+def fill_sink(machine: Any, sink: Any, text: str) -> bool:
+    """Unify the text of a sink."""
+    found = make_text(sink[0].name, text)
+    if len(sink) == 3:
+        found = make_list(list_items(found) or [], sink[2])
+    return unify(sink[1], found, machine.trail)

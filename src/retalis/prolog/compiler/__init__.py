@@ -1,0 +1,42 @@
+"""Clauses to Python source: one function for each predicate, continuations as functions of their own."""
+
+from .direct import Direct
+from .facts import fact_search
+from .goals import GoalCode
+from .keys import key_of
+from .nodes import (
+    ARROW,
+    BAR,
+    CALL,
+    COMPARISONS,
+    CONTROL,
+    EQUAL,
+    IGNORE,
+    NOT,
+    ONCE,
+    ORDERS,
+    SEMICOLON,
+    SOFT_ARROW,
+)
+from .predicates import Generator, Rule
+
+__all__ = [
+    "ARROW",
+    "BAR",
+    "CALL",
+    "COMPARISONS",
+    "CONTROL",
+    "Direct",
+    "EQUAL",
+    "fact_search",
+    "Generator",
+    "GoalCode",
+    "IGNORE",
+    "key_of",
+    "NOT",
+    "ONCE",
+    "ORDERS",
+    "Rule",
+    "SEMICOLON",
+    "SOFT_ARROW",
+]

@@ -1,0 +1,173 @@
+"""Code for goals that Python calls: a function of the inputs, or frames that hand the outputs over."""
+
+from typing import Any, Callable, List, Optional, Sequence, Tuple
+
+from ...foundation import LARGEST, Place
+from ..machine import Code, LimitError
+from ..terms import Term, Var, copy, deref, functor, is_larger, resolve, variables
+from .bodies import Bodies
+from .direct import choose_functions, give_up, goals_of, parser, work_of
+from .inline import write_sequence
+from .nodes import Goal, Height, Node, Parser, needed_by
+from .predicates import title_of
+from .scope import Clause, Scope, Unit
+
+_OUTPUTS = functor("outputs", 0)
+
+
+class HandOver(Goal):
+    """The end of a goal: its outputs go to the continuation."""
+
+    __slots__ = ()
+
+
+def _hand_over(frame: Any) -> Any:
+    collector = frame[-1]
+    return collector[0].take(collector, tuple([resolve(value) for value in frame[1:-1]]))
+
+
+HAND_OVER = Code("outputs", _hand_over)
+
+
+class GoalCode:
+    """Generates the code of one goal."""
+
+    def __init__(
+        self,
+        database: Any,
+        term: Term,
+        inputs: Tuple[Var, ...],
+        outputs: Tuple[Term, ...],
+        place: Optional[Place],
+        name: str,
+    ):
+        self._database = database
+        self._term = resolve(term)
+        self._interprets = database.interprets or is_larger(self._term, LARGEST)
+        self._inputs = inputs
+        self._outputs = outputs
+        self._place = place
+        self._name = name
+        self._nodes: List[Node] = []
+        self._entry = Height("height")
+
+    def parse(self) -> None:
+        """Read the goal with the predicates that are defined by now.
+
+        Raises:
+            PrologError: a type error where it is not a goal.
+        """
+        self._entry = Height("height")
+        self._nodes = Parser(self._database, self._entry).parse(self._term)
+
+    def call(self) -> Optional[Any]:
+        """Return the predicate, where the goal is one call of it with the inputs as they are; else None."""
+        if len(self._nodes) != 1:
+            return None
+        node = self._nodes[0]
+        if not isinstance(node, Goal) or node.inline or tuple(map(deref, node.args)) != self._inputs:
+            return None
+        return self._database.predicate(node.key)
+
+    def _scope(self, unit: Unit) -> Scope:
+        # Inputs count as used twice: a value is never void.
+        scope = Scope(unit, Clause((*self._inputs, self._term, *self._outputs, *self._inputs)))
+        for at, var in enumerate(self._inputs):
+            scope.names[var] = f"a{at}"
+        return scope
+
+    def _finish(self, unit: Unit) -> Callable[..., Any]:
+        source = unit.source()
+        function: Callable[..., Any] = unit.finish(source, title_of(self._place, self._name))["main"]
+        return function
+
+    def straight(self) -> Optional[Callable[..., Any]]:
+        """Return the function of the inputs, or None where there can be none.
+
+        Bindings that it makes are undone, also where it fails. It returns `BAIL` where the goal has to be run
+        by frames, also to find an error again with its context; limits that run out are not looked for twice.
+        """
+        if self._interprets:
+            return None
+        entry = Height("height")
+        nodes = parser(self._database, entry).parse(self._term)
+        calls = any(goal.form == "direct" for goal in goals_of(nodes))
+        if any(not node.inline for node in nodes) or (calls and work_of(self._database, nodes) is None):
+            return None
+        choose_functions(nodes, True)
+        unit = Unit(self._database.machine, self._database, repeats=calls)
+        scope = self._scope(unit)
+        scope.fail = scope.cut = _FAIL
+        if calls:
+            unit.namespace.update(give_up=give_up, LimitError=LimitError)
+            scope.give_up = _GIVE_UP
+        write_sequence(scope, nodes, frozenset(variables((_OUTPUTS, *self._outputs))))
+        values = [_resolved(scope, output) for output in self._outputs]
+        result = f"({', '.join(values)}{',' if len(values) == 1 else ''})"
+        lines = scope.lines
+        if scope.binds:
+            lines = ["    mark = len(trail)", *lines, f"    result = {result}", "    undo(trail, mark)"]
+            if calls:
+                lines = [lines[0], "    try:", *["    " + line for line in lines[1:]]]
+                lines += [
+                    "    except LimitError:",
+                    "        undo(trail, mark)",
+                    "        raise",
+                    "    except Exception:",
+                    f"        {_GIVE_UP}",
+                ]
+            result = "result"
+        else:
+            lines = [line.replace(_FAIL, "return None") for line in lines]
+        parameters = ", ".join(f"a{at}" for at in range(len(self._inputs)))
+        unit.add([f"def main({parameters}):", *lines, f"    return {result}"])
+        return self._finish(unit)
+
+    def enter(self, hands_over: bool) -> Tuple[Callable[..., Any], bool]:
+        """Return the function of the goal's frame, and whether it is steady, see `Code.steady`."""
+        if self._interprets:
+            return self._interpreted(hands_over), False
+        unit = Unit(self._database.machine, self._database)
+        scope = self._scope(unit)
+        locals_ = [scope.names[var] for var in self._inputs]
+        nodes: Sequence[Node] = self._nodes
+        if hands_over:
+            nodes = [*nodes, HandOver("call", _OUTPUTS, self._outputs, False)]
+        if self._entry in needed_by(nodes):
+            scope.push("height = len(choices)")
+            scope.names[self._entry] = "height"
+        bodies = Bodies(
+            unit, scope.clause, self._entry, self._database.interpret, self._name, None, HAND_OVER
+        )
+        bodies.write(scope, nodes)
+        unit.add(["def main(frame):", f"    {', '.join(['_', *locals_, 'after'])} = frame", *scope.lines])
+        return self._finish(unit), not scope.pushes
+
+    def _interpreted(self, hands_over: bool) -> Callable[[Any], Any]:
+        """Return a function that runs the goal from its term."""
+        call = self._database.machine.logic.control.call
+        inputs, goal, outputs = self._inputs, self._term, self._outputs
+
+        def run(frame: Any) -> Any:
+            fresh = dict(zip(inputs, frame[1:-1]))
+            body = copy(goal, fresh)
+            if not hands_over:
+                return call(body, frame[-1])
+            return call(body, (HAND_OVER, *copy((_OUTPUTS, *outputs), fresh)[1:], frame[-1]))
+
+        return run
+
+
+_FAIL = "return undo(trail, mark)"
+_GIVE_UP = "return give_up(trail, mark)"
+
+
+def _resolved(scope: Scope, output: Term) -> str:
+    output = deref(output)
+    if output.__class__ is not Var:
+        return f"resolve({scope.build(output)})"
+    known = scope.numbers.get(output)
+    if known is not None and scope.names.get(output) == known[0]:
+        return known[0]
+    name = scope.local(output)
+    return name if output in scope.fresh else f"resolve({name})"

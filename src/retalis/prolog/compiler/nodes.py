@@ -1,0 +1,330 @@
+"""Bodies of clauses as nodes: what the generator of Python code walks."""
+
+from typing import Any, Callable, Dict, FrozenSet, Iterable, List, Optional, Tuple
+
+from ..machine import type_error
+from ..terms import (
+    COLON,
+    COMMA,
+    FALSE,
+    TRUE,
+    Atom,
+    Functor,
+    Lazy,
+    Term,
+    Var,
+    conjuncts,
+    deref,
+    functor,
+    variables,
+)
+
+ARROW = functor("->", 2)
+SOFT_ARROW = functor("*->", 2)
+SEMICOLON = functor(";", 2)
+BAR = functor("|", 2)
+NOT = functor("\\+", 1)
+CALL = functor("call", 1)
+ONCE = functor("once", 1)
+IGNORE = functor("ignore", 1)
+EQUAL = functor("=", 2)
+DIFFERENT = functor("\\=", 2)
+IS = functor("is", 2)
+
+COMPARISONS = {
+    functor("=:=", 2): "==",
+    functor("=\\=", 2): "!=",
+    functor("<", 2): "<",
+    functor(">", 2): ">",
+    functor("=<", 2): "<=",
+    functor(">=", 2): ">=",
+}
+ORDERS = {
+    functor("==", 2): "== 0",
+    functor("\\==", 2): "!= 0",
+    functor("@<", 2): "< 0",
+    functor("@>", 2): "> 0",
+    functor("@=<", 2): "<= 0",
+    functor("@>=", 2): ">= 0",
+}
+TYPE_TESTS = {
+    functor("var", 1): "{0}.__class__ is Var",
+    functor("nonvar", 1): "{0}.__class__ is not Var",
+    functor("atom", 1): "{0}.__class__ is Atom",
+    functor("integer", 1): "{0}.__class__ is int",
+    functor("float", 1): "{0}.__class__ is float",
+    functor("number", 1): "({0}.__class__ is int or {0}.__class__ is float)",
+    functor("string", 1): "{0}.__class__ is String",
+    functor("compound", 1): "{0}.__class__ is tuple",
+    functor("atomic", 1): "({0}.__class__ is not tuple and {0}.__class__ is not Var)",
+    functor("callable", 1): "({0}.__class__ is tuple or {0}.__class__ is Atom)",
+}
+
+CONTROL = {COMMA, SEMICOLON, BAR, ARROW, SOFT_ARROW, NOT, TRUE.functor, functor("!", 0)}
+"""What a program may not define: control constructs."""
+
+ARG, KNOWN_ARG = functor("arg", 3), functor("$arg", 3)
+_CUT = functor("!", 0)
+_DEEPEST = 40
+"""Control constructs nested deeper than this are run by interpretation."""
+
+
+class Height:
+    """A remembered height of the stack of choice points: what a cut cuts to."""
+
+    __slots__ = ("name",)
+
+    def __init__(self, name: str):
+        self.name = name
+
+
+class Node:
+    """A goal of a body.
+
+    Attributes:
+        vars: variables and heights that it needs.
+        inline: it is straight Python: it leaves no choice point and calls no predicate of the program.
+        cuts: it has a cut of the clause in it.
+        source: the goal in the body; None for what stands in none.
+    """
+
+    __slots__ = ("vars", "inline", "cuts", "source")
+
+    def __init__(self, needed: FrozenSet[Any], inline: bool, cuts: bool = False):
+        self.vars = needed
+        self.inline = inline
+        self.cuts = cuts
+        self.source: Optional[Term] = None
+
+
+class Goal(Node):
+    """Any goal that is one compound term: a call, or a built-in of the kind ``form``.
+
+    Attributes:
+        once: of a call of a function, whether its first solution is enough.
+    """
+
+    __slots__ = ("form", "key", "args", "once")
+
+    def __init__(self, form: str, key: Functor, args: Tuple[Term, ...], inline: bool):
+        super().__init__(frozenset(variables((key, *args))), inline)
+        self.form = form
+        self.key = key
+        self.args = args
+        self.once = False
+
+
+class Succeed(Node):
+    """``true``."""
+
+    __slots__ = ()
+
+
+class Fail(Node):
+    """``fail``."""
+
+    __slots__ = ()
+
+
+class Cut(Node):
+    """A cut to a height; ``soft`` takes back only the choice point at it."""
+
+    __slots__ = ("height", "soft")
+
+    def __init__(self, height: Height, soft: bool = False):
+        super().__init__(frozenset([height]), True)
+        self.height = height
+        self.soft = soft
+
+
+class Condition(Node):
+    """If-then-else (``soft`` for ``*->``); negation has ``then`` fail and ``otherwise`` empty."""
+
+    __slots__ = ("test", "then", "otherwise", "soft", "inner")
+
+    def __init__(
+        self,
+        test: List[Node],
+        then: List[Node],
+        otherwise: List[Node],
+        inner: Optional[Height],
+        soft: bool = False,
+    ):
+        everything = (*test, *then, *otherwise)
+        cuts = any(node.cuts for node in (*then, *otherwise))
+        inline = not soft and not cuts and inner is None and all(node.inline for node in everything)
+        super().__init__(needed_by(everything) - {inner}, inline, cuts)
+        self.test = test
+        self.then = then
+        self.otherwise = otherwise
+        self.soft = soft
+        self.inner = inner
+
+
+class Either(Node):
+    """A disjunction."""
+
+    __slots__ = ("branches",)
+
+    def __init__(self, branches: List[List[Node]]):
+        everything = [node for branch in branches for node in branch]
+        super().__init__(needed_by(everything), False, any(node.cuts for node in everything))
+        self.branches = branches
+
+
+class Interpret(Node):
+    """A goal that is run from its term, with cuts to a height."""
+
+    __slots__ = ("term", "height")
+
+    def __init__(self, term: Term, height: Height):
+        super().__init__(frozenset(variables((COMMA, term))) | {height}, False, True)
+        self.term = term
+        self.height = height
+
+
+def needed_by(nodes: Iterable[Node]) -> FrozenSet[Any]:
+    """Return the variables and heights that nodes need."""
+    return frozenset().union(*[node.vars for node in nodes])
+
+
+class Parser:
+    """Turns a body into nodes.
+
+    Args:
+        database: tells which predicates are deterministic built-ins, which are called in line.
+        clause: the height at entry of the clause, which its cuts cut to.
+        direct: tells whether a predicate of the program can be called as a function.
+    """
+
+    def __init__(
+        self,
+        database: Any,
+        clause: Height,
+        direct: Optional[Callable[[Functor], bool]] = None,
+    ):
+        self._database = database
+        self._direct = direct
+        self._heights: Dict[str, int] = {}
+        self.clause = clause
+
+    def height(self) -> Height:
+        """Return a new height."""
+        self._heights["h"] = number = self._heights.get("h", 0) + 1
+        return Height(f"h{number}")
+
+    def parse(self, body: Term, cut: Optional[Height] = None, depth: int = 0) -> List[Node]:
+        """Return the nodes of a body.
+
+        Raises:
+            PrologError: a type error where part of the body is not a goal.
+        """
+        cut = self.clause if cut is None else cut
+        nodes: List[Node] = []
+        for goal in conjuncts(body):
+            node = self._node(goal, cut, depth)
+            if not isinstance(node, Succeed):
+                node.source = goal
+                nodes.append(node)
+        return nodes
+
+    def _node(self, goal: Term, cut: Height, depth: int) -> Node:
+        kind = goal.__class__
+        if kind is Var:
+            return Goal("call", CALL, (goal,), False)
+        if kind is Lazy:
+            goal = goal.term()
+        elif kind is Atom:
+            return self._atom(goal, cut)
+        elif kind is not tuple:
+            raise type_error("callable", goal)
+        key = goal[0]
+        if key is COLON:  # there is one module
+            inner = deref(goal[2])
+            several = inner.__class__ is tuple and inner[0] is COMMA
+            return Interpret(inner, cut) if several else self._node(inner, cut, depth)
+        if key in _STRUCTURES:
+            if depth > _DEEPEST:
+                return Interpret(goal, cut)
+            return self._control(key, goal, cut, depth + 1)
+        return self._plain(key, goal[1:])
+
+    def _atom(self, goal: Atom, cut: Height) -> Node:
+        if goal is TRUE:
+            return Succeed(frozenset(), True)
+        if goal is FALSE or goal.name == "fail":
+            return Fail(frozenset(), True)
+        if goal.functor is _CUT:
+            node = Cut(cut)
+            node.cuts = cut is self.clause
+            return node
+        return self._plain(goal.functor, ())
+
+    def _plain(self, key: Functor, args: Tuple[Term, ...]) -> Node:
+        form = _FORMS.get(key)
+        if form is not None:
+            return Goal(form, key, args, True)
+        if key is ARG and deref(args[0]).__class__ is int:
+            key = KNOWN_ARG
+        inline = self._database.is_inline(key)
+        if not inline and args and deref(args[0]).__class__ is not Var:
+            known = self._database.predicate(key).known
+            if known is not None:
+                key, inline = known, True
+        if not inline and self._direct is not None and self._direct(key):
+            return Goal("direct", key, args, True)
+        return Goal("builtin" if inline else "call", key, args, inline)
+
+    def _control(self, key: Functor, goal: Term, cut: Height, depth: int) -> Node:
+        if key is SEMICOLON or key is BAR:
+            return self._either(goal, cut, depth)
+        if key is ARROW or key is SOFT_ARROW:
+            return self._condition(goal, None, cut, depth)
+        argument = deref(goal[1])
+        if argument.__class__ is Var:
+            argument = (CALL, argument)
+        inner = self.height()
+        test = self.parse(argument, inner, depth)
+        barrier = _used(inner, test)
+        if key is NOT:
+            return Condition(test, [Fail(frozenset(), True)], [], barrier)
+        return Condition(test, [], [] if key is IGNORE else [Fail(frozenset(), True)], barrier)
+
+    def _either(self, goal: Term, cut: Height, depth: int) -> Node:
+        left = deref(goal[1])
+        if left.__class__ is tuple and (left[0] is ARROW or left[0] is SOFT_ARROW):
+            return self._condition(left, goal[2], cut, depth)
+        branches = [self.parse(left, cut, depth)]
+        rest = deref(goal[2])
+        while rest.__class__ is tuple and rest[0] is SEMICOLON:
+            left = deref(rest[1])
+            if left.__class__ is tuple and (left[0] is ARROW or left[0] is SOFT_ARROW):
+                break
+            branches.append(self.parse(left, cut, depth))
+            rest = deref(rest[2])
+        branches.append(self.parse(rest, cut, depth))
+        return Either(branches)
+
+    def _condition(self, arrow: Term, otherwise: Optional[Term], cut: Height, depth: int) -> Node:
+        inner = self.height()
+        test = self.parse(arrow[1], inner, depth)
+        then = self.parse(arrow[2], cut, depth)
+        rest: List[Node] = (
+            [Fail(frozenset(), True)] if otherwise is None else self.parse(otherwise, cut, depth)
+        )
+        return Condition(test, then, rest, _used(inner, test), arrow[0] is SOFT_ARROW)
+
+
+def _used(height: Height, nodes: List[Node]) -> Optional[Height]:
+    return height if height in needed_by(nodes) else None
+
+
+_STRUCTURES = {SEMICOLON, BAR, ARROW, SOFT_ARROW, NOT, ONCE, IGNORE}
+_FORMS: Dict[Functor, str] = {
+    EQUAL: "unify",
+    DIFFERENT: "differ",
+    IS: "is",
+    **dict.fromkeys(COMPARISONS, "arithmetic"),
+    **dict.fromkeys(ORDERS, "order"),
+    **dict.fromkeys(TYPE_TESTS, "type"),
+}

@@ -1,0 +1,344 @@
+"""Code for predicates: the switch on an argument, and the clauses that are left one after the other."""
+
+from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
+
+from ...foundation import Place
+from ..machine import Code
+from ..terms import TRUE, Atom, Functor, Term, Var, deref
+from .bodies import Bodies
+from .building import shape_of, write_building
+from .keys import key_of
+from .nodes import Height, Parser
+from .scope import Clause, Loop, Scope, Unit
+from .unification import match, take_apart
+
+_TOGETHER = 4
+"""Clauses of a chain that are tried in one function; the rest is another function."""
+
+
+class Rule:
+    """What the generator needs of a clause: arguments of its head, body, where it is from."""
+
+    __slots__ = ("args", "body", "place")
+
+    def __init__(self, args: Sequence[Term], body: Term, place: Any = None):
+        self.args = tuple(args)
+        self.body = body
+        self.place = place
+
+
+class Generator:
+    """Generates the functions of one predicate.
+
+    Args:
+        database: knows predicates and the machine.
+        key: name and arity.
+        rules: its clauses in order.
+        code: the code object that calls of it go through.
+    """
+
+    def __init__(self, database: Any, key: Functor, rules: Sequence[Rule], code: Any):
+        self.database = database
+        self.key = key
+        self.rules = rules
+        self.code = code
+        self.locals = [f"a{at}" for at in range(1, key.arity + 1)]
+        self.position = _switch_position(rules, key.arity)
+        self._retries: Dict[Tuple[int, ...], Code] = {}
+        self.steady = False
+
+    def main(self) -> Callable[[Any], Any]:
+        """Return the function of the predicate; `steady` then tells whether it is as `Code.steady` says."""
+        unit = Unit(self.database.machine, self.database)
+        body = self._switch(unit)
+        self.steady = not body.pushes
+        head = self._unpack("")
+        if body.looped:
+            loop = ["    for _ in LOOP:", *["    " + line for line in body.lines]]
+            again = ", ".join([unit.constant(self.code), *self.locals, "after"])
+            lines = [head, *loop, "    BUDGET.turned()", f"    return ({again})"]
+        else:
+            lines = [head, *body.lines]
+        unit.add(["def main(frame):", *lines])
+        return self._finish(unit, "main", "")
+
+    def single(self, index: int) -> Callable[[Any], Any]:
+        """Return the function of one clause; its frame ends with the height that its cuts cut to."""
+        unit = Unit(self.database.machine, self.database)
+        scope = self._clause(unit, index, None, height="height")
+        unit.add(["def main(frame):", self._unpack(", height"), *scope.lines])
+        return self._finish(unit, "main", f" clause {index + 1}")
+
+    def _finish(self, unit: Unit, name: str, part: str) -> Callable[[Any], Any]:
+        source = unit.source()
+        place = next((rule.place for rule in self.rules if rule.place is not None), None)
+        function: Callable[[Any], Any] = unit.finish(source, title_of(place, f"{self.key}{part}"))[name]
+        return function
+
+    def _unpack(self, last: str) -> str:
+        return f"    {', '.join(['_', *self.locals, 'after'])}{last} = frame"
+
+    # The switch
+
+    def _switch(self, unit: Unit) -> Scope:
+        everything = tuple(range(len(self.rules)))
+        out = Scope(unit, Clause(()))
+        if self.position is None:
+            self._chain(out, everything, None)
+            return out
+        groups = self._groups()
+        local = self.locals[self.position]
+        out.dereference(local)
+        self._tuple_case(out, groups, local)
+        out.line("elif k is Var:")
+        retry = ", ".join([unit.constant(self._retry(everything)), *self.locals, "after", "len(trail)"])
+        out.line(f"    return ({retry})")
+        self._atomic_case(out, groups, local, Atom, "is")
+        self._atomic_case(out, groups, local, int, "==")
+        out.line("elif k is Lazy:")
+        again = ["None", *self.locals, "after"]
+        again[self.position + 1] = f"{local}.term()"
+        out.line(f"    return {unit.constant(self.code)}.run(({', '.join(again)}))")
+        others = [key for key in groups if key.__class__ not in (Atom, int, Functor)]
+        rest = tuple(sorted({*groups[None], *[at for key in others for at in groups[key]]}))
+        if rest:
+            out.line("else:")
+            self._case(out, rest, None)
+        out.line("return None")
+        return out
+
+    def _groups(self) -> Dict[Any, List[int]]:
+        """Return the clauses for each first-level key of the switched argument; None for all other keys."""
+        assert self.position is not None
+        groups: Dict[Any, List[int]] = {None: []}
+        for at, rule in enumerate(self.rules):
+            key = key_of(rule.args[self.position])
+            if key is None:
+                for clauses in groups.values():
+                    clauses.append(at)
+            else:
+                groups.setdefault(key, list(groups[None])).append(at)
+        return groups
+
+    def _tuple_case(self, out: Scope, groups: Dict[Any, List[int]], local: str) -> None:
+        keys = [key for key in groups if key.__class__ is Functor]
+        out.line("if k is tuple:")
+        out.depth += 1
+        word = "if"
+        for key in keys:
+            out.line(f"{word} {local}[0] is {out.unit.constant(key)}:")
+            self._case(out, tuple(groups[key]), key)
+            word = "elif"
+        if groups[None]:
+            if keys:
+                out.line("else:")
+                self._case(out, tuple(groups[None]), None)
+            else:
+                self._chain(out, tuple(groups[None]), None)
+        else:
+            if keys:
+                out.line("else:")
+                out.depth += 1
+            out.line("return None")
+            if keys:
+                out.depth -= 1
+        out.depth -= 1
+
+    def _atomic_case(
+        self, out: Scope, groups: Dict[Any, List[int]], local: str, kind: type, test: str
+    ) -> None:
+        keys = [key for key in groups if key.__class__ is kind]
+        if not keys:
+            return
+        out.line(f"elif k is {kind.__name__}:")
+        out.depth += 1
+        word = "if"
+        for key in keys:
+            out.line(f"{word} {local} {test} {out.unit.constant(key)}:")
+            self._case(out, tuple(groups[key]), key)
+            word = "elif"
+        if groups[None]:
+            out.line("else:")
+            self._case(out, tuple(groups[None]), None)
+        else:
+            out.line("else:")
+            out.line("    return None")
+        out.depth -= 1
+
+    def _case(self, out: Scope, chain: Tuple[int, ...], key: Any) -> None:
+        out.depth += 1
+        self._chain(out, chain, key)
+        out.depth -= 1
+
+    # Chains of clauses
+
+    def _chain(self, out: Scope, chain: Tuple[int, ...], key: Any, retried: bool = False) -> None:
+        """Write the clauses of a chain one after the other.
+
+        Args:
+            out: where to.
+            chain: which clauses.
+            key: what is known of the switched argument: its functor or constant.
+            retried: the function runs on backtracking: ``mark`` is there already.
+        """
+        unit = out.unit
+        if len(chain) > 1 and not retried:
+            out.line("mark = len(trail)")
+        for at, index in enumerate(chain[:_TOGETHER]):
+            rest = chain[at + 1 :]
+            scope = self._clause(unit, index, rest, key, out.depth, not retried, len(chain) == 1)
+            out.looped |= scope.looped
+            out.pushes |= scope.pushes
+            out.lines += scope.lines
+            if rest and scope.binds:
+                out.line("if len(trail) > mark:")
+                out.line("    undo(trail, mark)")
+        rest = chain[_TOGETHER:]
+        if rest:
+            frame = ", ".join([unit.constant(self._retry(rest)), *self.locals, "after", "mark"])
+            out.line(f"return ({frame})")
+
+    def _retry(self, chain: Tuple[int, ...]) -> Code:
+        """Return the code of a choice point for a chain; its function is generated when it is first run."""
+        known = self._retries.get(chain)
+        if known is not None:
+            return known
+
+        def first(frame: Any) -> Any:
+            unit = Unit(self.database.machine, self.database)
+            out = Scope(unit, Clause(()))
+            self._chain(out, chain, None, retried=True)
+            unit.add(["def main(frame):", self._unpack(", mark"), *out.lines])
+            code.run = self._finish(unit, "main", f" from clause {chain[0] + 1}")
+            return code.run(frame)
+
+        code = self._retries[chain] = Code(str(self.key), first)
+        code.functor = self.key
+        return code
+
+    def _clause(
+        self,
+        unit: Unit,
+        index: int,
+        rest: Optional[Tuple[int, ...]],
+        key: Any = None,
+        depth: int = 1,
+        loops: bool = False,
+        alone: bool = False,
+        height: Optional[str] = None,
+    ) -> Scope:
+        """Return the code of a clause: head, then body; where others follow, as a block that breaks to fail."""
+        rule = self.rules[index]
+        clause = Clause((*rule.args, rule.body))
+        entry = Height("height")
+        scope = Scope(unit, clause)
+        scope.depth = depth
+        if rest:
+            scope.fail = "break"
+            scope.depth += 1
+            frame = ", ".join([unit.constant(self._retry(rest)), *self.locals, "after", "mark"])
+            scope.pending = f"choose(({frame}))"
+        if loops:
+            scope.loop = Loop(self.key, self.locals, "" if rest else "continue", self._end(unit))
+        if height is not None:
+            scope.names[entry] = height
+        if loops and alone and key.__class__ is Functor:
+            self._build(scope, rule, entry)
+        self._head(scope, rule, key, self._own_locals(scope, rule, key) if rest else self.locals)
+        nodes = Parser(self.database, entry).parse(rule.body)
+        bodies = Bodies(unit, clause, entry, self.database.interpret, str(self.key), self.key)
+        bodies.write(scope, nodes)
+        if rest:
+            indent = "    " * depth
+            if scope.looped:
+                scope.lines = [
+                    f"{indent}for _ in ONE:",
+                    *scope.lines,
+                    f"{indent}else:",
+                    f"{indent}    continue",
+                ]
+            else:
+                scope.lines = [f"{indent}while True:", *scope.lines]
+        return scope
+
+    def _end(self, unit: Unit) -> Optional[Tuple[int, str]]:
+        """Return the switched argument and an atom for which the predicate is true whatever the others are."""
+        if self.position is None:
+            return None
+        for key, clauses in self._groups().items():
+            rule = self.rules[clauses[0]] if clauses else None
+            if key.__class__ is not Atom or rule is None or len(clauses) > 1 or rule.body is not TRUE:
+                continue
+            others = [deref(arg) for at, arg in enumerate(rule.args) if at != self.position]
+            if len(set(others)) == len(others) and all(arg.__class__ is Var for arg in others):
+                return self.position, unit.constant(key)
+        return None
+
+    def _build(self, scope: Scope, rule: Rule, entry: Height) -> None:
+        """Write a loop of its own for a clause that builds a list as it recurses."""
+        assert self.position is not None
+        nodes = Parser(self.database, entry).parse(rule.body)
+        shape = shape_of(scope.clause, rule.args, nodes, self.key, self.position)
+        if shape is not None:
+            write_building(scope, self.locals, rule.args, nodes, shape, self.position)
+
+    def _own_locals(self, scope: Scope, rule: Rule, key: Any) -> List[str]:
+        """Copy the arguments for a clause that others follow, and return the names of the copies.
+
+        Dereferencing exchanges a local for what it is bound to; where the clause itself has bound it, the
+        clauses that follow must not see that.
+        """
+        found = []
+        for at, (local, arg) in enumerate(zip(self.locals, rule.args)):
+            arg = deref(arg)
+            is_known = key is not None and at == self.position
+            if is_known or (arg.__class__ is Var and scope.clause.is_void(arg)):
+                found.append(local)
+            else:
+                found.append(f"b{at + 1}")
+        copies = [(own, local) for own, local in zip(found, self.locals) if own != local]
+        if copies:
+            owns, locals_ = zip(*copies)
+            scope.line(f"{', '.join(owns)} = {', '.join(locals_)}")
+        return found
+
+    def _head(self, scope: Scope, rule: Rule, key: Any, locals_: Sequence[str]) -> None:
+        """Write the unification of the head: variables, then constants, then compound terms."""
+        patterns = [(local, deref(arg), at) for at, (local, arg) in enumerate(zip(locals_, rule.args))]
+        for local, arg, _ in patterns:
+            if arg.__class__ is Var and arg not in scope.names:
+                scope.names[arg] = local
+        for rank in (0, 1, 2):
+            for local, arg, at in patterns:
+                kind = arg.__class__
+                if rank != (2 if kind is tuple else 0 if kind is Var else 1):
+                    continue
+                if key is not None and at == self.position:
+                    if kind is tuple:
+                        take_apart(scope, local, arg, 0, check=False)
+                        continue
+                    if kind is not Var:
+                        continue
+                if kind is Var and scope.clause.is_void(arg):
+                    continue
+                match(scope, local, arg)
+
+
+def title_of(place: Optional[Place], name: str) -> str:
+    """Return what tracebacks call the code that is generated for something at a place."""
+    return name if place is None else f"{place.source}:{place.line} {name}"
+
+
+def _switch_position(rules: Sequence[Rule], arity: int) -> Optional[int]:
+    """Return the argument that tells the clauses apart best, the first where it does; None where none does."""
+    best, position = 0, None
+    for at in range(min(arity, 8) if len(rules) > 1 else 0):
+        keys = [key_of(rule.args[at]) for rule in rules]
+        known = [key for key in keys if key is not None]
+        distinct = len(set(known))
+        score = distinct * 4 - (len(keys) - len(known)) * 3
+        if known and score > best:
+            best, position = score, at
+        if at == 0 and distinct > 1 and position == 0:
+            break
+    return position

@@ -1,0 +1,24 @@
+"""The clause store: predicates, their clauses, and how goals call them."""
+
+from .clause import NEVER, Clause, may_match
+from .control import Control, add_arguments, check_body, control_predicates, split_clause
+from .database import Database
+from .functional import functional
+from .goal import Goal
+from .predicate import COMPILE_AFTER, Predicate
+
+__all__ = [
+    "add_arguments",
+    "check_body",
+    "Clause",
+    "COMPILE_AFTER",
+    "Control",
+    "control_predicates",
+    "Database",
+    "functional",
+    "Goal",
+    "may_match",
+    "NEVER",
+    "Predicate",
+    "split_clause",
+]

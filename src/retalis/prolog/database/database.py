@@ -1,0 +1,170 @@
+"""All predicates of a program and of the system."""
+
+from typing import Any, Callable, Dict, Iterable, Optional, Set
+from weakref import WeakValueDictionary
+
+from ..compiler import Direct
+from ..machine import Frame, Machine, indicator, permission_error
+from ..terms import Functor, Term, deref
+from .clause import NEVER
+from .predicate import COMPILE_AFTER, Predicate
+
+_SPARE = 1000
+"""Predicates from which on, and then at twice as many, it is looked which of them are none."""
+
+
+class Database:
+    """All predicates, by functor; the system's and the program's.
+
+    Attributes:
+        machine: runs them.
+        generation: counts retracted clauses, for the logical update view.
+        compile_after: calls of an unchanged predicate after which it is compiled.
+        is_library: whether these are the predicates as the library sees them.
+        interprets: whether that is `NEVER`: nothing of the program is compiled, and goals are run from their terms.
+    """
+
+    is_library = False
+
+    def __init__(self, machine: Machine, compile_after: int = COMPILE_AFTER):
+        self.machine = machine
+        self.generation = 0
+        self.compile_after = compile_after
+        self.interprets = compile_after >= NEVER
+        self.predicates: Dict[Functor, Predicate] = {}
+        self._unused: WeakValueDictionary[Functor, Predicate] = WeakValueDictionary()
+        """Predicates that nobody has defined: they stay as long as something refers to them."""
+        self._many = _SPARE
+        self.library = Library(self)
+        self.interpret: Any = None
+        self.solve: Callable[[Term, int, Frame], Optional[Frame]] = lambda goal, height, after: None
+        self.undefined: Callable[[Predicate, Frame], Optional[Frame]] = lambda predicate, frame: None
+
+    def predicate(self, key: Functor) -> Predicate:
+        """Return the predicate of a functor; one that nobody defined yet is undefined."""
+        found = self.predicates.get(key)
+        if found is None:
+            if len(self.predicates) >= self._many:
+                self._put_aside()
+            found = self.predicates[key] = self._unused.get(key) or Predicate(self, key)
+        return found
+
+    def _put_aside(self) -> None:
+        """Keep predicates that nobody has defined no longer than something refers to them."""
+        for key, predicate in list(self.predicates.items()):
+            if predicate.is_blank:
+                self._unused[key] = self.predicates.pop(key)
+        self._many = 2 * len(self.predicates) + _SPARE
+
+    def compile_named(self, terms: Iterable[Term]) -> None:
+        """Compile the program's predicates that are named in terms, and those that their clauses name.
+
+        Any of them would be compiled when it has been called often enough; those that events lead to are
+        so from the first event on.
+        """
+        seen: Set[Functor] = set()
+        stack = list(terms)
+        while stack:
+            term = deref(stack.pop())
+            if term.__class__ is not tuple:
+                continue
+            stack += term[1:]
+            predicate = self.predicates.get(term[0])
+            if predicate is not None and predicate.is_fixed and term[0] not in seen:
+                seen.add(term[0])
+                predicate.prepare()
+                stack += [clause.body for clause in predicate.live()]
+
+    def direct(self, key: Functor) -> Direct:
+        """Return the functions of a predicate."""
+        predicate = self.predicate(key)
+        if predicate.direct is None:
+            predicate.direct = Direct(self, key)
+        return predicate.direct
+
+    def is_inline(self, key: Functor) -> bool:
+        """Tell whether a predicate is a deterministic built-in, which compiled clauses call in line."""
+        found = self.predicates.get(key)
+        return found is not None and found.kind == "builtin"
+
+    def define(
+        self, key: Functor, function: Any, run: Callable[[Frame], Optional[Frame]], kind: str
+    ) -> Predicate:
+        """Define a predicate in Python."""
+        predicate = self.predicate(key)
+        if predicate.kind != "undefined":
+            self.forget()
+        predicate.kind = kind
+        predicate.function = function
+        predicate.functional = None
+        predicate.known = None
+        predicate.gate = None
+        predicate.run = run
+        predicate.steady = False
+        predicate.library = True
+        predicate.clauses = []
+        return predicate
+
+    def forget(self) -> None:
+        """Drop compiled code that may refer to a predicate that is being redefined."""
+        for predicate in self.predicates.values():
+            predicate.forget()
+
+    def require_writable(self, key: Functor, action: str) -> None:
+        """Check that the program may change the clauses of a predicate.
+
+        Raises:
+            PrologError: a permission error for the system's predicates.
+        """
+        predicate = self.predicate(key)
+        if predicate.library and predicate.locked:
+            raise permission_error(action, "static_procedure", indicator(key))
+
+    def give_back(self, predicate: Predicate) -> None:
+        """Have the library's predicate be the program's again, in place of one of the program's own."""
+        key = predicate.functor
+        if self.predicates.get(key) is not predicate:
+            self.predicates[key] = predicate
+            self.library.kept.pop(key, None)
+            self.forget()
+
+    def writable(self, key: Functor, action: str) -> Predicate:
+        """Return a predicate whose clauses the program may change.
+
+        A program that defines a predicate of the library gets one of its own; the library keeps using its.
+
+        Raises:
+            PrologError: a permission error for the system's predicates.
+        """
+        self.require_writable(key, action)
+        predicate = self.predicate(key)
+        if not predicate.library:
+            return predicate if predicate.tabled is None else predicate.tabled  # type: ignore[no-any-return]
+        self.library.kept[key] = predicate
+        own = self.predicates[key] = Predicate(self, key)
+        self.forget()
+        return own
+
+
+class Library:
+    """The predicates as the library's own clauses see them: redefinitions by the program do not count."""
+
+    is_library = True
+
+    def __init__(self, database: Database):
+        self._database = database
+        self.machine = database.machine
+        self.kept: Dict[Functor, Predicate] = {}
+
+    @property
+    def interpret(self) -> Any:
+        """The code that runs a goal from its term."""
+        return self._database.interpret
+
+    def predicate(self, key: Functor) -> Predicate:
+        """Return the library's predicate, else the program's."""
+        return self.kept.get(key) or self._database.predicate(key)
+
+    def is_inline(self, key: Functor) -> bool:
+        """Tell whether the library's predicate is a deterministic built-in."""
+        return self.predicate(key).kind == "builtin"

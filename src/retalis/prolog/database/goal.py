@@ -1,0 +1,182 @@
+"""Goals that Python code calls: compiled once, with inputs and outputs by position."""
+
+from typing import Any, List, Optional, Sequence, Tuple
+
+from ...foundation import Place
+from ..compiler import GoalCode
+from ..machine import BAIL, Code, Frame, PrologError, from_python
+from ..terms import Term, Var, undo
+from .database import Database
+
+_MOST_BAILS = 20
+
+
+class Goal:
+    """A goal compiled with inputs and outputs; made by `Logic.compile_goal`.
+
+    Attributes:
+        straight: a Python function of the inputs that returns the outputs of the first solution or None;
+            `BAIL` where it cannot tell, and None where the goal needs the machine.
+        code: runs the goal without its outputs, by frames ``(code, inputs..., next)``.
+        name: who asks, for errors.
+        term: the goal.
+        place: where it was read.
+    """
+
+    def __init__(
+        self,
+        database: Database,
+        term: Term,
+        inputs: Sequence[Var],
+        outputs: Sequence[Term],
+        place: Optional[Place] = None,
+        name: str = "goal",
+    ):
+        self.term = term
+        self.place = place
+        self.name = name
+        self._database = database
+        self._machine = database.machine
+        self._inputs = tuple(inputs)
+        self._outputs = tuple(outputs)
+        self._source = GoalCode(database, term, self._inputs, self._outputs, place, name)
+        self._compile()
+
+    def _compile(self) -> None:
+        """Set up code that is generated when it is first run."""
+        source = self._source
+        source.parse()
+        self.straight: Any = self._first_straight
+        self._bailed = 0
+        self._handing_over = Code(self.name, self._first_enter)
+        called = source.call()
+        self.code: Any = Code(self.name, self._first_plain) if called is None else called
+
+    def _first_straight(self, *values: Term) -> Any:
+        # Not before it is first called: the predicates that it calls may be defined after it.
+        self.straight = self._source.straight()
+        return BAIL if self.straight is None else self.straight(*values)
+
+    def prepare(self) -> None:
+        """Make the function before the goal is first asked, where all that it calls is there."""
+        if self.straight != self._first_straight:
+            return
+        try:
+            self.straight = self._source.straight() or self._first_straight
+        except (PrologError, RecursionError):  # whoever asks the goal gets the error
+            return
+
+    def bail(self) -> None:
+        """Note that the function could not tell; where that happens often it is not asked any more."""
+        self._bailed += 1
+        if self._bailed > _MOST_BAILS:
+            self.straight = None
+
+    def _first_enter(self, frame: Frame) -> Optional[Frame]:
+        self._handing_over.run, _ = self._source.enter(True)
+        return self._handing_over.run(frame)
+
+    def _first_plain(self, frame: Frame) -> Optional[Frame]:
+        self.code.run, self.code.steady = self._source.enter(False)
+        return self.code.run(frame)
+
+    def enter(self, values: Sequence[Term], collector: Frame) -> Frame:
+        """Return the frame that runs the goal and hands its resolved outputs over.
+
+        For each solution it calls ``collector[0].take(collector, outputs)``, which returns the frame to go
+        on with.
+        """
+        return (self._handing_over, *values, collector)
+
+    def test(self, values: Sequence[Term]) -> Optional[Tuple[Term, ...]]:
+        """Run the goal at once.
+
+        Args:
+            values: of the inputs, by position.
+
+        Returns:
+            The resolved outputs of the first solution, or None. No bindings are left.
+
+        Raises:
+            PrologError: what the goal threw.
+        """
+        budget = self._machine.budget
+        if budget.closed:
+            budget.admit()
+        asked = budget.goal
+        budget.goal = self
+        try:
+            if self.straight is not None:
+                result: Any = self._ask_straight(values)
+                if result is not BAIL:
+                    return result  # type: ignore[no-any-return]
+                self.bail()
+            return self._run(values)
+        finally:
+            budget.goal = asked
+
+    def _run(self, values: Sequence[Term]) -> Optional[Tuple[Term, ...]]:
+        machine = self._machine
+        mark = len(machine.trail)
+        if not self._outputs:
+            frame = (self.code, *values, machine.done)
+            if self.code.steady:
+                return () if machine.check(frame, self) else None
+            succeeded = machine.run(frame)
+            undo(machine.trail, mark)
+            return () if succeeded else None
+        found: List[Tuple[Term, ...]] = []
+        if not machine.run((self._handing_over, *values, (_STORE, found, machine.done))):
+            return None
+        undo(machine.trail, mark)
+        return found[0]
+
+    def _ask_straight(self, values: Sequence[Term]) -> Any:
+        """Return what the function says, with the errors and under the limits of a run."""
+        machine = self._machine
+        budget = machine.budget
+        limited = budget.limited
+        saved = budget.enter() if limited else None
+        mark = len(machine.trail)
+        try:
+            return self.straight(*values)
+        except BaseException as exc:
+            undo(machine.trail, mark)
+            error = from_python(exc)
+            if error is None or error is exc:
+                raise
+            raise error from exc
+        finally:
+            if limited:
+                budget.leave(saved)
+
+    def all(self, values: Sequence[Term]) -> List[Tuple[Term, ...]]:
+        """Run the goal at once and return the resolved outputs of all its solutions."""
+        machine = self._machine
+        mark = len(machine.trail)
+        found: List[Tuple[Term, ...]] = []
+        machine.run((self._handing_over, *values, (_STORE_ALL, found)))
+        undo(machine.trail, mark)
+        return found
+
+    def __repr__(self) -> str:
+        return f"<Goal {self.name}>"
+
+
+class _Store:
+    """Continuation that keeps the outputs and goes on."""
+
+    def take(self, frame: Frame, outputs: Tuple[Term, ...]) -> Frame:
+        frame[1].append(outputs)
+        return frame[2]
+
+
+class _StoreAll:
+    """Continuation that keeps the outputs and asks for the next solution."""
+
+    def take(self, frame: Frame, outputs: Tuple[Term, ...]) -> None:
+        frame[1].append(outputs)
+
+
+_STORE = _Store()
+_STORE_ALL = _StoreAll()

@@ -1,0 +1,406 @@
+"""Predicates and their clauses.
+
+A predicate starts out interpreted: its clauses are found through indexes and unified by the general routine,
+which costs nothing to set up and suits facts and predicates that change all the time. One that is called
+again and again without changing is compiled.
+"""
+
+from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple
+
+from ...foundation import look
+from ..compiler import Direct, Generator, Rule, fact_search, key_of
+from ..machine import Code, Frame, Machine, PrologError
+from ..terms import Functor, Term, Var, copy, undo, unify
+from .clause import NEVER, Clause, may_match
+from .functional import Functional
+from .index import Index
+
+COMPILE_AFTER = 12
+"""Calls without a change after which a predicate is compiled."""
+
+_MOST_CLAUSES = 24
+"""Predicates with more clauses keep their indexes; their clauses are compiled one by one."""
+
+_MOST_FACTS = 8
+"""The same for predicates that are facts only."""
+
+_INDEX_FROM = 8
+"""Clauses from which on an index is made."""
+
+_MANY = 1000
+"""Clauses from which on a search among them may take as long as many inferences."""
+
+
+class Predicate:
+    """A predicate: code that is run by frames ``(predicate, argument..., next)``.
+
+    Attributes:
+        run: the function that does a call; exchanged as the predicate changes.
+        steady: whether that leaves the stack of choice points alone, see `Code.steady`.
+        kind: "user", "builtin" (deterministic Python), "control" (anything else in Python), or "undefined".
+        function: the Python function of a built-in that compiled clauses call in line.
+        direct: its functions, where something calls it as a function.
+        gate: what tells calls apart that have nothing to do, see `Logic.define_control`.
+        functional: what it computes, where it is a function of some of its arguments.
+        known: the deterministic built-in that it is where its first argument is known, if there is one.
+        dynamic: clauses may be asserted and retracted by the program.
+        library: belongs to the system; programs may redefine it unless it is ``locked``.
+    """
+
+    def __init__(self, database: Any, functor: Functor):
+        self.database = database
+        self.functor = functor
+        self.kind = "undefined"
+        self.function: Any = None
+        self.gate: Any = None
+        self.functional: Optional[Functional] = None
+        self.known: Optional[Functor] = None
+        self.dynamic = False
+        self.discontiguous = False
+        self.multifile = False
+        self.locked = False
+        self.library = False
+        self.compiled = False
+        self.tabled: Any = None
+        self.direct: Optional[Direct] = None
+        self.ground = False
+        self._searches: Dict[Optional[int], Callable[..., Optional[Frame]]] = {}
+        self.clauses: List[Clause] = []
+        self.dead = 0
+        self.calls = 0
+        self.compile_after = database.compile_after
+        self.indexes: Dict[int, Index] = {}
+        self.poor: Dict[int, int] = {}
+        self.run: Callable[[Frame], Optional[Frame]] = self._call
+        self.steady = False
+        self._retry = Code(str(functor), self._next)
+        self._retry.functor = functor
+
+    def __repr__(self) -> str:
+        return f"<{self.functor}>"
+
+    @property
+    def defined(self) -> bool:
+        """Tell whether calling it is not an existence error."""
+        return self.kind != "undefined" or self.dynamic
+
+    @property
+    def is_blank(self) -> bool:
+        """Tell whether nobody has said anything of it but its name."""
+        return not (self.defined or self.clauses or self.discontiguous or self.multifile or self.library)
+
+    @property
+    def is_fixed(self) -> bool:
+        """Tell whether it is the program's and made of clauses that no goal may change."""
+        return self.kind == "user" and not self.dynamic and not self.library
+
+    def live(self) -> Iterator[Clause]:
+        """Yield the clauses that are there, in order."""
+        return (clause for clause in list(self.clauses) if clause.died == NEVER)
+
+    def __len__(self) -> int:
+        return len(self.clauses) - self.dead
+
+    # Changes
+
+    def add(self, clause: Clause, first: bool = False) -> None:
+        """Add a clause as the last or the first one."""
+        self.ground = clause.ground and self.functor.arity > 0 and (self.ground or not self.clauses)
+        self.changed()
+        if first:
+            self.clauses = [clause, *[old for old in self.clauses if old.died == NEVER]]
+            self.kind = "user"
+            self.dead = 0
+            self.indexes.clear()
+            return
+        self.clauses.append(clause)
+        self.kind = "user"
+        for position, index in self.indexes.items():
+            index.add(clause.keys[position], clause)
+
+    def remove(self, clause: Clause) -> bool:
+        """Remove a clause; calls that are under way still see it. Return whether it was there."""
+        if clause.died != NEVER:
+            return False
+        self.changed()
+        self.database.generation += 1
+        clause.died = self.database.generation
+        self.dead += 1
+        if self.dead == len(self.clauses) or (self.dead > 16 and self.dead * 2 > len(self.clauses)):
+            self.clauses = [old for old in self.clauses if old.died == NEVER]
+            self.dead = 0
+            self.indexes.clear()
+        return True
+
+    def clear(self) -> None:
+        """Remove all clauses."""
+        for clause in list(self.live()):
+            self.remove(clause)
+
+    def changed(self) -> None:
+        """Go back to interpretation: the clauses are not what was compiled."""
+        if self.compiled:
+            self.compiled = self.steady = False
+            self.run = self._call
+            self.compile_after *= 2
+        self.calls = 0
+        if self.direct is not None:
+            self.direct.reset(self)
+
+    def mend(self) -> None:
+        """Make all anew that follows from the clauses, which an interrupt may have left half made."""
+        if self.library or not (self.kind == "user" or self.clauses):
+            return
+        self.kind = "user"
+        self.clauses = list(self.live())
+        self.dead = 0
+        self.ground = self.functor.arity > 0 and all(clause.ground for clause in self.clauses)
+        self.indexes.clear()
+        self.forget()
+
+    def table(self, hidden: "Predicate", run: Callable[[Frame], Optional[Frame]]) -> None:
+        """Let tables answer the calls; clauses belong to the ``hidden`` predicate from now on."""
+        self.tabled = hidden
+        self.kind = "control"
+        self.clauses = []
+        self.indexes.clear()
+        self.run = run
+        self.steady = False
+
+    def forget(self) -> None:
+        """Drop compiled code whose references to other predicates are out of date."""
+        if self.direct is not None:
+            self.direct.reset(None)
+        if self.kind == "user":
+            self.compiled = self.steady = False
+            self.run = self._call
+            self.calls = 0
+            for clause in self.clauses:
+                clause.code = None
+
+    # Calls of interpreted clauses
+
+    def _call(self, frame: Frame) -> Optional[Frame]:
+        if self.kind == "undefined":
+            return self.database.undefined(self, frame)
+        self.calls += 1
+        if (self.calls > self.compile_after or self.library) and self._compile():
+            return self.run(frame)
+        clauses, position = self.select(frame)
+        if len(clauses) > _MANY:
+            look(0)  # to find a clause among these may take long
+        generation = self.database.generation
+        keys = self._keys(frame, position)
+        if self.ground:
+            search = self._searches.get(position) or self._search(position)
+            return search(frame, clauses, 0, len(clauses), generation, keys)
+        return self._advance(frame, clauses, 0, len(clauses), generation, keys)
+
+    @staticmethod
+    def _keys(frame: Frame, position: Optional[int]) -> Optional[List[Any]]:
+        """Return the keys of a call's arguments; None where only that at ``position`` has one."""
+        for at in range(1, len(frame) - 1):
+            if at - 1 != position and key_of(frame[at]) is not None:
+                return [key_of(arg) for arg in frame[1:-1]]
+        return None
+
+    def fact_finder(self, once: bool) -> Callable[..., Optional[bool]]:
+        """Return a function of the arguments that looks a ground fact up; see `Direct`."""
+        choices = self.database.machine.choices
+
+        def find(*args: Term) -> Optional[bool]:
+            if not self.ground:
+                return None
+            frame = (self, *args, True)
+            clauses, position = self.select(frame)
+            search = self._searches.get(position) or self._search(position)
+            height = len(choices)
+            keys = self._keys(frame, position)
+            if search(frame, clauses, 0, len(clauses), self.database.generation, keys) is None:
+                return False
+            if len(choices) > height:
+                del choices[height:]
+                return True if once else None
+            return True
+
+        return find
+
+    def _search(self, position: Optional[int]) -> Callable[..., Optional[Frame]]:
+        names = fact_names(self.database.machine)
+        search = self._searches[position] = fact_search(self.functor.arity, position, names)
+        return search
+
+    def select(self, frame: Frame) -> Tuple[List[Clause], Optional[int]]:
+        """Return a list that holds all clauses that a call may match, and the argument that it is indexed by."""
+        clauses = self.clauses
+        size = len(clauses)
+        if size < _INDEX_FROM:
+            return clauses, None
+        best, by = clauses, None
+        for position in range(min(self.functor.arity, 4)):
+            key = key_of(frame[position + 1])
+            if key is None:
+                continue
+            found = self.indexes.get(position)
+            if found is None:
+                if self.poor.get(position, 0) * 2 > size:
+                    continue
+                found = self._index(position)
+                if found is None:
+                    continue
+            others = found.others
+            candidates = found.joined(key) if others else found.own.get(key, others)
+            if len(candidates) < len(best):
+                best, by = candidates, position
+                if len(best) <= 2:
+                    break
+        return best, by
+
+    def _index(self, position: int) -> Optional[Index]:
+        index = Index()
+        clauses = [clause for clause in self.clauses if clause.died == NEVER]
+        keys = [clause.keys[position] for clause in clauses]
+        variables = keys.count(None)
+        if variables * 2 <= len(clauses):
+            for clause in clauses:
+                index.add(clause.keys[position], clause)
+        if len(index.own) < 2:
+            self.poor[position] = len(clauses)
+            return None
+        self.indexes[position] = index
+        return index
+
+    def _next(self, entry: Frame) -> Optional[Frame]:
+        return self._advance(*entry[1:7])
+
+    def _advance(
+        self,
+        frame: Frame,
+        clauses: List[Clause],
+        at: int,
+        end: int,
+        generation: int,
+        keys: Optional[List[Any]],
+    ) -> Optional[Frame]:
+        """Try the clauses from ``at`` on; push a choice point where another one may match."""
+        machine = self.database.machine
+        trail = machine.trail
+        while at < end:
+            clause = clauses[at]
+            at += 1
+            if clause.died <= generation or keys is not None and not may_match(keys, clause.keys):
+                continue
+            while at < end:  # look for the next clause that may match, to leave no choice point for nothing
+                other = clauses[at]
+                if other.died > generation and (keys is None or may_match(keys, other.keys)):
+                    break
+                at += 1
+            height = len(machine.choices)
+            mark = len(trail)
+            if clause.fact:
+                if self._match(frame, clause, {}, trail):
+                    if at < end:
+                        machine.choices.append((self._retry, frame, clauses, at, end, generation, keys, mark))
+                    return frame[-1]  # type: ignore[no-any-return]
+                undo(trail, mark)
+                continue
+            if at < end:
+                machine.choices.append((self._retry, frame, clauses, at, end, generation, keys, mark))
+            code = clause.code
+            if code is None:
+                clause.uses += 1
+                if clause.uses <= self.database.compile_after and not self.library:
+                    return self._interpret(frame, clause, height, trail)
+                code = self._compile_clause(clause)
+                if code is None:
+                    return self._interpret(frame, clause, height, trail)
+            return code((*frame, height))
+        return None
+
+    @staticmethod
+    def _match(frame: Frame, clause: Clause, fresh: Dict[Var, Term], trail: List[Any]) -> bool:
+        """Unify a call with a clause's head; ``fresh`` gets what the clause's variables stand for.
+
+        A variable of the clause becomes a name for the argument, as in compiled clauses: the caller's variable
+        is bound to nothing, and stays the older one.
+        """
+        head = clause.head
+        for at in range(1, len(frame) - 1):
+            pattern = head[at]
+            if pattern.__class__ is Var:
+                known = fresh.get(pattern)
+                if known is None:
+                    fresh[pattern] = frame[at]
+                    continue
+                pattern = known
+            elif pattern.__class__ is tuple and not clause.ground:
+                pattern = copy(pattern, fresh)
+            if not unify(pattern, frame[at], trail):
+                return False
+        return True
+
+    def _interpret(self, frame: Frame, clause: Clause, height: int, trail: List[Any]) -> Optional[Frame]:
+        fresh: Dict[Var, Term] = {}
+        if not self._match(frame, clause, fresh, trail):
+            return None
+        return self.database.solve(copy(clause.body, fresh), height, frame[-1])
+
+    # Compilation
+
+    def prepare(self) -> None:
+        """Compile it before it is called, unless it has been compiled and has changed since."""
+        if self.compiled or self.compile_after != self.database.compile_after or self.database.interprets:
+            return
+        try:
+            self._compile()
+        except (PrologError, RecursionError):  # who calls it gets the error
+            self.compiled = False
+
+    def _compile(self) -> bool:
+        """Compile all clauses as one function if that suits the predicate."""
+        self.calls = 0
+        clauses = list(self.live())
+        size = len(clauses)
+        facts = all(clause.fact for clause in clauses)
+        too_many = size > (_MOST_FACTS if facts else _MOST_CLAUSES)
+        if not size or too_many or any(clause.is_large for clause in clauses):
+            self.compile_after = NEVER
+            return False
+        rules = [Rule(_args(clause.head), clause.body, clause.place) for clause in clauses]
+        generator = Generator(self._view(), self.functor, rules, self)
+        self.run = generator.main()
+        self.steady = generator.steady
+        self.compiled = True
+        return True
+
+    def _compile_clause(self, clause: Clause) -> Optional[Callable[[Frame], Optional[Frame]]]:
+        if clause.is_large:
+            clause.uses = -NEVER
+            return None
+        rule = Rule(_args(clause.head), clause.body, clause.place)
+        clause.code = Generator(self._view(), self.functor, [rule], self).single(0)
+        return clause.code
+
+    def _view(self) -> Any:
+        return self.database.library if self.library else self.database
+
+
+def fact_names(machine: Machine) -> Dict[str, Any]:
+    """Return what the code for facts names."""
+    return {
+        "Var": Var,
+        "unify": unify,
+        "undo": undo,
+        "trail": machine.trail,
+        "push": machine.trail.append,
+        "choose": machine.choices.append,
+        "retry": _NEXT_FACT,
+        "may_match": may_match,
+    }
+
+
+_NEXT_FACT = Code("facts", lambda entry: entry[1](*entry[2:8]))
+
+
+def _args(head: Term) -> Tuple[Term, ...]:
+    return head[1:] if head.__class__ is tuple else ()

@@ -1,0 +1,366 @@
+"""Foreign predicates: Python functions that a program calls as predicates.
+
+    from retalis import Engine, foreign
+
+    @foreign
+    def distance(x1: float, y1: float, x2: float, y2: float) -> float:
+        return math.hypot(x1 - x2, y1 - y2)      # distance(X1,Y1,X2,Y2,D)
+
+    @foreign
+    def near(name: str) -> Iterator[str]:        # near(Name,Other), a solution for each value
+        yield from NEIGHBOURS[name]
+
+    engine.add_foreign(distance, near)
+
+The parameters are the first arguments of the predicate; the result is unified with the last.
+"""
+
+import inspect
+import numbers
+from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple, get_type_hints
+
+from ...foundation import BULK, RetalisError, TermTooLarge, UsageError, look
+from ..logic import Logic
+from ..machine import PrologError, instantiation_error, permission_error, type_error
+from ..terms import (
+    CONS,
+    FALSE,
+    MINUS,
+    MOST,
+    NIL,
+    SLASH,
+    TRUE,
+    Atom,
+    Functor,
+    Lazy,
+    String,
+    Term,
+    Var,
+    atom,
+    deref,
+    functor,
+    list_items,
+    make_list,
+)
+
+_MASK = len(BULK) - 1
+_ERROR = functor("error", 2)
+_PYTHON_ERROR = functor("python_error", 2)
+_MARK = "__retalis_foreign__"
+
+
+class Compound(NamedTuple):
+    """A compound term for Python code: a name and arguments, which are Python values.
+
+    >>> to_term(Compound("point", [1, 2.5]))      # point(1,2.5)
+    """
+
+    name: str
+    args: Sequence[Any]
+
+
+class _Spec(NamedTuple):
+    """What the decorator was told; kept with the function."""
+
+    name: str
+    outputs: int
+    readers: List[Callable[[Term], Any]]
+    many: bool
+
+    @property
+    def arity(self) -> int:
+        return len(self.readers) + self.outputs
+
+
+def foreign(
+    function: Optional[Callable[..., Any]] = None,
+    *,
+    name: Optional[str] = None,
+    outputs: Optional[int] = None,
+) -> Any:
+    """Mark a function as a predicate; `Engine.add_foreign` or ``use_foreign/1`` defines it in a program.
+
+    A parameter with the annotation int, float, str, bool or list takes only that (float takes integers too);
+    with `Term` it gets the term itself, even if that is unbound; any other gets the term's Python value (see
+    `to_python`). The result becomes a term (see `to_term`); None means failure, except of a function without
+    outputs. A generator gives one solution with each value that it yields. What it raises is the error
+    ``python_error(Kind, Message)``, unless it is a `PrologError`.
+
+    Args:
+        function: the function, where the decorator is used without arguments.
+        name: of the predicate; by default the function's.
+        outputs: how many arguments come after the parameters: 1 by default, with more the function returns
+            a tuple, with 0 whether it succeeds. It is 0 by default where the function is said to return
+            bool or None.
+    """
+
+    def mark(function: Callable[..., Any]) -> Callable[..., Any]:
+        hints = get_type_hints(function)
+        count = outputs
+        if count is None:
+            count = 0 if hints.get("return", 1) in (bool, type(None)) else 1
+        readers = [_reader(hints.get(one.name)) for one in _parameters(function)]
+        spec = _Spec(name or function.__name__, count, readers, inspect.isgeneratorfunction(function))
+        setattr(function, _MARK, spec)
+        return function
+
+    return mark if function is None else mark(function)
+
+
+def _parameters(function: Callable[..., Any]) -> List[inspect.Parameter]:
+    found = list(inspect.signature(function).parameters.values())
+    for one in found:
+        if one.kind not in (one.POSITIONAL_ONLY, one.POSITIONAL_OR_KEYWORD):
+            raise UsageError(
+                f"{function.__name__} takes *args or **kwargs; a predicate has a fixed number of arguments"
+            )
+    return found
+
+
+def define_foreign(logic: Logic, runner: Any, *sources: Any) -> List[Functor]:
+    """Define marked functions, and those of modules, in a program; return their functors.
+
+    Args:
+        logic: of the program.
+        runner: is told, by ``callback``, what function runs; see `Runner`.
+        sources: functions and modules.
+
+    Raises:
+        UsageError: for a function that is not marked, or a module without any.
+        PrologError: where a predicate of the system has that name.
+    """
+    done = []
+    for source in sources:
+        functions = (
+            [source]
+            if callable(source)
+            else [one for one in getattr(source, "__dict__", {}).values() if _is_marked(one)]
+        )
+        if not functions or not all(_is_marked(one) for one in functions):
+            raise UsageError(f"{getattr(source, '__name__', source)} has no function decorated with @foreign")
+        for function in functions:
+            done.append(_define(logic, runner, function, getattr(function, _MARK)))
+    return done
+
+
+def _is_marked(value: Any) -> bool:
+    return isinstance(getattr(value, _MARK, None), _Spec)
+
+
+def _define(logic: Logic, runner: Any, function: Callable[..., Any], spec: _Spec) -> Functor:
+    key = functor(spec.name, spec.arity)
+    known = logic.database.predicates.get(key)
+    if known is not None and known.locked:
+        raise permission_error("modify", "static_procedure", _indicator(key))
+    if spec.many:
+        logic.define_nondeterministic(spec.name, spec.arity, _generator(runner, function, spec, key))
+    else:
+        logic.define(spec.name, spec.arity, _function(runner, function, spec, key))
+    return key
+
+
+def _function(runner: Any, function: Callable[..., Any], spec: _Spec, key: Functor) -> Callable[..., bool]:
+    count = len(spec.readers)
+    what = f"the foreign predicate {key}"
+
+    def run(machine: Any, *arguments: Term) -> bool:
+        values = [read(term) for read, term in zip(spec.readers, arguments)]
+        outer = runner.callback
+        runner.callback = (what,)
+        try:
+            result = function(*values)
+            if not spec.outputs:
+                return result is not False
+            return result is not None and _unify(machine, arguments[count:], result)
+        except Exception as error:  # whatever it is, it is the goal's error and no reason to end the program
+            raise _raised(error, key) from error
+        finally:
+            runner.callback = outer
+
+    return run
+
+
+def _generator(
+    runner: Any, function: Callable[..., Any], spec: _Spec, key: Functor
+) -> Callable[..., Iterator[None]]:
+    count = len(spec.readers)
+    what = f"the foreign predicate {key}"
+
+    def run(machine: Any, *arguments: Term) -> Iterator[None]:
+        values = [read(term) for read, term in zip(spec.readers, arguments)]
+        solutions = function(*values)
+        while True:
+            outer = runner.callback
+            runner.callback = (what,)
+            try:
+                result = next(solutions)
+                solved = not spec.outputs or _unify(machine, arguments[count:], result)
+            except StopIteration:
+                return
+            except Exception as error:  # as above
+                raise _raised(error, key) from error
+            finally:
+                runner.callback = outer
+            if solved:
+                yield None
+
+    return run
+
+
+def _unify(machine: Any, outputs: Sequence[Term], result: Any) -> bool:
+    if len(outputs) == 1:
+        return bool(machine.unify(outputs[0], to_term(result)))
+    if len(result) != len(outputs):
+        raise UsageError(f"a foreign predicate returned {len(result)} values for {len(outputs)} outputs")
+    return bool(machine.unify_all(*[(output, to_term(value)) for output, value in zip(outputs, result)]))
+
+
+def _raised(error: Exception, key: Functor) -> RetalisError:
+    if isinstance(error, RetalisError):
+        return error
+    context = (functor("context", 2), _indicator(key), Var())
+    formal = (_PYTHON_ERROR, atom(type(error).__name__), String(str(error)))
+    return PrologError((_ERROR, formal, context))
+
+
+def _indicator(key: Functor) -> Term:
+    return (SLASH, atom(key.name), key.arity)
+
+
+# Conversion
+
+
+def to_python(term: Term) -> Any:
+    """Return a term as a Python value.
+
+    ========================  =============================
+    term                      value
+    ========================  =============================
+    integer, float            int, float
+    ``true``, ``false``       True, False
+    atom, string              str
+    list                      list
+    compound term             `Compound`
+    ========================  =============================
+
+    Raises:
+        PrologError: an instantiation error for an unbound variable in it.
+    """
+    values: List[Any] = []
+    stack: List[Any] = [term]
+    steps = 0
+    while stack:
+        steps += 1
+        if not steps & _MASK:
+            look()
+            if steps > MOST:
+                raise TermTooLarge
+        item = deref(stack.pop())
+        kind = item.__class__
+        if kind is _Parts:
+            values[len(values) - item.count :] = [item.join(values[len(values) - item.count :])]
+        elif kind is tuple:
+            items = list_items(item) if item[0] is CONS else None
+            parts = list(item[1:]) if items is None else items
+            stack.append(_Parts(len(parts), None if items is not None else item[0].name))
+            stack.extend(reversed(parts))
+        else:
+            values.append(_constant(item, kind))
+    return values[0]
+
+
+class _Parts:
+    """On the stack of `to_python` after the parts of a list (without a name) or compound term."""
+
+    __slots__ = ("count", "name")
+
+    def __init__(self, count: int, name: Optional[str]):
+        self.count = count
+        self.name = name
+
+    def join(self, values: List[Any]) -> Any:
+        """Return the value of the whole."""
+        return values if self.name is None else Compound(self.name, values)
+
+
+def _constant(item: Term, kind: type) -> Any:
+    if kind is Var:
+        raise instantiation_error()
+    if item is TRUE or item is FALSE:
+        return item is TRUE
+    if kind is Atom:
+        return [] if item is NIL else item.name
+    if kind is String:
+        return item.text
+    return int(item) if isinstance(item, int) else item
+
+
+def to_term(value: Any) -> Term:
+    """Return a Python value as a term.
+
+    The other way of `to_python`; str becomes an atom (a `retalis.terms.String` stays a string), tuple and any
+    other iterable but str become a list, dict a list of ``Key-Value``. Terms stay what they are.
+
+    Raises:
+        UsageError: for a value that is none of these.
+    """
+    if value is None:
+        raise UsageError("None is not a term")
+    if isinstance(value, bool):
+        return TRUE if value else FALSE
+    if isinstance(value, Compound):
+        if not value.args:
+            return atom(value.name)
+        return (functor(value.name, len(value.args)), *[to_term(item) for item in value.args])
+    if isinstance(value, (Atom, String, Var, Lazy)):
+        return value
+    if isinstance(value, tuple) and value and isinstance(value[0], Functor):
+        return value
+    if isinstance(value, str):
+        return atom(value)
+    if isinstance(value, numbers.Integral):
+        return int(value)
+    if isinstance(value, numbers.Real):
+        return float(value)
+    if isinstance(value, dict):
+        return make_list([(MINUS, to_term(key), to_term(item)) for key, item in value.items()])
+    try:
+        items = iter(value)
+    except TypeError:
+        raise UsageError(f"a {type(value).__name__} is not a term: {value!r}") from None
+    found = []
+    for count, item in enumerate(items, 1):
+        found.append(to_term(item))
+        if not count & _MASK:
+            look()
+            if count > MOST:
+                raise TermTooLarge
+    return make_list(found)
+
+
+def _reader(hint: Any) -> Callable[[Term], Any]:
+    """Return what makes the argument for a parameter with an annotation."""
+    if hint is Term or hint is Var:
+        return deref
+    return _READERS.get(hint, to_python)
+
+
+def _typed(accepts: Tuple[type, ...], name: str, convert: Callable[[Any], Any]) -> Callable[[Term], Any]:
+    def read(term: Term) -> Any:
+        value = to_python(term)
+        if isinstance(value, bool) and bool not in accepts:
+            value = "true" if value else "false"
+        if not isinstance(value, accepts) or isinstance(value, Compound):
+            raise type_error(name, deref(term))
+        return convert(value)
+
+    return read
+
+
+_READERS: Dict[Any, Callable[[Term], Any]] = {
+    int: _typed((int,), "integer", int),
+    float: _typed((int, float), "number", float),
+    str: _typed((str,), "atom", str),
+    bool: _typed((bool,), "bool", bool),
+    list: _typed((list,), "list", list),
+}

@@ -1,0 +1,232 @@
+"""The façade of the logic room: a machine, its predicates, flags and operators."""
+
+import sys
+from contextlib import contextmanager
+from time import time_ns
+from typing import Any, Callable, Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
+
+from ...foundation import Place, beginning
+from .. import builtins  # noqa: F401  (it registers trace/1)
+from ..compiler import CALL
+from ..database import COMPILE_AFTER, Clause, Goal, Predicate, check_body, split_clause
+from ..machine import Frame, Limits, PrologError
+from ..syntax import Operators, write_term
+from ..terms import Atom, Functor, Term, Var, copy, deref, functor
+from . import ports  # noqa: F401  (it registers trace/1)
+from .predicates import Predicates
+from .unknown import similar, undefined
+
+_DIRECTIVE = functor(":-", 1)
+_QUERY = functor("?-", 1)
+_ARROW = functor("-->", 2)
+
+
+class Logic(Predicates):
+    """A Prolog: clauses, predicates in Python, goals.
+
+    Args:
+        operators: the operator table of the program; Prolog's by default.
+        compile_after: calls of an unchanged predicate after which it is compiled.
+
+    Attributes:
+        output: called with text that the program prints.
+        column: where that stands in its line.
+        now: gives the present in nanoseconds.
+        message: called with kind (error, warning, informational, ...) and text of ``print_message/2``.
+        error_output: called with text printed to ``user_error``, and with warnings.
+        new_goals: what has been compiled since `preparing` began; None outside of that.
+    """
+
+    def __init__(self, operators: Optional[Operators] = None, compile_after: int = COMPILE_AFTER):
+        super().__init__(operators, compile_after)
+        self.database.undefined = self._undefined
+        self.globals: Dict[str, Term] = {}
+        self.column = 0
+        self.output: Callable[[str], None] = _print
+        self.error_output: Callable[[str], None] = _print_error
+        self.message: Callable[[str, str], None] = self._to_error_output
+        self.state: Dict[str, Any] = {}
+        self.now: Callable[[], int] = time_ns
+        self.new_goals: Optional[List[Goal]] = None
+
+    # Limits
+
+    @property
+    def limits(self) -> Limits:
+        """What a goal may use."""
+        return self.machine.budget.limits
+
+    @limits.setter
+    def limits(self, limits: Limits) -> None:
+        self.machine.budget.allow(limits)
+
+    # Clauses
+
+    def add_clause(self, term: Term, place: Optional[Place] = None, first: bool = False) -> Clause:
+        """Add a clause (its variables are copied); DCG rules are translated.
+
+        Raises:
+            PrologError: where the term is not a clause, or belongs to a predicate of the system.
+        """
+        term = deref(term)
+        if term.__class__ is tuple and term[0] is _ARROW:
+            term = builtins.translate_rule(term)
+        head, body = split_clause(copy(term))
+        key = head.functor if head.__class__ is Atom else head[0]
+        predicate = self.database.writable(key, "modify")
+        clause = Clause(predicate, head, body, place)
+        predicate.add(clause, first)
+        return clause
+
+    def load(
+        self, terms: Sequence[Tuple[Term, Optional[Place]]], problem: Callable[[str, Optional[Place]], None]
+    ) -> None:
+        """Add clauses and run directives in order; ``initialization/1`` goals run at the end.
+
+        Args:
+            terms: clauses and directives with their places.
+            problem: called for directives that fail or raise, and clauses that cannot be added.
+        """
+        late: List[Tuple[Term, Optional[Place]]] = []
+        for term, place in terms:
+            term = deref(term)
+            if term.__class__ is tuple and (term[0] is _DIRECTIVE or term[0] is _QUERY):
+                goal = deref(term[1])
+                if goal.__class__ is tuple and goal[0].name == "initialization":
+                    late.append((goal[1], place))
+                else:
+                    self.run_directive(goal, place, problem)
+                continue
+            try:
+                self.add_clause(term, place)
+            except PrologError as error:
+                problem(error.message, place)
+        for goal, place in late:
+            self.run_directive(goal, place, problem)
+
+    def run_directive(
+        self, goal: Term, place: Optional[Place], problem: Callable[[str, Optional[Place]], None]
+    ) -> bool:
+        """Run a directive; tell ``problem`` where it fails or raises. Return whether it succeeded."""
+        try:
+            if self.once(goal):
+                return True
+            problem(f"Goal (directive) failed: {self.show(goal)}", place)
+        except PrologError as error:
+            problem(error.message, place)
+        return False
+
+    # Goals
+
+    def compile_goal(
+        self,
+        goal: Term,
+        inputs: Sequence[Var] = (),
+        outputs: Sequence[Term] = (),
+        place: Optional[Place] = None,
+        name: str = "goal",
+    ) -> Goal:
+        """Compile a goal for Python code.
+
+        Args:
+            goal: its term.
+            inputs: variables that get values, by position.
+            outputs: variables (or terms) whose values are wanted.
+            place: where it was read, for tracebacks.
+            name: who asks, for tracebacks.
+
+        Raises:
+            PrologError: where the term can be no goal.
+        """
+        goal = deref(goal)
+        if goal.__class__ is not Var:
+            goal = check_body(goal)
+        compiled = Goal(self.database, goal, inputs, outputs, place, name)
+        if self.new_goals is not None:
+            self.new_goals.append(compiled)
+        return compiled
+
+    @contextmanager
+    def preparing(self, terms: Callable[[], Iterable[Term]]) -> Iterator[None]:
+        """Have what is compiled meanwhile be ready at the end, so that the first events need not wait for it.
+
+        Args:
+            terms: returns, at the end, the terms whose predicates will be called.
+        """
+        outer = self.new_goals
+        new = self.new_goals = []
+        try:
+            yield
+        finally:
+            self.new_goals = outer
+        self.database.compile_named(terms())
+        for goal in new:
+            goal.prepare()
+
+    def once(self, goal: Term, asked_for: Optional[Term] = None) -> bool:
+        """Run a goal for its first solution, whose bindings stay. Return whether there is one.
+
+        Args:
+            goal: the goal.
+            asked_for: what reports show in its place.
+
+        Raises:
+            PrologError: what the goal threw.
+        """
+        budget = self.machine.budget
+        budget.ended(1)  # many short ones may lie in each other, and none of them comes to look at the limits
+        if budget.closed:
+            budget.admit()
+        asked = budget.goal
+        if asked is None:
+            budget.goal = goal if asked_for is None else asked_for
+        try:
+            return self.machine.run((self.control.code, (CALL, goal), 0, self.machine.done))
+        finally:
+            budget.goal = asked
+
+    def solutions(self, goal: Term) -> Iterator[None]:
+        """Run a goal; yield at each solution, with its bindings in place. Closing drops what is left."""
+        return self.machine.solutions((self.control.code, (CALL, goal), 0, self.machine.done), goal)
+
+    def write(self, text: str) -> None:
+        """Write to the current output."""
+        newline = text.rfind("\n")
+        self.column = self.column + len(text) if newline < 0 else len(text) - newline - 1
+        self.output(text)
+
+    def _to_error_output(self, kind: str, text: str) -> None:
+        self.error_output(text)
+
+    def show(self, term: Term, quoted: bool = True, names: Optional[Mapping[Var, str]] = None) -> str:
+        """Return a term as text that reads back with the program's operators; names are those of variables."""
+        return write_term(term, self.operators, quoted=quoted, numbervars=True, variable_names=names)
+
+    def brief(self, term: Term, names: Optional[Mapping[Var, str]] = None) -> str:
+        """Return the beginning of a term's text, as reports show it."""
+        return beginning(self.show(term, names=names))
+
+    # Internals
+
+    def _undefined(self, predicate: Predicate, frame: Frame) -> Optional[Frame]:
+        """Load the part of the library that defines a predicate, or raise its existence error."""
+        key = predicate.functor
+        if predicate.dynamic:
+            return None
+        part = self._library.get((key.name, key.arity))
+        if part is not None:
+            self._load_library(part)
+            return self.database.predicate(key).run(frame)
+        return undefined(self, predicate, frame)
+
+    def similar(self, key: Functor) -> List[str]:
+        """Return the predicates that may have been meant by the name of one that is not there."""
+        return similar(self, key)
+
+
+def _print(text: str) -> None:
+    sys.stdout.write(text)
+
+
+def _print_error(text: str) -> None:
+    sys.stderr.write(text)

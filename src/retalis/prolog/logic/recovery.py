@@ -1,0 +1,47 @@
+"""Going back to where a machine was before an interrupt, wherever that has come."""
+
+from typing import Any, NamedTuple, Optional
+
+from ..builtins import Capture
+from ..machine import Guard
+from ..terms import undo
+
+
+class State(NamedTuple):
+    """Where a machine is: what a run that begins now leaves as it is."""
+
+    height: int
+    mark: int
+    budget: Any
+
+
+def state_of(machine: Any) -> State:
+    """Return where a machine is."""
+    return State(len(machine.choices), len(machine.trail), machine.budget.state())
+
+
+def go_back(machine: Any, state: Optional[State]) -> None:
+    """Go back to a state, or with None to where the machine is while nothing runs; guards are told."""
+    height, mark = machine.idle if state is None else state[:2]
+    budget, choices = machine.budget, machine.choices
+    while len(choices) > height:
+        entry = choices[-1]
+        if entry[0].__class__ is Guard:
+            entry[0].unwind(entry)
+        choices.pop()
+    undo(machine.trail, mark)
+    budget.restore(None if state is None else state.budget)
+
+
+def mend(logic: Any) -> None:
+    """Put right what may have been left half done among what outlives a goal; nothing runs."""
+    while isinstance(logic.output, Capture):
+        logic.output, logic.column = logic.output.before
+    logic.new_goals = None
+    vars(logic.control).pop("solve", None)  # a tracer's
+    logic.database.solve = logic.control.solve
+    for predicate in list(logic.database.predicates.values()):
+        predicate.mend()
+    for part in list(logic.state.values()):
+        if hasattr(part, "mend"):
+            part.mend()

@@ -1,0 +1,62 @@
+"""The machine: frames, choice points and budgets, and the errors that goals end with."""
+
+from .budget import Budget
+from .codes import BAIL, DEAD, LAST, RESUME, CatchMark, Code, Frame, Guard
+from .describing import CONTEXT, ERROR, describe
+from .faults import (
+    PrologError,
+    domain_error,
+    error,
+    evaluation_error,
+    existence_error,
+    from_python,
+    indicator,
+    instantiation_error,
+    no_argument,
+    no_matching_rule,
+    permission_error,
+    representation_error,
+    resource_error,
+    syntax_error,
+    type_error,
+    uninstantiation_error,
+)
+from .limits import LOOP, LimitError, LimitPassed, Limits, keep_back
+from .machine import Machine
+
+__all__ = [
+    "BAIL",
+    "Budget",
+    "CatchMark",
+    "Code",
+    "CONTEXT",
+    "DEAD",
+    "describe",
+    "domain_error",
+    "ERROR",
+    "error",
+    "evaluation_error",
+    "existence_error",
+    "Frame",
+    "from_python",
+    "Guard",
+    "indicator",
+    "instantiation_error",
+    "keep_back",
+    "LAST",
+    "LimitError",
+    "LimitPassed",
+    "Limits",
+    "LOOP",
+    "Machine",
+    "no_argument",
+    "no_matching_rule",
+    "permission_error",
+    "PrologError",
+    "representation_error",
+    "resource_error",
+    "RESUME",
+    "syntax_error",
+    "type_error",
+    "uninstantiation_error",
+]

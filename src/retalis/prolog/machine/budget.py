@@ -1,0 +1,337 @@
+"""What an event or a question has used with all that it started."""
+
+import os
+from contextlib import contextmanager
+from threading import get_ident
+from time import monotonic
+from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple
+
+from ...foundation import WATCH, watch_for
+from .faults import resource_error
+from .limits import LOOP, NO_LIMITS, SLICE, LimitError, LimitPassed, Limits
+
+_MEASURE_EVERY = 0.005
+"""Seconds between two looks at the memory in use."""
+
+
+class Budget:
+    """What an entry, an event or a question with all that it starts, has used and may still use.
+
+    Who takes events (the engine) tells by its turns where entries begin and end, see `count_for`. Where nobody
+    does, each outermost run of the machine is an entry.
+
+    Attributes:
+        limits: of each entry.
+        limited: whether the machine has to `enter` each run: there are limits, and nobody says where entries end.
+        closed: whether goals have to ask `admit` before they begin.
+        turn: says where entries begin and end: its ``thread`` is that in which one is at work, or None; its ``entry``
+            tells it from others: what came in.
+        goal: what is being asked, a `Goal` or a term; None while only patterns are at work.
+        inferences: all that were counted.
+        alarms: times (of the monotonic clock) with what is to be thrown then.
+        ceilings: counts of inferences with what is to be thrown past them.
+        used: whether there is anything to forget at the end of the entry.
+        rounds: how often the entry may use its seconds: once more when a program may have caught the first error.
+        refused: how many goals of the entry were refused.
+        on_refused: told at the end of an entry how many goals were refused, what had run out, and the entry.
+        running: whether a run is under way that was entered.
+    """
+
+    def __init__(self) -> None:
+        self.turn: Any = None
+        self.goal: Any = None
+        self.on_refused: Callable[[int, str, Any], None] = lambda number, what, entry: None
+        self.allow(NO_LIMITS)
+        self.running = False
+        self._ask = self.look
+        self.inferences = 0
+        self.alarms: List[Tuple[float, LimitPassed]] = []
+        self.ceilings: Dict[int, LimitPassed] = {}
+        self._steps = 0  # that are not counted as inferences yet
+        self._measured = 0.0
+        self._expired: Any = None
+        self._entry: Any = None  # that of the turn when it was first used
+        self.start_anew()
+
+    def allow(self, limits: Limits) -> None:
+        """Set what each entry may use."""
+        self._spent = 0
+        self.limits = limits
+        self._bounded = limits != NO_LIMITS
+        self.limited = self._bounded and self.turn is None
+
+    def count_for(self, turn: Any) -> None:
+        """Take the pieces of work of a turn (see `turn`) for entries; ``turn.follow`` does something after one."""
+        self.turn = turn
+        self.limited = False
+        watch_for(self)
+
+    @property
+    def at_work(self) -> bool:
+        """Whether an entry of a turn is at work."""
+        return self.turn is not None and self.turn.thread is not None
+
+    @property
+    def runs_here(self) -> bool:
+        """Whether a goal of an entry of a turn runs in this thread."""
+        return self.goal is not None and self.turn is not None and self.turn.thread == get_ident()
+
+    # Entries
+
+    def enter(self) -> Any:
+        """Begin a run with limits; return what `leave` needs at its end.
+
+        Long steps look at the limits too, see `watching`. A run inside another belongs to that.
+        """
+        if self.running:
+            return _INSIDE
+        self.running = True
+        before = WATCH.ask
+        WATCH.ask = self._ask
+        return before
+
+    def leave(self, saved: Any) -> None:
+        """End a run with limits."""
+        if saved is _INSIDE:
+            return
+        self.running = False
+        WATCH.ask = saved
+        if self.used:
+            self.start_anew()
+
+    def start_anew(self) -> None:
+        """Forget what an entry has used."""
+        self._begin()
+        self.alarms.clear()
+        self.ceilings.clear()
+
+    def state(self) -> Any:
+        """Return what runs, for `restore`."""
+        return self.running, WATCH.ask, self.goal, len(self.alarms), tuple(self.ceilings)
+
+    def restore(self, state: Any) -> None:
+        """Go back to what ran, or to nothing that runs with None, whatever an interrupt has left."""
+        if state is None:
+            self.running = False
+            self.goal = None
+            if WATCH.ask == self._ask:
+                WATCH.ask = None
+            self.end()
+            return
+        self.running, WATCH.ask, self.goal, alarms, ceilings = state
+        del self.alarms[alarms:]
+        self.ceilings = {at: error for at, error in self.ceilings.items() if at in ceilings}
+
+    def _begin(self) -> None:
+        self.used = False
+        self._spent = 0
+        self._deadline: Optional[float] = None
+        self._memory: Optional[int] = None
+        self.rounds = 1
+        self.refused = 0
+        self._out: Optional[str] = None  # what has run out, so that goals are refused
+        self.closed = False
+
+    def end(self) -> None:
+        """End an entry: say how many goals were refused, and forget what it has used."""
+        self._say_refused()
+        self.start_anew()
+
+    def _say_refused(self) -> None:
+        if self.refused and self._out is not None:
+            self.on_refused(self.refused, self._out, self._entry)
+
+    def apart(self, entry: Any, work: Callable[[], Any]) -> Any:
+        """Return what work returns; it is an entry of its own, in the midst of another of a turn."""
+        turn = self.turn
+        outer = turn.entry, self.goal
+        kept = [getattr(self, name) for name in _OF_ENTRY] if self.used else None
+        if kept is not None:
+            self._begin()
+        turn.entry, self.goal = entry, None
+        try:
+            return work()
+        finally:
+            turn.entry, self.goal = outer
+            if self.used:
+                self._say_refused()
+                self._begin()
+            if kept is not None:
+                for name, value in zip(_OF_ENTRY, kept):
+                    setattr(self, name, value)
+
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """Have nothing that the entry at hand waits for meanwhile (a user) count for it; it may use as much again."""
+        turn = self.turn
+        what, turn.entry = turn.entry, None
+        try:
+            yield
+        finally:
+            turn.entry = None if what is None else (*what, None)  # another one, of the same name
+            self._begin()
+
+    # Goals of entries
+
+    def admit(self) -> None:
+        """Raise an error where all is used up that the entry may use: a goal is not begun then."""
+        if self._out is not None:
+            self.refused += 1
+            error = self._error(self._out)
+            error.final = error.refused = True
+            raise error
+        self.closed = False
+        past = self._past(monotonic())
+        if past is not None:
+            raise self._exceeded(past)
+
+    def close(self, error: LimitError) -> None:
+        """Refuse further goals of the entry, because of an error that ended one of them."""
+        self._use()
+        self.closed = True
+        if self._out is None:
+            self._out = error.what
+
+    def expire(self, entry: Any) -> None:
+        """Note that an entry has used its seconds, if it is still at work; any thread may call this."""
+        self._expired = entry
+        self.closed = True
+
+    # Limits of calls
+
+    def warn_at(self, instant: float, error: LimitPassed) -> None:
+        """Have an error thrown past an instant of the monotonic clock."""
+        self._use()
+        self.alarms.append((instant, error))
+
+    def warn_past(self, ceiling: int, error: LimitPassed) -> None:
+        """Have an error thrown past a count of inferences."""
+        self._use()
+        self.ceilings[ceiling] = error
+
+    def cap(self, most: int) -> int:
+        """Return a ceiling for some more inferences; no two are the same."""
+        ceiling = self.inferences + most
+        while ceiling in self.ceilings:
+            ceiling += 1
+        return ceiling
+
+    # Counting
+
+    def sliced(self) -> None:
+        """Count a slice of steps and enforce the limits."""
+        self._steps += len(SLICE)
+        self._enforce()
+
+    def turned(self) -> None:
+        """Count the turns of a loop inside a step (as many as `LOOP` is long) and enforce the limits."""
+        self._steps += len(LOOP)
+        if self._steps >= len(SLICE):
+            self._enforce()
+
+    def look(self, work: int) -> None:
+        """Count pieces of work inside a step and enforce the limits."""
+        self._steps += work
+        self._enforce()
+
+    def ended(self, steps: int) -> None:
+        """Count the steps of a run that is over; past a limit the next goal is not begun."""
+        self._steps += steps
+        if self._steps >= len(SLICE):
+            self._count()
+            if self._bounded and self._past(monotonic()) is not None:
+                self.closed = True
+
+    def _use(self) -> None:
+        """Note that there is something to forget at the end of the entry."""
+        if not self.used:
+            self.used = True
+            if self.at_work:
+                self._entry = self.turn.entry
+                self.turn.follow(self.end)
+
+    def _count(self) -> None:
+        self._use()
+        steps = self._steps
+        self._steps = 0
+        self.inferences += steps
+        self._spent += steps
+
+    def _enforce(self) -> None:
+        self._count()
+        if self.ceilings:
+            for ceiling, error in self.ceilings.items():
+                if self.inferences > ceiling:
+                    raise error
+        if not self._bounded and not self.alarms:
+            return
+        now = monotonic()
+        for at, error in self.alarms:
+            if now > at:
+                raise error
+        past = self._past(now)
+        if past is None:
+            return
+        out = self._exceeded(past)
+        if self.goal is None and self.at_work:
+            self.close(out)  # patterns are at work: what they do is not left half done
+        else:
+            raise out
+
+    def _past(self, now: float) -> Optional[str]:
+        """Return the limit that the entry is past, or None."""
+        self._use()
+        limits = self.limits
+        if limits.inferences is not None and self._spent > limits.inferences:
+            return "inferences"
+        if limits.seconds is not None:
+            if self._deadline is None:
+                self._deadline = now + limits.seconds
+            elif now > self._deadline:
+                return "seconds"
+            if self._expired is not None and self._expired is self.turn.entry:
+                return "seconds"
+        if limits.megabytes is not None and now > self._measured + _MEASURE_EVERY:
+            self._measured = now
+            used = _resident_bytes()
+            if self._memory is None:
+                self._memory = used + (limits.megabytes << 20)
+            elif used > self._memory:
+                return "memory"
+        return None
+
+    def _exceeded(self, what: str) -> LimitError:
+        error = self._error(what)
+        error.final = self.rounds > 1
+        self.closed = self._out is not None  # who gets the error knows by it
+        if error.final:  # whoever looks from now on gets it again: to swallow it gains nothing
+            return error
+        # A handler gets a tenth more inferences, and as much again of all else, so that it can clean up.
+        self.rounds = 2
+        self._spent -= (self.limits.inferences or 0) // 10
+        self._deadline = None
+        self._memory = None
+        self._expired = None
+        return error
+
+    def _error(self, what: str) -> LimitError:
+        error = LimitError(resource_error(what).term)
+        error.budget, error.what = self, what
+        return error
+
+
+_INSIDE = object()
+"""What `Budget.enter` returns for a run inside another."""
+
+_OF_ENTRY = ("rounds", "refused", "closed", "used", "_entry", "_spent", "_deadline", "_memory", "_out")
+"""The attributes of a budget that tell what an entry has used."""
+
+_PAGE = os.sysconf("SC_PAGE_SIZE") if hasattr(os, "sysconf") else 4096
+
+
+def _resident_bytes() -> int:
+    try:
+        with open("/proc/self/statm", "rb") as file:
+            return int(file.read().split()[1]) * _PAGE
+    except OSError:  # a system without /proc has no memory limit
+        return 0

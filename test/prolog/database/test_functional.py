@@ -1,0 +1,110 @@
+"""Predicates that are functions of some of their arguments: called by compiled clauses, by terms, by goals."""
+
+import pytest
+from prolog.support import NEVER, answers, prolog
+
+from retalis.prolog.machine import PrologError, type_error
+from retalis.prolog.terms import atom, deref, functor
+
+PROGRAM = """
+half(X, Y) :- half_of(X, Y).
+same(X) :- half_of(X, X).
+known(X, Y) :- Y = 3, half_of(X, Y).
+parts(X, A, B) :- split(A, X, f(B, _)).
+unless(X, R) :- ( half_of(X, _) -> R = even ; R = odd ).
+both(X, Y) :- split(Y, X, f(Y, Y)).
+no(X) :- \\+ half_of(X, _).
+last(X, Y) :- split(_, X, _), split(Y, X, _).
+"""
+
+
+def half_of(term):
+    term = deref(term)
+    if term.__class__ is not int:
+        raise type_error("integer", term)
+    return None if term % 2 else term // 2
+
+
+def split(term):
+    value = deref(term)
+    return value, value * 10
+
+
+@pytest.fixture(params=[0, NEVER], ids=["compiled", "interpreted"])
+def logic(request):
+    made = prolog(PROGRAM, request.param)
+    made.define_function("half_of", 2, half_of)
+    shows = (None, lambda value: (functor("f", 2), value, atom("end")))
+    made.define_function("split", 3, split, (0, 2), shows)
+    return made
+
+
+CASES = [
+    ("half(6, Y)", [{"Y": "3"}]),
+    ("half(6, 3)", [{}]),
+    ("half(6, 4)", []),
+    ("half(7, Y)", []),
+    ("half(a, _)", ["type_error(integer,a)"]),
+    ("same(0)", [{}]),
+    ("same(4)", []),
+    ("same(_)", ["type_error(integer,A)"]),
+    ("known(6, Y)", [{"Y": "3"}]),
+    ("known(8, _)", []),
+    ("parts(2, A, B)", [{"A": "2", "B": "20"}]),
+    ("parts(2, A, 21)", []),
+    ("unless(2, R)", [{"R": "even"}]),
+    ("unless(3, R)", [{"R": "odd"}]),
+    ("both(0, Y)", []),
+    ("no(3)", [{}]),
+    ("no(4)", []),
+    ("last(5, Y)", [{"Y": "5"}]),
+    ("half_of(8, Y)", [{"Y": "4"}]),
+    ("G = half_of(8, Y), G", [{"G": "half_of(8,4)", "Y": "4"}]),
+    ("member(X, [1,2,3]), half_of(X, Y)", [{"X": "2", "Y": "1"}]),
+    ("split(A, 1, f(B, end)), A < B", [{"A": "1", "B": "10"}]),
+]
+
+
+@pytest.mark.parametrize("goal, expected", CASES)
+def test_functions_as_predicates(logic, goal, expected):
+    for _ in range(2):
+        assert answers(logic, goal) == expected
+    assert logic.machine.trail == []
+
+
+def test_a_program_may_not_define_it_where_it_is_locked():
+    logic = prolog()
+    logic.define_function("half_of", 2, half_of).locked = True
+    with pytest.raises(PrologError, match="permission"):
+        logic.add_clause((functor("half_of", 2), 1, 2))
+
+
+def test_a_predicate_that_replaces_it_counts():
+    logic = prolog("twice(X, Y) :- half_of(Y, X).")
+    logic.define_function("half_of", 2, half_of)
+    assert answers(logic, "twice(X, 8)") == [{"X": "4"}]
+    logic.define("half_of", 2, lambda machine, left, right: machine.unify(left, atom("replaced")))
+    assert answers(logic, "twice(X, Y)") == [{"X": "A", "Y": "replaced"}]
+
+
+@pytest.mark.parametrize("compile_after", [0, NEVER], ids=["compiled", "interpreted"])
+def test_a_predicate_may_be_a_function_where_its_first_argument_is_known(compile_after):
+    logic = prolog("one(Y) :- number_of(b, Y).\nall(X, Y) :- number_of(X, Y).\n", compile_after)
+    numbers = {"a": 1, "b": 2}
+    asked = []
+
+    def each(machine, name, value):
+        asked.append(name)
+        for key, number in numbers.items():
+            if machine.unify_all((name, atom(key)), (value, number)):
+                yield True
+
+    logic.define_nondeterministic("number_of", 2, each, lambda name: numbers.get(deref(name).name))
+    assert answers(logic, "one(Y)") == [{"Y": "2"}]
+    assert answers(logic, "X = a, number_of(X, Y)") == [{"X": "a", "Y": "1"}]
+    assert answers(logic, "number_of(a, 2)") == []
+    assert answers(logic, "number_of(c, _)") == []
+    assert asked == []
+    assert answers(logic, "all(X, Y)") == [{"X": "a", "Y": "1"}, {"X": "b", "Y": "2"}]
+    assert answers(logic, "all(X, 2)") == [{"X": "b"}]
+    assert len(asked) == 2

@@ -1,0 +1,52 @@
+"""Indexes of clauses: what may match a key, in the order in which it was added."""
+
+from random import Random
+
+import pytest
+from prolog.support import answers, prolog
+
+from retalis.prolog.database import index
+from retalis.prolog.database.index import Index
+
+
+@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("most", [3, 1_000_000])
+def test_gives_what_may_match_in_its_order(seed, most, monkeypatch):
+    monkeypatch.setattr(index, "_MOST_COPIES", most)
+    random = Random(seed)
+    found, added = Index(), []
+    for number in range(60):
+        key = random.choice([None, "a", "a", "b", "c"] if number > 5 else ["a", "b"])
+        found.add(key, number)
+        added.append((key, number))
+        if found.others and random.random() < 0.5:
+            asked = random.choice("abcd")
+            assert found.joined(asked) == [clause for key, clause in added if key in (None, asked)]
+
+
+def test_what_has_a_variable_is_not_entered_under_keys_that_nobody_asks_for():
+    found = Index()
+    for number in range(1000):
+        found.add(number, number)
+    for number in range(1000):
+        found.add(None, 1000 + number)
+        found.add(1000 + number, 2000 + number)
+        assert len(found.joined(7)) == number + 2
+    joined = [clauses for clauses, _, _ in found._joined.values()]
+    assert sum(map(len, [*joined, *found.own.values()])) < 5000
+
+
+PROGRAM = """
+:- dynamic p/2.
+fill(0) :- !.
+fill(N) :- assertz(p(N, N)), M is N - 1, fill(M).
+go(0) :- !.
+go(N) :- assertz(p(_, v(N))), p(7, _), !, M is N - 1, go(M).
+"""
+
+
+def test_clauses_with_a_variable_that_are_asserted_between_calls():
+    logic = prolog(PROGRAM)
+    assert answers(logic, "fill(50), p(7, 7), go(50)")
+    assert answers(logic, "findall(X, p(7, X), [7, v(50), v(49) | Rest]), length(Rest, 48)")
+    assert answers(logic, "findall(X, p(51, X), [v(50) | Rest]), length(Rest, 49)")

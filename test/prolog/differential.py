@@ -1,0 +1,115 @@
+"""Compare goals here and in SWI-Prolog, where it is installed.
+
+Usage: python differential.py COUNT [SEED]      print what differs
+       python differential.py --record COUNT    write goals and SWI-Prolog's answers to goals_kinds.tsv
+"""
+
+import random
+import re
+import sys
+from collections import Counter
+from pathlib import Path
+from typing import List
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from generated import Generator  # noqa: E402
+from reasons import REASONS, reason  # noqa: E402, F401
+from swipl import ask  # noqa: E402
+
+from retalis.foundation import SyntaxFault, TermTooLarge  # noqa: E402
+from retalis.prolog.logic import Logic  # noqa: E402
+from retalis.prolog.machine import Limits, PrologError  # noqa: E402
+from retalis.prolog.syntax import read_term, write_term  # noqa: E402
+from retalis.prolog.terms import String, copy, functor, variables  # noqa: E402
+
+RECORD = Path(__file__).with_name("goals_kinds.tsv")
+MOST = 5
+_FREE_NAME = re.compile(r"_G?[0-9]+")
+_SYNTAX_ERROR = re.compile(r"(?<=^error\()syntax_error\(.*\)(?=\)$)")
+_ERROR = functor("error", 2)
+_RESOURCE = functor("resource_error", 1)
+_NUMBERED = functor("$VAR", 1)
+
+
+def answer(text: str) -> str:
+    """Return the answers to a goal here: the list of instantiated goals, or the error term; and what it printed."""
+    logic = Logic()
+    logic.limits = Limits(inferences=200_000, seconds=5, megabytes=300)
+    output: List[str] = []
+    logic.output = output.append
+    logic.error_output = lambda text: None
+    try:
+        goal = read_term(text, logic.operators).term
+    except SyntaxFault:
+        return "unread"
+    try:
+        found = solutions(logic, goal)
+    except PrologError as error:
+        found = fault(error.term)
+    except Exception as error:
+        found = f"raised {error!r}"
+    printed = "".join(output)
+    return found + (f" printed {write_term(String(printed))}" if printed else "")
+
+
+def solutions(logic: Logic, goal: object) -> str:
+    """Return the instances of a goal that are true."""
+    found = []
+    for _ in logic.solutions(goal):
+        found.append(shown(goal))
+        if len(found) == MOST:
+            break
+    return f"[{','.join(found)}]"
+
+
+def fault(term: object) -> str:
+    """Return how an error shows: the formal term, or the ball."""
+    if term.__class__ is not tuple or term[0] is not _ERROR:
+        return f"ball({shown(term)})"
+    formal = term[1]
+    if formal.__class__ is tuple and formal[0] is _RESOURCE:
+        return "limit"
+    return f"error({shown(formal)})"
+
+
+def shown(term: object) -> str:
+    """Return a term as canonical text with its variables named in order."""
+    try:
+        numbered = copy(term)
+    except TermTooLarge:
+        return "cyclic"
+    for number, var in enumerate(variables(numbered)):
+        var.ref = (_NUMBERED, number)
+    return write_term(numbered, quoted=True, ignore_ops=True, numbervars=True)
+
+
+def plain(found: str) -> str:
+    """Return an answer without what is free to differ: names of variables, and the text of a syntax error."""
+    found = _FREE_NAME.sub("_", found)
+    return _SYNTAX_ERROR.sub("syntax_error(_)", found)
+
+
+def main() -> None:
+    """Compare or record."""
+    if sys.argv[1] == "--record":
+        texts = Generator(7).goals(int(sys.argv[2]))
+        kept = [(text, found) for text, found in zip(texts, ask(texts)) if found not in ("limit", "lost")]
+        RECORD.write_text("".join(f"{text}\t{found}\n" for text, found in kept))
+        return
+    seed = int(sys.argv[2]) if len(sys.argv) > 2 else random.randrange(1 << 30)
+    texts = Generator(seed).goals(int(sys.argv[1]))
+    classes: Counter = Counter()
+    for text, theirs in zip(texts, ask(texts)):
+        ours = answer(text)
+        if plain(ours) != plain(theirs):
+            found = reason(text, ours, theirs) or "unexplained"
+            classes[found] += 1
+            print(f"{found}: {text}\n  here  {ours}\n  swipl {theirs}")
+    print(f"seed {seed}: {len(texts) - sum(classes.values())} of {len(texts)} agree")
+    for found, count in classes.most_common():
+        print(f"{count:6} {found}")
+
+
+if __name__ == "__main__":
+    main()

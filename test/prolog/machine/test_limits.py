@@ -1,0 +1,339 @@
+"""What runs away ends with a resource error, and the engine goes on."""
+
+import pytest
+from prolog.support import first, prolog
+
+from retalis.engine import Engine, Settings
+from retalis.foundation import ProgramErrors, look
+from retalis.prolog.machine import Limits, PrologError
+from retalis.prolog.syntax import writeq
+from retalis.prolog.terms import Var, atom, functor
+
+PROGRAM = """
+loop :- loop.
+ping(X) :- pong(X).
+pong(X) :- ping(X).
+count(N) :- M is N + 1, count(M).
+deep(N, s(R)) :- M is N + 1, deep(M, R).
+left(X) :- left(Y), X = f(Y).
+grow(L) :- grow([1,2,3|L]).
+double(L) :- append(L, L, M), double(M).
+store(N) :- assertz(kept(N)), M is N + 1, store(M).
+choose :- choose.
+choose :- true.
+branch(N) :- M is N + 1, ( branch(M) ; true ).
+all :- findall(X, repeat, _), write(X).
+again :- catch(loop, _, again).
+"""
+
+RUNAWAY = [
+    "loop",
+    "ping(1)",
+    "count(0)",
+    "repeat, fail",
+    "between(1, inf, X), fail",
+    "choose",
+    "branch(0)",
+    "left(X)",
+    "deep(0, X)",
+    "grow([])",
+    "all",
+    "forall(repeat, true)",
+    "\\+ (repeat, fail)",
+    "again",
+    "catch(loop, _, loop)",
+    "maplist([X]>>loop, [1])",
+    "aggregate_all(count, repeat, N)",
+]
+
+
+def formal(error):
+    return writeq(error.term[1])
+
+
+@pytest.fixture
+def engine():
+    made = Engine(settings=Settings(limits=Limits(seconds=0.3, inferences=400_000, megabytes=300)))
+    made.load(rules=PROGRAM)
+    return made
+
+
+@pytest.mark.parametrize("goal", RUNAWAY)
+def test_runaway_goal_ends(engine, goal):
+    with pytest.raises(PrologError) as caught:
+        engine.query(goal)
+    assert formal(caught.value).startswith("resource_error")
+    assert engine.call("X = 1")
+
+
+def test_steps_that_grow_end(engine):
+    with pytest.raises(PrologError) as caught:
+        engine.query("double([1])")
+    assert formal(caught.value).startswith("resource_error")
+    assert engine.call("X = 1")
+
+
+@pytest.mark.parametrize(
+    "goal",
+    [
+        "numlist(1, 100000000000, L)",
+        "length(L, 100000000000)",
+        "functor(T, f, 100000000000)",
+        "format('~*c', [100000000000, 0'x])",
+        "tab(100000000000)",
+        "X is 2 ** (2 ** 60)",
+        "X is 1 << (1 << 60)",
+        "X is 7 ^ (7 ^ (7 ^ 7))",
+    ],
+)
+def test_one_large_step_is_refused(engine, goal):
+    with pytest.raises(PrologError) as caught:
+        engine.query(goal)
+    assert formal(caught.value).startswith("resource_error")
+
+
+@pytest.mark.parametrize(
+    ("limits", "what", "goal"),
+    [
+        (Limits(seconds=0.2), "seconds", "loop"),
+        (Limits(inferences=100_000), "inferences", "loop"),
+        (Limits(megabytes=20), "memory", "grow([])"),
+    ],
+)
+def test_each_limit_alone(limits, what, goal):
+    engine = Engine(settings=Settings(limits=limits))
+    engine.load(rules=PROGRAM)
+    with pytest.raises(PrologError) as caught:
+        engine.query(goal)
+    assert formal(caught.value) == f"resource_error({what})"
+
+
+def test_a_program_may_catch_its_limit(engine):
+    assert engine.query("catch(loop, error(resource_error(R), _), true), X = R")
+
+
+def test_an_event_whose_goal_runs_away_is_reported_and_the_next_is_taken(caplog):
+    engine = Engine(settings=Settings(limits=Limits(inferences=100_000)))
+    engine.load(rules="loop :- loop.\nout(X) <- in(X) where (X > 1 ; loop).\nseen(X) <- in(X).")
+    seen = []
+    engine.on_event(lambda term, start, end: seen.append(engine.show(term)))
+    engine.event("in(1)", 1)
+    engine.event("in(2)", 2)
+    assert seen == ["in(1)", "seen(1)", "in(2)", "out(2)", "seen(2)"]
+    assert "Not enough resources" in caplog.text
+
+
+def test_a_chain_of_events_without_end_is_cut(caplog):
+    engine = Engine(settings=Settings(max_depth=100))
+    engine.load(rules="tick(N) <- tick(M) where N is M + 1.")
+    seen = []
+    engine.on_event(lambda term, start, end: seen.append(term))
+    engine.event("tick(0)", 1)
+    assert len(seen) <= 102
+    engine.event("other", 2)
+    assert engine.show(seen[-1]) == "other"
+
+
+@pytest.mark.parametrize(
+    "goal",
+    [
+        "shell(ls)",
+        "shell('ls', S)",
+        "system(ls)",
+        "open('/etc/passwd', read, S)",
+        "see('/etc/passwd')",
+        "tell('/tmp/x')",
+        "exec(ls)",
+        "process_create(path(ls), [], [])",
+        "tcp_socket(S)",
+        "http_open('http://localhost', S, [])",
+        "delete_file('/tmp/x')",
+        "getenv('HOME', X)",
+        "python_call(os, system)",
+        "use_foreign(os)",
+        "load_foreign_library(x)",
+        "halt",
+    ],
+)
+def test_what_reaches_outside_is_not_there(engine, goal):
+    with pytest.raises(PrologError) as caught:
+        engine.query(goal)
+    assert formal(caught.value).startswith(("existence_error(procedure", "permission_error"))
+
+
+def test_files_only_in_allowed_folders(tmp_path):
+    inside, outside = tmp_path / "inside", tmp_path / "outside"
+    for folder in (inside, outside):
+        folder.mkdir()
+        (folder / "rules.txt").write_text("p(1).\n")
+        (folder / "stream.txt").write_text("event(a).\n")
+    (outside / "goalPredicates.txt").write_text("compile_event_file('rules.txt')\n")
+    engine = Engine(settings=Settings(folders=(str(inside),)))
+    assert engine.call(f"compile_event_file('{inside}/rules.txt')")
+    for goal in ("compile_event_file('{}/rules.txt')", "execute_event_stream_file('{}/stream.txt')"):
+        assert engine.call(goal.format(inside))
+        for path in (outside, inside / ".." / "outside"):
+            with pytest.raises(PrologError, match="No permission to open"):
+                engine.call(goal.format(path))
+    engine.load_program(outside)  # what the operator names is allowed, and its folder from then on
+    assert engine.call(f"compile_event_file('{outside}/rules.txt')")
+
+
+def test_consult_loads_files_of_allowed_folders(tmp_path):
+    (tmp_path / "a.pl").write_text("p(1).\np(2).\n")
+    (tmp_path / "b.pl").write_text("q(1).\nout(X) <- in(X) where q(X).\n")
+    engine = Engine(settings=Settings(folders=(str(tmp_path),)))
+    assert engine.call(f"consult(['{tmp_path}/a', '{tmp_path}/b.pl'])")
+    assert [found["X"] for found in engine.query("p(X)")] == [1, 2]
+    seen = []
+    engine.on_event(lambda term, start, end: seen.append(engine.show(term)))
+    engine.event("in(1)", 1)
+    assert seen == ["in(1)", "out(1)"]
+    for goal in ("consult('/etc/passwd')", "consult(['/etc/passwd'])"):
+        with pytest.raises(PrologError, match="No permission to open"):
+            engine.call(goal)
+
+
+def test_rules_loaded_at_run_time_cannot_name_files_outside(tmp_path):
+    (tmp_path / "inside").mkdir()
+    (tmp_path / "secret.txt").write_text("p(1).\n")
+    (tmp_path / "inside" / "rules.txt").write_text("use_module('../secret.txt').\n")
+    engine = Engine(settings=Settings(folders=(str(tmp_path / "inside"),)))
+    with pytest.raises((PrologError, ProgramErrors)):
+        engine.call(f"compile_event_file('{tmp_path}/inside/rules.txt')")
+    assert not engine.query("catch(p(X), _, fail)")
+
+
+def test_goals_do_not_look_at_limits_before_any_has_run_out():
+    for limits in (Limits(), Limits(seconds=1.0)):
+        budget = Engine(settings=Settings(limits=limits)).logic.machine.budget
+        assert not budget.limited
+        assert not budget.closed
+
+
+@pytest.mark.parametrize(
+    "goal", ["numlist(1, 1000000, L), msort(L, M), M = [X|_]", "length(L, 3000000), X = L"]
+)
+def test_goals_of_rules_that_need_no_machine_have_limits_too(goal):
+    engine = Engine(settings=Settings(limits=Limits(inferences=2000)))
+    errors = []
+    engine.rules.on_error = lambda error: errors.append(str(error))
+    engine.load(rules=f"found(X) do ({goal}) <- e.")
+    engine.event("e", 1)
+    assert ["resource" in error or "inferences" in error for error in errors] == [True]
+
+
+CALLERS = "loop :- loop.\ncount(0).\ncount(N) :- N > 0, M is N - 1, count(M).\n"
+
+
+@pytest.mark.parametrize("operator", ["where", "do"])
+@pytest.mark.parametrize(
+    ("goal", "kind", "result"),
+    [
+        ("catch(call_with_time_limit(0.1, new_event(in, [1,1])), R, true)", "time", "time_limit_exceeded"),
+        (
+            "call_with_inference_limit(new_event(in, [1,1]), 10000, R)",
+            "inference",
+            "inference_limit_exceeded",
+        ),
+    ],
+)
+def test_a_limit_that_runs_out_in_a_goal_of_a_rule_is_that_of_the_caller(
+    operator, goal, kind, result, caplog
+):
+    engine = Engine()
+    engine.load(rules=f"{CALLERS}out <- in {operator} loop.\nseen <- in.")
+    seen = []
+    engine.on_event(lambda term, start, end: seen.append(engine.show(term)))
+    (found,) = engine.query(goal)
+    assert engine.show(found["R"]) == result
+    assert seen == ["in", "seen"]
+    assert f"goal loop: the {kind} limit of a calling goal has been reached" in caplog.text
+
+
+def test_a_limit_that_a_goal_of_a_rule_has_set_is_its_own(caplog):
+    engine = Engine()
+    engine.load(rules=f"{CALLERS}out <- in where call_with_time_limit(0.05, loop).")
+    assert engine.call("call_with_time_limit(10, new_event(in, [1,1]))")
+    assert "Unhandled exception: time_limit_exceeded" in caplog.text
+
+
+def test_what_the_caller_has_used_counts_for_the_goals_of_rules(caplog):
+    engine = Engine(settings=Settings(limits=Limits(inferences=100_000)))
+    engine.load(rules=f"{CALLERS}out <- in where (count(45000), \\+ fail).")
+    assert engine.call("count(45000), new_event(in, [1,1])")
+    assert caplog.text == ""
+    assert engine.call("count(85000), new_event(in, [1,1])")
+    assert caplog.text.count("Not enough resources: inferences") == 1
+
+
+def test_a_second_limit_is_final_also_when_a_goal_of_a_rule_came_between():
+    engine = Engine(settings=Settings(limits=Limits(inferences=100_000)))
+    engine.load(rules=f"{CALLERS}out <- in where (count(10), \\+ fail).")
+    with pytest.raises(PrologError, match="inferences"):
+        engine.call("catch(loop, _, true), new_event(in, [1,1]), catch(loop, _, true)")
+
+
+def test_an_interrupt_leaves_no_limit_behind():
+    engine = Engine()
+    budget = engine.logic.machine.budget
+
+    def interrupt(machine):
+        raise KeyboardInterrupt
+
+    engine.logic.define("interrupt", 0, interrupt)
+    for goal in ("call_with_time_limit(60, interrupt)", "call_with_inference_limit(interrupt, 10000, _)"):
+        with pytest.raises(KeyboardInterrupt):
+            engine.call(goal)
+        assert not budget.alarms
+        assert not budget.ceilings
+
+
+@pytest.mark.parametrize("limits", [Limits(), Limits(inferences=1000)])
+def test_an_interrupt_leaves_no_binding_behind(limits):
+    engine = Engine(settings=Settings(limits=limits))
+
+    def interrupt(machine, term):
+        raise KeyboardInterrupt
+
+    engine.logic.define("interrupt", 1, interrupt)
+    engine.load(rules="b <- a(X) where (Y = f(X, Z), Z = 3, interrupt(Y)).")
+    with pytest.raises(KeyboardInterrupt):
+        engine.event("a(1)", 1)
+    assert not engine.logic.machine.trail
+
+
+def test_a_limit_that_runs_out_in_a_function_is_not_run_into_again():
+    logic = prolog("p(X, Y) :- q(X, Y).\nq(X, Y) :- long(X, Y).")
+    calls = []
+
+    def long(value):
+        calls.append(value)
+        look(1_000_000)
+        return value
+
+    logic.define_function("long", 2, long)
+    logic.limits = Limits(inferences=10_000)
+    x, y = Var(), Var()
+    goal = logic.compile_goal((functor("p", 2), x, y), [x], [y])
+    for number in (1, 2):
+        with pytest.raises(PrologError, match="inferences"):
+            goal.test((number,))
+    assert calls == [1, 2]
+    assert first(logic, "catch(p(3, _), error(resource_error(inferences), _), true)") == {}
+
+
+def test_what_runs_between_two_solutions_counts_with_them():
+    logic = prolog("work(0) :- !.\nwork(N) :- M is N - 1, work(M).\nmany :- repeat, work(6000).")
+    logic.limits = Limits(inferences=20_000)
+    solutions = logic.solutions(functor("call", 1)(atom("many")))
+    found = 0
+    with pytest.raises(PrologError, match="inferences"):
+        for _ in solutions:
+            found += 1
+            assert logic.once(functor("work", 1)(6000))
+            assert found < 4
+    assert found >= 1
+    solutions.close()
+    assert not logic.machine.budget.running
+    assert logic.once(functor("work", 1)(6000))

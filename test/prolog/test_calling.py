@@ -1,0 +1,150 @@
+"""Goals under conditions: limits, portions, goals that would have to wait, ports."""
+
+import pytest
+from prolog.support import answers, first, prolog
+
+from retalis.prolog.machine import Limits
+
+
+@pytest.fixture
+def logic():
+    return prolog("count(0) :- !.\ncount(N) :- M is N - 1, count(M).\np(1).\np(2) :- p(1).")
+
+
+@pytest.mark.parametrize(
+    ("goal", "values"),
+    [
+        ("call_with_inference_limit(true, 10000, R)", ["!"]),
+        ("call_with_inference_limit(member(_, [1,2]), 10000, R)", ["true", "!"]),
+        ("call_with_inference_limit(count(100), 10000, R)", ["!"]),
+        ("call_with_inference_limit(count(100000), 10000, R)", ["inference_limit_exceeded"]),
+        ("call_with_inference_limit(fail, 10000, R)", []),
+        ("call_with_inference_limit(throw(x), 10000, R)", ["x"]),
+        (
+            "call_with_inference_limit(call_with_inference_limit(count(100000), 10000, R), 1000000, _)",
+            ["inference_limit_exceeded"],
+        ),
+        (
+            "call_with_inference_limit(call_with_inference_limit(count(100000), 1000000, _), 10000, R)",
+            ["inference_limit_exceeded"],
+        ),
+        ("call_with_inference_limit(true, 1000, _), once(count(100000)), R = on", ["on"]),
+        ("call_with_inference_limit(a, _, R)", ["instantiation_error"]),
+        ("findall(L, findnsols(2, X, member(X, [a,b,c]), L), R)", ["[[a,b],[c]]"]),
+        ("findall(L, findnsols(2, X, (member(X, [a,b]) ; fail), L), R)", ["[[a,b],[]]"]),
+        ("findall(L, findnsols(2, X, fail, L), R)", ["[[]]"]),
+        ("findnsols(2, X, member(X, [a,b,c]), R, [z])", ["[a,b,z]", "[c,z]"]),
+        ("aggregate_all(count, X, member(X, [a,b,a]), R)", ["2"]),
+        ("aggregate_all(sum(Y), X, member(X-Y, [a-1,b-1,a-1]), R)", ["2"]),
+        ("aggregate_all(bag(Y), X, member(X-Y, [b-1,b-3,a-1]), R)", ["[1,1,3]"]),
+        ("aggregate_all(max(Y), X, member(X-Y, [b-1,b-3,a-1]), R)", ["3"]),
+        ("aggregate_all(nonsense, X, true, R)", ["domain_error(aggregate_template,nonsense)"]),
+    ],
+)
+def test_result(logic, goal, values):
+    found = answers(logic, goal)
+    shown = [answer["R"] if isinstance(answer, dict) else answer for answer in found]
+    assert shown == values
+    assert logic.machine.budget.ceilings == {}
+
+
+def deep(around, inmost):
+    """Return a goal that makes G a term in which one is around the other 3000 times."""
+    return f"numlist(1, 3000, _L), foldl([_, A, {around}]>>true, _L, {inmost}, G)"
+
+
+@pytest.mark.parametrize(
+    ("goal", "found"),
+    [
+        ("dif(a, b)", [{}]),
+        ("dif(a, a)", []),
+        ("dif(f(X, a), f(X, b))", [{"X": "A"}]),
+        ("dif(f(X), f(X))", []),
+        ("dif(X, a)", ["instantiation_error"]),
+        ("dif(f(X), f(Y))", ["instantiation_error"]),
+        ("X = 1, freeze(X, Y = 2)", [{"X": "1", "Y": "2"}]),
+        ("freeze(X, true)", ["instantiation_error"]),
+        ("when(ground(f(a)), X = 1)", [{"X": "1"}]),
+        ("when((nonvar(a), ground(b)), X = 1)", [{"X": "1"}]),
+        ("when((nonvar(X) ; nonvar(b)), X = 1)", [{"X": "1"}]),
+        ("when(?=(X, X), X = 1)", [{"X": "1"}]),
+        ("when(nonvar(X), true)", ["instantiation_error"]),
+        ("when(X, true)", ["instantiation_error"]),
+        ("when(foo, true)", ["domain_error(when_condition,foo)"]),
+    ],
+)
+def test_goals_that_would_have_to_wait(logic, goal, found):
+    assert answers(logic, goal) == found
+
+
+@pytest.mark.parametrize("joined", ["(A, nonvar(a))", "(nonvar(a), A)", "(A ; nonvar(a))", "(nonvar(_) ; A)"])
+def test_a_condition_may_be_deep(logic, joined):
+    assert answers(logic, f"{deep(joined, 'nonvar(a)')}, when(G, X = 1)")[0]["X"] == "1"
+
+
+@pytest.mark.parametrize("around", ["\\+ A", "(A -> true)", "((A, _) , true)"])
+def test_a_goal_that_is_too_deep_is_an_error(logic, around):
+    found = first(logic, f"{deep(around, 'true')}, catch(G, error(E, _), true)")
+    assert found["E"] == "resource_error(term_size)"
+    assert logic.machine.choices == []
+
+
+def test_ports(logic):
+    lines = []
+    logic.error_output = lines.append
+    assert answers(logic, "trace(p(X)), X > 1, p(_)", 1) == [{"X": "2"}]
+    assert [" ".join(line.split()[:3]) for line in lines][1:] == [
+        "Exit: (1) p(1)",
+        "Redo: (1) p(1)",
+        "Call: (2) p(1)",
+        "Exit: (2) p(1)",
+        "Exit: (1) p(2)",
+    ]
+
+
+def test_tracing_ends_with_an_error(logic):
+    lines = []
+    logic.error_output = lines.append
+    assert answers(logic, "catch(trace(throw(x)), x, true)") == [{}]
+    assert first(logic, "p(X)") == "1"
+    assert [line.split()[0] for line in lines] == ["Call:", "Exception:"]
+
+
+def test_the_library_is_loaded_at_no_cost(logic):
+    logic.limits = Limits(inferences=2000)
+    assert answers(logic, "append([1], [2], L), list_to_assoc([], _)") == [{"L": "[1,2]"}]
+
+
+@pytest.mark.parametrize(
+    ("goal", "found"),
+    [
+        ("read_term(user_input, X, [])", [{"X": "end_of_file"}]),
+        ("read(user_input, X)", [{"X": "end_of_file"}]),
+        ("get_char(X)", [{"X": "end_of_file"}]),
+        ("peek_code(user_input, X)", [{"X": "-1"}]),
+        ("get_char(user_output, _)", ["permission_error(input,stream,user_output)"]),
+        ("get_char(s, _)", ["existence_error(stream,s)"]),
+        ("get_char(_, _)", ["instantiation_error"]),
+        ("at_end_of_stream(user_input)", [{}]),
+        ("current_output(S), write(S, '')", [{"S": "user_output"}]),
+        ("char_conversion(a, bc)", ["representation_error(character)"]),
+        ("current_char_conversion(X, b)", [{"X": "b"}]),
+    ],
+)
+def test_there_is_no_input(logic, goal, found):
+    assert answers(logic, goal) == found
+
+
+@pytest.mark.parametrize(
+    ("goal", "found"),
+    [
+        ("must_be(encoding, utf8)", [{}]),
+        ("must_be(encoding, foo)", ["type_error(encoding,foo)"]),
+        ("must_be(stream, user_output)", [{}]),
+        ("must_be(stream, a)", ["type_error(stream,a)"]),
+        ("must_be(dict, a)", ["type_error(dict,a)"]),
+        ("must_be(stream, _)", ["instantiation_error"]),
+    ],
+)
+def test_types_of_what_is_hardly_there(logic, goal, found):
+    assert answers(logic, goal) == found

@@ -1,0 +1,213 @@
+"""Long work inside one step counts as inferences and ends with a resource error, as endless goals do."""
+
+import pytest
+from prolog.support import prolog
+
+from retalis.foundation import watched_by
+from retalis.prolog.builtins.strings import _split
+from retalis.prolog.builtins.text import each
+from retalis.prolog.machine import Limits, PrologError
+from retalis.prolog.syntax import read_term, writeq
+from retalis.prolog.syntax.numerals import integer, integer_text
+from retalis.prolog.terms import Var, atom, compare, copy, functor, is_ground, make_list, unify
+
+PROGRAM = """
+wide(T, N) :- length(L, 60), foldl([_,A,f(A,A)]>>true, L, N, T).
+sum(T) :- length(L, 60), foldl([_,A,A + A]>>true, L, 1, T).
+pair(A, B) :- wide(A, _), wide(B, _).
+same(A, B) :- wide(A, a), wide(B, a).
+cells(L) :- numlist(1, 90000, L).
+again(G) :- repeat, call(G), fail.
+concat(A) :- atom_concat(A, A, B), concat(B).
+strings(A) :- string_concat(A, A, B), strings(B).
+texts(A) :- text_concat(A, A, B), texts(B).
+lists(A) :- atomic_list_concat([A, A], B), lists(B).
+formats(A) :- format(atom(B), "~w~w", [A, A]), formats(B).
+outputs(A) :- with_output_to(string(B), (write(A), write(A))), outputs(B).
+square(N) :- M is N * N, square(M).
+power(N) :- M is N ** 2, power(M).
+shift(N) :- M is N << 1000, shift(M).
+copies(T) :- copy_term(T, U), copies(f(T, U)).
+kept(T) :- nb_setval(k, T), nb_getval(k, U), kept(f(T, U)).
+store(N) :- assertz(item(N)), M is N + 1, store(M).
+"""
+
+LIMIT = 200_000
+
+
+@pytest.fixture(scope="module")
+def logic():
+    return prolog(PROGRAM)
+
+
+def fault(logic, goal, **limits):
+    logic.limits = Limits(**limits)
+    with pytest.raises(PrologError) as caught:
+        logic.once(read_term(goal, logic.operators).term)
+    return writeq(caught.value.term[1])
+
+
+@pytest.mark.parametrize(
+    "goal",
+    [
+        "wide(T, a), ground(T)",
+        "wide(T, _), copy_term(T, _)",
+        "wide(T, _), term_variables(T, _)",
+        "wide(T, _), numbervars(T, 0, _)",
+        "wide(T, _), assertz(t(T))",
+        "wide(T, _), findall(T, true, _)",
+        "wide(T, a), term_hash(T, _)",
+        "wide(T, _), write(T)",
+        "wide(T, _), term_to_atom(T, _)",
+        "wide(T, _), T =@= T",
+        "wide(T, _), catch(throw(T), never, true)",
+        "wide(T, _), nb_setval(k, T)",
+        "pair(A, B), A = B",
+        "same(A, B), A == B",
+        "same(A, B), compare(_, A, B)",
+        "pair(A, B), unify_with_occurs_check(A, B)",
+        "sum(T), _ is T",
+        "X = f(X), ground(X)",
+        "X = [a|X], length(X, _)",
+        "X = [a|X], memberchk(b, X)",
+        "X = [a|X], nth1(_, X, b)",
+        "numlist(1, 4000000, _)",
+        "length(_, 4000000)",
+        "functor(_, f, 900000)",
+        "length(L, N), N < 0",
+        "cells(L), again(length(L, _))",
+        "cells(L), again(memberchk(a, L))",
+        "cells(L), again(msort(L, _))",
+        "cells(L), again(sort(0, @>=, [a|L], _))",
+        "cells(L), again(last(L, _))",
+        "cells(L), again(nth1(90000, L, _))",
+        "cells(L), again(sum_list(L, _))",
+        "cells(L), again(copy_term(L, _))",
+        "cells(L), subtract(L, L, _)",
+        "cells(L), again(atomic_list_concat(L, _))",
+        "cells(L), atomic_list_concat(L, A), sub_atom(A, N, N, M, _), M < 0",
+        "cells(L), atomic_list_concat(L, ' ', A), term_to_atom(_, A)",
+        "shift(1)",
+        "copies(a)",
+        "kept(a)",
+    ],
+)
+def test_work_inside_a_step_is_counted(logic, goal):
+    assert fault(logic, goal, inferences=LIMIT) in (
+        "resource_error(inferences)",
+        "resource_error(memory)",
+    )
+    logic.limits = Limits()
+    assert logic.once(read_term("true", logic.operators).term)
+
+
+@pytest.mark.parametrize(
+    ("goal", "what"),
+    [
+        ("concat(a)", "memory"),
+        ("strings(a)", "memory"),
+        ("texts(a)", "memory"),
+        ("lists(a)", "memory"),
+        ("formats(a)", "memory"),
+        ("outputs(a)", "memory"),
+        ("square(3)", "memory"),
+        ("power(3)", "memory"),
+        ("X is 1 << 60000000", "memory"),
+        ("X is 3 ** 60000000", "memory"),
+        ("functor(_, f, 90000000)", "memory"),
+        ("X is gcd((1 << 1000000) - 1, (1 << 999999) - 1)", "integer_size"),
+        ("X is lcm((1 << 1000000) - 1, (1 << 999999) - 1)", "integer_size"),
+        ("X is ((1 << 1000000) - 1) // ((1 << 500000) - 1)", "integer_size"),
+        ("X is ((1 << 1000000) - 1) mod ((1 << 500000) - 1)", "integer_size"),
+        ("X is ((1 << 1000000) - 1) / ((1 << 500000) - 1)", "integer_size"),
+        ("X is powm(3, (1 << 10000) - 1, (1 << 10000) - 1)", "integer_size"),
+        ("X is (1 << 1000000) - 1, format(atom(_), '~8r', [X])", "integer_size"),
+    ],
+)
+def test_what_would_grow_too_large_is_refused_without_limits(logic, goal, what):
+    assert fault(logic, goal) == f"resource_error({what})"
+
+
+@pytest.mark.parametrize(
+    ("goal", "value"),
+    [
+        ("X is (7 ** 70000) mod 1000", 7**70000 % 1000),
+        ("X is gcd(2 ** 5000 * 3, 2 ** 4000 * 5)", 2**4000),
+        ("X is lcm(4, 6) + lcm(-4, 6)", 24),
+        ("X is (3 ** 40000) // (3 ** 39999)", 3),
+        ("X is -(7 // 2) + (-7) rem 2 + (-7) mod 2 + (-7) div 2", -3 - 1 + 1 - 4),
+    ],
+)
+def test_large_integers_are_right(logic, goal, value):
+    logic.limits = Limits()
+    read = read_term(goal, logic.operators)
+    assert logic.once(read.term)
+    assert read.names["X"].ref == value
+
+
+def test_a_limit_is_caught_inside_a_long_step(logic):
+    logic.limits = Limits(inferences=LIMIT)
+    goal = "wide(T, _), catch(copy_term(T, _), error(resource_error(R), _), true), R == inferences"
+    assert logic.once(read_term(goal, logic.operators).term)
+
+
+def test_an_error_names_the_goal_that_took_long(logic):
+    logic.limits = Limits(inferences=LIMIT)
+    with pytest.raises(PrologError) as caught:
+        logic.once(read_term("wide(T, _), copy_term(T, _)", logic.operators).term)
+    assert "copy_term/2" in caught.value.message
+    with pytest.raises(PrologError) as caught:
+        logic.once(read_term("repeat, atom(b), fail", logic.operators).term)
+    assert any(name in caught.value.message for name in ("repeat/0", "atom/1", "fail/0"))
+
+
+def test_long_work_outside_a_goal_is_not_limited(logic):
+    logic.limits = Limits(inferences=1000)
+    assert not logic.once(read_term("fail", logic.operators).term)
+    assert len(writeq(make_list([atom("a")] * 5000))) == 10001
+
+
+def test_loops_are_stopped_between_their_turns(logic):
+    assert fault(logic, "store(0)", inferences=10_000) == "resource_error(inferences)"
+    assert 10_000 <= len(logic.database.predicates[functor("item", 1)]) < 15_000
+
+
+@pytest.mark.parametrize(
+    "work",
+    [
+        lambda made: each(made.append, "a" * 100_000),
+        lambda made: list(map(made.append, _split("a," * 50_000, ",", ""))),
+        lambda made: integer_text(7**200_000),
+        lambda made: integer("7" * 200_000),
+    ],
+)
+def test_conversions_are_looked_at_while_they_last(work):
+    """Not only behind them: what was made since the last look is never much."""
+    made, most, looks = [], [0], [0]
+
+    def ask(pieces):
+        most[0] = max(most[0], len(made))
+        looks[0] += 1
+        made.clear()
+
+    before = watched_by(ask)
+    try:
+        work(made)
+    finally:
+        watched_by(before)
+    assert most[0] <= 2048
+    assert looks[0] >= 5
+
+
+@pytest.mark.parametrize(
+    "walk",
+    [copy, is_ground, lambda term: unify(term, copy(term), []), lambda term: compare(term, copy(term))],
+)
+def test_the_arguments_of_a_wide_term_count(walk):
+    asked = []
+    before = watched_by(asked.append)
+    try:
+        walk((functor("wide", 5000), *[Var() for _ in range(5000)]))
+    finally:
+        watched_by(before)
+    assert 5000 <= sum(asked) < 11_000

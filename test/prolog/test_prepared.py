@@ -1,0 +1,86 @@
+"""What is compiled before it is called, and that programs behave alike with and without."""
+
+from prolog.support import answers, first, prolog
+
+from retalis.prolog.logic import Logic
+from retalis.prolog.syntax import read_term
+from retalis.prolog.terms import Var, functor
+
+PROGRAM = """
+go(X) :- helper(X, Y), facts(Y).
+helper(X, Y) :- Y is X + 1.
+facts(2). facts(3).
+other(X) :- helper(X, _).
+:- dynamic counted/1.
+counted(0).
+"""
+GO, HELPER, OTHER, COUNTED = (
+    functor(name, arity) for name, arity in (("go", 1), ("helper", 2), ("other", 1), ("counted", 1))
+)
+
+
+def compiled(logic, key):
+    return logic.database.predicate(key).compiled
+
+
+def test_what_a_term_names_is_compiled_with_what_it_calls():
+    logic = prolog(PROGRAM, 12)
+    logic.database.compile_named([read_term("go(X), counted(_)", logic.operators).term])
+    assert [compiled(logic, key) for key in (GO, HELPER, OTHER, COUNTED)] == [True, True, False, False]
+    assert answers(logic, "go(1)") == answers(prolog(PROGRAM, 12), "go(1)")
+
+
+def test_a_goal_is_ready_at_the_end_of_preparing():
+    logic = prolog(PROGRAM, 12)
+    x = Var()
+    with logic.preparing(list):
+        ready = logic.compile_goal((GO, x), [x])
+    later = logic.compile_goal((GO, x), [x])
+    for goal in (ready, later):
+        assert goal.test((1,)) == () and goal.test((5,)) is None
+    assert (
+        ready.straight is later.straight or ready.straight.__code__.co_code == later.straight.__code__.co_code
+    )
+
+
+def test_a_goal_whose_predicates_come_later_is_made_when_it_is_asked():
+    logic = Logic()
+    x = Var()
+    with logic.preparing(lambda: [(GO, x)]):
+        goal = logic.compile_goal((GO, x), [x])
+    for text in ("go(1)", "go(2)"):
+        logic.add_clause(read_term(text, logic.operators).term)
+    assert goal.test((2,)) == () and goal.test((3,)) is None
+
+
+def test_what_changes_after_it_was_compiled_is_as_it_is_now():
+    logic = prolog(PROGRAM, 12)
+    x = Var()
+    with logic.preparing(lambda: [(GO, x)]):
+        goal = logic.compile_goal((GO, x), [x])
+    assert goal.test((9,)) is None
+    logic.add_clause(read_term("facts(10)", logic.operators).term)
+    assert goal.test((9,)) == ()
+    assert first(logic, "go(9)") == {}
+
+
+def test_preparing_that_fails_prepares_nothing():
+    logic = prolog(PROGRAM, 12)
+    try:
+        with logic.preparing(lambda: [(GO, Var())]):
+            raise KeyError
+    except KeyError:
+        pass
+    assert not compiled(logic, GO)
+
+
+def test_a_list_is_walked_to_its_end_whatever_that_is():
+    logic = prolog(
+        "walk([], _). walk([_|Rest], N) :- M is N + 1, walk(Rest, M).\n"
+        "sum([], 0). sum([X|R], S) :- sum(R, T), S is T + X."
+    )
+    assert answers(logic, "walk([a, b], 0)") == [{}]
+    assert answers(logic, "walk([a|b], 0)") == []
+    assert answers(logic, "T = [], walk([a|T], 0)") != []
+    assert answers(logic, "sum([1, 2, 3], S)") == [{"S": "6"}]
+    assert len(answers(logic, "walk(L, 0)", 3)) == 3
