@@ -1,9 +1,10 @@
 import pytest
 
 from retalis.foundation import MessageError
-from retalis.messages import Definitions, Installed
-from retalis.messages.definition import VARIABLE, functor_name, type_name
+from retalis.messages import Definitions, Installed, type_name
+from retalis.messages.definition import functor_name
 from retalis.messages.parsing import parse, split_sections
+from retalis.messages.slots import VARIABLE
 
 HEADER = "uint32 seq\ntime stamp\nstring frame_id\n"
 

@@ -5,7 +5,7 @@ for the forms of the slots, `Definitions` for where types come from.
 """
 
 from .decoding import Decoder
-from .definition import Constant, Definition, Field, functor_name, type_name
+from .definition import Definition, type_name
 from .encoding import Encoder
 from .eventtexts import text_writer
 from .installed import Installed
@@ -14,14 +14,11 @@ from .registry import Definitions
 
 __all__ = [
     "BARE",
-    "Constant",
     "Decoder",
     "Definition",
     "Definitions",
     "Encoder",
-    "Field",
     "Installed",
-    "functor_name",
     "text_writer",
     "type_name",
 ]

@@ -7,7 +7,8 @@ mark for that.
 import json
 import re
 
-from retalis.messages import Definitions, Installed, functor_name, text_writer
+from retalis.messages import Definitions, Installed, text_writer
+from retalis.messages.definition import functor_name
 from retalis.prolog.syntax import EventReader, read_term, writeq
 from retalis.prolog.syntax import to_text as text_of
 from retalis.prolog.terms import atom, functor
