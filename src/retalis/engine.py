@@ -6,15 +6,14 @@ from pathlib import Path
 from typing import Any, Callable, Dict, Generator, List, NamedTuple, Optional, Tuple, Union, cast
 
 from ._goalfile import errors_in, goals_of
-from ._inputs import InputReader
-from ._making import define_new_event
 from ._recovery import EngineRecovery
 from ._reports import Reports
 from ._runner import Runner
 from ._watchdog import watch
 from .clock import Clock, StreamClock
 from .door import MEGABYTE
-from .events import Dispatcher, Rules, Stage
+from .events import Dispatcher, Stage
+from .events.rules import InputReader, Rules, define_new_event
 from .foundation import Errors, ProgramErrors, RetalisError, RuleError, UsageError, beginning
 from .knowledge import Knowledge
 from .program import GOALS, read_text

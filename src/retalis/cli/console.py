@@ -8,10 +8,10 @@ from io import StringIO
 from pathlib import Path
 from typing import Any, Dict, List, Optional, Union, cast
 
-from .._inputs import event_of
 from ..clock import Clock
 from ..collector import relax
 from ..engine import Engine, Settings
+from ..events.rules import event_of
 from ..foundation import ProgramErrors, RetalisError, RuleError, SyntaxFault
 from ..program import read_text
 from ..prolog.logic import Tracer

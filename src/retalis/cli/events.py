@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import IO, Any, Dict, List, Optional
 
 from .._goalfile import goal_of, read_goals
-from .._inputs import event_of
 from ..clock import StreamClock
 from ..collector import relax
 from ..engine import Engine, Settings
+from ..events.rules import event_of
 from ..explain import Explanation, Line, explain, prepare
 from ..foundation import ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
 from ..program import read_text

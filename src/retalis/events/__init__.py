@@ -4,9 +4,9 @@ from ..prolog.terms import term_key
 from ._plans import NOBODY
 from .building import compile_builder
 from .dispatch import Dispatcher
-from .network import Rules
 from .nodes import Leaf
 from .policy import Policy
+from .rules import Rules
 from .serving import AT_ONCE, LEFT_OUT, RESTORE, Listener, Stage
 
 __all__ = [

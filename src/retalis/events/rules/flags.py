@@ -3,9 +3,9 @@
 from difflib import get_close_matches
 from typing import Callable, Dict, List, NamedTuple, Optional, Tuple
 
-from ..foundation import UsageError
-from ..prolog.terms import Atom, Term, atom
-from .policy import Mode, Policy
+from ...foundation import UsageError
+from ...prolog.terms import Atom, Term, atom
+from ..policy import Mode, Policy
 
 _SWITCH = ("off", "on")
 

@@ -1,6 +1,6 @@
 import pytest
 
-from retalis._inputs import InputReader, event_of
+from retalis.events.rules import InputReader, event_of
 from retalis.foundation import RetalisError
 from retalis.prolog.syntax import EventReader, Operators
 from retalis.prolog.terms import SECOND, WholeSeconds, freeze, functor

@@ -2,10 +2,10 @@
 
 from typing import Any, Sequence
 
-from ._inputs import READERS
-from .events import Dispatcher
-from .prolog.logic import Logic
-from .prolog.terms import FIRST, LAST, SECOND, Term, functor
+from ...prolog.logic import Logic
+from ...prolog.terms import FIRST, LAST, SECOND, Term, functor
+from .. import Dispatcher
+from .inputs import READERS
 
 
 def define_new_event(logic: Logic, dispatcher: Dispatcher) -> None:

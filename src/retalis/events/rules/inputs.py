@@ -3,11 +3,11 @@
 import re
 from typing import Any, Callable, Dict, NamedTuple, Optional, Sequence
 
-from .foundation import Cache, SyntaxFault, UsageError
-from .prolog.builtins import callable_of, instant_of, integer
-from .prolog.machine import type_error
-from .prolog.syntax import EventReader, Operators
-from .prolog.terms import Functor, Term, WholeSeconds, deref, functor, list_items, timestamps
+from ...foundation import Cache, SyntaxFault, UsageError
+from ...prolog.builtins import callable_of, instant_of, integer
+from ...prolog.machine import type_error
+from ...prolog.syntax import EventReader, Operators
+from ...prolog.terms import Functor, Term, WholeSeconds, deref, functor, list_items, timestamps
 
 _SECOND = re.compile(r"datime\((\d{1,9}),(\d{1,9}),(\d{1,9}),(\d{1,9}),(\d{1,9}),(\d{1,9}),", re.ASCII)
 _NANOSECOND = re.compile(r"\d{1,9}\)", re.ASCII)

@@ -2,11 +2,11 @@
 
 from typing import Any, Callable, Dict, Iterator, List, Sequence, Tuple
 
-from ..foundation import Errors, ProgramErrors, SyntaxFault, UsageError
-from ..prolog.builtins import callable_of
-from ..prolog.machine import PrologError, domain_error, existence_error, instantiation_error, type_error
-from ..prolog.syntax import read_program
-from ..prolog.terms import (
+from ...foundation import Errors, ProgramErrors, SyntaxFault, UsageError
+from ...prolog.builtins import callable_of
+from ...prolog.machine import PrologError, domain_error, existence_error, instantiation_error, type_error
+from ...prolog.syntax import read_program
+from ...prolog.terms import (
     CONS,
     Atom,
     String,
@@ -25,8 +25,8 @@ from ..prolog.terms import (
     shown,
     undo,
 )
+from ..store import solutions
 from .flags import FLAGS
-from .store import solutions
 
 Frame = Any
 _EVENT1 = functor("event", 1)

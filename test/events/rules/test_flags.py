@@ -4,7 +4,7 @@ import pytest
 
 from retalis.clock import StreamClock
 from retalis.engine import Engine
-from retalis.events.flags import FLAGS
+from retalis.events.rules.flags import FLAGS
 from retalis.foundation import ProgramErrors
 from retalis.prolog.machine import PrologError
 from retalis.prolog.terms import SECOND

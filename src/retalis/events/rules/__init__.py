@@ -1,0 +1,12 @@
+"""All rules of a program: their flags, and the goals by which programs reach them and make events."""
+
+from .inputs import InputReader, event_of
+from .making import define_new_event
+from .rules import Rules
+
+__all__ = [
+    "define_new_event",
+    "event_of",
+    "InputReader",
+    "Rules",
+]
