@@ -4,7 +4,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Collection, Iterable, Iterator, List, NamedTuple, Optional, Set
 
-from .events.pattern import Occurs, walk
+from .events.language import Occurs, walk
 from .foundation import Place, RuleError, UsageError
 from .messages import Definitions, type_name
 from .program import GOALS, RULES, read_text

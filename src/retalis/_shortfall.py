@@ -8,8 +8,20 @@ from contextlib import closing
 from functools import lru_cache
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
-from .events.operators import OPERATORS, Operator
-from .events.pattern import Absent, Action, Aggregate, Condition, Either, Occurs, Pair, Repeated, Star, Within
+from .events.language import (
+    OPERATORS,
+    Absent,
+    Action,
+    Aggregate,
+    Condition,
+    Either,
+    Occurs,
+    Operator,
+    Pair,
+    Repeated,
+    Star,
+    Within,
+)
 from .foundation import RetalisError, codegen
 from .prolog.syntax import write_term
 from .prolog.terms import Term, Var, copy, functor, timestamps, undo, unify, variables

@@ -4,7 +4,7 @@ from itertools import product
 
 import pytest
 
-from retalis.events.operators import OPERATORS
+from retalis.events.language import OPERATORS
 from retalis.events.reach import BEFORE, BETWEEN, reach_of
 from retalis.events.timeindex import LEAST, MOST
 

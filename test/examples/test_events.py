@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from retalis.cli import main
-from retalis.events.operators import OPERATORS
+from retalis.events.language import OPERATORS
 from retalis.events.policy import Policy
 
 FOLDER = Path(__file__).resolve().parents[2] / "examples" / "events"

@@ -7,16 +7,29 @@ from ..prolog.database import split_clause
 from ..prolog.machine import PrologError
 from ..prolog.syntax import ReadTerm
 from ..prolog.terms import COLON, Atom, Term, Var, atom, copy, deref, functor, list_items, variables
-from .alarms import ALARMS
-from .calls import Call, Unknown, calls
-from .collecting import check_aggregate
 from .directives import Goals, goals_of
-from .heads import SYNCHRONIZED, check_head
-from .labels import RULE, Property, is_rule, label_error, labelled
-from .occurrences import occurrences
-from .pattern import Action, bound_by
-from .reading import ARROWS, SPELLINGS, Reader, Spot
-from .rule import Definition
+from .language import (
+    ALARMS,
+    ARROWS,
+    RULE,
+    SPELLINGS,
+    SYNCHRONIZED,
+    Action,
+    Call,
+    Definition,
+    Property,
+    Reader,
+    Spot,
+    Unknown,
+    bound_by,
+    calls,
+    check_aggregate,
+    check_head,
+    is_rule,
+    label_error,
+    labelled,
+    occurrences,
+)
 
 _CLAUSE = functor(":-", 2)
 _GRAMMAR = functor("-->", 2)

@@ -11,11 +11,8 @@ from .building import compile_builder
 from .conditions import Call, Test, goal_test
 from .deferred import Deferred, Items, Negated, absence_of, deferred_test, early_test, ready_where
 from .joining import Joining
-from .limits import UNLIMITED, Limit
-from .nodes import Acting, Alternatives, Capture, Filter, Leaf, Never, Node, Trying
-from .occurrences import occurrences
-from .operators import OPERATORS
-from .pattern import (
+from .language import (
+    OPERATORS,
     Absent,
     Action,
     Aggregate,
@@ -27,9 +24,12 @@ from .pattern import (
     Star,
     Within,
     bound_by,
+    occurrences,
     surely_bound_by,
     walk,
 )
+from .limits import UNLIMITED, Limit
+from .nodes import Acting, Alternatives, Capture, Filter, Leaf, Never, Node, Trying
 from .repeating import Repeating
 from .runs import Running
 from .telling import Name, Telling

@@ -5,10 +5,10 @@ from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 from ..foundation import shared_function
 from ..prolog.terms import Var, positions
 from .conditions import Test
+from .language import Operator
 from .limits import kept_for_late
 from .matches import Found, Match, taken_back
 from .nodes import Node
-from .operators import Operator
 from .places import Place
 from .policy import Emit, Frame, Mode, Side, taking_all, taking_all_at_once, taking_one, waiting_only
 from .reach import reach_of

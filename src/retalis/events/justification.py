@@ -16,8 +16,8 @@ from ..prolog.terms import (
     variant_key,
 )
 from .chains import repetitions
+from .language import Absent, Action, Aggregate, Condition, Either, Occurs, Pair, Repeated, Star, Within
 from .matches import Found, Held, Match
-from .pattern import Absent, Action, Aggregate, Condition, Either, Occurs, Pair, Repeated, Star, Within
 from .tracking import Occurrence
 
 _EVENT = functor("event", 2)

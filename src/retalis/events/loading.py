@@ -7,11 +7,11 @@ from ..foundation import Errors, Place, ProgramErrors, RetalisError, RuleError, 
 from ..prolog.machine import PrologError
 from ..prolog.syntax import Operators, read_program
 from ..prolog.terms import Atom, Term, conjuncts, copy, deref, functor, list_items
-from .calls import Unknown, unknown_calls
-from .clauses import DIRECTIVES, TOO_DEEP, Checker, Definition, Step, clause_error, nowhere
+from .clauses import DIRECTIVES, TOO_DEEP, Checker, Step, clause_error, nowhere
 from .directives import Directives
 from .files import Files
 from .forgotten import defined_in, fact_error
+from .language import Definition, Unknown, unknown_calls
 from .libraries import LIBRARY, require_library
 from .rule import Rule
 

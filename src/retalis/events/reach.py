@@ -4,7 +4,7 @@ from functools import lru_cache
 from typing import Callable, Dict, List, NamedTuple, Optional, Tuple
 
 from ..foundation import shared_function
-from .operators import OPERATORS, Operator
+from .language import OPERATORS, Operator
 from .timeindex import LEAST, MOST, Limits
 
 _MIRRORED = {"<": ">", "<=": ">=", "==": "=="}

@@ -10,9 +10,9 @@ from typing import Any, Callable, Collection, Dict, Iterator, List, Optional, Se
 from ..prolog.terms import Var, positions
 from .chains import Chain, Log, joined_at_once, joined_one_by_one, pieces_of
 from .joining import Joining
+from .language import OPERATORS
 from .matches import Match, identity
 from .nodes import Node
-from .operators import OPERATORS
 from .places import Place, key_function
 from .policy import Emit, Frame, Mode, emit_each
 from .reach import reach_of

@@ -1,49 +1,22 @@
 """Event rules at run time: their clock, what waits for them, and what they fire."""
 
 from collections import deque
-from types import MappingProxyType
-from typing import Any, Deque, List, Mapping, NamedTuple, Optional, Tuple
+from typing import Any, Deque, List, Optional, Tuple
 
-from ..foundation import Place, RuleError, UsageError
-from ..prolog.terms import Atom, Term, Var, deref, is_ground
+from ..foundation import RuleError, UsageError
+from ..prolog.terms import Atom, Term, deref, is_ground
 from ._plans import NOBODY
-from .alarms import alarm_of
 from .building import compile_builder
 from .compiling import Compiler
 from .expiry import Expiries
 from .lanes import Completion
+from .language import Definition, alarm_of
 from .limits import least
 from .matches import Match
-from .pattern import same_rule_key
 from .policy import Frame, Mode
 from .serving import Action, Lane, Listener, Stage
 
 _SPARE = 1000
-
-
-class Definition(NamedTuple):
-    """What a rule says.
-
-    Attributes:
-        term: the rule as it was written, without its label.
-        head: the event that it fires; None for a pattern that only calls a goal.
-        pattern: its pattern, the goals of the head included.
-        label: its label, or None.
-        place: where it stands.
-        names: of its variables.
-    """
-
-    term: Term
-    head: Optional[Term]
-    pattern: Any
-    label: Optional[Term]
-    place: Optional[Place]
-    names: Mapping[Var, str] = MappingProxyType({})
-
-    @property
-    def key(self) -> Any:
-        """Equal for rules that are the same but for the names of variables, spellings and labels."""
-        return same_rule_key(self.head, self.pattern)
 
 
 class Rule:

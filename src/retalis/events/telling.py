@@ -8,8 +8,8 @@ from operator import itemgetter
 from typing import AbstractSet, Any, Callable, Dict, FrozenSet, List, Sequence, Set, Tuple
 
 from ..prolog.terms import Term, Var, term_key, variables
+from .language import Aggregate, Either, Star, children, own_terms
 from .matches import Match, Named, identity
-from .pattern import Aggregate, Either, Star, children, own_terms
 
 Values = Tuple[Term, ...]
 Name = Callable[[Match], Any]

@@ -8,16 +8,14 @@ from ...foundation import Place, RetalisError, RuleError
 from ...prolog.logic import Logic
 from ...prolog.machine import keep_back
 from ...prolog.terms import SECOND, Term, atom, copy, deref, from_seconds, term_key, unify, variables
-from ..alarms import is_absolute
-from ..calls import called_by
 from ..clauses import Checker, nowhere
 from ..dispatch import Dispatcher
 from ..files import Files
 from ..justification import Justifier
-from ..labels import Property, is_rule
+from ..language import Definition, Property, called_by, is_absolute, is_rule
 from ..loading import Loader
 from ..policy import Mode
-from ..rule import Definition, Rule
+from ..rule import Rule
 from ..serving import Stage
 from ..store import Store
 from ..tracking import Tracker

@@ -2,9 +2,9 @@
 
 from typing import Any, Callable, Mapping
 
-from ..foundation import RuleError
-from ..prolog.arithmetic import EVALUABLE
-from ..prolog.terms import CONS, Atom, String, Term, Var, deref, variables
+from ...foundation import RuleError
+from ...prolog.arithmetic import EVALUABLE
+from ...prolog.terms import CONS, Atom, String, Term, Var, deref, variables
 from .occurrences import occurrences
 from .pattern import Aggregate, bound_by
 from .reading import Spot

@@ -2,8 +2,8 @@
 
 from typing import Any, Callable, Dict, FrozenSet, List, Optional, Tuple
 
-from ..foundation import Place, RuleError
-from ..prolog.terms import Atom, String, Term, Var, deref, from_seconds, functor
+from ...foundation import Place, RuleError
+from ...prolog.terms import Atom, String, Term, Var, deref, from_seconds, functor
 from .calls import Call, asking_interval, calls
 from .meant import doubt
 from .operators import OPERATORS

@@ -2,7 +2,7 @@
 
 from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Set, Tuple, Union
 
-from ..prolog.terms import Functor, Term, Var, functor, rebuild, variables, variant_key
+from ...prolog.terms import Functor, Term, Var, functor, rebuild, variables, variant_key
 
 Pattern = Union[
     "Occurs", "Pair", "Repeated", "Either", "Absent", "Star", "Aggregate", "Condition", "Within", "Action"

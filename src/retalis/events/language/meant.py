@@ -3,7 +3,7 @@
 from difflib import SequenceMatcher
 from typing import Any, Dict, Optional
 
-from ..prolog.terms import CONS, Atom, Term, deref, functor, list_items
+from ...prolog.terms import CONS, Atom, Term, deref, functor, list_items
 
 _COMPARISONS = [
     "=",

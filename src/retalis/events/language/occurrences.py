@@ -2,7 +2,7 @@
 
 from typing import Any, Dict, List
 
-from ..prolog.terms import Term, Var
+from ...prolog.terms import Term, Var
 from .pattern import own_terms, walk
 
 

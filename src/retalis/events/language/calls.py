@@ -2,8 +2,8 @@
 
 from typing import Any, Callable, Iterator, List, NamedTuple, Optional, Set
 
-from ..foundation import Place, RuleError
-from ..prolog.terms import COMMA, CONS, SLASH, Atom, Functor, Term, Var, deref, functor, list_items
+from ...foundation import Place, RuleError
+from ...prolog.terms import COMMA, CONS, SLASH, Atom, Functor, Term, Var, deref, functor, list_items
 
 _GOALS_IN = {
     functor(name, arity): places

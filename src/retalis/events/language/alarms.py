@@ -2,8 +2,8 @@
 
 from typing import Optional, Tuple
 
-from ..foundation import UsageError
-from ..prolog.terms import (
+from ...foundation import UsageError
+from ...prolog.terms import (
     CONS,
     DATIME6,
     DATIME7,

@@ -2,8 +2,8 @@
 
 from typing import Any, Callable, Optional
 
-from ..foundation import Place, RuleError, UsageError
-from ..prolog.terms import NIL, Atom, Term, Var, deref, functor, list_parts
+from ...foundation import Place, RuleError, UsageError
+from ...prolog.terms import NIL, Atom, Term, Var, deref, functor, list_parts
 from .alarms import ALARMS, require_alarm
 from .calls import calls
 from .meant import head_doubt, head_error

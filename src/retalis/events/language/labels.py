@@ -3,8 +3,8 @@
 from math import isfinite
 from typing import Any, NamedTuple, Optional, Tuple
 
-from ..foundation import RuleError
-from ..prolog.terms import COLON, Atom, Term, Var, deref, functor, list_items
+from ...foundation import RuleError
+from ...prolog.terms import COLON, Atom, Term, Var, deref, functor, list_items
 from .reading import ARROWS, SPELLINGS, Spot
 
 RULE = functor("rule:", 2)

@@ -1,0 +1,33 @@
+"""What a rule says, read and checked."""
+
+from types import MappingProxyType
+from typing import Any, Mapping, NamedTuple, Optional
+
+from ...foundation import Place
+from ...prolog.terms import Term, Var
+from .pattern import same_rule_key
+
+
+class Definition(NamedTuple):
+    """What a rule says.
+
+    Attributes:
+        term: the rule as it was written, without its label.
+        head: the event that it fires; None for a pattern that only calls a goal.
+        pattern: its pattern, the goals of the head included.
+        label: its label, or None.
+        place: where it stands.
+        names: of its variables.
+    """
+
+    term: Term
+    head: Optional[Term]
+    pattern: Any
+    label: Optional[Term]
+    place: Optional[Place]
+    names: Mapping[Var, str] = MappingProxyType({})
+
+    @property
+    def key(self) -> Any:
+        """Equal for rules that are the same but for the names of variables, spellings and labels."""
+        return same_rule_key(self.head, self.pattern)
