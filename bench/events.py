@@ -37,7 +37,7 @@ from arguments import above_zero, existing, positive, target  # noqa: E402
 
 from retalis.clock import StreamClock  # noqa: E402
 from retalis.engine import Engine  # noqa: E402
-from retalis.events import Stage  # noqa: E402
+from retalis.events.dispatch import Stage  # noqa: E402
 from retalis.prolog.terms import (  # noqa: E402
     SECOND,  # noqa: E402
     Term,

@@ -9,7 +9,7 @@ import re
 import pytest
 
 from retalis import Engine
-from retalis.events import building, matching
+from retalis.events.dispatch import building, matching
 from retalis.foundation import ProgramErrors, codegen
 from retalis.prolog.compiler import goals
 from retalis.prolog.database import clause

@@ -7,7 +7,7 @@ that outlives an event can be mended: from what it is made of first it makes ane
 from typing import Any
 
 from ._runner import Recovery
-from .events import Dispatcher
+from .events.dispatch import Dispatcher
 from .events.rules import Rules
 from .knowledge import Knowledge
 from .prolog.logic import Logic, go_back, mend, state_of

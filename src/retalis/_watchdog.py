@@ -6,7 +6,7 @@ from typing import Any, Callable, Optional
 from weakref import ref
 
 from ._reports import Reports
-from .events import Dispatcher
+from .events.dispatch import Dispatcher
 from .foundation import Place, RuleError, beginning
 from .prolog.database import Goal
 from .prolog.logic import Logic

@@ -12,7 +12,7 @@ from ._runner import Runner
 from ._watchdog import watch
 from .clock import Clock, StreamClock
 from .door import MEGABYTE
-from .events import Dispatcher, Stage
+from .events.dispatch import Dispatcher, Stage
 from .events.rules import InputReader, Rules, define_new_event
 from .foundation import Errors, ProgramErrors, RetalisError, RuleError, UsageError, beginning
 from .knowledge import Knowledge

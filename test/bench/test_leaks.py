@@ -30,7 +30,7 @@ KEPT = {
 """Cases where something stays: why."""
 
 SEEN_TO_AT = {
-    "retalis.events.dispatch._GATES": 10,
+    "retalis.events.dispatch.dispatch._GATES": 10,
     "retalis.events.rule._SPARE": 10,
     "retalis._reports._KINDS": 10,
 }

@@ -10,7 +10,7 @@ import re
 import pytest
 
 from retalis.engine import Engine, Settings
-from retalis.events import Stage
+from retalis.events.dispatch import Stage
 from retalis.prolog.terms import Var, functor
 
 KINDS = (("done", 2), ("ask", 3), ("v", 2), ("seen", 1))

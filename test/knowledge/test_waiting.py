@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from retalis.engine import Engine, Settings
-from retalis.events import Stage
+from retalis.events.dispatch import Stage
 from retalis.prolog.machine import Limits
 from retalis.prolog.terms import Var, atom, functor
 

@@ -1,13 +1,10 @@
 """Event rules: dispatch, patterns, operators, consumption policies, and the network that runs them."""
 
 from ..prolog.terms import term_key
-from ._plans import NOBODY
-from .building import compile_builder
-from .dispatch import Dispatcher
+from .dispatch import AT_ONCE, LEFT_OUT, NOBODY, RESTORE, Dispatcher, Listener, Stage, compile_builder
 from .nodes import Leaf
 from .policy import Policy
 from .rules import Rules
-from .serving import AT_ONCE, LEFT_OUT, RESTORE, Listener, Stage
 
 __all__ = [
     "AT_ONCE",

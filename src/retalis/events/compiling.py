@@ -7,9 +7,9 @@ from ..foundation import RuleError
 from ..prolog.machine import PrologError, keep_back
 from ..prolog.terms import Term, Var, functor, variables
 from .aggregates import Collector
-from .building import compile_builder
 from .conditions import Call, Test, goal_test
 from .deferred import Deferred, Items, Negated, absence_of, deferred_test, early_test, ready_where
+from .dispatch import compile_builder
 from .joining import Joining
 from .language import (
     OPERATORS,

@@ -8,7 +8,7 @@ from typing import Any, Dict, List, Optional, Sequence
 
 from ..prolog.terms import Term, Var, positions, variables
 from .conditions import Test
-from .lanes import Completion
+from .dispatch import Completion
 from .matches import Found, Match
 from .places import Place
 from .policy import Emit, Frame, Mode

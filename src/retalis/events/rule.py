@@ -5,16 +5,13 @@ from typing import Any, Deque, List, Optional, Tuple
 
 from ..foundation import RuleError, UsageError
 from ..prolog.terms import Atom, Term, deref, is_ground
-from ._plans import NOBODY
-from .building import compile_builder
 from .compiling import Compiler
+from .dispatch import NOBODY, Action, Completion, Lane, Listener, Stage, compile_builder
 from .expiry import Expiries
-from .lanes import Completion
 from .language import Definition, alarm_of
 from .limits import least
 from .matches import Match
 from .policy import Frame, Mode
-from .serving import Action, Lane, Listener, Stage
 
 _SPARE = 1000
 

@@ -5,9 +5,9 @@ from typing import Any, List, Optional, Sequence, Tuple
 from ..foundation import RuleError
 from ..prolog.terms import Term, Var, positions, resolve, undo, unify, variables
 from .aggregates import Collector
-from .building import compile_builder
 from .conditions import Test
 from .deferred import NO_ITEMS, Items, with_item
+from .dispatch import compile_builder
 from .matches import Found, Held, Match, agreed, arrival, taken_back, unify_sides
 from .nodes import Node
 from .places import Place, surely_same

@@ -8,7 +8,7 @@ from typing import Any, Deque, Iterator, List, Optional, Tuple
 from ..foundation import RetalisError, UsageError
 from ..prolog.database import Predicate
 from ..prolog.terms import SLASH, Atom, Functor, Term, Var, copy, deref, functor, interval_term, undo, unify
-from .serving import Listener, Stage
+from .dispatch import Listener, Stage
 
 log = logging.getLogger("retalis.events")
 

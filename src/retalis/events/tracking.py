@@ -5,10 +5,10 @@ from itertools import count
 from typing import Any, Deque, Dict, Iterator, List, Optional, Tuple
 
 from ..prolog.terms import Term, Var, functor, term_key
+from .dispatch import Event, Listener, Stage
 from .matches import Held, Match, leaves, sources, taken_back
 from .policy import Frame
 from .run import Run
-from .serving import Event, Listener, Stage
 
 KEPT = 100_000
 """How many events are remembered."""

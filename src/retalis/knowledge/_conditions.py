@@ -2,7 +2,7 @@
 
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
-from ..events import compile_builder
+from ..events.dispatch import compile_builder
 from ..foundation import UsageError, shared_function
 from ..prolog.logic import Logic
 from ..prolog.machine import PrologError

@@ -2,7 +2,7 @@
 
 from typing import Any, Callable, NamedTuple, Optional, Sequence, Tuple
 
-from ..events import AT_ONCE, Dispatcher, compile_builder
+from ..events.dispatch import AT_ONCE, Dispatcher, compile_builder
 from ..foundation import Place, UsageError
 from ..prolog.database import Goal
 from ..prolog.logic import Logic

@@ -2,7 +2,7 @@
 
 from typing import Any, Callable, List, Optional, Tuple
 
-from ..events import Dispatcher, compile_builder
+from ..events.dispatch import Dispatcher, compile_builder
 from ..prolog.logic import Logic
 from ..prolog.machine import PrologError, instantiation_error, keep_back, type_error
 from ..prolog.terms import (

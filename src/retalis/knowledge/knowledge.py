@@ -3,7 +3,7 @@
 from operator import attrgetter
 from typing import Any, Callable, Iterator, Optional, Tuple
 
-from ..events import Dispatcher
+from ..events.dispatch import Dispatcher
 from ..foundation import UsageError
 from ..prolog.logic import Logic
 from ..prolog.machine import Machine, instantiation_error, type_error

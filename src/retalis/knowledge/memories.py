@@ -2,7 +2,7 @@
 
 from typing import Any, Callable, Dict, Iterator, Optional, Tuple
 
-from ..events import NOBODY, Dispatcher, Stage
+from ..events.dispatch import NOBODY, Dispatcher, Stage
 from ..foundation import UsageError
 from ..prolog.builtins import instant_of
 from ..prolog.logic import Logic

@@ -3,7 +3,7 @@
 from heapq import heapify, heappop, heappush
 from typing import Any, Callable, Dict, Iterator, List, Tuple
 
-from ..events import NOBODY, Dispatcher, Stage
+from ..events.dispatch import NOBODY, Dispatcher, Stage
 from ..prolog.terms import Term, Var, deref, functor, is_ground
 from ._recording import Recording
 from .memory import Memory, Record

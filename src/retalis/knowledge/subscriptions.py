@@ -2,7 +2,7 @@
 
 from typing import Any, Callable, Dict, Iterator, Tuple
 
-from ..events import Dispatcher, Stage
+from ..events.dispatch import Dispatcher, Stage
 from ..prolog.logic import Logic
 from ..prolog.machine import permission_error
 from ..prolog.terms import MINUS, Atom, Term, copy, deref

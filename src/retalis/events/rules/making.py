@@ -4,7 +4,7 @@ from typing import Any, Sequence
 
 from ...prolog.logic import Logic
 from ...prolog.terms import FIRST, LAST, SECOND, Term, functor
-from .. import Dispatcher
+from ..dispatch import Dispatcher
 from .inputs import READERS
 
 

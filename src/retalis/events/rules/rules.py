@@ -9,14 +9,13 @@ from ...prolog.logic import Logic
 from ...prolog.machine import keep_back
 from ...prolog.terms import SECOND, Term, atom, copy, deref, from_seconds, term_key, unify, variables
 from ..clauses import Checker, nowhere
-from ..dispatch import Dispatcher
+from ..dispatch import Dispatcher, Stage
 from ..files import Files
 from ..justification import Justifier
 from ..language import Definition, Property, called_by, is_absolute, is_rule
 from ..loading import Loader
 from ..policy import Mode
 from ..rule import Rule
-from ..serving import Stage
 from ..store import Store
 from ..tracking import Tracker
 from .flags import Flags

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from retalis.engine import Engine, Settings
-from retalis.events import Dispatcher, Stage
+from retalis.events.dispatch import Dispatcher, Stage
 from retalis.prolog.machine import Limits
 from retalis.prolog.terms import Var, atom, functor, make_list
 

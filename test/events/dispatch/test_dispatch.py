@@ -4,7 +4,7 @@ import pytest
 from events.running import Program, fired
 
 from retalis.engine import Engine, Settings
-from retalis.events import Dispatcher, Stage
+from retalis.events.dispatch import Dispatcher, Stage
 from retalis.foundation import UsageError
 from retalis.prolog.terms import NIL, Lazy, Var, atom, functor, make_list
 

@@ -1,6 +1,6 @@
 """Decision trees: who is served, in which order, and who is not even looked at."""
 
-from retalis.events._plans import make_plan
+from retalis.events.dispatch.plans import make_plan
 from retalis.prolog.terms import Var, functor
 
 P = functor("p", 2)

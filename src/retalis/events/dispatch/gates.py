@@ -6,9 +6,9 @@ are at hand already, by the same tests that the dispatcher makes, which events n
 
 from typing import Any, Callable, Tuple
 
-from ..foundation import shared_function
-from ..prolog.terms import LAST, SECOND, Atom
-from ._plans import NOBODY, Choice
+from ...foundation import shared_function
+from ...prolog.terms import LAST, SECOND, Atom
+from .plans import NOBODY, Choice
 
 Passes = Callable[..., bool]
 """Takes seconds, nanoseconds and the arguments at a gate's positions."""

@@ -2,8 +2,8 @@
 
 from typing import Any, Callable, Dict, List, Optional, Tuple
 
-from ..foundation import LARGEST, shared_function
-from ..prolog.terms import (
+from ...foundation import LARGEST, shared_function
+from ...prolog.terms import (
     Atom,
     Lazy,
     String,

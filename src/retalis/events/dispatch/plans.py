@@ -4,7 +4,7 @@ from collections import Counter
 from itertools import chain
 from typing import Any, Dict, List, Optional, Tuple
 
-from ..prolog.terms import Atom, Lazy, String, Term, Var, deref, freeze
+from ...prolog.terms import Atom, Lazy, String, Term, Var, deref, freeze
 
 Path = Tuple[int, ...]
 Steps = Tuple[Any, ...]

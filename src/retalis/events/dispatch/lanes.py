@@ -2,10 +2,10 @@
 
 from typing import Any, NamedTuple, Optional
 
-from ..foundation import shared_function
-from ..prolog.terms import undo
-from ._plans import NOBODY
+from ...foundation import shared_function
+from ...prolog.terms import undo
 from .gates import Gate
+from .plans import NOBODY
 from .serving import Action, Lane
 
 OPEN = Gate((), None)

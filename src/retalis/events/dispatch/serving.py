@@ -3,7 +3,7 @@
 from enum import IntEnum
 from typing import Any, Callable, Iterator, Optional, Tuple
 
-from ..prolog.terms import TRUE, Functor, Term
+from ...prolog.terms import TRUE, Functor, Term
 from .matching import Matcher, Values
 
 Frame = Any

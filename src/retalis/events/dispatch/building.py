@@ -2,8 +2,8 @@
 
 from typing import Any, Callable, Dict, List, Sequence, Tuple
 
-from ..foundation import LARGEST, shared_function
-from ..prolog.terms import Term, Var, copy, deref, is_ground, is_larger, resolve
+from ...foundation import LARGEST, shared_function
+from ...prolog.terms import Term, Var, copy, deref, is_ground, is_larger, resolve
 
 Values = Tuple[Term, ...]
 

@@ -8,13 +8,13 @@ from itertools import count
 from typing import Any, Callable, Collection, Dict, List, Optional, Tuple
 from weakref import WeakValueDictionary
 
-from ..foundation import Cache, UsageError
-from ..prolog.database import Goal
-from ..prolog.machine import Budget, PrologError, keep_back
-from ..prolog.terms import Atom, Functor, Lazy, Term, Var, copy, deref, is_ground, is_plain, term_key
-from ._plans import Choice, Onlookers, make_plan
+from ...foundation import Cache, UsageError
+from ...prolog.database import Goal
+from ...prolog.machine import Budget, PrologError, keep_back
+from ...prolog.terms import Atom, Functor, Lazy, Term, Var, copy, deref, is_ground, is_plain, term_key
 from .gates import Gate
 from .matching import Matcher, Values, compile_matcher
+from .plans import Choice, Onlookers, make_plan
 from .serving import AT_ONCE, LEFT_OUT, Action, Event, Frame, Lane, Listener, Stage, event_of
 
 _GATES = 1000

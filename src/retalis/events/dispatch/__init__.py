@@ -1,0 +1,23 @@
+"""From an event to those who listen to its kind, in order, depth first."""
+
+from .building import compile_builder
+from .dispatch import Dispatcher
+from .lanes import Completion, goal_lane
+from .plans import NOBODY
+from .serving import AT_ONCE, LEFT_OUT, RESTORE, Action, Event, Lane, Listener, Stage
+
+__all__ = [
+    "Action",
+    "AT_ONCE",
+    "compile_builder",
+    "Completion",
+    "Dispatcher",
+    "Event",
+    "goal_lane",
+    "Lane",
+    "LEFT_OUT",
+    "Listener",
+    "NOBODY",
+    "RESTORE",
+    "Stage",
+]
