@@ -1,7 +1,7 @@
 import gc
 
 from retalis.collector import relax
-from retalis.events.timeindex import paused
+from retalis.events.matches.timeindex import paused
 
 
 def test_what_is_loaded_is_not_walked_again():

@@ -16,7 +16,7 @@ from oracle.patterns import Check, Cnot, Fnot, Sub, walk
 from oracle.strategies import cases, drawn_cases
 from oracle.text import stream, write_rule
 
-from retalis.events import places, timeindex
+from retalis.events.matches import places, timeindex
 from retalis.prolog.terms import atom, functor
 
 quick = settings(max_examples=60, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))

@@ -9,7 +9,7 @@ import pytest
 
 from retalis.cli import main
 from retalis.events.language import OPERATORS
-from retalis.events.policy import Policy
+from retalis.events.matches import Policy
 
 FOLDER = Path(__file__).resolve().parents[2] / "examples" / "events"
 EXAMPLES = sorted(path.parent for path in FOLDER.glob("*/rules.txt"))

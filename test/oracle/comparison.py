@@ -14,7 +14,7 @@ from typing import Any, Callable, Iterable, Iterator, List, Optional, Sequence, 
 
 from retalis.clock import StreamClock
 from retalis.engine import Engine
-from retalis.events import places, timeindex
+from retalis.events.matches import places, timeindex
 from retalis.foundation import RetalisError
 from retalis.prolog.terms import SECOND, Term, atom, functor
 

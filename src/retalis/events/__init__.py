@@ -2,8 +2,8 @@
 
 from ..prolog.terms import term_key
 from .dispatch import AT_ONCE, LEFT_OUT, NOBODY, RESTORE, Dispatcher, Listener, Stage, compile_builder
+from .matches import Policy
 from .nodes import Leaf
-from .policy import Policy
 from .rules import Rules
 
 __all__ = [

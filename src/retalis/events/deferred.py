@@ -2,13 +2,11 @@
 
 from typing import AbstractSet, Any, Callable, List, NamedTuple, Optional, Set, Tuple
 
-from ..prolog.terms import NIL, Term, Var, deref, functor, positions, variables
-from .absence import Absence
+from ..prolog.terms import Term, Var, deref, functor, positions, variables
 from .conditions import Call, Test, goal_test
-from .matches import Match
+from .matches import NO_ITEMS, Absence, Match
 
 Values = Tuple[Term, ...]
-NO_ITEMS = NIL
 _ITEMS = functor("items", 2)
 _ITEM = functor("item", 1)
 

@@ -7,12 +7,25 @@ from ..prolog.terms import Var, positions
 from .conditions import Test
 from .language import Operator
 from .limits import kept_for_late
-from .matches import Found, Match, taken_back
+from .matches import (
+    Emit,
+    Found,
+    Frame,
+    Keeping,
+    Match,
+    Mode,
+    Place,
+    Side,
+    first_side,
+    in_order,
+    reach_of,
+    taken_back,
+    taking_all,
+    taking_all_at_once,
+    taking_one,
+    waiting_only,
+)
 from .nodes import Node
-from .places import Place
-from .policy import Emit, Frame, Mode, Side, taking_all, taking_all_at_once, taking_one, waiting_only
-from .reach import reach_of
-from .revived import Keeping, first_side, in_order
 from .telling import Name, found_here
 
 

@@ -15,9 +15,8 @@ from ..prolog.terms import (
     unify,
     variant_key,
 )
-from .chains import repetitions
 from .language import Absent, Action, Aggregate, Condition, Either, Occurs, Pair, Repeated, Star, Within
-from .matches import Found, Held, Match
+from .matches import Found, Held, Match, repetitions
 from .tracking import Occurrence
 
 _EVENT = functor("event", 2)

@@ -9,9 +9,7 @@ from typing import Any, Dict, List, Optional, Sequence
 from ..prolog.terms import Term, Var, positions, variables
 from .conditions import Test
 from .dispatch import Completion
-from .matches import Found, Match
-from .places import Place
-from .policy import Emit, Frame, Mode
+from .matches import Emit, Found, Frame, Match, Mode, Place
 from .telling import found_here
 
 

@@ -8,17 +8,30 @@ this does not hold (nothing is used up, first sides come late, values have varia
 from typing import Any, Callable, Collection, Dict, Iterator, List, Optional, Sequence, Tuple
 
 from ..prolog.terms import Var, positions
-from .chains import Chain, Log, joined_at_once, joined_one_by_one, pieces_of
 from .joining import Joining
 from .language import OPERATORS
-from .matches import Match, identity
+from .matches import (
+    Chain,
+    Emit,
+    Frame,
+    Log,
+    Match,
+    Mode,
+    Moving,
+    Place,
+    Token,
+    Train,
+    emit_each,
+    identity,
+    joined_at_once,
+    joined_one_by_one,
+    key_function,
+    pieces_of,
+    reach_of,
+)
 from .nodes import Node
-from .places import Place, key_function
-from .policy import Emit, Frame, Mode, emit_each
-from .reach import reach_of
 from .telling import Name
 from .tracking import known_in
-from .trains import Moving, Token, Train
 
 _SEQ = OPERATORS["seq"]
 

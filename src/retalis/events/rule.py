@@ -7,11 +7,9 @@ from ..foundation import RuleError, UsageError
 from ..prolog.terms import Atom, Term, deref, is_ground
 from .compiling import Compiler
 from .dispatch import NOBODY, Action, Completion, Lane, Listener, Stage, compile_builder
-from .expiry import Expiries
 from .language import Definition, alarm_of
 from .limits import least
-from .matches import Match
-from .policy import Frame, Mode
+from .matches import Expiries, Frame, Match, Mode
 
 _SPARE = 1000
 

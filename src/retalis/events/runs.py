@@ -6,15 +6,33 @@ from ..foundation import RuleError
 from ..prolog.terms import Term, Var, positions, resolve, undo, unify, variables
 from .aggregates import Collector
 from .conditions import Test
-from .deferred import NO_ITEMS, Items, with_item
+from .deferred import Items, with_item
 from .dispatch import compile_builder
-from .matches import Found, Held, Match, agreed, arrival, taken_back, unify_sides
+from .matches import (
+    NO_ITEMS,
+    Emit,
+    Found,
+    Frame,
+    Held,
+    Keeping,
+    Match,
+    Mode,
+    Place,
+    Run,
+    after_all,
+    agreed,
+    arrival,
+    by_occurrence,
+    by_term,
+    emit_each,
+    reach_of,
+    stands,
+    surely_same,
+    taken_back,
+    that_came_before,
+    unify_sides,
+)
 from .nodes import Node
-from .places import Place, surely_same
-from .policy import Emit, Frame, Mode, emit_each
-from .reach import reach_of
-from .revived import Keeping, after_all, stands, that_came_before
-from .run import Run, by_occurrence, by_term
 from .telling import Name, found_here
 
 Values = Tuple[Term, ...]

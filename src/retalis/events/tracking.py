@@ -6,9 +6,7 @@ from typing import Any, Deque, Dict, Iterator, List, Optional, Tuple
 
 from ..prolog.terms import Term, Var, functor, term_key
 from .dispatch import Event, Listener, Stage
-from .matches import Held, Match, leaves, sources, taken_back
-from .policy import Frame
-from .run import Run
+from .matches import Frame, Held, Match, Run, leaves, sources, taken_back
 
 KEPT = 100_000
 """How many events are remembered."""

@@ -5,7 +5,7 @@ from typing import Callable, Dict, List, NamedTuple, Optional, Tuple
 
 from ...foundation import UsageError
 from ...prolog.terms import Atom, Term, atom
-from ..policy import Mode, Policy
+from ..matches import Mode, Policy
 
 _SWITCH = ("off", "on")
 

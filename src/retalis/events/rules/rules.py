@@ -14,7 +14,7 @@ from ..files import Files
 from ..justification import Justifier
 from ..language import Definition, Property, called_by, is_absolute, is_rule
 from ..loading import Loader
-from ..policy import Mode
+from ..matches import Mode
 from ..rule import Rule
 from ..store import Store
 from ..tracking import Tracker

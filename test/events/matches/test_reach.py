@@ -5,8 +5,9 @@ from itertools import product
 import pytest
 
 from retalis.events.language import OPERATORS
-from retalis.events.reach import BEFORE, BETWEEN, reach_of
-from retalis.events.timeindex import LEAST, MOST
+from retalis.events.matches import reach_of
+from retalis.events.matches.reach import BEFORE, BETWEEN
+from retalis.events.matches.timeindex import LEAST, MOST
 
 INTERVALS = [(start, end) for start, end in product(range(6), repeat=2) if start <= end]
 

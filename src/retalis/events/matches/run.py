@@ -2,9 +2,10 @@
 
 from typing import Any, Callable, List, Optional, Tuple
 
-from ..prolog.terms import Term, Var
-from .deferred import NO_ITEMS
+from ...prolog.terms import NIL, Term, Var
 from .matches import NOTHING_HELD, Match
+
+NO_ITEMS = NIL
 
 Values = Tuple[Term, ...]
 

@@ -3,7 +3,7 @@
 import heapq
 from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Set, Tuple
 
-from ..prolog.terms import Atom, String, freeze
+from ...prolog.terms import Atom, String, freeze
 from .matches import Match, Values
 from .reach import Reach
 from .timeindex import LEAST, MOST, Limits, TimeIndex

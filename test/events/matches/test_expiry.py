@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from retalis.events.expiry import Expiries
+from retalis.events.matches import Expiries
 
 
 class Waiting:

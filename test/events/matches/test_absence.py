@@ -3,7 +3,7 @@
 import pytest
 from events.running import Program, fired
 
-from retalis.events.absence import Absence
+from retalis.events.matches import Absence
 
 
 def test_keys_under_which_nothing_waits_any_more_are_forgotten():

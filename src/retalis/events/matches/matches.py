@@ -2,7 +2,7 @@
 
 from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Tuple
 
-from ..prolog.terms import Term, Var, copy, resolve, term_key, undo, unify
+from ...prolog.terms import Term, Var, copy, resolve, term_key, undo, unify
 
 Values = Tuple[Term, ...]
 

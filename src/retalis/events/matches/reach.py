@@ -3,8 +3,8 @@
 from functools import lru_cache
 from typing import Callable, Dict, List, NamedTuple, Optional, Tuple
 
-from ..foundation import shared_function
-from .language import OPERATORS, Operator
+from ...foundation import shared_function
+from ..language import OPERATORS, Operator
 from .timeindex import LEAST, MOST, Limits
 
 _MIRRORED = {"<": ">", "<=": ">=", "==": "=="}

@@ -3,7 +3,7 @@
 from bisect import bisect_left, bisect_right
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
-from ..prolog.terms import Term
+from ...prolog.terms import Term
 from .matches import Match, unify_sides
 from .places import Place, surely_same
 from .policy import Frame, Mode

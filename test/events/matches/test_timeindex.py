@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from retalis.events.timeindex import LEAST, MOST, TimeIndex
+from retalis.events.matches.timeindex import LEAST, MOST, TimeIndex
 
 
 def match(order, start, end):

@@ -2,10 +2,7 @@
 
 import pytest
 
-from retalis.events import places
-from retalis.events.matches import Match
-from retalis.events.places import Place
-from retalis.events.reach import reach_of
+from retalis.events.matches import Match, Place, places, reach_of
 from retalis.prolog.terms import Var, atom
 
 

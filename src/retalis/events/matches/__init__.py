@@ -1,0 +1,84 @@
+"""Partial matches: where they wait for partners, which a policy takes, when they are to go."""
+
+from .absence import Absence
+from .chains import Chain, Log, joined_at_once, joined_one_by_one, pieces_of, repetitions
+from .expiry import Expiries
+from .matches import (
+    Found,
+    Held,
+    Match,
+    Named,
+    agreed,
+    arrival,
+    identity,
+    leaves,
+    sources,
+    taken_back,
+    unify_sides,
+)
+from .places import Place, key_function, surely_same
+from .policy import (
+    Emit,
+    Frame,
+    Mode,
+    Policy,
+    Side,
+    emit_each,
+    taking_all,
+    taking_all_at_once,
+    taking_one,
+    waiting_only,
+)
+from .reach import reach_of
+from .revived import Keeping, after_all, first_side, in_order, stands, that_came_before
+from .run import NO_ITEMS, Run, by_occurrence, by_term
+from .trains import Moving, Token, Train
+
+__all__ = [
+    "Absence",
+    "after_all",
+    "agreed",
+    "arrival",
+    "by_occurrence",
+    "by_term",
+    "Chain",
+    "Emit",
+    "emit_each",
+    "Expiries",
+    "first_side",
+    "Found",
+    "Frame",
+    "Held",
+    "identity",
+    "in_order",
+    "joined_at_once",
+    "joined_one_by_one",
+    "Keeping",
+    "key_function",
+    "leaves",
+    "Log",
+    "Match",
+    "Mode",
+    "Moving",
+    "Named",
+    "NO_ITEMS",
+    "pieces_of",
+    "Place",
+    "Policy",
+    "reach_of",
+    "repetitions",
+    "Run",
+    "Side",
+    "sources",
+    "stands",
+    "surely_same",
+    "taken_back",
+    "taking_all",
+    "taking_all_at_once",
+    "taking_one",
+    "that_came_before",
+    "Token",
+    "Train",
+    "unify_sides",
+    "waiting_only",
+]
