@@ -8,6 +8,7 @@ this does not hold (nothing is used up, first sides come late, values have varia
 from typing import Any, Callable, Collection, Dict, Iterator, List, Optional, Sequence, Tuple
 
 from ..prolog.terms import Var, positions
+from .history import known_in
 from .joining import Joining
 from .language import OPERATORS
 from .matches import (
@@ -31,7 +32,6 @@ from .matches import (
 )
 from .nodes import Node
 from .telling import Name
-from .tracking import known_in
 
 _SEQ = OPERATORS["seq"]
 

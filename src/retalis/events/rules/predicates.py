@@ -25,7 +25,7 @@ from ...prolog.terms import (
     shown,
     undo,
 )
-from ..store import solutions
+from ..history import solutions
 from .flags import FLAGS
 
 Frame = Any

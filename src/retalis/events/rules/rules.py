@@ -11,13 +11,11 @@ from ...prolog.terms import SECOND, Term, atom, copy, deref, from_seconds, term_
 from ..clauses import Checker, nowhere
 from ..dispatch import Dispatcher, Stage
 from ..files import Files
-from ..justification import Justifier
+from ..history import Justifier, Store, Tracker
 from ..language import Definition, Property, called_by, is_absolute, is_rule
 from ..loading import Loader
 from ..matches import Mode
 from ..rule import Rule
-from ..store import Store
-from ..tracking import Tracker
 from .flags import Flags
 from .predicates import define_predicates
 

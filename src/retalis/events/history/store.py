@@ -5,10 +5,10 @@ import os
 from collections import deque
 from typing import Any, Deque, Iterator, List, Optional, Tuple
 
-from ..foundation import RetalisError, UsageError
-from ..prolog.database import Predicate
-from ..prolog.terms import SLASH, Atom, Functor, Term, Var, copy, deref, functor, interval_term, undo, unify
-from .dispatch import Listener, Stage
+from ...foundation import RetalisError, UsageError
+from ...prolog.database import Predicate
+from ...prolog.terms import SLASH, Atom, Functor, Term, Var, copy, deref, functor, interval_term, undo, unify
+from ..dispatch import Listener, Stage
 
 log = logging.getLogger("retalis.events")
 

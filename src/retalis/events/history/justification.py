@@ -2,7 +2,7 @@
 
 from typing import Any, Iterator, List, Sequence, Set, Tuple
 
-from ..prolog.terms import (
+from ...prolog.terms import (
     Term,
     Var,
     atom,
@@ -15,8 +15,8 @@ from ..prolog.terms import (
     unify,
     variant_key,
 )
-from .language import Absent, Action, Aggregate, Condition, Either, Occurs, Pair, Repeated, Star, Within
-from .matches import Found, Held, Match, repetitions
+from ..language import Absent, Action, Aggregate, Condition, Either, Occurs, Pair, Repeated, Star, Within
+from ..matches import Found, Held, Match, repetitions
 from .tracking import Occurrence
 
 _EVENT = functor("event", 2)

@@ -4,9 +4,9 @@ from collections import deque
 from itertools import count
 from typing import Any, Deque, Dict, Iterator, List, Optional, Tuple
 
-from ..prolog.terms import Term, Var, functor, term_key
-from .dispatch import Event, Listener, Stage
-from .matches import Frame, Held, Match, Run, leaves, sources, taken_back
+from ...prolog.terms import Term, Var, functor, term_key
+from ..dispatch import Event, Listener, Stage
+from ..matches import Frame, Held, Match, Run, leaves, sources, taken_back
 
 KEPT = 100_000
 """How many events are remembered."""
