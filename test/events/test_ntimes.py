@@ -5,7 +5,7 @@ import random
 import pytest
 from events.running import Program, fired, text_of
 
-from retalis.events.repeating import Repeating
+from retalis.events.network.repeating import Repeating
 
 POLICIES = ("recent", "recent_2", "chronological", "chronological_2", "unrestricted")
 

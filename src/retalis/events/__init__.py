@@ -3,7 +3,7 @@
 from ..prolog.terms import term_key
 from .dispatch import AT_ONCE, LEFT_OUT, NOBODY, RESTORE, Dispatcher, Listener, Stage, compile_builder
 from .matches import Policy
-from .nodes import Leaf
+from .network import Leaf
 from .rules import Rules
 
 __all__ = [

@@ -13,7 +13,7 @@ from .files import Files
 from .forgotten import defined_in, fact_error
 from .language import Definition, Unknown, unknown_calls
 from .libraries import LIBRARY, require_library
-from .rule import Rule
+from .network import Rule
 
 _INCLUDE = functor("include", 1)
 _OP = functor("op", 3)

@@ -3,8 +3,8 @@
 from itertools import count
 from typing import Any, Dict, Iterator, List, Optional, Tuple
 
-from ..events import Leaf
 from ..events.dispatch import LEFT_OUT, RESTORE, Dispatcher, Stage
+from ..events.network import Leaf
 from ..foundation import UsageError
 from ..prolog.logic import Logic
 from ..prolog.terms import Term, Var, are_ground, functor

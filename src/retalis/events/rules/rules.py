@@ -15,7 +15,7 @@ from ..history import Justifier, Store, Tracker
 from ..language import Definition, Property, called_by, is_absolute, is_rule
 from ..loading import Loader
 from ..matches import Mode
-from ..rule import Rule
+from ..network import Rule
 from .flags import Flags
 from .predicates import define_predicates
 

@@ -6,10 +6,10 @@ frame and return the frame to go on with. `Node.bind` connects them for a policy
 
 from typing import Any, Dict, List, Optional, Sequence
 
-from ..prolog.terms import Term, Var, positions, variables
+from ...prolog.terms import Term, Var, positions, variables
+from ..dispatch import Completion
+from ..matches import Emit, Found, Frame, Match, Mode, Place
 from .conditions import Test
-from .dispatch import Completion
-from .matches import Emit, Found, Frame, Match, Mode, Place
 from .telling import found_here
 
 

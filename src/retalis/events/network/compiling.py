@@ -3,15 +3,11 @@
 from functools import partial
 from typing import Any, Dict, FrozenSet, List, NamedTuple, Optional, Sequence, Set, Tuple
 
-from ..foundation import RuleError
-from ..prolog.machine import PrologError, keep_back
-from ..prolog.terms import Term, Var, functor, variables
-from .aggregates import Collector
-from .conditions import Call, Test, goal_test
-from .deferred import Deferred, Items, Negated, absence_of, deferred_test, early_test, ready_where
-from .dispatch import compile_builder
-from .joining import Joining
-from .language import (
+from ...foundation import RuleError
+from ...prolog.machine import PrologError, keep_back
+from ...prolog.terms import Term, Var, functor, variables
+from ..dispatch import compile_builder
+from ..language import (
     OPERATORS,
     Absent,
     Action,
@@ -28,6 +24,10 @@ from .language import (
     surely_bound_by,
     walk,
 )
+from .aggregates import Collector
+from .conditions import Call, Test, goal_test
+from .deferred import Deferred, Items, Negated, absence_of, deferred_test, early_test, ready_where
+from .joining import Joining
 from .limits import UNLIMITED, Limit
 from .nodes import Acting, Alternatives, Capture, Filter, Leaf, Never, Node, Trying
 from .repeating import Repeating

@@ -2,12 +2,10 @@
 
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
-from ..foundation import shared_function
-from ..prolog.terms import Var, positions
-from .conditions import Test
-from .language import Operator
-from .limits import kept_for_late
-from .matches import (
+from ...foundation import shared_function
+from ...prolog.terms import Var, positions
+from ..language import Operator
+from ..matches import (
     Emit,
     Found,
     Frame,
@@ -25,6 +23,8 @@ from .matches import (
     taking_one,
     waiting_only,
 )
+from .conditions import Test
+from .limits import kept_for_late
 from .nodes import Node
 from .telling import Name, found_here
 

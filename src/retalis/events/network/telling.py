@@ -7,9 +7,9 @@ from an event further up: two matches are of the same term only if it is the sam
 from operator import itemgetter
 from typing import AbstractSet, Any, Callable, Dict, FrozenSet, List, Sequence, Set, Tuple
 
-from ..prolog.terms import Term, Var, term_key, variables
-from .language import Aggregate, Either, Star, children, own_terms
-from .matches import Match, Named, identity
+from ...prolog.terms import Term, Var, term_key, variables
+from ..language import Aggregate, Either, Star, children, own_terms
+from ..matches import Match, Named, identity
 
 Values = Tuple[Term, ...]
 Name = Callable[[Match], Any]

@@ -7,11 +7,10 @@ this does not hold (nothing is used up, first sides come late, values have varia
 
 from typing import Any, Callable, Collection, Dict, Iterator, List, Optional, Sequence, Tuple
 
-from ..prolog.terms import Var, positions
-from .history import known_in
-from .joining import Joining
-from .language import OPERATORS
-from .matches import (
+from ...prolog.terms import Var, positions
+from ..history import known_in
+from ..language import OPERATORS
+from ..matches import (
     Chain,
     Emit,
     Frame,
@@ -30,6 +29,7 @@ from .matches import (
     pieces_of,
     reach_of,
 )
+from .joining import Joining
 from .nodes import Node
 from .telling import Name
 

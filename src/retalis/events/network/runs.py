@@ -2,13 +2,10 @@
 
 from typing import Any, List, Optional, Sequence, Tuple
 
-from ..foundation import RuleError
-from ..prolog.terms import Term, Var, positions, resolve, undo, unify, variables
-from .aggregates import Collector
-from .conditions import Test
-from .deferred import Items, with_item
-from .dispatch import compile_builder
-from .matches import (
+from ...foundation import RuleError
+from ...prolog.terms import Term, Var, positions, resolve, undo, unify, variables
+from ..dispatch import compile_builder
+from ..matches import (
     NO_ITEMS,
     Emit,
     Found,
@@ -32,6 +29,9 @@ from .matches import (
     that_came_before,
     unify_sides,
 )
+from .aggregates import Collector
+from .conditions import Test
+from .deferred import Items, with_item
 from .nodes import Node
 from .telling import Name, found_here
 

@@ -2,8 +2,8 @@
 
 from typing import Any, Callable, NamedTuple, Optional, Tuple
 
-from ..foundation import RuleError
-from ..prolog.terms import NIL, Term, make_list
+from ...foundation import RuleError
+from ...prolog.terms import NIL, Term, make_list
 
 Values = Tuple[Term, ...]
 

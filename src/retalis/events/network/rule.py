@@ -3,13 +3,13 @@
 from collections import deque
 from typing import Any, Deque, List, Optional, Tuple
 
-from ..foundation import RuleError, UsageError
-from ..prolog.terms import Atom, Term, deref, is_ground
+from ...foundation import RuleError, UsageError
+from ...prolog.terms import Atom, Term, deref, is_ground
+from ..dispatch import NOBODY, Action, Completion, Lane, Listener, Stage, compile_builder
+from ..language import Definition, alarm_of
+from ..matches import Expiries, Frame, Match, Mode
 from .compiling import Compiler
-from .dispatch import NOBODY, Action, Completion, Lane, Listener, Stage, compile_builder
-from .language import Definition, alarm_of
 from .limits import least
-from .matches import Expiries, Frame, Match, Mode
 
 _SPARE = 1000
 

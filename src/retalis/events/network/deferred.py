@@ -2,9 +2,9 @@
 
 from typing import AbstractSet, Any, Callable, List, NamedTuple, Optional, Set, Tuple
 
-from ..prolog.terms import Term, Var, deref, functor, positions, variables
+from ...prolog.terms import Term, Var, deref, functor, positions, variables
+from ..matches import NO_ITEMS, Absence, Match
 from .conditions import Call, Test, goal_test
-from .matches import NO_ITEMS, Absence, Match
 
 Values = Tuple[Term, ...]
 _ITEMS = functor("items", 2)

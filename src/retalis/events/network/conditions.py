@@ -2,10 +2,10 @@
 
 from typing import Any, Callable, Dict, Optional, Sequence, Tuple
 
-from ..prolog.machine import PrologError, resource_error
-from ..prolog.terms import Term, Var, are_ground, functor, list_items, make_list, positions, variables
-from .dispatch import AT_ONCE, RESTORE, Completion, goal_lane
-from .matches import Frame, Match, emit_each
+from ...prolog.machine import PrologError, resource_error
+from ...prolog.terms import Term, Var, are_ground, functor, list_items, make_list, positions, variables
+from ..dispatch import AT_ONCE, RESTORE, Completion, goal_lane
+from ..matches import Frame, Match, emit_each
 
 Values = Tuple[Term, ...]
 Test = Callable[[Values, int, int], Optional[Values]]
