@@ -16,10 +16,10 @@ from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "src"))
 
-from retalis._goalfile import read_goals  # noqa: E402
+from retalis.events.program import read_goals  # noqa: E402
+from retalis.events.program.folder import _TopicReader  # noqa: E402
 from retalis.foundation import RetalisError, SyntaxFault  # noqa: E402
 from retalis.messages.parsing import parse  # noqa: E402
-from retalis.program import _TopicReader  # noqa: E402
 from retalis.prolog.syntax import EventReader, Operators, read_program, read_term  # noqa: E402
 
 Shape = Callable[[int], str]

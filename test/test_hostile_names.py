@@ -7,9 +7,9 @@ are free it has to come back as it was; where ROS says what a name is, it is ref
 import pytest
 
 from retalis import Engine, foreign
+from retalis.events.program import read_topics, topic_type
 from retalis.foundation import MessageError, ProgramErrors, RetalisError, UsageError, codegen
 from retalis.messages import Definitions, Installed, text_writer
-from retalis.program import read_topics, topic_type
 from retalis.prolog.syntax import Operators, read_term, writeq
 from retalis.prolog.terms import Var, atom, functor, make_list
 

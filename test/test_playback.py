@@ -5,9 +5,9 @@ import logging
 import pytest
 
 from retalis.bags import BagReader, BagWriter
+from retalis.events.program import TopicType
 from retalis.messages import Definitions
 from retalis.playback import Playback
-from retalis.program import TopicType
 from retalis.prolog.syntax import Operators, read_term, to_text
 from retalis.prolog.terms import deref
 

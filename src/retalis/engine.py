@@ -5,18 +5,16 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any, Callable, Dict, Generator, List, NamedTuple, Optional, Tuple, Union, cast
 
-from ._goalfile import errors_in, goals_of
 from ._recovery import EngineRecovery
 from ._reports import Reports
 from ._runner import Runner
 from ._watchdog import watch
 from .clock import Clock, StreamClock
-from .door import MEGABYTE
 from .events.dispatch import Dispatcher, Stage
+from .events.program import GOALS, MEGABYTE, errors_in, goals_of, read_text
 from .events.rules import InputReader, Rules, define_new_event
 from .foundation import Errors, ProgramErrors, RetalisError, RuleError, UsageError, beginning
 from .knowledge import Knowledge
-from .program import GOALS, read_text
 from .prolog.foreign import define_foreign, define_use_foreign
 from .prolog.logic import Logic
 from .prolog.machine import Limits

@@ -5,13 +5,12 @@ from collections import Counter
 from pathlib import Path
 from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Union
 
-from ._lint import unknown_memories, unread_rules, wrong_messages
 from .bags import BagReader, Topic
 from .clock import StreamClock
 from .engine import Engine, Settings
+from .events.program import TOPICS, TopicType, read_topics, unknown_memories, unread_rules, wrong_messages
 from .foundation import MessageError, ProgramErrors, RetalisError, shortened, topic_fault, type_fault
 from .messages import Decoder, Definition, Definitions
-from .program import TOPICS, TopicType, read_topics
 from .prolog.terms import Term
 
 log = logging.getLogger("retalis")

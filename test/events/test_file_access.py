@@ -466,7 +466,7 @@ def test_what_is_swapped_before_it_is_opened_is_not_read(place, monkeypatch, goa
             swap(path, place / "outside")
         return real(opened, *arguments, **named)
 
-    monkeypatch.setattr(f"retalis.door.os.{hook}", swapping)
+    monkeypatch.setattr(f"retalis.events.program.door.os.{hook}", swapping)
     text = told(lambda: engine.call(GOALS[goal]("sub/in.pl")))
     monkeypatch.undo()
     os.chdir(str(place / "here"))
@@ -493,7 +493,7 @@ def test_what_is_swapped_before_it_is_opened_is_not_written(place, monkeypatch, 
         calls.append(opened)
         return real(opened, *arguments, **named)
 
-    monkeypatch.setattr("retalis.door.os.open", swapping)
+    monkeypatch.setattr("retalis.events.program.door.os.open", swapping)
     persistent(place, write_folders=(folder,))
     monkeypatch.undo()
     os.chdir(str(place / "here"))

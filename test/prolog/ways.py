@@ -26,7 +26,13 @@ from retalis.prolog.syntax import read_program, read_term, write_term
 from retalis.prolog.terms import copy, functor, variables
 
 WAYS = {"never": NEVER, "at once": 0, "default": COMPILE_AFTER}
-SUITES = ("test/logic", "test/events", "test/knowledge", "test/test_engine.py", "test/test_program.py")
+SUITES = (
+    "test/logic",
+    "test/events",
+    "test/knowledge",
+    "test/test_engine.py",
+    "test/events/program/test_folder.py",
+)
 _ERROR = functor("error", 2)
 
 

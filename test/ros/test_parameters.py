@@ -7,8 +7,8 @@ import pytest
 rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 
 from retalis.engine import Settings  # noqa: E402
+from retalis.events.program import Topics, TopicType  # noqa: E402
 from retalis.foundation import UsageError  # noqa: E402
-from retalis.program import Topics, TopicType  # noqa: E402
 from retalis.prolog.machine import Limits  # noqa: E402
 from retalis.ros.parameters import DIRECT, direct_topics, read_parameters  # noqa: E402
 

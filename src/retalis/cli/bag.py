@@ -8,9 +8,9 @@ from typing import Any, Dict, List
 from ..bags import BagReader, BagWriter
 from ..collector import relax
 from ..engine import Settings
+from ..events.program import TopicType, topic_type
 from ..foundation import UsageError, shortened
 from ..playback import Output, Playback
-from ..program import TopicType, topic_type
 from ..prolog.syntax import to_text
 from ..prolog.terms import atom, functor
 from ._folders import add_folders, allow_folders

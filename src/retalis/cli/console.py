@@ -11,9 +11,9 @@ from typing import Any, Dict, List, Optional, Union, cast
 from ..clock import Clock
 from ..collector import relax
 from ..engine import Engine, Settings
+from ..events.program import read_text
 from ..events.rules import event_of
 from ..foundation import ProgramErrors, RetalisError, RuleError, SyntaxFault
-from ..program import read_text
 from ..prolog.logic import Tracer
 from ..prolog.syntax import ReadTerm
 from ..prolog.terms import COMMA, NIL, Atom, String, Term, Var, deref, functor, list_items

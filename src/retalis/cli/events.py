@@ -7,14 +7,13 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import IO, Any, Dict, List, Optional
 
-from .._goalfile import goal_of, read_goals
 from ..clock import StreamClock
 from ..collector import relax
 from ..engine import Engine, Settings
+from ..events.program import goal_of, read_goals, read_text
 from ..events.rules import event_of
 from ..explain import Explanation, Line, explain, prepare
 from ..foundation import ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
-from ..program import read_text
 from ..prolog.syntax import Operators, read_term, write_term
 from ..prolog.terms import Term, Var, atom, deref, functor, rebuild, timestamps, variables
 from ._folders import add_folders, allow_folders

@@ -3,9 +3,9 @@
 import rospy
 
 from .._reports import Reports
+from ..events.program import TOPICS, Topics, read_topics
 from ..foundation import RetalisError, UsageError, beginning
 from ..messages import Decoder, Definitions, text_writer
-from ..program import TOPICS, Topics, read_topics
 from ..prolog.syntax import EventReader, event_text, to_text
 from ..prolog.terms import deref
 from ._log import shown

@@ -7,9 +7,9 @@ from typing import Any, Callable, ContextManager, Dict, Iterable, List, Optional
 import rospy
 
 from .._reports import Reports
+from ..events.program import TopicType, topic_type
 from ..foundation import Cache, MessageError, RetalisError, UsageError, beginning, printable, topic_fault
 from ..messages import Decoder, Definitions, Encoder
-from ..program import TopicType, topic_type
 from ..prolog.terms import Term
 from ._raw import raw_bytes, raw_class
 from ._receiving import read_by

@@ -5,12 +5,11 @@ from typing import Any, Callable, Optional, Tuple
 import rospy
 from std_msgs.msg import String
 
-from .._lint import unknown_memories, unread_rules, wrong_messages
 from ..clock import Alarm, Clock
 from ..engine import Engine
+from ..events.program import TOPICS, Topics, read_topics, unknown_memories, unread_rules, wrong_messages
 from ..foundation import RetalisError
 from ..messages import Decoder, Definitions, Installed
-from ..program import TOPICS, Topics, read_topics
 from ..prolog.syntax import to_text
 from ..prolog.terms import Term, atom, functor
 from ._log import shown

@@ -9,9 +9,9 @@ import rospkg
 import rospy
 
 from ..engine import Settings
+from ..events.program import Topics, TopicType, topic_type
 from ..foundation import UsageError, beginning, printable
 from ..messages import BARE
-from ..program import Topics, TopicType, topic_type
 from ..prolog.machine import Limits
 
 DIRECT = (TopicType("tf", "tf/tfMessage"), TopicType("ar_pose_marker", "ar_pose/ARMarkers"))

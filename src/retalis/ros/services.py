@@ -5,8 +5,8 @@ from typing import Any, Callable, Dict, Iterable, List, Tuple
 import rospy
 
 from ..engine import Engine
+from ..events.program import TOPICS
 from ..foundation import RetalisError, SyntaxFault, UsageError, beginning, printable
-from ..program import TOPICS
 from ..prolog.syntax import Operators, read_term
 from ..prolog.terms import COMMA, TRUE, Atom, Term, Var, atom, conjuncts, deref, functor, make_list, variables
 from .interface import OUTPUT, Interface, resolve

@@ -8,14 +8,12 @@ from ...foundation import Place, RetalisError, RuleError
 from ...prolog.logic import Logic
 from ...prolog.machine import keep_back
 from ...prolog.terms import SECOND, Term, atom, copy, deref, from_seconds, term_key, unify, variables
-from ..clauses import Checker, nowhere
 from ..dispatch import Dispatcher, Stage
-from ..files import Files
 from ..history import Justifier, Store, Tracker
 from ..language import Definition, Property, called_by, is_absolute, is_rule
-from ..loading import Loader
 from ..matches import Mode
 from ..network import Rule
+from ..program import Checker, Files, Loader, nowhere
 from .flags import Flags
 from .predicates import define_predicates
 

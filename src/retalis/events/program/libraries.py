@@ -1,7 +1,7 @@
 """Files and libraries as ``use_module/1``, ``ensure_loaded/1`` and ``include/1`` name them."""
 
-from ..prolog.machine import existence_error, instantiation_error, type_error
-from ..prolog.terms import SLASH, Atom, String, Term, Var, deref, functor
+from ...prolog.machine import existence_error, instantiation_error, type_error
+from ...prolog.terms import SLASH, Atom, String, Term, Var, deref, functor
 
 LIBRARY = functor("library", 1)
 

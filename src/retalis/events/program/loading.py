@@ -3,17 +3,17 @@
 from pathlib import Path
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Set, Tuple
 
-from ..foundation import Errors, Place, ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
-from ..prolog.machine import PrologError
-from ..prolog.syntax import Operators, read_program
-from ..prolog.terms import Atom, Term, conjuncts, copy, deref, functor, list_items
+from ...foundation import Errors, Place, ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
+from ...prolog.machine import PrologError
+from ...prolog.syntax import Operators, read_program
+from ...prolog.terms import Atom, Term, conjuncts, copy, deref, functor, list_items
+from ..language import Definition, Unknown, unknown_calls
+from ..network import Rule
 from .clauses import DIRECTIVES, TOO_DEEP, Checker, Step, clause_error, nowhere
 from .directives import Directives
 from .files import Files
 from .forgotten import defined_in, fact_error
-from .language import Definition, Unknown, unknown_calls
 from .libraries import LIBRARY, require_library
-from .network import Rule
 
 _INCLUDE = functor("include", 1)
 _OP = functor("op", 3)

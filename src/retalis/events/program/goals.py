@@ -4,9 +4,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Callable, Iterator, List, NamedTuple, Optional, Tuple, Union
 
-from .foundation import Place, ProgramErrors, RetalisError, RuleError, SyntaxFault
-from .prolog.syntax import Operators, ReadTerm, read_term
-from .prolog.terms import Term, deref, functor
+from ...foundation import Place, ProgramErrors, RetalisError, RuleError, SyntaxFault
+from ...prolog.syntax import Operators, ReadTerm, read_term
+from ...prolog.terms import Term, deref, functor
 
 Read = Union[ReadTerm, SyntaxFault]
 Load = Callable[[Optional[Path], Callable[[], Any]], Any]

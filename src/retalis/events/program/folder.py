@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Dict, List, NamedTuple, Tuple, Union
 from xml.parsers import expat
 
-from .foundation import (
+from ...foundation import (
     SHOWN,
     Errors,
     Place,

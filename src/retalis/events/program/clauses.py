@@ -2,13 +2,12 @@
 
 from typing import Any, Callable, Dict, List, NamedTuple, Optional
 
-from ..foundation import Errors, Place, RetalisError, RuleError
-from ..prolog.database import split_clause
-from ..prolog.machine import PrologError
-from ..prolog.syntax import ReadTerm
-from ..prolog.terms import COLON, Atom, Term, Var, atom, copy, deref, functor, list_items, variables
-from .directives import Goals, goals_of
-from .language import (
+from ...foundation import Errors, Place, RetalisError, RuleError
+from ...prolog.database import split_clause
+from ...prolog.machine import PrologError
+from ...prolog.syntax import ReadTerm
+from ...prolog.terms import COLON, Atom, Term, Var, atom, copy, deref, functor, list_items, variables
+from ..language import (
     ALARMS,
     ARROWS,
     RULE,
@@ -30,6 +29,7 @@ from .language import (
     labelled,
     occurrences,
 )
+from .directives import Goals, goals_of
 
 _CLAUSE = functor(":-", 2)
 _GRAMMAR = functor("-->", 2)

@@ -10,15 +10,15 @@ import stat
 from contextlib import contextmanager
 from typing import Any, Iterable, Iterator, List, Optional
 
-from .foundation import RetalisError, UsageError, shortened, undecodable
-from .prolog.machine import (
+from ...foundation import RetalisError, UsageError, shortened, undecodable
+from ...prolog.machine import (
     domain_error,
     existence_error,
     permission_error,
     representation_error,
     resource_error,
 )
-from .prolog.terms import atom
+from ...prolog.terms import atom
 
 MEGABYTE = 1_000_000
 

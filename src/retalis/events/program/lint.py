@@ -4,11 +4,11 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Collection, Iterable, Iterator, List, NamedTuple, Optional, Set
 
-from .events.language import Occurs, walk
-from .foundation import Place, RuleError, UsageError
-from .messages import Definitions, type_name
-from .program import GOALS, RULES, read_text
-from .prolog.terms import Atom, Functor, Term, deref, functor, list_items
+from ...foundation import Place, RuleError, UsageError
+from ...messages import Definitions, type_name
+from ...prolog.terms import Atom, Functor, Term, deref, functor, list_items
+from ..language import Occurs, walk
+from .folder import GOALS, RULES, read_text
 
 _READS = frozenset(
     functor(name, arity)

@@ -3,11 +3,11 @@ from pathlib import Path
 import pytest
 
 from retalis.engine import Engine, Settings
+from retalis.events.program import TopicType, read_text, read_topics
 from retalis.foundation import ProgramErrors, UsageError
-from retalis.program import TopicType, read_text, read_topics
 from retalis.prolog.machine import PrologError
 
-APPLICATION = Path(__file__).parent.parent / "application_source"
+APPLICATION = Path(__file__).parents[3] / "application_source"
 
 
 def read(tmp_path, text):

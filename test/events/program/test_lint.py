@@ -2,8 +2,8 @@
 
 import pytest
 
-from retalis._lint import unknown_memories, unread_rules, wrong_messages
 from retalis.engine import Engine
+from retalis.events.program import unknown_memories, unread_rules, wrong_messages
 from retalis.foundation import ProgramErrors
 from retalis.messages import Definitions
 

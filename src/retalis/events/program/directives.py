@@ -2,10 +2,10 @@
 
 from typing import Any, List, Optional, Tuple
 
-from ..foundation import Place, RuleError
-from ..prolog.machine import PrologError
-from ..prolog.terms import COMMA, Atom, Term, Var, deref, functor
-from .language import calls
+from ...foundation import Place, RuleError
+from ...prolog.machine import PrologError
+from ...prolog.terms import COMMA, Atom, Term, Var, deref, functor
+from ..language import calls
 
 _GOAL = functor("$goal", 1)
 _CALLABLE = (tuple, Atom, Var)

@@ -5,7 +5,7 @@ import os
 
 import pytest
 
-from retalis.door import Door, check_name
+from retalis.events.program.door import Door, check_name
 from retalis.foundation import RetalisError, UsageError
 from retalis.prolog.machine import PrologError
 
@@ -77,7 +77,7 @@ def test_a_full_disk_leaves_no_half_of_a_text(door, tmp_path, monkeypatch, is_er
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         return 3
 
-    monkeypatch.setattr("retalis.door.os.write", short)
+    monkeypatch.setattr("retalis.events.program.door.os.write", short)
     with pytest.raises(UsageError, match="cannot write .*: No space left on device"):
         door.append(str(path), "a text\n")
     monkeypatch.undo()

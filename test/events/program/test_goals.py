@@ -1,6 +1,6 @@
 import pytest
 
-from retalis._goalfile import read_goals
+from retalis.events.program import read_goals
 from retalis.foundation import SyntaxFault
 from retalis.prolog.syntax import Operators, read_term, writeq
 
@@ -53,7 +53,7 @@ def characters_read(monkeypatch, text):
         return read_term(text, *args, **options)
 
     with monkeypatch.context() as patched:
-        patched.setattr("retalis._goalfile.read_term", counted)
+        patched.setattr("retalis.events.program.goals.read_term", counted)
         found = list(read_goals(text, Operators.prolog(), "goals"))
     assert all(isinstance(goal, SyntaxFault) for goal in found[:-1])
     return sum(read)

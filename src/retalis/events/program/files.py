@@ -5,9 +5,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Iterator, List, Optional, Set
 
-from ..door import Door, check_name
-from ..foundation import UsageError
-from ..prolog.terms import Term
+from ...foundation import UsageError
+from ...prolog.terms import Term
+from .door import Door, check_name
 from .libraries import file_name
 
 

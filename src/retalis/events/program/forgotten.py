@@ -2,7 +2,7 @@
 
 from typing import Any, Optional, Sequence, Set
 
-from ..prolog.terms import COMMA, CONS, SLASH, Atom, Functor, Term, deref, functor
+from ...prolog.terms import COMMA, CONS, SLASH, Atom, Functor, Term, deref, functor
 from .clauses import Step
 
 _CLAUSE = functor(":-", 2)

@@ -1,0 +1,31 @@
+"""A program as files: its folder, topics, goals and rules, read, checked and loaded."""
+
+from .clauses import Checker, nowhere
+from .door import MEGABYTE
+from .files import Files
+from .folder import GOALS, TOPICS, Topics, TopicType, read_text, read_topics, topic_type
+from .goals import errors_in, goal_of, goals_of, read_goals
+from .lint import unknown_memories, unread_rules, wrong_messages
+from .loading import Loader
+
+__all__ = [
+    "Checker",
+    "errors_in",
+    "Files",
+    "goal_of",
+    "GOALS",
+    "goals_of",
+    "Loader",
+    "MEGABYTE",
+    "nowhere",
+    "read_goals",
+    "read_text",
+    "read_topics",
+    "topic_type",
+    "TOPICS",
+    "Topics",
+    "TopicType",
+    "unknown_memories",
+    "unread_rules",
+    "wrong_messages",
+]
