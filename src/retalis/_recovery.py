@@ -8,8 +8,8 @@ from typing import Any
 
 from ._runner import Recovery
 from .events.dispatch import Dispatcher
+from .events.knowledge import Knowledge
 from .events.rules import Rules
-from .knowledge import Knowledge
 from .prolog.logic import Logic, go_back, mend, state_of
 
 

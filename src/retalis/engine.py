@@ -11,10 +11,10 @@ from ._runner import Runner
 from ._watchdog import watch
 from .clock import Clock, StreamClock
 from .events.dispatch import Dispatcher, Stage
+from .events.knowledge import Knowledge
 from .events.program import GOALS, MEGABYTE, errors_in, goals_of, read_text
 from .events.rules import InputReader, Rules, define_new_event
 from .foundation import Errors, ProgramErrors, RetalisError, RuleError, UsageError, beginning
-from .knowledge import Knowledge
 from .prolog.foreign import define_foreign, define_use_foreign
 from .prolog.logic import Logic
 from .prolog.machine import Limits

@@ -5,7 +5,7 @@ import contextlib
 import pytest
 
 from retalis.engine import Engine
-from retalis.knowledge import Memory
+from retalis.events.knowledge.memory import Memory
 from retalis.prolog.terms import atom, functor
 
 from .__main__ import Campaign

@@ -8,7 +8,7 @@ import pytest
 
 from retalis.prolog.machine import PrologError
 
-sys.path.append(str(Path(__file__).resolve().parents[1]))
+sys.path.append(str(Path(__file__).resolve().parents[2]))
 from watched import Watched  # noqa: E402
 
 

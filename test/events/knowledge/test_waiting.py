@@ -16,7 +16,7 @@ from retalis.events.dispatch import Stage
 from retalis.prolog.machine import Limits
 from retalis.prolog.terms import Var, atom, functor
 
-sys.path.append(str(Path(__file__).resolve().parents[1]))
+sys.path.append(str(Path(__file__).resolve().parents[2]))
 from watched import Watched  # noqa: E402
 
 ASK = "syncronized(answer(X, V), (prev(m, v(V), _, _, T)), [[m, T]]) <- ask(X, T).\n"

@@ -2,12 +2,11 @@
 
 from typing import Any, Callable, Dict, Iterator, Optional, Tuple
 
-from ..events.dispatch import NOBODY, Dispatcher, Stage
-from ..foundation import UsageError
-from ..prolog.builtins import instant_of
-from ..prolog.logic import Logic
-from ..prolog.machine import Machine, domain_error, permission_error, type_error
-from ..prolog.terms import (
+from ...foundation import UsageError
+from ...prolog.builtins import instant_of
+from ...prolog.logic import Logic
+from ...prolog.machine import Machine, domain_error, permission_error, type_error
+from ...prolog.terms import (
     MINUS,
     NIL,
     Atom,
@@ -22,6 +21,7 @@ from ..prolog.terms import (
     term_key,
     timestamps,
 )
+from ..dispatch import NOBODY, Dispatcher, Stage
 from ._recording import Warn, is_whole, key_of, recording
 from .recorder import UPDATED, Instance, Recorder
 

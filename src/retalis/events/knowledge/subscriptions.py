@@ -2,10 +2,10 @@
 
 from typing import Any, Callable, Dict, Iterator, Tuple
 
-from ..events.dispatch import Dispatcher, Stage
-from ..prolog.logic import Logic
-from ..prolog.machine import permission_error
-from ..prolog.terms import MINUS, Atom, Term, copy, deref
+from ...prolog.logic import Logic
+from ...prolog.machine import permission_error
+from ...prolog.terms import MINUS, Atom, Term, copy, deref
+from ..dispatch import Dispatcher, Stage
 from ._recording import Warn, itself, key_of, recording
 
 Deliver = Callable[[Term, str, Term], None]

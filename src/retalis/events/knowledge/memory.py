@@ -3,7 +3,7 @@
 from bisect import bisect_left, bisect_right
 from typing import Iterator, List, Optional, Tuple
 
-from ..prolog.terms import Term
+from ...prolog.terms import Term
 
 Record = Tuple[Term, int, int]
 """What a memory keeps of an event: the record and the event's interval, start and end as instants."""

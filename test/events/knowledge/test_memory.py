@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retalis.knowledge import Memory
+from retalis.events.knowledge.memory import Memory
 
 ENDS = st.lists(st.integers(0, 30), max_size=60)
 

@@ -11,7 +11,7 @@ from retalis.engine import Engine
 from retalis.prolog.machine import PrologError
 from retalis.prolog.terms import deref, list_items
 
-sys.path.append(str(Path(__file__).resolve().parents[1]))
+sys.path.append(str(Path(__file__).resolve().parents[2]))
 from watched import Watched  # noqa: E402
 
 

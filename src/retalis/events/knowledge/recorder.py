@@ -3,8 +3,8 @@
 from heapq import heapify, heappop, heappush
 from typing import Any, Callable, Dict, Iterator, List, Tuple
 
-from ..events.dispatch import NOBODY, Dispatcher, Stage
-from ..prolog.terms import Term, Var, deref, functor, is_ground
+from ...prolog.terms import Term, Var, deref, functor, is_ground
+from ..dispatch import NOBODY, Dispatcher, Stage
 from ._recording import Recording
 from .memory import Memory, Record
 

@@ -3,20 +3,13 @@
 from itertools import count
 from typing import Any, Dict, Iterator, List, Optional, Tuple
 
-from ..events.dispatch import LEFT_OUT, RESTORE, Dispatcher, Stage
-from ..events.network import Leaf
-from ..foundation import UsageError
-from ..prolog.logic import Logic
-from ..prolog.terms import Term, Var, are_ground, functor
+from ...foundation import UsageError
+from ...prolog.logic import Logic
+from ...prolog.terms import Term, Var, are_ground, functor
+from ..dispatch import LEFT_OUT, RESTORE, Dispatcher, Stage
+from ..network import Leaf
 from ._conditions import Behind, behind, compile_conditions
-from ._question import (
-    Question,
-    Surroundings,
-    Values,
-    compile_question,
-    general_question,
-    kind_of,
-)
+from ._question import Question, Surroundings, Values, compile_question, general_question, kind_of
 from ._recording import Warn
 from .memories import Memories
 from .recorder import Instance

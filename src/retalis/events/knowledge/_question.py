@@ -2,12 +2,12 @@
 
 from typing import Any, Callable, NamedTuple, Optional, Sequence, Tuple
 
-from ..events.dispatch import AT_ONCE, Dispatcher, compile_builder
-from ..foundation import Place, UsageError
-from ..prolog.database import Goal
-from ..prolog.logic import Logic
-from ..prolog.machine import PrologError, keep_back
-from ..prolog.terms import TRUE, Term, Var, deref, functor, variables
+from ...foundation import Place, UsageError
+from ...prolog.database import Goal
+from ...prolog.logic import Logic
+from ...prolog.machine import PrologError, keep_back
+from ...prolog.terms import TRUE, Term, Var, deref, functor, variables
+from ..dispatch import AT_ONCE, Dispatcher, compile_builder
 from ._recording import Warn
 
 Values = Tuple[Term, ...]

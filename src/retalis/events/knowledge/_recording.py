@@ -2,10 +2,9 @@
 
 from typing import Any, Callable, List, Optional, Tuple
 
-from ..events.dispatch import Dispatcher, compile_builder
-from ..prolog.logic import Logic
-from ..prolog.machine import PrologError, instantiation_error, keep_back, type_error
-from ..prolog.terms import (
+from ...prolog.logic import Logic
+from ...prolog.machine import PrologError, instantiation_error, keep_back, type_error
+from ...prolog.terms import (
     COMMA,
     EMPTY_BLOCK,
     TRUE,
@@ -19,6 +18,7 @@ from ..prolog.terms import (
     list_items,
     variables,
 )
+from ..dispatch import Dispatcher, compile_builder
 
 Warn = Callable[..., None]
 """Takes a warning as text and what kind it is: those of one kind are shown at growing intervals."""

@@ -3,13 +3,14 @@
 from operator import attrgetter
 from typing import Any, Callable, Iterator, Optional, Tuple
 
-from ..events.dispatch import Dispatcher
-from ..foundation import UsageError
-from ..prolog.logic import Logic
-from ..prolog.machine import Machine, instantiation_error, type_error
-from ..prolog.terms import Atom, Term, Var, deref, functor
+from ...foundation import UsageError
+from ...prolog.logic import Logic
+from ...prolog.machine import Machine, instantiation_error, type_error
+from ...prolog.terms import Atom, Term, Var, deref, functor
+from ..dispatch import Dispatcher
 from ._recording import Warn, key_of
-from .memories import Instance, Memories, define_read_access, enumerate_records
+from .memories import Memories, define_read_access, enumerate_records
+from .recorder import Instance
 from .subscriptions import Deliver, Subscriptions
 from .waiting import WaitingQueries
 

@@ -2,11 +2,11 @@
 
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
-from ..events.dispatch import compile_builder
-from ..foundation import UsageError, shared_function
-from ..prolog.logic import Logic
-from ..prolog.machine import PrologError
-from ..prolog.terms import CONS, Term, Var, deref, list_items, positions, timestamps, variables
+from ...foundation import UsageError, shared_function
+from ...prolog.logic import Logic
+from ...prolog.machine import PrologError
+from ...prolog.terms import CONS, Term, Var, deref, list_items, positions, timestamps, variables
+from ..dispatch import compile_builder
 from ._recording import key_of
 from .memories import Memories
 from .recorder import Instance

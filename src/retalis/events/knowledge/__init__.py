@@ -1,0 +1,11 @@
+"""What programs know: memory instances, queries that wait for them, and subscriptions.
+
+Each is fed by the dispatcher (`retalis.events.dispatch`) and reached by goals (`retalis.prolog.logic`); `Knowledge` puts
+them together.
+"""
+
+from .knowledge import Knowledge
+
+__all__ = [
+    "Knowledge",
+]
