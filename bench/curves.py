@@ -23,8 +23,8 @@ from arguments import positive, target  # noqa: E402
 from fitting import exponent  # noqa: E402
 from processes import machine  # noqa: E402
 
-from retalis.collector import relax  # noqa: E402
 from retalis.engine import Engine  # noqa: E402
+from retalis.engine.runtime import relax  # noqa: E402
 from retalis.prolog.terms import Var, functor, make_list  # noqa: E402
 
 SECOND = 10**9

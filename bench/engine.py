@@ -21,8 +21,8 @@ sys.path[:0] = [str(HERE), str(HERE.parent / "src"), str(HERE.parent / "examples
 import workload as work  # noqa: E402
 from arguments import existing, interpreter, positive, target  # noqa: E402
 
-from retalis.collector import relax  # noqa: E402
 from retalis.engine import Engine  # noqa: E402
+from retalis.engine.runtime import relax  # noqa: E402
 from retalis.prolog.terms import functor  # noqa: E402
 
 

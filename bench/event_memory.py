@@ -14,8 +14,8 @@ from typing import Any, Dict, Iterator, List
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "src"))
 
-from retalis.clock import StreamClock  # noqa: E402
 from retalis.engine import Engine  # noqa: E402
+from retalis.engine.runtime import StreamClock  # noqa: E402
 from retalis.prolog.terms import (  # noqa: E402
     SECOND,
     functor,

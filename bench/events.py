@@ -35,8 +35,8 @@ import event_memory  # noqa: E402
 import event_tables  # noqa: E402
 from arguments import above_zero, existing, positive, target  # noqa: E402
 
-from retalis.clock import StreamClock  # noqa: E402
 from retalis.engine import Engine  # noqa: E402
+from retalis.engine.runtime import StreamClock  # noqa: E402
 from retalis.events.dispatch import Stage  # noqa: E402
 from retalis.prolog.terms import (  # noqa: E402
     SECOND,  # noqa: E402

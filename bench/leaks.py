@@ -20,8 +20,8 @@ sys.path[:0] = [str(ROOT / "bench"), str(ROOT / "src")]
 from arguments import positive  # noqa: E402
 
 from retalis import Engine  # noqa: E402
-from retalis._reports import Reports  # noqa: E402
 from retalis.engine import Settings  # noqa: E402
+from retalis.engine.runtime import Reports  # noqa: E402
 from retalis.foundation import RetalisError  # noqa: E402
 from retalis.messages import Definitions, Installed  # noqa: E402
 from retalis.prolog.syntax import EventReader, Operators, event_text, read_term, to_text  # noqa: E402

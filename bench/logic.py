@@ -26,7 +26,7 @@ sys.path[:0] = [str(HERE), str(HERE.parent / "src")]
 import others  # noqa: E402
 from arguments import interpreter, positive, target  # noqa: E402
 
-from retalis.collector import relax  # noqa: E402
+from retalis.engine.runtime import relax  # noqa: E402
 from retalis.prolog.logic import Logic  # noqa: E402
 from retalis.prolog.syntax import read_program, read_term  # noqa: E402
 

@@ -27,7 +27,7 @@ from retalis.foundation import RetalisError  # noqa: E402
 def once(bag: Path) -> Dict[str, float]:
     """Run the program over a bag in this process; return the figures."""
     from retalis.bags import BagReader
-    from retalis.collector import relax
+    from retalis.engine.runtime import relax
     from retalis.playback import Playback
 
     playback = Playback(HERE.parent / "application_source", report=print)

@@ -12,7 +12,7 @@ from typing import Any, Callable
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "src"))
 
-from retalis.collector import relax  # noqa: E402
+from retalis.engine.runtime import relax  # noqa: E402
 
 PROBLOG_CASES = [
     "nrev",

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Union
 
 from .bags import BagReader, Topic
-from .clock import StreamClock
 from .engine import Engine, Settings
+from .engine.runtime import StreamClock
 from .events.program import TOPICS, TopicType, read_topics, unknown_memories, unread_rules, wrong_messages
 from .foundation import MessageError, ProgramErrors, RetalisError, shortened, topic_fault, type_fault
 from .messages import Decoder, Definition, Definitions

@@ -32,7 +32,7 @@ KEPT = {
 SEEN_TO_AT = {
     "retalis.events.dispatch.dispatch._GATES": 10,
     "retalis.events.network.rule._SPARE": 10,
-    "retalis._reports._KINDS": 10,
+    "retalis.engine.runtime.reports._KINDS": 10,
 }
 """Numbers from which on it is looked what is of no use any more."""
 

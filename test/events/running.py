@@ -1,7 +1,7 @@
 """Programs over short streams, for tests: ``a@1 b(2)@3-5`` is a stream and an answer alike."""
 
-from retalis.clock import StreamClock
 from retalis.engine import Engine, Settings
+from retalis.engine.runtime import StreamClock
 from retalis.prolog.syntax import write_term
 from retalis.prolog.terms import SECOND, copy, functor, variables
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from retalis.clock import StreamClock
 from retalis.engine import Engine, Settings
+from retalis.engine.runtime import StreamClock
 from retalis.foundation import ProgramErrors, RetalisError
 from retalis.prolog.terms import CONS, NIL, atom, functor, make_list
 

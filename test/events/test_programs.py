@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 from events.running import FUTURE, show, text_of
 
-from retalis.clock import StreamClock
 from retalis.engine import Engine
+from retalis.engine.runtime import StreamClock
 from retalis.prolog.terms import SECOND
 from retalis.prolog.terms.timestamps import to_term
 

@@ -3,7 +3,7 @@
 import pytest
 from events.running import Program, fired, show
 
-from retalis.clock import StreamClock
+from retalis.engine.runtime import StreamClock
 from retalis.events.history import tracking
 from retalis.events.matches import Held, revived
 from retalis.prolog.terms import SECOND

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import pytest
 from events.contradictions import CONTRADICTED, Contradiction
 
-from retalis.clock import StreamClock
 from retalis.engine import Engine, Settings
+from retalis.engine.runtime import StreamClock
 from retalis.foundation import RetalisError
 from retalis.prolog.syntax import Operators, read_term, write_term
 from retalis.prolog.terms import SECOND, atom, copy, deref, functor, variables

@@ -3,8 +3,8 @@
 import pytest
 from events import table
 
-from retalis.clock import StreamClock
 from retalis.engine import Engine
+from retalis.engine.runtime import StreamClock
 from retalis.explain import explain
 from retalis.prolog.syntax import Operators, read_term
 from retalis.prolog.terms import SECOND, atom

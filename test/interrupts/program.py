@@ -8,8 +8,8 @@ from functools import lru_cache
 
 from events.running import text_of
 
-from retalis.clock import StreamClock
 from retalis.engine import Engine, Settings
+from retalis.engine.runtime import StreamClock
 from retalis.prolog.machine import Limits, PrologError
 from retalis.prolog.syntax import Operators, read_term
 from retalis.prolog.terms import SECOND, atom, copy

@@ -12,8 +12,8 @@ from dataclasses import fields, replace
 from itertools import count
 from typing import Any, Callable, Iterable, Iterator, List, Optional, Sequence, Tuple
 
-from retalis.clock import StreamClock
 from retalis.engine import Engine
+from retalis.engine.runtime import StreamClock
 from retalis.events.matches import places, timeindex
 from retalis.foundation import RetalisError
 from retalis.prolog.terms import SECOND, Term, atom, functor

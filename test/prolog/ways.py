@@ -30,7 +30,7 @@ SUITES = (
     "test/logic",
     "test/events",
     "test/knowledge",
-    "test/test_engine.py",
+    "test/engine/test_engine.py",
     "test/events/program/test_folder.py",
 )
 _ERROR = functor("error", 2)

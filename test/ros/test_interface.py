@@ -7,7 +7,7 @@ import pytest
 
 rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 
-from retalis._reports import Reports  # noqa: E402
+from retalis.engine.runtime import Reports  # noqa: E402
 from retalis.foundation import MessageError  # noqa: E402
 from retalis.messages import Definitions  # noqa: E402
 from retalis.ros.interface import Input  # noqa: E402

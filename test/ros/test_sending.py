@@ -11,7 +11,7 @@ rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 
 from rospy.exceptions import TransportTerminated  # noqa: E402
 
-from retalis._reports import Reports  # noqa: E402
+from retalis.engine.runtime import Reports  # noqa: E402
 from retalis.ros import _sending, _texts  # noqa: E402
 from retalis.ros._sending import Outlet  # noqa: E402
 from retalis.ros._texts import TextPublisher, text_frame  # noqa: E402

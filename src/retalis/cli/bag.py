@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any, Dict, List
 
 from ..bags import BagReader, BagWriter
-from ..collector import relax
 from ..engine import Settings
+from ..engine.runtime import relax
 from ..events.program import TopicType, topic_type
 from ..foundation import UsageError, shortened
 from ..playback import Output, Playback

@@ -8,9 +8,8 @@ from io import StringIO
 from pathlib import Path
 from typing import Any, Dict, List, Optional, Union, cast
 
-from ..clock import Clock
-from ..collector import relax
 from ..engine import Engine, Settings
+from ..engine.runtime import Clock, relax
 from ..events.program import read_text
 from ..events.rules import event_of
 from ..foundation import ProgramErrors, RetalisError, RuleError, SyntaxFault

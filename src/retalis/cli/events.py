@@ -7,9 +7,8 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import IO, Any, Dict, List, Optional
 
-from ..clock import StreamClock
-from ..collector import relax
 from ..engine import Engine, Settings
+from ..engine.runtime import StreamClock, relax
 from ..events.program import goal_of, read_goals, read_text
 from ..events.rules import event_of
 from ..explain import Explanation, Line, explain, prepare

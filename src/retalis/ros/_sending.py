@@ -15,7 +15,7 @@ import rospy
 from rospy.exceptions import TransportException
 from rospy.rostime import wallsleep
 
-from .._reports import Reports
+from ..engine.runtime import Reports
 
 PATIENCE = 1.0
 """Seconds to wait for a receiver that does not keep up, where that is wanted."""

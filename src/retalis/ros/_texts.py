@@ -5,7 +5,7 @@ from typing import Any, Callable, List
 
 from std_msgs.msg import String
 
-from .._reports import Reports
+from ..engine.runtime import Reports
 from ..foundation import MessageError
 from ._sending import Outlet
 

@@ -2,7 +2,7 @@
 
 import rospy
 
-from .._reports import Reports
+from ..engine.runtime import Reports
 from ..events.program import TOPICS, Topics, read_topics
 from ..foundation import RetalisError, UsageError, beginning
 from ..messages import Decoder, Definitions, text_writer

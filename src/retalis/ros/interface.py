@@ -6,7 +6,7 @@ from typing import Any, Callable, ContextManager, Dict, Iterable, List, Optional
 
 import rospy
 
-from .._reports import Reports
+from ..engine.runtime import Reports
 from ..events.program import TopicType, topic_type
 from ..foundation import Cache, MessageError, RetalisError, UsageError, beginning, printable, topic_fault
 from ..messages import Decoder, Definitions, Encoder

@@ -5,8 +5,8 @@ from typing import Any, Callable, Optional, Tuple
 import rospy
 from std_msgs.msg import String
 
-from ..clock import Alarm, Clock
 from ..engine import Engine
+from ..engine.runtime import Alarm, Clock
 from ..events.program import TOPICS, Topics, read_topics, unknown_memories, unread_rules, wrong_messages
 from ..foundation import RetalisError
 from ..messages import Decoder, Definitions, Installed

@@ -6,7 +6,7 @@ from typing import Any, Callable
 
 import rospy
 
-from ..collector import relax
+from ..engine.runtime import relax
 from ..foundation import RetalisError
 from ._log import forward_log
 from .parameters import Parameters, read_parameters

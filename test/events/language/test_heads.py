@@ -4,7 +4,7 @@ import pytest
 from events.refusals import errors_of, warnings_of
 from events.running import Program
 
-from retalis.clock import StreamClock
+from retalis.engine.runtime import StreamClock
 
 
 @pytest.mark.parametrize(

@@ -3,8 +3,8 @@
 import pytest
 from events.running import Program, show
 
-from retalis.clock import StreamClock
 from retalis.engine import Engine, Settings
+from retalis.engine.runtime import StreamClock
 from retalis.foundation import ProgramErrors
 from retalis.prolog.machine import PrologError
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from retalis.clock import StreamClock
 from retalis.engine import Engine
+from retalis.engine.runtime import StreamClock
 from retalis.events.rules.flags import FLAGS
 from retalis.foundation import ProgramErrors
 from retalis.prolog.machine import PrologError

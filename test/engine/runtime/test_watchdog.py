@@ -5,9 +5,9 @@ import threading
 
 import pytest
 
-from retalis import _watchdog
-from retalis._watchdog import Watchdog
 from retalis.engine import Engine, Settings
+from retalis.engine.runtime import watchdog as _watchdog
+from retalis.engine.runtime.watchdog import Watchdog
 from retalis.prolog.machine import Budget, LimitError, Limits
 from retalis.prolog.terms import atom
 

@@ -2,7 +2,7 @@ import logging
 
 import pytest
 
-from retalis._reports import Reports
+from retalis.engine.runtime import Reports
 from retalis.foundation import Place, RetalisError, RuleError, place_at
 
 

@@ -6,11 +6,11 @@ that outlives an event can be mended: from what it is made of first it makes ane
 
 from typing import Any
 
-from ._runner import Recovery
-from .events.dispatch import Dispatcher
-from .events.knowledge import Knowledge
-from .events.rules import Rules
-from .prolog.logic import Logic, go_back, mend, state_of
+from ...events.dispatch import Dispatcher
+from ...events.knowledge import Knowledge
+from ...events.rules import Rules
+from ...prolog.logic import Logic, go_back, mend, state_of
+from .runner import Recovery
 
 
 class EngineRecovery(Recovery):

@@ -3,23 +3,20 @@
 import logging
 from contextlib import closing
 from pathlib import Path
-from typing import Any, Callable, Dict, Generator, List, NamedTuple, Optional, Tuple, Union, cast
+from typing import Any, Callable, Dict, Generator, List, Optional, Tuple, Union, cast
 
-from ._recovery import EngineRecovery
-from ._reports import Reports
-from ._runner import Runner
-from ._watchdog import watch
-from .clock import Clock, StreamClock
-from .events.dispatch import Dispatcher, Stage
-from .events.knowledge import Knowledge
-from .events.program import GOALS, MEGABYTE, errors_in, goals_of, read_text
-from .events.rules import InputReader, Rules, define_new_event
-from .foundation import Errors, ProgramErrors, RetalisError, RuleError, UsageError, beginning
-from .prolog.foreign import define_foreign, define_use_foreign
-from .prolog.logic import Logic
-from .prolog.machine import Limits
-from .prolog.syntax import read_term
-from .prolog.terms import Functor, Term, Var, WholeSeconds, atom, copy, timestamps, variables
+from ..events.dispatch import Dispatcher, Stage
+from ..events.knowledge import Knowledge
+from ..events.program import GOALS, MEGABYTE, errors_in, goals_of, read_text
+from ..events.rules import InputReader, Rules, define_new_event
+from ..foundation import Errors, ProgramErrors, RetalisError, RuleError, UsageError, beginning
+from ..prolog.foreign import define_foreign, define_use_foreign
+from ..prolog.logic import Logic
+from ..prolog.machine import Limits
+from ..prolog.syntax import read_term
+from ..prolog.terms import Functor, Term, Var, WholeSeconds, atom, copy, timestamps, variables
+from .runtime import Clock, EngineRecovery, Reports, Runner, StreamClock, watch
+from .settings import Settings
 
 log = logging.getLogger("retalis")
 
@@ -31,40 +28,6 @@ OnOutput = Callable[[Term, str, Term], None]
 OnEvent = Callable[[Term, int, int], None]
 
 _REQUEST = atom("a request")
-
-
-class Settings(NamedTuple):
-    """How an engine behaves.
-
-    Attributes:
-        limits: what an event, a query or any other call may use with all that it starts: seconds, inferences,
-            memory. Past that its goals end with a resource error; it is one of the others that may still be caught
-            once.
-        limit_start: whether the goals of a goal file (`Engine.call_goals`) have these limits too.
-        watchdog: seconds after which a warning names what is at work; None for never.
-        max_depth: longest chain of events derived one from another.
-        queue: how many events may wait for the one that is being worked on.
-        allow_goals: whether any goal is taken as input, not only events.
-        allow_foreign: whether programs may load Python modules with ``use_foreign/1``.
-        folders: where goals of events, queries and services may read files, besides the program's own folders;
-            None means anywhere. What a program does while it is loaded (`Engine.load` and its sisters) is free.
-        patience: how many seconds a call from another thread waits for one callback, see `Engine`.
-        write_folders: where goals may write files, and read them; None means anywhere. Files whose place nobody
-            names, as that of persistent events, are written in the first of them.
-        max_file_megabytes: how large a file may be that a program reads or writes.
-    """
-
-    limits: Limits = Limits()
-    limit_start: bool = True
-    watchdog: Optional[float] = None
-    max_depth: int = 1000
-    queue: int = 5000
-    allow_goals: bool = False
-    allow_foreign: bool = False
-    folders: Optional[Tuple[str, ...]] = ()
-    patience: float = 10.0
-    write_folders: Optional[Tuple[str, ...]] = ()
-    max_file_megabytes: int = 100
 
 
 class Engine:

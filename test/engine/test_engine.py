@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 
 from retalis import foreign
-from retalis.clock import StreamClock
 from retalis.engine import Engine, Settings
+from retalis.engine.runtime import StreamClock
 from retalis.foundation import ProgramErrors, RetalisError, SyntaxFault, UsageError
 from retalis.prolog.machine import PrologError
 from retalis.prolog.terms import atom, deref, functor, timestamps
 
-sys.path.append(str(Path(__file__).resolve().parent))
+sys.path.append(str(Path(__file__).resolve().parents[1]))
 from watched import Watched  # noqa: E402
 
 
@@ -85,7 +85,7 @@ def test_what_is_no_date_is_no_number():
 
 def test_a_text_that_is_too_long_to_read_is_refused(caplog, monkeypatch):
     engine = Watched()
-    monkeypatch.setattr("retalis.engine.LONGEST_INPUT", 20)
+    monkeypatch.setattr("retalis.engine.engine.LONGEST_INPUT", 20)
     with caplog.at_level(logging.WARNING, "retalis"):
         engine.post_text("event(a(1234567890))")
         engine.post_text("event(a(12345678901))")

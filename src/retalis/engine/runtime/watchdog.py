@@ -5,13 +5,13 @@ import time
 from typing import Any, Callable, Optional
 from weakref import ref
 
-from ._reports import Reports
-from .events.dispatch import Dispatcher
-from .foundation import Place, RuleError, beginning
-from .prolog.database import Goal
-from .prolog.logic import Logic
-from .prolog.machine import Budget
-from .prolog.terms import Atom, deref
+from ...events.dispatch import Dispatcher
+from ...foundation import Place, RuleError, beginning
+from ...prolog.database import Goal
+from ...prolog.logic import Logic
+from ...prolog.machine import Budget
+from ...prolog.terms import Atom, deref
+from .reports import Reports
 
 Warn = Callable[[float, Any], None]
 

@@ -1,4 +1,4 @@
-from retalis.clock import Clock, StreamClock
+from retalis.engine.runtime import Clock, StreamClock
 from retalis.prolog.terms import SECOND
 
 

@@ -4,7 +4,7 @@ import logging
 import traceback
 from typing import Any, Dict, Set
 
-from .foundation import LONGEST, SHOWN, RetalisError, beginning, printable
+from ...foundation import LONGEST, SHOWN, RetalisError, beginning, printable
 
 log = logging.getLogger("retalis")
 

@@ -13,7 +13,7 @@ import threading
 from collections import deque
 from typing import Any, Callable, Deque, Optional, Tuple
 
-from .foundation import RetalisError, UsageError
+from ...foundation import RetalisError, UsageError
 
 _this_thread = threading.get_ident
 
@@ -40,6 +40,7 @@ class Call:
         self.over = self.follows = False
 
     def __call__(self) -> None:
+        """Do the work, unless it has been taken already."""
         if not self.take():
             return
         try:

@@ -1,6 +1,6 @@
 import gc
 
-from retalis.collector import relax
+from retalis.engine.runtime import relax
 from retalis.events.matches.timeindex import paused
 
 

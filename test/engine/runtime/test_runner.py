@@ -2,7 +2,8 @@ import threading
 
 import pytest
 
-from retalis._runner import Call, Recovery, Runner
+from retalis.engine.runtime import Runner
+from retalis.engine.runtime.runner import Call, Recovery
 from retalis.foundation import UsageError
 
 
@@ -35,7 +36,7 @@ def test_a_call_from_inside_is_done_at_once():
 
 
 def test_while_one_works_others_return_and_the_oldest_is_dropped(monkeypatch):
-    monkeypatch.setattr("retalis._runner.PATIENCE", 0.01)
+    monkeypatch.setattr("retalis.engine.runtime.runner.PATIENCE", 0.01)
     runner, drops, _ = make(size=2)
     started, go_on = threading.Event(), threading.Event()
     done = []

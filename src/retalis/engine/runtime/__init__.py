@@ -1,0 +1,19 @@
+"""What keeps an engine running: its queue, clock and reports, who holds it up, and mending after interrupts."""
+
+from .clock import Alarm, Clock, StreamClock
+from .collector import relax
+from .recovery import EngineRecovery
+from .reports import Reports
+from .runner import Runner
+from .watchdog import watch
+
+__all__ = [
+    "Alarm",
+    "Clock",
+    "EngineRecovery",
+    "relax",
+    "Reports",
+    "Runner",
+    "StreamClock",
+    "watch",
+]
