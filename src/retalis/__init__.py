@@ -14,7 +14,7 @@ __all__ = ["Compound", "Engine", "foreign"]
 _HOMES = {"Compound": "prolog.foreign.functions", "Engine": "engine", "foreign": "prolog.foreign.functions"}
 """Where names of this package stand: they are imported when somebody asks, so ``retalis.srv`` costs no engine."""
 
-_DOORS = {"errors": "foundation.errors", "terms": "prolog.terms"}
+_DOORS = {"errors": "foundation.errors", "explain": "engine.explaining", "terms": "prolog.terms"}
 """Where the modules stand that programs name without their room."""
 
 

@@ -4,8 +4,8 @@ import pytest
 from events import table
 
 from retalis.engine import Engine
+from retalis.engine.explaining import explain
 from retalis.engine.runtime import StreamClock
-from retalis.explain import explain
 from retalis.prolog.syntax import Operators, read_term
 from retalis.prolog.terms import SECOND, atom
 

@@ -12,7 +12,7 @@ SOURCE = Path(__file__).resolve().parents[2] / "src" / "retalis"
 
 DECORATED = {
     ("messages/arrays.py", "array_maker"): "one entry for each of the 13 number types",
-    ("_shortfall.py", "_spans"): "one entry for each operator",
+    ("engine/explaining/shortfall.py", "_spans"): "one entry for each operator",
     ("events/matches/reach.py", "reach_of"): "1000 entries of an operator's name and two numbers",
     ("prolog/logic/library.py", "library_index"): "one entry",
     ("prolog/syntax/eventtext.py", "_second_text"): "64 seconds, of the years 1 to 9999",

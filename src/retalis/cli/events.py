@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import IO, Any, Dict, List, Optional
 
 from ..engine import Engine, Settings
+from ..engine.explaining import Explanation, Line, explain, prepare
 from ..engine.runtime import StreamClock, relax
 from ..events.program import goal_of, read_goals, read_text
 from ..events.rules import event_of
-from ..explain import Explanation, Line, explain, prepare
 from ..foundation import ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
 from ..prolog.syntax import Operators, read_term, write_term
 from ..prolog.terms import Term, Var, atom, deref, functor, rebuild, timestamps, variables

@@ -2,12 +2,12 @@
 
 from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple
 
-from ._shortfall import Part, Shortfall, names_of
-from .engine import Engine
-from .events.language import Aggregate, walk
-from .foundation import UsageError
-from .prolog.syntax import write_term
-from .prolog.terms import Atom, Term, Var, atom, copy, deref, functor, list_items, timestamps, undo, unify
+from ...events.language import Aggregate, walk
+from ...foundation import UsageError
+from ...prolog.syntax import write_term
+from ...prolog.terms import Atom, Term, Var, atom, copy, deref, functor, list_items, timestamps, undo, unify
+from .. import Engine
+from .shortfall import Part, Shortfall, names_of
 
 EVENT = functor("event", 2)
 _SHOWN = 10

@@ -8,7 +8,7 @@ from contextlib import closing
 from functools import lru_cache
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
-from .events.language import (
+from ...events.language import (
     OPERATORS,
     Absent,
     Action,
@@ -22,9 +22,9 @@ from .events.language import (
     Star,
     Within,
 )
-from .foundation import RetalisError, codegen
-from .prolog.syntax import write_term
-from .prolog.terms import Term, Var, copy, functor, timestamps, undo, unify, variables
+from ...foundation import RetalisError, codegen
+from ...prolog.syntax import write_term
+from ...prolog.terms import Term, Var, copy, functor, timestamps, undo, unify, variables
 
 _MOST = 200
 """How many occurrences of a part are looked at, the newest of them."""
