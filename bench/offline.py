@@ -26,9 +26,8 @@ from retalis.foundation import RetalisError  # noqa: E402
 
 def once(bag: Path) -> Dict[str, float]:
     """Run the program over a bag in this process; return the figures."""
-    from retalis.bags import BagReader
+    from retalis.engine.playback import BagReader, Playback
     from retalis.engine.runtime import relax
-    from retalis.playback import Playback
 
     playback = Playback(HERE.parent / "application_source", report=print)
     relax()

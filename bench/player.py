@@ -25,7 +25,7 @@ class Player:
     def __init__(self, path: Path, seconds: float):
         from make_bag import make_bag
 
-        from retalis.bags import BagReader
+        from retalis.engine.playback import BagReader
 
         self.truth = make_bag(path, seconds, 1)
         reader = BagReader(path)

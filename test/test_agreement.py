@@ -5,8 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from retalis.bags import BagReader
-from retalis.playback import Playback
+from retalis.engine.playback import BagReader, Playback
 from retalis.prolog.terms import deref, list_items
 
 HERE = Path(__file__).resolve().parent

@@ -8,7 +8,7 @@ tf2_py = pytest.importorskip("tf2_py", reason="tf2 is not installed")
 genpy = pytest.importorskip("genpy")
 geometry_msgs = pytest.importorskip("geometry_msgs.msg")
 
-from retalis.bags import BagReader  # noqa: E402
+from retalis.engine.playback import BagReader  # noqa: E402
 from retalis.messages import Definitions  # noqa: E402
 from retalis.prolog.terms import deref, list_items  # noqa: E402
 

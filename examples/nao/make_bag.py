@@ -22,7 +22,7 @@ import nao_truth  # noqa: E402
 from nao_robot import MARKERS, Link, Robot  # noqa: E402
 from nao_truth import Observation, Truth  # noqa: E402
 
-from retalis.bags import BagWriter  # noqa: E402
+from retalis.engine.playback import BagWriter  # noqa: E402
 from retalis.errors import RetalisError  # noqa: E402
 from retalis.terms import Term  # noqa: E402
 

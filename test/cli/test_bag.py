@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from retalis.bags import BagReader
 from retalis.cli import main
+from retalis.engine.playback import BagReader
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.append(str(ROOT / "examples" / "nao"))

@@ -5,12 +5,12 @@ import sys
 
 import pytest
 
-from retalis.bags import BagWriter
 from retalis.cli import main
 from retalis.cli._prompt import Lines
 from retalis.cli._report import Report
 from retalis.cli.console import Console
 from retalis.engine import Settings
+from retalis.engine.playback import BagWriter
 from retalis.messages import Definitions
 from retalis.prolog.machine import Limits
 

@@ -17,7 +17,7 @@ import make_bag  # noqa: E402
 import nao_robot  # noqa: E402
 import nao_truth  # noqa: E402
 
-from retalis.bags import BagReader  # noqa: E402
+from retalis.engine.playback import BagReader  # noqa: E402
 from retalis.messages import Definitions, Installed  # noqa: E402
 from retalis.prolog.terms import deref, list_items  # noqa: E402
 

@@ -5,12 +5,11 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Dict, List
 
-from ..bags import BagReader, BagWriter
 from ..engine import Settings
+from ..engine.playback import BagReader, BagWriter, Output, Playback
 from ..engine.runtime import relax
 from ..events.program import TopicType, topic_type
 from ..foundation import UsageError, shortened
-from ..playback import Output, Playback
 from ..prolog.syntax import to_text
 from ..prolog.terms import atom, functor
 from ._folders import add_folders, allow_folders

@@ -7,9 +7,8 @@ import tempfile
 from pathlib import Path
 from typing import Any, Dict, Tuple
 
-from ..bags import BagReader
+from ..engine.playback import BagReader, Playback
 from ..foundation import UsageError
-from ..playback import Playback
 from ..prolog.terms import deref
 from ._progress import progress
 from ._report import Report

@@ -2,8 +2,7 @@
 
 import os
 
-from retalis.bags import BagReader
-from retalis.playback import Playback
+from retalis.engine.playback import BagReader, Playback
 
 from ..mutate import changed_bytes
 from .base import LOGGED, SETTINGS, Kind

@@ -5,8 +5,8 @@ from pathlib import Path
 from struct import Struct
 from typing import Any, Collection, Dict, Iterator, List, NamedTuple, Optional, Tuple, Union
 
-from .foundation import RetalisError
-from .messages import Definition
+from ...foundation import RetalisError
+from ...messages import Definition
 
 _SIZE = Struct("<I")
 _IS_MESSAGE, _IS_CONNECTION = (b"\x04\x00\x00\x00op=" + bytes([code]) for code in (2, 7))

@@ -5,13 +5,13 @@ from collections import Counter
 from pathlib import Path
 from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Union
 
+from ...events.program import TOPICS, TopicType, read_topics, unknown_memories, unread_rules, wrong_messages
+from ...foundation import MessageError, ProgramErrors, RetalisError, shortened, topic_fault, type_fault
+from ...messages import Decoder, Definition, Definitions
+from ...prolog.terms import Term
+from .. import Engine, Settings
+from ..runtime import StreamClock
 from .bags import BagReader, Topic
-from .engine import Engine, Settings
-from .engine.runtime import StreamClock
-from .events.program import TOPICS, TopicType, read_topics, unknown_memories, unread_rules, wrong_messages
-from .foundation import MessageError, ProgramErrors, RetalisError, shortened, topic_fault, type_fault
-from .messages import Decoder, Definition, Definitions
-from .prolog.terms import Term
 
 log = logging.getLogger("retalis")
 

@@ -4,12 +4,13 @@ import pytest
 
 pytest.importorskip("rosbags")
 
-from retalis.bags import BagError, BagReader, BagWriter, Topic  # noqa: E402
+from retalis.engine.playback import BagReader, BagWriter  # noqa: E402
+from retalis.engine.playback.bags import BagError, Topic  # noqa: E402
 from retalis.foundation import RetalisError  # noqa: E402
 from retalis.messages import Definitions, Installed  # noqa: E402
 from retalis.prolog.terms import atom  # noqa: E402
 
-BAGS = Path(__file__).parents[2] / "shared" / "bags"
+BAGS = Path(__file__).parents[4] / "shared" / "bags"
 REAL = sorted(BAGS.glob("*.bag")) if BAGS.is_dir() else []
 
 

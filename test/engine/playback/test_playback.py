@@ -4,10 +4,9 @@ import logging
 
 import pytest
 
-from retalis.bags import BagReader, BagWriter
+from retalis.engine.playback import BagReader, BagWriter, Playback
 from retalis.events.program import TopicType
 from retalis.messages import Definitions
-from retalis.playback import Playback
 from retalis.prolog.syntax import Operators, read_term, to_text
 from retalis.prolog.terms import deref
 
