@@ -27,9 +27,9 @@ from retalis.prolog.terms import copy, functor, variables
 
 WAYS = {"never": NEVER, "at once": 0, "default": COMPILE_AFTER}
 SUITES = (
-    "test/logic",
+    "test/prolog",
     "test/events",
-    "test/knowledge",
+    "test/events/knowledge",
     "test/engine/test_engine.py",
     "test/events/program/test_folder.py",
 )
