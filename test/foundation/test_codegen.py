@@ -71,7 +71,7 @@ def test_a_function_sees_nothing_else(name):
 @pytest.mark.parametrize("name", ["a b", "é", "", "x\0", "1x", "a" * 40, "x\n", "\u212a"])
 def test_names_are_our_own(name):
     for make in (codegen.shared_function, lambda s, n, t: codegen.function([s], n, t)):
-        with pytest.raises(ValueError, match="no name for generated source"):
+        with pytest.raises(ValueError, match="is not a name for generated source"):
             make("def made(): return 1\n", {name: 1}, "wrong name")
 
 
