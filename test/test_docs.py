@@ -13,6 +13,8 @@ from retalis import Engine
 from retalis.prolog.syntax import Operators, read_program
 from retalis.prolog.terms import timestamps
 
+pytestmark = pytest.mark.docs
+
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 SNIPPET = re.compile(r"(?:<!-- (?P<name>[\w.]+) -->\n)?```(?P<kind>\w*)\n(?P<text>.*?)```", re.DOTALL)
@@ -68,6 +70,7 @@ def claims():
                     yield pytest.param(found["text"], line, id=re.sub(r"\W+", "_", line[:60]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text, line", list(claims()))
 def test_rules_make_the_events_that_the_pages_say(text, line):
     before, after = (part.strip() for part in line[2:].split("=>"))

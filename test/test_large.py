@@ -65,6 +65,7 @@ def code(monkeypatch):
     return lengths
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pattern", PATTERNS)
 @pytest.mark.parametrize("program", PROGRAMS)
 def test_the_code_for_a_large_term_does_not_grow_faster_than_it(code, program, pattern):
@@ -81,6 +82,7 @@ def test_the_code_for_a_large_term_does_not_grow_faster_than_it(code, program, p
     assert made[4000] < 100 * 4000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pattern", PATTERNS)
 def test_large_patterns_match(pattern):
     term = PATTERNS[pattern](2000)
@@ -99,6 +101,7 @@ def test_large_patterns_match(pattern):
     assert seen == ["o", "o", "both"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["body", "head", "argument", "unify", "either"])
 def test_large_clauses_are_right_when_they_are_called_often(code, kind):
     text = {
@@ -158,6 +161,7 @@ def test_what_is_run_without_code_of_its_own_does_the_same(monkeypatch):
     assert len(compiled) > 8
 
 
+@pytest.mark.slow
 def test_grammar_rules_nested_deeply():
     for body in (
         "(a;" * 5000 + "b" + ")" * 5000,

@@ -43,6 +43,7 @@ def setup(folder, *arguments):
     assert done.returncode == 0, done.stdout
 
 
+@pytest.mark.slow
 def test_the_source_archive_has_what_it_is_built_from(copy, tmp_path):
     setup(copy, "sdist", "--dist-dir", str(tmp_path / "dist"))
     (archive,) = (tmp_path / "dist").iterdir()

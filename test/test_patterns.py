@@ -304,6 +304,7 @@ def run(pattern: Any, method: str, text: str) -> None:
             pass
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(CASES))
 def test_long_texts(name):
     with at_most(SECONDS):
@@ -321,6 +322,7 @@ def test_what_others_like(name):
             run(PATTERNS[name], case.method, text)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "pattern,text",
     [

@@ -11,6 +11,8 @@ from retalis.prolog.machine import Limits, PrologError
 from retalis.prolog.syntax import read_term, write_term
 from retalis.prolog.terms import Var, functor
 
+pytestmark = pytest.mark.docs
+
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "predicates.md"
 CODE = re.compile(r"`` (.+?) ``")
 MOST = 3
@@ -45,6 +47,7 @@ def logic():
     return made
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("keys", "errors", "example", "answer"), ROWS, ids=[row[0][0] for row in ROWS])
 def test_example(logic, keys, errors, example, answer):
     assert keys[0].rpartition("/")[0] in example or keys[0][:2] in (",/", ">>"), (

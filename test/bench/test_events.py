@@ -19,6 +19,7 @@ def events(monkeypatch):
     sys.modules.pop("events", None)
 
 
+@pytest.mark.slow
 def test_every_cell_gives_figures(events, tmp_path, capsys):
     file = tmp_path / "figures.json"
     assert events.main(["--most", "100", "--half", "0", "--json", str(file)]) == 0
@@ -45,6 +46,7 @@ def test_figures_of_several_runs_make_one_table(events, tmp_path, capsys):
     assert cells == [["| `seq`", "`recent`"], ["| `seq`", "`unrestricted`"], ["| `and`", "`recent`"]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("setting", ["values", "alike", "times", "shuffled"])
 def test_completing_events_complete(events, setting):
     for name, policy, _ in events.cells(arguments(setting)):

@@ -49,6 +49,7 @@ def held():
     return len(gc.get_objects())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in leaks.CASES if name not in KEPT])
 def test_nothing_is_left_behind(name, monkeypatch):
     for place, number in SEEN_TO_AT.items():

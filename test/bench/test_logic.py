@@ -26,6 +26,7 @@ def logic(monkeypatch):
         sys.modules.pop(name, None)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", ["nrev", "tak", "tabled", "deriv", "primes", "assert", "split", "count"])
 def test_cases_run_here(logic, monkeypatch, case):
     monkeypatch.setitem(logic.CASES, case, (logic.CASES[case][0], 1, 1))

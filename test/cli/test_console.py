@@ -199,6 +199,7 @@ def run(arguments, text=""):
     )
 
 
+@pytest.mark.slow
 def test_pipe(tmp_path):
     path = tmp_path / "facts.pl"
     path.write_text("p(1).\n")
@@ -272,6 +273,7 @@ def test_all_goals_and_clauses_of_a_line_are_read(ask):
     assert ask(text).out == "X = 1.\nX = 2.\ntrue.\nX = 1 ;\nX = 2 ;\nX = 3 ;\nX = 4.\n"
 
 
+@pytest.mark.slow
 def test_a_goal_that_eats_memory_ends(ask):
     console = Console(Report(), Settings(limits=Limits(megabytes=50)))
     answered = ask("findall(X, repeat, L).\nX = 1.\n", console)

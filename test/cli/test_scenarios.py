@@ -91,6 +91,7 @@ def agree(events, wanted):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
 def test_scenario(path, tmp_path, monkeypatch, capsys):
     data = json.loads(path.read_text(encoding="utf-8"))

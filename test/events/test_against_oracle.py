@@ -43,6 +43,7 @@ def garbage_control(window):
     )
 
 
+@pytest.mark.slow
 @settings(quick, max_examples=500)
 @given(cases())
 def test_oracle(case):
@@ -57,6 +58,7 @@ def test_oracle_with_conditions_over_what_may_be_open(case):
     assert difference(affordable(case)) is None
 
 
+@pytest.mark.slow
 @settings(quick, max_examples=150)
 @given(cases())
 def test_oracle_with_every_partner_looked_up_by_time(case):
@@ -64,12 +66,14 @@ def test_oracle_with_every_partner_looked_up_by_time(case):
         assert difference(case) is None
 
 
+@pytest.mark.slow
 @quick
 @given(drawn_cases())
 def test_oracle_drawn_piece_by_piece(case):
     assert of_engine(case) == answer(case)
 
 
+@pytest.mark.slow
 @quick
 @given(cases(depth=3), st.integers(1, 6))
 def test_garbage_control_leaves_what_is_young(case, window):
@@ -99,6 +103,7 @@ def test_garbage_control_drops_what_is_old(pattern):
     assert old not in engine_events([f"out <- {pattern}."], policy + garbage_control(5), events)
 
 
+@pytest.mark.slow
 @settings(quick, max_examples=150)
 @given(cases(depth=3, revision=True))
 def test_revision(case):
@@ -106,6 +111,7 @@ def test_revision(case):
         pytest.fail(report(shrink(case, lambda smaller: difference(smaller) is not None)), pytrace=False)
 
 
+@pytest.mark.slow
 @quick
 @given(cases(), st.integers(1, 10**4))
 def test_shifted_in_time(case, seconds):
@@ -116,12 +122,14 @@ def test_shifted_in_time(case, seconds):
     assert [(term, start - by, end - by) for term, start, end in shifted] == of_engine(case)
 
 
+@pytest.mark.slow
 @quick
 @given(cases())
 def test_variables_renamed(case):
     assert of_engine(case, [case.text("_Other{}x")]) == of_engine(case)
 
 
+@pytest.mark.slow
 @quick
 @given(cases(), cases(depth=2))
 def test_rules_that_do_not_matter(case, other):
@@ -138,12 +146,14 @@ def test_rules_that_do_not_matter(case, other):
     assert events == of_engine(case)
 
 
+@pytest.mark.slow
 @quick
 @given(cases())
 def test_file_split(case):
     assert of_engine(case, [write_rule(rule) for rule in case.rules]) == of_engine(case)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "flags",
     [

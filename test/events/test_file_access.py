@@ -154,6 +154,7 @@ def check(engine, wanted, text, name):
         assert len(text) < 45_000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("goal", GOALS)
 def test_called_by_the_python_program(place, goal):
     for name, (wanted, _) in cases(place).items():
@@ -165,6 +166,7 @@ def test_called_by_the_python_program(place, goal):
 WAYS = ("do", "where", "clause", "subscription", "memory", "query", "text")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("goal", "way"),
     [
@@ -200,6 +202,7 @@ def test_called_by_what_an_event_leads_to(place, caplog, goal, way):
         check(engine, wanted, caplog.text or None, name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("goal", GOALS)
 def test_called_while_the_program_is_loaded(place, goal):
     for name, (_, wanted) in cases(place).items():
@@ -224,6 +227,7 @@ def test_called_while_the_program_is_loaded(place, goal):
                 check(engine, wanted, found, name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("goal", LOADING)
 def test_an_ending_that_is_added_leads_nowhere_else(place, goal):
     """What a program may not open with the ending it may not open without it."""
@@ -451,6 +455,7 @@ def swap_pipe(path, outside):
     os.mkfifo(str(path))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("swap", [swap_file, swap_folder, swap_pipe])
 @pytest.mark.parametrize("hook", ["lstat", "open"])
 @pytest.mark.parametrize("goal", GOALS)
@@ -538,6 +543,7 @@ print(json.dumps(opened))
 """
 
 
+@pytest.mark.slow
 def test_goals_of_events_open_nothing_but_files_of_the_programs_folder(place):
     found = subprocess.run(
         [sys.executable, "-c", SCRIPT, str(place)],

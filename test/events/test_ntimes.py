@@ -27,6 +27,7 @@ CASES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("policy", POLICIES)
 @pytest.mark.parametrize(("short", "long"), CASES)
 @pytest.mark.parametrize("flags", [(), ("out_of_order",), ("etalis_justification",)], ids=str)
@@ -121,6 +122,7 @@ def answer(rule, policy, flags, stream, changes):
     return found, program.engine.rules.waiting
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("group", range(10))
 def test_by_chance_it_is_the_sequence_written_out(group):
     for number in range(25):
@@ -181,6 +183,7 @@ def test_an_explanation_is_that_of_the_sequence_written_out(policy):
     assert "seqf(seqf(seqf(" in found[0][0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("times", [1000, 10_000])
 @pytest.mark.parametrize("policy", POLICIES[:-1])
 def test_as_many_events_as_repetitions_cost_so_many_steps(policy, times):

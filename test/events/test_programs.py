@@ -30,6 +30,7 @@ def stamp(text):
     return to_term(START * SECOND + round(float(text) * SECOND))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("parts", list(programs()))
 def test_program(parts):
     engine = Engine(clock=StreamClock(FUTURE))

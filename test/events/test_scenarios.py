@@ -116,6 +116,7 @@ def short(events):
     return " ".join(f"{term}@{seconds(int(start))}-{seconds(int(end))}" for term, start, end in events)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
 def test_scenario(path, tmp_path, monkeypatch):
     data = json.loads(path.read_text())

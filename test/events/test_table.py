@@ -91,6 +91,7 @@ def test_nested_right(row, policy):
     assert Run(rule, row.fires, policy).intervals == []
 
 
+@pytest.mark.slow
 @each_cell
 def test_condition(row, policy):
     assert Run(f"out(X) <- ({row.pattern}) where X =:= 1.", row.fires, policy).intervals == list(row.results)
@@ -109,6 +110,7 @@ def test_within(row, policy):
     assert Run(f"out(X) <- ({row.pattern}) within {longest}.", row.fires, policy).intervals == shorter
 
 
+@pytest.mark.slow
 @each_cell
 @pytest.mark.parametrize("name", ["window", "event_rule_window"])
 def test_window(row, policy, name):
@@ -120,6 +122,7 @@ def test_window(row, policy, name):
     assert Run(rule.format(name, longest - 0.001, row.pattern), row.fires, policy).intervals == shorter
 
 
+@pytest.mark.slow
 @each_cell
 def test_label(row, policy):
     rule = f"r : out(X) <- {row.pattern}."
@@ -144,6 +147,7 @@ def test_out_of_order(row, policy):
         assert Run(rule, row.late, policy, out_of_order="off").intervals == in_order
 
 
+@pytest.mark.slow
 @each_cell
 def test_out_of_order_of_results(row, policy):
     """What an operator makes comes too late for z, which waits for it only where the flag says so."""
@@ -156,6 +160,7 @@ def test_out_of_order_of_results(row, policy):
     assert Run(rule, stream, policy, out_of_order="off").intervals == []
 
 
+@pytest.mark.slow
 @each_cell
 def test_revision(row, policy):
     rule = f"out(X) <- {row.pattern}."
@@ -176,6 +181,7 @@ def test_revision(row, policy):
     assert ("rev(out(1))", 50, 50) not in off.seen
 
 
+@pytest.mark.slow
 @each_cell
 def test_justification(row, policy):
     rule = f"out(X) <- {row.pattern}."
@@ -193,6 +199,7 @@ def test_justification(row, policy):
     assert not explain(Run(rule, row.fires, policy).engine, asked).happened
 
 
+@pytest.mark.slow
 @each_cell
 def test_garbage_control(row, policy):
     """A stamp far later is seen by the rule before the last event of the stream arrives."""
@@ -209,6 +216,7 @@ def test_garbage_control(row, policy):
     assert Run(pattern, stream, policy, garbage_control="pattern").intervals == left
 
 
+@pytest.mark.slow
 @each_cell
 def test_garbage_control_of_results(row, policy):
     """What an operator has made waits for z and y, and goes."""
@@ -229,6 +237,7 @@ def test_garbage_control_of_what_must_not_have_happened(operator, policy):
     assert Run(rule, stream, policy, **control).intervals == [(502, 503)]
 
 
+@pytest.mark.slow
 @each_cell
 def test_all_at_once(row, policy):
     """Flags, label, window and condition together change nothing that each alone does not."""

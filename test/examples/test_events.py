@@ -16,6 +16,7 @@ EXAMPLES = sorted(path.parent for path in FOLDER.glob("*/rules.txt"))
 COMMAND = "    python3 -m retalis "
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.name)
 def test_prints_what_is_expected(example, tmp_path, monkeypatch, capsys):
     place = tmp_path / example.name

@@ -41,6 +41,7 @@ def dotted(node):
     return f"{inner.id}.{node.attr}" if isinstance(inner, ast.Name) else f"?.{node.attr}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT)))
 def test_nothing_else_makes_code_of_text(path):
     if path.name == "codegen.py":

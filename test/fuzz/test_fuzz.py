@@ -11,6 +11,7 @@ INPUTS = {"rules": 4000}
 JOBS = 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", NAMES)
 def test_nothing_is_found(kind):
     inputs = INPUTS.get(kind, 20_000)

@@ -18,6 +18,7 @@ def found():
     return {acts[line["number"]]: (line["what"], line["detail"]) for line in campaign.findings.values()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("act", ["documented", "scratch"])
 def test_what_is_allowed(found, act):
     assert act not in found
@@ -74,6 +75,7 @@ def test_a_file_is_replayed(tmp_path):
     assert (line["what"], bytes.fromhex(line["input"])) == ("action", b"swallowed")
 
 
+@pytest.mark.slow
 def test_the_same_number_makes_the_same_input():
     one, two = Campaign("texts", 3), Campaign("texts", 3)
     one.run(200, 1)

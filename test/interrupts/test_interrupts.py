@@ -13,6 +13,7 @@ from .checks import faults
 from .injection import AtBytecode, Interrupt
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("way", "number"), [("bytecode", 60), ("signal", 40), ("limit", 80), ("limited", 20)], ids=str
 )

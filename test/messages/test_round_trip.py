@@ -143,6 +143,7 @@ def genpy_class(name):
         return None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", INSTALLED or [pytest.param("", marks=pytest.mark.skip(reason="no ROS messages installed"))]
 )
@@ -164,6 +165,7 @@ def test_installed_types(name):
     every_message()
 
 
+@pytest.mark.slow
 @settings(brief, max_examples=20)
 @given(st.data())
 def test_a_type_with_everything(data):

@@ -3,6 +3,7 @@
 from collections import Counter
 from dataclasses import replace
 
+import pytest
 from hypothesis import HealthCheck, assume, given, reject, settings
 from oracle.declarative import defined_for, firings
 from oracle.evaluator import Program
@@ -10,6 +11,7 @@ from oracle.goals import show
 from oracle.strategies import cases
 
 
+@pytest.mark.slow
 @settings(max_examples=300, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))
 @given(cases())
 def test_unrestricted_is_every_combination_once(case):
@@ -22,6 +24,7 @@ def test_unrestricted_is_every_combination_once(case):
     assert fired == firings(case.rules[0], case.stream, case.out_of_order)
 
 
+@pytest.mark.slow
 @settings(max_examples=300, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))
 @given(cases())
 def test_without_late_events_expiry_changes_nothing(case):

@@ -145,6 +145,7 @@ SEEDS += [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", range(4))
 def test_random_programs(part):
     for seed in SEEDS[part::4]:

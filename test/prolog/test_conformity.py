@@ -31,6 +31,7 @@ def answers():
     return found
 
 
+@pytest.mark.slow
 def test_all_others_agree(answers):
     wrong = {case.goal: (case.answer, found) for case, (good, found) in answers.items() if not good}
     listed = exceptions()

@@ -3,6 +3,8 @@
 import importlib.util
 from pathlib import Path
 
+import pytest
+
 FOLDER = Path(__file__).parent
 KNOWN = FOLDER / "goals_differing.txt"
 """Goals that are answered differently, each behind its reason."""
@@ -32,6 +34,7 @@ def test_reasons_are_on_the_page():
     assert set(differing().values()) <= set(names)
 
 
+@pytest.mark.slow
 def test_recorded_answers():
     known, found = differing(), recorded()
     assert len(found) >= 500

@@ -234,6 +234,7 @@ def program(rng):
     return "\n".join(lines)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(150))
 def test_random_programs(seed):
     rng = random.Random(seed)

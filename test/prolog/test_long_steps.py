@@ -47,6 +47,7 @@ def fault(logic, goal, **limits):
     return writeq(caught.value.term[1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "goal",
     [
@@ -101,6 +102,7 @@ def test_work_inside_a_step_is_counted(logic, goal):
     assert logic.once(read_term("true", logic.operators).term)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("goal", "what"),
     [

@@ -268,6 +268,7 @@ def closure(rules, edges):
             return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(60))
 def test_predicates_that_call_each_other_in_all_ways(seed):
     rng = random.Random(seed)

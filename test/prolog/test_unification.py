@@ -1,5 +1,6 @@
 """Patterns in compiled clauses against the general unification of terms."""
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -26,6 +27,7 @@ PATTERNS = terms(st.one_of(ATOMS, st.sampled_from(SHARED)))
 VALUES = terms(st.one_of(ATOMS, st.integers(0, 3), st.sampled_from(SHARED)))
 
 
+@pytest.mark.slow
 @given(PATTERNS, VALUES)
 def test_a_pattern_in_a_clause_unifies_as_terms_do(pattern, value):
     pattern, value = copy(pattern), copy(value)

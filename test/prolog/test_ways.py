@@ -91,11 +91,13 @@ GOALS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("goal", GOALS)
 def test_variables_keep_their_order(goal):
     assert compare(PROGRAM, [goal]) == {}
 
 
+@pytest.mark.slow
 def test_recorded_goals():
     """A part of the goals over the built-ins; each is the body of a clause."""
     goals = [goal for goal in list(recorded())[::25] if "time" not in goal and "random" not in goal]

@@ -1,9 +1,12 @@
 import gc
 
+import pytest
+
 from retalis.engine.runtime import relax
 from retalis.events.matches.timeindex import paused
 
 
+@pytest.mark.slow
 def test_what_is_loaded_is_not_walked_again():
     thresholds = gc.get_threshold()
     try:

@@ -183,6 +183,7 @@ ITEMS = st.lists(st.tuples(CONSTANTS, CONSTANTS, st.integers(0, 3), st.integers(
 PATTERNS = ["tf(x, C)", "tf(P, y)", "tf(x, y)", "tf(P, P)", "tf(P, C)", "pack(_)"]
 
 
+@pytest.mark.slow
 @given(
     st.lists(ITEMS, min_size=1, max_size=6),
     st.lists(st.sampled_from(PATTERNS), max_size=3),

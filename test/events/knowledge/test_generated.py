@@ -109,6 +109,7 @@ def outcome(seed, everything, caplog):
     return got, len(engine.knowledge.waiting), warnings  # without what calls a built-in of compiled code
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", range(4))
 def test_short_ways_lead_where_long_ones_do(part, caplog):
     caplog.set_level(logging.WARNING, "retalis")

@@ -61,6 +61,7 @@ CASES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("pattern", "stream", "wanted"), CASES)
 def test_operator(pattern, stream, wanted):
     assert fired(f"c <- {pattern}.", stream) == wanted

@@ -59,6 +59,7 @@ def characters_read(monkeypatch, text):
     return sum(read)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("line", ["a b\n", "'a\\\n", "/* a\n", "f(\n"])
 def test_lines_that_fail_are_not_all_read_on_to_a_full_stop_far_below(monkeypatch, line):
     work = [characters_read(monkeypatch, line * count + "c.\n") for count in (2_000, 4_000)]

@@ -185,6 +185,7 @@ pick(N) :- N > 0, M is N - 1, ( pick(M) ; fail ).
 N = 300_000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "goal",
     [

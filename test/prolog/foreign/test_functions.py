@@ -377,6 +377,7 @@ def test_a_generator_without_end_is_stopped_by_the_limits(forms):
         forms.call("endless(1, X), X < 0")
 
 
+@pytest.mark.slow
 def test_deep_and_long_terms_are_converted(forms):
     forms.load(rules="deep(0, a) :- !.\ndeep(N, s(T)) :- M is N - 1, deep(M, T).")
     assert forms.call("numlist(1, 100000, L), count_items(L, 100000)")

@@ -58,6 +58,7 @@ def engine():
     return made
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("goal", RUNAWAY)
 def test_runaway_goal_ends(engine, goal):
     with pytest.raises(PrologError) as caught:

@@ -185,6 +185,7 @@ PIECES = st.sampled_from(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=700, deadline=None)
 @given(st.lists(st.one_of(PIECES, st.just(" ")), max_size=25).map("".join) | st.text(max_size=30))
 def test_any_text_reads_or_is_a_syntax_fault(text):
@@ -197,6 +198,7 @@ def test_any_text_reads_or_is_a_syntax_fault(text):
             assert fault.message and fault.place is not None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "opening,closing", [("(", ")"), ("f(", ")"), ("[", "]"), ("{", "}"), ("- ", ""), ("[a|", "]")]
 )

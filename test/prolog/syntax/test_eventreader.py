@@ -162,6 +162,7 @@ def test_deep_nesting():
     assert to_text(reader.read(text)) == text
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(st.lists(terms, min_size=1, max_size=3))
 def test_written_terms(found):
@@ -222,6 +223,7 @@ PIECES = st.sampled_from(
 SHARED = EventReader()
 
 
+@pytest.mark.slow
 @settings(max_examples=1000, deadline=None)
 @given(st.lists(PIECES, max_size=12).map("".join))
 @example("f('\0')")

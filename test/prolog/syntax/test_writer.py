@@ -140,6 +140,7 @@ def test_event_text():
     assert to_text((functor("-", 2), 1, -1)) == "-(1,-1)"
 
 
+@pytest.mark.slow
 def test_long_and_deep_terms():
     items = make_list(range(300_000))
     assert writeq(items).endswith(",299999]") and to_text(items) == writeq(items)

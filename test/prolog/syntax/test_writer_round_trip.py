@@ -1,3 +1,4 @@
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from sample_terms import names, shape, terms
@@ -25,6 +26,7 @@ def _table(entries):
     return operators
 
 
+@pytest.mark.slow
 @settings(max_examples=500, deadline=None)
 @given(terms, operator_tables())
 def test_write_then_read(term, operators):
@@ -38,6 +40,7 @@ def test_write_then_read(term, operators):
         assert shape(read_term(text, operators).term) == shape(term), text
 
 
+@pytest.mark.slow
 @settings(max_examples=500, deadline=None)
 @given(terms)
 def test_event_text_reads_back(term):

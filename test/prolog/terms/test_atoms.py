@@ -22,6 +22,7 @@ def test_the_functor_of_an_atom_is_made_at_need():
         one.other  # noqa: B018
 
 
+@pytest.mark.slow
 def test_atoms_that_no_term_holds_are_forgotten():
     kept = atom("kept text")
     for number in range(1000):
