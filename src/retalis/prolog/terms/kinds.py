@@ -2,11 +2,18 @@
 
 from _weakref import _remove_dead_weakref  # type: ignore[attr-defined]
 from itertools import count
-from typing import Any, Callable, Dict, List, Optional, Protocol, Tuple
+from typing import Any, Callable, Dict, List, Optional, Protocol, Tuple, Union
 from weakref import ref
 
-Term = Any
-"""The union above; Python's type system has no cheap name for it."""
+CLOSED_TERMS = False
+"""Set by a type checker that looks whether the kind of a term is known before it is used."""
+
+if CLOSED_TERMS:
+    Compound = Tuple[Any, ...]
+    Term = Union[int, float, "Atom", "String", "Var", "Lazy", Compound]
+else:
+    Compound = Tuple[Any, ...]
+    Term = Any
 
 
 class Bound(Protocol):
