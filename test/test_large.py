@@ -194,8 +194,5 @@ def test_an_index_does_not_hold_each_clause_with_a_variable_under_each_key():
     engine.load(rules="".join(f"f({at}, a).\nf(_, {at}).\n" for at in range(2000)))
     assert len(engine.query("f(7, a)")) == 1
     predicate = next(one for one in engine.logic.database.predicates.values() if str(one.functor) == "f/2")
-    entries = 0
-    for index in predicate.indexes.values():
-        entries += sum(map(len, index.own.values())) + len(index.others)
-        entries += sum(len(joined) for joined, _, _ in index._joined.values())
-    assert entries < 20 * 4000
+    assert predicate.indexes
+    assert sum(map(len, predicate.indexes.values())) < 20 * 4000

@@ -130,7 +130,9 @@ def number(term: Term, bindings: Bindings) -> Any:
     if term.__class__ is tuple and len(term) == 3 and term[0].name in _ARITHMETIC:
         return _ARITHMETIC[term[0].name](number(term[1], bindings), number(term[2], bindings))
     if term.__class__ is tuple and term[0] is CONS and value_of(term[2], bindings) is NIL:
-        return number(term[1], bindings)  # [X] is X
+        only = value_of(term[1], bindings)
+        if only.__class__ is int:
+            return only  # [X] is the code X
     if term.__class__ is tuple and term[0] is functor("-", 1):
         return -number(term[1], bindings)
     raise GoalError(f"no number: {show(term, bindings)}")

@@ -66,3 +66,8 @@ class Index:
             self._copies = len(others)
         self._joined[key] = found, len(own), len(others)
         return found
+
+    def __len__(self) -> int:
+        """Return how many entries of clauses are held, those of joined lists included."""
+        joined = sum(len(found) for found, _, _ in self._joined.values())
+        return sum(map(len, self.own.values())) + len(self.others) + joined
