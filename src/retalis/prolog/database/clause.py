@@ -1,10 +1,10 @@
 """Clauses as predicates keep them."""
 
-from typing import Any, Callable, List, Optional, Tuple
+from typing import Any, List, Optional, Tuple
 
 from ...foundation import LARGEST
 from ..compiler import key_of
-from ..machine import Frame
+from ..machine import Step
 from ..terms import TRUE, Term, is_ground, is_larger
 
 NEVER = 1 << 62
@@ -32,7 +32,7 @@ class Clause:
         self.keys = tuple([key_of(arg) for arg in head[1:]]) if head.__class__ is tuple else ()
         self.fact = body is TRUE
         self.ground = self.fact and is_ground(head)
-        self.code: Optional[Callable[[Frame], Optional[Frame]]] = None
+        self.code: Optional[Step] = None
         self.uses = 0
 
     @property

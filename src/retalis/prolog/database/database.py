@@ -4,7 +4,7 @@ from typing import Any, Callable, Dict, Iterable, Optional, Set
 from weakref import WeakValueDictionary
 
 from ..compiler import Direct
-from ..machine import Frame, Machine, indicator, permission_error
+from ..machine import Frame, Machine, Step, indicator, permission_error
 from ..terms import Functor, Term, deref
 from .clause import NEVER
 from .predicate import COMPILE_AFTER, Predicate
@@ -87,9 +87,7 @@ class Database:
         found = self.predicates.get(key)
         return found is not None and found.kind == "builtin"
 
-    def define(
-        self, key: Functor, function: Any, run: Callable[[Frame], Optional[Frame]], kind: str
-    ) -> Predicate:
+    def define(self, key: Functor, function: Any, run: Step, kind: str) -> Predicate:
         """Define a predicate in Python."""
         predicate = self.predicate(key)
         if predicate.kind != "undefined":

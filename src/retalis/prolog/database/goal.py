@@ -1,12 +1,13 @@
 """Goals that Python code calls: compiled once, with inputs and outputs by position."""
 
-from typing import Any, List, Optional, Sequence, Tuple
+from typing import Any, List, Optional, Sequence, Union
 
 from ...foundation import Place
 from ..compiler import GoalCode
 from ..machine import BAIL, Code, Frame, PrologError, from_python
-from ..terms import Term, Var, undo
+from ..terms import Term, Values, Var, undo
 from .database import Database
+from .predicate import Predicate
 
 _MOST_BAILS = 20
 
@@ -50,7 +51,7 @@ class Goal:
         self._bailed = 0
         self._handing_over = Code(self.name, self._first_enter)
         called = source.call()
-        self.code: Any = Code(self.name, self._first_plain) if called is None else called
+        self.code: Union[Code, Predicate] = Code(self.name, self._first_plain) if called is None else called
 
     def _first_straight(self, *values: Term) -> Any:
         # Not before it is first called: the predicates that it calls may be defined after it.
@@ -80,7 +81,7 @@ class Goal:
         self.code.run, self.code.steady = self._source.enter(False)
         return self.code.run(frame)
 
-    def enter(self, values: Sequence[Term], collector: Frame) -> Frame:
+    def enter(self, values: Values, collector: Frame) -> Frame:
         """Return the frame that runs the goal and hands its resolved outputs over.
 
         For each solution it calls ``collector[0].take(collector, outputs)``, which returns the frame to go
@@ -88,7 +89,7 @@ class Goal:
         """
         return (self._handing_over, *values, collector)
 
-    def test(self, values: Sequence[Term]) -> Optional[Tuple[Term, ...]]:
+    def test(self, values: Values) -> Optional[Values]:
         """Run the goal at once.
 
         Args:
@@ -115,7 +116,7 @@ class Goal:
         finally:
             budget.goal = asked
 
-    def _run(self, values: Sequence[Term]) -> Optional[Tuple[Term, ...]]:
+    def _run(self, values: Values) -> Optional[Values]:
         machine = self._machine
         mark = len(machine.trail)
         if not self._outputs:
@@ -125,13 +126,13 @@ class Goal:
             succeeded = machine.run(frame)
             undo(machine.trail, mark)
             return () if succeeded else None
-        found: List[Tuple[Term, ...]] = []
+        found: List[Values] = []
         if not machine.run((self._handing_over, *values, (_STORE, found, machine.done))):
             return None
         undo(machine.trail, mark)
         return found[0]
 
-    def _ask_straight(self, values: Sequence[Term]) -> Any:
+    def _ask_straight(self, values: Values) -> Any:
         """Return what the function says, with the errors and under the limits of a run."""
         machine = self._machine
         budget = machine.budget
@@ -150,11 +151,11 @@ class Goal:
             if limited:
                 budget.leave(saved)
 
-    def all(self, values: Sequence[Term]) -> List[Tuple[Term, ...]]:
+    def all(self, values: Values) -> List[Values]:
         """Run the goal at once and return the resolved outputs of all its solutions."""
         machine = self._machine
         mark = len(machine.trail)
-        found: List[Tuple[Term, ...]] = []
+        found: List[Values] = []
         machine.run((self._handing_over, *values, (_STORE_ALL, found)))
         undo(machine.trail, mark)
         return found
@@ -166,7 +167,7 @@ class Goal:
 class _Store:
     """Continuation that keeps the outputs and goes on."""
 
-    def take(self, frame: Frame, outputs: Tuple[Term, ...]) -> Frame:
+    def take(self, frame: Frame, outputs: Values) -> Frame:
         frame[1].append(outputs)
         return frame[2]
 
@@ -174,7 +175,7 @@ class _Store:
 class _StoreAll:
     """Continuation that keeps the outputs and asks for the next solution."""
 
-    def take(self, frame: Frame, outputs: Tuple[Term, ...]) -> None:
+    def take(self, frame: Frame, outputs: Values) -> None:
         frame[1].append(outputs)
 
 

@@ -9,8 +9,8 @@ from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple
 
 from ...foundation import look
 from ..compiler import Direct, Generator, Rule, fact_search, key_of
-from ..machine import Code, Frame, Machine, PrologError
-from ..terms import Functor, Term, Var, copy, undo, unify
+from ..machine import Code, Frame, Machine, PrologError, Step
+from ..terms import Functor, Term, Trail, Values, Var, copy, undo, unify
 from .clause import NEVER, Clause, may_match
 from .functional import Functional
 from .index import Index
@@ -71,7 +71,7 @@ class Predicate:
         self.compile_after = database.compile_after
         self.indexes: Dict[int, Index] = {}
         self.poor: Dict[int, int] = {}
-        self.run: Callable[[Frame], Optional[Frame]] = self._call
+        self.run: Step = self._call
         self.steady = False
         self._retry = Code(str(functor), self._next)
         self._retry.functor = functor
@@ -158,7 +158,7 @@ class Predicate:
         self.indexes.clear()
         self.forget()
 
-    def table(self, hidden: "Predicate", run: Callable[[Frame], Optional[Frame]]) -> None:
+    def table(self, hidden: "Predicate", run: Step) -> None:
         """Let tables answer the calls; clauses belong to the ``hidden`` predicate from now on."""
         self.tabled = hidden
         self.kind = "control"
@@ -318,7 +318,7 @@ class Predicate:
         return None
 
     @staticmethod
-    def _match(frame: Frame, clause: Clause, fresh: Dict[Var, Term], trail: List[Any]) -> bool:
+    def _match(frame: Frame, clause: Clause, fresh: Dict[Var, Term], trail: Trail) -> bool:
         """Unify a call with a clause's head; ``fresh`` gets what the clause's variables stand for.
 
         A variable of the clause becomes a name for the argument, as in compiled clauses: the caller's variable
@@ -339,7 +339,7 @@ class Predicate:
                 return False
         return True
 
-    def _interpret(self, frame: Frame, clause: Clause, height: int, trail: List[Any]) -> Optional[Frame]:
+    def _interpret(self, frame: Frame, clause: Clause, height: int, trail: Trail) -> Optional[Frame]:
         fresh: Dict[Var, Term] = {}
         if not self._match(frame, clause, fresh, trail):
             return None
@@ -373,7 +373,7 @@ class Predicate:
         self.compiled = True
         return True
 
-    def _compile_clause(self, clause: Clause) -> Optional[Callable[[Frame], Optional[Frame]]]:
+    def _compile_clause(self, clause: Clause) -> Optional[Step]:
         if clause.is_large:
             clause.uses = -NEVER
             return None
@@ -402,5 +402,5 @@ def fact_names(machine: Machine) -> Dict[str, Any]:
 _NEXT_FACT = Code("facts", lambda entry: entry[1](*entry[2:8]))
 
 
-def _args(head: Term) -> Tuple[Term, ...]:
+def _args(head: Term) -> Values:
     return head[1:] if head.__class__ is tuple else ()

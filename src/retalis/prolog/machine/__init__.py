@@ -1,7 +1,7 @@
 """The machine: frames, choice points and budgets, and the errors that goals end with."""
 
 from .budget import Budget
-from .codes import BAIL, DEAD, LAST, RESUME, CatchMark, Code, Frame, Guard
+from .codes import BAIL, DEAD, LAST, RESUME, CatchMark, Code, Frame, Guard, Step
 from .describing import CONTEXT, ERROR, describe
 from .faults import (
     PrologError,
@@ -56,6 +56,7 @@ __all__ = [
     "representation_error",
     "resource_error",
     "RESUME",
+    "Step",
     "syntax_error",
     "type_error",
     "uninstantiation_error",

@@ -1,9 +1,46 @@
 """Steps and choice points: what frames run. See `machine`."""
 
-from typing import Any, Callable, Optional
+from typing import Any, Callable, Optional, Protocol, Tuple
 
-Frame = Any
-"""A tuple ``(code, argument..., next)``."""
+from ..terms import Functor, Values
+
+Frame = Tuple[Any, ...]
+"""A tuple ``(runs, argument..., next)``: a step with what it needs, and the frame that follows it.
+
+The first item is a `Runs`; of what kinds the others are is up to it. Where a step fails there is no next frame:
+what may fail returns ``Optional[Frame]``. A choice point has one more item, the length of the trail.
+"""
+
+Step = Callable[[Frame], Optional[Frame]]
+"""What does a step, as a function: what a `Runs` has as its ``run``."""
+
+
+class Runs(Protocol):
+    """What frames begin with: a `Code`, a predicate, or whatever else does steps."""
+
+    @property
+    def run(self) -> Step:
+        """What does the step."""
+
+
+class Takes(Protocol):
+    """What a frame begins with that a goal hands its outputs to."""
+
+    def take(self, frame: Frame, outputs: Values, /) -> Optional[Frame]:
+        """Take the outputs of a solution; return the frame to go on with, or None for the next solution."""
+
+
+class Asked(Protocol):
+    """A `Goal`, as far as the machine knows it."""
+
+    straight: Optional[Callable[..., Any]]
+
+    def bail(self) -> None:
+        """Note that its function could not tell."""
+
+    def enter(self, values: Values, collector: Frame, /) -> Frame:
+        """Return the frame that runs it and hands its outputs to a `Takes`."""
+
 
 BAIL = object()
 """What the function of a `Goal` returns where the goal has to be run by frames after all."""
@@ -27,11 +64,11 @@ class Code:
 
     __slots__ = ("name", "run", "functor", "steady", "closes")
 
-    def __init__(self, name: str, run: Callable[[Frame], Optional[Frame]], closes: bool = False):
+    def __init__(self, name: str, run: Step, closes: bool = False):
         self.name = name
         self.closes = closes
         self.run = run
-        self.functor: Any = None
+        self.functor: Optional[Functor] = None
         self.steady = False
 
     def __repr__(self) -> str:

@@ -10,9 +10,9 @@ from sys import getrefcount
 from typing import Any, Callable, Iterator, List, Optional, Tuple
 
 from ...foundation import RetalisError, TermTooLarge, watched_by
-from ..terms import Atom, Term, Var, copy, deref, undo, unify
+from ..terms import Atom, Functor, Term, Trail, Values, Var, copy, deref, undo, unify
 from .budget import Budget
-from .codes import BAIL, DEAD, STOP, Code, Frame, Guard, fail
+from .codes import BAIL, DEAD, STOP, Asked, Code, Frame, Guard, fail
 from .describing import CONTEXT, ERROR
 from .faults import PrologError, from_python, indicator, resource_error
 from .limits import SLICE
@@ -42,7 +42,7 @@ class Machine:
     """
 
     def __init__(self) -> None:
-        self.trail: List[Any] = []
+        self.trail: Trail = []
         self.choices: List[Frame] = []
         self.idle = (0, 0)
         finish = self.choices.append
@@ -53,7 +53,7 @@ class Machine:
         self._attempt_code = Code("attempt", self._attempt_failed, True)
         self._exit_code = _AttemptExit(self)
         self.catch_code = Code("catch", fail, True)
-        self.goal_code: Any = None
+        self.goal_code: Optional[Code] = None
         self.logic: Any = None
 
     def unify(self, left: Term, right: Term) -> bool:
@@ -117,7 +117,7 @@ class Machine:
             elif budget.used and not base and not budget.at_work:
                 budget.start_anew()
 
-    def check(self, frame: Frame, goal: Any) -> bool:
+    def check(self, frame: Frame, goal: Asked) -> bool:
         """As `run`, for the frame of a `Goal` that is steady: most often its step is all there is to do.
 
         No bindings stay.
@@ -164,7 +164,7 @@ class Machine:
             undo(self.trail, mark)
         raise exc
 
-    def solutions(self, frame: Optional[Frame], goal: Any = None) -> Iterator[None]:
+    def solutions(self, frame: Optional[Frame], goal: Optional[Term] = None) -> Iterator[None]:
         """Run a frame that ends in `done`, of a goal; yield at each solution, with its bindings in place.
 
         Closing the iterator drops what is left and undoes the bindings. Other runs may take place
@@ -213,7 +213,7 @@ class Machine:
                 self.budget.goal = entry[1]
             choices.pop()
 
-    def _watched(self, frame: Optional[Frame], goal: Any) -> bool:
+    def _watched(self, frame: Optional[Frame], goal: Optional[Term]) -> bool:
         """Go on with an outermost run; long steps in it look at the limits too."""
         budget = self.budget
         asked, budget.goal = budget.goal, goal
@@ -338,9 +338,9 @@ class Machine:
 
     def attempt(
         self,
-        goal: Any,
-        values: Tuple[Term, ...],
-        then: Callable[[Tuple[Term, ...]], Optional[Frame]],
+        goal: Asked,
+        values: Values,
+        then: Callable[[Values], Optional[Frame]],
         otherwise: Optional[Frame],
         on_error: Callable[[PrologError], None],
     ) -> Optional[Frame]:
@@ -385,7 +385,7 @@ class Machine:
         return entry[2]
 
 
-def _functor_of(goal: Term) -> Any:
+def _functor_of(goal: Term) -> Optional[Functor]:
     return goal[0] if goal.__class__ is tuple else goal.functor if goal.__class__ is Atom else None
 
 
@@ -397,7 +397,7 @@ class _AttemptExit:
     def __init__(self, machine: Machine):
         self._machine = machine
 
-    def take(self, frame: Frame, outputs: Tuple[Term, ...]) -> Optional[Frame]:
+    def take(self, frame: Frame, outputs: Values) -> Optional[Frame]:
         machine = self._machine
         height = frame[1]
         entry = machine.choices[height]

@@ -15,6 +15,9 @@ else:
     Compound = Tuple[Any, ...]
     Term = Any
 
+Values = Tuple[Term, ...]
+"""Arguments of a goal, or what the variables of a clause or a rule stand for."""
+
 
 class Bound(Protocol):
     """What stands on a trail: a variable, or something else that is taken back by setting its ``ref`` to None."""
