@@ -166,7 +166,7 @@ class Services(unittest.TestCase):
         told = Collector("/rosout", Log)
         wait_until(told.connected, "the log")
         self.assertEqual(self.add_memory("v(X)", "no_such(X)", "kept(Y)", "odd", "2").result, "ok")
-        for text in ("memory odd: there is no predicate no_such/1 yet", "gives Y of the format a value"):
+        for text in ("memory odd: there is no predicate no_such/1 yet", "gives Y in the format a value"):
             told.wait_for(lambda messages, text=text: any(text in one.msg for one in messages), text)
         self.assertEqual(self.delete_memory("odd").result, "ok")
 

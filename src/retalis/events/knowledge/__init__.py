@@ -1,7 +1,7 @@
 """What programs know: memory instances, queries that wait for them, and subscriptions.
 
-Each is fed by the dispatcher (`retalis.events`) and reached by goals (`retalis.logic`); `Knowledge` puts
-them together.
+Each is fed by the dispatcher (`retalis.events.dispatch`) and reached by goals (`retalis.prolog.logic`); `Knowledge`
+puts them together.
 """
 
 from .knowledge import Knowledge
