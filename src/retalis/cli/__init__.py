@@ -19,10 +19,11 @@ def main(arguments: Optional[List[str]] = None) -> int:
     )
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for command in COMMANDS:
-        command.add_parser(commands)
+        command.add_parser(commands.add_parser)
     options = parser.parse_args(arguments)
     try:
-        return options.run(options)
+        status: int = options.run(options)
+        return status
     except RetalisError as error:
         print(f"retalis: {error}", file=sys.stderr)
         return 1

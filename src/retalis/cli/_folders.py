@@ -1,12 +1,11 @@
 """The options that say which files goals may open, besides those that a program opens while it is loaded."""
 
 import argparse
-from typing import Any
 
 from ..engine import Settings
 
 
-def add_folders(parser: Any) -> None:
+def add_folders(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.add_argument(
         "--folder",

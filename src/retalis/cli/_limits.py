@@ -1,14 +1,14 @@
 """The options of the commands that say what an event, a goal or a query may use."""
 
 import argparse
-from typing import Any, Callable
+from typing import Callable, Optional, Tuple
 
 from ..engine import Settings
 from ..prolog.machine import Limits
 
 _MEGABYTES = 2000
 
-_OPTIONS = (
+_OPTIONS: Tuple[Tuple[str, Callable[[str], float], Optional[int], str, str], ...] = (
     (
         "--max-seconds",
         float,
@@ -28,7 +28,7 @@ _OPTIONS = (
 )
 
 
-def add_limits(parser: Any) -> None:
+def add_limits(parser: argparse.ArgumentParser) -> None:
     """Add the options to the parser of a command."""
     group = parser.add_argument_group(
         "limits",
@@ -53,8 +53,8 @@ def limited(settings: Settings, options: argparse.Namespace) -> Settings:
     return settings._replace(limits=limits, watchdog=options.watchdog or None, max_depth=options.max_depth)
 
 
-def _from_zero(kind: Any) -> Callable[[str], Any]:
-    def read(text: str) -> Any:
+def _from_zero(kind: Callable[[str], float]) -> Callable[[str], float]:
+    def read(text: str) -> float:
         number = _number(kind, text)
         if number is None or not number >= 0:
             raise argparse.ArgumentTypeError(f"expected a number of 0 or more, found {text}")
@@ -70,7 +70,7 @@ def _depth(text: str) -> int:
     return int(number)
 
 
-def _number(kind: Any, text: str) -> Any:
+def _number(kind: Callable[[str], float], text: str) -> Optional[float]:
     try:
         return kind(text)
     except ValueError:

@@ -9,6 +9,7 @@ from typing import IO, Callable, Iterable, List, Optional, Union
 from ..foundation import SyntaxFault
 from ..prolog.logic import Logic
 from ..prolog.syntax import ReadFlags, ReadTerm, read_program
+from ..prolog.terms import Atom, Term
 
 HISTORY = Path.home() / ".retalis_history"
 
@@ -150,9 +151,14 @@ def _goes_on(found: Read, text: str) -> bool:
 
 
 def _flags(logic: Logic) -> ReadFlags:
-    flags = logic.flags
     return ReadFlags(
-        double_quotes=flags["double_quotes"].name,
-        back_quotes=flags["back_quotes"].name,
-        iso=flags["iso"].name == "true",
+        double_quotes=_named(logic.flags["double_quotes"]),
+        back_quotes=_named(logic.flags["back_quotes"]),
+        iso=_named(logic.flags["iso"]) == "true",
     )
+
+
+def _named(value: Term) -> str:
+    """Return the name of a flag's value, which is an atom."""
+    assert isinstance(value, Atom)
+    return value.name

@@ -2,7 +2,7 @@
 
 import logging
 import sys
-from typing import Any, Callable
+from typing import Callable
 
 from ..foundation import RetalisError
 
@@ -16,7 +16,7 @@ class NobodyReads(BaseException):
 def to_reader(callback: Callable[..., None]) -> Callable[..., None]:
     """Return a callback of the engine that prints, which ends the run where nobody reads any more."""
 
-    def printing(*arguments: Any) -> None:
+    def printing(*arguments: object) -> None:
         try:
             callback(*arguments)
         except BrokenPipeError:

@@ -3,7 +3,7 @@
 import argparse
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, Dict, List
+from typing import Callable, Dict, List
 
 from ..engine import Settings
 from ..engine.playback import BagReader, BagWriter, Output, Playback
@@ -20,9 +20,9 @@ from ._report import Report
 OUTPUT = functor("output", 2)
 
 
-def add_parser(commands: Any) -> None:
+def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
     """Add the command."""
-    parser = commands.add_parser(
+    parser = add_command(
         "bag",
         help="run a program over a bag, without ROS",
         description="Feed a bag to a program and print what it publishes, as output(TERM,TOPIC) terms.",
@@ -85,7 +85,7 @@ class _Writer:
 
     def __init__(self, writer: BagWriter):
         self._writer = writer
-        self._connections: Dict[str, Any] = {}
+        self._connections: Dict[str, object] = {}
 
     def write(self, output: Output) -> None:
         if output.definition is None or output.data is None:  # reported already

@@ -6,7 +6,7 @@ import time
 from contextlib import closing, nullcontext
 from io import StringIO
 from pathlib import Path
-from typing import Any, Dict, List, Optional, Union, cast
+from typing import Callable, Dict, Generator, List, Optional, Union, cast
 
 from ..engine import Engine, Settings
 from ..engine.runtime import Clock, relax
@@ -15,7 +15,7 @@ from ..events.rules import event_of
 from ..foundation import ProgramErrors, RetalisError, RuleError, SyntaxFault
 from ..prolog.logic import Tracer
 from ..prolog.syntax import ReadTerm
-from ..prolog.terms import COMMA, NIL, Atom, String, Term, Var, deref, functor, list_items
+from ..prolog.terms import COMMA, Atom, String, Term, Var, deref, functor, list_items
 from ._answers import bindings
 from ._limits import add_limits, limited
 from ._prompt import Lines, Terminal, read_clause
@@ -38,11 +38,9 @@ printed.
 """
 
 
-def add_parser(commands: Any) -> None:
+def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
     """Add the command."""
-    parser = commands.add_parser(
-        "console", help="ask goals, as at a Prolog top level", description=DESCRIPTION
-    )
+    parser = add_command("console", help="ask goals, as at a Prolog top level", description=DESCRIPTION)
     add = parser.add_argument
     add(
         "files",
@@ -162,7 +160,7 @@ class Console:
             print("true.")
             return True
         files: Optional[List[Term]] = None
-        if goal.__class__ is tuple and goal is not NIL:
+        if goal.__class__ is tuple:
             files = list_items(goal)
             if files is None and goal[0] is _CONSULT:
                 files = list_items(goal[1]) or [deref(goal[1])]
@@ -226,7 +224,7 @@ class Console:
         choices = self.logic.machine.choices
         height = len(choices) + 1
         shown = 0
-        with closing(cast(Any, self.logic.solutions(goal))) as solutions:
+        with closing(cast(Generator[None, None, None], self.logic.solutions(goal))) as solutions:
             for _ in solutions:
                 self._fresh_line()
                 text = bindings(names, self.logic.operators) or "true"

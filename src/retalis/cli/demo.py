@@ -5,18 +5,18 @@ import importlib
 import sys
 import tempfile
 from pathlib import Path
-from typing import Any, Dict, Tuple
+from typing import Any, Callable, Dict, Tuple
 
 from ..engine.playback import BagReader, Playback
 from ..foundation import UsageError
-from ..prolog.terms import deref
+from ..prolog.terms import resolve
 from ._progress import progress
 from ._report import Report
 
 
-def add_parser(commands: Any) -> None:
+def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
     """Add the command."""
-    parser = commands.add_parser(
+    parser = add_command(
         "demo",
         help="run the NAO example over a bag, without ROS",
         description="Make a bag of a simulated NAO, run the NAO program over it, and print where each marker "
@@ -72,9 +72,9 @@ def locate(bag: Path, program: Path, report: Report) -> Dict[str, Tuple[float, f
     with BagReader(bag) as reader, progress("messages", reader.messages) as advance:
         for output in Playback(program, report).run(reader, advance):
             if output.topic.startswith("marker"):
-                header, pose = deref(output.term[1]), deref(output.term[2])
-                point = deref(pose[1])
-                located[deref(header[3]).name.strip('"')] = tuple(deref(value) for value in point[1:])
+                term: Any = resolve(output.term)  # a geometry_msgs/PoseStamped
+                header, pose = term[1:]
+                located[header[3].name.strip('"')] = pose[1][1:]
     return located
 
 

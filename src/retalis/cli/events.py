@@ -5,7 +5,7 @@ import json
 import sys
 from contextlib import ExitStack
 from pathlib import Path
-from typing import IO, Any, Dict, List, Optional
+from typing import IO, Callable, Dict, Iterable, List, Optional, Sequence, Union
 
 from ..engine import Engine, Settings
 from ..engine.explaining import Explanation, Line, explain, prepare
@@ -13,12 +13,13 @@ from ..engine.runtime import StreamClock, relax
 from ..events.program import goal_of, read_goals, read_text
 from ..events.rules import event_of
 from ..foundation import ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
-from ..prolog.syntax import Operators, read_term, write_term
+from ..prolog.machine import Frame, Machine
+from ..prolog.syntax import Operators, ReadTerm, read_term, write_term
 from ..prolog.terms import Term, Var, atom, deref, functor, rebuild, timestamps, variables
 from ._folders import add_folders, allow_folders
 from ._limits import add_limits, limited
 from ._report import Report, to_reader
-from ._stream import is_left_unread, read_stream
+from ._stream import Read, ReadLine, is_left_unread, read_stream
 
 EVENT = functor("event", 2)
 MEMORY_EVENT = functor("memory_event", 2)
@@ -43,9 +44,9 @@ with --json each line is one object; terms are strings that read back:
 """
 
 
-def add_parser(commands: Any) -> None:
+def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
     """Add the command."""
-    parser = commands.add_parser(
+    parser = add_command(
         "events",
         help="run a program over a stream of events",
         description=DESCRIPTION,
@@ -160,7 +161,7 @@ class Printer:
             for part in line.indented(1):
                 print(f"% {part}")
 
-    def _line(self, content: Dict[str, Any], file: Optional[IO[str]] = None) -> None:
+    def _line(self, content: Dict[str, object], file: Optional[IO[str]] = None) -> None:
         print(json.dumps(content, ensure_ascii=False), file=file or sys.stdout, flush=True)
 
 
@@ -188,9 +189,12 @@ class Session:
     def load(self) -> None:
         """Call the goals and load the rules; of a file with an error nothing is active, all else goes on."""
         for path in self._options.goals:
-            self._try(lambda path=path: self.engine.call_goals(read_text(path), str(path), path.parent))
+            self._try(self._load, self.engine.call_goals, path)
         for path in self._options.rules:
-            self._try(lambda path=path: self.engine.load_rules(read_text(path), str(path), path.parent))
+            self._try(self._load, self.engine.load_rules, path)
+
+    def _load(self, take: Callable[[str, str, Path], None], path: Path) -> None:
+        take(read_text(path), str(path), path.parent)
 
     def feed(self) -> None:
         """Feed the stream."""
@@ -208,17 +212,17 @@ class Session:
                 raise UsageError(f"cannot read {name}: {error.strerror}") from error
             self._feed(read_stream(file, operators, name))
 
-    def _feed(self, stream: Any) -> None:
+    def _feed(self, stream: Iterable[Read]) -> None:
         try:
             for item in stream:
                 if isinstance(item, SyntaxFault):
                     self._report(item)
                 else:
-                    self._try(lambda item=item: self._step(item))
+                    self._try(self._step, item)
         except UnicodeDecodeError as error:
             raise UsageError(f"the stream is not UTF-8 text: {error}") from error
 
-    def _step(self, item: Any) -> None:
+    def _step(self, item: Union[ReadLine, ReadTerm]) -> None:
         try:
             self._do(goal_of(item.term))
         except RetalisError as error:
@@ -242,15 +246,15 @@ class Session:
                 if isinstance(goal, SyntaxFault):
                     self._report(goal)
                 else:
-                    self._try(lambda goal=goal: self._query(goal))
+                    self._try(self._query, goal)
         for asked in self._options.explain:
-            self._try(lambda asked=asked: self._explain(asked))
+            self._try(self._explain, asked)
 
     def _explain(self, asked: str) -> None:
         term = read_term(asked, self.engine.logic.operators, "--explain").term
         self._printer.explanation(term, explain(self.engine, term))
 
-    def _query(self, goal: Any) -> None:
+    def _query(self, goal: ReadTerm) -> None:
         found: List[Term] = []
         term = goal_of(goal.term)
         try:
@@ -262,7 +266,7 @@ class Session:
         finally:
             self._printer.solutions(term, found)
 
-    def _sleep(self, machine: Any, arguments: Any, after: Any) -> Any:
+    def _sleep(self, machine: Machine, arguments: Sequence[Term], after: Frame) -> Frame:
         """Let the stream's time pass: the goal ``sleep(Seconds)``."""
         seconds = deref(arguments[0])
         if not isinstance(seconds, (int, float)) or not 0 <= seconds < float("inf"):
@@ -271,9 +275,10 @@ class Session:
         self.engine.advance()
         return after
 
-    def _try(self, work: Any) -> None:
+    def _try(self, work: Callable[..., object], *arguments: object) -> None:
+        """Do a piece of work and report what goes wrong."""
         try:
-            work()
+            work(*arguments)
         except ProgramErrors as errors:
             for error in errors.errors:
                 self._report(error)
@@ -281,7 +286,7 @@ class Session:
             self._report(error)
 
 
-def _as_json(line: Line) -> Dict[str, Any]:
+def _as_json(line: Line) -> Dict[str, object]:
     return {"text": line.text, "below": [_as_json(one) for one in line.below]}
 
 

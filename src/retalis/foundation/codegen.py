@@ -9,12 +9,12 @@ no files, no evaluation of texts.
 import builtins
 import re
 from itertools import count
-from typing import Any, Callable, Dict, Iterable, Tuple
+from typing import Any, Callable, Dict, Iterable, Mapping, Tuple
 
 from .caches import Cache
 from .errors import shortened
 
-_BUILTINS: Dict[str, Any] = {
+_BUILTINS: Dict[str, object] = {
     name: getattr(builtins, name)
     for name in (
         "BaseException",
@@ -91,7 +91,7 @@ def define(source: str, names: Dict[str, Any], title: str) -> Dict[str, Any]:
     return names
 
 
-def function(lines: Iterable[str], names: Dict[str, Any], title: str, name: str = "made") -> Any:
+def function(lines: Iterable[str], names: Mapping[str, object], title: str, name: str = "made") -> Any:
     """Return the function that ``lines`` define under a name, which they do not use; see `define`.
 
     It is not among its own globals: nothing of it stays until the collector of cycles comes, which it does seldom.
@@ -99,7 +99,7 @@ def function(lines: Iterable[str], names: Dict[str, Any], title: str, name: str 
     return define("\n".join(lines) + "\n", dict(names), title).pop(name)
 
 
-def shared_function(source: str, names: Dict[str, Any], title: str) -> Any:
+def shared_function(source: str, names: Mapping[str, object], title: str) -> Any:
     """Return the function that ``source`` defines as ``made``; functions of one source share their code.
 
     Rules that are alike but for their constants do not each wait for the interpreter to get used to theirs, nor push

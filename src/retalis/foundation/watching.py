@@ -6,7 +6,7 @@ before each large one), and who runs a goal in this thread is asked whether it m
 """
 
 from threading import local
-from typing import Any, Callable, Optional, Tuple
+from typing import Callable, Optional, Protocol, Tuple
 from weakref import ref
 
 BULK = (None,) * 1024
@@ -21,11 +21,23 @@ class Watch(local):
 
 WATCH = Watch()
 
-_BUDGETS: Tuple[Any, ...] = ()
+
+class Budget(Protocol):
+    """What knows by itself whether a goal of its own runs in this thread, and what that goal may still use."""
+
+    @property
+    def runs_here(self) -> bool:
+        """Whether a goal of its own runs in this thread."""
+
+    def look(self, work: int) -> None:
+        """Count pieces of work; raises where the goal has to end."""
+
+
+_BUDGETS: Tuple[Callable[[], Optional[Budget]], ...] = ()
 """Weak references to the budgets that know by themselves in which thread a goal of theirs runs."""
 
 
-def watch_for(budget: Any) -> None:
+def watch_for(budget: Budget) -> None:
     """Have `look` ask a `Budget` wherever a goal of an entry of its own runs; nothing has to be set for each goal."""
     global _BUDGETS
     _BUDGETS = (*[known for known in _BUDGETS if known() is not None], ref(budget))

@@ -2,10 +2,10 @@
 
 from struct import Struct
 from struct import error as StructError
-from typing import Any, Callable, Dict, List, Tuple
+from typing import Callable, Dict, List, Tuple, Union
 
 from ..foundation import codegen
-from ..prolog.terms import CONS, FALSE, NIL, TRUE, Lazy, Term, atom, functor
+from ..prolog.terms import CONS, FALSE, NIL, TRUE, Atom, Functor, Lazy, Term, atom, functor
 from ._texts import read_text, texts
 from .arrays import SMALL, alike, array_maker, record_maker, variable_array
 from .definition import Definition, Field, measure_of
@@ -23,7 +23,7 @@ class Code:
 
     def __init__(self) -> None:
         self.lines: List[str] = []
-        self.names: Dict[str, Any] = {
+        self.names: Dict[str, object] = {
             "C": CONS,
             "N": NIL,
             "T": TRUE,
@@ -35,20 +35,20 @@ class Code:
             "text": text_term,
             "alike": alike,
         }
-        self.constants: Dict[Any, str] = {}
+        self.constants: Dict[Union[Atom, Functor], str] = {}
         self.serial = 0
         self.base, self.shift = "o", 0
         self.format = ""
         self.targets: List[str] = []
 
-    def name(self, prefix: str, value: Any = None) -> str:
+    def name(self, prefix: str, value: object = None) -> str:
         self.serial += 1
         name = f"{prefix}{self.serial}"
         if value is not None:
             self.names[name] = value
         return name
 
-    def constant(self, value: Any) -> str:
+    def constant(self, value: Union[Atom, Functor]) -> str:
         """Return the name of an atom or a functor."""
         name = self.constants.get(value)
         if name is None:

@@ -1,8 +1,9 @@
 """Source of decoding functions for messages that are numbers, then texts, then numbers."""
 
 from struct import Struct
-from typing import Any, Callable, List, Optional, Tuple
+from typing import Callable, List, Optional, Tuple
 
+from ..foundation import Cache
 from ..prolog.terms import Term
 from ._decode_code import Code
 from ._texts import keep_text, read_texts, text_cache
@@ -51,7 +52,7 @@ class FrameCode(Code):
     def elements(self, slot: Field, number: str) -> str:
         raise Unsuited
 
-    def build(self, definition: Definition, general: Callable[[bytes], Any]) -> List[str]:
+    def build(self, definition: Definition, general: Callable[[bytes], object]) -> List[str]:
         """Return the source of the whole function, which falls back on ``general``.
 
         Raises:
@@ -86,11 +87,11 @@ class FrameCode(Code):
 
     def _cache_texts(self) -> None:
         """Have ``known`` and ``learn`` give all texts of a message by the bytes that they make up."""
-        cache = text_cache()
+        cache: Cache[bytes, object] = text_cache()
         number = len(self.texts)
         kept = self.kept
 
-        def learn(key: bytes) -> Any:
+        def learn(key: bytes) -> object:
             read = read_texts(key, number)
             if read is None:
                 return None
@@ -103,6 +104,6 @@ class FrameCode(Code):
         """Return the source of what the function gives, from the source of the message's term."""
         return result
 
-    def kept(self, text: Term) -> Any:
+    def kept(self, text: Term) -> object:
         """Return what stands for a text in it."""
         return text

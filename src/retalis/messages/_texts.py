@@ -1,25 +1,27 @@
 """Texts of messages that come again and again: frame names, mostly."""
 
 from struct import error as StructError
-from typing import Any, List, Optional, Tuple
+from typing import List, Optional, Tuple, TypeVar
 
 from ..foundation import Cache
 from ..prolog.terms import Term
 from .text import text_term
 
+_Made = TypeVar("_Made")
+
 _COST = 4
 """Bytes that a text takes for each of its own: as a key, and in atoms, in base64 at worst."""
 
 
-def text_cache() -> Cache[bytes, Any]:
-    """Return a cache of atoms by the bytes of their texts: names come again and again, other texts do not stay."""
+def text_cache() -> "Cache[bytes, _Made]":
+    """Return a cache of what is made of texts by their bytes: names come again and again, other texts do not stay."""
     return Cache(2048, 1 << 20, 1024)
 
 
-texts = text_cache()
+texts: Cache[bytes, Term] = text_cache()
 
 
-def keep_text(cache: Cache[bytes, Any], key: bytes, value: Any) -> Any:
+def keep_text(cache: Cache[bytes, _Made], key: bytes, value: _Made) -> _Made:
     """Keep what was made of the bytes of texts; return it."""
     return cache.keep(key, value, _COST * len(key))
 

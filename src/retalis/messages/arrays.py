@@ -3,7 +3,7 @@
 from functools import lru_cache
 from struct import Struct, calcsize, unpack
 from struct import error as StructError
-from typing import Any, Callable, Dict, List, Tuple
+from typing import Callable, Dict, List, Tuple
 
 from ..foundation import codegen
 from ..prolog.terms import CONS, NIL, Term
@@ -36,7 +36,9 @@ def alike(element: Term, number: int) -> Term:
     return term
 
 
-def record_maker(title: str, layout: Struct, targets: List[str], element: str, names: Dict[str, Any]) -> Make:
+def record_maker(
+    title: str, layout: Struct, targets: List[str], element: str, names: Dict[str, object]
+) -> Make:
     """Return the function that makes the list of elements of one size.
 
     Args:

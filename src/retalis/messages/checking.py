@@ -139,8 +139,9 @@ def _string(kind: str, value: Term, path: str) -> bytes:
 
 
 def _time(kind: str, value: Term, path: str) -> bytes:
-    parts = [deref(part) for part in list_items(value) or ()]
-    if len(parts) != 2 or any(not _is_integer(part) for part in parts):
+    items = [deref(part) for part in list_items(value) or ()]
+    parts = [part for part in items if isinstance(part, int)]
+    if len(items) != 2 or len(parts) != 2:
         raise _expected(path, f"{kind} as [Sec,NSec]", value)
     code = TIMES[kind]
     for part, name in zip(parts, ("Sec", "NSec")):
@@ -151,13 +152,13 @@ def _time(kind: str, value: Term, path: str) -> bytes:
 def _bool(kind: str, value: Term, path: str) -> bytes:
     if value.__class__ is Atom and value in _BOOLS:
         return pack("<?", _BOOLS[value])
-    if _is_integer(value) and value in (0, 1):
+    if isinstance(value, int) and value in (0, 1):
         return pack("<?", value)
     raise _expected(path, "bool (true or false)", value)
 
 
 def _integer(kind: str, value: Term, path: str) -> bytes:
-    if not _is_integer(value):
+    if not isinstance(value, int):
         raise _expected(path, kind, value)
     _check_range(PRIMITIVES[kind], value, path, kind)
     return pack("<" + PRIMITIVES[kind], value)
@@ -168,17 +169,13 @@ def _float(kind: str, value: Term, path: str) -> bytes:
         value = _SPECIAL.get(value, value)
     elif value.__class__ is tuple and value[0] is _NEGATIVE:
         inner = deref(value[1])
-        value = -_SPECIAL[inner] if inner in _SPECIAL else value
-    if value.__class__ is not float and not _is_integer(value):
+        value = -_SPECIAL[inner] if inner.__class__ is Atom and inner in _SPECIAL else value
+    if not isinstance(value, (float, int)):
         raise _expected(path, kind, value)
     try:
         return pack("<" + PRIMITIVES[kind], value)
     except (OverflowError, StructError):
         raise _Misfit(path, f"{describe(value)} is too large for {kind}") from None
-
-
-def _is_integer(value: Term) -> bool:
-    return isinstance(value, int)
 
 
 def _check_range(code: str, value: int, path: str, what: str) -> None:
@@ -202,18 +199,17 @@ _READERS: Dict[str, _Reader] = {
 def describe(term: Term) -> str:
     """Return a term in a few words for an error: what it is and how it begins."""
     term = deref(term)
-    kind = term.__class__
-    if kind is Var:
+    if term.__class__ is Var:
         return "an unbound variable"
     items = list_items(term)
     if items is not None:
         return f"a list of {len(items)}" if items else "an empty list"
-    if kind is tuple:
+    if term.__class__ is tuple:
         head: Functor = term[0]
         return f"{head.name}/{head.arity}"
-    if kind is Atom:
+    if term.__class__ is Atom:
         return _short("the atom ", term.name)
-    if kind is PrologString:
+    if term.__class__ is PrologString:
         return _short("the string ", f'"{term.text}"')
     return _short("", repr(term))
 

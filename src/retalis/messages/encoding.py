@@ -72,7 +72,7 @@ class _Code:
         self.chunks: List[str] = []
         self.format = ""
         self.values: List[str] = []
-        self.names: Dict[str, Any] = {
+        self.names: Dict[str, object] = {
             "C": CONS,
             "N": NIL,
             "bools": _BOOLS,
@@ -84,7 +84,7 @@ class _Code:
         }
         self.serial = 0
 
-    def name(self, prefix: str, value: Any = None) -> str:
+    def name(self, prefix: str, value: object = None) -> str:
         self.serial += 1
         name = f"{prefix}{self.serial}"
         if value is not None:
@@ -232,8 +232,9 @@ def _list_items(term: Term) -> List[Term]:
     if term.__class__ is Lazy:
         term = term.term()
     items = []
-    while term is not NIL:
-        cons, item, term = term
+    rest: Any = term  # what is no list does not unpack, or has no cons
+    while rest is not NIL:
+        cons, item, rest = rest
         if cons is not CONS:
             raise _Unusual
         items.append(item)

@@ -1,7 +1,7 @@
 """Message bytes to the text of their event terms, without making the terms where their form allows it."""
 
 import re
-from typing import Any, Callable, List
+from typing import Callable, List
 
 from ..foundation import codegen
 from ..prolog.syntax import float_text, to_text
@@ -59,5 +59,5 @@ class _TextCode(FrameCode):
         make = codegen.function(lines, self.names, "a term with marks")
         return to_text(make(*(_MARK + at for at in range(len(names)))))
 
-    def kept(self, text: Term) -> Any:
+    def kept(self, text: Term) -> object:
         return to_text(text)

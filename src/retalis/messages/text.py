@@ -44,14 +44,13 @@ def text_bytes(term: Term) -> Optional[bytes]:
     Raises:
         MessageError: for a base64 form that is broken, and for a text that is none (half a surrogate pair).
     """
-    kind = term.__class__
-    if kind is Atom:
+    if term.__class__ is Atom:
         if term is NIL:
             return None
-        name: str = term.name
+        name = term.name
         if len(name) >= 2 and name[0] == '"' and name[-1] == '"':
             name = name[1:-1]
-    elif kind is String:
+    elif term.__class__ is String:
         name = term.text
     else:
         return None

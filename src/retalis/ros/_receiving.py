@@ -34,7 +34,7 @@ NEVER = pack("ll", 0, 0)
 MOST = 64
 """Windows at most without another try to wait for several messages."""
 
-Taker = Callable[[Dict[str, str]], Callable[[List[bytes]], Any]]
+Taker = Callable[[Dict[str, str]], Callable[[List[bytes]], object]]
 """Gives what takes messages, by the header of their connection."""
 
 _NEEDED = (
@@ -65,7 +65,7 @@ class Pace:
         now: a clock.
     """
 
-    def __init__(self, sock: Any, hold: float, now: Callable[[], float] = time.monotonic):
+    def __init__(self, sock: socket.socket, hold: float, now: Callable[[], float] = time.monotonic):
         self._socket = sock
         self._hold = hold
         self._now = now
@@ -219,7 +219,7 @@ class Reader:
         return message
 
 
-def _are_callbacks(found: Any) -> bool:
+def _are_callbacks(found: object) -> bool:
     """Tell whether a topic keeps its callbacks as a reader expects them: pairs of a function and its arguments."""
     return isinstance(found, list) and all(isinstance(one, tuple) and len(one) == 2 for one in found)
 

@@ -109,7 +109,7 @@ class _Line:
             else:
                 self._slow = False
 
-    def _write_now(self, sock: Any, frames: bytes, number: int) -> bytes:
+    def _write_now(self, sock: socket.socket, frames: bytes, number: int) -> bytes:
         """Write what goes without waiting; return the rest."""
         try:
             sent: int = sock.send(frames, socket.MSG_DONTWAIT)
@@ -140,7 +140,7 @@ class _Line:
                 f"{self._link.endpoint_id} does not keep up with topic {self._topic}: a message is dropped for it"
             )
 
-    def _run(self, sock: Any, frames: bytes, number: int) -> None:
+    def _run(self, sock: socket.socket, frames: bytes, number: int) -> None:
         """Write, and then what waits, until nothing does."""
         try:
             while frames:

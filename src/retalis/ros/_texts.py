@@ -1,7 +1,7 @@
 """Events as text on the String topics between the nodes."""
 
 from struct import Struct
-from typing import Any, Callable, List
+from typing import Callable, List
 
 from std_msgs.msg import String
 
@@ -50,7 +50,7 @@ class TextPublisher:
             waiting.clear()
 
 
-def text_taker(take: Callable[[str], Any]) -> Callable[[Any], Callable[[bytes], None]]:
+def text_taker(take: Callable[[str], object]) -> Callable[[object], Callable[[bytes], None]]:
     """Return what `Input` needs to hand the texts of ``std_msgs/String`` messages to ``take``."""
 
     def receive(data: bytes) -> None:

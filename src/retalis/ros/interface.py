@@ -64,7 +64,7 @@ class Interface:
         queue: int,
         reports: Reports,
         definitions: Optional[Definitions] = None,
-        done: Callable[[], Any] = nothing,
+        done: Callable[[], object] = nothing,
         hold: float = HOLD,
     ):
         self._taker = taker
@@ -108,7 +108,7 @@ class Interface:
                 self._hold,
             )
 
-    def subscribe_texts(self, topic: str, take: Callable[[str], Any]) -> None:
+    def subscribe_texts(self, topic: str, take: Callable[[str], object]) -> None:
         """Have the texts of one of the topics between the nodes taken."""
         name = rospy.resolve_name(topic)
         taker = text_taker(take)
@@ -181,9 +181,9 @@ class Input:
         kind: str,
         taker: Taker,
         queue: int,
-        gate: ContextManager[Any],
+        gate: ContextManager[object],
         reports: Reports,
-        done: Callable[[], Any] = nothing,
+        done: Callable[[], object] = nothing,
         hold: float = HOLD,
     ):
         self.kind = kind

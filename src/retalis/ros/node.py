@@ -1,13 +1,21 @@
 """Node ``retalis``: the engine behind its services and topics."""
 
-from typing import Any, Callable, Optional, Tuple
+from typing import Callable, Iterable, Optional, Tuple
 
 import rospy
 from std_msgs.msg import String
 
 from ..engine import Engine
 from ..engine.runtime import Alarm, Clock
-from ..events.program import TOPICS, Topics, read_topics, unknown_memories, unread_rules, wrong_messages
+from ..events.program import (
+    TOPICS,
+    Topics,
+    TopicType,
+    read_topics,
+    unknown_memories,
+    unread_rules,
+    wrong_messages,
+)
 from ..foundation import RetalisError
 from ..messages import Decoder, Definitions, Installed
 from ..prolog.syntax import to_text
@@ -61,7 +69,7 @@ class RosClock(Clock):
         wait = max(1_000_000, instant - self.now())
         self._timer = rospy.Timer(rospy.Duration.from_sec(wait / 1e9), self._wake, oneshot=True, reset=True)
 
-    def _wake(self, event: Any) -> None:
+    def _wake(self, event: object) -> None:
         self._timer = self._timer_for = None
         if self.engine is not None:
             self.engine.advance()
@@ -142,7 +150,7 @@ class Node:
             self._texts.send(text_frame(to_text((OUTPUT_EVENT, term, atom(topic), name))))
 
 
-def connect(interface: Interface, topics: Topics, direct: Any = ()) -> None:
+def connect(interface: Interface, topics: Topics, direct: Iterable[TopicType] = ()) -> None:
     """Subscribe and advertise what ``pub_sub.xml`` names, but for what node retalis subscribes by itself."""
     apart = {rospy.resolve_name(topic) for topic, _ in direct}
     for topic, kind in topics.published:

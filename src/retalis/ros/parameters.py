@@ -3,7 +3,7 @@
 import sys
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, List, NamedTuple, Optional, Tuple
+from typing import List, NamedTuple, Optional, Tuple, Type, TypeVar, Union
 
 import rospkg
 import rospy
@@ -17,12 +17,8 @@ from ..prolog.machine import Limits
 DIRECT = (TopicType("tf", "tf/tfMessage"), TopicType("ar_pose_marker", "ar_pose/ARMarkers"))
 """The topics that node retalis subscribes by itself by default, as the original did."""
 
-LIMITS = (
-    ("seconds", "max_seconds", float, 10.0),
-    ("inferences", "max_inferences", int, 0),
-    ("megabytes", "max_megabytes", int, 500),
-)
-"""The limits of what an event, a service or a query starts, with their defaults; 0 is none."""
+LIMITS = Limits(seconds=10.0, megabytes=500)
+"""What an event, a service or a query may use with all that it starts, by default."""
 
 WATCHDOG = 1.0
 """Seconds after which what is still at work is named."""
@@ -40,9 +36,17 @@ KNOWN = (
     "max_file_megabytes",
     "max_depth",
     "max_elements",
-    *(name for _, name, _, _ in LIMITS),
+    "max_seconds",
+    "max_inferences",
+    "max_megabytes",
     "watchdog",
 )
+
+
+Direct = Union[bool, str, Tuple[TopicType, ...]]
+"""What ``~direct`` says: ``auto``, yes or no, or the topics."""
+
+Number = TypeVar("Number", int, float)
 
 
 class Parameters(NamedTuple):
@@ -58,7 +62,7 @@ class Parameters(NamedTuple):
     """
 
     program: Path
-    direct: Any
+    direct: Direct
     embedded: bool
     queue: int
     settings: Settings
@@ -73,11 +77,15 @@ def read_parameters(arguments: Optional[List[str]] = None) -> Parameters:
     """
     argv = rospy.myargv(sys.argv if arguments is None else arguments)
     _warn_of_unknown()
-    limits = {field: _limit(f"~{name}", kind, default) for field, name, kind, default in LIMITS}
+    limits = Limits(
+        _limit("~max_seconds", float, LIMITS.seconds),
+        _limit("~max_inferences", int, LIMITS.inferences),
+        _limit("~max_megabytes", int, LIMITS.megabytes),
+    )
     depth = _number("~max_depth", int)
     queue = _number("~queue", int)
     settings = Settings(
-        limits=Limits(**limits),
+        limits=limits,
         limit_start=False,
         watchdog=_limit("~watchdog", float, WATCHDOG),
         allow_goals=_flag("~allow_goals"),
@@ -104,7 +112,7 @@ def _warn_of_unknown() -> None:
             rospy.logwarn("there is no parameter ~%s; %s", printable(beginning(name)), hint)
 
 
-def direct_topics(direct: Any, topics: Topics) -> Tuple[TopicType, ...]:
+def direct_topics(direct: Direct, topics: Topics) -> Tuple[TopicType, ...]:
     """Return the topics that node retalis subscribes by itself."""
     if direct is False:
         return ()
@@ -113,7 +121,7 @@ def direct_topics(direct: Any, topics: Topics) -> Tuple[TopicType, ...]:
     if direct == "auto":
         named = {rospy.resolve_name(topic) for topic, _ in topics.subscribed}
         return tuple(topic for topic in DIRECT if rospy.resolve_name(topic.topic) not in named)
-    return tuple(direct)
+    return () if isinstance(direct, str) else tuple(direct)
 
 
 def _program(argv: List[str]) -> Path:
@@ -134,10 +142,12 @@ def _package() -> str:
         ) from None
 
 
-def _direct() -> Any:
+def _direct() -> Direct:
     value = rospy.get_param("~direct", "auto")
-    if isinstance(value, bool) or value == "auto":
+    if isinstance(value, bool):
         return value
+    if value == "auto":
+        return "auto"
     wrong = UsageError(
         "parameter ~direct: expected auto, true, false, or a list of topics and types "
         f"[topic, package/Type, ...], found {value!r}"
@@ -168,9 +178,9 @@ def _flag(name: str) -> bool:
     return value
 
 
-def _limit(name: str, kind: Any, default: Any) -> Any:
+def _limit(name: str, kind: Type[Number], default: Optional[Number]) -> Optional[Number]:
     """Return a number from 0 on, None for 0: without limit."""
-    value = rospy.get_param(name, default)
+    value = rospy.get_param(name, default or 0)
     if isinstance(value, bool) or not isinstance(value, (int, kind)) or not value >= 0:
         raise UsageError(
             f"parameter {name}: expected a number of 0 or more (0 means no limit), found {value!r}"
@@ -178,7 +188,7 @@ def _limit(name: str, kind: Any, default: Any) -> Any:
     return kind(value) or None
 
 
-def _number(name: str, kind: Any) -> Any:
+def _number(name: str, kind: Type[Number]) -> Optional[Number]:
     value = rospy.get_param(name, None)
     if value is None:
         return None

@@ -2,7 +2,7 @@
 
 import logging
 import signal
-from typing import Any, Callable
+from typing import Callable, Union
 
 import rospy
 
@@ -12,7 +12,7 @@ from ._log import forward_log
 from .parameters import Parameters, read_parameters
 
 
-def run_node(name: str, build: Callable[[Parameters], Any]) -> int:
+def run_node(name: str, build: Callable[[Parameters], object]) -> int:
     """Run a node until it is shut down or interrupted; return its exit status.
 
     rospy's own signal handler calls the master from within the handler, and hangs where the interrupted code
@@ -46,11 +46,11 @@ class _Interrupt:
         self._allowed = self._pending = False
         self._set(self._take)
 
-    def _set(self, handler: Any) -> None:
+    def _set(self, handler: Union[Callable[[int, object], None], signal.Handlers]) -> None:
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, handler)
 
-    def _take(self, number: int, frame: Any) -> None:
+    def _take(self, number: int, frame: object) -> None:
         if self._allowed or self._pending:
             raise KeyboardInterrupt
         self._pending = True

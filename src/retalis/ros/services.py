@@ -124,7 +124,7 @@ class EngineServices:
                 " and ".join(free),
             )
 
-    def _check(self, field: str, expected: str, term: Term, kinds: Any) -> None:
+    def _check(self, field: str, expected: str, term: Term, kinds: Tuple[type, ...]) -> None:
         if not isinstance(deref(term), kinds):
             raise UsageError(f"{field}: expected {expected}, found {self._engine.logic.brief(term)}")
 

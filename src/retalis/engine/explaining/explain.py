@@ -1,11 +1,26 @@
 """Why an event happened, or what was missing for it: trees of rules and events, to be read by people."""
 
-from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple
+from typing import Dict, Iterator, List, NamedTuple, Optional, Set, Tuple
 
+from ...events.history import Occurrence
 from ...events.language import Aggregate, walk
+from ...events.network import Rule
 from ...foundation import UsageError
 from ...prolog.syntax import write_term
-from ...prolog.terms import Atom, Term, Var, atom, copy, deref, functor, list_items, timestamps, undo, unify
+from ...prolog.terms import (
+    Atom,
+    Term,
+    Trail,
+    Var,
+    atom,
+    copy,
+    deref,
+    functor,
+    list_items,
+    timestamps,
+    undo,
+    unify,
+)
 from .. import Engine
 from .shortfall import Part, Shortfall, names_of
 
@@ -62,7 +77,7 @@ class _Explainer:
         self._engine = engine
         self._kept = engine.rules.tracker.all()
         self._shown: Set[int] = set()
-        self._made_by: Dict[int, List[Any]] = {}
+        self._made_by: Dict[int, List[Occurrence]] = {}
         for one in self._kept:
             for derived in one.derived:
                 self._made_by.setdefault(id(derived), []).append(one)
@@ -79,7 +94,7 @@ class _Explainer:
             lines.append(Line(f"and {len(found) - _SHOWN} more times", []))
         return Explanation(True, lines)
 
-    def _because(self, one: Any, depth: int) -> Line:
+    def _because(self, one: Occurrence, depth: int) -> Line:
         """Return why an event happened; what was said before is not said again."""
         text = self._event(one)
         if one.takes_back is not None:
@@ -95,16 +110,18 @@ class _Explainer:
             return Line(f"{text} was released by", sources)
         return Line(f"{text} by {self._rule(one.rule)}", sources)
 
-    def _missing(self, term: Term, interval: Optional[Tuple[int, int]], above: Tuple[Any, ...]) -> List[Line]:
+    def _missing(
+        self, term: Term, interval: Optional[Tuple[int, int]], above: Tuple[Rule, ...]
+    ) -> List[Line]:
         """Return what was missing for each rule that could have fired the event."""
         lines = []
         for rule in self._engine.rules.rules:
             head = rule.definition.head
             if head is None or rule in above:
                 continue
-            trail: List[Any] = []
+            trail: Trail = []
             if unify(_fired(head), copy(term), trail):
-                shortfall = Shortfall(self._engine, self._kept, rule)
+                shortfall = Shortfall(self._engine.logic, self._kept, rule)
                 part = shortfall.of(rule.definition.pattern)
                 lines.append(Line(self._rule(rule), [self._part(part, (*above, rule))]))
                 if part.found:
@@ -116,7 +133,7 @@ class _Explainer:
             lines += self._taken_back(term) + self._alike(term)
         return lines
 
-    def _part(self, part: Part, above: Tuple[Any, ...]) -> Line:
+    def _part(self, part: Part, above: Tuple[Rule, ...]) -> Line:
         below = [self._part(one, above) for one in part.parts]
         if part.event is not None and not part.found:
             below += self._missing(part.event, None, above)
@@ -139,12 +156,12 @@ class _Explainer:
         shown = list(found)[-_SHOWN:]
         return [Line(f"{len(found)} of this name happened", [Line(text, []) for text in shown])]
 
-    def _rule(self, rule: Any) -> str:
+    def _rule(self, rule: Rule) -> str:
         place = "" if rule.place is None else f" ({rule.place.source}:{rule.place.line})"
         label = "" if rule.label is None else f"{show(self._engine, rule.label)}: "
         return f"rule {label}{show(self._engine, rule.definition.term)}{place}"
 
-    def _event(self, one: Any) -> str:
+    def _event(self, one: Occurrence) -> str:
         interval = timestamps.interval_term(one.start, one.end)
         return f"{show(self._engine, one.term)} {show(self._engine, interval)}"
 
@@ -167,7 +184,7 @@ def _asked(asked: Term) -> Tuple[Term, Optional[Tuple[int, int]]]:
     return asked, None
 
 
-def _why_not(rule: Any, part: Part, interval: Optional[Tuple[int, int]]) -> str:
+def _why_not(rule: Rule, part: Part, interval: Optional[Tuple[int, int]]) -> str:
     """Return why a rule did not fire though all of its pattern was met somewhere."""
     if interval is not None and not any((one.start, one.end) == interval for one in part.found):
         return "nowhere with that interval"
@@ -185,7 +202,8 @@ def _why_not(rule: Any, part: Part, interval: Optional[Tuple[int, int]]) -> str:
 def _fired(head: Term) -> Term:
     """Return the event that a head fires: an alarm's is its first argument."""
     if head.__class__ is tuple and head[0] in _ALARMS:
-        return head[1]
+        alarmed: Term = head[1]
+        return alarmed
     return head
 
 
@@ -193,16 +211,18 @@ _ALARMS = frozenset((functor("exceptionAlarm", 2), functor("exceptionAlarmAbsolu
 
 
 def _is_instance(term: Term, pattern: Term) -> bool:
-    trail: List[Any] = []
+    trail: Trail = []
     fits = unify(copy(term), copy(pattern), trail)
     undo(trail, 0)
     return fits
 
 
-def _is_interval(one: Any, interval: Tuple[int, int]) -> bool:
+def _is_interval(one: Occurrence, interval: Tuple[int, int]) -> bool:
     return bool((one.start, one.end) == interval)
 
 
 def _name(term: Term) -> str:
     term = deref(term)
-    return str(term[0].name if term.__class__ is tuple else term.name)
+    if term.__class__ is tuple:
+        return str(term[0].name)
+    return term.name if isinstance(term, Atom) else ""

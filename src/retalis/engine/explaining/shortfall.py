@@ -6,8 +6,9 @@ is what was missing.
 
 from contextlib import closing
 from functools import lru_cache
-from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, Generator, List, NamedTuple, Optional, Sequence, Tuple, cast
 
+from ...events.history import Occurrence
 from ...events.language import (
     OPERATORS,
     Absent,
@@ -18,13 +19,16 @@ from ...events.language import (
     Occurs,
     Operator,
     Pair,
+    Pattern,
     Repeated,
     Star,
     Within,
 )
+from ...events.network import Rule
 from ...foundation import RetalisError, codegen
+from ...prolog.logic import Logic
 from ...prolog.syntax import write_term
-from ...prolog.terms import Term, Var, copy, functor, timestamps, undo, unify, variables
+from ...prolog.terms import Term, Trail, Var, copy, functor, timestamps, undo, unify, variables
 
 _MOST = 200
 """How many occurrences of a part are looked at, the newest of them."""
@@ -60,7 +64,7 @@ class Found(NamedTuple):
     values: Term
     start: int
     end: int
-    event: Any = None
+    event: Optional[Occurrence] = None
     gap: Optional[Tuple[int, int]] = None
 
 
@@ -87,18 +91,23 @@ class Shortfall:
     """Looks how far one rule got.
 
     Args:
-        engine: whose logic calls conditions.
+        logic: calls conditions.
         kept: the events that happened.
         rule: the rule; its head is bound to what was asked for.
     """
 
-    def __init__(self, engine: Any, kept: Sequence[Any], rule: Any):
-        self._engine = engine
+    def __init__(self, logic: Logic, kept: Sequence[Occurrence], rule: Rule):
+        self._logic = logic
         self._kept = kept
-        own = [var for part in (rule.definition.term, rule.definition.head) for var in variables(part)]
+        own = [
+            var
+            for part in (rule.definition.term, rule.definition.head)
+            if part is not None
+            for var in variables(part)
+        ]
         self._vars = (_VALUES, *dict.fromkeys(own))
         self._names = names_of(self._vars)
-        self._look: Dict[Any, Callable[[Any], Part]] = {
+        self._look: Dict[type, Callable[[Any], Part]] = {
             Occurs: self._occurs,
             Pair: self._pair,
             Repeated: self._repeated,
@@ -111,23 +120,23 @@ class Shortfall:
             Action: self._action,
         }
 
-    def of(self, pattern: Any) -> Part:
+    def of(self, pattern: Pattern) -> Part:
         """Return how far a pattern got."""
         return self._look[type(pattern)](pattern)
 
     # ---- one method for each kind of pattern -----------------------------------------------------------
 
-    def _occurs(self, pattern: Any) -> Part:
+    def _occurs(self, pattern: Occurs) -> Part:
         found = []
         for one in self._kept:
-            trail: List[Any] = []
+            trail: Trail = []
             if unify(pattern.term, copy(one.term), trail):
                 found.append(Found(copy(self._vars), one.start, one.end, one))
             undo(trail, 0)
         text = f"{self._show(pattern.term)}: {self._seen(found, 'did not happen')}"
         return Part(text, found[-_MOST:], [], copy(pattern.term))
 
-    def _pair(self, pattern: Any) -> Part:
+    def _pair(self, pattern: Pair) -> Part:
         left, right = self.of(pattern.left), self.of(pattern.right)
         spans = _spans(OPERATORS[pattern.operator])
         agree = False
@@ -146,15 +155,15 @@ class Shortfall:
             reason = _WRONG.get(pattern.operator, "no pair fits") if agree else "no pair with the same values"
         return Part(f"{pattern.operator}: {self._seen(found, reason)}", found[-_MOST:], [left, right])
 
-    def _repeated(self, pattern: Any) -> Part:
+    def _repeated(self, pattern: Repeated) -> Part:
         return self.of(pattern._replace(times=min(pattern.times, _WRITTEN_OUT)).written_out())
 
-    def _either(self, pattern: Any) -> Part:
+    def _either(self, pattern: Either) -> Part:
         parts = [self.of(branch) for branch in pattern.branches]
         found = [one for part in parts for one in part.found]
         return Part(f"or: {self._seen(found, 'none of them')}", found, parts)
 
-    def _absent(self, pattern: Any) -> Part:
+    def _absent(self, pattern: Absent) -> Part:
         part, negated = self.of(pattern.pattern), self.of(pattern.negated)
         found = [one for one in part.found if not any(self._blocks(no, one) for no in negated.found)]
         name = "cnot" if pattern.inside else "cnot or fnot"
@@ -170,12 +179,12 @@ class Shortfall:
             return negated.end < one.start
         return one.gap[0] < negated.start and negated.end < one.gap[1]
 
-    def _star(self, pattern: Any) -> Part:
+    def _star(self, pattern: Star) -> Part:
         first, repeated = self.of(pattern.first), self.of(pattern.repeated)
         found = first.found + self._later(first, repeated)
         return Part(f"star_times: {self._seen(found, 'it did not start')}", found, [first, repeated])
 
-    def _aggregate(self, pattern: Any) -> Part:
+    def _aggregate(self, pattern: Aggregate) -> Part:
         first, collected = self.of(pattern.first), self.of(pattern.collected)
         found = self._later(first, collected)
         if pattern.kind in ("count", "sum", "list"):
@@ -191,7 +200,7 @@ class Shortfall:
             if one.end < two.start and self._joined(one, two) is not None
         ][-_MOST:]
 
-    def _condition(self, pattern: Any) -> Part:
+    def _condition(self, pattern: Condition) -> Part:
         part = self.of(pattern.pattern)
         found = []
         problem = ""
@@ -208,14 +217,14 @@ class Shortfall:
         name = "check" if pattern.timed else "where"
         return Part(f"{name} {self._show(pattern.goal)}: {self._seen(found, reason)}", found, [part])
 
-    def _within(self, pattern: Any) -> Part:
+    def _within(self, pattern: Within) -> Part:
         part = self.of(pattern.pattern)
         found = [one for one in part.found if one.end - one.start <= pattern.span]
         seconds = timestamps.to_seconds(pattern.span + 1)
         reason = "all took longer" if part.found else "not asked"
         return Part(f"within {seconds:g}: {self._seen(found, reason)}", found, [part])
 
-    def _action(self, pattern: Any) -> Part:
+    def _action(self, pattern: Action) -> Part:
         part = self.of(pattern.pattern)
         name = "event_multiply" if pattern.every else "do"
         return Part(f"{name} {self._show(pattern.goal)}", part.found, [part])
@@ -223,7 +232,7 @@ class Shortfall:
     # ---- values ----------------------------------------------------------------------------------------
 
     def _joined(self, one: Found, two: Found) -> Optional[Term]:
-        trail: List[Any] = []
+        trail: Trail = []
         values = copy(one.values)
         result = copy(values) if unify(values, copy(two.values), trail) else None
         undo(trail, 0)
@@ -231,10 +240,10 @@ class Shortfall:
 
     def _solved(self, goal: Term, one: Found) -> Optional[Term]:
         """Return the values with those of the first solution of a goal, or None."""
-        trail: List[Any] = []
+        trail: Trail = []
         try:
             if unify(self._vars, copy(one.values), trail):
-                with closing(self._engine.logic.solutions(goal)) as solutions:
+                with closing(cast(Generator[None, None, None], self._logic.solutions(goal))) as solutions:
                     for _ in solutions:
                         return copy(self._vars)
             return None
@@ -254,7 +263,7 @@ class Shortfall:
 
     def _show(self, term: Term) -> str:
         names = {**names_of(term), **self._names}
-        return write_term(term, self._engine.logic.operators, quoted=True, wide=True, variable_names=names)
+        return write_term(term, self._logic.operators, quoted=True, wide=True, variable_names=names)
 
 
 @lru_cache(maxsize=len(OPERATORS))
@@ -266,7 +275,10 @@ def _spans(operator: Operator) -> Callable[[int, int, int, int], Optional[Tuple[
         "        return None",
         f"    return ({operator.start}), ({operator.end})",
     ]
-    return codegen.function(lines, {}, f"pairs of {operator.name}")
+    made: Callable[[int, int, int, int], Optional[Tuple[int, int]]] = codegen.function(
+        lines, {}, f"pairs of {operator.name}"
+    )
+    return made
 
 
 def names_of(term: Term) -> Dict[Var, str]:

@@ -132,7 +132,7 @@ class BagReader:
     def __enter__(self) -> "BagReader":
         return self
 
-    def __exit__(self, *raised: Any) -> None:
+    def __exit__(self, *raised: object) -> None:
         self.close()
 
 
@@ -154,7 +154,7 @@ class BagWriter:
         except OSError as error:
             raise BagError(f"{self.path} cannot be written: {_reason(error)}") from error
 
-    def add(self, topic: str, definition: Definition, latched: bool = False, caller: str = "") -> Any:
+    def add(self, topic: str, definition: Definition, latched: bool = False, caller: str = "") -> object:
         """Add a connection; return what `write` takes for it."""
         return self._writer.add_connection(
             topic,
@@ -165,7 +165,7 @@ class BagWriter:
             latching=int(latched),
         )
 
-    def write(self, connection: Any, time: int, data: bytes) -> None:
+    def write(self, connection: object, time: int, data: bytes) -> None:
         """Write a message with the time of its receipt in nanoseconds."""
         self._writer.write(connection, time, data)
 
@@ -176,7 +176,7 @@ class BagWriter:
     def __enter__(self) -> "BagWriter":
         return self
 
-    def __exit__(self, *raised: Any) -> None:
+    def __exit__(self, *raised: object) -> None:
         self.close()
 
 

@@ -3,7 +3,7 @@
 import logging
 from collections import Counter
 from pathlib import Path
-from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Union
+from typing import Callable, Dict, Iterable, List, NamedTuple, Optional, Union
 
 from ...events.program import TOPICS, TopicType, read_topics, unknown_memories, unread_rules, wrong_messages
 from ...foundation import MessageError, ProgramErrors, RetalisError, shortened, topic_fault, type_fault
@@ -76,7 +76,7 @@ class Playback:
             for error in errors.errors:
                 report(error)
 
-    def run(self, bag: BagReader, progress: Callable[[int], Any] = lambda done: None) -> Iterable[Output]:
+    def run(self, bag: BagReader, progress: Callable[[int], object] = lambda done: None) -> Iterable[Output]:
         """Feed a bag and yield what the program publishes, as it does.
 
         Args:

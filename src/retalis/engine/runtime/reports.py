@@ -2,7 +2,7 @@
 
 import logging
 import traceback
-from typing import Any, Dict, Set
+from typing import Dict, Set
 
 from ...foundation import LONGEST, SHOWN, RetalisError, beginning, printable
 
@@ -29,7 +29,7 @@ class Reports:
         self._others = 0
         """How many were not logged of kinds that had to be forgotten."""
 
-    def error(self, error: Exception, kind: Any = None) -> None:
+    def error(self, error: Exception, kind: object = None) -> None:
         """Log an error of a program, or of the package itself with its traceback.
 
         Those of one ``kind`` (its place or message by default) count together.
@@ -41,7 +41,7 @@ class Reports:
         trace = "".join(traceback.format_exception(type(error), error, error.__traceback__))
         self._log(logging.ERROR, kind or repr(error), f"internal error\n{trace}")
 
-    def warning(self, problem: Any, kind: Any = None, texts: int = 1) -> None:
+    def warning(self, problem: object, kind: object = None, texts: int = 1) -> None:
         """Log a warning; those of one ``kind`` (its place or text by default) count together.
 
         So many ``texts`` of a kind that read differently are logged in any case.
@@ -60,7 +60,7 @@ class Reports:
             log.warning("%d more problems were not shown", self._others)
             self._others = 0
 
-    def _log(self, level: int, key: Any, text: str, texts: int = 1) -> None:
+    def _log(self, level: int, key: object, text: str, texts: int = 1) -> None:
         key = hash(key)
         text = printable(beginning(text, LONGEST))
         kind = self._kinds.get(key)

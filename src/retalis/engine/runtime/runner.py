@@ -11,9 +11,12 @@ that is interrupted as well, the next one to come in does so.
 import sys
 import threading
 from collections import deque
-from typing import Any, Callable, Deque, Optional, Tuple
+from types import FrameType
+from typing import Any, Callable, Deque, Optional, Tuple, TypeVar
 
 from ...foundation import RetalisError, UsageError
+
+_Result = TypeVar("_Result")
 
 _this_thread = threading.get_ident
 
@@ -30,12 +33,12 @@ class Call:
         entry: what tells it from others, see `Runner`; by default what nothing else is.
     """
 
-    def __init__(self, work: Callable[[], Any], entry: Any = None):
+    def __init__(self, work: Callable[[], object], entry: object = None):
         self._work = work
         self.entry = (work,) if entry is None else entry
         self._ticket = [None]  # whoever takes it decides what becomes of the call: it is done, or given up
         self._woken = threading.Event()
-        self._result: Any = None
+        self._result: object = None
         self.error: Optional[BaseException] = None
         self.over = self.follows = False
 
@@ -97,10 +100,10 @@ class Call:
 class Recovery:
     """How to go back to a state that was before an error or an interrupt; here, for work that has no state."""
 
-    def state(self) -> Any:
+    def state(self) -> object:
         """Return the state now, for `restore`."""
 
-    def restore(self, state: Any, mend_all: bool) -> None:
+    def restore(self, state: object, mend_all: bool) -> None:
         """Go back to a state, to the idle one with None; ``mend_all`` that may have been left half done."""
 
 
@@ -129,7 +132,7 @@ class Runner:
         patience: float = 10.0,
     ):
         self._size = size
-        self._queue: Deque[Tuple[Any, ...]] = deque()
+        self._queue: Deque[Tuple[Callable[..., object], Tuple[object, ...]]] = deque()
         self._calls: Deque[Call] = deque()
         self._lock = threading.RLock()
         self._running: Optional[int] = None
@@ -141,7 +144,7 @@ class Runner:
         self._recovery = Recovery() if recovery is None else recovery
         self._patience = patience
         self.callback: Optional[Tuple[str]] = None
-        self.entry: Any = None
+        self.entry: object = None
         self.dropped = 0
 
     def __len__(self) -> int:
@@ -152,7 +155,7 @@ class Runner:
         """The thread in which there is work at hand; None while there is none."""
         return self._running
 
-    def post(self, work: Callable[..., Any], *arguments: Any) -> None:
+    def post(self, work: Callable[..., object], *arguments: object) -> None:
         """Do a piece of work now if nobody is at work, else queue it."""
         me = _this_thread()
         if self._running == me and self._is_inside():
@@ -177,7 +180,7 @@ class Runner:
             self._give_up()
             raise
 
-    def call(self, work: Callable[[], Any], entry: Any = None) -> Any:
+    def call(self, work: Callable[[], _Result], entry: object = None) -> _Result:
         """Do a piece of work, after the one that runs and before those that wait; return its result.
 
         From inside a piece of work (a subscriber that calls back) it is done at once, as a part of that.
@@ -221,7 +224,7 @@ class Runner:
             self._give_up()
             raise
 
-    def _call_inside(self, work: Callable[[], Any]) -> Any:
+    def _call_inside(self, work: Callable[[], _Result]) -> _Result:
         state = self._recovery.state()
         try:
             return work()
@@ -229,14 +232,14 @@ class Runner:
             self._recovery.restore(state, is_unexpected(error))
             raise
 
-    def follow(self, work: Callable[[], Any]) -> None:
+    def follow(self, work: Callable[[], object]) -> None:
         """Have something done, from inside a piece of work, right after that."""
         calls = self._calls
         call = Call(work)
         call.follows = True
         calls.insert(1 if calls and calls[0].begun else 0, call)
 
-    def _call_later(self, work: Callable[[], Any], entry: Any) -> Any:
+    def _call_later(self, work: Callable[[], _Result], entry: object) -> _Result:
         """Have whoever is at work do a piece of work, and wait for that."""
         call = Call(work, entry)
         self._calls.append(call)
@@ -250,7 +253,8 @@ class Runner:
         except BaseException:
             call.take()
             raise
-        return call.result()
+        result: _Result = call.result()
+        return result
 
     def _refuse(self, call: Call, callback: Tuple[str]) -> None:
         if call.take():
@@ -261,7 +265,7 @@ class Runner:
 
     def _is_inside(self) -> bool:
         """Tell whether this thread is at work below, or an interrupt has left only the mark of it."""
-        frame: Any = sys._getframe(2)
+        frame: Optional[FrameType] = sys._getframe(2)
         while frame is not None:
             if frame.f_code in _AT_WORK and frame.f_locals.get("self") is self:
                 return True
@@ -269,7 +273,7 @@ class Runner:
         self._give_up()
         return False
 
-    def _append(self, work: Callable[..., Any], arguments: Tuple[Any, ...]) -> None:
+    def _append(self, work: Callable[..., object], arguments: Tuple[object, ...]) -> None:
         if len(self._queue) >= self._size:
             self._make_room()
         self._queue.append((work, arguments))

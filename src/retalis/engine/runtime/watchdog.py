@@ -2,7 +2,7 @@
 
 import threading
 import time
-from typing import Any, Callable, Optional
+from typing import Callable, Optional, Protocol, Tuple
 from weakref import ref
 
 from ...events.dispatch import Dispatcher
@@ -13,7 +13,18 @@ from ...prolog.machine import Budget
 from ...prolog.terms import Atom, deref
 from .reports import Reports
 
-Warn = Callable[[float, Any], None]
+
+class Turn(Protocol):
+    """Tells what is at work: the thread in which it is, and what tells it from all else."""
+
+    entry: object
+
+    @property
+    def thread(self) -> Optional[int]:
+        """The thread; None while nothing is at work."""
+
+
+Warn = Callable[[float, object], None]
 
 _LOOKS = 5
 """Looks within the shortest of the times that matter."""
@@ -35,12 +46,12 @@ class Watchdog:
         warn: called in the watchdog's thread with the seconds and the entry, while that may still be at work.
     """
 
-    def __init__(self, turn: Any, budget: Budget, patience: Optional[float], warn: Warn):
+    def __init__(self, turn: Turn, budget: Budget, patience: Optional[float], warn: Warn):
         self._turn = turn
         self._budget = budget
         self._patience = patience
         self._warn = warn
-        self._entry: Any = None
+        self._entry: object = None
         self._since = 0.0
         self._next: Optional[float] = patience
 
@@ -68,18 +79,18 @@ class Watchdog:
 
 
 def watch(
-    turn: Any, logic: Logic, dispatcher: Dispatcher, reports: Reports, patience: Optional[float]
+    turn: Turn, logic: Logic, dispatcher: Dispatcher, reports: Reports, patience: Optional[float]
 ) -> Watchdog:
     """Return what watches an engine as long as somebody holds it, and have it reported what it finds."""
     budget = logic.machine.budget
 
-    def warn(seconds: float, entry: Any) -> None:
+    def warn(seconds: float, entry: object) -> None:
         try:
             reports.warning(*_held_up(logic, dispatcher, entry, seconds))
         except Exception as error:  # it is at work in another thread; the watch goes on all the same
             reports.error(error)
 
-    def refused(number: int, what: str, entry: Any) -> None:
+    def refused(number: int, what: str, entry: object) -> None:
         text = f"{_name(entry)} has exceeded its limit of {what}; goals refused: {number}"
         reports.warning(text, ("refused goals", _name(entry)))
 
@@ -90,7 +101,7 @@ def watch(
     return watchdog
 
 
-def _run(known: Any) -> None:
+def _run(known: "ref[Watchdog]") -> None:
     while True:
         watchdog = known()
         if watchdog is None:
@@ -101,7 +112,9 @@ def _run(known: Any) -> None:
         time.sleep(pause)
 
 
-def _held_up(logic: Logic, dispatcher: Dispatcher, entry: Any, seconds: float) -> Any:
+def _held_up(
+    logic: Logic, dispatcher: Dispatcher, entry: object, seconds: float
+) -> Tuple[RuleError, Tuple[str, str]]:
     """Return a warning of what is at work, and what tells it from others.
 
     Terms of events and questions are not shown but named: they may be large, and change in the other thread.
@@ -120,7 +133,7 @@ def _held_up(logic: Logic, dispatcher: Dispatcher, entry: Any, seconds: float) -
     return RuleError(text, place), ("held up", who)
 
 
-def _name(entry: Any) -> str:
+def _name(entry: object) -> str:
     """Name what came in: the functor of a term, the beginning of a text."""
     what = deref(entry[0]) if isinstance(entry, tuple) and entry else None
     if isinstance(what, str):

@@ -2,11 +2,12 @@
 
 from .justification import Justifier
 from .store import Store, solutions
-from .tracking import Tracker, known_in
+from .tracking import Occurrence, Tracker, known_in
 
 __all__ = [
     "Justifier",
     "known_in",
+    "Occurrence",
     "solutions",
     "Store",
     "Tracker",
