@@ -14,7 +14,7 @@ __all__ = ["Compound", "Engine", "foreign"]
 _HOMES = {"Compound": "prolog.foreign.functions", "Engine": "engine", "foreign": "prolog.foreign.functions"}
 """Where names of this package stand: they are imported when somebody asks, so ``retalis.srv`` costs no engine."""
 
-_DOORS = {"errors": "foundation.errors", "explain": "engine.explaining", "terms": "prolog.terms"}
+_HOMES_OF_MODULES = {"errors": "foundation.errors", "explain": "engine.explaining", "terms": "prolog.terms"}
 """Where the modules stand that programs name without their room."""
 
 
@@ -25,15 +25,17 @@ def __getattr__(name: str) -> Any:
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
-class _Door(ModuleType):
+class _LazyModule(ModuleType):
     """A module under a name without its room; imported when something of it is asked for."""
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):
             raise AttributeError(f"module {self.__name__!r} has no attribute {name!r}")
-        return getattr(import_module(f"{__name__}.{_DOORS[self.__name__.rpartition('.')[2]]}"), name)
+        return getattr(
+            import_module(f"{__name__}.{_HOMES_OF_MODULES[self.__name__.rpartition('.')[2]]}"), name
+        )
 
 
-for _name, _home in _DOORS.items():
+for _name, _home in _HOMES_OF_MODULES.items():
     _module = f"{__name__}.{_name}"
-    globals()[_name] = sys.modules[_module] = _Door(_module, f"See `{__name__}.{_home}`.")
+    globals()[_name] = sys.modules[_module] = _LazyModule(_module, f"See `{__name__}.{_home}`.")

@@ -57,12 +57,12 @@ def _of_memories(knowledge):
 def _of_rule(rule):
     waiting = []
     for node, _, _ in rule.nodes:
-        for place in node.places():
-            for key, last in place.newest.items():
-                ring = place.with_key(key)
+        for buffer in node.buffers():
+            for key, last in buffer.newest.items():
+                ring = buffer.with_key(key)
                 if [one.newer for one in ring] != [*ring[1:], ring[0]] or last is not ring[-1]:
                     yield f"{rule.name}: matches are linked wrong"
-                if any(one.place is not place or one.key != key for one in ring):
+                if any(one.buffer is not buffer or one.key != key for one in ring):
                     yield f"{rule.name}: a match waits elsewhere"
                 waiting += ring
     if rule.waiting != len(waiting):

@@ -74,7 +74,7 @@ def test_keys_whose_records_are_erased_are_gone(logic):
 def test_a_record_is_added_found_and_erased_without_walking_over_the_others(logic, monkeypatch, add):
     looked = []
 
-    class Noting(recorded._Record):
+    class Noting(recorded._RecordedTerm):
         @property
         def number(self):
             looked.append(self)

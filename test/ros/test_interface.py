@@ -10,7 +10,7 @@ rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 from retalis.engine.runtime import Reports  # noqa: E402
 from retalis.foundation import MessageError  # noqa: E402
 from retalis.messages import Definitions  # noqa: E402
-from retalis.ros.interface import Input  # noqa: E402
+from retalis.ros.interface import InputTopic  # noqa: E402
 
 TEXT = "float32 degrees\n"
 WARM = struct.pack("<f", 36.5)
@@ -26,7 +26,7 @@ def receive(monkeypatch):
     def receive(wanted, sent, times=1, data=WARM):
         definitions = Definitions()
         taken = []
-        found = Input(
+        found = InputTopic(
             definitions,
             "/heat",
             wanted,
@@ -101,7 +101,7 @@ def test_messages_of_a_wake_up_are_taken_one_connection_at_a_time_and_none_cuts_
             raise KeyError("no such thing")
         done.append(data)
 
-    found = Input(
+    found = InputTopic(
         Definitions(),
         "/heat",
         "lab/Temperature",
@@ -130,7 +130,7 @@ def test_a_connection_whose_messages_cannot_be_taken_is_refused_once_and_for_all
         raise KeyError("no such thing")
 
     reports = Reports()
-    found = Input(Definitions(), "/heat", "lab/Temperature", taker, 5, threading.Lock(), reports)
+    found = InputTopic(Definitions(), "/heat", "lab/Temperature", taker, 5, threading.Lock(), reports)
     md5sum = Definitions().add("lab/Temperature", TEXT).md5sum
     header = {"type": "lab/Temperature", "md5sum": md5sum, "message_definition": TEXT}
     for _ in range(3):

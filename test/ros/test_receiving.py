@@ -12,7 +12,7 @@ rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 from rospy.exceptions import TransportException, TransportTerminated  # noqa: E402
 
 from retalis.ros import _receiving  # noqa: E402
-from retalis.ros._receiving import LATE, MOST, WINDOW, Pace, Reader, read_by  # noqa: E402
+from retalis.ros._receiving import LATE, MOST, WINDOW, ConnectionReader, Pace, read_by  # noqa: E402
 
 HEADER = {"type": "std_msgs/String", "callerid": "/talker"}
 
@@ -60,7 +60,7 @@ def subscribed(callbacks=(callback,), **topic):
 
 
 def new_reader(link, taken, callbacks=(callback,)):
-    return Reader(link, subscribed(callbacks), lambda header: taken.append, 0.001)
+    return ConnectionReader(link, subscribed(callbacks), lambda header: taken.append, 0.001)
 
 
 def send_in_pieces(sender, data, size):
@@ -154,7 +154,7 @@ def test_a_message_alone_arrives_where_several_are_waited_for(pair):
         taken.extend(messages)
         link.done = True
 
-    reader = Reader(link, subscribed(), lambda header: take, 0.001)
+    reader = ConnectionReader(link, subscribed(), lambda header: take, 0.001)
     reader._open()
     reader._pace._wait_for(1000)
     sender.sendall(frame(b"alone"))
@@ -182,8 +182,8 @@ def test_connections_present_and_future_are_read(pair):
     found, added = subscriber(connections=[present])
     read_by(found, ignore, 0.001)
     found.impl.add_connection(future)
-    assert isinstance(present.receive_once, Reader)
-    assert isinstance(future.receive_once, Reader)
+    assert isinstance(present.receive_once, ConnectionReader)
+    assert isinstance(future.receive_once, ConnectionReader)
     assert added == [future]
     reader = present.receive_once
     found.impl.add_connection(present)

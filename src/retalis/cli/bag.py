@@ -56,7 +56,7 @@ def run(options: argparse.Namespace) -> int:
         reader = stack.enter_context(BagReader(options.bag))
         settings = limited(allow_folders(Settings(), options), options)
         playback = Playback(options.program, report, _topics(options.topic), settings)
-        writer = _Writer(stack.enter_context(BagWriter(options.output))) if options.output else None
+        writer = _OutputWriter(stack.enter_context(BagWriter(options.output))) if options.output else None
         advance = stack.enter_context(progress("messages", reader.messages))
         relax()
         for output in playback.run(reader, advance):
@@ -80,7 +80,7 @@ def _topics(texts: List[str]) -> List[TopicType]:
     return topics
 
 
-class _Writer:
+class _OutputWriter:
     """Writes outputs into a bag, a connection for each topic."""
 
     def __init__(self, writer: BagWriter):

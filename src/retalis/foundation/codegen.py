@@ -55,7 +55,7 @@ _makers: Cache[_Key, Callable[..., Any]] = Cache(1000, 16 << 20, _COST * 8000)
 """Longer sources are not kept: those of two rules are hardly ever alike."""
 
 
-class _Source:
+class _GeneratedSource:
     """Shows generated source in tracebacks: `linecache` asks for it, and it lives as long as the code does."""
 
     __slots__ = ("_text",)
@@ -86,7 +86,7 @@ def define(source: str, names: Dict[str, Any], title: str) -> Dict[str, Any]:
     file = f"retalis, {_clean(title)} #{next(_serials)}"
     names["__builtins__"] = _BUILTINS
     names["__name__"] = file
-    names["__loader__"] = _Source(source)
+    names["__loader__"] = _GeneratedSource(source)
     exec(compile(source, file, "exec", dont_inherit=True), names)
     return names
 

@@ -13,13 +13,13 @@ BULK = (None,) * 1024
 """Pieces of work, each as small as an inference, between two calls of `look`."""
 
 
-class Watch(local):
+class StepWatch(local):
     """Whom to ask in a thread; local, because each thread may run a machine of its own."""
 
     ask: Optional[Callable[[int], None]] = None
 
 
-WATCH = Watch()
+WATCH = StepWatch()
 
 
 class Budget(Protocol):

@@ -14,7 +14,7 @@ from .slots import PRIMITIVES, TIMES, VARIABLE
 from .text import text_term
 
 
-class Code:
+class DecoderSource:
     """Source of the function for one type, in the making.
 
     Runs of fixed-size slots are collected until something of variable size comes. ``base`` is the source of
@@ -176,7 +176,7 @@ class Code:
 
 def _compile_element(slot: Field) -> Tuple[Callable[[bytes, int], Tuple[Term, int]], int]:
     """Return the function that decodes one element of an array, and the least size of one."""
-    code = Code()
+    code = DecoderSource()
     result = code.single(slot._replace(length=None))
     code.flush()
     lines = ["def element(data, o):", *("  " + line for line in code.lines)]
@@ -187,7 +187,7 @@ def _compile_element(slot: Field) -> Tuple[Callable[[bytes, int], Tuple[Term, in
 
 def _compile_records(slot: Field) -> Callable[[bytes], Term]:
     """Return the function that makes the list of an array's elements, which are of one size."""
-    code = Code()
+    code = DecoderSource()
     result = code.single(slot._replace(length=None))
     layout = Struct("<" + code.format)
     return record_maker(slot.describe(), layout, code.targets, result, code.names)

@@ -5,7 +5,7 @@ from typing import Callable, List, Optional, Tuple
 
 from ..foundation import Cache
 from ..prolog.terms import Term
-from ._decode_code import Code
+from ._decode_code import DecoderSource
 from ._texts import keep_text, read_texts, text_cache
 from .definition import Definition, Field
 
@@ -14,7 +14,7 @@ class Unsuited(Exception):
     """The type is not numbers, texts, numbers."""
 
 
-class FrameCode(Code):
+class FrameSource(DecoderSource):
     """Source for types that are numbers, then texts, then numbers.
 
     An array of messages at the end is taken to have one element.

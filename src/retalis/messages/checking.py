@@ -18,7 +18,7 @@ _NEGATIVE = functor("-", 1)
 _SHOWN = 60
 
 
-class Checker:
+class CheckingEncoder:
     """Encodes the terms of one type, saying what is wrong with those that do not fit."""
 
     def __init__(self, definition: Definition):
@@ -184,8 +184,8 @@ def _check_range(code: str, value: int, path: str, what: str) -> None:
         raise _Misfit(path, f"expected {what} from {low} to {high}, got {value}")
 
 
-_Reader = Callable[[str, Term, str], bytes]
-_READERS: Dict[str, _Reader] = {
+_Packer = Callable[[str, Term, str], bytes]
+_READERS: Dict[str, _Packer] = {
     **dict.fromkeys(PRIMITIVES, _integer),
     "bool": _bool,
     "float32": _float,

@@ -12,8 +12,8 @@ from typing import Callable, Optional
 
 from ..foundation import MessageError, codegen
 from ..prolog.terms import Lazy, Term, functor
-from ._decode_code import Code
-from ._frame_code import FrameCode, Unsuited
+from ._decode_code import DecoderSource
+from ._frame_code import FrameSource, Unsuited
 from .definition import HEADER, Definition
 from .layout import BARE, check_bare, explain
 
@@ -55,7 +55,7 @@ class Decoder:
 
 
 def _compile_decode(definition: Definition, bare: int) -> Decode:
-    code = Code()
+    code = DecoderSource()
     code.base = "0"
     result = code.message(definition)
     code.flush()
@@ -69,7 +69,7 @@ def _compile_decode(definition: Definition, bare: int) -> Decode:
     general: Decode = codegen.function(lines, code.names, f"decode {definition.name}", "decode")
     if definition.measure.may_be_bare:
         return _checked(definition, bare, general)
-    frames = FrameCode()
+    frames = FrameSource()
     try:
         lines = frames.build(definition, general)
     except Unsuited:

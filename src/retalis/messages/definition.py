@@ -12,7 +12,7 @@ HEADER = "std_msgs/Header"
 SEPARATOR = "=" * 80
 
 
-Value = Union[bool, int, float, str]
+ConstantValue = Union[bool, int, float, str]
 
 
 class Constant(NamedTuple):
@@ -21,7 +21,7 @@ class Constant(NamedTuple):
     type: str
     name: str
     text: str
-    value: Value
+    value: ConstantValue
 
 
 class Field(NamedTuple):

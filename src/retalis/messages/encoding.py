@@ -13,7 +13,7 @@ from typing import Any, Callable, Dict, List
 from ..foundation import Cache, MessageError, codegen
 from ..prolog.terms import CONS, FALSE, NIL, TRUE, Atom, Lazy, Term, atom, functor
 from .arrays import SMALL, array_maker
-from .checking import Checker
+from .checking import CheckingEncoder
 from .definition import Definition, Field
 from .slots import PRIMITIVES, TIMES, VARIABLE
 from .text import text_atom, text_bytes
@@ -63,7 +63,7 @@ _packed = _PackedTexts(2048, 1 << 20, 1024)
 _ERRORS = (_Unusual, MessageError, ValueError, TypeError, KeyError, StructError, OverflowError)
 
 
-class _Code:
+class _EncoderSource:
     """Source of the function for one type, in the making."""
 
     def __init__(self) -> None:
@@ -176,11 +176,11 @@ class _Code:
 
 
 def _compile_encode(definition: Definition) -> Callable[..., bytes]:
-    code = _Code()
+    code = _EncoderSource()
     code.message(definition, "term")
     lines = ["def encode(term, topic=''):", "  try:", *("    " + line for line in code.body())]
     lines += ["  except errors:", "    return check(term, topic)"]
-    code.names["check"] = Checker(definition).encode
+    code.names["check"] = CheckingEncoder(definition).encode
     made: Callable[..., bytes] = codegen.function(lines, code.names, f"encode {definition.name}", "encode")
     return made
 
@@ -189,7 +189,7 @@ def _array_packer(slot: Field) -> Callable[[Term], bytes]:
     """Return the function that packs the list of an array, with its number of elements where that varies."""
     if slot.definition is None and slot.type in PRIMITIVES and slot.type != "bool":
         return _number_packer(slot)
-    code = _Code()
+    code = _EncoderSource()
     code.single(slot._replace(length=None), "term")
     lines = ["def encode(term):", *("  " + line for line in code.body())]
     element = codegen.function(lines, code.names, f"encode element {slot.type}", "encode")

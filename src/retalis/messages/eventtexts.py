@@ -6,7 +6,7 @@ from typing import Callable, List
 from ..foundation import codegen
 from ..prolog.syntax import float_text, to_text
 from ..prolog.terms import Term
-from ._frame_code import FrameCode, Unsuited
+from ._frame_code import FrameSource, Unsuited
 from .decoding import Decoder
 
 _MARK = 10**40
@@ -24,7 +24,7 @@ def text_writer(decoder: Decoder) -> Callable[[bytes], str]:
     def general(data: bytes) -> str:
         return to_text(decoder.decode(data))
 
-    code = _TextCode()
+    code = _TextSource()
     try:
         lines = code.build(decoder.definition, general)
     except Unsuited:
@@ -35,7 +35,7 @@ def text_writer(decoder: Decoder) -> Callable[[bytes], str]:
     return made
 
 
-class _TextCode(FrameCode):
+class _TextSource(FrameSource):
     """Source of a function that gives the message's text, not its term."""
 
     def finish(self, result: str) -> str:

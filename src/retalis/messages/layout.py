@@ -22,7 +22,7 @@ def explain(definition: Definition, data: bytes) -> str:
     size = len(data)
     try:
         end = _Walk(data).end(definition, 0, "")
-    except _Cut as cut:
+    except _Truncated as cut:
         return f"{size} bytes are not a {definition.name}: they end inside slot {beginning(cut.path)}"
     return f"{size} bytes are not a {definition.name}: {size - end} are left over"
 
@@ -36,7 +36,7 @@ def check_bare(definition: Definition, data: bytes, most: int) -> None:
     walk = _Walk(data)
     try:
         walk.end(definition, 0, "")
-    except _Cut:
+    except _Truncated:
         raise MessageError(explain(definition, data)) from None
     if walk.bare > most:
         raise MessageError(
@@ -44,7 +44,7 @@ def check_bare(definition: Definition, data: bytes, most: int) -> None:
         )
 
 
-class _Cut(Exception):
+class _Truncated(Exception):
     def __init__(self, path: str):
         super().__init__(path)
         self.path = path
@@ -69,7 +69,7 @@ class _Walk:
                 at += number * one.least
                 self.bare += number * (one.bare + (slot.length is not None and not one.least))
                 if at > len(self.data):
-                    raise _Cut(path)
+                    raise _Truncated(path)
             else:
                 at = self.elements(slot, number, at, path)
         return at
@@ -83,12 +83,12 @@ class _Walk:
             else:
                 at += 4 + self.number(at, place)
                 if at > len(self.data):
-                    raise _Cut(place)
+                    raise _Truncated(place)
         return at
 
     def number(self, at: int, path: str) -> int:
         """Return the number at a place."""
         if at + 4 > len(self.data):
-            raise _Cut(path)
+            raise _Truncated(path)
         number: int = unpack_from("<I", self.data, at)[0]
         return number

@@ -4,7 +4,7 @@ import re
 from typing import Callable, Container, Dict, Iterator, List, Tuple
 
 from ..foundation import SHOWN, MessageError, Place, place_at, place_in, plain_fault, shortened
-from .definition import HEADER, SEPARATOR, Constant, Definition, Field, Measure, Value
+from .definition import HEADER, SEPARATOR, Constant, ConstantValue, Definition, Field, Measure
 from .slots import BUILTIN, LARGEST, MOST_SLOTS, PRIMITIVES, VARIABLE
 
 _HEADER_NAMES = ("Header", "std_msgs/Header", "roslib/Header")
@@ -72,10 +72,10 @@ def parse(name: str, text: str, find: Callable[[str, str], Definition], source: 
         MessageError: with its place, for a line that is neither slot nor constant, and for what
             ``find`` raises.
     """
-    return Definition(name, *_Reader(name, text, find, source or name).read(), text)
+    return Definition(name, *_DefinitionReader(name, text, find, source or name).read(), text)
 
 
-class _Reader:
+class _DefinitionReader:
     def __init__(self, name: str, text: str, find: Callable[[str, str], Definition], source: str):
         self.package = name.split("/")[0]
         self.text = text
@@ -182,7 +182,7 @@ def _lines(text: str) -> Iterator[Tuple[int, str]]:
 _BOOLS = {"true": True, "True": True, "1": True, "false": False, "False": False, "0": False}
 
 
-def _constant_value(kind: str, text: str) -> Value:
+def _constant_value(kind: str, text: str) -> ConstantValue:
     if kind == "string":
         return text
     if kind == "bool":

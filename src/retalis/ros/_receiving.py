@@ -34,7 +34,7 @@ NEVER = pack("ll", 0, 0)
 MOST = 64
 """Windows at most without another try to wait for several messages."""
 
-Taker = Callable[[Dict[str, str]], Callable[[List[bytes]], object]]
+ConnectionTaker = Callable[[Dict[str, str]], Callable[[List[bytes]], object]]
 """Gives what takes messages, by the header of their connection."""
 
 _NEEDED = (
@@ -114,7 +114,7 @@ class Pace:
             rospy.logdebug("the receive rate of a connection stays as it was: %s", error)
 
 
-class Reader:
+class ConnectionReader:
     """The `receive_once` of one connection.
 
     Args:
@@ -124,7 +124,7 @@ class Reader:
         hold: see `Pace`.
     """
 
-    def __init__(self, link: Any, subscriber: Any, taker: Taker, hold: float):
+    def __init__(self, link: Any, subscriber: Any, taker: ConnectionTaker, hold: float):
         self._link = link
         self._topic = subscriber.impl
         self._callback = subscriber.callback
@@ -224,8 +224,8 @@ def _are_callbacks(found: object) -> bool:
     return isinstance(found, list) and all(isinstance(one, tuple) and len(one) == 2 for one in found)
 
 
-def read_by(subscriber: Any, taker: Taker, hold: float) -> None:
-    """Have the connections of a subscriber read by a `Reader`, if they are what is expected of rospy."""
+def read_by(subscriber: Any, taker: ConnectionTaker, hold: float) -> None:
+    """Have the connections of a subscriber read by a `ConnectionReader`, if they are what is expected of rospy."""
     topic = getattr(subscriber, "impl", None)
     add = getattr(topic, "add_connection", None)
     if topic is None or add is None or getattr(topic, "data_class", None) is not rospy.AnyMsg:
@@ -236,9 +236,9 @@ def read_by(subscriber: Any, taker: Taker, hold: float) -> None:
         return  # it wants to see each message
 
     def prepare(link: Any) -> None:
-        known = getattr(link, "receive_once", None).__class__ is Reader
+        known = getattr(link, "receive_once", None).__class__ is ConnectionReader
         if not known and all(hasattr(link, name) for name in _NEEDED):
-            link.receive_once = Reader(link, subscriber, taker, hold)
+            link.receive_once = ConnectionReader(link, subscriber, taker, hold)
 
     def add_connection(link: Any) -> Any:
         prepare(link)

@@ -44,7 +44,7 @@ class Outlet:
         self._queue = queue
         self._reports = reports
         self._patient = patient
-        self._lines: Dict[Any, _Line] = {}
+        self._lines: Dict[Any, _Receiver] = {}
 
     def links(self) -> Any:
         """Return rospy's connections to those who listen."""
@@ -59,7 +59,7 @@ class Outlet:
         for link in links:
             line = self._lines.get(link)
             if line is None:
-                made = _Line(link, self.publisher.name, self._queue, self._reports, self._patient)
+                made = _Receiver(link, self.publisher.name, self._queue, self._reports, self._patient)
                 line = self._lines.setdefault(link, made)
             try:
                 line.write(frames, number)
@@ -68,7 +68,7 @@ class Outlet:
                 link.close()
 
 
-class _Line:
+class _Receiver:
     """What goes to one receiver."""
 
     def __init__(self, link: Any, topic: str, queue: int, reports: Reports, patient: bool):

@@ -51,7 +51,7 @@ class TextPublisher:
 
 
 def text_taker(take: Callable[[str], object]) -> Callable[[object], Callable[[bytes], None]]:
-    """Return what `Input` needs to hand the texts of ``std_msgs/String`` messages to ``take``."""
+    """Return what `InputTopic` needs to hand the texts of ``std_msgs/String`` messages to ``take``."""
 
     def receive(data: bytes) -> None:
         if len(data) < 4 or _SIZE.unpack_from(data)[0] != len(data) - 4:

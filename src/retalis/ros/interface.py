@@ -19,7 +19,7 @@ from ._texts import text_taker
 Take = Callable[[bytes], None]
 """Takes a message."""
 
-Taker = Callable[[Decoder], Take]
+MessageTaker = Callable[[Decoder], Take]
 """Gives what takes the messages that a decoder reads."""
 
 INPUT = "retalisInputEvents"
@@ -60,7 +60,7 @@ class Interface:
 
     def __init__(
         self,
-        taker: Taker,
+        taker: MessageTaker,
         queue: int,
         reports: Reports,
         definitions: Optional[Definitions] = None,
@@ -72,13 +72,13 @@ class Interface:
         self._hold = hold
         self._queue = queue
         self._definitions = Definitions() if definitions is None else definitions
-        self._inputs: Dict[str, Input] = {}
+        self._inputs: Dict[str, InputTopic] = {}
         self._outputs: Dict[str, Tuple[Outlet, Encoder]] = {}
-        self._texts: List[Input] = []
+        self._texts: List[InputTopic] = []
         self._elsewhere: Set[str] = set()
         self._reserved = {rospy.resolve_name(topic) for topic in (INPUT, OUTPUT)}
         self._lock = threading.Lock()
-        self._gate = threading.Lock()
+        self._turn = threading.Lock()
         self._reports = reports
 
     def subscribe(self, topic: str, kind: str) -> None:
@@ -96,13 +96,13 @@ class Interface:
         with self._lock:
             if name in self._inputs:
                 raise UsageError(f"topic {topic} is already subscribed (as {self._inputs[name].kind})")
-            self._inputs[name] = Input(
+            self._inputs[name] = InputTopic(
                 self._definitions,
                 name,
                 kind,
                 self._taker,
                 self._queue,
-                self._gate,
+                self._turn,
                 self._reports,
                 self._done,
                 self._hold,
@@ -112,9 +112,9 @@ class Interface:
         """Have the texts of one of the topics between the nodes taken."""
         name = rospy.resolve_name(topic)
         taker = text_taker(take)
-        gate = threading.Lock()
+        turn = threading.Lock()
         self._texts.append(
-            Input(self._definitions, name, "std_msgs/String", taker, self._queue, gate, self._reports)
+            InputTopic(self._definitions, name, "std_msgs/String", taker, self._queue, turn, self._reports)
         )
 
     def leave(self, topics: Iterable[TopicType]) -> None:
@@ -165,12 +165,12 @@ class Interface:
             self._reports.error(error, ("out", topic))
 
 
-class Input:
+class InputTopic:
     """One subscribed topic: its messages are read by the type it was given.
 
     A type that is not installed is learned from the publisher's connection header.
 
-    rospy has a thread for each publisher. The gate lets one of them at a time hand on what it has: the others wait,
+    rospy has a thread for each publisher. ``turn`` lets one of them at a time hand on what it has: the others wait,
     and those who send to them, instead of piling up messages before the engine.
     """
 
@@ -179,16 +179,16 @@ class Input:
         definitions: Definitions,
         name: str,
         kind: str,
-        taker: Taker,
+        taker: MessageTaker,
         queue: int,
-        gate: ContextManager[object],
+        turn: ContextManager[object],
         reports: Reports,
         done: Callable[[], object] = nothing,
         hold: float = HOLD,
     ):
         self.kind = kind
         self._reports = reports
-        self._gate = gate
+        self._turn = turn
         self._done = done
         self._definitions = definitions
         self._name = name
@@ -218,10 +218,10 @@ class Input:
 
     def _one_by_one(self, take: Take) -> TakeAll:
         """Return what takes messages that were received together, and reports those that cannot be taken."""
-        gate, done = self._gate, self._done
+        turn, done = self._turn, self._done
 
         def take_all(messages: List[bytes]) -> None:
-            with gate:
+            with turn:
                 for data in messages:
                     try:
                         take(data)

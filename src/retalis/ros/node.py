@@ -75,7 +75,7 @@ class RosClock(Clock):
             self.engine.advance()
 
 
-class Node:
+class RetalisNode:
     """Node ``retalis``, set up from its parameters."""
 
     def __init__(self, parameters: Parameters):
@@ -169,4 +169,4 @@ def _try(work: Callable[[str, str], None], topic: str, kind: str) -> None:
 
 def main() -> int:
     """Run the node until it is shut down; return its exit status."""
-    return run_node("retalis", Node)
+    return run_node("retalis", RetalisNode)

@@ -3,7 +3,7 @@ import threading
 import pytest
 
 from retalis.engine.runtime import Runner
-from retalis.engine.runtime.runner import Call, Recovery
+from retalis.engine.runtime.runner import Recovery, Request
 from retalis.foundation import UsageError
 
 
@@ -95,7 +95,7 @@ def test_a_call_goes_before_what_waits():
 
     def first():
         runner.post(done.append, "posted")
-        runner._calls.append(Call(lambda: done.append("called")))
+        runner._calls.append(Request(lambda: done.append("called")))
 
     runner.post(first)
     assert done == ["called", "posted"]
@@ -127,7 +127,7 @@ def test_an_interrupt_is_no_result():
     def interrupted():
         raise KeyboardInterrupt
 
-    call = Call(interrupted)
+    call = Request(interrupted)
     with pytest.raises(KeyboardInterrupt):
         call()
     with pytest.raises(KeyboardInterrupt):  # for the caller that waits, who may be another

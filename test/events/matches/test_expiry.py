@@ -12,11 +12,11 @@ class Waiting:
 
     def __init__(self, order):
         self.order = order
-        self.place = self
+        self.buffer = self
 
     def leave(self):
         """Leave."""
-        self.place = None
+        self.buffer = None
 
 
 @pytest.mark.parametrize("late", [0, 3, 100])
@@ -29,8 +29,8 @@ def test_all_go_after_their_instant_and_none_before(late):
         matches.append((instant, Waiting(order)))
         expiries.add(*matches[-1], waiting=500)
         expiries.expire(order - 50)
-        assert all((match.place is None) == (instant < order - 50) for instant, match in matches)
-    assert len(expiries) == sum(match.place is not None for _, match in matches)
+        assert all((match.buffer is None) == (instant < order - 50) for instant, match in matches)
+    assert len(expiries) == sum(match.buffer is not None for _, match in matches)
 
 
 @pytest.mark.parametrize("step", [1, -1])

@@ -17,9 +17,8 @@ from ...events.language import (
     Condition,
     Either,
     Occurs,
-    Operator,
     Pair,
-    Pattern,
+    PatternOperator,
     Repeated,
     Star,
     Within,
@@ -50,7 +49,7 @@ _WRONG = {
 }
 
 
-class Found(NamedTuple):
+class Candidate(NamedTuple):
     """One way in which a part of a pattern was met.
 
     Attributes:
@@ -68,7 +67,7 @@ class Found(NamedTuple):
     gap: Optional[Tuple[int, int]] = None
 
 
-_NOWHERE = Found((_VALUES,), 0, 0)
+_NOWHERE = Candidate((_VALUES,), 0, 0)
 
 
 class Part(NamedTuple):
@@ -82,7 +81,7 @@ class Part(NamedTuple):
     """
 
     text: str
-    found: List[Found]
+    found: List[Candidate]
     parts: List["Part"]
     event: Optional[Term] = None
 
@@ -131,7 +130,7 @@ class Shortfall:
         for one in self._kept:
             trail: Trail = []
             if unify(pattern.term, copy(one.term), trail):
-                found.append(Found(copy(self._vars), one.start, one.end, one))
+                found.append(Candidate(copy(self._vars), one.start, one.end, one))
             undo(trail, 0)
         text = f"{self._show(pattern.term)}: {self._seen(found, 'did not happen')}"
         return Part(text, found[-_MOST:], [], copy(pattern.term))
@@ -149,7 +148,7 @@ class Shortfall:
                 agree = True
                 span = spans(one.start, one.end, two.start, two.end)
                 if span is not None:
-                    found.append(Found(values, *span, None, (one.end, two.start)))
+                    found.append(Candidate(values, *span, None, (one.end, two.start)))
         reason = "one side is missing"
         if left.found and right.found:
             reason = _WRONG.get(pattern.operator, "no pair fits") if agree else "no pair with the same values"
@@ -172,7 +171,7 @@ class Shortfall:
         noted = Part(f"must not happen: {negated.text}", held, [])
         return Part(f"{name}: {self._seen(found, reason)}", found, [part, noted])
 
-    def _blocks(self, negated: Found, one: Found) -> bool:
+    def _blocks(self, negated: Candidate, one: Candidate) -> bool:
         if self._joined(one, negated) is None:
             return False
         if one.gap is None:
@@ -192,9 +191,9 @@ class Shortfall:
         reason = "nothing was collected" if first.found else "it did not begin"
         return Part(f"{pattern.kind}: {self._seen(found, reason)}", found, [first, collected])
 
-    def _later(self, first: Part, second: Part) -> List[Found]:
+    def _later(self, first: Part, second: Part) -> List[Candidate]:
         return [
-            Found(one.values, one.start, two.end)
+            Candidate(one.values, one.start, two.end)
             for one in first.found
             for two in second.found
             if one.end < two.start and self._joined(one, two) is not None
@@ -231,14 +230,14 @@ class Shortfall:
 
     # ---- values ----------------------------------------------------------------------------------------
 
-    def _joined(self, one: Found, two: Found) -> Optional[Term]:
+    def _joined(self, one: Candidate, two: Candidate) -> Optional[Term]:
         trail: Trail = []
         values = copy(one.values)
         result = copy(values) if unify(values, copy(two.values), trail) else None
         undo(trail, 0)
         return result
 
-    def _solved(self, goal: Term, one: Found) -> Optional[Term]:
+    def _solved(self, goal: Term, one: Candidate) -> Optional[Term]:
         """Return the values with those of the first solution of a goal, or None."""
         trail: Trail = []
         try:
@@ -252,13 +251,13 @@ class Shortfall:
 
     # ---- text ------------------------------------------------------------------------------------------
 
-    def _seen(self, found: List[Found], reason: str) -> str:
+    def _seen(self, found: List[Candidate], reason: str) -> str:
         if not found:
             return reason
         shown = ", ".join(self._time(one) for one in found[-3:])
         return shown if len(found) <= 3 else f"{len(found)} times, the last ones {shown}"
 
-    def _time(self, one: Found) -> str:
+    def _time(self, one: Candidate) -> str:
         return self._show(timestamps.interval_term(one.start, one.end))
 
     def _show(self, term: Term) -> str:
@@ -267,7 +266,7 @@ class Shortfall:
 
 
 @lru_cache(maxsize=len(OPERATORS))
-def _spans(operator: Operator) -> Callable[[int, int, int, int], Optional[Tuple[int, int]]]:
+def _spans(operator: PatternOperator) -> Callable[[int, int, int, int], Optional[Tuple[int, int]]]:
     """Return the function from the intervals of a pair to that of the result, None where they do not fit."""
     lines = [
         "def made(s1, e1, s2, e2):",
@@ -286,7 +285,7 @@ def names_of(term: Term) -> Dict[Var, str]:
     return {var: f"{chr(65 + at % 26)}{at // 26 or ''}" for at, var in enumerate(variables(term))}
 
 
-def _timed(goal: Term, one: Found) -> Term:
+def _timed(goal: Term, one: Candidate) -> Term:
     """Return a goal with ``t1(S)`` and ``t2(E)`` replaced by what they are."""
     if goal.__class__ is not tuple:
         return goal

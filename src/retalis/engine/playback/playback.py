@@ -15,7 +15,7 @@ from .bags import BagReader, Topic
 
 log = logging.getLogger("retalis")
 
-Report = Callable[[RetalisError], None]
+OnError = Callable[[RetalisError], None]
 
 
 class Output(NamedTuple):
@@ -53,7 +53,7 @@ class Playback:
     def __init__(
         self,
         program: Union[str, Path],
-        report: Report,
+        report: OnError,
         topics: Iterable[TopicType] = (),
         settings: Optional[Settings] = None,
     ):

@@ -24,7 +24,7 @@ class Reports:
         self.errors = 0
         self.warnings = 0
         self.once = False
-        self._kinds: Dict[int, _Kind] = {}
+        self._kinds: Dict[int, _RecurringProblem] = {}
         """By hash: what told kinds apart may be large, and need not stay."""
         self._others = 0
         """How many were not logged of kinds that had to be forgotten."""
@@ -68,7 +68,7 @@ class Reports:
             if len(self._kinds) >= _KINDS:
                 self._others += sum(known.times - known.told for known in list(self._kinds.values()))
                 self._kinds.clear()
-            kind = self._kinds[key] = _Kind(level, text[:SHOWN].split("\n", 1)[0])
+            kind = self._kinds[key] = _RecurringProblem(level, text[:SHOWN].split("\n", 1)[0])
         kind.times = times = kind.times + 1
         is_new = len(kind.texts) < texts and hash(text) not in kind.texts
         if is_new:
@@ -79,7 +79,7 @@ class Reports:
         log.log(level, "%s", text if is_new else f"{text}\n({times} times so far)")
 
 
-class _Kind:
+class _RecurringProblem:
     """What came again and again: how often, how much of that was told, and the first line of the first one."""
 
     __slots__ = ("first", "level", "texts", "times", "told")

@@ -25,7 +25,7 @@ PATIENCE = 1.0
 """Seconds that one who posts waits for room in a full queue."""
 
 
-class Call:
+class Request:
     """A piece of work whose caller waits for the result.
 
     Args:
@@ -133,7 +133,7 @@ class Runner:
     ):
         self._size = size
         self._queue: Deque[Tuple[Callable[..., object], Tuple[object, ...]]] = deque()
-        self._calls: Deque[Call] = deque()
+        self._calls: Deque[Request] = deque()
         self._lock = threading.RLock()
         self._running: Optional[int] = None
         """The thread that is at work. Where somebody comes in and it is set, the last one has not ended well."""
@@ -235,13 +235,13 @@ class Runner:
     def follow(self, work: Callable[[], object]) -> None:
         """Have something done, from inside a piece of work, right after that."""
         calls = self._calls
-        call = Call(work)
+        call = Request(work)
         call.follows = True
         calls.insert(1 if calls and calls[0].begun else 0, call)
 
     def _call_later(self, work: Callable[[], _Result], entry: object) -> _Result:
         """Have whoever is at work do a piece of work, and wait for that."""
-        call = Call(work, entry)
+        call = Request(work, entry)
         self._calls.append(call)
         try:
             self._drain()
@@ -256,7 +256,7 @@ class Runner:
         result: _Result = call.result()
         return result
 
-    def _refuse(self, call: Call, callback: Tuple[str]) -> None:
+    def _refuse(self, call: Request, callback: Tuple[str]) -> None:
         if call.take():
             raise UsageError(
                 f"the engine has been in {callback[0]} for {self._patience:g} s or longer and may be waiting for"

@@ -7,7 +7,7 @@ from weakref import ref
 
 from ...events.dispatch import Dispatcher
 from ...foundation import Place, RuleError, beginning
-from ...prolog.database import Goal
+from ...prolog.database import CompiledGoal
 from ...prolog.logic import Logic
 from ...prolog.machine import Budget
 from ...prolog.terms import Atom, deref
@@ -122,7 +122,7 @@ def _held_up(
     goal, current = logic.machine.budget.goal, dispatcher.current
     place: Optional[Place] = getattr(entry, "place", None)
     who = "no goal"
-    if isinstance(goal, Goal):
+    if isinstance(goal, CompiledGoal):
         place = goal.place
         who = f"{goal.name}: goal {beginning(logic.show(goal.term))}"
     elif goal is not None:

@@ -4,15 +4,15 @@ from .building import compile_builder
 from .dispatch import Dispatcher
 from .lanes import Completion, goal_lane
 from .plans import NOBODY
-from .serving import AT_ONCE, LEFT_OUT, RESTORE, Action, Event, Lane, Listener, Stage
+from .serving import AT_ONCE, LEFT_OUT, RESTORE, Dispatch, EventAction, Lane, Listener, Stage
 
 __all__ = [
-    "Action",
+    "EventAction",
     "AT_ONCE",
     "compile_builder",
     "Completion",
     "Dispatcher",
-    "Event",
+    "Dispatch",
     "goal_lane",
     "Lane",
     "LEFT_OUT",

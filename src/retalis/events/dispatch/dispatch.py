@@ -9,13 +9,13 @@ from typing import Any, Callable, Collection, Dict, List, Optional, Tuple
 from weakref import WeakValueDictionary
 
 from ...foundation import Cache, UsageError
-from ...prolog.database import Goal
+from ...prolog.database import CompiledGoal
 from ...prolog.machine import Budget, PrologError, keep_back
 from ...prolog.terms import Atom, Functor, Lazy, Term, Var, copy, deref, is_ground, is_plain, term_key
 from .gates import Gate
 from .matching import Matcher, Values, compile_matcher
 from .plans import Choice, Onlookers, make_plan
-from .serving import AT_ONCE, LEFT_OUT, Action, Event, Frame, Lane, Listener, Stage, event_of
+from .serving import AT_ONCE, LEFT_OUT, Dispatch, EventAction, Frame, Lane, Listener, Stage, event_of
 
 _GATES = 1000
 """Functors with gates from which on it is looked which gates are still used."""
@@ -29,7 +29,7 @@ class Dispatcher:
         max_depth: how many events may be derived one from the other; the first of all is none of them.
 
     Attributes:
-        current: what is being served, or None: an `Event`, or what `event` makes one of where somebody asks:
+        current: what is being served, or None: an `Dispatch`, or what `event` makes one of where somebody asks:
             term, start and end of one, and what was being served before.
         lanes: for events of a functor that one listener only takes, all of them, what serves them faster.
         mark: makes the token of an event; tracking replaces it.
@@ -55,14 +55,14 @@ class Dispatcher:
         self._tokens = count(1)
         self.current: Any = None
         self.cause: Any = None
-        self.shortcuts: Dict[Functor, Callable[[Any, Action], Optional[Tuple[Action, Lane]]]] = {}
-        self.mark: Callable[[Event], Any] = lambda event: next(self._tokens)
+        self.shortcuts: Dict[Functor, Callable[[Any, EventAction], Optional[Tuple[EventAction, Lane]]]] = {}
+        self.mark: Callable[[Dispatch], Any] = lambda event: next(self._tokens)
 
     def listen(
         self,
         stage: Stage,
         pattern: Term,
-        action: Action,
+        action: EventAction,
         rank: Tuple[int, ...] = (),
         lane: Optional[Lane] = None,
         looks_on: bool = False,
@@ -196,7 +196,7 @@ class Dispatcher:
             current = self.current
             if current.__class__ is tuple and current[3] is not None:
                 current = self.event()
-            if current.__class__ is Event and current.depth >= self._deepest:
+            if current.__class__ is Dispatch and current.depth >= self._deepest:
                 raise self._too_deep()
             self.current = (term, start, end, current)
             for matcher, action in plan:
@@ -205,7 +205,7 @@ class Dispatcher:
                     action(term, values, start, end, after)
             self.current = current
             return after
-        event = Event()
+        event = Dispatch()
         event.dispatcher = self
         event.steps = steps = iter(plan)
         event.term = term
@@ -227,7 +227,7 @@ class Dispatcher:
                 self._refuse_past_limits()
             return frame
         self.current = event
-        for matcher, action in steps:  # as `Event.run`
+        for matcher, action in steps:  # as `Dispatch.run`
             values = matcher(term)
             if values is not None:
                 next_frame = action(term, values, start, end, frame)
@@ -251,7 +251,7 @@ class Dispatcher:
         """Tell whether just one listens to events of this functor, where there is any."""
         return len(self._listeners[functor]) == 1 and None not in self._listeners
 
-    def left_out(self, functor: Functor) -> Optional[Event]:
+    def left_out(self, functor: Functor) -> Optional[Dispatch]:
         """Return what is to be current in place of an event that need not be made; None where it has to be.
 
         It need not where just one listens to it, and may do at once what there is to do.
@@ -264,7 +264,7 @@ class Dispatcher:
 
     def call(
         self,
-        goal: Goal,
+        goal: CompiledGoal,
         values: Values,
         then: Callable[[Values], Frame],
         otherwise: Frame,
@@ -312,7 +312,7 @@ class Dispatcher:
         finally:
             self.current, self.cause = current, cause
 
-    def event(self) -> Optional[Event]:
+    def event(self) -> Optional[Dispatch]:
         """Return the event that is being served, or None."""
         current = self.current
         if current.__class__ is not tuple:
@@ -320,7 +320,7 @@ class Dispatcher:
         made = self.current = self._made(*current)
         return made
 
-    def _made(self, term: Term, start: int, end: int, before: Any) -> Event:
+    def _made(self, term: Term, start: int, end: int, before: Any) -> Dispatch:
         """Return the event of its parts, and of what was served when it came."""
         parent = self._made(*before) if before.__class__ is tuple else before
         event = event_of(self, term, start, end, 1 if parent is None else parent.depth + 1)

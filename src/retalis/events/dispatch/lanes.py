@@ -6,7 +6,7 @@ from ...foundation import shared_function
 from ...prolog.terms import undo
 from .gates import Gate
 from .plans import NOBODY
-from .serving import Action, Lane
+from .serving import EventAction, Lane
 
 OPEN = Gate((), None)
 
@@ -20,7 +20,7 @@ class Completion(NamedTuple):
         gate: that of the event that the action makes: where nobody wants it, the action has nothing to do.
     """
 
-    action: Action
+    action: EventAction
     lane: Optional[Lane] = None
     gate: Gate = OPEN
 

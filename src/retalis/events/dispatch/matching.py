@@ -40,7 +40,7 @@ def compile_matcher(pattern: Term) -> Matcher:
     if is_larger(pattern, LARGEST):
         order = variables(pattern)
         return lambda term: unify_pattern(pattern, order, term)
-    return _Compiler(pattern).matcher()
+    return _MatcherWriter(pattern).matcher()
 
 
 def _whole(term: Term) -> Optional[Values]:
@@ -51,7 +51,7 @@ def _nothing(term: Term) -> Optional[Values]:
     return ()
 
 
-class _Compiler:
+class _MatcherWriter:
     """Writes the source of one matcher."""
 
     def __init__(self, pattern: Term):

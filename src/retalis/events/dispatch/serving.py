@@ -7,7 +7,7 @@ from ...prolog.terms import TRUE, Functor, Term
 from .matching import Matcher, Values
 
 Frame = Any
-Action = Callable[[Term, Values, int, int, Frame], Frame]
+EventAction = Callable[[Term, Values, int, int, Frame], Frame]
 """Takes the event, the values of the pattern's variables, start, end and the next frame; gives a frame."""
 Lane = Callable[[Term, int, int], bool]
 """Takes an event without variables that follows from no other, start and end; tells whether it has been served."""
@@ -35,7 +35,7 @@ class Listener:
         pattern: Term,
         functor: Optional[Functor],
         matcher: Matcher,
-        action: Action,
+        action: EventAction,
         lane: Optional[Lane],
         looks_on: bool,
     ):
@@ -52,7 +52,7 @@ AT_ONCE = 5
 """To this depth derived events are served inside the call that makes them; deeper ones by the machine's loop."""
 
 
-class Event:
+class Dispatch:
     """The dispatch of one event; as ``code`` of a frame it serves the listeners that are left.
 
     Attributes:
@@ -69,7 +69,7 @@ class Event:
     term: Term
     start: int
     end: int
-    parent: Optional["Event"]
+    parent: Optional["Dispatch"]
     depth: int
     token: Any
     cause: Any
@@ -92,9 +92,9 @@ class Event:
         return frame[1]
 
 
-def event_of(dispatcher: Any, term: Term, start: int, end: int, depth: int) -> Event:
+def event_of(dispatcher: Any, term: Term, start: int, end: int, depth: int) -> Dispatch:
     """Return an event without variables whose listeners have been served, or are by others."""
-    event = Event()
+    event = Dispatch()
     event.dispatcher = dispatcher
     event.steps = iter(())
     event.term, event.start, event.end = term, start, end
@@ -108,7 +108,7 @@ LEFT_OUT = [event_of(None, TRUE, 0, 0, depth) for depth in range(1, AT_ONCE + 1)
 """What is current in place of events that are not made, by the depth of what they follow from: at 0 of nothing."""
 
 
-class _Restore:
+class _RestoreEvent:
     """Code of a frame that gives the dispatcher's ``current`` or ``cause`` back what it was before."""
 
     @staticmethod
@@ -118,4 +118,4 @@ class _Restore:
         return after
 
 
-RESTORE = _Restore()
+RESTORE = _RestoreEvent()

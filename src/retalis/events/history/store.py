@@ -19,7 +19,7 @@ _PERSISTENT = functor("persistent_event", 1)
 _SHOWN = tuple(functor(name, 1) for name in ("external_trigger", "print_trigger", "spy_event"))
 
 
-class Watched(Predicate):
+class EventList(Predicate):
     """A predicate whose facts name events: as soon as it has one, all events are looked at."""
 
     def __init__(self, rules: Any, key: Functor):
@@ -67,7 +67,7 @@ class Store:
     def define(self) -> None:
         """Have the facts that name events be noticed."""
         for key in (_PERSISTENT, *_SHOWN):
-            self._rules.logic.database.predicates[key] = Watched(self._rules, key)
+            self._rules.logic.database.predicates[key] = EventList(self._rules, key)
 
     def watch(self) -> None:
         """Write and log the events that facts of the program name, from now on."""

@@ -5,7 +5,7 @@ from itertools import count
 from typing import Any, Deque, Dict, Iterator, List, Optional, Tuple
 
 from ...prolog.terms import Term, Var, functor, term_key
-from ..dispatch import Event, Listener, Stage
+from ..dispatch import Dispatch, Listener, Stage
 from ..matches import Frame, Held, Match, Run, leaves, sources, taken_back
 
 KEPT = 100_000
@@ -201,7 +201,7 @@ class Tracker:
 
     # ---- remembering ---------------------------------------------------------------------------------
 
-    def _mark(self, event: Event) -> Occurrence:
+    def _mark(self, event: Dispatch) -> Occurrence:
         """Return the token of an event that has none: one from outside, or made by a goal."""
         rule, match = event.cause or (None, None)
         occurrence = Occurrence(event.term, event.start, event.end, rule, match)
@@ -244,7 +244,7 @@ class Tracker:
             held = occurrence.held
             held.append(match)
             if len(held) > 64 and len(held) & (len(held) - 1) == 0:
-                occurrence.held = [one for one in held if one.__class__ is tuple or one.place is not None]
+                occurrence.held = [one for one in held if one.__class__ is tuple or one.buffer is not None]
 
     def hold_repetition(self, run: Run, match: Match, node: Any) -> None:
         """Remember that a run was extended by a match."""

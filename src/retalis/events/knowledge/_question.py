@@ -3,7 +3,7 @@
 from typing import Any, Callable, NamedTuple, Optional, Sequence, Tuple
 
 from ...foundation import Place, UsageError
-from ...prolog.database import Goal
+from ...prolog.database import CompiledGoal
 from ...prolog.logic import Logic
 from ...prolog.machine import PrologError, keep_back
 from ...prolog.terms import TRUE, Term, Var, deref, functor, variables
@@ -46,7 +46,7 @@ class Question:
     def __init__(
         self,
         around: Surroundings,
-        goal: Optional[Goal],
+        goal: Optional[CompiledGoal],
         inputs: Tuple[int, ...],
         build: Callable[[Values], Term],
         unsolved: Callable[[Values], Term],

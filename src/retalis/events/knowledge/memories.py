@@ -28,7 +28,7 @@ from .recorder import UPDATED, Instance, Recorder
 CREATED: Functor = functor("memory_created", 5)
 DELETED: Functor = functor("memory_deleted", 1)
 
-Found = Tuple[Term, int, int]
+FoundRecord = Tuple[Term, int, int]
 """A record with its interval."""
 
 
@@ -182,7 +182,7 @@ def define_read_access(logic: Logic, memories: Memories) -> None:
     """Define the deterministic predicates that read memories."""
     known, to_term = memories.instances.get, timestamps.to_term
 
-    def prev(name: Term, at: Term) -> Optional[Found]:
+    def prev(name: Term, at: Term) -> Optional[FoundRecord]:
         instance = known(name) if name.__class__ is Atom else memories.find(name)
         if instance is None:
             return None
@@ -190,7 +190,7 @@ def define_read_access(logic: Logic, memories: Memories) -> None:
         found = instance.memory.at_or_before(at.source if is_new else instant_of(at))
         return found if not instance.open or found is None else _fresh(found)
 
-    def next_inf(name: Term, at: Term) -> Optional[Found]:
+    def next_inf(name: Term, at: Term) -> Optional[FoundRecord]:
         instance = known(name) if name.__class__ is Atom else memories.find(name)
         if instance is None:
             return None
@@ -198,7 +198,7 @@ def define_read_access(logic: Logic, memories: Memories) -> None:
         found = instance.memory.at_or_after(at.source if is_new else instant_of(at))
         return found if not instance.open or found is None else _fresh(found)
 
-    def following(name: Term, low: Term, high: Term) -> Optional[Found]:
+    def following(name: Term, low: Term, high: Term) -> Optional[FoundRecord]:
         if memories.find(name) is None:
             return None
         found, last = next_inf(name, low), instant_of(high)
@@ -216,7 +216,7 @@ def define_read_access(logic: Logic, memories: Memories) -> None:
         logic.define_function(key.name, key.arity, function, record_and_interval, shows)
 
 
-def _fresh(found: Found) -> Found:
+def _fresh(found: FoundRecord) -> FoundRecord:
     """Return a record with variables of the reader's own."""
     return copy(found[0]), found[1], found[2]
 

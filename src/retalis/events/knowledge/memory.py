@@ -5,7 +5,7 @@ from typing import Iterator, List, Optional, Tuple
 
 from ...prolog.terms import Term
 
-Record = Tuple[Term, int, int]
+MemoryRecord = Tuple[Term, int, int]
 """What a memory keeps of an event: the record and the event's interval, start and end as instants."""
 
 
@@ -33,16 +33,16 @@ class Memory:
         self.room = size + size // 4 + 16
         self.late = 0
         self._gone = 0
-        self._next: Optional[Tuple[int, List[int], List[Record]]] = None
+        self._next: Optional[Tuple[int, List[int], List[MemoryRecord]]] = None
         """What it is becoming, where that takes several steps: an interrupt may come between them."""
         self.ends: List[int] = []
-        self.records: List[Record] = []
+        self.records: List[MemoryRecord] = []
 
     def clear(self) -> None:
         """Forget all records; the counts stay."""
         self._become(self._gone + len(self.ends), [], [])
 
-    def _become(self, gone: int, ends: List[int], records: List[Record]) -> None:
+    def _become(self, gone: int, ends: List[int], records: List[MemoryRecord]) -> None:
         self._next = gone, ends, records
         self._gone, self.ends, self.records = gone, ends, records
         self._next = None
@@ -66,7 +66,7 @@ class Memory:
         """The newest end of all events taken, None before the first."""
         return self.ends[-1] if self.ends else None
 
-    def add(self, record: Record) -> bool:
+    def add(self, record: MemoryRecord) -> bool:
         """Take a record; returns False where it is older than all records of a full memory."""
         ends = self.ends
         end = int(record[2])
@@ -78,7 +78,7 @@ class Memory:
             self.cut()
         return True
 
-    def _insert(self, record: Record, end: int) -> bool:
+    def _insert(self, record: MemoryRecord, end: int) -> bool:
         ends, records = self.ends, self.records
         at = bisect_right(ends, end)
         if self.size and at <= len(ends) - self.size:
@@ -93,7 +93,7 @@ class Memory:
         first = max(0, len(self.ends) - max(self.size, 1))
         self._become(self._gone + first, self.ends[first:], self.records[first:])
 
-    def at_or_before(self, instant: int) -> Optional[Record]:
+    def at_or_before(self, instant: int) -> Optional[MemoryRecord]:
         """Return the last record whose end is not after ``instant``."""
         ends = self.ends
         at = bisect_right(ends, instant) - 1
@@ -101,7 +101,7 @@ class Memory:
             return None
         return self.records[at]
 
-    def at_or_after(self, instant: int) -> Optional[Record]:
+    def at_or_after(self, instant: int) -> Optional[MemoryRecord]:
         """Return the first record whose end is not before ``instant``."""
         ends = self.ends
         held = len(ends)
@@ -109,7 +109,7 @@ class Memory:
         at = bisect_left(ends, instant) if first <= 0 else bisect_left(ends, instant, first)
         return self.records[at] if at < held else None
 
-    def newest_first(self) -> Iterator[Record]:
+    def newest_first(self) -> Iterator[MemoryRecord]:
         """Yield the records there are at this moment, newest first."""
         records = self.records
         for at in range(len(records) - 1, max(0, len(records) - self.size) - 1, -1):

@@ -6,7 +6,7 @@ from typing import Any, Callable, Dict, Iterator, List, Tuple
 from ...prolog.terms import Term, Var, deref, functor, is_ground
 from ..dispatch import NOBODY, Dispatcher, Stage
 from ._recording import Recording
-from .memory import Memory, Record
+from .memory import Memory, MemoryRecord
 
 UPDATED = functor("memory_updated", 2)
 
@@ -157,7 +157,7 @@ class Recorder:
         """Go on with the memories that are left."""
         return self._record(*frame[1:])
 
-    def _record(self, record: Record, opens: bool, instances: Iterator[Instance], after: Any) -> Any:
+    def _record(self, record: MemoryRecord, opens: bool, instances: Iterator[Instance], after: Any) -> Any:
         end = int(record[2])
         telling = self._updates.plan is not NOBODY
         for instance in instances:

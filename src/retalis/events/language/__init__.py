@@ -1,13 +1,13 @@
 """The language of event rules: operators and patterns, read from terms and checked."""
 
 from .alarms import ALARMS, alarm_of, is_absolute
-from .calls import Call, Unknown, called_by, calls, unknown_calls
+from .calls import Subgoal, Unknown, called_by, calls, unknown_calls
 from .collecting import check_aggregate
-from .definition import Definition
+from .definition import RuleDefinition
 from .heads import SYNCHRONIZED, check_head
 from .labels import RULE, Property, is_rule, label_error, labelled
 from .occurrences import occurrences
-from .operators import OPERATORS, Operator
+from .operators import OPERATORS, PatternOperator
 from .pattern import (
     Absent,
     Action,
@@ -26,7 +26,7 @@ from .pattern import (
     surely_bound_by,
     walk,
 )
-from .reading import ARROWS, SPELLINGS, Reader, Spot
+from .reading import ARROWS, SPELLINGS, PatternReader, Spot
 
 __all__ = [
     "Absent",
@@ -36,14 +36,14 @@ __all__ = [
     "ALARMS",
     "ARROWS",
     "bound_by",
-    "Call",
+    "Subgoal",
     "called_by",
     "calls",
     "check_aggregate",
     "check_head",
     "children",
     "Condition",
-    "Definition",
+    "RuleDefinition",
     "Either",
     "is_absolute",
     "is_rule",
@@ -51,13 +51,13 @@ __all__ = [
     "labelled",
     "occurrences",
     "Occurs",
-    "Operator",
+    "PatternOperator",
     "OPERATORS",
     "own_terms",
     "Pair",
     "Pattern",
     "Property",
-    "Reader",
+    "PatternReader",
     "Repeated",
     "RULE",
     "SPELLINGS",

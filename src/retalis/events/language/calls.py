@@ -38,7 +38,7 @@ _MOST_HINTS = 50
 """Unknown predicates of one program for which known ones of nearly the same name are looked for among all."""
 
 
-class Call(NamedTuple):
+class Subgoal(NamedTuple):
     """A goal inside a goal, and where it stands: in which term, as which argument."""
 
     term: Term
@@ -46,27 +46,27 @@ class Call(NamedTuple):
     number: int
 
 
-def calls(parent: Term, number: int) -> Iterator[Call]:
+def calls(parent: Term, number: int) -> Iterator[Subgoal]:
     """Yield what a goal, an argument of a term, calls: itself, or what its control constructs call."""
-    stack = [Call(deref(parent[number]), parent, number)]  # type: ignore[index]
+    stack = [Subgoal(deref(parent[number]), parent, number)]  # type: ignore[index]
     while stack:
         call = stack.pop()
         places = _GOALS_IN.get(call.term[0]) if call.term.__class__ is tuple else None
         if places is None:
             yield call
         else:
-            stack += [Call(deref(call.term[at]), call.term, at) for at in reversed(places)]
+            stack += [Subgoal(deref(call.term[at]), call.term, at) for at in reversed(places)]
 
 
-def asking_interval(parent: Term, number: int) -> List[Call]:
+def asking_interval(parent: Term, number: int) -> List[Subgoal]:
     """Return the calls of ``t1/1`` and ``t2/1`` without which a goal, an argument of a term, has no solution."""
-    found: List[Call] = []
-    stack = [Call(deref(parent[number]), parent, number)]  # type: ignore[index]
+    found: List[Subgoal] = []
+    stack = [Subgoal(deref(parent[number]), parent, number)]  # type: ignore[index]
     while stack:
         call = stack.pop()
         term = call.term
         if term.__class__ is tuple and term[0] in _FOR_GOALS:
-            stack += [Call(deref(term[at]), term, at) for at in range(len(term) - 1, 0, -1)]
+            stack += [Subgoal(deref(term[at]), term, at) for at in range(len(term) - 1, 0, -1)]
         elif term.__class__ is tuple and term[0] in _INTERVAL:
             found.append(call)
     return found

@@ -8,7 +8,7 @@ from ...prolog.terms import Term, Var
 from .pattern import same_rule_key
 
 
-class Definition(NamedTuple):
+class RuleDefinition(NamedTuple):
     """What a rule says.
 
     Attributes:

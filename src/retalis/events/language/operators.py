@@ -7,7 +7,7 @@ the code that is compiled for each node, and into that which says where in time 
 from typing import Dict, NamedTuple, Tuple
 
 
-class Operator(NamedTuple):
+class PatternOperator(NamedTuple):
     """A two-sided operator.
 
     Attributes:
@@ -37,17 +37,17 @@ class Operator(NamedTuple):
 
 _LOW, _HIGH = "s1 if s1 <= s2 else s2", "e1 if e1 >= e2 else e2"
 
-OPERATORS: Dict[str, Operator] = {
+OPERATORS: Dict[str, PatternOperator] = {
     operator.name: operator
     for operator in (
-        Operator("seq", ("e1 < s2",), "s1", "e2", either=False, alone=False),
-        Operator("forall_seq", ("e1 < s2",), "s1", "e2", either=False, alone=False, everything=True),
-        Operator("and", (), _LOW, _HIGH),
-        Operator("par", ("s1 < e2", "s2 < e1", "s1 < e1", "s2 < e2"), _LOW, _HIGH),
-        Operator("equals", ("s1 == s2", "e1 == e2"), "s1", "e1"),
-        Operator("meets", ("e1 == s2",), "s1", "e2"),
-        Operator("during", ("s2 <= s1", "e1 <= e2"), "s2", "e2"),
-        Operator("starts", ("s1 == s2", "e1 < e2"), "s2", "e2", alone=False),
-        Operator("finishes", ("e1 == e2", "s2 < s1"), "s2", "e2", alone=False),
+        PatternOperator("seq", ("e1 < s2",), "s1", "e2", either=False, alone=False),
+        PatternOperator("forall_seq", ("e1 < s2",), "s1", "e2", either=False, alone=False, everything=True),
+        PatternOperator("and", (), _LOW, _HIGH),
+        PatternOperator("par", ("s1 < e2", "s2 < e1", "s1 < e1", "s2 < e2"), _LOW, _HIGH),
+        PatternOperator("equals", ("s1 == s2", "e1 == e2"), "s1", "e1"),
+        PatternOperator("meets", ("e1 == s2",), "s1", "e2"),
+        PatternOperator("during", ("s2 <= s1", "e1 <= e2"), "s2", "e2"),
+        PatternOperator("starts", ("s1 == s2", "e1 < e2"), "s2", "e2", alone=False),
+        PatternOperator("finishes", ("e1 == e2", "s2 < s1"), "s2", "e2", alone=False),
     )
 }

@@ -4,7 +4,7 @@ from typing import Any, Callable, Dict, FrozenSet, List, Optional, Tuple
 
 from ...foundation import Place, RuleError
 from ...prolog.terms import Atom, String, Term, Var, deref, from_seconds, functor
-from .calls import Call, asking_interval, calls
+from .calls import Subgoal, asking_interval, calls
 from .meant import doubt
 from .operators import OPERATORS
 from .pattern import (
@@ -66,7 +66,7 @@ _NOT_INSIDE = (
 )
 
 
-class Reader:
+class PatternReader:
     """Turns the body of one rule into a pattern.
 
     Args:
@@ -89,8 +89,8 @@ class Reader:
         self._warn = warn
         self._anonymous = anonymous
         self.inner: List[Term] = []
-        self.goals: List[Call] = []
-        self.untimed: List[Call] = []
+        self.goals: List[Subgoal] = []
+        self.untimed: List[Subgoal] = []
         self.aggregates: List[Tuple[Aggregate, Term]] = []
 
     def read(self, parent: Term, number: int) -> Any:

@@ -16,11 +16,11 @@ from .matches import (
     taken_back,
     unify_sides,
 )
-from .places import Place, key_function, surely_same
+from .places import MatchBuffer, key_function, surely_same
 from .policy import (
     Emit,
     Frame,
-    Mode,
+    NetworkOptions,
     Policy,
     Side,
     emit_each,
@@ -58,12 +58,12 @@ __all__ = [
     "leaves",
     "Log",
     "Match",
-    "Mode",
+    "NetworkOptions",
     "Moving",
     "Named",
     "NO_ITEMS",
     "pieces_of",
-    "Place",
+    "MatchBuffer",
     "Policy",
     "reach_of",
     "repetitions",

@@ -5,8 +5,8 @@ from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 from ...prolog.terms import Term
 from .matches import Match, unify_sides
-from .places import Place, surely_same
-from .policy import Frame, Mode
+from .places import MatchBuffer, surely_same
+from .policy import Frame, NetworkOptions
 from .reach import BEFORE, BETWEEN
 
 Values = Tuple[Term, ...]
@@ -32,7 +32,7 @@ class _Border:
         start, end = match.start, match.end
         at = bisect_left(starts, start)
         while at < len(ends) and ends[at] <= end:
-            if matches[at].place is not None:
+            if matches[at].buffer is not None:
                 return False
             del starts[at], ends[at], matches[at]
         last = at + 1 if at < len(starts) and starts[at] == start else at
@@ -51,7 +51,7 @@ class _Border:
         """Return a match that lies between two instants, or None."""
         at = bisect_right(self.starts, after)
         while at < len(self.ends) and self.ends[at] < before:
-            if self.matches[at].place is not None:
+            if self.matches[at].buffer is not None:
                 return self.matches[at]
             del self.starts[at], self.ends[at], self.matches[at]  # it has left: too old, or one too many
         return None
@@ -81,32 +81,32 @@ class Absence:
         self.ever = ever
         self.condition: Optional[Callable[[Values, Match], bool]] = None
         self.carried: List[Tuple[Absence, Any]] = []
-        self.place = Place(rule, tuple(one for one, _ in self.shared))
-        self.place.reach = BEFORE if ever else BETWEEN
-        self.asked = Place(rule, tuple(two for _, two in self.shared))
+        self.buffer = MatchBuffer(rule, tuple(one for one, _ in self.shared))
+        self.buffer.reach = BEFORE if ever else BETWEEN
+        self.asked = MatchBuffer(rule, tuple(two for _, two in self.shared))
         self._borders: Dict[Any, _Border] = {}
-        self.place.on_mend = self._forget_borders
+        self.buffer.on_mend = self._forget_borders
 
     def _forget_borders(self) -> None:
         """Have the borders made anew when they are asked for."""
         self._borders = {}
 
-    def bind(self, negated: Any, mode: Mode) -> None:
+    def bind(self, negated: Any, mode: NetworkOptions) -> None:
         """Take what a node finds, and have the absences among the conditions take theirs."""
         negated.bind(self.arrive, mode)
         for absence, node in self.carried:
             absence.bind(node, mode)
 
-    def places(self) -> List[Place]:
+    def buffers(self) -> List[MatchBuffer]:
         """Return where negated matches wait, its own and those among its conditions."""
-        return [self.place, *(place for absence, _ in self.carried for place in absence.places())]
+        return [self.buffer, *(buffer for absence, _ in self.carried for buffer in absence.buffers())]
 
     def arrive(self, match: Match, after: Frame) -> Frame:
         """Keep a negated match, unless others are in the way of all that it could be in the way of."""
-        key = self.place.key_of(match)
+        key = self.buffer.key_of(match)
         if key is not None and self._has_borders() and not self._needed(key, match):
             return after
-        self.place.add(match, key)
+        self.buffer.add(match, key)
         return after
 
     def _has_borders(self) -> bool:
@@ -114,7 +114,7 @@ class Absence:
         return self.condition is None and not self.rule.network.mode.tracked
 
     def _needed(self, key: Any, match: Match) -> bool:
-        waiting = self.place.newest.get(key)
+        waiting = self.buffer.newest.get(key)
         if self.ever:
             if waiting is None:
                 return True
@@ -126,29 +126,29 @@ class Absence:
         border = self._borders.get(key)
         if border is None or waiting is None:
             border = self._borders[key] = _Border()
-            for other in self.place.with_key(key):
+            for other in self.buffer.with_key(key):
                 border.takes(other)
             self._drop_empty_borders()
         return border.takes(match)
 
     def _drop_empty_borders(self) -> None:
         """Forget keys under which nothing waits any more, and that nobody has asked for since, when they are many."""
-        newest = self.place.newest
+        newest = self.buffer.newest
         if len(self._borders) > 2 * len(newest) + _SPARE:
             self._borders = {key: border for key, border in self._borders.items() if key in newest}
 
     def blocks(self, values: Values, after: int, before: int) -> bool:
         """Tell whether a negated match lies between two instants."""
-        place = self.place
-        if not place.newest:
+        buffer = self.buffer
+        if not buffer.newest:
             self._borders.clear()
             return False
         try:
             key = self.asked.key(values)
         except ValueError:
             key = None
-        if key is not None and not self.ever and None not in place.newest and self._has_borders():
-            if key not in place.newest:
+        if key is not None and not self.ever and None not in buffer.newest and self._has_borders():
+            if key not in buffer.newest:
                 self._borders.pop(key, None)
                 return False
             border = self._borders.get(key)
@@ -160,7 +160,7 @@ class Absence:
         """Look at all negated matches that may share the values."""
         asked = Match(values, after, before, None, None, ())
         condition = self.condition
-        for match in self.place.partners(key, after, before, False):
+        for match in self.buffer.partners(key, after, before, False):
             if match.end < before and (self.ever or after < match.start):
                 met, of = match, values
                 if not surely_same(key, match):

@@ -39,8 +39,8 @@ class Expiries:
         else:
             heapq.heappush(self._heap, (instant, match.order, match))
         if len(self) > 2 * waiting + _SPARE:
-            self._queue = deque(entry for entry in queue if entry[1].place is not None)
-            self._heap = [entry for entry in self._heap if entry[2].place is not None]
+            self._queue = deque(entry for entry in queue if entry[1].buffer is not None)
+            self._heap = [entry for entry in self._heap if entry[2].buffer is not None]
             heapq.heapify(self._heap)
 
     def expire(self, clock: int) -> None:
@@ -60,4 +60,4 @@ class Expiries:
             found.append(queue.popleft()[1])
         while heap and heap[0][0] < clock:
             found.append(heapq.heappop(heap)[2])
-        return [match for match in found if match.place is not None]
+        return [match for match in found if match.buffer is not None]

@@ -17,7 +17,7 @@ class Match:
         event: the token of the event, where the match is of one single event; else None.
         term: the event, where it is the match of an event pattern.
         parts: what else it was put together from: matches, `Held` and `Found`, and the number of a branch.
-        place: where it waits; None while it does not wait (any more).
+        buffer: where it waits; None while it does not wait (any more).
         key: under which key it waits there.
         older: the one that began to wait under the key before it; that of the oldest is the newest.
         newer: the one that began to wait there after it.
@@ -33,7 +33,7 @@ class Match:
         "event",
         "term",
         "parts",
-        "place",
+        "buffer",
         "key",
         "older",
         "newer",
@@ -55,7 +55,7 @@ class Match:
         self.event = event
         self.term = term
         self.parts = parts
-        self.place: Any = None
+        self.buffer: Any = None
         self.used: Optional[Match] = None
 
     @property
@@ -68,8 +68,8 @@ class Match:
 
     def leave(self) -> None:
         """Take the match out of where it waits, if it does."""
-        if self.place is not None:
-            self.place.remove(self)
+        if self.buffer is not None:
+            self.buffer.remove(self)
 
 
 class Held:

@@ -6,15 +6,15 @@ from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Set,
 from ...prolog.terms import Atom, String, freeze
 from .matches import Match, Values
 from .reach import Reach
-from .timeindex import LEAST, MOST, Limits, TimeIndex
+from .timeindex import LEAST, MOST, TimeBounds, TimeIndex
 
 _FEW, _FEWER = 32, 4
 """How many matches at the wrong time are passed over before an index is made; before one that there is is used."""
-_ANY: Limits = (LEAST, MOST, LEAST, MOST)
+_ANY: TimeBounds = (LEAST, MOST, LEAST, MOST)
 _PLAIN = frozenset((Atom, int, String))
 
 
-class Place:
+class MatchBuffer:
     """Where the matches of one operand wait for partners, found by the values of the variables they share.
 
     Those with the same key are a ring in order of arrival: each knows the next older one, and the oldest the newest.
@@ -54,7 +54,7 @@ class Place:
             older = self.namesake(match, key)
             if older is not None:
                 self.remove(older)
-        match.place = self
+        match.buffer = self
         match.key = key
         newest = self.newest
         last = newest.setdefault(key, match)
@@ -73,7 +73,7 @@ class Place:
 
     def remove(self, match: Match) -> None:
         """Take a match out that waits here."""
-        match.place = None
+        match.buffer = None
         self.rule.waiting -= 1
         key = match.key
         older, newer = match.older, match.newer
@@ -98,7 +98,7 @@ class Place:
         """Link anew what waits, whatever an interrupt has left half linked; return it, oldest first."""
         found = []
         for key, last in list(self.newest.items()):
-            waiting = sorted((one for one in _linked(last) if one.place is self), key=_order)
+            waiting = sorted((one for one in _linked(last) if one.buffer is self), key=_order)
             if not waiting:
                 del self.newest[key]
                 continue
@@ -181,7 +181,7 @@ class Place:
                 return (last,)
         return list(self.partners(key, start, end, False))
 
-    def _within(self, key: Any, limits: Limits, newest: bool) -> Iterator[Match]:
+    def _within(self, key: Any, limits: TimeBounds, newest: bool) -> Iterator[Match]:
         """Yield those under a key that start and end within limits."""
         last = self.newest.get(key)
         if last is None:
@@ -199,7 +199,7 @@ class Place:
             if least_start <= match.start <= most_start and least_end <= match.end <= most_end:
                 misses -= 1
                 yield match
-                if step.place is not self:
+                if step.buffer is not self:
                     behind = self._behind(key, order, newest)
                     if behind is None:
                         return
@@ -210,7 +210,7 @@ class Place:
         for match in self._index(key).search(limits, newest, order):
             if match.order > final:
                 return
-            if match.place is self:
+            if match.buffer is self:
                 yield match
 
     def _index(self, key: Any) -> TimeIndex:
@@ -257,8 +257,8 @@ def _order(match: Match) -> int:
 
 
 def surely_same(key: Any, partner: Match) -> bool:
-    """Tell whether the shared values of one of `Place.partners` are those of the key that it was found by."""
-    return key is not None and partner.place is not None and partner.key is not None
+    """Tell whether the shared values of one of `MatchBuffer.partners` are those of the key that it was found by."""
+    return key is not None and partner.buffer is not None and partner.key is not None
 
 
 def key_function(positions: Tuple[int, ...]) -> Callable[[Values], Any]:

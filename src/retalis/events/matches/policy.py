@@ -4,7 +4,7 @@ from enum import Enum
 from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Tuple
 
 from .matches import Match, unify_sides
-from .places import Place, surely_same
+from .places import MatchBuffer, surely_same
 
 Frame = Any
 Emit = Callable[[Match, Frame], Frame]
@@ -42,7 +42,7 @@ class Policy(Enum):
         return self is Policy.RECENT
 
 
-class Mode(NamedTuple):
+class NetworkOptions(NamedTuple):
     """How the network runs: set by flags, the same for all rules."""
 
     policy: Policy = Policy.RECENT
@@ -65,8 +65,8 @@ class Side(NamedTuple):
         wait: lets a match wait, where that is not to be at once.
     """
 
-    own: Place
-    other: Place
+    own: MatchBuffer
+    other: MatchBuffer
     join: Join
     shared: Tuple[Tuple[int, int], ...]
     left: bool
@@ -119,7 +119,7 @@ def taking_one(
         if last is not None:
             partner = last if newest else last.newer
             result = join(match, partner)
-            if result is not None and partner.place is not None:
+            if result is not None and partner.buffer is not None:
                 return matched(match, key, partner, result, after)
             if last.older is not last:
                 others = other.partners(key, match.start, match.end, newest)
@@ -131,7 +131,7 @@ def taking_one(
     def among(match: Match, key: Any, partners: Iterator[Match], after: Frame) -> Frame:
         for partner in partners:
             result = join_any(side, match, key, partner)
-            if result is not None and partner.place is not None:
+            if result is not None and partner.buffer is not None:
                 return matched(match, key, partner, result, after)
         if waits:
             wait(match, key)
@@ -154,7 +154,7 @@ def taking_one(
     return arrive
 
 
-def _waiting_after_completion(arrive: Emit, own: Place, completed: Dict[Any, None]) -> Emit:
+def _waiting_after_completion(arrive: Emit, own: MatchBuffer, completed: Dict[Any, None]) -> Emit:
     """Have a single event that has completed as the right side only wait as the left one."""
 
     def as_left(match: Match, after: Frame) -> Frame:
@@ -182,12 +182,12 @@ def taking_all(side: Side, emit: Emit) -> Emit:
             return after
         if len(partners) == 1:
             partner = partners[0]
-            result = None if partner.place is None else join_any(side, match, key, partner)
+            result = None if partner.buffer is None else join_any(side, match, key, partner)
             return after if result is None else emit(result, after)
         results = (
             result
             for partner in partners
-            if partner.place is not None
+            if partner.buffer is not None
             for result in (join_any(side, match, key, partner),)
             if result is not None
         )
@@ -206,7 +206,7 @@ def taking_all_at_once(side: Side, uses: bool, emit: Emit) -> Emit:
         results: List[Match] = []
         for partner in other.partners_now(key, match.start, match.end):
             result = join_any(side, match, key, partner)
-            if result is not None and partner.place is not None:
+            if result is not None and partner.buffer is not None:
                 if uses:
                     other.remove(partner)
                 results.append(result)

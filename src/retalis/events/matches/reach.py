@@ -4,8 +4,8 @@ from functools import lru_cache
 from typing import Callable, Dict, List, NamedTuple, Optional, Tuple
 
 from ...foundation import shared_function
-from ..language import OPERATORS, Operator
-from .timeindex import LEAST, MOST, Limits
+from ..language import OPERATORS, PatternOperator
+from .timeindex import LEAST, MOST, TimeBounds
 
 _MIRRORED = {"<": ">", "<=": ">=", "==": "=="}
 
@@ -18,7 +18,7 @@ class Reach(NamedTuple):
         by_end: whether the end is limited more closely than the start.
     """
 
-    limits: Callable[[int, int], Limits]
+    limits: Callable[[int, int], TimeBounds]
     by_end: bool
 
 
@@ -52,7 +52,7 @@ def reach_of(name: str, span: Optional[int], left: bool) -> Optional[Reach]:
 
 
 def _bounds(
-    operator: Operator, span: Optional[int], mine: str
+    operator: PatternOperator, span: Optional[int], mine: str
 ) -> Tuple[Dict[str, List[str]], Dict[str, List[str]]]:
     """Return the lower and the upper bounds of a partner's start and end, as sources."""
     lower: Dict[str, List[str]] = {"s": [], "e": []}

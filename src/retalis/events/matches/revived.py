@@ -8,11 +8,11 @@ from collections import deque
 from typing import Any, Deque, List, Optional
 
 from .matches import Match, arrival, sources
-from .places import Place
+from .places import MatchBuffer
 from .policy import Emit, Frame, Join, Side, emit_each, join_any
 
 KEPT = 10_000
-"""How many second sides are kept in one place."""
+"""How many second sides are kept in one buffer."""
 
 
 def stands(match: Optional[Match]) -> bool:
@@ -21,17 +21,17 @@ def stands(match: Optional[Match]) -> bool:
 
 
 class Keeping:
-    """Keeps second sides in a place; with too many of them the oldest goes."""
+    """Keeps second sides in a buffer; with too many of them the oldest goes."""
 
-    def __init__(self, place: Place):
-        self.place = place
+    def __init__(self, buffer: MatchBuffer):
+        self.buffer = buffer
         self._kept: Deque[Match] = deque()
 
     def add(self, match: Match, key: Any) -> None:
-        """Keep one; see `Place.add`."""
-        self.place.add(match, key)
+        """Keep one; see `MatchBuffer.add`."""
+        self.buffer.add(match, key)
         self._kept.append(match)
-        if len(self._kept) > min(KEPT, self.place.rule.network.cap // 2):
+        if len(self._kept) > min(KEPT, self.buffer.rule.network.cap // 2):
             self._kept.popleft().leave()
 
 

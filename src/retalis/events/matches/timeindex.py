@@ -11,7 +11,7 @@ from bisect import bisect_left, bisect_right, insort
 from contextlib import contextmanager
 from typing import Any, Iterable, Iterator, List, Optional, Tuple
 
-Limits = Tuple[int, int, int, int]
+TimeBounds = Tuple[int, int, int, int]
 """The least and the largest start, the least and the largest end; all of them inclusive."""
 
 LEAST, MOST = -(1 << 80), 1 << 80
@@ -20,7 +20,7 @@ LEAST, MOST = -(1 << 80), 1 << 80
 _FULL = 32
 
 
-class _Node:
+class _TreeNode:
     """A part of the tree.
 
     Attributes:
@@ -35,7 +35,7 @@ class _Node:
 
     __slots__ = ("keys", "kids", "low", "high", "oldest", "newest")
 
-    def __init__(self, keys: List[Any], kids: Optional[List["_Node"]]):
+    def __init__(self, keys: List[Any], kids: Optional[List["_TreeNode"]]):
         self.keys = keys
         self.kids = kids
         self._set_others()
@@ -56,7 +56,7 @@ class _Node:
             self.oldest = min(kid.oldest for kid in self.kids)
             self.newest = max(kid.newest for kid in self.kids)
 
-    def add(self, entry: Any) -> Optional["_Node"]:
+    def add(self, entry: Any) -> Optional["_TreeNode"]:
         """Add an entry; return the second half of the node where it has become too full."""
         _, other, order, _ = entry
         self.low, self.high = min(self.low, other), max(self.high, other)
@@ -72,10 +72,10 @@ class _Node:
                 kids.insert(at + 1, half)
         return self._halved() if len(keys) > _FULL else None
 
-    def _halved(self) -> "_Node":
+    def _halved(self) -> "_TreeNode":
         keys, kids = self.keys, self.kids
         middle = len(keys) // 2
-        half = _Node(keys[middle:], None if kids is None else kids[middle:])
+        half = _TreeNode(keys[middle:], None if kids is None else kids[middle:])
         del keys[middle:]
         if kids is not None:
             del kids[middle:]
@@ -123,10 +123,10 @@ class TimeIndex:
     def _build(self, entries: List[Any]) -> None:
         self.size = len(entries)
         half = _FULL // 2
-        nodes = [_Node(entries[at : at + half], None) for at in range(0, len(entries), half)]
+        nodes = [_TreeNode(entries[at : at + half], None) for at in range(0, len(entries), half)]
         while len(nodes) > 1:
             parts = [nodes[at : at + half] for at in range(0, len(nodes), half)]
-            nodes = [_Node([node.keys[0][:3] for node in part], part) for part in parts]
+            nodes = [_TreeNode([node.keys[0][:3] for node in part], part) for part in parts]
         self._root = nodes[0]
 
     def _entry(self, match: Any) -> Any:
@@ -141,7 +141,7 @@ class TimeIndex:
         root = self._root
         half = root.add(self._entry(match))
         if half is not None:
-            self._root = _Node([root.keys[0][:3], half.keys[0][:3]], [root, half])
+            self._root = _TreeNode([root.keys[0][:3], half.keys[0][:3]], [root, half])
 
     def remove(self, match: Any) -> None:
         """Remove a match that is there and not the last one."""
@@ -158,7 +158,7 @@ class TimeIndex:
         """Whether keeping it up to date since the last search has cost more than making it anew would."""
         return 2 * (self.changes - self.searched) > self.size
 
-    def search(self, limits: Limits, newest: bool, beyond: int) -> Iterator[Any]:
+    def search(self, limits: TimeBounds, newest: bool, beyond: int) -> Iterator[Any]:
         """Yield the matches within limits that are in it now, in order of arrival or against it.
 
         Others may come and go meanwhile; what is gone is not yielded any more.
@@ -180,7 +180,7 @@ class TimeIndex:
                 if self.changes != changes:
                     break
 
-    def _within(self, limits: Limits, newest: bool, beyond: int) -> Iterator[Any]:
+    def _within(self, limits: TimeBounds, newest: bool, beyond: int) -> Iterator[Any]:
         if self.by_end:
             low, high, least, most = limits
         else:
@@ -190,7 +190,7 @@ class TimeIndex:
         heap: List[Any] = [(0, self._root)]
         while heap:
             item = heapq.heappop(heap)[1]
-            if item.__class__ is not _Node:
+            if item.__class__ is not _TreeNode:
                 yield item
                 continue
             keys, kids = item.keys, item.kids

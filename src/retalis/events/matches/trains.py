@@ -32,7 +32,7 @@ class Token(Match):
     @property
     def latest(self) -> int:
         """Where it ends by now; see `Match.latest`."""
-        return self.end if self.place is None else self.place.end  # type: ignore[no-any-return]
+        return self.end if self.buffer is None else self.buffer.end  # type: ignore[no-any-return]
 
 
 class Train:
@@ -70,7 +70,7 @@ class Train:
         if number > len(self.tokens):
             return None
         token = self.tokens[number - 1]
-        return None if token is None or token.place is None else token
+        return None if token is None or token.buffer is None else token
 
     def present(self) -> Iterator[Tuple[int, Token]]:
         """Yield all of them with their numbers of repetitions, the longest first."""
@@ -90,7 +90,7 @@ class Train:
     def advance(self, match: Match, longest: int) -> Optional[Token]:
         """Have all take a repetition, and a sequence begin with it; return the one that has ``longest`` now."""
         tokens = self.tokens
-        while tokens and (tokens[-1] is None or tokens[-1].place is None):
+        while tokens and (tokens[-1] is None or tokens[-1].buffer is None):
             tokens.pop()
         token = Token(match, 0, self)
         self.log.items.append(match)
@@ -105,7 +105,7 @@ class Train:
         return oldest
 
     def _begin(self, token: Token) -> None:
-        token.place = self
+        token.buffer = self
         self.alive += 1
         rule = self.node.rule
         token.order = rule.order = rule.order + 1
@@ -118,7 +118,7 @@ class Train:
     def remove(self, token: Token) -> None:
         """Take a sequence out."""
         token.end = self.end
-        token.place = None
+        token.buffer = None
         self.alive -= 1
         self.node.rule.waiting -= 1
         if not self.alive:

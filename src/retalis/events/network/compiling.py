@@ -25,11 +25,11 @@ from ..language import (
     walk,
 )
 from .aggregates import Collector
-from .conditions import Call, Test, goal_test
+from .conditions import RuleGoal, Test, goal_test
 from .deferred import Deferred, Items, Negated, absence_of, deferred_test, early_test, ready_where
 from .joining import Joining
 from .limits import UNLIMITED, Limit
-from .nodes import Acting, Alternatives, Capture, Filter, Leaf, Never, Node, Trying
+from .nodes import Acting, Alternatives, Capture, Filter, Leaf, NetworkNode, Never, Trying
 from .repeating import Repeating
 from .runs import Running
 from .telling import Name, Telling
@@ -76,7 +76,7 @@ class _Wrapping(NamedTuple):
     absent: Any
 
 
-class Compiler:
+class RuleCompiler:
     """Builds the nodes of one rule.
 
     Args:
@@ -96,11 +96,11 @@ class Compiler:
         self.keep = _used_twice(head, pattern)
         self._counts = occurrences(head, pattern)
         self._telling = Telling(self.keep)
-        self.nodes: List[Tuple[Node, Optional[int], Limit]] = []
+        self.nodes: List[Tuple[NetworkNode, Optional[int], Limit]] = []
         self.twins: List[Tuple[Built, Built]] = []
         self._bound_by: Dict[int, Names] = {}
 
-    def build(self) -> Node:
+    def build(self) -> NetworkNode:
         """Return the root of the network."""
         built = self._build(self.pattern, frozenset(), UNLIMITED)
         if built.deferred:
@@ -111,7 +111,7 @@ class Compiler:
             for leaf, other in zip(built_again.leaves, first.leaves):
                 leaf.rank = other.rank
         node: Any = built.node
-        root: Node = node
+        root: NetworkNode = node
         while isinstance(node, (Acting, Filter)):
             node.windowed = True
             node = node.child
@@ -163,7 +163,7 @@ class Compiler:
         else:
             assert isinstance(core, Action)
             below = self._build(core.pattern, context, inner)
-            node = Acting(below.node, Call(self.rule, core.goal, below.node.vars), core.every, self.keep)
+            node = Acting(below.node, RuleGoal(self.rule, core.goal, below.node.vars), core.every, self.keep)
             built = below._replace(node=self._add(node, None, inner))
         return self._filtered(built, wrapping, context)
 
@@ -242,7 +242,7 @@ class Compiler:
         """
         if isinstance(condition, Deferred):
             return early_test(self.rule, node, condition, names) if condition.may_be_tried(names) else None
-        call = Call(self.rule, condition.goal, names)
+        call = RuleGoal(self.rule, condition.goal, names)
         return goal_test(call, condition.timed, None), call.result_vars
 
     def _deferred(self, goal: Any, timed: bool, absent: Any, needs: Set[Var]) -> Deferred:

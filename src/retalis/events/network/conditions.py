@@ -19,7 +19,7 @@ _DEEPEST = 30
 _FINDALL = functor("findall", 3)
 
 
-class Call:
+class RuleGoal:
     """A goal of a rule, compiled for the variables that are known where it stands.
 
     Args:
@@ -198,7 +198,7 @@ class Call:
         self.rule.network.goal_failed(self.rule, self.goal, error)
 
 
-def goal_test(call: Call, timed: bool, captured: Optional[Tuple[int, int]]) -> Test:
+def goal_test(call: RuleGoal, timed: bool, captured: Optional[Tuple[int, int]]) -> Test:
     """Return the test of a condition.
 
     Args:

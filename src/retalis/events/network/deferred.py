@@ -4,7 +4,7 @@ from typing import AbstractSet, Any, Callable, List, NamedTuple, Optional, Set, 
 
 from ...prolog.terms import Term, Var, deref, functor, positions, variables
 from ..matches import NO_ITEMS, Absence, Match
-from .conditions import Call, Test, goal_test
+from .conditions import RuleGoal, Test, goal_test
 
 Values = Tuple[Term, ...]
 _ITEMS = functor("items", 2)
@@ -125,7 +125,7 @@ def deferred_test(rule: Any, node: Any, one: Deferred, names: List[Var]) -> Tupl
         return _test_of_each(rule, node, one, names)
     at = (names.index(one.start), names.index(one.end))
     if one.absent is None:
-        call = Call(rule, one.goal, names)
+        call = RuleGoal(rule, one.goal, names)
         return goal_test(call, one.timed, at), call.result_vars
     negated, ever = one.absent
     built = negated.make()

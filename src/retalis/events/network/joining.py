@@ -4,15 +4,15 @@ from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 from ...foundation import shared_function
 from ...prolog.terms import Var, positions
-from ..language import Operator
+from ..language import PatternOperator
 from ..matches import (
     Emit,
     Found,
     Frame,
     Keeping,
     Match,
-    Mode,
-    Place,
+    MatchBuffer,
+    NetworkOptions,
     Side,
     first_side,
     in_order,
@@ -25,11 +25,11 @@ from ..matches import (
 )
 from .conditions import Test
 from .limits import kept_for_late
-from .nodes import Node
+from .nodes import NetworkNode
 from .telling import Name, found_here
 
 
-class Joining(Node):
+class Joining(NetworkNode):
     """Puts two matches together by an operator, an interval bound, absences and conditions.
 
     Args:
@@ -52,9 +52,9 @@ class Joining(Node):
     def __init__(
         self,
         rule: Any,
-        operator: Operator,
-        left: Node,
-        right: Node,
+        operator: PatternOperator,
+        left: NetworkNode,
+        right: NetworkNode,
         keep: Any,
         gap: Optional[Tuple[Var, Var]],
         captured: Sequence[Tuple[Var, Var]],
@@ -70,8 +70,8 @@ class Joining(Node):
         self._names = names
         in_left, in_right = positions(left.vars), positions(right.vars)
         self.pairs = tuple((at, in_right[var]) for var, at in in_left.items() if var in in_right)
-        self.left_place = Place(rule, tuple(one for one, _ in self.pairs))
-        self.right_place = Place(rule, tuple(two for _, two in self.pairs))
+        self.left_buffer = MatchBuffer(rule, tuple(one for one, _ in self.pairs))
+        self.right_buffer = MatchBuffer(rule, tuple(two for _, two in self.pairs))
         taken = [(f"lv[{at}]", var) for at, var in enumerate(left.vars) if var in keep]
         taken += [
             (f"rv[{at}]", var) for at, var in enumerate(right.vars) if var in keep and var not in in_left
@@ -83,69 +83,69 @@ class Joining(Node):
         self.taken = [source for source, _ in taken]
         self.vars = [var for _, var in taken]
         self.absences: List[Any] = []
-        self.negated: List[Node] = []
-        self.carried: List[Tuple[Any, Node]] = []
+        self.negated: List[NetworkNode] = []
+        self.carried: List[Tuple[Any, NetworkNode]] = []
         self.tests: List[Test] = []
         self.completed: Dict[Any, None] = {}
         self.double = double
         self.span: Optional[int] = None
-        self.kept = Keeping(self.right_place)
+        self.kept = Keeping(self.right_buffer)
 
     def test(self, test: Test, names: Sequence[Var]) -> None:
         """Add a condition; ``names`` are the variables it leaves."""
         self.tests.append(test)
         self.vars = list(names)
 
-    def absent(self, absence: Any, negated: Node) -> None:
+    def absent(self, absence: Any, negated: NetworkNode) -> None:
         """Add a pattern that must not match between the sides."""
         self.absences.append(absence)
         self.negated.append(negated)
 
-    def places(self) -> Sequence[Place]:
+    def buffers(self) -> Sequence[MatchBuffer]:
         """Return where matches wait."""
         absences = [*self.absences, *(absence for absence, _ in self.carried)]
-        negated = [place for absence in absences for place in absence.places()]
-        return (self.left_place, self.right_place, *negated)
+        negated = [buffer for absence in absences for buffer in absence.buffers()]
+        return (self.left_buffer, self.right_buffer, *negated)
 
     def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
-        """Set the bounds; see `Node.set_span`."""
+        """Set the bounds; see `NetworkNode.set_span`."""
         self.span = span
-        self.left_place.span = self.right_place.span = limit
+        self.left_buffer.span = self.right_buffer.span = limit
         late = self.rule.network.mode.out_of_order
         for absence in self.absences:
-            absence.place.span = kept_for_late(span, limit) if late else limit
+            absence.buffer.span = kept_for_late(span, limit) if late else limit
 
-    def bind(self, out: Emit, mode: Mode) -> None:
-        """Connect the node, and those of a sequence on its left; see `Node.bind`."""
+    def bind(self, out: Emit, mode: NetworkOptions) -> None:
+        """Connect the node, and those of a sequence on its left; see `NetworkNode.bind`."""
         node: Any = self
         while isinstance(node, Joining):
             out = node._bind(out, mode)
             node = node.left
         node.bind(out, mode)
 
-    def _bind(self, out: Emit, mode: Mode) -> Emit:
+    def _bind(self, out: Emit, mode: NetworkOptions) -> Emit:
         """Connect all but the left side; return where that sends its matches."""
         policy = mode.policy
         operator = self.operator
         self.out = out
         self.joined = self._join(True)
-        self.left_place.reach = reach_of(operator.name, self.span, False)
-        self.right_place.reach = reach_of(operator.name, self.span, True)
+        self.left_buffer.reach = reach_of(operator.name, self.span, False)
+        self.right_buffer.reach = reach_of(operator.name, self.span, True)
         left_name, right_name = self._names if policy.replacing else (None, None)
         late = mode.out_of_order and not operator.either
         both = operator.either
         revised = mode.revised and not both and not late
         keeps = revised and self.revived[0]
         tracker = self.rule.network.tracker
-        self.left_place.identify(None if operator.everything else left_name)
-        self.right_place.identify(None if keeps else right_name)
-        left = Side(self.left_place, self.right_place, self.joined, self.pairs, True, True, False)
+        self.left_buffer.identify(None if operator.everything else left_name)
+        self.right_buffer.identify(None if keeps else right_name)
+        left = Side(self.left_buffer, self.right_buffer, self.joined, self.pairs, True, True, False)
         flipped = tuple((two, one) for one, two in self.pairs)
         join = self._join(False)
         if revised and self.revived[1]:
             join = in_order(tracker, join)
         waits, stays = both or late or keeps, late or keeps
-        right = Side(self.right_place, self.left_place, join, flipped, False, waits, stays)
+        right = Side(self.right_buffer, self.left_buffer, join, flipped, False, waits, stays)
         only_waits = waiting_only(left)
         if keeps:
             right = right._replace(wait=self.kept.add)
@@ -184,19 +184,19 @@ class Joining(Node):
         Else it would replace an older one of the same event that the left side still has to meet.
         """
         if match.event is None and self.operator.either:
-            self.rule.settle(self.right_place)
-            self.right_place.add(match, key)
+            self.rule.settle(self.right_buffer)
+            self.right_buffer.add(match, key)
         else:
-            self.rule.add_later(self.right_place, match, key)
+            self.rule.add_later(self.right_buffer, match, key)
 
     def _after_waiting(self, arrive: Emit) -> Emit:
         """Have what a left side makes of several events find the right side of its last one."""
         rule = self.rule
-        place = self.right_place
+        buffer = self.right_buffer
 
         def arrive_after_waiting(match: Match, after: Frame) -> Frame:
             if match.event is None and rule.later:
-                rule.settle(place)
+                rule.settle(buffer)
             return arrive(match, after)
 
         return arrive_after_waiting
@@ -257,9 +257,9 @@ class Joining(Node):
         """Join two matches again, what was between them having been taken back."""
         left, right = pair
         mode = self.rule.network.mode
-        if left.place is None or right.used is not None:
+        if left.buffer is None or right.used is not None:
             return after
-        if right.place is None and self._right_waits(mode):
+        if right.buffer is None and self._right_waits(mode):
             return after
         if taken_back(left) or taken_back(right):
             return after
@@ -273,5 +273,5 @@ class Joining(Node):
                 right.leave()
         return self.out(result, after)
 
-    def _right_waits(self, mode: Mode) -> bool:
+    def _right_waits(self, mode: NetworkOptions) -> bool:
         return self.operator.either or mode.out_of_order

@@ -1,19 +1,19 @@
 """Nodes of the network: what runs for each part of a rule's pattern.
 
 A node takes matches from the nodes below it and emits its own to ``out``; both take a match and the next
-frame and return the frame to go on with. `Node.bind` connects them for a policy, from the root down.
+frame and return the frame to go on with. `NetworkNode.bind` connects them for a policy, from the root down.
 """
 
 from typing import Any, Dict, List, Optional, Sequence
 
 from ...prolog.terms import Term, Var, positions, variables
 from ..dispatch import Completion
-from ..matches import Emit, Found, Frame, Match, Mode, Place
+from ..matches import Emit, Found, Frame, Match, MatchBuffer, NetworkOptions
 from .conditions import Test
 from .telling import found_here
 
 
-class Node:
+class NetworkNode:
     """One part of a rule's pattern.
 
     Attributes:
@@ -27,7 +27,7 @@ class Node:
     alone = False
     """Whether the pattern is one event, with conditions and goals: it needs no matches, only values."""
 
-    def bind(self, out: Emit, mode: Mode) -> None:
+    def bind(self, out: Emit, mode: NetworkOptions) -> None:
         """Send matches to ``out`` from now on, by the policy and flags of ``mode``; what waits stays."""
         raise NotImplementedError
 
@@ -35,7 +35,7 @@ class Node:
         """Send values to ``completion`` from now on, without making matches; for nodes that are `alone`."""
         raise NotImplementedError
 
-    def places(self) -> Sequence[Place]:
+    def buffers(self) -> Sequence[MatchBuffer]:
         """Return where matches wait in this node itself."""
         return ()
 
@@ -43,7 +43,7 @@ class Node:
         """Set the longest interval of this node's matches, and how long those that wait can be of use."""
 
 
-class Leaf(Node):
+class Leaf(NetworkNode):
     """Waits for events that unify with a term."""
 
     def __init__(self, rule: Any, term: Term):
@@ -53,7 +53,7 @@ class Leaf(Node):
         self.rank = 0
         self.vars = variables(term)
 
-    def bind(self, out: Emit, mode: Mode) -> None:
+    def bind(self, out: Emit, mode: NetworkOptions) -> None:
         """Listen; the token of an event is asked for only where something looks at it."""
         rule = self.rule
         token = rule.network.dispatcher.token
@@ -77,14 +77,14 @@ class Leaf(Node):
         rule.listen(self, arrive_known if known else arrive_timed if rule.timed else arrive)
 
     def bind_alone(self, completion: Completion) -> None:
-        """Listen for a rule whose pattern is one event; see `Node.alone`."""
+        """Listen for a rule whose pattern is one event; see `NetworkNode.alone`."""
         self.rule.listen(self, completion.action, completion.lane)
 
 
-class Filter(Node):
+class Filter(NetworkNode):
     """Lets through what passes tests: conditions on an event, an ``or``, or what an action has left."""
 
-    def __init__(self, child: Node, names: Sequence[Var], tests: Sequence[Test], keep: Any):
+    def __init__(self, child: NetworkNode, names: Sequence[Var], tests: Sequence[Test], keep: Any):
         self.child = child
         self.keep = keep
         self.alone = child.alone
@@ -94,11 +94,11 @@ class Filter(Node):
         self.span: Optional[int] = None
 
     def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
-        """Set the bounds; see `Node.set_span`."""
+        """Set the bounds; see `NetworkNode.set_span`."""
         self.span = span
 
-    def bind(self, out: Emit, mode: Mode) -> None:
-        """Connect the node; see `Node.bind`."""
+    def bind(self, out: Emit, mode: NetworkOptions) -> None:
+        """Connect the node; see `NetworkNode.bind`."""
         tests = self.tests
         span = self.span
         own = found_here(self.vars, len(self.child.vars), self.keep)
@@ -120,7 +120,7 @@ class Filter(Node):
         self.child.bind(arrive, mode)
 
     def bind_alone(self, completion: Completion) -> None:
-        """Connect the node; see `Node.bind_alone`."""
+        """Connect the node; see `NetworkNode.bind_alone`."""
         complete = completion.action
         tests = self.tests
         span = self.span
@@ -137,15 +137,15 @@ class Filter(Node):
         self.child.bind_alone(Completion(arrive))
 
 
-class Capture(Node):
+class Capture(NetworkNode):
     """Adds the interval of a match to its values, for a condition that is tested further up."""
 
-    def __init__(self, child: Node, start: Var, end: Var):
+    def __init__(self, child: NetworkNode, start: Var, end: Var):
         self.child = child
         self.vars = [*child.vars, start, end]
 
-    def bind(self, out: Emit, mode: Mode) -> None:
-        """Connect the node; see `Node.bind`."""
+    def bind(self, out: Emit, mode: NetworkOptions) -> None:
+        """Connect the node; see `NetworkNode.bind`."""
 
         def arrive(match: Match, after: Frame) -> Frame:
             values = (*match.values, match.start, match.end)
@@ -154,10 +154,10 @@ class Capture(Node):
         self.child.bind(arrive, mode)
 
 
-class Alternatives(Node):
+class Alternatives(NetworkNode):
     """Emits what any of its branches emits; variables of the other branches are left open."""
 
-    def __init__(self, children: Sequence[Node], keep: Any):
+    def __init__(self, children: Sequence[NetworkNode], keep: Any):
         self.children = children
         found: Dict[Var, None] = {}
         for child in children:
@@ -166,12 +166,12 @@ class Alternatives(Node):
                     found.setdefault(var)
         self.vars = list(found)
 
-    def bind(self, out: Emit, mode: Mode) -> None:
-        """Connect the node; see `Node.bind`."""
+    def bind(self, out: Emit, mode: NetworkOptions) -> None:
+        """Connect the node; see `NetworkNode.bind`."""
         for index, child in enumerate(self.children):
             child.bind(self._branch(index, child, out), mode)
 
-    def _branch(self, index: int, child: Node, out: Emit) -> Emit:
+    def _branch(self, index: int, child: NetworkNode, out: Emit) -> Emit:
         places = positions(child.vars)
         layout = [places.get(var) for var in self.vars]
 
@@ -183,10 +183,10 @@ class Alternatives(Node):
         return arrive
 
 
-class Acting(Node):
+class Acting(NetworkNode):
     """Calls a goal for each match: once, or for all of its solutions."""
 
-    def __init__(self, child: Node, call: Any, every: bool, keep: Any):
+    def __init__(self, child: NetworkNode, call: Any, every: bool, keep: Any):
         self.child = child
         self.keep = keep
         self.alone = child.alone
@@ -197,11 +197,11 @@ class Acting(Node):
         self.span: Optional[int] = None
 
     def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
-        """Set the bounds; see `Node.set_span`."""
+        """Set the bounds; see `NetworkNode.set_span`."""
         self.span = span
 
-    def bind(self, out: Emit, mode: Mode) -> None:
-        """Connect the node; see `Node.bind`."""
+    def bind(self, out: Emit, mode: NetworkOptions) -> None:
+        """Connect the node; see `NetworkNode.bind`."""
         call = self.call
         act = call.act_on_all if self.every else call.act
         tracked = mode.tracked
@@ -222,7 +222,7 @@ class Acting(Node):
         self.child.bind(arrive, mode)
 
     def bind_alone(self, completion: Completion) -> None:
-        """Connect the node; see `Node.bind_alone`."""
+        """Connect the node; see `NetworkNode.bind_alone`."""
         call = self.call
         act = call.act_on_all if self.every else call.act
         complete = completion.action
@@ -245,18 +245,18 @@ class Acting(Node):
         self.child.bind_alone(done if span is None else Completion(arrive_in_span))
 
 
-class Never(Node):
+class Never(NetworkNode):
     """Lets a match through if no event of another kind ended before it started."""
 
-    def __init__(self, child: Node, negated: Node, absence: Any):
+    def __init__(self, child: NetworkNode, negated: NetworkNode, absence: Any):
         self.child = child
         self.negated = negated
         self.absence = absence
         self.rule = absence.rule
         self.vars = child.vars
 
-    def bind(self, out: Emit, mode: Mode) -> None:
-        """Connect the node; see `Node.bind`."""
+    def bind(self, out: Emit, mode: NetworkOptions) -> None:
+        """Connect the node; see `NetworkNode.bind`."""
         absence = self.absence
         tracker = absence.rule.network.tracker
         tracked = mode.tracked
@@ -272,12 +272,12 @@ class Never(Node):
         self.child.bind(arrive, mode)
         absence.bind(self.negated, mode)
 
-    def places(self) -> Sequence[Place]:
+    def buffers(self) -> Sequence[MatchBuffer]:
         """Return where matches wait."""
-        return self.absence.places()  # type: ignore[no-any-return]
+        return self.absence.buffers()  # type: ignore[no-any-return]
 
 
-class Trying(Node):
+class Trying(NetworkNode):
     """Tests an absence above a match for which all is known that it looks at; others go on, to be tested further up.
 
     Attributes:
@@ -287,14 +287,14 @@ class Trying(Node):
 
     test: Test
 
-    def __init__(self, rule: Any, child: Node):
+    def __init__(self, rule: Any, child: NetworkNode):
         self.rule = rule
         self.child = child
         self.carried: List[Any] = []
         self.vars = child.vars
 
-    def bind(self, out: Emit, mode: Mode) -> None:
-        """Connect the node; see `Node.bind`."""
+    def bind(self, out: Emit, mode: NetworkOptions) -> None:
+        """Connect the node; see `NetworkNode.bind`."""
         tracker, tracked, test = self.rule.network.tracker, mode.tracked, self.test
 
         def arrive(match: Match, after: Frame) -> Frame:
@@ -313,6 +313,6 @@ class Trying(Node):
         for absence, negated in self.carried:
             absence.bind(negated, mode)
 
-    def places(self) -> Sequence[Place]:
+    def buffers(self) -> Sequence[MatchBuffer]:
         """Return where matches wait."""
-        return [place for absence, _ in self.carried for place in absence.places()]
+        return [buffer for absence, _ in self.carried for buffer in absence.buffers()]

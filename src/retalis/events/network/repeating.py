@@ -16,9 +16,9 @@ from ..matches import (
     Frame,
     Log,
     Match,
-    Mode,
+    MatchBuffer,
     Moving,
-    Place,
+    NetworkOptions,
     Token,
     Train,
     emit_each,
@@ -30,19 +30,19 @@ from ..matches import (
     reach_of,
 )
 from .joining import Joining
-from .nodes import Node
+from .nodes import NetworkNode
 from .telling import Name
 
 _SEQ = OPERATORS["seq"]
 
 
-class _Relay(Node):
+class _Relay(NetworkNode):
     """Stands for one of the repetitions where these have nodes of their own."""
 
-    def __init__(self, like: Node, shared: Collection[Var]):
+    def __init__(self, like: NetworkNode, shared: Collection[Var]):
         self.vars = [var if var in shared else Var() for var in like.vars]
 
-    def bind(self, out: Emit, mode: Mode) -> None:
+    def bind(self, out: Emit, mode: NetworkOptions) -> None:
         """Send matches to ``out`` from now on."""
         self._out = out
 
@@ -52,7 +52,7 @@ class _Relay(Node):
         return self._out(own, after)
 
 
-class Repeating(Node):
+class Repeating(NetworkNode):
     """Puts a number of matches of one pattern together, one after the other.
 
     Args:
@@ -69,7 +69,7 @@ class Repeating(Node):
         visits: how many sequences, or numbers of repetitions, were looked at one by one.
     """
 
-    def __init__(self, rule: Any, child: Node, times: int, keep: Any, named: Callable[[Any], Name]):
+    def __init__(self, rule: Any, child: NetworkNode, times: int, keep: Any, named: Callable[[Any], Name]):
         self.rule = rule
         self.child = child
         self.times = times
@@ -78,7 +78,7 @@ class Repeating(Node):
         at = positions(child.vars)
         self._kept = tuple([at[var] for var in self.vars])
         self._key = key_function(self._kept)
-        self._places: Dict[int, Place] = {}
+        self._buffers: Dict[int, MatchBuffer] = {}
         self._apart: Dict[Any, Dict[int, None]] = {}
         self._joinings: List[Joining] = []
         self._relays: List[_Relay] = []
@@ -86,38 +86,38 @@ class Repeating(Node):
         self._moving = Moving(self)
         self.span: Optional[int] = None
         self.limit: Optional[int] = None
-        self._mode = Mode()
+        self._mode = NetworkOptions()
         self._together = False
         self.visits = 0
 
-    def places(self) -> Sequence[Any]:
+    def buffers(self) -> Sequence[Any]:
         """Return where matches wait."""
-        right = [joining.right_place for joining in self._joinings]
-        return (self._moving, *self._places.values(), *right)
+        right = [joining.right_buffer for joining in self._joinings]
+        return (self._moving, *self._buffers.values(), *right)
 
     def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
-        """Set the bounds; see `Node.set_span`."""
+        """Set the bounds; see `NetworkNode.set_span`."""
         self.span = span
         self.limit = limit
-        for place in self._places.values():
-            place.span = limit
+        for buffer in self._buffers.values():
+            buffer.span = limit
         for joining in self._joinings:
             joining.set_span(span, limit)
 
-    def bind(self, out: Emit, mode: Mode) -> None:
-        """Connect the node; see `Node.bind`."""
+    def bind(self, out: Emit, mode: NetworkOptions) -> None:
+        """Connect the node; see `NetworkNode.bind`."""
         self._out = out
         self._mode = mode
-        open_ones = any(None in place.newest for place in self._places.values())
+        open_ones = any(None in buffer.newest for buffer in self._buffers.values())
         if not mode.policy.consuming or mode.out_of_order or open_ones:
             self._part()
         else:
             self._together = True
-            for number, place in self._places.items():
-                for one in place.all() if number > 1 else ():
+            for number, buffer in self._buffers.items():
+                for one in buffer.all() if number > 1 else ():
                     joined_at_once(one, number)
-                self._set_up(place, number)
-                for key in place.newest:
+                self._set_up(buffer, number)
+                for key in buffer.newest:
                     self._apart.setdefault(key, {})[number] = None
         self.child.bind(self._arrive, mode)
 
@@ -194,9 +194,9 @@ class Repeating(Node):
     def _replace(self, train: Train, apart: Dict[int, None]) -> None:
         """Have those in the train take the place of those apart that are of the same events."""
         for number in apart:
-            token, place = train.at(number), self._places[number]
-            if token is not None and train.key in place.newest:
-                older = place.namesake(train.match_of(token, number), train.key)
+            token, buffer = train.at(number), self._buffers[number]
+            if token is not None and train.key in buffer.newest:
+                older = buffer.namesake(train.match_of(token, number), train.key)
                 if older is not None:
                     older.leave()
 
@@ -221,11 +221,11 @@ class Repeating(Node):
 
     def _first_fit(self, number: int, key: Any, match: Match, apart: Any) -> Optional[Match]:
         """Return which of those that wait apart a repetition takes."""
-        place = self._places[number]
-        if key not in place.newest:
+        buffer = self._buffers[number]
+        if key not in buffer.newest:
             del apart[number]
             return None
-        for one in place.partners(key, match.start, match.end, self._mode.policy.newest):
+        for one in buffer.partners(key, match.start, match.end, self._mode.policy.newest):
             if one.end < match.start and self._fits(one, match):
                 return one
         return None
@@ -255,29 +255,29 @@ class Repeating(Node):
             rule.order = before
 
     def _wait_apart(self, match: Match, number: int, key: Any) -> None:
-        place = self._place(number)
-        place.add(match, key)
+        buffer = self._buffer(number)
+        buffer.add(match, key)
         if key not in self._apart and len(self._apart) > 2 * self.rule.waiting + 1000:
             self._apart = {}
-            for at, other in self._places.items():
+            for at, other in self._buffers.items():
                 for one in other.newest:
                     self._apart.setdefault(one, {})[at] = None
         self._apart.setdefault(key, {})[number] = None
 
-    def _place(self, number: int) -> Place:
-        place = self._places.get(number)
-        if place is None:
+    def _buffer(self, number: int) -> MatchBuffer:
+        buffer = self._buffers.get(number)
+        if buffer is None:
             shared = self._kept if number == 1 else tuple(range(len(self._kept)))
-            place = self._places[number] = Place(self.rule, shared)
-            place.span = self.limit
-            self._set_up(place, number)
-        return place
+            buffer = self._buffers[number] = MatchBuffer(self.rule, shared)
+            buffer.span = self.limit
+            self._set_up(buffer, number)
+        return buffer
 
-    def _set_up(self, place: Place, number: int) -> None:
-        place.reach = reach_of("seq", self.span, False)
+    def _set_up(self, buffer: MatchBuffer, number: int) -> None:
+        buffer.reach = reach_of("seq", self.span, False)
         # Those under one key have the same values, of which longer sequences need not be told apart.
         name = self._names[0] if number == 1 else identity
-        place.identify(name if self._mode.policy.replacing else None)
+        buffer.identify(name if self._mode.policy.replacing else None)
 
     # ---- events that are taken back ------------------------------------------------------------------
 
@@ -306,8 +306,8 @@ class Repeating(Node):
                 self._stop(train, token, number)
         self._apart = {}
         self._together = False
-        for number, place in self._places.items():
-            for one in place.all() if number > 1 else ():
+        for number, buffer in self._buffers.items():
+            for one in buffer.all() if number > 1 else ():
                 joined_one_by_one(one, number)
         if not self._joinings:
             shared = frozenset(self.vars)
@@ -315,7 +315,7 @@ class Repeating(Node):
             left: Any = self._relays[0]
             for number, relay in enumerate(self._relays[1:], 1):
                 left = Joining(self.rule, _SEQ, left, relay, shared, None, (), True, self._names_at(number))
-                left.left_place = self._place(number)
+                left.left_buffer = self._buffer(number)
                 left.set_span(self.span, self.limit)
                 self._joinings.append(left)
         self._joinings[-1].bind(self._give if self._mode.policy.replacing else self._out, self._mode)
@@ -333,7 +333,7 @@ class Repeating(Node):
         """Yield what takes a match, the last repetition first; what can complete nothing only where it may wait."""
         relays, late = self._relays, self._mode.out_of_order
         for number in range(self.times - 1, 0, -1):
-            if late or self._places[number].newest:
+            if late or self._buffers[number].newest:
                 self.visits += 1
                 yield relays[number]
         yield relays[0]

@@ -5,10 +5,10 @@ from typing import Any, Deque, List, Optional, Tuple
 
 from ...foundation import RuleError, UsageError
 from ...prolog.terms import Atom, Term, deref, is_ground
-from ..dispatch import NOBODY, Action, Completion, Lane, Listener, Stage, compile_builder
-from ..language import Definition, alarm_of
-from ..matches import Expiries, Frame, Match, Mode
-from .compiling import Compiler
+from ..dispatch import NOBODY, Completion, EventAction, Lane, Listener, Stage, compile_builder
+from ..language import RuleDefinition, alarm_of
+from ..matches import Expiries, Frame, Match, NetworkOptions
+from .compiling import RuleCompiler
 from .limits import least
 
 _SPARE = 1000
@@ -29,7 +29,7 @@ class Rule:
         clock: the newest end among the events that its patterns matched.
     """
 
-    def __init__(self, network: Any, definition: Definition, serial: int, name: str):
+    def __init__(self, network: Any, definition: RuleDefinition, serial: int, name: str):
         self.network = network
         self.definition = definition
         self.place = definition.place
@@ -56,13 +56,15 @@ class Rule:
         self.later: List[Tuple[Any, Match, Any]] = []
         self._later_event: Any = None
         head = definition.head
-        compiler = Compiler(self, [] if head is None else [head], definition.pattern)
+        compiler = RuleCompiler(self, [] if head is None else [head], definition.pattern)
         self.root = compiler.build()
         self.nodes = compiler.nodes
         self.double = any(getattr(node, "double", False) for node, _, _ in self.nodes)
         self.builder = None if head is None else compile_builder(head, self.root.vars, "head of a rule")
 
-    def configure(self, mode: Mode, window: Optional[int], garbage: Optional[Tuple[int, int]]) -> None:
+    def configure(
+        self, mode: NetworkOptions, window: Optional[int], garbage: Optional[Tuple[int, int]]
+    ) -> None:
         """Connect the nodes for a mode, a window and a garbage control (window and step, in ns)."""
         self.sound = False
         self.settle()
@@ -72,7 +74,7 @@ class Rule:
         for node, span, limits in self.nodes:
             limit = limits.late if mode.out_of_order else limits.in_order
             node.set_span(least(span, window) if node.windowed else span, least(limit, window))
-            self.timed = self.timed or any(place.span is not None for place in node.places())
+            self.timed = self.timed or any(buffer.span is not None for buffer in node.buffers())
         self._watched = self.timed or mode.tracked
         self._resettle()
         self.unlisten()
@@ -91,7 +93,7 @@ class Rule:
 
     def mend(self) -> None:
         """Put right what an interrupt may have left half done about what waits."""
-        waiting = [match for node, _, _ in self.nodes for place in node.places() for match in place.mend()]
+        waiting = [match for node, _, _ in self.nodes for buffer in node.buffers() for match in buffer.mend()]
         waiting.sort(key=lambda match: match.order)
         for match in waiting:
             match.mend()
@@ -104,10 +106,10 @@ class Rule:
         self._expiries = Expiries()
         self._by_end = Expiries()
         for match in self._arrivals:
-            if match.place is not None:
-                self._file(match, match.place.span)
+            if match.buffer is not None:
+                self._file(match, match.buffer.span)
 
-    def listen(self, leaf: Any, action: Action, lane: Optional[Lane] = None) -> None:
+    def listen(self, leaf: Any, action: EventAction, lane: Optional[Lane] = None) -> None:
         """Have a leaf's action called for its events; see `Dispatcher.listen`."""
         listen = self.network.dispatcher.listen
         self.listeners.append(listen(Stage.RULES, leaf.term, action, (self.serial, leaf.rank), lane))
@@ -138,10 +140,10 @@ class Rule:
         self._expiries = Expiries()
         self._by_end = Expiries()
 
-    def add_later(self, place: Any, match: Match, key: Any) -> None:
-        """Let a match wait in a place when the next event comes."""
+    def add_later(self, buffer: Any, match: Match, key: Any) -> None:
+        """Let a match wait in a buffer when the next event comes."""
         self._later_event = self.network.dispatcher.token()
-        self.later.append((place, match, key))
+        self.later.append((buffer, match, key))
 
     def add_those_of_other_events(self, event: Any) -> None:
         """Let those matches wait that were to wait when another event comes."""
@@ -149,12 +151,12 @@ class Rule:
             self.settle()
 
     def settle(self, only: Any = None) -> None:
-        """Let all matches wait that are to wait; with ``only``, those of one place."""
+        """Let all matches wait that are to wait; with ``only``, those of one buffer."""
         for one in list(self.later):
-            place, match, key = one
-            if only is None or place is only:
-                if match.place is None:  # else an interrupt came between this and the next step
-                    place.add(match, key)
+            buffer, match, key = one
+            if only is None or buffer is only:
+                if match.buffer is None:  # else an interrupt came between this and the next step
+                    buffer.add(match, key)
                 self.later.remove(one)
 
     def tick(self, end: int) -> None:
@@ -190,7 +192,7 @@ class Rule:
         if self.waiting > self.network.cap:
             self._drop_oldest()
         elif len(arrivals) > 2 * self.waiting + _SPARE:
-            self._arrivals = deque(one for one in arrivals if one.place is not None)
+            self._arrivals = deque(one for one in arrivals if one.buffer is not None)
 
     def _watch(self, match: Match, span: Optional[int]) -> None:
         """Note when a match is to go, and whether what it is made of is taken back."""
@@ -200,7 +202,7 @@ class Rule:
         network = self.network
         if network.mode.tracked:
             network.tracker.hold(match)
-        if self.timed and match.place is not None:
+        if self.timed and match.buffer is not None:
             self._file(match, span)
 
     def _file(self, match: Match, span: Optional[int]) -> None:
@@ -213,7 +215,7 @@ class Rule:
         arrivals = self._arrivals
         while arrivals:
             oldest = arrivals.popleft()
-            if oldest.place is not None:
+            if oldest.buffer is not None:
                 oldest.leave()
                 self.dropped += 1
                 self.network.dropped(self)

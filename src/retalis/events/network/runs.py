@@ -13,8 +13,8 @@ from ..matches import (
     Held,
     Keeping,
     Match,
-    Mode,
-    Place,
+    MatchBuffer,
+    NetworkOptions,
     Run,
     after_all,
     agreed,
@@ -32,13 +32,13 @@ from ..matches import (
 from .aggregates import Collector
 from .conditions import Test
 from .deferred import Items, with_item
-from .nodes import Node
+from .nodes import NetworkNode
 from .telling import Name, found_here
 
 Values = Tuple[Term, ...]
 
 
-class Running(Node):
+class Running(NetworkNode):
     """``P seq (Q star_times)`` and ``P seq aggregate(K, Q, R)``.
 
     Args:
@@ -58,7 +58,13 @@ class Running(Node):
     revived = (False, False)
 
     def __init__(
-        self, rule: Any, first: Node, repeated: Node, double: bool, names: Tuple[Name, Name], keep: Any
+        self,
+        rule: Any,
+        first: NetworkNode,
+        repeated: NetworkNode,
+        double: bool,
+        names: Tuple[Name, Name],
+        keep: Any,
     ):
         self.rule = rule
         self._first_name, self._repeated_name = names
@@ -68,15 +74,15 @@ class Running(Node):
         self.repeated = repeated
         in_first, in_repeated = positions(first.vars), positions(repeated.vars)
         self.pairs = tuple((at, in_repeated[var]) for var, at in in_first.items() if var in in_repeated)
-        self.place = Place(rule, tuple(one for one, _ in self.pairs))
-        self.incoming = Place(rule, tuple(two for _, two in self.pairs))
+        self.buffer = MatchBuffer(rule, tuple(one for one, _ in self.pairs))
+        self.incoming = MatchBuffer(rule, tuple(two for _, two in self.pairs))
         self.span: Optional[int] = None
         self.result_new: List[Var] = []
         self._captures = 0
         self.tests: List[Test] = []
         self.late_tests: List[Test] = []
         self.step_tests: List[Test] = []
-        self.carried: List[Tuple[Any, Node]] = []
+        self.carried: List[Tuple[Any, NetworkNode]] = []
         self.step_vars = [*first.vars, *(var for var in repeated.vars if var not in in_first)]
         self._step_at = [at for at, var in enumerate(repeated.vars) if var not in in_first]
         self.open_vars: List[Var] = []
@@ -138,19 +144,19 @@ class Running(Node):
         (self.late_tests if late else self.tests).append(test)
         self.vars = list(names)
 
-    def places(self) -> Sequence[Place]:
+    def buffers(self) -> Sequence[MatchBuffer]:
         """Return where matches wait."""
-        carried = [place for absence, _ in self.carried for place in absence.places()]
-        return (self.place, self.incoming, *carried)
+        carried = [buffer for absence, _ in self.carried for buffer in absence.buffers()]
+        return (self.buffer, self.incoming, *carried)
 
     def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
-        """Set the bounds; see `Node.set_span`."""
+        """Set the bounds; see `NetworkNode.set_span`."""
         self.span = span
-        self.place.span = limit
+        self.buffer.span = limit
         self.incoming.span = limit
 
-    def bind(self, out: Emit, mode: Mode) -> None:
-        """Connect the node; see `Node.bind`."""
+    def bind(self, out: Emit, mode: NetworkOptions) -> None:
+        """Connect the node; see `NetworkNode.bind`."""
         policy = mode.policy
         self.tracked = mode.tracked
         self.extending = self._extend_noting if mode.tracked and self.carried else self.extend
@@ -159,9 +165,9 @@ class Running(Node):
         self.waits_later = self.late and self.double and policy.replacing
         revised = mode.revised and not self.late
         self.keeps, self.ordered = revised and self.revived[0], revised and self.revived[1]
-        self.place.reach = reach_of("seq", self.span, False)
+        self.buffer.reach = reach_of("seq", self.span, False)
         self.incoming.reach = reach_of("seq", self.span, True)
-        self.place.identify((by_term if policy.replacing else by_occurrence)(self._first_name))
+        self.buffer.identify((by_term if policy.replacing else by_occurrence)(self._first_name))
         self.incoming.identify(self._repeated_name if policy.replacing and not self.keeps else None)
         self._found = found_here(self.vars, self._same_at, self._keep)
         self.out = out
@@ -174,17 +180,17 @@ class Running(Node):
             absence.bind(negated, mode)
 
     def _start(self, out: Emit) -> Emit:
-        place = self.place
+        buffer = self.buffer
         collector = self.collector
         fires = collector is None or collector.initial is not None
 
         def arrive(match: Match, after: Frame) -> Frame:
             run = Run(match, self.empty, len(self.open_vars))
-            key = place.key_of(run)
-            older = place.namesake(run, key)
+            key = buffer.key_of(run)
+            older = buffer.namesake(run, key)
             if older is not None and older.start == run.start and older.end == run.end:
                 return after
-            place.add(run, key)
+            buffer.add(run, key)
             result = self._result_without(run) if fires else None
             if self.late or (self.keeps and after_all(self.rule.network.tracker, arrival(run))):
                 results = [] if result is None else [result]
@@ -236,7 +242,7 @@ class Running(Node):
         def arrive(match: Match, after: Frame) -> Frame:
             key = self.incoming.key_of(match)
             extended, result = False, None
-            runs: Any = self.place.partners(key, match.start, match.end, newest)
+            runs: Any = self.buffer.partners(key, match.start, match.end, newest)
             if ordered:
                 runs = that_came_before(match, runs, self.rule.network.tracker)
             for run in runs:
@@ -255,7 +261,7 @@ class Running(Node):
 
         def arrive(match: Match, after: Frame) -> Frame:
             key = self.incoming.key_of(match)
-            runs = self.place.partners_now(key, match.start, match.end)
+            runs = self.buffer.partners_now(key, match.start, match.end)
             if ordered:
                 runs = that_came_before(match, runs, self.rule.network.tracker)
             if waits:
@@ -265,7 +271,7 @@ class Running(Node):
             results = (
                 result
                 for run in runs
-                if run.place is not None
+                if run.buffer is not None
                 for result in (extend(run, match, surely_same(key, run))[1],)
                 if result is not None
             )
@@ -365,7 +371,7 @@ class Running(Node):
         result: Optional[Match] = what
         if what.__class__ is tuple:
             run, match = what
-            if run.place is None or (self.consuming and match.used is not None):
+            if run.buffer is None or (self.consuming and match.used is not None):
                 return after
             extended, result = self.extending(run, match, False)
             if extended:

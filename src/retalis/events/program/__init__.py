@@ -1,6 +1,6 @@
 """A program as files: its folder, topics, goals and rules, read, checked and loaded."""
 
-from .clauses import Checker, nowhere
+from .clauses import FileChecker, nowhere
 from .door import MEGABYTE
 from .files import Files
 from .folder import GOALS, TOPICS, Topics, TopicType, read_text, read_topics, topic_type
@@ -9,7 +9,7 @@ from .lint import unknown_memories, unread_rules, wrong_messages
 from .loading import Loader
 
 __all__ = [
-    "Checker",
+    "FileChecker",
     "errors_in",
     "Files",
     "goal_of",

@@ -14,11 +14,11 @@ from ..language import (
     SPELLINGS,
     SYNCHRONIZED,
     Action,
-    Call,
-    Definition,
+    PatternReader,
     Property,
-    Reader,
+    RuleDefinition,
     Spot,
+    Subgoal,
     Unknown,
     bound_by,
     calls,
@@ -70,15 +70,15 @@ class Step(NamedTuple):
     goals: Goals = []
 
 
-class Checked(NamedTuple):
+class CheckedFile(NamedTuple):
     """What a file has in it."""
 
     steps: List[Step]
-    rules: List[Definition]
-    inner: List[Definition]
+    rules: List[RuleDefinition]
+    inner: List[RuleDefinition]
 
 
-class Checker:
+class FileChecker:
     """Sorts the terms of a file and collects all of their errors and warnings.
 
     Args:
@@ -90,8 +90,8 @@ class Checker:
         self.errors = Errors()
         self.warnings = Errors()
         self.steps: List[Step] = []
-        self.rules: List[Definition] = []
-        self.inner: List[Definition] = []
+        self.rules: List[RuleDefinition] = []
+        self.inner: List[RuleDefinition] = []
         self.calls: List[Unknown] = []
         self.untimed: List[Unknown] = []
         self._names: Dict[Var, str] = {}
@@ -195,7 +195,9 @@ class Checker:
             label = atom(name)
         self.rules.append(self.definition(rule, label, spot, place))
 
-    def definition(self, rule: Term, label: Optional[Term], spot: Spot, place: Optional[Place]) -> Definition:
+    def definition(
+        self, rule: Term, label: Optional[Term], spot: Spot, place: Optional[Place]
+    ) -> RuleDefinition:
         """Return what a rule says; rules inside its pattern go to `inner`.
 
         Raises:
@@ -203,10 +205,12 @@ class Checker:
         """
         once = (var for var, number in occurrences([rule], None).items() if number == 1)
         anonymous = frozenset(var for var in once if var not in self._names)
-        reader = Reader(lambda part, number=0: spot(part, number) or place, self.warnings.append, anonymous)
+        reader = PatternReader(
+            lambda part, number=0: spot(part, number) or place, self.warnings.append, anonymous
+        )
         if rule[0] not in ARROWS:  # P do G
             pattern = reader.read((RULE, rule), 1)
-            definition = Definition(rule, None, pattern, label, place, self._names)
+            definition = RuleDefinition(rule, None, pattern, label, place, self._names)
         else:
             head, goal = deref(rule[1]), None
             if head.__class__ is tuple and SPELLINGS.get(head[0]) == "do":
@@ -223,7 +227,7 @@ class Checker:
             pattern = reader.read(rule, 2)
             if goal is not None:
                 pattern = Action(pattern, goal, False)
-            definition = Definition(rule, head, pattern, label, place, self._names)
+            definition = RuleDefinition(rule, head, pattern, label, place, self._names)
             self._unbound(head, pattern, at or place)
         self._goals(reader.goals, pattern, spot, place)
         for call in reader.untimed:
@@ -240,7 +244,7 @@ class Checker:
         if inner.__class__ is tuple and inner[0] in ARROWS and begin is not None and begin.character != "(":
             self._warn("this rule is inside the pattern of another; put it in brackets", spot(inner))
 
-    def _goals(self, goals: List[Call], pattern: Any, spot: Spot, place: Optional[Place]) -> None:
+    def _goals(self, goals: List[Subgoal], pattern: Any, spot: Spot, place: Optional[Place]) -> None:
         """Check what the goals of a rule call, and note it: what is not there may come with the rest of the file."""
         counts = occurrences([], pattern)
         for call in goals:
@@ -250,7 +254,7 @@ class Checker:
                 raise RuleError(f"{name} never gets a goal to call", spot(call.parent, call.number) or place)
             self._called(call, spot, place)
 
-    def _called(self, call: Call, spot: Spot, place: Optional[Place]) -> None:
+    def _called(self, call: Subgoal, spot: Spot, place: Optional[Place]) -> None:
         """Note what a goal of a rule calls."""
         term = call.term
         if term.__class__ is tuple:

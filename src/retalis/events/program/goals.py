@@ -23,7 +23,7 @@ time that grows with the square of the file.
 """
 
 
-class Goal(NamedTuple):
+class FileGoal(NamedTuple):
     """A goal, where it stands, and the folder of the file in which it stands."""
 
     term: Term
@@ -39,7 +39,7 @@ def goal_of(term: Term) -> Term:
 
 def goals_of(
     text: str, source: str, folder: Optional[Path], operators: Operators, files: Any, load: Load
-) -> Iterator[Union[Goal, RetalisError]]:
+) -> Iterator[Union[FileGoal, RetalisError]]:
     """Yield the goals of a goal file and, in their places, those of the files that it includes.
 
     ``:- Goal`` is Goal; ``include(File)`` stands for the goals of another goal file. An error is yielded where
@@ -62,14 +62,14 @@ def goals_of(
 
 def _goals(
     text: str, source: str, folder: Optional[Path], operators: Operators, files: Any, load: Load
-) -> Iterator[Union[Goal, RetalisError]]:
+) -> Iterator[Union[FileGoal, RetalisError]]:
     for read in read_goals(text, operators, source):
         if isinstance(read, SyntaxFault):
             yield read
             continue
         term = goal_of(read.term)
         if term.__class__ is not tuple or term[0] is not _INCLUDE:
-            yield Goal(term, read.place, folder)
+            yield FileGoal(term, read.place, folder)
             continue
         try:
             path, inner = load(folder, partial(_found, files, term[1]))

@@ -27,7 +27,7 @@ _WAITS = frozenset(functor(name, 3) for name in ("synchronized", "syncronized"))
 _MAKES = frozenset((functor("memorize", 5), functor("memorize", 6), functor("memorize_diactive", 5)))
 
 
-class _Text(NamedTuple):
+class _NamedTerm(NamedTuple):
     """A term of the program, what to call it, and its place."""
 
     term: Term
@@ -51,7 +51,7 @@ def wrong_messages(engine: Any, definitions: Definitions, types: Collection[str]
         kind.partition("/")[0] for kind in types if kind not in definitions
     }  # learned from their publishers
     seen: Set[Functor] = set()
-    patterns = [_Text(pattern, f"{who}: ", None) for pattern, who in engine.knowledge.patterns()]
+    patterns = [_NamedTerm(pattern, f"{who}: ", None) for pattern, who in engine.knowledge.patterns()]
     yield from _bare_texts([*_events(engine), *patterns], definitions)
     for text in [*_rules(engine), *patterns]:
         for part in _parts(text.term):
@@ -68,13 +68,13 @@ def wrong_messages(engine: Any, definitions: Definitions, types: Collection[str]
 def unknown_memories(engine: Any) -> Iterator[RuleError]:
     """Yield a warning for each memory that rules and clauses read and that is not there, nor made by a goal."""
     made = {instance.id for instance in engine.knowledge.memories if isinstance(instance.id, Atom)}
-    asked: List[_Text] = []
-    bodies = [_Text(term, "", None) for term in engine.rules.terms()]
+    asked: List[_NamedTerm] = []
+    bodies = [_NamedTerm(term, "", None) for term in engine.rules.terms()]
     for text in [*_rules(engine), *bodies]:
         for part in _parts(text.term):
             if part.__class__ is tuple and part[0] in _MAKES:
                 made.add(deref(part[4]))
-            asked += [_Text(name, "", text.place) for name in _memories_in(part)]
+            asked += [_NamedTerm(name, "", text.place) for name in _memories_in(part)]
     if any(not isinstance(name, Atom) for name in made):  # which ones are made is known only then
         return
     for name, _, place in asked:
@@ -100,19 +100,19 @@ def _text(path: Path) -> str:
         return ""
 
 
-def _rules(engine: Any) -> List[_Text]:
-    return [_Text(rule.definition.term, "", rule.place) for rule in engine.rules.rules]
+def _rules(engine: Any) -> List[_NamedTerm]:
+    return [_NamedTerm(rule.definition.term, "", rule.place) for rule in engine.rules.rules]
 
 
-def _events(engine: Any) -> Iterator[_Text]:
+def _events(engine: Any) -> Iterator[_NamedTerm]:
     """Yield the events in the patterns of rules."""
     for rule in engine.rules.rules:
         for node in walk(rule.definition.pattern, negated=True):
             if isinstance(node, Occurs):
-                yield _Text(node.term, "", rule.place)
+                yield _NamedTerm(node.term, "", rule.place)
 
 
-def _bare_texts(texts: Iterable[_Text], definitions: Definitions) -> Iterator[RuleError]:
+def _bare_texts(texts: Iterable[_NamedTerm], definitions: Definitions) -> Iterator[RuleError]:
     """Yield a warning for each text in a pattern that stands there without its quotes."""
     for text in texts:
         for part in _parts(text.term):

@@ -7,9 +7,9 @@ from ...foundation import Errors, Place, ProgramErrors, RetalisError, RuleError,
 from ...prolog.machine import PrologError
 from ...prolog.syntax import Operators, read_program
 from ...prolog.terms import Atom, Term, conjuncts, copy, deref, functor, list_items
-from ..language import Definition, Unknown, unknown_calls
+from ..language import RuleDefinition, Unknown, unknown_calls
 from ..network import Rule
-from .clauses import DIRECTIVES, TOO_DEEP, Checker, Step, clause_error, nowhere
+from .clauses import DIRECTIVES, TOO_DEEP, FileChecker, Step, clause_error, nowhere
 from .directives import Directives
 from .files import Files
 from .forgotten import defined_in, fact_error
@@ -20,7 +20,7 @@ _OP = functor("op", 3)
 _SET_FLAG = functor("set_prolog_flag", 2)
 
 
-class Plan(NamedTuple):
+class CheckedProgram(NamedTuple):
     """A file that has no errors in itself: what to do, the rules to add then, what these call, and its folder.
 
     The folder is None for the file that was asked for: there that is set already.
@@ -34,14 +34,14 @@ class Plan(NamedTuple):
     @property
     def may_stop_half_way(self) -> bool:
         """Whether something may be left to undo when it raises an error; not rules, labels, or one clause."""
-        kinds = ["" if isinstance(step, Plan) else step.kind for step in self.steps]
+        kinds = ["" if isinstance(step, CheckedProgram) else step.kind for step in self.steps]
         return kinds != ["clause"] and any(kind != "property" for kind in kinds)
 
 
 class _Reading(NamedTuple):
     """A file that is being read: its terms so far, how the next ones read, and the errors."""
 
-    checker: Checker
+    checker: FileChecker
     operators: Operators
     errors: Errors
 
@@ -53,7 +53,7 @@ class Loader:
         self._rules = rules
         self._files: Files = rules.files
         self._directives = Directives(rules.logic)
-        self._acting: List[Plan] = []
+        self._acting: List[CheckedProgram] = []
         """The files whose terms are being taken in, the outer ones first."""
         self._begun: List[Any] = []
         """What takes a load back that is under way; what comes after the first two is of loads inside it."""
@@ -100,7 +100,7 @@ class Loader:
     def load_terms(self, terms: Sequence[Tuple[Term, Optional[Place]]]) -> None:
         """Load terms; see `Rules.load_terms`."""
         logic = self._rules.logic
-        reading = _Reading(Checker(logic.brief), logic.operators.copy(), Errors())
+        reading = _Reading(FileChecker(logic.brief), logic.operators.copy(), Errors())
         for term, place in terms:
             included = _included(term)
             if included is None:
@@ -117,10 +117,10 @@ class Loader:
     def _load(self, text: str, source: str) -> None:
         rules = self._rules
         with rules.logic.preparing(lambda: [rule.definition.term for rule in rules.rules]):
-            self._finish(lambda errors: self._plan(text, source, errors), Errors())
+            self._finish(lambda errors: self._accept(text, source, errors), Errors())
 
-    def _plan(self, text: str, source: str, errors: Errors) -> Plan:
-        reading = _Reading(Checker(), self._rules.logic.operators.copy(), errors)
+    def _accept(self, text: str, source: str, errors: Errors) -> CheckedProgram:
+        reading = _Reading(FileChecker(), self._rules.logic.operators.copy(), errors)
         self._read(read_program(text, reading.operators, source), reading)
         return self._checked(reading.checker, errors)
 
@@ -174,7 +174,7 @@ class Loader:
                 if name in ("double_quotes", "back_quotes"):
                     program.flags = program.flags._replace(**{name: arguments[1].name})
 
-    def _checked(self, checker: Checker, errors: Errors) -> Plan:
+    def _checked(self, checker: FileChecker, errors: Errors) -> CheckedProgram:
         """Check what needs the logic: clauses, goals of rules, files that are used."""
         errors.extend(checker.errors)
         logic = self._rules.logic
@@ -186,9 +186,9 @@ class Loader:
                 if problem is not None:
                     errors.append(RuleError(problem, step.place))
             if step.kind in ("use", "ensure"):
-                plan = self._used(step, errors)
-                if plan is not None:
-                    steps.append(plan)
+                accepted = self._used(step, errors)
+                if accepted is not None:
+                    steps.append(accepted)
             else:
                 steps.append(step)
         for call in checker.untimed:
@@ -201,9 +201,9 @@ class Loader:
         rules = self._compiled([*checker.rules, *checker.inner], errors)
         for warning in checker.warnings.with_rest():
             self._rules.on_warning(warning)
-        return Plan(steps, rules, checker.calls)
+        return CheckedProgram(steps, rules, checker.calls)
 
-    def _compiled(self, definitions: List[Definition], errors: Errors) -> List[Rule]:
+    def _compiled(self, definitions: List[RuleDefinition], errors: Errors) -> List[Rule]:
         rules = []
         for definition in definitions:
             try:
@@ -214,7 +214,7 @@ class Loader:
                 errors.append(RuleError(TOO_DEEP, definition.place))
         return rules
 
-    def _used(self, step: Step, errors: Errors) -> Optional[Plan]:
+    def _used(self, step: Step, errors: Errors) -> Optional[CheckedProgram]:
         """Return the plan of a file that is used; None for a library, or what need not be loaded again."""
         name = deref(step.term)
         try:
@@ -226,12 +226,12 @@ class Loader:
                 return None
             text = self._files.text(path)
             with self._files.inside(path), self._files.relative_to(path.parent):
-                return self._plan(text, str(path), errors)._replace(folder=path.parent)
+                return self._accept(text, str(path), errors)._replace(folder=path.parent)
         except (UsageError, PrologError) as error:
             errors.append(RuleError(error.message, step.place))
             return None
 
-    def _finish(self, plan: Callable[[Errors], Plan], errors: Errors) -> None:
+    def _finish(self, accepted: Callable[[Errors], CheckedProgram], errors: Errors) -> None:
         """Check all of a program, then have it act; what is refused leaves nothing behind."""
         loaded = set(self._files.loaded)
         before: Optional[_Snapshot] = None
@@ -239,7 +239,7 @@ class Loader:
         if outermost:
             self._begun = [_Beginning(self._rules, loaded)]
         try:
-            checked = plan(errors)
+            checked = accepted(errors)
             if errors:
                 raise ProgramErrors(_in_order(errors))
             if checked.may_stop_half_way:
@@ -265,23 +265,23 @@ class Loader:
             before.restore()
         self._begun = []
 
-    def _act(self, plan: Plan) -> None:
-        self._acting.append(plan)
+    def _act(self, accepted: CheckedProgram) -> None:
+        self._acting.append(accepted)
         try:
-            with self._files.relative_to(plan.folder):
-                self._take_in(plan)
+            with self._files.relative_to(accepted.folder):
+                self._take_in(accepted)
         finally:
             self._acting.pop()
-        self._warn_of_unknown(plan.calls)
+        self._warn_of_unknown(accepted.calls)
 
     def _warn_of_unknown(self, found: List[Unknown]) -> None:
         for warning in unknown_calls(self._rules.logic, found, self._rules.terms):
             self._rules.on_warning(warning)
 
-    def _take_in(self, plan: Plan) -> None:
+    def _take_in(self, accepted: CheckedProgram) -> None:
         rules = self._rules
-        for step in plan.steps:
-            if isinstance(step, Plan):
+        for step in accepted.steps:
+            if isinstance(step, CheckedProgram):
                 self._act(step)
             elif step.kind == "clause":
                 rules.logic.add_clause(step.term, step.place)
@@ -291,7 +291,7 @@ class Loader:
                 warning = self._directives.run(step.term, step.goals, step.place)
                 if warning is not None:
                     rules.on_warning(warning)
-        for rule in plan.rules:
+        for rule in accepted.rules:
             rules.activate(rule)
 
 

@@ -5,7 +5,7 @@ from typing import Callable, Dict, List, NamedTuple, Optional, Tuple
 
 from ...foundation import UsageError
 from ...prolog.terms import Atom, Term, atom
-from ..matches import Mode, Policy
+from ..matches import NetworkOptions, Policy
 
 _SWITCH = ("off", "on")
 
@@ -103,9 +103,9 @@ class Flags:
         """Return the value of a flag that is a number."""
         return self._values[name]  # type: ignore[no-any-return]
 
-    def mode(self) -> Mode:
+    def mode(self) -> NetworkOptions:
         """Return how the network is to run."""
-        return Mode(
+        return NetworkOptions(
             Policy(self._values["event_consumption_policy"].name),
             self.is_on("out_of_order"),
             self.is_on("revision_flag") or self.is_on("etalis_justification"),

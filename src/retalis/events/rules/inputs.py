@@ -13,7 +13,7 @@ _SECOND = re.compile(r"datime\((\d{1,9}),(\d{1,9}),(\d{1,9}),(\d{1,9}),(\d{1,9})
 _NANOSECOND = re.compile(r"\d{1,9}\)", re.ASCII)
 
 
-class Input(NamedTuple):
+class InputEvent(NamedTuple):
     """An event and the two instants of its interval; None where the clock is to stamp it.
 
     Attributes:
@@ -45,7 +45,7 @@ class InputReader:
         """
         return self._reader.read(text)
 
-    def event(self, text: str) -> Optional[Input]:
+    def event(self, text: str) -> Optional[InputEvent]:
         """Return the event that a text makes, or None where it is another goal.
 
         Raises:
@@ -58,7 +58,7 @@ class InputReader:
                 return found
         return event_of(self._reader.read(text))
 
-    def _stamped(self, text: str) -> Optional[Input]:
+    def _stamped(self, text: str) -> Optional[InputEvent]:
         """Read ``event(E,[T,T])`` as other nodes write it, the two stamps by their own short way; None if it is not.
 
         That the text up to the stamps and ``)`` is ``event(E)`` makes sure that they stand where they seem to.
@@ -82,7 +82,7 @@ class InputReader:
         if goal.__class__ is not tuple or goal[0] is not EVENT1:
             return None
         instant = WholeSeconds(second + int(stamp[last:-1]))
-        return Input(callable_of(goal[1]), instant, instant, self._reader.ground)
+        return InputEvent(callable_of(goal[1]), instant, instant, self._reader.ground)
 
     def _learn(self, text: str) -> Optional[int]:
         """Return the instant of a datime's text up to its nanoseconds, and remember it; None where it is none."""
@@ -96,7 +96,7 @@ class InputReader:
         return self._seconds.keep(text, instant, len(text))
 
 
-def event_of(goal: Term) -> Optional[Input]:
+def event_of(goal: Term) -> Optional[InputEvent]:
     """Return the event that a goal makes, or None where it is another goal.
 
     Raises:
@@ -109,26 +109,26 @@ def event_of(goal: Term) -> Optional[Input]:
     return None if reader is None else reader(goal[1:])
 
 
-def _event1(arguments: Sequence[Term]) -> Input:
+def _event1(arguments: Sequence[Term]) -> InputEvent:
     term = callable_of(arguments[0])
     if term.__class__ is tuple and term[0] is _EVENT2:  # event(event(E,[T1,T2])) is event(E,[T1,T2])
         return _with_interval(term[1:])
-    return Input(term, None, None)
+    return InputEvent(term, None, None)
 
 
-def _with_interval(arguments: Sequence[Term]) -> Input:
+def _with_interval(arguments: Sequence[Term]) -> InputEvent:
     stamps = list_items(arguments[1])
     if stamps is None or len(stamps) != 2:
         raise type_error("interval", arguments[1])
     return _checked(arguments, instant_of(stamps[0]), instant_of(stamps[1]))
 
 
-def _with_instant(arguments: Sequence[Term]) -> Input:
+def _with_instant(arguments: Sequence[Term]) -> InputEvent:
     instant = timestamps.from_parts(integer(arguments[1]), integer(arguments[2]))
     return _checked(arguments, instant, instant)
 
 
-def _with_instants(arguments: Sequence[Term]) -> Input:
+def _with_instants(arguments: Sequence[Term]) -> InputEvent:
     start = timestamps.from_parts(integer(arguments[1]), integer(arguments[2]))
     end = timestamps.from_parts(integer(arguments[3]), integer(arguments[4]))
     return _checked(arguments, start, end)
@@ -136,7 +136,7 @@ def _with_instants(arguments: Sequence[Term]) -> Input:
 
 EVENT1 = functor("event", 1)
 _EVENT2 = functor("event", 2)
-READERS: Dict[Functor, Callable[[Sequence[Term]], Input]] = {
+READERS: Dict[Functor, Callable[[Sequence[Term]], InputEvent]] = {
     EVENT1: _event1,
     _EVENT2: _with_interval,
     functor("new_event", 2): _with_interval,
@@ -145,7 +145,7 @@ READERS: Dict[Functor, Callable[[Sequence[Term]], Input]] = {
 }
 
 
-def _checked(arguments: Sequence[Term], start: int, end: int) -> Input:
+def _checked(arguments: Sequence[Term], start: int, end: int) -> InputEvent:
     if end < start or not (timestamps.in_range(start) and timestamps.in_range(end)):
         raise type_error("interval", arguments[1])
-    return Input(callable_of(arguments[0]), start, end)
+    return InputEvent(callable_of(arguments[0]), start, end)

@@ -36,10 +36,10 @@ _EVENT2 = functor("event", 2)
 def define_predicates(rules: Any) -> None:
     """Define all goals of the event language for a program's rules."""
     logic = rules.logic
-    _Editing(rules).define(logic)
-    _Settings(rules).define(logic)
-    _Streams(rules).define(logic)
-    _Looking(rules).define(logic)
+    _RuleGoals(rules).define(logic)
+    _FlagGoals(rules).define(logic)
+    _FiringGoals(rules).define(logic)
+    _ListingGoals(rules).define(logic)
 
 
 def _path(term: Term) -> str:
@@ -85,7 +85,7 @@ def _each(machine: Any, terms: Sequence[Term], found: Iterator[Tuple[Term, ...]]
         undo(machine.trail, mark)
 
 
-class _Editing:
+class _RuleGoals:
     """Goals that add and delete rules."""
 
     def __init__(self, rules: Any):
@@ -159,7 +159,7 @@ class _Editing:
         return True
 
 
-class _Settings:
+class _FlagGoals:
     """Goals that set and read flags and counters."""
 
     def __init__(self, rules: Any):
@@ -236,7 +236,7 @@ def _key(term: Term) -> Any:
         raise instantiation_error() from None
 
 
-class _Streams:
+class _FiringGoals:
     """Goals that fire events: one, a list, a file."""
 
     def __init__(self, rules: Any):
@@ -352,7 +352,7 @@ class _Failed:
 _FAILED = _Failed()
 
 
-class _Looking:
+class _ListingGoals:
     """Goals that look at what is there."""
 
     def __init__(self, rules: Any):

@@ -10,10 +10,10 @@ from ...prolog.machine import keep_back
 from ...prolog.terms import SECOND, Term, atom, copy, deref, from_seconds, term_key, unify, variables
 from ..dispatch import Dispatcher, Stage
 from ..history import Justifier, Store, Tracker
-from ..language import Definition, Property, called_by, is_absolute, is_rule
-from ..matches import Mode
+from ..language import Property, RuleDefinition, called_by, is_absolute, is_rule
+from ..matches import NetworkOptions
 from ..network import Rule
-from ..program import Checker, Files, Loader, nowhere
+from ..program import FileChecker, Files, Loader, nowhere
 from .flags import Flags
 from .predicates import define_predicates
 
@@ -68,7 +68,7 @@ class Rules:
         self._by_label: Dict[Any, Dict[Rule, None]] = {}
         self._by_key: Dict[Any, Dict[Rule, None]] = {}
         self.flags = Flags(self._flag_changed)
-        self.mode: Mode = self.flags.mode()
+        self.mode: NetworkOptions = self.flags.mode()
         self.tracker = Tracker(self)
         self.justifier = Justifier(self)
         self.store = Store(self)
@@ -116,13 +116,13 @@ class Rules:
         """The rules that take events, oldest first."""
         return list(self._rules)
 
-    def add(self, definition: Definition) -> Rule:
+    def add(self, definition: RuleDefinition) -> Rule:
         """Add a rule after all others; it sees later events only."""
         rule = self.compile(definition)
         self.activate(rule)
         return rule
 
-    def compile(self, definition: Definition) -> Rule:
+    def compile(self, definition: RuleDefinition) -> Rule:
         """Build a rule without having it take events.
 
         Raises:
@@ -209,7 +209,7 @@ class Rules:
         return list(self._by_label.get(term_key(label), ()))
 
     def _same_rules(self, term: Term) -> List[Rule]:
-        checker = Checker()
+        checker = FileChecker()
         checker.term(copy(term), nowhere, None)
         if not checker.rules:
             return []
@@ -227,7 +227,7 @@ class Rules:
         bodies = [clause.body for one in predicates if not one.library for clause in one.live()]
         return [*(rule.definition.term for rule in self.rules), *bodies]
 
-    def _name(self, definition: Definition) -> str:
+    def _name(self, definition: RuleDefinition) -> str:
         show = self.logic.brief
         head = "(no head)"
         if (

@@ -30,13 +30,13 @@ from . import (  # noqa: F401  (imported for what they register)
 from .arguments import callable_of, integer
 from .datimes import instant_of
 from .dcg import translate_rule
-from .portraying import Capture
+from .portraying import OutputCapture
 from .registry import ENTRIES, control
 from .state import default_flags
 
 __all__ = [
     "callable_of",
-    "Capture",
+    "OutputCapture",
     "control",
     "default_flags",
     "ENTRIES",

@@ -23,7 +23,7 @@ def format_error(message: str) -> Exception:
     return error((_FORMAT, atom(message)))
 
 
-class Line:
+class ColumnLine:
     """The text so far, with the column stops of its last line.
 
     Args:
@@ -100,7 +100,7 @@ class Formatter:
 
     def __init__(self, machine: Any, column: int):
         self.machine = machine
-        self.line = Line(column)
+        self.line = ColumnLine(column)
         self.arguments: List[Term] = []
 
     def format(self, text: str, arguments: List[Term]) -> str:

@@ -18,7 +18,7 @@ from ..syntax import write_term
 from ..terms import CONS, NIL, Atom, Term, Var, atom, deref, list_items, resolve, unify
 from .arguments import integer, is_iso, option_values
 from .formatting import Formatter
-from .portraying import Capture, portray_of, printed
+from .portraying import OutputCapture, portray_of, printed
 from .registry import control, deterministic
 from .text import LARGEST_CODE, fill_sink, is_sink, make_text, whole_text
 
@@ -330,7 +330,7 @@ def with_output_to(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
     logic = machine.logic
     height = len(machine.choices)
     machine.choices.append((_CAUGHT, logic, logic.output, logic.column, len(machine.trail)))
-    capture = logic.output = Capture(logic)
+    capture = logic.output = OutputCapture(logic)
     captured = capture.texts
     logic.column = 0
     return logic.control.call(args[1], (_RELEASE, machine, height, sink, captured, after))  # type: ignore[no-any-return]

@@ -10,7 +10,7 @@ from .text import long_text
 _PORTRAY = functor("portray", 1)
 
 
-class Capture:
+class OutputCapture:
     """Output that is kept.
 
     Attributes:
@@ -33,7 +33,7 @@ class Capture:
 def caught(machine: Any, goal: Term) -> Tuple[bool, str]:
     """Return whether a goal succeeds, and what it writes."""
     logic = machine.logic
-    capture = logic.output = Capture(logic)
+    capture = logic.output = OutputCapture(logic)
     try:
         succeeded = logic.once(goal)
     finally:

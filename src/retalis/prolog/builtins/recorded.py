@@ -11,7 +11,7 @@ _REFERENCE = functor("$record", 1)
 _NEVER = 1 << 62
 
 
-class _Record:
+class _RecordedTerm:
     __slots__ = ("key", "value", "number", "erased", "before", "behind")
 
     def __init__(self, key: Any, value: Term, number: int):
@@ -20,8 +20,8 @@ class _Record:
         self.number = number
         self.erased = _NEVER
         """The number of the newest record when it was erased."""
-        self.before: Optional[_Record] = None
-        self.behind: Optional[_Record] = None
+        self.before: Optional[_RecordedTerm] = None
+        self.behind: Optional[_RecordedTerm] = None
 
     @property
     def reference(self) -> Term:
@@ -29,18 +29,18 @@ class _Record:
         return (_REFERENCE, self.number)
 
 
-class _Chain:
+class _RecordChain:
     """The records of one key, linked in their order; what is erased stays linked while somebody walks along them."""
 
     __slots__ = ("first", "last", "readers", "leaving")
 
     def __init__(self) -> None:
-        self.first: Optional[_Record] = None
-        self.last: Optional[_Record] = None
+        self.first: Optional[_RecordedTerm] = None
+        self.last: Optional[_RecordedTerm] = None
         self.readers = 0
-        self.leaving: List[_Record] = []
+        self.leaving: List[_RecordedTerm] = []
 
-    def add(self, record: _Record, first: bool) -> None:
+    def add(self, record: _RecordedTerm, first: bool) -> None:
         if self.first is None or self.last is None:
             self.last = self.first = record
         elif first:
@@ -63,7 +63,7 @@ class _Chain:
         self.last = before
         self.let_go()
 
-    def all(self) -> Iterator[_Record]:
+    def all(self) -> Iterator[_RecordedTerm]:
         """Yield the records, also those that were erased and are still linked."""
         record = self.first
         while record is not None:
@@ -87,20 +87,20 @@ class _Chain:
         self.leaving.clear()
 
 
-class _Records:
+class _RecordedDatabase:
     """All records of a program."""
 
     def __init__(self) -> None:
-        self.by_key: Dict[Any, _Chain] = {}
-        self.by_number: Dict[int, _Record] = {}
+        self.by_key: Dict[Any, _RecordChain] = {}
+        self.by_number: Dict[int, _RecordedTerm] = {}
         self._last = 0
 
     def add(self, key: Term, value: Term, first: bool) -> Term:
         """Record a copy of a term under a key; return the reference."""
         self._last += 1
-        record = _Record(_key(key), copy(value), self._last)
+        record = _RecordedTerm(_key(key), copy(value), self._last)
         self.by_number[self._last] = record
-        self.by_key.setdefault(record.key, _Chain()).add(record, first)
+        self.by_key.setdefault(record.key, _RecordChain()).add(record, first)
         return record.reference
 
     def erase(self, number: int) -> bool:
@@ -114,7 +114,7 @@ class _Records:
         self._tidy(record.key)
         return True
 
-    def of_keys(self, keys: List[Any]) -> Iterator[_Record]:
+    def of_keys(self, keys: List[Any]) -> Iterator[_RecordedTerm]:
         """Yield the records of keys as they are now, whatever comes and goes meanwhile."""
         newest = self._last
         chains = [(key, self.by_key[key]) for key in keys if key in self.by_key]
@@ -166,10 +166,10 @@ def _term(key: Any) -> Term:
     return float.fromhex(key[1]) if key.__class__ is tuple else key
 
 
-def _records(machine: Any) -> _Records:
-    found: Optional[_Records] = machine.logic.state.get("records")
+def _records(machine: Any) -> _RecordedDatabase:
+    found: Optional[_RecordedDatabase] = machine.logic.state.get("records")
     if found is None:
-        found = machine.logic.state["records"] = _Records()
+        found = machine.logic.state["records"] = _RecordedDatabase()
     return found
 
 

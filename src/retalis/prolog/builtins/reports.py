@@ -79,7 +79,7 @@ def clause_text(machine: Any, term: Term) -> str:
     term = copy(term)
     names = letter_names(term)
     term = deref(term)
-    layout = _Layout(machine.logic.operators, names)
+    layout = _BodyLayout(machine.logic.operators, names)
     if term.__class__ is tuple and term[0] is _NECK and deref(term[2]) is not TRUE:
         layout.put(f"{layout.text(term[1], 1199)} :-\n    ")
         layout.body(term[2], 1, 1199)
@@ -93,7 +93,7 @@ def clause_text(machine: Any, term: Term) -> str:
     return layout.done() + ".\n"
 
 
-class _Layout:
+class _BodyLayout:
     """Bodies with a goal a line and control constructs as columns."""
 
     def __init__(self, operators: Any, names: Dict[Var, str]):

@@ -194,7 +194,7 @@ def _character(term: Term) -> None:
 # Global variables
 
 
-class _Restore:
+class _RestoreValue:
     """Trail entry that gives a global variable its old value back."""
 
     __slots__ = ("values", "name", "old")
@@ -235,7 +235,7 @@ def b_setval(machine: Any, name: Term, value: Term) -> bool:
     """Set a global variable; backtracking undoes it."""
     values = machine.logic.globals
     key = atom_of(name).name
-    machine.trail.append(_Restore(values, key))
+    machine.trail.append(_RestoreValue(values, key))
     values[key] = deref(value)
     return True
 

@@ -41,7 +41,7 @@ _ANSWER = functor("answer", 0)
 _PLAIN = frozenset((Atom, int, String))
 """Kinds of terms that are their own keys."""
 
-Call = Callable[[Frame], Optional[Frame]]
+TabledCall = Callable[[Frame], Optional[Frame]]
 
 
 class Tables:
@@ -78,7 +78,7 @@ class Tables:
                 table.state = "new"
                 table.empty()
 
-    def moded_caller(self, predicate: Predicate, modes: Dict[int, Mode]) -> Call:
+    def moded_caller(self, predicate: Predicate, modes: Dict[int, Mode]) -> TabledCall:
         """Return the function that does calls of a predicate some of whose arguments have modes."""
         plain = self.caller(predicate, list(modes.values()))
 

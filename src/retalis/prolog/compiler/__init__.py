@@ -2,7 +2,7 @@
 
 from .direct import Direct
 from .facts import fact_search
-from .goals import GoalCode
+from .goals import GoalGenerator
 from .keys import key_of
 from .nodes import (
     ARROW,
@@ -18,7 +18,7 @@ from .nodes import (
     SEMICOLON,
     SOFT_ARROW,
 )
-from .predicates import Generator, Rule
+from .predicates import ClauseParts, Generator
 
 __all__ = [
     "ARROW",
@@ -30,13 +30,13 @@ __all__ = [
     "EQUAL",
     "fact_search",
     "Generator",
-    "GoalCode",
+    "GoalGenerator",
     "IGNORE",
     "key_of",
     "NOT",
     "ONCE",
     "ORDERS",
-    "Rule",
+    "ClauseParts",
     "SEMICOLON",
     "SOFT_ARROW",
 ]

@@ -4,8 +4,20 @@ from typing import Any, FrozenSet, List, Optional, Sequence
 
 from ..terms import Atom, Functor, Term, Var, conjunction, deref, functor, variables
 from .inline import forget, write_inline, write_test
-from .nodes import ARG, KNOWN_ARG, Condition, Cut, Either, Fail, Goal, Height, Interpret, Node, needed_by
-from .scope import Clause, Scope, Unit
+from .nodes import (
+    ARG,
+    KNOWN_ARG,
+    CallNode,
+    Cut,
+    Disjunction,
+    Fail,
+    GoalNode,
+    Height,
+    IfThenElse,
+    Interpret,
+    needed_by,
+)
+from .scope import ClauseVariables, Scope, Unit
 
 _MOST_CALLS = 12
 """Frames of more calls than this are built in several steps."""
@@ -37,7 +49,7 @@ class Bodies:
     def __init__(
         self,
         unit: Unit,
-        clause: Clause,
+        clause: ClauseVariables,
         entry: Height,
         interpret: Any,
         title: str,
@@ -52,11 +64,11 @@ class Bodies:
         self.key = key
         self.outputs = outputs
 
-    def write(self, scope: Scope, nodes: Sequence[Node]) -> None:
+    def write(self, scope: Scope, nodes: Sequence[GoalNode]) -> None:
         """Write goals to the end of the function: the last statements return the next frame."""
         at = 0
         while at < len(nodes):
-            node: Node = nodes[at]
+            node: GoalNode = nodes[at]
             if not node.inline:
                 if not self._is_known(scope, nodes, at):
                     break
@@ -70,34 +82,34 @@ class Bodies:
         if not rest:
             self._flush(scope)
             scope.line(f"return {scope.after}")
-        elif isinstance(rest[0], (Goal, Interpret)):
+        elif isinstance(rest[0], (CallNode, Interpret)):
             self._calls(scope, rest)
-        elif isinstance(rest[0], Either):
+        elif isinstance(rest[0], Disjunction):
             self._either(scope, rest[0], rest[1:])
-        elif isinstance(rest[0], Condition):
+        elif isinstance(rest[0], IfThenElse):
             self._condition(scope, rest[0], rest[1:])
         else:
             raise AssertionError(rest[0])
 
-    def _is_known(self, scope: Scope, nodes: Sequence[Node], at: int) -> bool:
+    def _is_known(self, scope: Scope, nodes: Sequence[GoalNode], at: int) -> bool:
         """Tell whether a goal is ``arg/3`` whose number has most likely been given a value."""
         node = nodes[at]
-        if not isinstance(node, Goal) or node.key is not ARG or self.unit.database.is_library:
+        if not isinstance(node, CallNode) or node.key is not ARG or self.unit.database.is_library:
             return False
         number = deref(node.args[0])
         known = number in scope.names and number not in scope.fresh
         return known and all(deref(other.source).__class__ in (tuple, Atom) for other in nodes[at:])
 
-    def _known(self, scope: Scope, nodes: Sequence[Node]) -> Goal:
+    def _known(self, scope: Scope, nodes: Sequence[GoalNode]) -> CallNode:
         """Write the test that the number of ``arg/3`` is a variable: then the rest is run from its terms.
 
         Return the goal to write for all other numbers.
         """
         goal = nodes[0]
-        assert isinstance(goal, Goal)
+        assert isinstance(goal, CallNode)
         var = deref(goal.args[0])
         number = scope.names[var]
-        found = Goal("builtin", KNOWN_ARG, goal.args, True)
+        found = CallNode("builtin", KNOWN_ARG, goal.args, True)
         if scope.numbers.get(var, _NO_VALUE)[0] == number:
             return found
         scope.dereference(number)
@@ -126,9 +138,9 @@ class Bodies:
             scope.pending = None
             scope.fail = "return None"
 
-    def _calls(self, scope: Scope, nodes: Sequence[Node]) -> None:
+    def _calls(self, scope: Scope, nodes: Sequence[GoalNode]) -> None:
         count = 0
-        while count < min(len(nodes), _MOST_CALLS) and isinstance(nodes[count], (Goal, Interpret)):
+        while count < min(len(nodes), _MOST_CALLS) and isinstance(nodes[count], (CallNode, Interpret)):
             if nodes[count].inline:
                 break
             count += 1
@@ -149,14 +161,14 @@ class Bodies:
             frame = self._frame(scope, call, frame)
         scope.line(f"return {frame}")
 
-    def _at_once(self, call: Node) -> bool:
+    def _at_once(self, call: GoalNode) -> bool:
         """Tell whether a call is of a control predicate that most often does all at once."""
-        return isinstance(call, Goal) and call.key is not _OUTPUTS and self.unit.at_once(call.key)
+        return isinstance(call, CallNode) and call.key is not _OUTPUTS and self.unit.at_once(call.key)
 
-    def _control(self, scope: Scope, calls: Sequence[Node], frame: str, last: bool) -> None:
+    def _control(self, scope: Scope, calls: Sequence[GoalNode], frame: str, last: bool) -> None:
         """Write the first call in line; where it has done all at once, what follows goes on without a frame."""
         first, others = calls[0], calls[1:]
-        assert isinstance(first, Goal)
+        assert isinstance(first, CallNode)
         for other in reversed(others):
             frame = self._frame(scope, other, frame)
         depth = scope.depth
@@ -179,7 +191,7 @@ class Bodies:
         if not (last and len(others) == 1 and self._loops(scope, others[0])) and (others or gate is not None):
             scope.line(f"return {frame}")
 
-    def _gate(self, scope: Scope, call: Goal) -> Optional[str]:
+    def _gate(self, scope: Scope, call: CallNode) -> Optional[str]:
         """Return the condition under which a call can have anything to do, where that can be told beforehand."""
         term = deref(call.args[0])
         positions: List[int] = []
@@ -209,11 +221,11 @@ class Bodies:
             return "False"
         return " and ".join(f"{name}.__class__ in PLAIN" for name in names) or "True"
 
-    def _frame(self, scope: Scope, call: Node, after: str) -> str:
+    def _frame(self, scope: Scope, call: GoalNode, after: str) -> str:
         if isinstance(call, Interpret):
             term = scope.build(call.term)
             return f"({scope.unit.constant(self.interpret)}, {term}, {scope.names[call.height]}, {after})"
-        assert isinstance(call, Goal)
+        assert isinstance(call, CallNode)
         if self.outputs is not None and call.key is _OUTPUTS:
             code = self.unit.constant(self.outputs)
         else:
@@ -221,9 +233,9 @@ class Bodies:
         parts = [code, *[scope.build(arg) for arg in call.args], after]
         return f"({', '.join(parts)})"
 
-    def _loops(self, scope: Scope, call: Node) -> bool:
+    def _loops(self, scope: Scope, call: GoalNode) -> bool:
         """Write a last call of the predicate itself as another turn of the loop around it."""
-        if scope.loop is None or not isinstance(call, Goal) or scope.after != "after":
+        if scope.loop is None or not isinstance(call, CallNode) or scope.after != "after":
             return False
         key, locals_, statement, end = scope.loop
         if call.key is not key:
@@ -246,7 +258,9 @@ class Bodies:
     def _live(self, scope: Scope, needed: FrozenSet[Any]) -> List[Any]:
         return sorted((var for var in needed if var in scope.names), key=self.clause.number)
 
-    def _continuation(self, scope: Scope, nodes: Sequence[Node], after: str, retried: bool = False) -> str:
+    def _continuation(
+        self, scope: Scope, nodes: Sequence[GoalNode], after: str, retried: bool = False
+    ) -> str:
         """Return an expression for the frame that runs ``nodes``; their function is written later.
 
         A frame that is ``retried`` is a choice point: it ends with the length of the trail.
@@ -267,7 +281,7 @@ class Bodies:
         code.functor = self.key
         return self.unit.constant(code), function
 
-    def _job(self, function: str, live: List[Any], nodes: Sequence[Node], retried: bool) -> None:
+    def _job(self, function: str, live: List[Any], nodes: Sequence[GoalNode], retried: bool) -> None:
         def write() -> None:
             scope = Scope(self.unit, self.clause)
             scope.entry = False
@@ -280,7 +294,7 @@ class Bodies:
 
         self.unit.jobs.append(write)
 
-    def _share(self, scope: Scope, groups: Sequence[Sequence[Node]]) -> None:
+    def _share(self, scope: Scope, groups: Sequence[Sequence[GoalNode]]) -> None:
         """Create the variables that more than one of the parts of a control construct needs."""
         seen: FrozenSet[Any] = _EMPTY
         twice: FrozenSet[Any] = _EMPTY
@@ -293,14 +307,14 @@ class Bodies:
                 scope.create(var)
                 scope.fresh.discard(var)
 
-    def _join(self, scope: Scope, rest: Sequence[Node]) -> None:
+    def _join(self, scope: Scope, rest: Sequence[GoalNode]) -> None:
         """Make the frame for what follows a control construct; its branches go on with it."""
         if rest:
             frame = self._continuation(scope, rest, scope.after)
             scope.after = scope.temp("after")
             scope.line(f"{scope.after} = {frame}")
 
-    def _alternative(self, scope: Scope, nodes: Sequence[Node]) -> None:
+    def _alternative(self, scope: Scope, nodes: Sequence[GoalNode]) -> None:
         """Write the pushing of a choice point that runs ``nodes``."""
         if nodes:
             if isinstance(nodes[0], Fail):
@@ -312,7 +326,7 @@ class Bodies:
 
     # Control
 
-    def _either(self, scope: Scope, node: Either, rest: Sequence[Node]) -> None:
+    def _either(self, scope: Scope, node: Disjunction, rest: Sequence[GoalNode]) -> None:
         self._share(scope, [*node.branches, rest])
         self._flush(scope, needed_by([node, *rest]))
         self._join(scope, rest)
@@ -322,7 +336,7 @@ class Bodies:
         scope.fail = "return None"
         self.write(scope, first)
 
-    def _condition(self, scope: Scope, node: Condition, rest: Sequence[Node]) -> None:
+    def _condition(self, scope: Scope, node: IfThenElse, rest: Sequence[GoalNode]) -> None:
         self._share(scope, [[*node.test, *node.then], node.otherwise, rest])
         if all(goal.inline for goal in node.test) and node.inner is None and not node.soft:
             self._if(scope, node, rest)
@@ -340,7 +354,7 @@ class Bodies:
         scope.fail = "return None"
         self.write(scope, [*node.test, Cut(height, node.soft), *node.then])
 
-    def _if(self, scope: Scope, node: Condition, rest: Sequence[Node]) -> None:
+    def _if(self, scope: Scope, node: IfThenElse, rest: Sequence[GoalNode]) -> None:
         """Write a condition with an inline test and calls in its branches."""
         scope.later = needed_by([*node.then, *rest])
         if rest:
@@ -358,7 +372,7 @@ class Bodies:
         self.write(scope, node.otherwise)
         scope.depth -= 1
 
-    def _height(self, scope: Scope, nodes: Sequence[Node]) -> None:
+    def _height(self, scope: Scope, nodes: Sequence[GoalNode]) -> None:
         if self.entry in needed_by(nodes) and self.entry not in scope.names:
             self._enter(scope)
 

@@ -9,8 +9,8 @@ from typing import Any, List, NamedTuple, Optional, Sequence, Tuple
 
 from ..terms import Term, Var, deref
 from .inline import write_inline
-from .nodes import Goal, Node, needed_by
-from .scope import Clause, Scope
+from .nodes import CallNode, GoalNode, needed_by
+from .scope import ClauseVariables, Scope
 from .unification import match, take_apart
 
 
@@ -22,7 +22,7 @@ class Shape(NamedTuple):
 
 
 def shape_of(
-    clause: Clause, args: Sequence[Term], nodes: Sequence[Node], key: Any, switch: int
+    clause: ClauseVariables, args: Sequence[Term], nodes: Sequence[GoalNode], key: Any, switch: int
 ) -> Optional[Shape]:
     """Return the shape of a clause whose last goal calls its own predicate, or None where it does not fit.
 
@@ -34,9 +34,9 @@ def shape_of(
         switch: the argument that the predicate switches on, a compound term.
     """
     call = nodes[-1] if nodes else None
-    if not isinstance(call, Goal) or call.inline or call.key is not key:
+    if not isinstance(call, CallNode) or call.inline or call.key is not key:
         return None
-    if any(not isinstance(node, Goal) or node.form not in ("is", "arithmetic") for node in nodes[:-1]):
+    if any(not isinstance(node, CallNode) or node.form not in ("is", "arithmetic") for node in nodes[:-1]):
         return None
     found = None
     for at, arg in enumerate(args):
@@ -55,13 +55,13 @@ def write_building(
     scope: Scope,
     locals_: Sequence[str],
     args: Sequence[Term],
-    nodes: Sequence[Node],
+    nodes: Sequence[GoalNode],
     shape: Shape,
     switch: int,
 ) -> None:
     """Write the loop for an unbound argument; afterwards the general code of the clause follows."""
     call = nodes[-1]
-    assert isinstance(call, Goal)
+    assert isinstance(call, CallNode)
     source, built = locals_[switch], locals_[shape.position]
     pattern, cell = deref(args[switch]), deref(args[shape.position])
     before = scope.branch()
@@ -105,7 +105,7 @@ def write_building(
     scope.looped = True
 
 
-def _advance(scope: Scope, locals_: Sequence[str], call: Goal, shape: Shape) -> None:
+def _advance(scope: Scope, locals_: Sequence[str], call: CallNode, shape: Shape) -> None:
     """Write the arguments of the next turn."""
     changed: List[Tuple[str, str]] = []
     for at, arg in enumerate(call.args):

@@ -12,9 +12,9 @@ from ..machine import BAIL
 from ..terms import Functor, functor, undo
 from .inline import write_inline
 from .keys import key_of
-from .nodes import Condition, Cut, Goal, Height, Node, Parser, needed_by
-from .predicates import Generator, Rule, title_of
-from .scope import Clause, Scope, Unit
+from .nodes import BodyParser, CallNode, Cut, GoalNode, Height, IfThenElse, needed_by
+from .predicates import ClauseParts, Generator, title_of
+from .scope import ClauseVariables, Scope, Unit
 
 _MOST_CLAUSES = 8
 _MOST_WORK = 100
@@ -99,10 +99,10 @@ def is_facts(predicate: Any) -> bool:
     return predicate.ground and (predicate.dynamic or len(predicate) > _MOST_CLAUSES)
 
 
-def rules_of(predicate: Any) -> List[Rule]:
+def rules_of(predicate: Any) -> List[ClauseParts]:
     """Return the clauses of a predicate as the generator takes them."""
     return [
-        Rule(clause.head[1:] if clause.head.__class__ is tuple else (), clause.body, clause.place)
+        ClauseParts(clause.head[1:] if clause.head.__class__ is tuple else (), clause.body, clause.place)
         for clause in predicate.live()
     ]
 
@@ -131,7 +131,7 @@ def work(database: Any, key: Functor, path: Tuple[Functor, ...] = ()) -> Optiona
     return total if total <= _MOST_WORK else None
 
 
-def work_of(database: Any, nodes: Sequence[Node], path: Tuple[Functor, ...] = ()) -> Optional[int]:
+def work_of(database: Any, nodes: Sequence[GoalNode], path: Tuple[Functor, ...] = ()) -> Optional[int]:
     """Return what the predicates called in a body cost; None where one of its goals cannot be in a function."""
     total = 0
     for goal in goals_of(nodes):
@@ -150,16 +150,16 @@ def is_pure(database: Any, key: Functor) -> bool:
     return key in _PURE or database.predicate(key).functional is not None
 
 
-def goals_of(nodes: Sequence[Node]) -> Iterator[Goal]:
+def goals_of(nodes: Sequence[GoalNode]) -> Iterator[CallNode]:
     """Yield all goals of a body, those in conditions included."""
     for node in nodes:
-        if isinstance(node, Goal):
+        if isinstance(node, CallNode):
             yield node
-        elif isinstance(node, Condition):
+        elif isinstance(node, IfThenElse):
             yield from goals_of([*node.test, *node.then, *node.otherwise])
 
 
-def parser(database: Any, entry: Height, path: Tuple[Functor, ...] = ()) -> Parser:
+def parser(database: Any, entry: Height, path: Tuple[Functor, ...] = ()) -> BodyParser:
     """Return a parser that takes calls of predicates that can be functions as inline goals."""
     known: Dict[Functor, bool] = {}
 
@@ -168,16 +168,16 @@ def parser(database: Any, entry: Height, path: Tuple[Functor, ...] = ()) -> Pars
             known[key] = work(database, key, path) is not None
         return known[key]
 
-    return Parser(database, entry, direct)
+    return BodyParser(database, entry, direct)
 
 
-def choose_functions(nodes: Sequence[Node], once: bool) -> None:
+def choose_functions(nodes: Sequence[GoalNode], once: bool) -> None:
     """Let goals use their first solution where that is enough: before a cut, at the end of a test, of a goal."""
     for at, node in enumerate(nodes):
         last = once if at == len(nodes) - 1 else isinstance(nodes[at + 1], Cut)
-        if isinstance(node, Goal):
+        if isinstance(node, CallNode):
             node.once = last
-        elif isinstance(node, Condition):
+        elif isinstance(node, IfThenElse):
             choose_functions(node.test, True)
             choose_functions(node.then, last)
             choose_functions(node.otherwise, last)
@@ -214,7 +214,7 @@ class Functions(Generator):
         rule = self.rules[index]
         rest = self.rules[index + 1 :]
         entry = Height("height")
-        scope = Scope(unit, Clause((*rule.args, rule.body)), "break")
+        scope = Scope(unit, ClauseVariables((*rule.args, rule.body)), "break")
         scope.depth = 2
         scope.cut = "return False"
         nodes = parser(self.database, entry, (self.key,)).parse(rule.body)
@@ -235,7 +235,7 @@ class Functions(Generator):
         return lines
 
     @staticmethod
-    def _may_match(unit: Unit, rule: Rule, keyed: List[int]) -> str:
+    def _may_match(unit: Unit, rule: ClauseParts, keyed: List[int]) -> str:
         """Return the condition that a clause may match what the arguments were at entry."""
         tests = []
         for at in keyed:

@@ -22,11 +22,11 @@ _FUNCTIONS_OF_INTEGERS = {*_INTEGRAL, *_BITS, functor("\\", 1), functor("gcd", 2
 _TO_INTEGER = {functor(name, 1) for name in ("integer", "truncate", "round", "floor", "ceiling")}
 _DEEPEST = 30
 
-Value = Tuple[str, str]
+Operand = Tuple[str, str]
 """A Python expression without side effects, and its class: "int", "float" or "num"."""
 
 
-def number(scope: Scope, expression: Term, depth: int = 0) -> Value:
+def number(scope: Scope, expression: Term, depth: int = 0) -> Operand:
     """Write the evaluation of an arithmetic expression and return the expression for its value."""
     expression = deref(expression)
     kind = expression.__class__
@@ -48,7 +48,7 @@ def number(scope: Scope, expression: Term, depth: int = 0) -> Value:
     return target, "num"
 
 
-def _variable(scope: Scope, var: Var) -> Value:
+def _variable(scope: Scope, var: Var) -> Operand:
     known = scope.numbers.get(var)
     if known is not None:
         return known
@@ -67,7 +67,7 @@ def _variable(scope: Scope, var: Var) -> Value:
     return target, "num"
 
 
-def _operation(scope: Scope, expression: Term, depth: int) -> Value:
+def _operation(scope: Scope, expression: Term, depth: int) -> Operand:
     key: Functor = expression[0]
     if key in _DIRECT:
         return _direct(scope, key, expression, depth)
@@ -88,7 +88,7 @@ def _operation(scope: Scope, expression: Term, depth: int) -> Value:
     return target, "int" if key in _FUNCTIONS_OF_INTEGERS or key in _TO_INTEGER else "num"
 
 
-def _direct(scope: Scope, key: Functor, expression: Term, depth: int) -> Value:
+def _direct(scope: Scope, key: Functor, expression: Term, depth: int) -> Operand:
     symbol, slow = _DIRECT[key]
     left_term, right_term = deref(expression[1]), deref(expression[2])
     target = scope.temp()

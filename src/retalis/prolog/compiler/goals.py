@@ -8,14 +8,14 @@ from ..terms import Term, Var, copy, deref, functor, is_larger, resolve, variabl
 from .bodies import Bodies
 from .direct import choose_functions, give_up, goals_of, parser, work_of
 from .inline import write_sequence
-from .nodes import Goal, Height, Node, Parser, needed_by
+from .nodes import BodyParser, CallNode, GoalNode, Height, needed_by
 from .predicates import title_of
-from .scope import Clause, Scope, Unit
+from .scope import ClauseVariables, Scope, Unit
 
 _OUTPUTS = functor("outputs", 0)
 
 
-class HandOver(Goal):
+class HandOver(CallNode):
     """The end of a goal: its outputs go to the continuation."""
 
     __slots__ = ()
@@ -29,7 +29,7 @@ def _hand_over(frame: Any) -> Any:
 HAND_OVER = Code("outputs", _hand_over)
 
 
-class GoalCode:
+class GoalGenerator:
     """Generates the code of one goal."""
 
     def __init__(
@@ -48,7 +48,7 @@ class GoalCode:
         self._outputs = outputs
         self._place = place
         self._name = name
-        self._nodes: List[Node] = []
+        self._nodes: List[GoalNode] = []
         self._entry = Height("height")
 
     def parse(self) -> None:
@@ -58,20 +58,20 @@ class GoalCode:
             PrologError: a type error where it is not a goal.
         """
         self._entry = Height("height")
-        self._nodes = Parser(self._database, self._entry).parse(self._term)
+        self._nodes = BodyParser(self._database, self._entry).parse(self._term)
 
     def call(self) -> Optional[Any]:
         """Return the predicate, where the goal is one call of it with the inputs as they are; else None."""
         if len(self._nodes) != 1:
             return None
         node = self._nodes[0]
-        if not isinstance(node, Goal) or node.inline or tuple(map(deref, node.args)) != self._inputs:
+        if not isinstance(node, CallNode) or node.inline or tuple(map(deref, node.args)) != self._inputs:
             return None
         return self._database.predicate(node.key)
 
     def _scope(self, unit: Unit) -> Scope:
         # Inputs count as used twice: a value is never void.
-        scope = Scope(unit, Clause((*self._inputs, self._term, *self._outputs, *self._inputs)))
+        scope = Scope(unit, ClauseVariables((*self._inputs, self._term, *self._outputs, *self._inputs)))
         for at, var in enumerate(self._inputs):
             scope.names[var] = f"a{at}"
         return scope
@@ -130,7 +130,7 @@ class GoalCode:
         unit = Unit(self._database.machine, self._database)
         scope = self._scope(unit)
         locals_ = [scope.names[var] for var in self._inputs]
-        nodes: Sequence[Node] = self._nodes
+        nodes: Sequence[GoalNode] = self._nodes
         if hands_over:
             nodes = [*nodes, HandOver("call", _OUTPUTS, self._outputs, False)]
         if self._entry in needed_by(nodes):

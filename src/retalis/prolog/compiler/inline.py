@@ -4,26 +4,37 @@ from typing import Any, Dict, FrozenSet, List, Optional, Sequence, Set, Tuple
 
 from ..terms import Atom, Term, Var, deref, variables
 from .expressions import number
-from .nodes import COMPARISONS, KNOWN_ARG, ORDERS, TYPE_TESTS, Condition, Cut, Fail, Goal, Node, needed_by
+from .nodes import (
+    COMPARISONS,
+    KNOWN_ARG,
+    ORDERS,
+    TYPE_TESTS,
+    CallNode,
+    Cut,
+    Fail,
+    GoalNode,
+    IfThenElse,
+    needed_by,
+)
 from .scope import Scope
 from .unification import differs, forget_fresh, match
 
 Missed = Tuple[Set[Any], Set[Any]]
 
 
-def write_inline(scope: Scope, node: Node) -> None:
+def write_inline(scope: Scope, node: GoalNode) -> None:
     """Write an inline goal; it fails by the scope's fail statement."""
-    if isinstance(node, Goal):
+    if isinstance(node, CallNode):
         _WRITERS[node.form](scope, node)
     elif isinstance(node, Cut):
         _cut(scope, node)
-    elif isinstance(node, Condition):
+    elif isinstance(node, IfThenElse):
         _condition(scope, node)
     else:
         scope.line(scope.fail)
 
 
-def _unify(scope: Scope, node: Goal) -> None:
+def _unify(scope: Scope, node: CallNode) -> None:
     left, right = deref(node.args[0]), deref(node.args[1])
     if left.__class__ is not Var:
         left, right = right, left
@@ -67,7 +78,7 @@ def _unify_terms(scope: Scope, left: Term, right: Term) -> None:
         scope.line(scope.fail)
 
 
-def _is(scope: Scope, node: Goal) -> None:
+def _is(scope: Scope, node: CallNode) -> None:
     target = deref(node.args[0])
     value, kind = number(scope, node.args[1])
     if target.__class__ is Var and target not in scope.names:
@@ -98,7 +109,7 @@ def _is(scope: Scope, node: Goal) -> None:
     scope.line(f"    {scope.fail}")
 
 
-def _builtin(scope: Scope, node: Goal) -> None:
+def _builtin(scope: Scope, node: CallNode) -> None:
     functional = scope.unit.database.predicate(node.key).functional
     if functional is not None:
         _function(scope, node, functional)
@@ -107,7 +118,7 @@ def _builtin(scope: Scope, node: Goal) -> None:
     scope.line(f"    {scope.fail}")
 
 
-def _builtin_call(scope: Scope, node: Goal) -> str:
+def _builtin_call(scope: Scope, node: CallNode) -> str:
     scope.binds = True
     args = "".join(f", {scope.build(arg)}" for arg in node.args)
     for arg in node.args:
@@ -115,7 +126,7 @@ def _builtin_call(scope: Scope, node: Goal) -> str:
     return f"{scope.unit.builtin(node.key)}(M{args})"
 
 
-def _function(scope: Scope, node: Goal, functional: Any) -> None:
+def _function(scope: Scope, node: CallNode, functional: Any) -> None:
     """Write a call for the outputs, and their unification; void variables are left alone."""
     inputs = [node.args[at] for at in functional.inputs]
     result = scope.temp()
@@ -168,7 +179,7 @@ def _bind_output(scope: Scope, var: Var, value: str) -> None:
     scope.line(f"    {scope.fail}")
 
 
-def _direct(scope: Scope, node: Goal) -> None:
+def _direct(scope: Scope, node: CallNode) -> None:
     """Write a call of a predicate as a function, see `compiler.direct`."""
     result = scope.temp()
     scope.binds = True
@@ -185,14 +196,14 @@ def _direct(scope: Scope, node: Goal) -> None:
     scope.line(f"    {scope.fail}")
 
 
-def _test(scope: Scope, node: Goal) -> None:
+def _test(scope: Scope, node: CallNode) -> None:
     scope.line(f"if not ({simple_test(scope, node)}):")
     scope.line(f"    {scope.fail}")
 
 
-def simple_test(scope: Scope, node: Node) -> Optional[str]:
+def simple_test(scope: Scope, node: GoalNode) -> Optional[str]:
     """Return the Python condition of a test that binds nothing, after writing what it needs; None for others."""
-    if not isinstance(node, Goal):
+    if not isinstance(node, CallNode):
         return None
     if node.form == "arithmetic":
         left, _ = number(scope, node.args[0])
@@ -219,7 +230,7 @@ def _dereferenced(scope: Scope, term: Term) -> str:
     return name
 
 
-def _order(scope: Scope, node: Goal) -> str:
+def _order(scope: Scope, node: CallNode) -> str:
     left, right = deref(node.args[0]), deref(node.args[1])
     operator = ORDERS[node.key]
     if operator in ("== 0", "!= 0"):
@@ -232,7 +243,7 @@ def _order(scope: Scope, node: Goal) -> str:
     return f"compare({scope.build(left)}, {scope.build(right)}) {operator}"
 
 
-def _differ(scope: Scope, node: Goal) -> None:
+def _differ(scope: Scope, node: CallNode) -> None:
     mark = scope.temp("m")
     scope.line(f"{mark} = len(trail)")
     scope.line(f"if unify({scope.build(node.args[0])}, {scope.build(node.args[1])}, trail):")
@@ -257,7 +268,7 @@ def _cut(scope: Scope, node: Cut) -> None:
     scope.line(f"del choices[{known}:]")
 
 
-def _condition(scope: Scope, node: Condition) -> None:
+def _condition(scope: Scope, node: IfThenElse) -> None:
     """Write an if-then-else whose parts are all inline."""
     later = scope.later
     scope.later = later | needed_by(node.then)
@@ -285,7 +296,7 @@ def _condition(scope: Scope, node: Condition) -> None:
     scope.depth -= 1
 
 
-def write_sequence(scope: Scope, nodes: Sequence[Node], later: FrozenSet[Any]) -> None:
+def write_sequence(scope: Scope, nodes: Sequence[GoalNode], later: FrozenSet[Any]) -> None:
     """Write inline goals one after the other; ``later`` is what is needed after them."""
     for at, node in enumerate(nodes):
         scope.later = later | needed_by(nodes[at + 1 :])
@@ -331,7 +342,7 @@ def _join(scope: Scope, then_state: Any, later: FrozenSet[Any], start: int, midd
     }
 
 
-def write_test(scope: Scope, test: List[Node]) -> Missed:
+def write_test(scope: Scope, test: List[GoalNode]) -> Missed:
     """Write an ``if`` line that is true where a test (a list of inline goals) succeeds.
 
     Bindings of a test that fails are undone.

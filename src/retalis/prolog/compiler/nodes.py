@@ -78,7 +78,7 @@ class Height:
         self.name = name
 
 
-class Node:
+class GoalNode:
     """A goal of a body.
 
     Attributes:
@@ -97,7 +97,7 @@ class Node:
         self.source: Optional[Term] = None
 
 
-class Goal(Node):
+class CallNode(GoalNode):
     """Any goal that is one compound term: a call, or a built-in of the kind ``form``.
 
     Attributes:
@@ -114,19 +114,19 @@ class Goal(Node):
         self.once = False
 
 
-class Succeed(Node):
+class Succeed(GoalNode):
     """``true``."""
 
     __slots__ = ()
 
 
-class Fail(Node):
+class Fail(GoalNode):
     """``fail``."""
 
     __slots__ = ()
 
 
-class Cut(Node):
+class Cut(GoalNode):
     """A cut to a height; ``soft`` takes back only the choice point at it."""
 
     __slots__ = ("height", "soft")
@@ -137,16 +137,16 @@ class Cut(Node):
         self.soft = soft
 
 
-class Condition(Node):
+class IfThenElse(GoalNode):
     """If-then-else (``soft`` for ``*->``); negation has ``then`` fail and ``otherwise`` empty."""
 
     __slots__ = ("test", "then", "otherwise", "soft", "inner")
 
     def __init__(
         self,
-        test: List[Node],
-        then: List[Node],
-        otherwise: List[Node],
+        test: List[GoalNode],
+        then: List[GoalNode],
+        otherwise: List[GoalNode],
         inner: Optional[Height],
         soft: bool = False,
     ):
@@ -161,18 +161,18 @@ class Condition(Node):
         self.inner = inner
 
 
-class Either(Node):
+class Disjunction(GoalNode):
     """A disjunction."""
 
     __slots__ = ("branches",)
 
-    def __init__(self, branches: List[List[Node]]):
+    def __init__(self, branches: List[List[GoalNode]]):
         everything = [node for branch in branches for node in branch]
         super().__init__(needed_by(everything), False, any(node.cuts for node in everything))
         self.branches = branches
 
 
-class Interpret(Node):
+class Interpret(GoalNode):
     """A goal that is run from its term, with cuts to a height."""
 
     __slots__ = ("term", "height")
@@ -183,12 +183,12 @@ class Interpret(Node):
         self.height = height
 
 
-def needed_by(nodes: Iterable[Node]) -> FrozenSet[Any]:
+def needed_by(nodes: Iterable[GoalNode]) -> FrozenSet[Any]:
     """Return the variables and heights that nodes need."""
     return frozenset().union(*[node.vars for node in nodes])
 
 
-class Parser:
+class BodyParser:
     """Turns a body into nodes.
 
     Args:
@@ -213,14 +213,14 @@ class Parser:
         self._heights["h"] = number = self._heights.get("h", 0) + 1
         return Height(f"h{number}")
 
-    def parse(self, body: Term, cut: Optional[Height] = None, depth: int = 0) -> List[Node]:
+    def parse(self, body: Term, cut: Optional[Height] = None, depth: int = 0) -> List[GoalNode]:
         """Return the nodes of a body.
 
         Raises:
             PrologError: a type error where part of the body is not a goal.
         """
         cut = self.clause if cut is None else cut
-        nodes: List[Node] = []
+        nodes: List[GoalNode] = []
         for goal in conjuncts(body):
             node = self._node(goal, cut, depth)
             if not isinstance(node, Succeed):
@@ -228,10 +228,10 @@ class Parser:
                 nodes.append(node)
         return nodes
 
-    def _node(self, goal: Term, cut: Height, depth: int) -> Node:
+    def _node(self, goal: Term, cut: Height, depth: int) -> GoalNode:
         kind = goal.__class__
         if kind is Var:
-            return Goal("call", CALL, (goal,), False)
+            return CallNode("call", CALL, (goal,), False)
         if kind is Lazy:
             goal = goal.term()
         elif kind is Atom:
@@ -249,7 +249,7 @@ class Parser:
             return self._control(key, goal, cut, depth + 1)
         return self._plain(key, goal[1:])
 
-    def _atom(self, goal: Atom, cut: Height) -> Node:
+    def _atom(self, goal: Atom, cut: Height) -> GoalNode:
         if goal is TRUE:
             return Succeed(frozenset(), True)
         if goal is FALSE or goal.name == "fail":
@@ -260,10 +260,10 @@ class Parser:
             return node
         return self._plain(goal.functor, ())
 
-    def _plain(self, key: Functor, args: Tuple[Term, ...]) -> Node:
+    def _plain(self, key: Functor, args: Tuple[Term, ...]) -> GoalNode:
         form = _FORMS.get(key)
         if form is not None:
-            return Goal(form, key, args, True)
+            return CallNode(form, key, args, True)
         if key is ARG and deref(args[0]).__class__ is int:
             key = KNOWN_ARG
         inline = self._database.is_inline(key)
@@ -272,10 +272,10 @@ class Parser:
             if known is not None:
                 key, inline = known, True
         if not inline and self._direct is not None and self._direct(key):
-            return Goal("direct", key, args, True)
-        return Goal("builtin" if inline else "call", key, args, inline)
+            return CallNode("direct", key, args, True)
+        return CallNode("builtin" if inline else "call", key, args, inline)
 
-    def _control(self, key: Functor, goal: Term, cut: Height, depth: int) -> Node:
+    def _control(self, key: Functor, goal: Term, cut: Height, depth: int) -> GoalNode:
         if key is SEMICOLON or key is BAR:
             return self._either(goal, cut, depth)
         if key is ARROW or key is SOFT_ARROW:
@@ -287,10 +287,10 @@ class Parser:
         test = self.parse(argument, inner, depth)
         barrier = _used(inner, test)
         if key is NOT:
-            return Condition(test, [Fail(frozenset(), True)], [], barrier)
-        return Condition(test, [], [] if key is IGNORE else [Fail(frozenset(), True)], barrier)
+            return IfThenElse(test, [Fail(frozenset(), True)], [], barrier)
+        return IfThenElse(test, [], [] if key is IGNORE else [Fail(frozenset(), True)], barrier)
 
-    def _either(self, goal: Term, cut: Height, depth: int) -> Node:
+    def _either(self, goal: Term, cut: Height, depth: int) -> GoalNode:
         left = deref(goal[1])
         if left.__class__ is tuple and (left[0] is ARROW or left[0] is SOFT_ARROW):
             return self._condition(left, goal[2], cut, depth)
@@ -303,19 +303,19 @@ class Parser:
             branches.append(self.parse(left, cut, depth))
             rest = deref(rest[2])
         branches.append(self.parse(rest, cut, depth))
-        return Either(branches)
+        return Disjunction(branches)
 
-    def _condition(self, arrow: Term, otherwise: Optional[Term], cut: Height, depth: int) -> Node:
+    def _condition(self, arrow: Term, otherwise: Optional[Term], cut: Height, depth: int) -> GoalNode:
         inner = self.height()
         test = self.parse(arrow[1], inner, depth)
         then = self.parse(arrow[2], cut, depth)
-        rest: List[Node] = (
+        rest: List[GoalNode] = (
             [Fail(frozenset(), True)] if otherwise is None else self.parse(otherwise, cut, depth)
         )
-        return Condition(test, then, rest, _used(inner, test), arrow[0] is SOFT_ARROW)
+        return IfThenElse(test, then, rest, _used(inner, test), arrow[0] is SOFT_ARROW)
 
 
-def _used(height: Height, nodes: List[Node]) -> Optional[Height]:
+def _used(height: Height, nodes: List[GoalNode]) -> Optional[Height]:
     return height if height in needed_by(nodes) else None
 
 

@@ -8,15 +8,15 @@ from ..terms import TRUE, Atom, Functor, Term, Var, deref
 from .bodies import Bodies
 from .building import shape_of, write_building
 from .keys import key_of
-from .nodes import Height, Parser
-from .scope import Clause, Loop, Scope, Unit
+from .nodes import BodyParser, Height
+from .scope import ClauseVariables, Loop, Scope, Unit
 from .unification import match, take_apart
 
 _TOGETHER = 4
 """Clauses of a chain that are tried in one function; the rest is another function."""
 
 
-class Rule:
+class ClauseParts:
     """What the generator needs of a clause: arguments of its head, body, where it is from."""
 
     __slots__ = ("args", "body", "place")
@@ -37,7 +37,7 @@ class Generator:
         code: the code object that calls of it go through.
     """
 
-    def __init__(self, database: Any, key: Functor, rules: Sequence[Rule], code: Any):
+    def __init__(self, database: Any, key: Functor, rules: Sequence[ClauseParts], code: Any):
         self.database = database
         self.key = key
         self.rules = rules
@@ -82,7 +82,7 @@ class Generator:
 
     def _switch(self, unit: Unit) -> Scope:
         everything = tuple(range(len(self.rules)))
-        out = Scope(unit, Clause(()))
+        out = Scope(unit, ClauseVariables(()))
         if self.position is None:
             self._chain(out, everything, None)
             return out
@@ -206,7 +206,7 @@ class Generator:
 
         def first(frame: Any) -> Any:
             unit = Unit(self.database.machine, self.database)
-            out = Scope(unit, Clause(()))
+            out = Scope(unit, ClauseVariables(()))
             self._chain(out, chain, None, retried=True)
             unit.add(["def main(frame):", self._unpack(", mark"), *out.lines])
             code.run = self._finish(unit, "main", f" from clause {chain[0] + 1}")
@@ -229,7 +229,7 @@ class Generator:
     ) -> Scope:
         """Return the code of a clause: head, then body; where others follow, as a block that breaks to fail."""
         rule = self.rules[index]
-        clause = Clause((*rule.args, rule.body))
+        clause = ClauseVariables((*rule.args, rule.body))
         entry = Height("height")
         scope = Scope(unit, clause)
         scope.depth = depth
@@ -245,7 +245,7 @@ class Generator:
         if loops and alone and key.__class__ is Functor:
             self._build(scope, rule, entry)
         self._head(scope, rule, key, self._own_locals(scope, rule, key) if rest else self.locals)
-        nodes = Parser(self.database, entry).parse(rule.body)
+        nodes = BodyParser(self.database, entry).parse(rule.body)
         bodies = Bodies(unit, clause, entry, self.database.interpret, str(self.key), self.key)
         bodies.write(scope, nodes)
         if rest:
@@ -274,15 +274,15 @@ class Generator:
                 return self.position, unit.constant(key)
         return None
 
-    def _build(self, scope: Scope, rule: Rule, entry: Height) -> None:
+    def _build(self, scope: Scope, rule: ClauseParts, entry: Height) -> None:
         """Write a loop of its own for a clause that builds a list as it recurses."""
         assert self.position is not None
-        nodes = Parser(self.database, entry).parse(rule.body)
+        nodes = BodyParser(self.database, entry).parse(rule.body)
         shape = shape_of(scope.clause, rule.args, nodes, self.key, self.position)
         if shape is not None:
             write_building(scope, self.locals, rule.args, nodes, shape, self.position)
 
-    def _own_locals(self, scope: Scope, rule: Rule, key: Any) -> List[str]:
+    def _own_locals(self, scope: Scope, rule: ClauseParts, key: Any) -> List[str]:
         """Copy the arguments for a clause that others follow, and return the names of the copies.
 
         Dereferencing exchanges a local for what it is bound to; where the clause itself has bound it, the
@@ -302,7 +302,7 @@ class Generator:
             scope.line(f"{', '.join(owns)} = {', '.join(locals_)}")
         return found
 
-    def _head(self, scope: Scope, rule: Rule, key: Any, locals_: Sequence[str]) -> None:
+    def _head(self, scope: Scope, rule: ClauseParts, key: Any, locals_: Sequence[str]) -> None:
         """Write the unification of the head: variables, then constants, then compound terms."""
         patterns = [(local, deref(arg), at) for at, (local, arg) in enumerate(zip(locals_, rule.args))]
         for local, arg, _ in patterns:
@@ -329,7 +329,7 @@ def title_of(place: Optional[Place], name: str) -> str:
     return name if place is None else f"{place.source}:{place.line} {name}"
 
 
-def _switch_position(rules: Sequence[Rule], arity: int) -> Optional[int]:
+def _switch_position(rules: Sequence[ClauseParts], arity: int) -> Optional[int]:
     """Return the argument that tells the clauses apart best, the first where it does; None where none does."""
     best, position = 0, None
     for at in range(min(arity, 8) if len(rules) > 1 else 0):

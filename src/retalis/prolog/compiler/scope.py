@@ -147,7 +147,7 @@ def _unset(frame: Any) -> Any:
     raise AssertionError("code that was not generated")
 
 
-class Clause:
+class ClauseVariables:
     """Names and counts of the variables of the clause that is being compiled."""
 
     def __init__(self, parts: Tuple[Term, ...]):
@@ -208,7 +208,7 @@ class Scope:
         at_one_go: whether a pattern was unpacked as a whole, and this is what is done if that did not work.
     """
 
-    def __init__(self, unit: Unit, clause: Clause, fail: str = "return None"):
+    def __init__(self, unit: Unit, clause: ClauseVariables, fail: str = "return None"):
         self.unit = unit
         self.clause = clause
         self.lines: List[str] = []

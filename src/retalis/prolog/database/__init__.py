@@ -4,7 +4,7 @@ from .clause import NEVER, Clause, may_match
 from .control import Control, add_arguments, check_body, control_predicates, split_clause
 from .database import Database
 from .functional import functional
-from .goal import Goal
+from .goal import CompiledGoal
 from .predicate import COMPILE_AFTER, Predicate
 
 __all__ = [
@@ -16,7 +16,7 @@ __all__ = [
     "control_predicates",
     "Database",
     "functional",
-    "Goal",
+    "CompiledGoal",
     "may_match",
     "NEVER",
     "Predicate",

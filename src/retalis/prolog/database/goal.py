@@ -3,7 +3,7 @@
 from typing import Any, List, Optional, Sequence, Union
 
 from ...foundation import Place
-from ..compiler import GoalCode
+from ..compiler import GoalGenerator
 from ..machine import BAIL, Code, Frame, PrologError, from_python
 from ..terms import Term, Values, Var, undo
 from .database import Database
@@ -12,7 +12,7 @@ from .predicate import Predicate
 _MOST_BAILS = 20
 
 
-class Goal:
+class CompiledGoal:
     """A goal compiled with inputs and outputs; made by `Logic.compile_goal`.
 
     Attributes:
@@ -40,7 +40,7 @@ class Goal:
         self._machine = database.machine
         self._inputs = tuple(inputs)
         self._outputs = tuple(outputs)
-        self._source = GoalCode(database, term, self._inputs, self._outputs, place, name)
+        self._source = GoalGenerator(database, term, self._inputs, self._outputs, place, name)
         self._compile()
 
     def _compile(self) -> None:
@@ -164,7 +164,7 @@ class Goal:
         return f"<Goal {self.name}>"
 
 
-class _Store:
+class _KeepOne:
     """Continuation that keeps the outputs and goes on."""
 
     def take(self, frame: Frame, outputs: Values) -> Frame:
@@ -172,12 +172,12 @@ class _Store:
         return frame[2]
 
 
-class _StoreAll:
+class _KeepAll:
     """Continuation that keeps the outputs and asks for the next solution."""
 
     def take(self, frame: Frame, outputs: Values) -> None:
         frame[1].append(outputs)
 
 
-_STORE = _Store()
-_STORE_ALL = _StoreAll()
+_STORE = _KeepOne()
+_STORE_ALL = _KeepAll()

@@ -8,7 +8,7 @@ again and again without changing is compiled.
 from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple
 
 from ...foundation import look
-from ..compiler import Direct, Generator, Rule, fact_search, key_of
+from ..compiler import ClauseParts, Direct, Generator, fact_search, key_of
 from ..machine import Code, Frame, Machine, PrologError, Step
 from ..terms import Functor, Term, Trail, Values, Var, copy, undo, unify
 from .clause import NEVER, Clause, may_match
@@ -366,7 +366,7 @@ class Predicate:
         if not size or too_many or any(clause.is_large for clause in clauses):
             self.compile_after = NEVER
             return False
-        rules = [Rule(_args(clause.head), clause.body, clause.place) for clause in clauses]
+        rules = [ClauseParts(_args(clause.head), clause.body, clause.place) for clause in clauses]
         generator = Generator(self._view(), self.functor, rules, self)
         self.run = generator.main()
         self.steady = generator.steady
@@ -377,7 +377,7 @@ class Predicate:
         if clause.is_large:
             clause.uses = -NEVER
             return None
-        rule = Rule(_args(clause.head), clause.body, clause.place)
+        rule = ClauseParts(_args(clause.head), clause.body, clause.place)
         clause.code = Generator(self._view(), self.functor, [rule], self).single(0)
         return clause.code
 

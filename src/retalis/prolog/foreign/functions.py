@@ -257,19 +257,19 @@ def to_python(term: Term) -> Any:
                 raise TermTooLarge
         item = deref(stack.pop())
         kind = item.__class__
-        if kind is _Parts:
+        if kind is _PendingParts:
             values[len(values) - item.count :] = [item.join(values[len(values) - item.count :])]
         elif kind is tuple:
             items = list_items(item) if item[0] is CONS else None
             parts = list(item[1:]) if items is None else items
-            stack.append(_Parts(len(parts), None if items is not None else item[0].name))
+            stack.append(_PendingParts(len(parts), None if items is not None else item[0].name))
             stack.extend(reversed(parts))
         else:
             values.append(_constant(item, kind))
     return values[0]
 
 
-class _Parts:
+class _PendingParts:
     """On the stack of `to_python` after the parts of a list (without a name) or compound term."""
 
     __slots__ = ("count", "name")

@@ -8,7 +8,7 @@ from typing import Any, Callable, Dict, Iterable, Iterator, List, Mapping, Optio
 from ...foundation import Place, beginning
 from .. import builtins  # noqa: F401  (it registers trace/1)
 from ..compiler import CALL
-from ..database import COMPILE_AFTER, Clause, Goal, Predicate, check_body, split_clause
+from ..database import COMPILE_AFTER, Clause, CompiledGoal, Predicate, check_body, split_clause
 from ..machine import Frame, Limits, PrologError
 from ..syntax import Operators, write_term
 from ..terms import Atom, Functor, Term, Var, copy, deref, functor
@@ -47,7 +47,7 @@ class Logic(Predicates):
         self.message: Callable[[str, str], None] = self._to_error_output
         self.state: Dict[str, Any] = {}
         self.now: Callable[[], int] = time_ns
-        self.new_goals: Optional[List[Goal]] = None
+        self.new_goals: Optional[List[CompiledGoal]] = None
 
     # Limits
 
@@ -125,7 +125,7 @@ class Logic(Predicates):
         outputs: Sequence[Term] = (),
         place: Optional[Place] = None,
         name: str = "goal",
-    ) -> Goal:
+    ) -> CompiledGoal:
         """Compile a goal for Python code.
 
         Args:
@@ -141,7 +141,7 @@ class Logic(Predicates):
         goal = deref(goal)
         if goal.__class__ is not Var:
             goal = check_body(goal)
-        compiled = Goal(self.database, goal, inputs, outputs, place, name)
+        compiled = CompiledGoal(self.database, goal, inputs, outputs, place, name)
         if self.new_goals is not None:
             self.new_goals.append(compiled)
         return compiled

@@ -2,12 +2,12 @@
 
 from typing import Any, NamedTuple, Optional
 
-from ..builtins import Capture
+from ..builtins import OutputCapture
 from ..machine import Guard
 from ..terms import undo
 
 
-class State(NamedTuple):
+class MachineState(NamedTuple):
     """Where a machine is: what a run that begins now leaves as it is."""
 
     height: int
@@ -15,12 +15,12 @@ class State(NamedTuple):
     budget: Any
 
 
-def state_of(machine: Any) -> State:
+def state_of(machine: Any) -> MachineState:
     """Return where a machine is."""
-    return State(len(machine.choices), len(machine.trail), machine.budget.state())
+    return MachineState(len(machine.choices), len(machine.trail), machine.budget.state())
 
 
-def go_back(machine: Any, state: Optional[State]) -> None:
+def go_back(machine: Any, state: Optional[MachineState]) -> None:
     """Go back to a state, or with None to where the machine is while nothing runs; guards are told."""
     height, mark = machine.idle if state is None else state[:2]
     budget, choices = machine.budget, machine.choices
@@ -35,7 +35,7 @@ def go_back(machine: Any, state: Optional[State]) -> None:
 
 def mend(logic: Any) -> None:
     """Put right what may have been left half done among what outlives a goal; nothing runs."""
-    while isinstance(logic.output, Capture):
+    while isinstance(logic.output, OutputCapture):
         logic.output, logic.column = logic.output.before
     logic.new_goals = None
     vars(logic.control).pop("solve", None)  # a tracer's

@@ -17,7 +17,7 @@ _CONTROL = frozenset(
 )
 
 
-class _Call:
+class _TracedCall:
     """One call: its goal, its depth, and whether it has exited with choices left."""
 
     __slots__ = ("goal", "depth", "exited")
@@ -89,7 +89,7 @@ class Tracer:
 
     def _call(self, goal: Term, key: Functor, after: Frame) -> Optional[Frame]:
         self._depth += 1
-        call = _Call(goal, self._depth)
+        call = _TracedCall(goal, self._depth)
         self._port("Call", call)
         here = len(self._choices)
         self._choices.append((self._guard, call, len(self._trail)))
@@ -148,7 +148,7 @@ class Tracer:
             self._port("Exception", call)
         self._depth = call.depth - 1
 
-    def _port(self, port: str, call: _Call) -> None:
+    def _port(self, port: str, call: _TracedCall) -> None:
         text = write_term(
             call.goal, self._logic.operators, quoted=True, numbervars=True, spacing=True, priority=999
         )

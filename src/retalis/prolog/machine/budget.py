@@ -26,7 +26,7 @@ class Budget:
         closed: whether goals have to ask `admit` before they begin.
         turn: says where entries begin and end: its ``thread`` is that in which one is at work, or None; its ``entry``
             tells it from others: what came in.
-        goal: what is being asked, a `Goal` or a term; None while only patterns are at work.
+        goal: what is being asked, a `CompiledGoal` or a term; None while only patterns are at work.
         inferences: all that were counted.
         alarms: times (of the monotonic clock) with what is to be thrown then.
         ceilings: counts of inferences with what is to be thrown past them.

@@ -43,7 +43,7 @@ class Asked(Protocol):
 
 
 BAIL = object()
-"""What the function of a `Goal` returns where the goal has to be run by frames after all."""
+"""What the function of a `CompiledGoal` returns where the goal has to be run by frames after all."""
 
 LAST = object()
 """What a nondeterministic built-in yields at a solution after which there is surely none."""

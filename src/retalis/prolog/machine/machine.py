@@ -118,7 +118,7 @@ class Machine:
                 budget.start_anew()
 
     def check(self, frame: Frame, goal: Asked) -> bool:
-        """As `run`, for the frame of a `Goal` that is steady: most often its step is all there is to do.
+        """As `run`, for the frame of a `CompiledGoal` that is steady: most often its step is all there is to do.
 
         No bindings stay.
         """
@@ -344,7 +344,7 @@ class Machine:
         otherwise: Optional[Frame],
         on_error: Callable[[PrologError], None],
     ) -> Optional[Frame]:
-        """Run a `Goal` once behind a barrier, as part of a run: return the frame to go on with.
+        """Run a `CompiledGoal` once behind a barrier, as part of a run: return the frame to go on with.
 
         The first solution's outputs are resolved, its choice points and bindings are dropped, and the run
         goes on with ``then(outputs)``; if there is none, or ``on_error(error)`` was called, with

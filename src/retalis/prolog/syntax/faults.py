@@ -5,7 +5,7 @@ from typing import Any, List, Optional
 
 from ...foundation import SyntaxFault
 from .operators import CANONICAL, Operator
-from .state import State
+from .state import ReadingState
 from .tokens import END, NAME, NUMBER, OPEN_CT, QUOTED, VARIABLE, AnyToken, shown
 
 CLOSER = {"(": ")", OPEN_CT: ")", "[": "]", "{": "}"}
@@ -30,7 +30,7 @@ _ELSEWHERE = {
 _SEQUENCE = frozenset(("before", "after", "then", "followed_by"))
 
 
-def no_operand(parser: State, innermost: List[Any]) -> SyntaxFault:
+def no_operand(parser: ReadingState, innermost: List[Any]) -> SyntaxFault:
     """Return the error about a token that stands where a term should begin."""
     token = parser.tokens[parser.at]
     what = shown(token, parser.source.text)
@@ -46,7 +46,7 @@ def no_operand(parser: State, innermost: List[Any]) -> SyntaxFault:
     return _fault(parser, message, _operand_hint(parser, token))
 
 
-def _operand_hint(parser: State, token: AnyToken) -> str:
+def _operand_hint(parser: ReadingState, token: AnyToken) -> str:
     before = _before(parser)
     if before is not None and before[0] == ",":
         if token[0] == END:
@@ -57,7 +57,7 @@ def _operand_hint(parser: State, token: AnyToken) -> str:
     return ""
 
 
-def no_operator(parser: State, bracket: List[Any]) -> SyntaxFault:
+def no_operator(parser: ReadingState, bracket: List[Any]) -> SyntaxFault:
     """Return the error about a token that stands where a term has ended."""
     token = parser.tokens[parser.at]
     text = parser.source.text
@@ -74,7 +74,7 @@ def no_operator(parser: State, bracket: List[Any]) -> SyntaxFault:
     return _fault(parser, message, _operator_hint(parser, token, opened))
 
 
-def _operator_hint(parser: State, token: AnyToken, opened: Optional[int]) -> str:
+def _operator_hint(parser: ReadingState, token: AnyToken, opened: Optional[int]) -> str:
     kind, value, start, _ = token
     text = parser.source.text
     before = _before(parser)
@@ -107,7 +107,7 @@ def _operator_hint(parser: State, token: AnyToken, opened: Optional[int]) -> str
     return ""
 
 
-def _unknown_operator(parser: State, name: str) -> str:
+def _unknown_operator(parser: ReadingState, name: str) -> str:
     if name in _ELSEWHERE:
         return _ELSEWHERE[name]
     words = [known for known in {**parser.operators.infix, **parser.operators.postfix} if known[0].isalpha()]
@@ -121,7 +121,7 @@ def _unknown_operator(parser: State, name: str) -> str:
     return f'"{name}" is not an operator; two patterns are joined with "seq", "and", "or" or another'
 
 
-def unbalanced(parser: State, opened: Optional[int]) -> SyntaxFault:
+def unbalanced(parser: ReadingState, opened: Optional[int]) -> SyntaxFault:
     """Return the error about a closing bracket, or an end, that does not fit what is open."""
     token = parser.tokens[parser.at]
     what = shown(token, parser.source.text)
@@ -133,7 +133,7 @@ def unbalanced(parser: State, opened: Optional[int]) -> SyntaxFault:
     return _fault(parser, f'expected "{closer}" for the {_opener(parser, opened)} before {what}', "")
 
 
-def clash(parser: State, found: Operator, start: int, outer: Optional[Operator]) -> SyntaxFault:
+def clash(parser: ReadingState, found: Operator, start: int, outer: Optional[Operator]) -> SyntaxFault:
     """Return the error about an operator whose priority does not fit.
 
     Args:
@@ -165,13 +165,13 @@ def clash(parser: State, found: Operator, start: int, outer: Optional[Operator])
     return _fault(parser, message, hint, start)
 
 
-def _opener(parser: State, opened: int) -> str:
+def _opener(parser: ReadingState, opened: int) -> str:
     offset = parser.tokens[opened][2]
     place = parser.source.place(offset)
     return f'"{parser.source.text[offset]}" in line {place.line}, column {place.column}'
 
 
-def _before(parser: State) -> Optional[AnyToken]:
+def _before(parser: ReadingState) -> Optional[AnyToken]:
     return parser.tokens[parser.at - 1] if parser.at else None
 
 
@@ -180,7 +180,7 @@ def starts_line(text: str, offset: int) -> bool:
     return offset > 0 and text[offset - 1] == "\n"
 
 
-def _fault(parser: State, message: str, hint: str, offset: Optional[int] = None) -> SyntaxFault:
+def _fault(parser: ReadingState, message: str, hint: str, offset: Optional[int] = None) -> SyntaxFault:
     if offset is None:
         offset = parser.tokens[parser.at][2]
     return parser.source.fault(f"{message}; {hint}" if hint else message, offset)

@@ -12,7 +12,7 @@ from ..terms import COMMA, CONS, NIL, Term, functor
 from . import faults
 from .operators import Operator
 from .rules import ARROW, GOAL_RIGHT
-from .state import GROUP, INFIX, LIST, PREFIX, State, Table
+from .state import GROUP, INFIX, LIST, PREFIX, OperatorTable, ReadingState
 from .tokens import END
 
 _CURLY = functor("{}", 1)
@@ -22,7 +22,7 @@ _NECKS = frozenset((functor(":-", 2), functor("-->", 2)))
 _COMMA = Operator(1000, 999, 1000, COMMA, "xfy")
 
 
-class Open(State):
+class Open(ReadingState):
     """What is open while a clause is read, opened and closed."""
 
     def _have(self, term: Term, start: int) -> None:
@@ -47,7 +47,7 @@ class Open(State):
         self.stack.append(entry)
         self.brackets.append(entry)
 
-    def _begin_segment(self, at: int, table: Optional[Table]) -> None:
+    def _begin_segment(self, at: int, table: Optional[OperatorTable]) -> None:
         """Set the operators for what begins at the token ``at``."""
         headed = self.rules.rules.get(at) if self.patterns is not None else None
         if headed is not None:

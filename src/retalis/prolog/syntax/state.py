@@ -9,10 +9,10 @@ from .tokens import AnyToken, ReadFlags, Source
 
 INFIX, PREFIX, GROUP, ARGUMENTS, LIST = range(5)  # the operators come first
 
-Table = Dict[str, Operator]
+OperatorTable = Dict[str, Operator]
 
 
-class State:
+class ReadingState:
     """The tokens of a clause, and how far it has been read; ``left`` is the term that was read last.
 
     ``INFIX``, ``PREFIX`` and ``GROUP`` are kinds of entries on its stack, for those who look at it.
@@ -45,8 +45,8 @@ class State:
         self.at = 0
         self.stack: List[Any] = []
         self.brackets: List[List[Any]] = []
-        self.table: Table = operators.infix
-        self.patterns: Optional[Table] = operators.patterns() if rules is not NO_RULES else None
+        self.table: OperatorTable = operators.infix
+        self.patterns: Optional[OperatorTable] = operators.patterns() if rules is not NO_RULES else None
         self.left: Term = None
         self.left_priority = 0
         self.left_at = 0

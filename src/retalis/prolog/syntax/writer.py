@@ -47,13 +47,13 @@ class WriteOptions(NamedTuple):
     portray: Optional[Callable[[Term], Optional[str]]] = None
 
 
-class _Writer:
+class _TermWriter:
     def __init__(self, operators: Operators, options: WriteOptions):
         self.operators = operators
         self.options = options
         self.out: List[str] = []
         self.last = ""
-        self.after: Optional[_Name] = None
+        self.after: Optional[_PrefixOperator] = None
         self.names = options.variable_names or {}
         self.atom: Callable[[str], str] = atom_text if options.quoted else str
         self.comma = ", " if options.spacing else ","
@@ -79,7 +79,7 @@ class _Writer:
             kind = entry.__class__
             if kind is str:
                 self._put(entry)
-            elif kind is _Name:
+            elif kind is _PrefixOperator:
                 entry.parted = self._put(entry.text)
                 self.after = entry
             else:
@@ -195,7 +195,10 @@ class _Writer:
             prefix = self.operators.prefix.get(name)
             postfix = self.operators.postfix.get(name)
             if prefix is not None:
-                entries = [_Name(self.atom(name), True), (term[1], self._right(prefix, term[1]), True)]
+                entries = [
+                    _PrefixOperator(self.atom(name), True),
+                    (term[1], self._right(prefix, term[1]), True),
+                ]
                 priority = prefix.priority
             elif postfix is not None:
                 entries = [(term[1], postfix.left, True), self.atom(name)]
@@ -217,7 +220,7 @@ class _Writer:
         elif self.options.wide and infix.priority >= _WIDE:
             text = f" {self.atom(name)} "
         else:
-            text = _Name(self.atom(name), False)
+            text = _PrefixOperator(self.atom(name), False)
         left = 0 if name in _AFTER_A_LABEL and _is_labelled(term[1]) else infix.left
         return [(term[1], left, True), text, (term[2], self._right(infix, term[2]), True)]
 
@@ -252,7 +255,7 @@ def _is_labelled(term: Term) -> bool:
     return term.__class__ is tuple and term[0].arity == 2 and term[0].name == ":"
 
 
-class _Name:
+class _PrefixOperator:
     """An operator before its argument, waiting on the writer's stack."""
 
     __slots__ = ("text", "is_prefix", "parted")
@@ -294,12 +297,12 @@ def write_term(term: Term, operators: Optional[Operators] = None, **options: Any
         operators: the table to write with; Prolog's by default.
         **options: see `WriteOptions`.
     """
-    return _Writer(operators or _usual(), WriteOptions(**options)).write(term)
+    return _TermWriter(operators or _usual(), WriteOptions(**options)).write(term)
 
 
 def writeq(term: Term, operators: Optional[Operators] = None) -> str:
     """Return the text of a term as ``writeq/1`` writes it: quoted, with operators and ``'$VAR'``."""
-    return _Writer(operators or _usual(), _QUOTED).write(term)
+    return _TermWriter(operators or _usual(), _QUOTED).write(term)
 
 
 _QUOTED = WriteOptions(numbervars=True)
