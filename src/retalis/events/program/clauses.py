@@ -58,8 +58,8 @@ _DASH = functor("-", 2)
 TOO_DEEP = "the pattern is nested too deeply"
 
 
-class Step(NamedTuple):
-    """Something to do when the file is accepted: ``kind`` is clause, directive, property, use or ensure.
+class FileEntry(NamedTuple):
+    """An entry of a file, done when the file is accepted: ``kind`` is clause, directive, property, use or ensure.
 
     ``goals`` are those of a directive.
     """
@@ -73,7 +73,7 @@ class Step(NamedTuple):
 class CheckedFile(NamedTuple):
     """What a file has in it."""
 
-    steps: List[Step]
+    steps: List[FileEntry]
     rules: List[RuleDefinition]
     inner: List[RuleDefinition]
 
@@ -89,7 +89,7 @@ class FileChecker:
         self._show = show
         self.errors = Errors()
         self.warnings = Errors()
-        self.steps: List[Step] = []
+        self.steps: List[FileEntry] = []
         self.rules: List[RuleDefinition] = []
         self.inner: List[RuleDefinition] = []
         self.calls: List[Unknown] = []
@@ -124,17 +124,17 @@ class FileChecker:
         elif head in DIRECTIVES:
             self._directive(term, spot, place)
         elif head in _USING:
-            self.steps.append(Step(_USING[head], deref(term[1]), place))
+            self.steps.append(FileEntry(_USING[head], deref(term[1]), place))
         elif head is _PROPERTY_FACT:
             self._property(Property(deref(term[1]), _name(term[2]), deref(term[3])), term, spot, place)
-            self.steps.append(Step("clause", term, place))
+            self.steps.append(FileEntry("clause", term, place))
         else:
             if head in _RENAMED:
-                self.steps.append(Step("clause", (_RENAMED[head], *term[1:]), place))
+                self.steps.append(FileEntry("clause", (_RENAMED[head], *term[1:]), place))
             elif head in _UNWRAPPED:
-                self.steps.append(Step("clause", deref(term[1]), place))
+                self.steps.append(FileEntry("clause", deref(term[1]), place))
             self._no_rule(term, spot, place)
-            self.steps.append(Step("clause", term, place))
+            self.steps.append(FileEntry("clause", term, place))
 
     def _directive(self, term: Any, spot: Spot, place: Optional[Place]) -> None:
         goal, at = deref(term[1]), spot(term, 1) or place
@@ -142,9 +142,9 @@ class FileChecker:
             raise RuleError("an event rule is written without :- before it", at)
         kind = _USING.get(goal[0]) if goal.__class__ is tuple else None
         if kind is None:
-            self.steps.append(Step("directive", goal, at, goals_of(term, spot)))
+            self.steps.append(FileEntry("directive", goal, at, goals_of(term, spot)))
         else:
-            self.steps.append(Step(kind, deref(goal[1]), at))
+            self.steps.append(FileEntry(kind, deref(goal[1]), at))
 
     def _no_rule(self, term: Term, spot: Spot, place: Optional[Place]) -> None:
         """Look whether a clause was meant as an event rule."""
@@ -179,7 +179,7 @@ class FileChecker:
         """Take a property from the term that has its name and value as the last arguments."""
         problem, last = one.problem, len(term) - 1
         if problem is None:
-            self.steps.append(Step("property", one, place))
+            self.steps.append(FileEntry("property", one, place))
         elif one.known:
             raise RuleError(problem, spot(term, last) or place)
         else:

@@ -3,14 +3,14 @@
 from typing import Any, Optional, Sequence, Set
 
 from ...prolog.terms import COMMA, CONS, SLASH, Atom, Functor, Term, deref, functor
-from .clauses import Step
+from .clauses import FileEntry
 
 _CLAUSE = functor(":-", 2)
 _GRAMMAR = functor("-->", 2)
 _DECLARES = frozenset(functor(name, 1) for name in ("dynamic", "discontiguous", "multifile", "table"))
 
 
-def defined_in(steps: Sequence[Step]) -> Set[Functor]:
+def defined_in(steps: Sequence[FileEntry]) -> Set[Functor]:
     """Return the predicates that a file defines in earnest: by clauses with a body, or by declaring them."""
     found: Set[Functor] = set()
     for step in steps:

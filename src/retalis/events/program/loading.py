@@ -9,7 +9,7 @@ from ...prolog.syntax import Operators, read_program
 from ...prolog.terms import Atom, Term, conjuncts, copy, deref, functor, list_items
 from ..language import RuleDefinition, Unknown, unknown_calls
 from ..network import Rule
-from .clauses import DIRECTIVES, TOO_DEEP, FileChecker, Step, clause_error, nowhere
+from .clauses import DIRECTIVES, TOO_DEEP, FileChecker, FileEntry, clause_error, nowhere
 from .directives import Directives
 from .files import Files
 from .forgotten import defined_in, fact_error
@@ -214,7 +214,7 @@ class Loader:
                 errors.append(RuleError(TOO_DEEP, definition.place))
         return rules
 
-    def _used(self, step: Step, errors: Errors) -> Optional[CheckedProgram]:
+    def _used(self, step: FileEntry, errors: Errors) -> Optional[CheckedProgram]:
         """Return the plan of a file that is used; None for a library, or what need not be loaded again."""
         name = deref(step.term)
         try:
