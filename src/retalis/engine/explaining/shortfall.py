@@ -119,7 +119,7 @@ class Shortfall:
             Action: self._action,
         }
 
-    def of(self, pattern: Pattern) -> Part:
+    def of(self, pattern: PatternOperator) -> Part:
         """Return how far a pattern got."""
         return self._look[type(pattern)](pattern)
 
