@@ -22,7 +22,7 @@ class StepWatch(local):
 WATCH = StepWatch()
 
 
-class Budget(Protocol):
+class WatchedBudget(Protocol):
     """What knows by itself whether a goal of its own runs in this thread, and what that goal may still use."""
 
     @property
@@ -33,12 +33,12 @@ class Budget(Protocol):
         """Count pieces of work; raises where the goal has to end."""
 
 
-_BUDGETS: Tuple[Callable[[], Optional[Budget]], ...] = ()
+_BUDGETS: Tuple[Callable[[], Optional[WatchedBudget]], ...] = ()
 """Weak references to the budgets that know by themselves in which thread a goal of theirs runs."""
 
 
-def watch_for(budget: Budget) -> None:
-    """Have `look` ask a `Budget` wherever a goal of an entry of its own runs; nothing has to be set for each goal."""
+def watch_for(budget: WatchedBudget) -> None:
+    """Have `look` ask a budget wherever a goal of an entry of its own runs; nothing has to be set for each goal."""
     global _BUDGETS
     _BUDGETS = (*[known for known in _BUDGETS if known() is not None], ref(budget))
 

@@ -43,7 +43,7 @@ KNOWN = (
 )
 
 
-Direct = Union[bool, str, Tuple[TopicType, ...]]
+DirectTopics = Union[bool, str, Tuple[TopicType, ...]]
 """What ``~direct`` says: ``auto``, yes or no, or the topics."""
 
 Number = TypeVar("Number", int, float)
@@ -62,7 +62,7 @@ class Parameters(NamedTuple):
     """
 
     program: Path
-    direct: Direct
+    direct: DirectTopics
     embedded: bool
     queue: int
     settings: Settings
@@ -112,7 +112,7 @@ def _warn_of_unknown() -> None:
             rospy.logwarn("there is no parameter ~%s; %s", printable(beginning(name)), hint)
 
 
-def direct_topics(direct: Direct, topics: Topics) -> Tuple[TopicType, ...]:
+def direct_topics(direct: DirectTopics, topics: Topics) -> Tuple[TopicType, ...]:
     """Return the topics that node retalis subscribes by itself."""
     if direct is False:
         return ()
@@ -142,7 +142,7 @@ def _package() -> str:
         ) from None
 
 
-def _direct() -> Direct:
+def _direct() -> DirectTopics:
     value = rospy.get_param("~direct", "auto")
     if isinstance(value, bool):
         return value
