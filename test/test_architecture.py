@@ -1,0 +1,74 @@
+"""The page on how it is built: every file, class and function that it mentions is there."""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.docs
+
+ROOT = Path(__file__).resolve().parent.parent
+SOURCE = ROOT / "src" / "retalis"
+PAGE = ROOT / "docs" / "architecture.md"
+QUOTED = re.compile(r"`([^`\n]+)`")
+NO_NAMES = {
+    *("float", "int", "struct"),  # Python's
+    *("ar_marker(...)", "split_tf", "new_event(tf(Parent, Child, V, Q), Sec, NSec)"),  # the example's
+    *("synchronized(Event, Query, Conditions)", "geometry_msgs__0__PoseStamped", "tf__0__tfMessage"),
+    *("tf", "retalisInputEvents", "embedded", "receive_once", "retalis"),  # ROS's
+}
+"""What the page quotes besides."""
+
+
+def quoted():
+    """Return what the page quotes in its sentences and tables: paths, and the rest."""
+    text = re.sub(r"^    .*\n", "", PAGE.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    found = dict.fromkeys(QUOTED.findall(text))
+    paths = [one for one in found if "/" in one or one.endswith(".py")]
+    return paths, [one for one in found if one not in paths and one not in NO_NAMES]
+
+
+PATHS, NAMES = quoted()
+
+
+@pytest.fixture(scope="module")
+def names():
+    """Return the names that the package's files define; those of a class also with its name before them."""
+    found = set()
+    for path in SOURCE.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+                found.add(node.name)
+            if isinstance(node, ast.ClassDef):
+                found |= {f"{node.name}.{name}" for name in own_names(node)}
+    return found
+
+
+def own_names(node):
+    """Yield the names of a class's methods and attributes."""
+    for inner in ast.walk(node):
+        if isinstance(inner, ast.FunctionDef):
+            yield inner.name
+        elif isinstance(inner, ast.Attribute) and getattr(inner.value, "id", "") == "self":
+            yield inner.attr
+
+
+@pytest.mark.parametrize("path", PATHS)
+def test_files_are_there(path):
+    assert (SOURCE / path).exists() or (ROOT / path).exists()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_names_are_there(name, names):
+    assert name in names
+
+
+def test_what_is_no_name_of_the_code_is_mentioned():
+    assert set(QUOTED.findall(PAGE.read_text(encoding="utf-8"))) >= NO_NAMES
+
+
+def test_all_rooms_are_named():
+    text = PAGE.read_text(encoding="utf-8")
+    rooms = [path.name for path in SOURCE.iterdir() if path.is_dir() and path.name != "__pycache__"]
+    assert [room for room in rooms if f"| `{room}/` |" not in text] == []
