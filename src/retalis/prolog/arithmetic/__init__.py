@@ -1,7 +1,7 @@
 """Arithmetic: the evaluable functions, and the evaluation of expressions."""
 
 from . import bits, functions  # noqa: F401  (they register evaluable functions)
-from .evaluation import EVALUABLE, LARGEST, LEAST, add, bounded, checked, evaluate, multiply, subtract
+from .evaluation import EVALUABLE, LARGEST, LEAST, Number, add, bounded, checked, evaluate, multiply, subtract
 
 __all__ = [
     "add",
@@ -12,5 +12,6 @@ __all__ = [
     "LARGEST",
     "LEAST",
     "multiply",
+    "Number",
     "subtract",
 ]

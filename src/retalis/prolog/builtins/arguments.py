@@ -1,12 +1,13 @@
 """Checks of arguments: each returns the value in Python's form or raises the ISO error."""
 
-from typing import Any, List, Optional
+from typing import List, Optional
 
 from ..machine import domain_error, instantiation_error, type_error
-from ..terms import NIL, SLASH, TRUE, Atom, Term, Var, deref, functor, list_parts
+from ..terms import NIL, SLASH, TRUE, Atom, Functor, Term, Var, deref, functor, list_parts
+from .program import Machine
 
 
-def is_iso(machine: Any) -> bool:
+def is_iso(machine: Machine) -> bool:
     """Tell whether the flag ``iso`` asks for the standard's checks."""
     return machine.logic.flags["iso"] is TRUE
 
@@ -15,7 +16,7 @@ def integer(term: Term) -> int:
     """Return an integer argument."""
     term = deref(term)
     if term.__class__ is int:
-        return term  # type: ignore[no-any-return]
+        return term
     if term.__class__ is Var:
         raise instantiation_error()
     raise type_error("integer", term)
@@ -39,7 +40,7 @@ def atom_of(term: Term) -> Atom:
     """Return an argument that has to be an atom."""
     term = deref(term)
     if term.__class__ is Atom:
-        return term  # type: ignore[no-any-return]
+        return term
     if term.__class__ is Var:
         raise instantiation_error()
     raise type_error("atom", term)
@@ -88,7 +89,7 @@ def check_tail(term: Term) -> None:
         raise type_error("list", tail)
 
 
-def indicator_of(term: Term) -> Any:
+def indicator_of(term: Term) -> Functor:
     """Return the functor that ``Name/Arity`` names."""
     term = deref(term)
     if term.__class__ is Var:

@@ -1,11 +1,12 @@
 """Atoms and their text: conversions, concatenation, parts."""
 
-from typing import Any, Iterator, List, Union
+from typing import Callable, Iterator, List, Optional, Tuple
 
 from ...foundation import look
 from ..machine import LAST, domain_error, instantiation_error, representation_error, type_error
 from ..terms import Atom, String, Term, Var, atom, deref, is_ground, list_items, make_list, unify
 from .arguments import atom_of, integer_or_var, is_iso, items, partial_items
+from .program import Machine, Outcome, Solutions
 from .reading import parse
 from .registry import deterministic, nondeterministic
 from .text import (
@@ -28,7 +29,7 @@ from .text import (
 
 
 @deterministic("atom_length/2")
-def atom_length(machine: Any, text: Term, length: Term) -> bool:
+def atom_length(machine: Machine, text: Term, length: Term) -> bool:
     """Give the number of characters of an atom."""
     size = deref(length)
     value = len(atom_of(text).name if is_iso(machine) else text_of(text))
@@ -40,14 +41,20 @@ def atom_length(machine: Any, text: Term, length: Term) -> bool:
     return unify(size, value, machine.trail)
 
 
-def _converter(to_list: Any, from_text: Any, kind: str) -> Any:
-    def run(machine: Any, constant: Term, parts: Term) -> bool:
+Make = Callable[[str], Term]
+"""What makes a term of a text."""
+
+
+def _converter(
+    to_list: Make, from_text: Callable[[Machine, str], Term], kind: str
+) -> Callable[[Machine, Term, Term], bool]:
+    def run(machine: Machine, constant: Term, parts: Term) -> bool:
         found = constant_text(deref(constant))
         if found is not None:
             check_parts(parts)
             given = deref(parts)
             if given.__class__ is String:
-                return given.text == found  # type: ignore[no-any-return]
+                return given.text == found
             return unify(parts, to_list(found), machine.trail)
         if deref(constant).__class__ is not Var:
             raise type_error(kind, deref(constant))
@@ -57,15 +64,15 @@ def _converter(to_list: Any, from_text: Any, kind: str) -> Any:
     return run
 
 
-def _atom(machine: Any, text: str) -> Term:
+def _atom(machine: Machine, text: str) -> Term:
     return atom(text)
 
 
-def _number(machine: Any, text: str) -> Term:
+def _number(machine: Machine, text: str) -> Term:
     return number_or_error(text, machine.logic.operators)
 
 
-def _any_constant(machine: Any, text: str) -> Term:
+def _any_constant(machine: Machine, text: str) -> Term:
     found = parse_number(text, machine.logic.operators)
     return atom(text) if found is None else found
 
@@ -75,15 +82,15 @@ deterministic("atom_chars/2")(_converter(chars, _atom, "atom"))
 deterministic("name/2")(_converter(codes, _any_constant, "atomic"))
 
 
-def _number_converter(to_list: Any) -> Any:
-    def run(machine: Any, number: Term, parts: Term) -> bool:
+def _number_converter(to_list: Make) -> Callable[[Machine, Term, Term], bool]:
+    def run(machine: Machine, number: Term, parts: Term) -> bool:
         number = deref(number)
         if number.__class__ not in (Var, int, float):
             raise type_error("number", number)
         # The text decides where it is there: "0x10" is 16, whatever number the other side is.
         if not is_iso(machine):
             check_parts(parts)
-        if number.__class__ is not Var and not is_ground(parts):
+        if isinstance(number, (int, float)) and not is_ground(parts):
             return unify(parts, to_list(number_text(number)), machine.trail)
         text = parts_text(machine, parts, to_list is codes)
         return unify(number, number_or_error(text, machine.logic.operators), machine.trail)
@@ -95,12 +102,12 @@ deterministic("number_codes/2")(_number_converter(codes))
 deterministic("number_chars/2")(_number_converter(chars))
 
 
-def _no_code(machine: Any, code: int) -> Exception:
+def _no_code(machine: Machine, code: int) -> Exception:
     return representation_error("character_code") if is_iso(machine) else type_error("character_code", code)
 
 
 @deterministic("char_code/2")
-def char_code(machine: Any, char: Term, code: Term) -> bool:
+def char_code(machine: Machine, char: Term, code: Term) -> bool:
     """Relate a character with its code."""
     char, code = deref(char), deref(code)
     if char.__class__ is Atom:
@@ -123,7 +130,7 @@ def char_code(machine: Any, char: Term, code: Term) -> bool:
 
 
 @deterministic("atom_number/2")
-def atom_number(machine: Any, text: Term, number: Term) -> bool:
+def atom_number(machine: Machine, text: Term, number: Term) -> bool:
     """Relate an atom with the number that it reads as."""
     text, number = deref(text), deref(number)
     if text.__class__ is Var:
@@ -143,7 +150,7 @@ def atom_number(machine: Any, text: Term, number: Term) -> bool:
 
 
 @deterministic("term_to_atom/2")
-def term_to_atom(machine: Any, term: Term, text: Term) -> bool:
+def term_to_atom(machine: Machine, term: Term, text: Term) -> bool:
     """Relate a term with its text."""
     given = deref(text)
     if deref(term).__class__ is Var and given.__class__ is not Var:
@@ -157,18 +164,18 @@ def term_to_atom(machine: Any, term: Term, text: Term) -> bool:
 
 
 @nondeterministic("atom_concat/3")
-def atom_concat(machine: Any, left: Term, right: Term, whole: Term) -> Union[bool, Iterator[Any]]:
+def atom_concat(machine: Machine, left: Term, right: Term, whole: Term) -> Outcome:
     """Relate two texts with the atom that they make together."""
     return _concat(machine, left, right, whole, atom)
 
 
 @nondeterministic("string_concat/3")
-def string_concat(machine: Any, left: Term, right: Term, whole: Term) -> Union[bool, Iterator[Any]]:
+def string_concat(machine: Machine, left: Term, right: Term, whole: Term) -> Outcome:
     """Relate two texts with the string that they make together."""
     return _concat(machine, left, right, whole, String)
 
 
-def _concat(machine: Any, left: Term, right: Term, whole: Term, make: Any) -> Union[bool, Iterator[Any]]:
+def _concat(machine: Machine, left: Term, right: Term, whole: Term, make: Make) -> Outcome:
     left, right = deref(left), deref(right)
     start = None if left.__class__ is Var else atomic_text(left)
     end = None if right.__class__ is Var else atomic_text(right)
@@ -190,7 +197,7 @@ def _concat(machine: Any, left: Term, right: Term, whole: Term, make: Any) -> Un
     return halves(machine, left, right, text, make)
 
 
-def halves(machine: Any, left: Term, right: Term, text: str, make: Any) -> Iterator[Any]:
+def halves(machine: Machine, left: Term, right: Term, text: str, make: Make) -> Solutions:
     """Yield for each way to cut a text in two parts, made by ``make``, that unify with left and right."""
     for at in range(len(text) + 1):
         long_text(len(text))
@@ -199,24 +206,20 @@ def halves(machine: Any, left: Term, right: Term, text: str, make: Any) -> Itera
 
 
 @nondeterministic("sub_atom/5")
-def sub_atom(
-    machine: Any, text: Term, before: Term, length: Term, after: Term, part: Term
-) -> Union[bool, Iterator[Any]]:
+def sub_atom(machine: Machine, text: Term, before: Term, length: Term, after: Term, part: Term) -> Outcome:
     """Enumerate the parts of an atom."""
     return sub_text(machine, text, before, length, after, part, atom)
 
 
 @nondeterministic("sub_string/5")
-def sub_string(
-    machine: Any, text: Term, before: Term, length: Term, after: Term, part: Term
-) -> Union[bool, Iterator[Any]]:
+def sub_string(machine: Machine, text: Term, before: Term, length: Term, after: Term, part: Term) -> Outcome:
     """Enumerate the parts of a string."""
     return sub_text(machine, text, before, length, after, part, String)
 
 
 def sub_text(
-    machine: Any, text: Term, before: Term, length: Term, after: Term, part: Term, make: Any
-) -> Union[bool, Iterator[Any]]:
+    machine: Machine, text: Term, before: Term, length: Term, after: Term, part: Term, make: Make
+) -> Outcome:
     """Enumerate the parts of a text in order of their start, then of their length."""
     if deref(text).__class__ is Var:
         raise instantiation_error()
@@ -249,8 +252,15 @@ def sub_text(
 
 
 def _parts(
-    machine: Any, whole: str, spans: Any, before: Term, length: Term, after: Term, part: Term, make: Any
-) -> Iterator[Any]:
+    machine: Machine,
+    whole: str,
+    spans: Iterator[Tuple[int, int]],
+    before: Term,
+    length: Term,
+    after: Term,
+    part: Term,
+    make: Make,
+) -> Solutions:
     size = len(whole)
     for at, (start, end) in enumerate(spans):
         if not at & 255:
@@ -262,7 +272,7 @@ def _parts(
             yield None
 
 
-def _spans(size: int, b: Any, count: Any, a: Any) -> Iterator[Any]:
+def _spans(size: int, b: Optional[int], count: Optional[int], a: Optional[int]) -> Iterator[Tuple[int, int]]:
     if b is not None:
         return ((b, end) for end in range(b, size + 1))
     if count is not None:
@@ -273,11 +283,21 @@ def _spans(size: int, b: Any, count: Any, a: Any) -> Iterator[Any]:
 
 
 def _occurrences(
-    machine: Any, whole: str, wanted: str, before: Term, length: Term, after: Term, b: Any, a: Any
-) -> Union[bool, Iterator[Any]]:
+    machine: Machine,
+    whole: str,
+    wanted: str,
+    before: Term,
+    length: Term,
+    after: Term,
+    b: Optional[int],
+    a: Optional[int],
+) -> Outcome:
     size, count = len(whole), len(wanted)
-    if b is not None or a is not None:
-        start = b if b is not None else size - a - count
+    if b is not None:
+        start = b
+        found = whole.startswith(wanted, start)
+    elif a is not None:
+        start = size - a - count
         found = start >= 0 and whole.startswith(wanted, start)
     else:
         start = whole.find(wanted)
@@ -287,7 +307,7 @@ def _occurrences(
     return bool(found and machine.unify_all((before, start), (length, count), (after, size - start - count)))
 
 
-def _many(machine: Any, whole: str, wanted: str, before: Term, length: Term, after: Term) -> Iterator[Any]:
+def _many(machine: Machine, whole: str, wanted: str, before: Term, length: Term, after: Term) -> Solutions:
     size = len(whole)
     start = whole.find(wanted)
     while start >= 0:
@@ -298,13 +318,13 @@ def _many(machine: Any, whole: str, wanted: str, before: Term, length: Term, aft
 
 
 @deterministic("atomic_list_concat/2")
-def atomic_list_concat(machine: Any, parts: Term, whole: Term) -> bool:
+def atomic_list_concat(machine: Machine, parts: Term, whole: Term) -> bool:
     """Join texts to an atom."""
     return unify(whole, atom(joined([atomic_text(item, "text") for item in items(parts)])), machine.trail)
 
 
 @deterministic("atomic_list_concat/3")
-def atomic_list_concat_separated(machine: Any, parts: Term, separator: Term, whole: Term) -> bool:
+def atomic_list_concat_separated(machine: Machine, parts: Term, separator: Term, whole: Term) -> bool:
     """Join texts with a separator to an atom, or split an atom at it."""
     between = atomic_text(separator, "text")
     text = _join(parts, between)
@@ -318,7 +338,7 @@ def atomic_list_concat_separated(machine: Any, parts: Term, separator: Term, who
     return unify(parts, make_list(each(atom, atomic_text(whole).split(between))), machine.trail)
 
 
-def _join(parts: Term, between: str) -> Any:
+def _join(parts: Term, between: str) -> Optional[str]:
     """Return the joined text, or None where the list or an item is not bound yet."""
     found: List[str] = []
     if list_items(parts) is None:
@@ -335,8 +355,8 @@ def _join(parts: Term, between: str) -> Any:
     return joined(found, between)
 
 
-def _case(change: Any, make: Any, kind: str) -> Any:
-    def run(machine: Any, text: Term, result: Term) -> bool:
+def _case(change: Callable[[str], str], make: Make, kind: str) -> Callable[[Machine, Term, Term], bool]:
+    def run(machine: Machine, text: Term, result: Term) -> bool:
         changed = change(atomic_text(text))
         no_compound(result, kind)
         return unify(result, make(changed), machine.trail)

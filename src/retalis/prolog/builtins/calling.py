@@ -1,51 +1,52 @@
 """Calls with conditions: grammars, limits, the n-th solution."""
 
 from time import monotonic
-from typing import Any, Optional
+from typing import Optional
 
 from ...foundation import watched_by
 from ..arithmetic import evaluate
 from ..compiler import CALL, NOT
 from ..database import add_arguments, check_body
-from ..machine import Code, Frame, Guard, LimitPassed, PrologError, domain_error, type_error
-from ..terms import CONS, NIL, TRUE, String, Var, atom, deref, functor, unify
+from ..machine import Budget, Code, Frame, Guard, LimitPassed, PrologError, domain_error, type_error
+from ..terms import CONS, NIL, TRUE, String, Values, Var, atom, deref, functor, unify
 from .arguments import callable_of, integer, items
 from .dcg import translate_body
+from .program import Machine
 from .registry import control, deterministic
 
 
 @deterministic("true/0", "otherwise/0", "trim_stacks/0")
-def true(machine: Any) -> bool:
+def true(machine: Machine) -> bool:
     """Succeed."""
     return True
 
 
 @deterministic("fail/0", "false/0")
-def fail(machine: Any) -> bool:
+def fail(machine: Machine) -> bool:
     """Fail."""
     return False
 
 
 @control("not/1")
-def not_provable(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+def not_provable(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
     """Succeed if a goal has no solution."""
-    return machine.logic.control.call((NOT, (CALL, args[0])), after)  # type: ignore[no-any-return]
+    return machine.logic.control.call((NOT, (CALL, args[0])), after)
 
 
 @control("apply/2")
-def apply(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+def apply(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
     """Call a goal with the items of a list as further arguments."""
     goal = callable_of(args[0])
     extra = tuple(items(args[1]))
     goal = add_arguments(goal, extra) if extra else goal
-    return machine.logic.control.call(goal, after)  # type: ignore[no-any-return]
+    return machine.logic.control.call(goal, after)
 
 
 # Grammars
 
 
 @control("phrase/2", "phrase/3")
-def phrase(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+def phrase(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
     """Parse a list by a grammar body."""
     rest = args[2] if len(args) == 3 else NIL
     for term in (args[1], rest):
@@ -61,14 +62,14 @@ def phrase(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
         callable_of(body)
     goal = translate_body(body, args[1], rest)
     check_body(goal)
-    return machine.logic.control.call(goal, after)  # type: ignore[no-any-return]
+    return machine.logic.control.call(goal, after)
 
 
 # Limits
 
 
 @control("call_with_time_limit/2")
-def call_with_time_limit(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+def call_with_time_limit(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
     """Run a goal once, for some seconds at most; then ``time_limit_exceeded`` is thrown."""
     seconds = evaluate(args[0])
     if seconds <= 0:
@@ -78,10 +79,11 @@ def call_with_time_limit(machine: Any, args: Any, after: Frame) -> Optional[Fram
     before = watched_by(budget.look)
     machine.choices.append((_LIMITED, budget, len(budget.alarms), before, len(machine.trail)))
     budget.warn_at(monotonic() + seconds, LimitPassed("time", _TIME_LIMIT))
-    return machine.logic.control.once(args[1], (_IN_TIME, machine, height, after))  # type: ignore[no-any-return]
+    return machine.logic.control.once(args[1], (_IN_TIME, machine, height, after))
 
 
 def _take_off(entry: Frame) -> None:
+    budget: Budget
     _, budget, count, before, _ = entry
     for _, error in budget.alarms[count:]:
         error.close()
@@ -90,6 +92,8 @@ def _take_off(entry: Frame) -> None:
 
 
 def _in_time(frame: Frame) -> Frame:
+    machine: Machine
+    after: Frame
     _, machine, height, after = frame
     entry = machine.choices[height]
     _, error = entry[1].alarms[entry[2]]
@@ -105,16 +109,16 @@ _IN_TIME = Code("call_with_time_limit", _in_time)
 
 
 @control("call_with_inference_limit/3")
-def call_with_inference_limit(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+def call_with_inference_limit(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
     """Run a goal for some inferences at most (counted by the thousand); say how it went."""
     goal, most, result = args
     ball = (_INFERENCE_LIMIT, machine.budget.cap(integer(most)))
     inner = (_WITHIN, goal, ball, result)
-    return machine.logic.control.catch(inner, ball, (_EQUAL, result, _EXCEEDED), after)  # type: ignore[no-any-return]
+    return machine.logic.control.catch(inner, ball, (_EQUAL, result, _EXCEEDED), after)
 
 
 @control("$within/3")
-def within(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+def within(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
     """Run a goal that `call_with_inference_limit` has set a ceiling for."""
     goal, ball, result = args
     ball = deref(ball)
@@ -125,10 +129,11 @@ def within(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
     budget = machine.budget
     budget.warn_past(ceiling, LimitPassed("inference", ball))
     machine.choices.append((_CAPPED, budget, ceiling, len(machine.trail)))
-    return machine.logic.control.call(goal, (_STAYED, machine, height, result, after))  # type: ignore[no-any-return]
+    return machine.logic.control.call(goal, (_STAYED, machine, height, result, after))
 
 
 def _lift(entry: Frame) -> None:
+    budget: Budget
     _, budget, ceiling, _ = entry
     error = budget.ceilings.pop(ceiling, None)
     if error is not None:  # on backtracking it is gone already
@@ -136,6 +141,8 @@ def _lift(entry: Frame) -> None:
 
 
 def _stayed(frame: Frame) -> Optional[Frame]:
+    machine: Machine
+    after: Frame
     _, machine, height, result, after = frame
     entry = machine.choices[height]
     error = entry[1].ceilings.get(entry[2])
@@ -160,16 +167,18 @@ _STAYED = Code("call_with_inference_limit", _stayed)
 
 
 @control("limit/2")
-def limit(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+def limit(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
     """Give the first solutions of a goal only."""
     count = evaluate(args[0])
     if count <= 0:
         return None
     height = len(machine.choices)
-    return machine.logic.control.call(args[1], (_COUNTED, machine, height, [count], after))  # type: ignore[no-any-return]
+    return machine.logic.control.call(args[1], (_COUNTED, machine, height, [count], after))
 
 
 def _counted(frame: Frame) -> Frame:
+    machine: Machine
+    after: Frame
     _, machine, height, left, after = frame
     left[0] -= 1
     if left[0] <= 0:
@@ -181,36 +190,39 @@ _COUNTED = Code("limit", _counted)
 
 
 @control("offset/2")
-def offset(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+def offset(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
     """Leave out the first solutions of a goal."""
     count = evaluate(args[0])
     if count < 0:
         raise domain_error("not_less_than_zero", count)
-    return machine.logic.control.call(args[1], (_SKIPPED, [count], after))  # type: ignore[no-any-return]
+    return machine.logic.control.call(args[1], (_SKIPPED, [count], after))
 
 
 def _skipped(frame: Frame) -> Optional[Frame]:
-    left = frame[1]
+    after: Frame
+    _, left, after = frame
     if left[0] > 0:
         left[0] -= 1
         return None
-    return frame[2]  # type: ignore[no-any-return]
+    return after
 
 
 _SKIPPED = Code("offset", _skipped)
 
 
 @control("call_nth/2")
-def call_nth(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+def call_nth(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
     """Give the solutions of a goal with their numbers, or the one of a number."""
     number = deref(args[1])
     if number.__class__ is not Var and integer(number) < 1:
         raise domain_error("not_less_than_one", number)
     height = len(machine.choices)
-    return machine.logic.control.call(args[0], (_NTH, machine, height, [0], number, after))  # type: ignore[no-any-return]
+    return machine.logic.control.call(args[0], (_NTH, machine, height, [0], number, after))
 
 
 def _nth(frame: Frame) -> Optional[Frame]:
+    machine: Machine
+    after: Frame
     _, machine, height, count, number, after = frame
     count[0] += 1
     if number.__class__ is Var:
@@ -218,7 +230,7 @@ def _nth(frame: Frame) -> Optional[Frame]:
     if count[0] < number:
         return None
     del machine.choices[height:]
-    return after  # type: ignore[no-any-return]
+    return after
 
 
 _NTH = Code("call_nth", _nth)

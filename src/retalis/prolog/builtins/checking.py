@@ -1,6 +1,6 @@
 """must_be/2 and is_of_type/2."""
 
-from typing import Any, Callable, Dict, Optional
+from typing import Callable, Dict, Optional
 
 from ...foundation import TermTooLarge
 from ..arithmetic import evaluate
@@ -15,6 +15,7 @@ from ..machine import (
 from ..terms import (
     NIL,
     Atom,
+    Compound,
     String,
     Term,
     Var,
@@ -28,6 +29,7 @@ from ..terms import (
     resolve,
 )
 from .arguments import integer, items
+from .program import Machine
 from .registry import deterministic
 from .text import is_text_list
 
@@ -127,7 +129,7 @@ def holds(kind: Term, term: Term) -> Optional[bool]:
     return None if test is None else test(term)
 
 
-def _parametric(name: str, kind: Term, term: Term) -> Optional[bool]:
+def _parametric(name: str, kind: Compound, term: Term) -> Optional[bool]:
     if name == "oneof" and len(kind) == 2:
         return is_ground(term) and any(not compare(item, term) for item in items(kind[1]))
     if name == "between" and len(kind) == 3:
@@ -180,7 +182,7 @@ def type_error_of(kind: Term, term: Term) -> PrologError:
 
 
 @deterministic("must_be/2", locked=False)
-def must_be(machine: Any, kind: Term, term: Term) -> bool:
+def must_be(machine: Machine, kind: Term, term: Term) -> bool:
     """Raise the error for a term that is not of a type."""
     found = check(kind, term)
     if found is not None:
@@ -189,7 +191,7 @@ def must_be(machine: Any, kind: Term, term: Term) -> bool:
 
 
 @deterministic("is_of_type/2", locked=False)
-def is_of_type(machine: Any, kind: Term, term: Term) -> bool:
+def is_of_type(machine: Machine, kind: Term, term: Term) -> bool:
     """Test that a term is of a type; nothing is of an unknown one."""
     kind = deref(kind)
     if kind.__class__ is Var:

@@ -1,10 +1,10 @@
 """The clause store as predicates: assert, retract, clause, declarations."""
 
-from typing import Any, Callable, Iterator, List, Optional, Union
+from typing import Callable, Dict, Iterator, List, Optional, Tuple
 
 from ..compiler import CONTROL, key_of
 from ..database import NEVER, Clause, Predicate, may_match
-from ..machine import LAST, indicator, instantiation_error, permission_error, type_error
+from ..machine import LAST, Frame, indicator, instantiation_error, permission_error, type_error
 from ..terms import (
     COMMA,
     CONS,
@@ -13,6 +13,8 @@ from ..terms import (
     Atom,
     Functor,
     Term,
+    Trail,
+    Values,
     Var,
     atom,
     conjuncts,
@@ -23,12 +25,13 @@ from ..terms import (
     unify,
 )
 from .arguments import indicator_of
+from .program import Machine, Outcome, Solutions
 from .registry import control, deterministic, nondeterministic
 
 _NECK = functor(":-", 2)
 
 
-def _check_rights(machine: Any, key: Functor, action: str, kind: str) -> Predicate:
+def _check_rights(machine: Machine, key: Functor, action: str, kind: str) -> Predicate:
     """Return a predicate whose clauses may be changed or looked at."""
     predicate: Predicate = machine.logic.database.predicate(key)
     if key in CONTROL or (
@@ -38,8 +41,8 @@ def _check_rights(machine: Any, key: Functor, action: str, kind: str) -> Predica
     return predicate
 
 
-def _assert(first: bool) -> Any:
-    def run(machine: Any, term: Term) -> bool:
+def _assert(first: bool) -> Callable[[Machine, Term], bool]:
+    def run(machine: Machine, term: Term) -> bool:
         logic = machine.logic
         clause = logic.add_clause(_strip(term), first=first)
         predicate = clause.predicate
@@ -62,7 +65,7 @@ deterministic("assertz/1", "assert/1")(_assert(False))
 deterministic("asserta/1")(_assert(True))
 
 
-def _split(term: Term) -> Any:
+def _split(term: Term) -> Tuple[Term, Term]:
     term = _strip(term)
     if term.__class__ is tuple and term[0] is _NECK:
         return _strip(term[1]), term[2]
@@ -73,13 +76,14 @@ def _key(head: Term) -> Functor:
     if head.__class__ is Var:
         raise instantiation_error()
     if head.__class__ is tuple:
-        return head[0]  # type: ignore[no-any-return]
+        key: Functor = head[0]
+        return key
     if head.__class__ is Atom:
-        return head.functor  # type: ignore[no-any-return]
+        return head.functor
     raise type_error("callable", head)
 
 
-def _candidates(predicate: Predicate, head: Term) -> Iterator[Any]:
+def _candidates(predicate: Predicate, head: Term) -> Iterator[Clause]:
     """Yield the clauses whose heads may match, as they are now."""
     frame = (None, *head[1:], None) if head.__class__ is tuple else (None, None)
     keys = [key_of(arg) for arg in frame[1:-1]]
@@ -92,7 +96,7 @@ def _candidates(predicate: Predicate, head: Term) -> Iterator[Any]:
 
 
 @nondeterministic("retract/1")
-def retract(machine: Any, term: Term) -> Union[bool, Iterator[Any]]:
+def retract(machine: Machine, term: Term) -> Outcome:
     """Remove the clauses that unify, one at each solution."""
     head, body = _split(term)
     predicate = _check_rights(machine, _key(head), "modify", "static_procedure")
@@ -100,8 +104,8 @@ def retract(machine: Any, term: Term) -> Union[bool, Iterator[Any]]:
 
 
 def _each_clause(
-    trail: List[Any], predicate: Predicate, head: Term, body: Term, action: Optional[Callable[[Clause], Any]]
-) -> Union[bool, Iterator[Any]]:
+    trail: Trail, predicate: Predicate, head: Term, body: Term, action: Optional[Callable[[Clause], object]]
+) -> Outcome:
     """Go through the clauses that unify with a head and a body; ``action`` is for those that are still there."""
     found = list(_candidates(predicate, head))
     if len(found) > 1:
@@ -110,8 +114,8 @@ def _each_clause(
 
 
 def _clauses(
-    trail: List[Any], found: List[Clause], head: Term, body: Term, action: Optional[Callable[[Clause], Any]]
-) -> Iterator[Any]:
+    trail: Trail, found: List[Clause], head: Term, body: Term, action: Optional[Callable[[Clause], object]]
+) -> Solutions:
     last = found[-1]
     for clause in found:
         mark = len(trail)
@@ -122,7 +126,7 @@ def _clauses(
 
 
 def _is_clause(
-    trail: List[Any], clause: Clause, head: Term, body: Term, action: Optional[Callable[[Clause], Any]]
+    trail: Trail, clause: Clause, head: Term, body: Term, action: Optional[Callable[[Clause], object]]
 ) -> bool:
     if action is not None and clause.died != NEVER:
         return False
@@ -134,15 +138,15 @@ def _is_clause(
     return True
 
 
-def _renamed(clause: Any) -> Any:
+def _renamed(clause: Clause) -> Tuple[Term, Term]:
     if clause.ground:
         return clause.head, clause.body
-    fresh: Any = {}
+    fresh: Dict[Var, Term] = {}
     return copy(clause.head, fresh), copy(clause.body, fresh)
 
 
 @deterministic("retractall/1")
-def retractall(machine: Any, head: Term) -> bool:
+def retractall(machine: Machine, head: Term) -> bool:
     """Remove all clauses whose heads unify; the predicate is dynamic afterwards."""
     head = _strip(head)
     key = _key(head)
@@ -160,7 +164,7 @@ def retractall(machine: Any, head: Term) -> bool:
 
 
 @nondeterministic("clause/2")
-def clause_of(machine: Any, head: Term, body: Term) -> Union[bool, Iterator[Any]]:
+def clause_of(machine: Machine, head: Term, body: Term) -> Outcome:
     """Enumerate the clauses of a predicate."""
     head = _strip(head)
     key = _key(head)
@@ -172,7 +176,7 @@ def clause_of(machine: Any, head: Term, body: Term) -> Union[bool, Iterator[Any]
 
 
 @deterministic("abolish/1")
-def abolish(machine: Any, term: Term) -> bool:
+def abolish(machine: Machine, term: Term) -> bool:
     """Remove a predicate."""
     key = indicator_of(term)
     predicate = _check_rights(machine, key, "modify", "static_procedure")
@@ -183,7 +187,7 @@ def abolish(machine: Any, term: Term) -> bool:
 
 
 @deterministic("abolish/2")
-def abolish_named(machine: Any, name: Term, arity: Term) -> bool:
+def abolish_named(machine: Machine, name: Term, arity: Term) -> bool:
     """Remove a predicate."""
     return abolish(machine, (SLASH, name, arity))
 
@@ -208,12 +212,11 @@ def declared(term: Term) -> Iterator[Term]:
             yield item
 
 
-def _declaration(attribute: Optional[str]) -> Any:
-    def run(machine: Any, term: Term) -> bool:
+def _declaration(attribute: str) -> Callable[[Machine, Term], bool]:
+    def run(machine: Machine, term: Term) -> bool:
         for key in _each(term):
             predicate = machine.logic.database.writable(key, "modify")
-            if attribute is not None:
-                setattr(predicate, attribute, True)
+            setattr(predicate, attribute, True)
         return True
 
     return run
@@ -228,15 +231,12 @@ deterministic("module_transparent/1", "meta_predicate/1", "volatile/1", "public/
 
 
 @nondeterministic("current_predicate/1")
-def current_predicate(machine: Any, term: Term) -> Iterator[Any]:
+def current_predicate(machine: Machine, term: Term) -> Solutions:
     """Enumerate the program's predicates that have clauses."""
     term = _strip(term)
     if term.__class__ is Var:
         term = (SLASH, Var(), Var())
-        pattern = True
-    else:
-        pattern = term.__class__ is tuple and term[0] is SLASH
-    if not pattern:
+    if term.__class__ is not tuple or term[0] is not SLASH:
         raise type_error("predicate_indicator", term)
     name, arity = deref(term[1]), deref(term[2])
     if name.__class__ not in (Var, Atom):
@@ -256,6 +256,6 @@ def current_predicate(machine: Any, term: Term) -> Iterator[Any]:
 
 
 @control("garbage_collect/0", "prompt/2")
-def nothing(machine: Any, args: Any, after: Any) -> Any:
+def nothing(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
     """Do nothing: there is nothing to do."""
     return after

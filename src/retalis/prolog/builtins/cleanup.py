@@ -1,10 +1,11 @@
 """Cleanup: what runs when a goal is over, however it ends."""
 
-from typing import Any, Optional
+from typing import Optional
 
 from ..compiler import IGNORE
 from ..machine import Code, Frame, Guard, PrologError, instantiation_error, keep_back
-from ..terms import Term, Var, atom, deref, undo
+from ..terms import Term, Values, Var, atom, deref, undo
+from .program import Machine
 from .registry import control
 
 
@@ -17,7 +18,7 @@ class _Cleanup:
 
     __slots__ = ("machine", "goal", "done")
 
-    def __init__(self, machine: Any, goal: Term):
+    def __init__(self, machine: Machine, goal: Term):
         self.machine = machine
         self.goal = goal
         self.done = False
@@ -41,34 +42,38 @@ class _Cleanup:
 
 
 @control("setup_call_cleanup/3")
-def setup_call_cleanup(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+def setup_call_cleanup(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
     """Run a goal, and a cleanup once it has failed, thrown, exited without choice points, or been cut."""
     setup, goal, cleanup = args
     if deref(cleanup).__class__ is Var:
         raise instantiation_error()
-    return machine.logic.control.once(setup, (_GUARDED, machine, goal, cleanup, after))  # type: ignore[no-any-return]
+    return machine.logic.control.once(setup, (_GUARDED, machine, goal, cleanup, after))
 
 
 @control("call_cleanup/2")
-def call_cleanup(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+def call_cleanup(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
     """Run a goal, and a cleanup once it has failed, thrown, exited without choice points, or been cut."""
     return setup_call_cleanup(machine, (atom("true"), *args), after)
 
 
 def _guarded(frame: Frame) -> Optional[Frame]:
+    machine: Machine
+    after: Frame
     _, machine, goal, cleanup, after = frame
     height = len(machine.choices)
     machine.choices.append((_CLEANUP, _Cleanup(machine, cleanup), len(machine.trail)))
-    return machine.logic.control.call(goal, (_LEFT, machine, height, after))  # type: ignore[no-any-return]
+    return machine.logic.control.call(goal, (_LEFT, machine, height, after))
 
 
 def _left(frame: Frame) -> Optional[Frame]:
+    machine: Machine
+    after: Frame
     _, machine, height, after = frame
     if len(machine.choices) > height + 1:
-        return after  # type: ignore[no-any-return]
-    cleanup = machine.choices.pop()[1]
+        return after
+    cleanup: _Cleanup = machine.choices.pop()[1]
     cleanup.done = True
-    return machine.logic.control.once((IGNORE, cleanup.goal), after)  # type: ignore[no-any-return]
+    return machine.logic.control.once((IGNORE, cleanup.goal), after)
 
 
 _GUARDED = Code("setup_call_cleanup", _guarded)

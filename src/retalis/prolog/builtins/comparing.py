@@ -1,6 +1,6 @@
 """Unification, comparison, arithmetic and type tests as predicates (clauses have most of them in line)."""
 
-from typing import Any, Dict
+from typing import Callable, Dict
 
 from ...foundation import TermTooLarge, codegen, look
 from ..arithmetic import evaluate
@@ -27,19 +27,20 @@ from ..terms import (
     variables,
 )
 from .arguments import integer, integer_or_var, is_iso, natural, partial_items
+from .program import Machine
 from .registry import deterministic
 
 _ORDERS = {-1: atom("<"), 0: atom("="), 1: atom(">")}
 
 
 @deterministic("=/2")
-def equal(machine: Any, left: Term, right: Term) -> bool:
+def equal(machine: Machine, left: Term, right: Term) -> bool:
     """Unify."""
     return unify(left, right, machine.trail)
 
 
 @deterministic("\\=/2")
-def different(machine: Any, left: Term, right: Term) -> bool:
+def different(machine: Machine, left: Term, right: Term) -> bool:
     """Test that two terms do not unify."""
     mark = len(machine.trail)
     found = unify(left, right, machine.trail)
@@ -48,7 +49,7 @@ def different(machine: Any, left: Term, right: Term) -> bool:
 
 
 @deterministic("unify_with_occurs_check/2")
-def unify_with_occurs_check(machine: Any, left: Term, right: Term) -> bool:
+def unify_with_occurs_check(machine: Machine, left: Term, right: Term) -> bool:
     """Unify, unless that would make an infinite term."""
     trail = machine.trail
     mark = len(trail)
@@ -79,7 +80,9 @@ def _is_cyclic(var: Var) -> bool:
 
 
 @deterministic("compare/3")
-def compare_terms(machine: Any, order: Term, left: Term, right: Term, variables: Any = by_age) -> bool:
+def compare_terms(
+    machine: Machine, order: Term, left: Term, right: Term, variables: Callable[[Var, Var], int] = by_age
+) -> bool:
     """Compare in the standard order."""
     order = deref(order)
     if order.__class__ is not Var:
@@ -90,15 +93,19 @@ def compare_terms(machine: Any, order: Term, left: Term, right: Term, variables:
     return unify(order, _ORDERS[compare(left, right, variables)], machine.trail)
 
 
-def _order(test: str) -> Any:
+def _order(test: str) -> Callable[[Machine, Term, Term], bool]:
     variables = unlike if test in ("== 0", "!= 0") else by_age
     lines = ["def made(machine, left, right):", f"    return compare(left, right, variables) {test}"]
-    return codegen.function(lines, {"compare": compare, "variables": variables}, f"comparison {test}")
+    names = {"compare": compare, "variables": variables}
+    made: Callable[[Machine, Term, Term], bool] = codegen.function(lines, names, f"comparison {test}")
+    return made
 
 
-def _arithmetic(operator: str) -> Any:
+def _arithmetic(operator: str) -> Callable[[Machine, Term, Term], bool]:
     lines = ["def made(machine, left, right):", f"    return evaluate(left) {operator} evaluate(right)"]
-    return codegen.function(lines, {"evaluate": evaluate}, f"comparison {operator}")
+    names = {"evaluate": evaluate}
+    made: Callable[[Machine, Term, Term], bool] = codegen.function(lines, names, f"comparison {operator}")
+    return made
 
 
 for _key, _test in ORDERS.items():
@@ -108,13 +115,13 @@ for _key, _test in COMPARISONS.items():
 
 
 @deterministic("is/2")
-def is_value(machine: Any, result: Term, expression: Term) -> bool:
+def is_value(machine: Machine, result: Term, expression: Term) -> bool:
     """Evaluate."""
     return unify(result, evaluate(expression), machine.trail)
 
 
 @deterministic("succ/2")
-def succ(machine: Any, smaller: Term, greater: Term) -> bool:
+def succ(machine: Machine, smaller: Term, greater: Term) -> bool:
     """Relate an integer that is not negative with the next one."""
     smaller = deref(smaller)
     if smaller.__class__ is Var:
@@ -130,7 +137,7 @@ def succ(machine: Any, smaller: Term, greater: Term) -> bool:
 
 
 @deterministic("plus/3")
-def plus(machine: Any, left: Term, right: Term, total: Term) -> bool:
+def plus(machine: Machine, left: Term, right: Term, total: Term) -> bool:
     """Relate two integers with their sum; one of the three may be unbound."""
     left, right, total = deref(left), deref(right), deref(total)
     for known in (left, right, total):
@@ -142,8 +149,8 @@ def plus(machine: Any, left: Term, right: Term, total: Term) -> bool:
     return unify(left, integer(total) - integer(right), machine.trail)
 
 
-def _type_test(*classes: type) -> Any:
-    def test(machine: Any, term: Term) -> bool:
+def _type_test(*classes: type) -> Callable[[Machine, Term], bool]:
+    def test(machine: Machine, term: Term) -> bool:
         return deref(term).__class__ in classes
 
     return test
@@ -163,25 +170,25 @@ deterministic("is_stream/1")(lambda machine, *args: False)
 
 
 @deterministic("blob/2")
-def blob(machine: Any, term: Term, kind: Term) -> bool:
+def blob(machine: Machine, term: Term, kind: Term) -> bool:
     """Give the kind of an atom: there are only those of text."""
     return deref(term).__class__ is Atom and unify(kind, atom("text"), machine.trail)
 
 
 @deterministic("is_list/1")
-def is_list(machine: Any, term: Term) -> bool:
+def is_list(machine: Machine, term: Term) -> bool:
     """Test for a proper list."""
     return list_parts(term)[1] is NIL
 
 
 @deterministic("ground/1")
-def ground(machine: Any, term: Term) -> bool:
+def ground(machine: Machine, term: Term) -> bool:
     """Test for a term without variables."""
     return is_ground(term)
 
 
 @deterministic("term_variables/2")
-def term_variables(machine: Any, term: Term, result: Term) -> bool:
+def term_variables(machine: Machine, term: Term, result: Term) -> bool:
     """Give the variables of a term."""
     if is_iso(machine):
         partial_items(result)
@@ -189,13 +196,13 @@ def term_variables(machine: Any, term: Term, result: Term) -> bool:
 
 
 @deterministic("?=/2")
-def decided(machine: Any, left: Term, right: Term) -> bool:
+def decided(machine: Machine, left: Term, right: Term) -> bool:
     """Test that ``==`` of two terms cannot change any more."""
     return compare(left, right, unlike) == 0 or different(machine, left, right)
 
 
 @deterministic("subsumes_term/2")
-def subsumes_term(machine: Any, general: Term, specific: Term) -> bool:
+def subsumes_term(machine: Machine, general: Term, specific: Term) -> bool:
     """Test that a term can be made equal to another by binding its own variables only."""
     trail = machine.trail
     mark = len(trail)
@@ -211,13 +218,13 @@ def subsumes_term(machine: Any, general: Term, specific: Term) -> bool:
 
 
 @deterministic("=@=/2")
-def variant(machine: Any, left: Term, right: Term) -> bool:
+def variant(machine: Machine, left: Term, right: Term) -> bool:
     """Test that two terms are equal up to the names of their variables."""
     return is_variant(left, right)
 
 
 @deterministic("\\=@=/2")
-def no_variant(machine: Any, left: Term, right: Term) -> bool:
+def no_variant(machine: Machine, left: Term, right: Term) -> bool:
     """Test that two terms are not variants."""
     return not is_variant(left, right)
 
@@ -236,13 +243,12 @@ def is_variant(left: Term, right: Term) -> bool:
                 raise TermTooLarge
         left, right = stack.pop()
         left, right = deref(left), deref(right)
-        kind = left.__class__
-        if kind is not right.__class__:
+        if left.__class__ is not right.__class__:
             return False
-        if kind is Var:
+        if left.__class__ is Var and right.__class__ is Var:
             if forth.setdefault(left, right) is not right or back.setdefault(right, left) is not left:
                 return False
-        elif kind is tuple:
+        elif left.__class__ is tuple and right.__class__ is tuple:
             if left[0] is not right[0]:
                 return False
             stack.extend(zip(left[:0:-1], right[:0:-1]))

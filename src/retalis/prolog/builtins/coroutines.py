@@ -4,12 +4,13 @@ No goal waits for a variable here: unification is written into the compiled clau
 them. Where the answer depends on a variable that is not bound yet, these are instantiation errors.
 """
 
-from typing import Any, List, Optional, Tuple
+from typing import List, Optional, Tuple
 
 from ...foundation import BULK, TermTooLarge, look
 from ..machine import Frame, domain_error, instantiation_error
-from ..terms import COMMA, ROUNDS, Term, Var, deref, functor, is_ground, undo, unify
+from ..terms import COMMA, ROUNDS, Functor, Term, Values, Var, deref, functor, is_ground, undo, unify
 from .comparing import different
+from .program import Machine
 from .registry import control, deterministic
 
 _SEMICOLON = functor(";", 2)
@@ -19,7 +20,7 @@ _DECIDED = functor("?=", 2)
 
 
 @deterministic("dif/2")
-def dif(machine: Any, left: Term, right: Term) -> bool:
+def dif(machine: Machine, left: Term, right: Term) -> bool:
     """Test that two terms can never be equal; an error where they may become so."""
     trail = machine.trail
     mark = len(trail)
@@ -34,26 +35,25 @@ def dif(machine: Any, left: Term, right: Term) -> bool:
 
 
 @control("freeze/2")
-def freeze(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+def freeze(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
     """Call a goal when a variable is bound: it has to be already."""
     if deref(args[0]).__class__ is Var:
         raise instantiation_error()
-    return machine.logic.control.call(args[1], after)  # type: ignore[no-any-return]
+    return machine.logic.control.call(args[1], after)
 
 
 @control("when/2")
-def when(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+def when(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
     """Call a goal when a condition holds: it has to hold already."""
     if not _holds(machine, args[0]):
         raise instantiation_error()
-    return machine.logic.control.call(args[1], after)  # type: ignore[no-any-return]
+    return machine.logic.control.call(args[1], after)
 
 
-def _holds(machine: Any, condition: Term) -> bool:
+def _holds(machine: Machine, condition: Term) -> bool:
     """Tell whether a condition holds; no recursion, however deep it is."""
-    lefts: List[
-        Tuple[Any, Term]
-    ] = []  # conjunctions and disjunctions whose left side is looked at: key, right side
+    # Of conjunctions and disjunctions whose left side is looked at: key, right side.
+    lefts: List[Tuple[Functor, Term]] = []
     for _ in ROUNDS:
         for _ in BULK:
             condition = deref(condition)
@@ -73,10 +73,12 @@ def _holds(machine: Any, condition: Term) -> bool:
     raise TermTooLarge
 
 
-def _simple(machine: Any, condition: Term) -> bool:
+def _simple(machine: Machine, condition: Term) -> bool:
     if condition.__class__ is Var:
         raise instantiation_error()
-    key = condition[0] if condition.__class__ is tuple else None
+    if condition.__class__ is not tuple:
+        raise domain_error("when_condition", condition)
+    key = condition[0]
     if key is _NONVAR:
         return deref(condition[1]).__class__ is not Var
     if key is _GROUND:
@@ -86,7 +88,7 @@ def _simple(machine: Any, condition: Term) -> bool:
     raise domain_error("when_condition", condition)
 
 
-def _same(machine: Any, left: Term, right: Term) -> bool:
+def _same(machine: Machine, left: Term, right: Term) -> bool:
     trail = machine.trail
     mark = len(trail)
     same = unify(left, right, trail) and len(trail) == mark

@@ -3,12 +3,14 @@
 Comparisons are by the instant that a stamp names, whatever its form.
 """
 
-from typing import Any, Optional, Tuple
+from typing import Callable, Optional
 
 from ...foundation import UsageError
+from ..arithmetic import Number
 from ..machine import domain_error, instantiation_error, type_error
-from ..terms import CONS, DATIME6, DATIME7, NIL, SECOND, Lazy, Term, Var, deref, timestamps, unify
+from ..terms import CONS, DATIME6, DATIME7, NIL, SECOND, Compound, Lazy, Term, Var, deref, timestamps, unify
 from .arguments import integer
+from .program import Machine
 from .registry import deterministic, function
 
 
@@ -58,25 +60,25 @@ def datime_interpolate(first: Term, second: Term, at: Term) -> Term:
 
 
 @deterministic("less_datime/2")
-def less_datime(machine: Any, left: Term, right: Term) -> bool:
+def less_datime(machine: Machine, left: Term, right: Term) -> bool:
     """Compare."""
     return instant_of(left) < instant_of(right)
 
 
 @deterministic("less_equal_datime/2")
-def less_equal_datime(machine: Any, left: Term, right: Term) -> bool:
+def less_equal_datime(machine: Machine, left: Term, right: Term) -> bool:
     """Compare."""
     return instant_of(left) <= instant_of(right)
 
 
 @deterministic("equal_datime/2", "equal_datime_retalis/2")
-def equal_datime(machine: Any, left: Term, right: Term) -> bool:
+def equal_datime(machine: Machine, left: Term, right: Term) -> bool:
     """Compare."""
     return instant_of(left) == instant_of(right)
 
 
 @deterministic("between_datime/3")
-def between_datime(machine: Any, at: Term, low: Term, high: Term) -> bool:
+def between_datime(machine: Machine, at: Term, low: Term, high: Term) -> bool:
     """Test for a stamp between two others: strictly for datimes, limits included for numbers."""
     instant, first, last = instant_of(at), instant_of(low), instant_of(high)
     if _arity(at) or _arity(low) or _arity(high):
@@ -84,11 +86,13 @@ def between_datime(machine: Any, at: Term, low: Term, high: Term) -> bool:
     return first <= instant <= last
 
 
-def _one_of(earlier: bool) -> Any:
-    def run(machine: Any, left: Term, right: Term, result: Term) -> bool:
+def _one_of(earlier: bool) -> Callable[[Machine, Term, Term, Term], bool]:
+    def run(machine: Machine, left: Term, right: Term, result: Term) -> bool:
         left, right = deref(left), deref(right)
-        numbers = left.__class__ in (int, float) and right.__class__ in (int, float)
-        first = left <= right if numbers else instant_of(left) <= instant_of(right)
+        if isinstance(left, (int, float)) and isinstance(right, (int, float)):
+            first = left <= right
+        else:
+            first = instant_of(left) <= instant_of(right)
         return unify(result, left if first is earlier else right, machine.trail)
 
     return run
@@ -99,71 +103,71 @@ deterministic("max/3", locked=False)(_one_of(False))
 
 
 @deterministic("is_datime/1")
-def is_datime(machine: Any, term: Term) -> bool:
+def is_datime(machine: Machine, term: Term) -> bool:
     """Test for a datime."""
     term = deref(term)
     return term.__class__ is tuple and term[0] in (DATIME6, DATIME7) and timestamps.is_instant(term)
 
 
 @deterministic("datime_minus_datime/3")
-def datime_minus_datime(machine: Any, later: Term, earlier: Term, seconds: Term) -> bool:
+def datime_minus_datime(machine: Machine, later: Term, earlier: Term, seconds: Term) -> bool:
     """Give the seconds between two stamps of one form: an integer for whole ``datime/6``, else a float."""
     later, earlier = deref(later), deref(earlier)
     arity = _arity(later)
     if arity != _arity(earlier):
         return False
     distance = int(instant_of(later)) - int(instant_of(earlier))
-    if arity == 0:
+    if isinstance(later, (int, float)) and isinstance(earlier, (int, float)):
         return unify(seconds, later - earlier, machine.trail)
     whole, rest = divmod(distance, SECOND)
     value = whole if arity == 6 and not rest else whole + rest / SECOND
     return unify(seconds, value if arity == 6 else float(value), machine.trail)
 
 
-def _moved(stamp: Term, seconds: Term, sign: int) -> Optional[Tuple[Term, ...]]:
+def _moved(stamp: Term, seconds: Term, sign: int) -> Optional[Compound]:
     """Return ``datime/6`` some seconds later; None for another form."""
     stamp, seconds = deref(stamp), deref(seconds)
     instant = instant_of(stamp)
-    if seconds.__class__ not in (int, float):
+    if not isinstance(seconds, (int, float)):
         raise instantiation_error() if seconds.__class__ is Var else type_error("number", seconds)
-    if _arity(stamp) != 6:
+    if stamp.__class__ is not tuple or _arity(stamp) != 6:
         return None
     moved = int(instant) + sign * timestamps.from_seconds(seconds)
     year, month, day, hour, minute, second, rest = timestamps.fields(moved)
-    exact: Term = second + rest / SECOND if rest else second
+    exact: Number = second + rest / SECOND if rest else second
     if deref(stamp[6]).__class__ is float or seconds.__class__ is float:
         exact = float(exact)
     return (DATIME6, year, month, day, hour, minute, exact)
 
 
 @deterministic("datime_plus_sec/3")
-def datime_plus_sec(machine: Any, stamp: Term, seconds: Term, result: Term) -> bool:
+def datime_plus_sec(machine: Machine, stamp: Term, seconds: Term, result: Term) -> bool:
     """Add seconds to ``datime/6``; fails for other forms."""
     moved = _moved(stamp, seconds, 1)
     return moved is not None and unify(result, moved, machine.trail)
 
 
 @deterministic("addSec_Datime/3")
-def add_sec_datime(machine: Any, seconds: Term, stamp: Term, result: Term) -> bool:
+def add_sec_datime(machine: Machine, seconds: Term, stamp: Term, result: Term) -> bool:
     """Do what ``datime_plus_sec/3`` does."""
     return datime_plus_sec(machine, stamp, seconds, result)
 
 
 @deterministic("datime_minus_sec/3")
-def datime_minus_sec(machine: Any, stamp: Term, seconds: Term, result: Term) -> bool:
+def datime_minus_sec(machine: Machine, stamp: Term, seconds: Term, result: Term) -> bool:
     """Take seconds from ``datime/6``; fails for other forms."""
     moved = _moved(stamp, seconds, -1)
     return moved is not None and unify(result, moved, machine.trail)
 
 
 @deterministic("current_datime/1")
-def current_datime(machine: Any, result: Term) -> bool:
+def current_datime(machine: Machine, result: Term) -> bool:
     """Give the present as ``datime/6``."""
     return unify(result, timestamps.datime6(machine.logic.now()), machine.trail)
 
 
 @deterministic("month_days/3")
-def month_days(machine: Any, month: Term, year: Term, days: Term) -> bool:
+def month_days(machine: Machine, month: Term, year: Term, days: Term) -> bool:
     """Give the number of days of a month; year and month may stand in either order."""
     first, second = integer(month), integer(year)
     if first > 12:

@@ -11,6 +11,7 @@ from ..terms import (
     EMPTY_BLOCK,
     NIL,
     Atom,
+    Compound,
     String,
     Term,
     Var,
@@ -28,7 +29,7 @@ _PHRASE = functor("phrase", 3)
 _CALL = "call"
 
 
-def translate_rule(rule: Term) -> Term:
+def translate_rule(rule: Compound) -> Term:
     """Return the clause of a grammar rule ``Head --> Body``.
 
     Raises:
@@ -93,22 +94,25 @@ def _sequence(body: Term) -> List[Term]:
 
 
 def _part(part: Term, first: Term, last: Term, pending: List[_Hole]) -> Term:
-    kind = part.__class__
-    if kind is Var:
+    if part.__class__ is tuple:
+        return _compound_part(part, first, last, pending)
+    if part.__class__ is Var:
         return (_PHRASE, part, first, last)
-    if kind is String:
-        return _consume([ord(char) for char in part.text], first, last)
-    if part is NIL or (kind is tuple and part[0] is CONS):
+    if part is NIL or part.__class__ is String:
         return _consume(_terminals(part), first, last)
-    if kind is Atom:
-        if part.name == "!":
-            return (COMMA, part, (EQUAL, first, last))
-        if part is EMPTY_BLOCK:
-            return (EQUAL, first, last)
-        return (functor(part.name, 2), first, last)
-    if kind is not tuple:
+    if part.__class__ is not Atom:
         raise type_error("callable", part)
+    if part.name == "!":
+        return (COMMA, part, (EQUAL, first, last))
+    if part is EMPTY_BLOCK:
+        return (EQUAL, first, last)
+    return (functor(part.name, 2), first, last)
+
+
+def _compound_part(part: Compound, first: Term, last: Term, pending: List[_Hole]) -> Term:
     key = part[0]
+    if key is CONS:
+        return _consume(_terminals(part), first, last)
     if key in (SEMICOLON, BAR):
         left = _inside(pending, part[1], first, last)
         return (SEMICOLON, left, _inside(pending, part[2], first, last))

@@ -1,11 +1,12 @@
 """Interpretation of format strings, with column stops, as SWI-Prolog's ``format/2``."""
 
-from typing import Any, Callable, Dict, List, Optional, Tuple
+from typing import Callable, Dict, List, Optional, Tuple
 
 from ..arithmetic import bounded, evaluate
 from ..machine import domain_error, error, existence_error, resource_error
 from ..terms import Atom, String, Term, atom, deref, functor
 from .portraying import caught, printed
+from .program import Machine
 from .text import LARGEST_CODE, constant_text, is_text_list, long_text, number_text, text_of
 
 _FORMAT = functor("format", 1)
@@ -98,7 +99,7 @@ class Formatter:
         column: where the output stands.
     """
 
-    def __init__(self, machine: Any, column: int):
+    def __init__(self, machine: Machine, column: int):
         self.machine = machine
         self.line = ColumnLine(column)
         self.arguments: List[Term] = []
@@ -130,50 +131,57 @@ class Formatter:
 
     def _directive(self, text: str, at: int) -> int:
         """Do the directive that starts after the tilde; return where it ends."""
-        number: Optional[int] = None
-        if text[at : at + 1] == "`":
-            number = ord(text[at + 1 : at + 2] or "`")
-            at += 2
-        elif text[at : at + 1] == "*":
-            given = deref(self._next())
-            if given.__class__ is not int or given < 0:
-                raise format_error("no or negative integer for `*' argument")
-            number = given
-            at += 1
-        else:
-            start = at
-            while text[at : at + 1].isdigit():
-                at += 1
-            if at > start:
-                number = int(text[start:at])
+        number, at = self._number(text, at)
         letter = text[at : at + 1]
         if number is not None and number > _WIDEST:
             raise resource_error("memory")
         if not letter:
             raise existence_error("format_character", atom("\0"))
-        line = self.line
-        if letter == "|" or letter == "+":
-            if letter == "+":
-                target = line.start + (8 if number is None else number)
-            else:
-                target = line.column if number is None else number
-            line.stop(target)
-        elif letter == "t":
-            line.fill(chr(32 if number is None else number))
-        elif letter == "~":
-            line.add("~")
-        elif letter == "n":
-            line.add("\n" * (1 if number is None else number))
-        elif letter == "c":
-            line.add(_code(self._next()) * (1 if number is None else number))
+        if letter in "|+t":
+            self._lay_out(letter, number)
         elif letter == "i":
             self._next()
         else:
-            convert = _CONVERSIONS.get(letter)
-            if convert is None:
-                raise existence_error("format_character", atom(letter))
-            line.add(convert(self.machine, self._next(), number))
+            self.line.add(self._written(letter, number))
         return at + 1
+
+    def _number(self, text: str, at: int) -> Tuple[Optional[int], int]:
+        """Return the number of a directive, if it has one, and where its letter stands."""
+        if text[at : at + 1] == "`":
+            return ord(text[at + 1 : at + 2] or "`"), at + 2
+        if text[at : at + 1] == "*":
+            given = deref(self._next())
+            if given.__class__ is not int or given < 0:
+                raise format_error("no or negative integer for `*' argument")
+            return given, at + 1
+        start = at
+        while text[at : at + 1].isdigit():
+            at += 1
+        return (int(text[start:at]) if at > start else None), at
+
+    def _lay_out(self, letter: str, number: Optional[int]) -> None:
+        """Set a column stop, or note that blanks go here."""
+        line = self.line
+        if letter == "t":
+            line.fill(chr(32 if number is None else number))
+        elif letter == "+":
+            line.stop(line.start + (8 if number is None else number))
+        else:
+            line.stop(line.column if number is None else number)
+
+    def _written(self, letter: str, number: Optional[int]) -> str:
+        """Return the text of a directive that writes one."""
+        times = 1 if number is None else number
+        if letter == "~":
+            return "~"
+        if letter == "n":
+            return "\n" * times
+        if letter == "c":
+            return _code(self._next()) * times
+        convert = _CONVERSIONS.get(letter)
+        if convert is None:
+            raise existence_error("format_character", atom(letter))
+        return convert(self.machine, self._next(), number)
 
 
 def _code(term: Term) -> str:
@@ -183,31 +191,31 @@ def _code(term: Term) -> str:
     return chr(code)
 
 
-def _atomic(machine: Any, term: Term, number: Optional[int]) -> str:
+def _atomic(machine: Machine, term: Term, number: Optional[int]) -> str:
     text = constant_text(deref(term))
     if text is None:
         raise argument_error("a", term)
     return text
 
 
-def _called(machine: Any, goal: Term, number: Optional[int]) -> str:
+def _called(machine: Machine, goal: Term, number: Optional[int]) -> str:
     """Return what a goal writes, whether it succeeds or not."""
     return caught(machine, goal)[1]
 
 
-def _write(machine: Any, term: Term, number: Optional[int]) -> str:
-    return machine.logic.show(term, quoted=False)  # type: ignore[no-any-return]
+def _write(machine: Machine, term: Term, number: Optional[int]) -> str:
+    return machine.logic.show(term, quoted=False)
 
 
-def _quoted(machine: Any, term: Term, number: Optional[int]) -> str:
-    return machine.logic.show(term)  # type: ignore[no-any-return]
+def _quoted(machine: Machine, term: Term, number: Optional[int]) -> str:
+    return machine.logic.show(term)
 
 
-def _printed(machine: Any, term: Term, number: Optional[int]) -> str:
+def _printed(machine: Machine, term: Term, number: Optional[int]) -> str:
     return printed(machine, term)
 
 
-def _text(machine: Any, term: Term, number: Optional[int]) -> str:
+def _text(machine: Machine, term: Term, number: Optional[int]) -> str:
     given = deref(term)
     is_text = given.__class__ in (String, Atom) or is_text_list(given)
     if not is_text:
@@ -219,7 +227,7 @@ def _integer(letter: str, term: Term) -> int:
     value = evaluate(term)
     if value.__class__ is not int:
         raise argument_error(letter, value)
-    return value  # type: ignore[return-value]
+    return value
 
 
 def group(digits: str, size: int, mark: str) -> str:
@@ -229,7 +237,7 @@ def group(digits: str, size: int, mark: str) -> str:
 
 
 def _decimal(mark: str) -> Callable[..., str]:
-    def convert(machine: Any, term: Term, number: Optional[int]) -> str:
+    def convert(machine: Machine, term: Term, number: Optional[int]) -> str:
         value = _integer("d", term)
         digits = number_text(abs(value))
         fraction = ""
@@ -244,7 +252,7 @@ def _decimal(mark: str) -> Callable[..., str]:
 
 
 def _float(letter: str) -> Callable[..., str]:
-    def convert(machine: Any, term: Term, number: Optional[int]) -> str:
+    def convert(machine: Machine, term: Term, number: Optional[int]) -> str:
         value = evaluate(term)
         places = 6 if number is None else number
         if letter == "f" and value.__class__ is int:
@@ -271,7 +279,7 @@ def radix_text(value: int, radix: int) -> str:
 
 
 def _radix(change: Callable[[str], str]) -> Callable[..., str]:
-    def convert(machine: Any, term: Term, number: Optional[int]) -> str:
+    def convert(machine: Machine, term: Term, number: Optional[int]) -> str:
         value = _integer("r", term)
         if number is None:
             number = 8

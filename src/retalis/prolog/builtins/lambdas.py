@@ -1,17 +1,18 @@
 """Lambda expressions: ``Free/[X,Y]>>Goal`` called with arguments."""
 
-from typing import Any, Optional
+from typing import Optional
 
 from ..database import add_arguments
 from ..machine import Frame
-from ..terms import CONS, SLASH, Term, copy, deref, functor, make_list, variables
+from ..terms import CONS, SLASH, Term, Values, copy, deref, functor, make_list, variables
+from .program import Machine
 from .registry import control
 
 _ARROW = functor(">>", 2)
 
 
 @control(*[f">>/{arity}" for arity in range(2, 10)], locked=False)
-def call_lambda(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+def call_lambda(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
     """Call a lambda expression: its variables are renamed for each call, except the free ones and those bound."""
     parameters, body, actual = args[0], args[1], args[2:]
     shared = _free(parameters)
@@ -28,12 +29,13 @@ def call_lambda(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
     if body.__class__ is tuple and body[0] is SLASH and given:
         body = deref(body[2])
     goal = add_arguments(body, tuple(given)) if given else body
-    return machine.logic.control.call(goal, after)  # type: ignore[no-any-return]
+    return machine.logic.control.call(goal, after)
 
 
 def _free(parameters: Term) -> Term:
     """Return the term whose variables a lambda expression shares with what is around it."""
     parameters = deref(parameters)
     if parameters.__class__ is tuple and parameters[0] is SLASH:
-        return parameters[1]
+        free: Term = parameters[1]
+        return free
     return make_list([])

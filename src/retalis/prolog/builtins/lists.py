@@ -1,9 +1,9 @@
 """Lists: what wants speed; the rest is in the library (library/lists.pl)."""
 
-from typing import Any, Iterator, List, Optional, Union
+from typing import Callable, Optional
 
 from ...foundation import BULK, TermTooLarge, look
-from ..arithmetic import EVALUABLE, add, evaluate
+from ..arithmetic import EVALUABLE, Number, add, evaluate
 from ..machine import (
     LAST,
     Code,
@@ -22,7 +22,10 @@ from ..terms import (
     NIL,
     ROUNDS,
     Atom,
+    Compound,
     Term,
+    Trail,
+    Values,
     Var,
     compare,
     deref,
@@ -36,6 +39,7 @@ from ..terms import (
 from .arguments import integer, is_iso, items, natural, partial_items
 from .ordering import by_age, sort_terms, sort_unique
 from .ordering import sort_by as by_keys
+from .program import Machine, Outcome, Solutions
 from .registry import control, deterministic, nondeterministic
 
 _MAX, _MIN = EVALUABLE[functor("max", 2)], EVALUABLE[functor("min", 2)]
@@ -43,7 +47,7 @@ _REVERSE, _LAST_ITEM = functor("$reverse", 2), functor("$last", 2)
 
 
 @control("length/2")
-def length(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+def length(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
     """Relate a list with its length."""
     found, tail = list_parts(args[0])
     count = len(found)
@@ -72,7 +76,9 @@ def _open_list(size: int) -> Term:
     return result
 
 
-def _longer(machine: Any, tail: Term, size: Term, count: int, total: int, after: Frame) -> Optional[Frame]:
+def _longer(
+    machine: Machine, tail: Term, size: Term, count: int, total: int, after: Frame
+) -> Optional[Frame]:
     machine.choices.append((_LONGER, machine, tail, size, count, total + 1, after, len(machine.trail)))
     return after if machine.unify_all((tail, _open_list(total - count)), (size, total)) else None
 
@@ -82,13 +88,13 @@ _LONGER.functor = functor("length", 2)
 
 
 @deterministic("msort/2")
-def msort(machine: Any, unsorted: Term, result: Term) -> bool:
+def msort(machine: Machine, unsorted: Term, result: Term) -> bool:
     """Sort in the standard order, keeping duplicates."""
     return unify(result, make_list(sort_terms(items(unsorted))), machine.trail)
 
 
 @deterministic("sort/2")
-def sort(machine: Any, unsorted: Term, result: Term) -> bool:
+def sort(machine: Machine, unsorted: Term, result: Term) -> bool:
     """Sort in the standard order without duplicates."""
     found = sort_unique(items(unsorted))
     if is_iso(machine):
@@ -97,7 +103,7 @@ def sort(machine: Any, unsorted: Term, result: Term) -> bool:
 
 
 @deterministic("sort/4")
-def sort_by(machine: Any, key: Term, order: Term, unsorted: Term, result: Term) -> bool:
+def sort_by(machine: Machine, key: Term, order: Term, unsorted: Term, result: Term) -> bool:
     """Sort by an argument (0: the whole term) in one of the orders ``@<``, ``@=<``, ``@>``, ``@>=``."""
     at = _sort_key(key)
     order = deref(order)
@@ -138,28 +144,33 @@ def _argument(item: Term, at: Optional[int]) -> Term:
         raise type_error("compound", item)
     if at >= len(item):
         raise no_argument(at, item)
-    return item[at]
+    found: Term = item[at]
+    return found
 
 
 @deterministic("keysort/2")
-def keysort(machine: Any, pairs: Term, result: Term) -> bool:
+def keysort(machine: Machine, pairs: Term, result: Term) -> bool:
     """Sort pairs ``Key-Value`` by key, keeping the order of equal keys."""
-    found = [deref(pair) for pair in items(pairs)]
-    for pair in found:
-        if pair.__class__ is Var:
-            raise instantiation_error()
-        if pair.__class__ is not tuple or pair[0] is not MINUS:
-            raise type_error("pair", pair)
+    found = [_pair(item) for item in items(pairs)]
     found = [pair for _, pair in by_keys(found, [pair[1] for pair in found])]
     if is_iso(machine):
-        for pair in map(deref, partial_items(result)):
-            if pair.__class__ is not Var and (pair.__class__ is not tuple or pair[0] is not MINUS):
-                raise type_error("pair", pair)
+        for item in partial_items(result):
+            if deref(item).__class__ is not Var:
+                _pair(item)
     return unify(result, make_list(found), machine.trail)
 
 
+def _pair(term: Term) -> Compound:
+    pair = deref(term)
+    if pair.__class__ is Var:
+        raise instantiation_error()
+    if pair.__class__ is not tuple or pair[0] is not MINUS:
+        raise type_error("pair", pair)
+    return pair
+
+
 @control("reverse/2", locked=False)
-def reverse(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+def reverse(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
     """Reverse a list."""
     found = list_items(args[0])
     if found is None:
@@ -168,7 +179,7 @@ def reverse(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
 
 
 @deterministic("memberchk/2", locked=False)
-def memberchk(machine: Any, item: Term, given: Term) -> bool:
+def memberchk(machine: Machine, item: Term, given: Term) -> bool:
     """Find the first item of a list that unifies; a partial list is extended."""
     trail = machine.trail
     tail = deref(given)
@@ -192,26 +203,28 @@ def memberchk(machine: Any, item: Term, given: Term) -> bool:
     return tail.__class__ is Var and unify(tail, (CONS, item, Var()), trail)
 
 
-def _folded(name: str, step: Any, start: Optional[int]) -> Any:
+def _folded(
+    name: str, step: Callable[[Term, Term], Term], start: Optional[int]
+) -> Callable[[Machine, Term, Term], bool]:
     """Return a predicate that folds the numbers of a list; without a start it begins with the first of them."""
     outer, inner = functor(name, 2), functor(name, 3)
 
-    def run(machine: Any, given: Term, result: Term) -> bool:
+    def run(machine: Machine, given: Term, result: Term) -> bool:
         found, tail = list_parts(given)
-        value: Any = start
+        value: Optional[Term] = start
         for at, item in enumerate(found):
-            value = item if start is None and at == 0 else step(value, item)
+            value = item if value is None else step(value, item)
             if not at & 1023:
                 look()
         if tail is not NIL:
-            known = value is None
-            raise no_matching_rule("lists", (outer, tail, result) if known else (inner, tail, value, result))
+            goal = (outer, tail, result) if value is None else (inner, tail, value, result)
+            raise no_matching_rule("lists", goal)
         return value is not None and unify(result, value, machine.trail)
 
     return run
 
 
-def _better(function: Any) -> Any:
+def _better(function: Callable[..., Number]) -> Callable[[Term, Term], Term]:
     return lambda best, item: function(evaluate(best), evaluate(item))
 
 
@@ -221,7 +234,7 @@ deterministic("min_list/2", locked=False)(_folded("min_list", _better(_MIN), Non
 
 
 @deterministic("numlist/3", locked=False)
-def numlist(machine: Any, low: Term, high: Term, result: Term) -> bool:
+def numlist(machine: Machine, low: Term, high: Term, result: Term) -> bool:
     """Give the list of integers between two."""
     first, last = integer(low), integer(high)
     if last - first > MOST:
@@ -235,7 +248,7 @@ def numlist(machine: Any, low: Term, high: Term, result: Term) -> bool:
 
 
 @control("last/2", locked=False)
-def last(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+def last(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
     """Give the last item of a list."""
     found = list_items(args[0])
     if found is None:
@@ -244,7 +257,7 @@ def last(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
 
 
 @deterministic("list_to_set/2", locked=False)
-def list_to_set(machine: Any, given: Term, result: Term) -> bool:
+def list_to_set(machine: Machine, given: Term, result: Term) -> bool:
     """Drop duplicates (by ``==``), keeping the first."""
     found = items(given)
     pairs = by_keys(range(len(found)), found)  # stable: of equal ones the first comes first
@@ -253,60 +266,66 @@ def list_to_set(machine: Any, given: Term, result: Term) -> bool:
 
 
 @deterministic("list_to_ord_set/2", locked=False)
-def list_to_ord_set(machine: Any, given: Term, result: Term) -> bool:
+def list_to_ord_set(machine: Machine, given: Term, result: Term) -> bool:
     """Sort without duplicates."""
     return sort(machine, given, result)
 
 
-def _nth(base: int) -> Any:
-    def run(machine: Any, index: Term, given: Term, item: Term) -> Union[bool, Iterator[Any]]:
+def _nth(base: int) -> Callable[[Machine, Term, Term, Term], Outcome]:
+    def run(machine: Machine, index: Term, given: Term, item: Term) -> Outcome:
         index = deref(index)
         if index.__class__ is Var:
-            return enumerate_(machine, index, given, item)
-        integer(index)
-        if index < base:
+            return _numbered(machine, index, base, given, item)
+        number = integer(index)
+        if number < base:
             return False
-        if index > MOST:
+        if number > MOST:
             raise resource_error("term_size")
-        at = index
-        tail = deref(given)
-        while at > base and tail.__class__ is tuple and tail[0] is CONS:
-            at -= 1
-            tail = deref(tail[2])
-            if not at & 1023:
-                look()
-        if tail.__class__ is Var and at >= base:
-            cells: Any = (CONS, item, Var())
-            for _ in range(at - base):
-                cells = (CONS, Var(), cells)
-            return unify(tail, cells, machine.trail)
-        return (
-            at == base and tail.__class__ is tuple and tail[0] is CONS and unify(item, tail[1], machine.trail)
-        )
-
-    def enumerate_(machine: Any, index: Term, given: Term, item: Term) -> Iterator[Any]:
-        tail = deref(given)
-        at = base
-        while tail.__class__ is tuple and tail[0] is CONS:
-            rest = deref(tail[2])
-            if machine.unify_all((item, tail[1]), (index, at)):
-                yield LAST if rest is NIL else None
-            at += 1
-            tail = rest
-            if not at & 1023:
-                look()
-                if at > MOST:
-                    raise TermTooLarge
-        known = at
-        while tail.__class__ is Var:
-            cells: Any = (CONS, item, Var())
-            for _ in range(at - known):
-                cells = (CONS, Var(), cells)
-            if machine.unify_all((tail, cells), (index, at)):
-                yield None
-            at += 1
+        return _at(machine, number - base, given, item)
 
     return run
+
+
+def _at(machine: Machine, left: int, given: Term, item: Term) -> bool:
+    """Unify the item after ``left`` others; a partial list is extended."""
+    tail = deref(given)
+    while left > 0 and tail.__class__ is tuple and tail[0] is CONS:
+        left -= 1
+        tail = deref(tail[2])
+        if not left & 1023:
+            look()
+    if tail.__class__ is Var:
+        return unify(tail, _behind(left, item), machine.trail)
+    return left == 0 and tail.__class__ is tuple and tail[0] is CONS and unify(item, tail[1], machine.trail)
+
+
+def _numbered(machine: Machine, index: Term, base: int, given: Term, item: Term) -> Solutions:
+    """Go through the items with their numbers; a partial list is extended."""
+    tail = deref(given)
+    at = base
+    while tail.__class__ is tuple and tail[0] is CONS:
+        rest = deref(tail[2])
+        if machine.unify_all((item, tail[1]), (index, at)):
+            yield LAST if rest is NIL else None
+        at += 1
+        tail = rest
+        if not at & 1023:
+            look()
+            if at > MOST:
+                raise TermTooLarge
+    known = at
+    while tail.__class__ is Var:
+        if machine.unify_all((tail, _behind(at - known, item)), (index, at)):
+            yield None
+        at += 1
+
+
+def _behind(count: int, item: Term) -> Term:
+    """Return a partial list with an item behind some unknown ones."""
+    cells: Term = (CONS, item, Var())
+    for _ in range(count):
+        cells = (CONS, Var(), cells)
+    return cells
 
 
 nondeterministic("nth0/3", locked=False)(_nth(0))
@@ -314,7 +333,7 @@ nondeterministic("nth1/3", locked=False)(_nth(1))
 
 
 @nondeterministic("between/3")
-def between(machine: Any, low: Term, high: Term, value: Term) -> Union[bool, Iterator[Any]]:
+def between(machine: Machine, low: Term, high: Term, value: Term) -> Outcome:
     """Enumerate the integers between two; the upper one may be ``inf``."""
     first = integer(low)
     high = deref(high)
@@ -324,11 +343,12 @@ def between(machine: Any, low: Term, high: Term, value: Term) -> Union[bool, Ite
         limit = integer(high)
     value = deref(value)
     if value.__class__ is not Var:
-        return first <= integer(value) and (limit is None or value <= limit)
+        number = integer(value)
+        return first <= number and (limit is None or number <= limit)
     return _integers(machine.trail, first, limit, value)
 
 
-def _integers(trail: List[Any], first: int, limit: Optional[int], value: Var) -> Iterator[Any]:
+def _integers(trail: Trail, first: int, limit: Optional[int], value: Var) -> Solutions:
     at = first
     while limit is None or at <= limit:
         value.ref = at

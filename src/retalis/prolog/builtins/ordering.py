@@ -2,12 +2,16 @@
 
 from functools import cmp_to_key
 from operator import attrgetter, itemgetter
-from typing import Any, Callable, Dict, List, Optional, Sequence
+from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple, TypeVar
 
 from ...foundation import BULK, look
 from ..terms import Atom, String, Term, Var, compare, deref, serial
 
-_PLAIN: Dict[type, Optional[Callable[[Term], Any]]] = {
+Item = TypeVar("Item")
+Key = Optional[Callable[[Any], Any]]
+"""By what Python's ``sorted`` compares: None for the items themselves."""
+
+_PLAIN: Dict[type, Key] = {
     int: None,
     Atom: attrgetter("name"),
     String: attrgetter("text"),
@@ -24,26 +28,27 @@ def by_age(found: List[Term]) -> List[Term]:
             serial(item)
         elif item.__class__ is tuple:
             for argument in item[1:]:
-                if argument.__class__ is Var and deref(argument).__class__ is Var:
-                    serial(deref(argument))
+                last = deref(argument) if argument.__class__ is Var else argument
+                if last.__class__ is Var:
+                    serial(last)
     return found
 
 
 def sort_terms(terms: Sequence[Term], reverse: bool = False) -> List[Term]:
     """Return terms in the standard order; equal ones keep theirs."""
-    found = by_age([deref(term) for term in terms])
+    found: List[Any] = by_age([deref(term) for term in terms])
     return sorted(found, key=_key_for(found), reverse=reverse)
 
 
-def sort_by(items: Sequence[Any], keys: Sequence[Term], reverse: bool = False) -> List[Any]:
+def sort_by(items: Sequence[Item], keys: Sequence[Term], reverse: bool = False) -> List[Tuple[Term, Item]]:
     """Return ``(key, item)`` pairs in the standard order of the keys; equal ones keep theirs."""
     found = by_age([deref(key) for key in keys])
     key = _key_for(found)
     pairs = zip(found, items)
-    return sorted(pairs, key=_first if key is None else lambda pair: key(pair[0]), reverse=reverse)  # type: ignore[misc]
+    return sorted(pairs, key=_first if key is None else lambda pair: key(pair[0]), reverse=reverse)
 
 
-def _key_for(found: Sequence[Term]) -> Optional[Callable[[Term], Any]]:
+def _key_for(found: Sequence[Term]) -> Key:
     """Return the key by which ``sorted`` puts dereferenced terms in the standard order."""
     kinds = {term.__class__ for term in found}
     if len(kinds) == 1:

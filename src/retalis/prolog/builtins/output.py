@@ -1,6 +1,6 @@
 """Output: write and its sisters, format, and output caught as text."""
 
-from typing import Any, Dict, Optional
+from typing import Callable, Dict, List, Optional
 
 from ..arithmetic import evaluate
 from ..machine import (
@@ -15,17 +15,18 @@ from ..machine import (
     type_error,
 )
 from ..syntax import write_term
-from ..terms import CONS, NIL, Atom, Term, Var, atom, deref, list_items, resolve, unify
+from ..terms import CONS, NIL, Atom, Compound, Term, Values, Var, deref, list_items, resolve, unify
 from .arguments import integer, is_iso, option_values
 from .formatting import Formatter
 from .portraying import OutputCapture, portray_of, printed
+from .program import Machine, Program
 from .registry import control, deterministic
 from .text import LARGEST_CODE, fill_sink, is_sink, make_text, whole_text
 
 _WIDEST = 10_000_000
 
 
-def write_to(machine: Any, stream: Term, text: str) -> None:
+def write_to(machine: Machine, stream: Term, text: str) -> None:
     """Write text to a stream by its alias.
 
     Raises:
@@ -46,8 +47,8 @@ def write_to(machine: Any, stream: Term, text: str) -> None:
         raise existence_error("stream", name)
 
 
-def _writer(**options: Any) -> Any:
-    def text(machine: Any, term: Term) -> str:
+def _writer(**options: bool) -> Callable[[Machine, Term], str]:
+    def text(machine: Machine, term: Term) -> str:
         return write_term(term, machine.logic.operators, **options)
 
     return text
@@ -74,13 +75,13 @@ def letter_names(term: Term) -> Dict[Var, str]:
     return names
 
 
-def _canonical(machine: Any, term: Term) -> str:
+def _canonical(machine: Machine, term: Term) -> str:
     operators = machine.logic.operators
     names = letter_names(term)
     return write_term(term, operators, ignore_ops=True, brace_terms=False, variable_names=names)
 
 
-_WRITERS: Dict[str, Any] = {
+_WRITERS: Dict[str, Callable[[Machine, Term], str]] = {
     "write": _writer(quoted=False, numbervars=True),
     "print": printed,
     "writeln": _writer(quoted=False, numbervars=True),
@@ -89,14 +90,14 @@ _WRITERS: Dict[str, Any] = {
 }
 
 
-def _define(name: str, text: Any) -> None:
+def _define(name: str, text: Callable[[Machine, Term], str]) -> None:
     end = "\n" if name == "writeln" else ""
 
-    def one(machine: Any, term: Term) -> bool:
+    def one(machine: Machine, term: Term) -> bool:
         machine.logic.write(text(machine, term) + end)
         return True
 
-    def two(machine: Any, stream: Term, term: Term) -> bool:
+    def two(machine: Machine, stream: Term, term: Term) -> bool:
         write_to(machine, stream, text(machine, term) + end)
         return True
 
@@ -109,14 +110,14 @@ for _name, _text in _WRITERS.items():
 
 
 @deterministic("nl/0")
-def nl(machine: Any) -> bool:
+def nl(machine: Machine) -> bool:
     """Write a newline."""
     machine.logic.write("\n")
     return True
 
 
 @deterministic("nl/1")
-def nl_to(machine: Any, stream: Term) -> bool:
+def nl_to(machine: Machine, stream: Term) -> bool:
     """Write a newline to a stream."""
     write_to(machine, stream, "\n")
     return True
@@ -132,20 +133,20 @@ def _blanks(count: Term) -> str:
 
 
 @deterministic("tab/1")
-def tab(machine: Any, count: Term) -> bool:
+def tab(machine: Machine, count: Term) -> bool:
     """Write blanks."""
     machine.logic.write(_blanks(count))
     return True
 
 
 @deterministic("tab/2")
-def tab_to(machine: Any, stream: Term, count: Term) -> bool:
+def tab_to(machine: Machine, stream: Term, count: Term) -> bool:
     """Write blanks to a stream."""
     write_to(machine, stream, _blanks(count))
     return True
 
 
-def character_of(machine: Any, char: Term) -> str:
+def character_of(machine: Machine, char: Term) -> str:
     """Return the character that an argument is; a code is taken too unless the flag ``iso`` is set.
 
     Raises:
@@ -162,27 +163,27 @@ def character_of(machine: Any, char: Term) -> str:
 
 
 @deterministic("put_char/1")
-def put_char(machine: Any, char: Term) -> bool:
+def put_char(machine: Machine, char: Term) -> bool:
     """Write a character."""
     machine.logic.write(character_of(machine, char))
     return True
 
 
 @deterministic("put_char/2")
-def put_char_to(machine: Any, stream: Term, char: Term) -> bool:
+def put_char_to(machine: Machine, stream: Term, char: Term) -> bool:
     """Write a character to a stream."""
     write_to(machine, stream, character_of(machine, char))
     return True
 
 
 @deterministic("flush_output/0", "ttyflush/0")
-def flush_output(machine: Any) -> bool:
+def flush_output(machine: Machine) -> bool:
     """Do nothing: output is not held back."""
     return True
 
 
 @deterministic("flush_output/1")
-def flush_output_of(machine: Any, stream: Term) -> bool:
+def flush_output_of(machine: Machine, stream: Term) -> bool:
     """Do nothing: output is not held back."""
     return True
 
@@ -190,9 +191,9 @@ def flush_output_of(machine: Any, stream: Term) -> bool:
 # write_term
 
 
-def write_options(machine: Any, options: Term) -> Dict[str, Any]:
+def write_options(machine: Machine, options: Term) -> Dict[str, object]:
     """Return the options of ``write_term`` for the writer."""
-    found: Dict[str, Any] = {"quoted": False}
+    found: Dict[str, object] = {"quoted": False}
     iso = is_iso(machine)
     for option in option_values(options):
         if option.__class__ is not tuple or len(option) != 2:
@@ -200,24 +201,40 @@ def write_options(machine: Any, options: Term) -> Dict[str, Any]:
         name, value = option[0].name, deref(option[1])
         if value.__class__ is Var:
             raise instantiation_error()
-        if name in ("quoted", "ignore_ops", "numbervars", "brace_terms", "portray"):
-            if value.__class__ is not Atom or value.name not in ("true", "false"):
-                raise domain_error("write_option", option) if iso else type_error("bool", value)
-            found[name] = value.name == "true"
-        elif name == "spacing":
-            if value not in (atom("standard"), atom("next_argument")):
-                raise domain_error("spacing", value)
-            found["spacing"] = value.name == "next_argument"
-        elif name == "priority":
-            found["priority"] = integer(value)
-        elif name == "variable_names":
-            found["variable_names"] = _variable_names(option)
+        read = _OPTIONS.get(name)
+        if read is not None:
+            found[name] = read(option, value, iso)
     if "portray" in found:
         found["portray"] = portray_of(machine) if found["portray"] else None
     return found
 
 
-def _variable_names(option: Term) -> Dict[Var, str]:
+def _truth(option: Compound, value: Term, iso: bool) -> bool:
+    if value.__class__ is not Atom or value.name not in ("true", "false"):
+        raise domain_error("write_option", option) if iso else type_error("bool", value)
+    return value.name == "true"
+
+
+def _spacing(option: Compound, value: Term, iso: bool) -> bool:
+    if value.__class__ is not Atom or value.name not in ("standard", "next_argument"):
+        raise domain_error("spacing", value)
+    return value.name == "next_argument"
+
+
+_OPTIONS: Dict[str, Callable[[Compound, Term, bool], object]] = {
+    "quoted": _truth,
+    "ignore_ops": _truth,
+    "numbervars": _truth,
+    "brace_terms": _truth,
+    "portray": _truth,
+    "spacing": _spacing,
+    "priority": lambda option, value, iso: integer(value),
+    "variable_names": lambda option, value, iso: _variable_names(option),
+}
+"""What reads the value of an option, given the whole option and whether the flag ``iso`` is set."""
+
+
+def _variable_names(option: Compound) -> Dict[Var, str]:
     names: Dict[Var, str] = {}
     for pair in option_values(option[1]):
         if pair.__class__ is not tuple or str(pair[0]) != "=/2":
@@ -234,14 +251,14 @@ def _variable_names(option: Term) -> Dict[Var, str]:
 
 
 @deterministic("write_term/2")
-def write_term_2(machine: Any, term: Term, options: Term) -> bool:
+def write_term_2(machine: Machine, term: Term, options: Term) -> bool:
     """Write a term with options."""
     machine.logic.write(write_term(term, machine.logic.operators, **write_options(machine, options)))
     return True
 
 
 @deterministic("write_term/3")
-def write_term_3(machine: Any, stream: Term, term: Term, options: Term) -> bool:
+def write_term_3(machine: Machine, stream: Term, term: Term, options: Term) -> bool:
     """Write a term with options to a stream."""
     write_to(machine, stream, write_term(term, machine.logic.operators, **write_options(machine, options)))
     return True
@@ -250,7 +267,7 @@ def write_term_3(machine: Any, stream: Term, term: Term, options: Term) -> bool:
 # format
 
 
-def _arguments(term: Term) -> Any:
+def _arguments(term: Term) -> List[Term]:
     term = deref(term)
     if term is NIL:
         return []
@@ -268,19 +285,19 @@ def _format_text(form: Term) -> str:
     return whole_text(form, "text")
 
 
-def formatted(machine: Any, form: Term, arguments: Term, column: int) -> str:
+def formatted(machine: Machine, form: Term, arguments: Term, column: int) -> str:
     """Return the text of ``format(form, arguments)``."""
     return Formatter(machine, column).format(_format_text(form), _arguments(arguments))
 
 
 @deterministic("format/1")
-def format_1(machine: Any, form: Term) -> bool:
+def format_1(machine: Machine, form: Term) -> bool:
     """Write formatted text."""
     return format_2(machine, form, NIL)
 
 
 @deterministic("format/2")
-def format_2(machine: Any, form: Term, arguments: Term) -> bool:
+def format_2(machine: Machine, form: Term, arguments: Term) -> bool:
     """Write formatted text."""
     logic = machine.logic
     formatter = Formatter(machine, logic.column)
@@ -292,7 +309,7 @@ def format_2(machine: Any, form: Term, arguments: Term) -> bool:
 
 
 @deterministic("format/3")
-def format_3(machine: Any, sink: Term, form: Term, arguments: Term) -> bool:
+def format_3(machine: Machine, sink: Term, form: Term, arguments: Term) -> bool:
     """Write formatted text to a stream, or unify it: ``atom(A)``, ``string(S)``, ``codes(Cs)``, ``chars(Cs)``."""
     sink = deref(sink)
     if is_sink(sink):
@@ -305,13 +322,13 @@ def format_3(machine: Any, sink: Term, form: Term, arguments: Term) -> bool:
 
 
 @deterministic("sformat/3")
-def sformat(machine: Any, text: Term, form: Term, arguments: Term) -> bool:
+def sformat(machine: Machine, text: Term, form: Term, arguments: Term) -> bool:
     """Give formatted text as a string."""
     return unify(text, make_text("string", formatted(machine, form, arguments, 0)), machine.trail)
 
 
 @deterministic("sformat/2")
-def sformat_2(machine: Any, text: Term, form: Term) -> bool:
+def sformat_2(machine: Machine, text: Term, form: Term) -> bool:
     """Give formatted text as a string."""
     return sformat(machine, text, form, NIL)
 
@@ -320,7 +337,7 @@ def sformat_2(machine: Any, text: Term, form: Term) -> bool:
 
 
 @control("with_output_to/2")
-def with_output_to(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+def with_output_to(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
     """Run a goal once and unify what it writes: ``atom(A)``, ``string(S)``, ``codes(Cs)``, ``chars(Cs)``."""
     sink = deref(args[0])
     if sink.__class__ is Var:
@@ -333,15 +350,17 @@ def with_output_to(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
     capture = logic.output = OutputCapture(logic)
     captured = capture.texts
     logic.column = 0
-    return logic.control.call(args[1], (_RELEASE, machine, height, sink, captured, after))  # type: ignore[no-any-return]
+    return logic.control.call(args[1], (_RELEASE, machine, height, sink, captured, after))
 
 
 def _give_back(entry: Frame) -> None:
-    logic = entry[1]
+    logic: Program = entry[1]
     logic.output, logic.column = entry[2], entry[3]
 
 
 def _release(frame: Frame) -> Optional[Frame]:
+    machine: Machine
+    after: Frame
     _, machine, height, sink, captured, after = frame
     _give_back(machine.choices[height])
     del machine.choices[height:]

@@ -1,10 +1,11 @@
 """What a goal writes, caught; and ``portray/1``, by which a program says how terms of its own are printed."""
 
-from typing import Any, Callable, List, Optional, Tuple
+from typing import Callable, List, Optional, Tuple
 
 from ..compiler import NOT
 from ..syntax import write_term
 from ..terms import Term, functor
+from .program import Machine, Program
 from .text import long_text
 
 _PORTRAY = functor("portray", 1)
@@ -18,7 +19,7 @@ class OutputCapture:
         before: where output went before, and where that stood in its line.
     """
 
-    def __init__(self, logic: Any):
+    def __init__(self, logic: Program):
         self.texts: List[str] = []
         self.before = logic.output, logic.column
         self._size = 0
@@ -30,7 +31,7 @@ class OutputCapture:
         self.texts.append(text)
 
 
-def caught(machine: Any, goal: Term) -> Tuple[bool, str]:
+def caught(machine: Machine, goal: Term) -> Tuple[bool, str]:
     """Return whether a goal succeeds, and what it writes."""
     logic = machine.logic
     capture = logic.output = OutputCapture(logic)
@@ -41,7 +42,7 @@ def caught(machine: Any, goal: Term) -> Tuple[bool, str]:
     return succeeded, "".join(capture.texts)
 
 
-def portray_of(machine: Any) -> Optional[Callable[[Term], Optional[str]]]:
+def portray_of(machine: Machine) -> Optional[Callable[[Term], Optional[str]]]:
     """Return what gives the text of a term by the program's ``portray/1``; None where it has none."""
     if not machine.logic.defines(_PORTRAY):
         return None
@@ -53,6 +54,6 @@ def portray_of(machine: Any) -> Optional[Callable[[Term], Optional[str]]]:
     return portray
 
 
-def printed(machine: Any, term: Term) -> str:
+def printed(machine: Machine, term: Term) -> str:
     """Return the text of a term as ``print/1`` writes it."""
     return write_term(term, machine.logic.operators, numbervars=True, portray=portray_of(machine))

@@ -6,10 +6,11 @@ translation by the first rotation; rotations are interpolated spherically, on th
 """
 
 from math import atan2, sin, sqrt
-from typing import Any, List, Sequence, Tuple
+from typing import List, Sequence, Tuple
 
 from ..machine import domain_error, instantiation_error, type_error
 from ..terms import CONS, NIL, Atom, Term, Var, atom, deref, list_items, make_list
+from .program import Machine
 from .registry import deterministic, function
 
 Vector = Sequence[float]
@@ -47,7 +48,7 @@ def numbers(term: Term, count: int, kind: str) -> Vector:
 def vector(term: Term) -> Vector:
     """Return the numbers of a position ``[X,Y,Z]``."""
     try:  # what most often comes: three floats without a variable in between
-        one, x, (two, y, (three, z, end)) = term
+        one, x, (two, y, (three, z, end)) = term  # type: ignore[misc]
     except (TypeError, ValueError):
         return numbers(term, 3, "position")
     if one is two is three is CONS and end is NIL and x.__class__ is y.__class__ is z.__class__ is float:
@@ -58,7 +59,7 @@ def vector(term: Term) -> Vector:
 def quaternion(term: Term) -> Vector:
     """Return the numbers of a rotation ``[QX,QY,QZ,QW]``."""
     try:  # as in `vector`
-        one, x, (two, y, (three, z, (four, w, end))) = term
+        one, x, (two, y, (three, z, (four, w, end))) = term  # type: ignore[misc]
     except (TypeError, ValueError):
         found = numbers(term, 4, "quaternion")
     else:
@@ -76,7 +77,7 @@ def pose(term: Term) -> Pose:
     if term.__class__ is not tuple:
         term = deref(term)
     try:  # as in `vector`
-        one, position, (two, rotation, end) = term
+        one, position, (two, rotation, end) = term  # type: ignore[misc]
     except (TypeError, ValueError):
         pass
     else:
@@ -191,7 +192,7 @@ def apply(value: Matrix, point: Vector) -> Vector:
 # Terms
 
 
-def list_term(values: Sequence[Any]) -> Term:
+def list_term(values: Sequence[float]) -> Term:
     """Return a list of floats."""
     return make_list([float(value) for value in values])
 
@@ -231,7 +232,7 @@ def transform_matrix(term: Term) -> Matrix:
 
 def _fraction(term: Term) -> float:
     if term.__class__ is tuple and term[0] is CONS and term[1].__class__ is float and term[2] is NIL:
-        return term[1]  # type: ignore[no-any-return]
+        return term[1]
     return numbers(term, 1, "[Fraction]")[0]
 
 
@@ -314,7 +315,7 @@ def convert_to_mat(position: Term, rotation: Term) -> Term:
 
 
 @deterministic("print_matrix/1")
-def print_matrix(machine: Any, term: Term) -> bool:
+def print_matrix(machine: Machine, term: Term) -> bool:
     """Print a matrix, a row a line."""
     rows = transform_matrix(term)
     machine.logic.output("".join(" ".join(f"{value:12.6f}" for value in row) + "\n" for row in rows))

@@ -1,12 +1,13 @@
 """Reading terms from text."""
 
-from typing import Any, List
+from typing import List
 
 from ...foundation import SyntaxFault
 from ..machine import ERROR, PrologError, instantiation_error, type_error
-from ..syntax import ReadFlags, read_term
-from ..terms import String, Term, Var, atom, deref, functor, make_list, unify, variables
-from .arguments import option_values, partial_items
+from ..syntax import ReadFlags, ReadTerm, read_term
+from ..terms import Compound, String, Term, Var, atom, deref, functor, make_list, unify, variables
+from .arguments import atom_of, option_values, partial_items
+from .program import Machine
 from .registry import deterministic
 from .text import text_of
 
@@ -15,17 +16,17 @@ _SYNTAX = functor("syntax_error", 1)
 _POSITION = functor("string", 2)
 
 
-def read_flags(machine: Any) -> ReadFlags:
+def read_flags(machine: Machine) -> ReadFlags:
     """Return how quotes read, by the program's flags."""
     flags = machine.logic.flags
     return ReadFlags(
-        double_quotes=flags["double_quotes"].name,
-        back_quotes=flags["back_quotes"].name,
+        double_quotes=atom_of(flags["double_quotes"]).name,
+        back_quotes=atom_of(flags["back_quotes"]).name,
         iso=flags["iso"] is atom("true"),
     )
 
 
-def parse(machine: Any, text: str) -> Term:
+def parse(machine: Machine, text: str) -> Term:
     """Return the term that a text is.
 
     Raises:
@@ -34,7 +35,7 @@ def parse(machine: Any, text: str) -> Term:
     return read(machine, text).term
 
 
-def read(machine: Any, text: str) -> Any:
+def read(machine: Machine, text: str) -> ReadTerm:
     """Return the `ReadTerm` of a text; of one without a term, that of ``end_of_file``."""
     try:
         if not text.strip():
@@ -48,7 +49,7 @@ def read(machine: Any, text: str) -> Any:
 
 
 @deterministic("term_string/2")
-def term_string(machine: Any, term: Term, text: Term) -> bool:
+def term_string(machine: Machine, term: Term, text: Term) -> bool:
     """Relate a term with its text as a string."""
     given = deref(text)
     if given.__class__ is not Var:
@@ -57,13 +58,13 @@ def term_string(machine: Any, term: Term, text: Term) -> bool:
 
 
 @deterministic("term_string/3")
-def term_string_options(machine: Any, term: Term, text: Term, options: Term) -> bool:
+def term_string_options(machine: Machine, term: Term, text: Term, options: Term) -> bool:
     """Do what ``term_string/2`` does."""
     return term_string(machine, term, text)
 
 
 @deterministic("atom_to_term/3")
-def atom_to_term(machine: Any, text: Term, term: Term, bindings: Term) -> bool:
+def atom_to_term(machine: Machine, text: Term, term: Term, bindings: Term) -> bool:
     """Read a term and its variables' names from a text."""
     if deref(text).__class__ is Var:
         raise instantiation_error()
@@ -71,22 +72,23 @@ def atom_to_term(machine: Any, text: Term, term: Term, bindings: Term) -> bool:
     partial_items(bindings)
     found = read(machine, whole)
     names = make_list([(_EQUAL, atom(name), var) for name, var in found.names.items()])
-    return machine.unify_all((term, found.term), (bindings, names))  # type: ignore[no-any-return]
+    return machine.unify_all((term, found.term), (bindings, names))
 
 
 @deterministic("read_term_from_atom/3")
-def read_term_from_atom(machine: Any, text: Term, term: Term, options: Term) -> bool:
+def read_term_from_atom(machine: Machine, text: Term, term: Term, options: Term) -> bool:
     """Read a term from a text."""
     whole = text_of(text, numbers=False)
-    asked = option_values(options)
-    for option in asked:
+    asked: List[Compound] = []
+    for option in option_values(options):
         if option.__class__ is not tuple:
             raise type_error("option", option)
+        asked.append(option)
     found = read(machine, whole)
     return unify(term, found.term, machine.trail) and _unify_options(machine, found, asked)
 
 
-def _unify_options(machine: Any, found: Any, options: List[Any]) -> bool:
+def _unify_options(machine: Machine, found: ReadTerm, options: List[Compound]) -> bool:
     """Unify what the options of ``read_term`` ask for."""
     for option in options:
         name = option[0].name

@@ -1,10 +1,11 @@
 """The recorded database: terms under keys, in order, outside of clauses."""
 
-from typing import Any, Dict, Iterator, List, Optional, Set
+from typing import Any, Dict, Hashable, Iterator, List, Optional, Set
 
 from ..compiler import key_of
 from ..machine import LAST, existence_error, instantiation_error, type_error, uninstantiation_error
 from ..terms import Functor, Term, Var, copy, deref, functor, unify
+from .program import Machine, Solutions
 from .registry import deterministic, nondeterministic
 
 _REFERENCE = functor("$record", 1)
@@ -14,7 +15,7 @@ _NEVER = 1 << 62
 class _RecordedTerm:
     __slots__ = ("key", "value", "number", "erased", "before", "behind")
 
-    def __init__(self, key: Any, value: Term, number: int):
+    def __init__(self, key: Hashable, value: Term, number: int):
         self.key = key
         self.value = value
         self.number = number
@@ -91,7 +92,7 @@ class _RecordedDatabase:
     """All records of a program."""
 
     def __init__(self) -> None:
-        self.by_key: Dict[Any, _RecordChain] = {}
+        self.by_key: Dict[Hashable, _RecordChain] = {}
         self.by_number: Dict[int, _RecordedTerm] = {}
         self._last = 0
 
@@ -114,7 +115,7 @@ class _RecordedDatabase:
         self._tidy(record.key)
         return True
 
-    def of_keys(self, keys: List[Any]) -> Iterator[_RecordedTerm]:
+    def of_keys(self, keys: List[Hashable]) -> Iterator[_RecordedTerm]:
         """Yield the records of keys as they are now, whatever comes and goes meanwhile."""
         newest = self._last
         chains = [(key, self.by_key[key]) for key in keys if key in self.by_key]
@@ -144,16 +145,16 @@ class _RecordedDatabase:
             there.update(record.number for record in chain.all())
         self.by_number = {number: one for number, one in self.by_number.items() if number in there}
 
-    def _tidy(self, key: Any) -> None:
+    def _tidy(self, key: Hashable) -> None:
         chain = self.by_key[key]
         chain.let_go()
         if chain.first is None:
             del self.by_key[key]
 
 
-def _key(term: Term) -> Any:
+def _key(term: Term) -> Hashable:
     """Return what a key is known by: itself, or name and number of arguments."""
-    key = key_of(term)
+    key: Optional[Hashable] = key_of(term)
     if key is None:
         raise instantiation_error()
     return key
@@ -166,7 +167,7 @@ def _term(key: Any) -> Term:
     return float.fromhex(key[1]) if key.__class__ is tuple else key
 
 
-def _records(machine: Any) -> _RecordedDatabase:
+def _records(machine: Machine) -> _RecordedDatabase:
     found: Optional[_RecordedDatabase] = machine.logic.state.get("records")
     if found is None:
         found = machine.logic.state["records"] = _RecordedDatabase()
@@ -175,12 +176,12 @@ def _records(machine: Any) -> _RecordedDatabase:
 
 def _define(name: str, first: bool) -> None:
     @deterministic(f"{name}/2")
-    def without_reference(machine: Any, key: Term, value: Term) -> bool:
+    def without_reference(machine: Machine, key: Term, value: Term) -> bool:
         _records(machine).add(key, value, first)
         return True
 
     @deterministic(f"{name}/3")
-    def with_reference(machine: Any, key: Term, value: Term, reference: Term) -> bool:
+    def with_reference(machine: Machine, key: Term, value: Term, reference: Term) -> bool:
         if deref(reference).__class__ is not Var:
             raise uninstantiation_error(deref(reference))
         return unify(reference, _records(machine).add(key, value, first), machine.trail)
@@ -191,7 +192,7 @@ _define("recordz", False)
 
 
 @nondeterministic("recorded/2", "recorded/3")
-def recorded(machine: Any, key: Term, value: Term, reference: Any = None) -> Iterator[Any]:
+def recorded(machine: Machine, key: Term, value: Term, reference: Optional[Term] = None) -> Solutions:
     """Enumerate the records of a key, or all of them, in order."""
     records = _records(machine)
     reference = Var() if reference is None else deref(reference)
@@ -210,7 +211,7 @@ def recorded(machine: Any, key: Term, value: Term, reference: Any = None) -> Ite
 
 
 @nondeterministic("current_key/1")
-def current_key(machine: Any, key: Term) -> Iterator[Any]:
+def current_key(machine: Machine, key: Term) -> Solutions:
     """Enumerate the keys that have records."""
     for known in list(_records(machine).by_key):
         if machine.unify(key, _term(known)):
@@ -218,7 +219,7 @@ def current_key(machine: Any, key: Term) -> Iterator[Any]:
 
 
 @deterministic("erase/1")
-def erase(machine: Any, reference: Term) -> bool:
+def erase(machine: Machine, reference: Term) -> bool:
     """Forget a record."""
     if not _records(machine).erase(_number(reference)):
         raise existence_error("db_reference", deref(reference))
@@ -226,7 +227,7 @@ def erase(machine: Any, reference: Term) -> bool:
 
 
 @deterministic("instance/2")
-def instance(machine: Any, reference: Term, value: Term) -> bool:
+def instance(machine: Machine, reference: Term, value: Term) -> bool:
     """Give the term of a record."""
     record = _records(machine).by_number.get(_number(reference))
     return record is not None and unify(value, copy(record.value), machine.trail)
@@ -238,5 +239,5 @@ def _number(reference: Term) -> int:
         raise instantiation_error()
     if reference.__class__ is not tuple or reference[0] is not _REFERENCE:
         raise type_error("db_reference", reference)
-    number: int = deref(reference[1])
-    return number
+    number = deref(reference[1])
+    return number if number.__class__ is int else 0  # a number that no record has

@@ -1,14 +1,15 @@
 """Messages, assertions, and the listing of clauses."""
 
-from typing import Any, Dict, Iterator, List
+from typing import Dict, Iterator, List
 
 from ..compiler import ARROW, NOT, SEMICOLON, SOFT_ARROW
 from ..database import Predicate
 from ..machine import ERROR, LAST, describe, indicator
-from ..syntax import write_term
+from ..syntax import Operators, write_term
 from ..terms import COMMA, SLASH, TRUE, Atom, String, Term, Var, atom, copy, deref, functor, list_items
 from .arguments import atom_of, indicator_of
 from .output import formatted, letter_names, write_to
+from .program import Machine, Solutions
 from .registry import deterministic, nondeterministic
 
 _NECK, _DIRECTIVE = functor(":-", 2), functor(":-", 1)
@@ -18,7 +19,7 @@ _FORMAT = functor("format", 2)
 
 
 @deterministic("print_message/2")
-def print_message(machine: Any, kind: Term, message: Term) -> bool:
+def print_message(machine: Machine, kind: Term, message: Term) -> bool:
     """Report a message: ``format(Form,Args)``, an error term, or any term; ``silent`` kinds say nothing."""
     name = atom_of(kind).name
     if name in ("silent", "debug", "banner"):
@@ -29,7 +30,7 @@ def print_message(machine: Any, kind: Term, message: Term) -> bool:
     return True
 
 
-def message_text(machine: Any, message: Term) -> str:
+def message_text(machine: Machine, message: Term) -> str:
     """Return a message as text."""
     if message.__class__ is tuple:
         if message[0] is _FORMAT:
@@ -37,12 +38,12 @@ def message_text(machine: Any, message: Term) -> str:
         if message[0] is ERROR:
             return describe(message)
     if message.__class__ is String:
-        return message.text  # type: ignore[no-any-return]
-    return machine.logic.show(message)  # type: ignore[no-any-return]
+        return message.text
+    return machine.logic.show(message)
 
 
 @deterministic("print_message_lines/3")
-def print_message_lines(machine: Any, stream: Term, prefix: Term, lines: Term) -> bool:
+def print_message_lines(machine: Machine, stream: Term, prefix: Term, lines: Term) -> bool:
     """Write the lines of a message: ``Form-Args``, ``Form`` and ``nl`` items."""
     out = []
     for line in list_items(lines) or []:
@@ -61,20 +62,20 @@ def print_message_lines(machine: Any, stream: Term, prefix: Term, lines: Term) -
 
 
 @deterministic("portray_clause/1")
-def portray_clause(machine: Any, term: Term) -> bool:
+def portray_clause(machine: Machine, term: Term) -> bool:
     """Write a clause, laid out, with its variables named."""
     machine.logic.write(clause_text(machine, term))
     return True
 
 
 @deterministic("portray_clause/2")
-def portray_clause_to(machine: Any, stream: Term, term: Term) -> bool:
+def portray_clause_to(machine: Machine, stream: Term, term: Term) -> bool:
     """Write a clause to a stream."""
     write_to(machine, stream, clause_text(machine, term))
     return True
 
 
-def clause_text(machine: Any, term: Term) -> str:
+def clause_text(machine: Machine, term: Term) -> str:
     """Return a clause laid out with a goal a line and variables named A, B, ...; ``_`` for those alone."""
     term = copy(term)
     names = letter_names(term)
@@ -96,7 +97,7 @@ def clause_text(machine: Any, term: Term) -> str:
 class _BodyLayout:
     """Bodies with a goal a line and control constructs as columns."""
 
-    def __init__(self, operators: Any, names: Dict[Var, str]):
+    def __init__(self, operators: Operators, names: Dict[Var, str]):
         self._operators = operators
         self._names = names
         self._out: List[str] = []
@@ -155,7 +156,7 @@ class _BodyLayout:
 
 
 @deterministic("listing/1")
-def listing(machine: Any, which: Term) -> bool:
+def listing(machine: Machine, which: Term) -> bool:
     """Write the clauses of a predicate, by name or ``Name/Arity``, or of a list of them."""
     which = deref(which)
     found = list_items(which)
@@ -165,18 +166,18 @@ def listing(machine: Any, which: Term) -> bool:
     return True
 
 
-def _named(machine: Any, which: Term) -> List[Predicate]:
+def _named(machine: Machine, which: Term) -> List[Predicate]:
     database = machine.logic.database
     if which.__class__ is tuple and which[0] is SLASH and deref(which[2]).__class__ is not Var:
         key = indicator_of(which)
         return [database.predicate(key)] if key in database.predicates else []
     name = atom_of(which[1] if which.__class__ is tuple and which[0] is SLASH else which).name
     found = [predicate for key, predicate in database.predicates.items() if key.name == name]
-    return sorted(found, key=lambda predicate: predicate.functor.arity)  # type: ignore[no-any-return]
+    return sorted(found, key=lambda predicate: predicate.functor.arity)
 
 
 @deterministic("listing/0")
-def listing_all(machine: Any) -> bool:
+def listing_all(machine: Machine) -> bool:
     """Write all clauses of the program."""
     found = list(machine.logic.database.predicates.values())
     hidden = {predicate.tabled for predicate in found}
@@ -188,10 +189,10 @@ def listing_all(machine: Any) -> bool:
 
 def _with_clauses(predicate: Predicate) -> Predicate:
     """Return the predicate that has the clauses of one: for a tabled one that which its tables call."""
-    return predicate if predicate.tabled is None else predicate.tabled  # type: ignore[no-any-return]
+    return predicate if predicate.tabled is None else predicate.tabled
 
 
-def _list_predicate(machine: Any, predicate: Predicate) -> None:
+def _list_predicate(machine: Machine, predicate: Predicate) -> None:
     own = _with_clauses(predicate)
     if own.kind != "user" and not predicate.dynamic:
         return
@@ -208,7 +209,7 @@ def _list_predicate(machine: Any, predicate: Predicate) -> None:
 
 
 @nondeterministic("predicate_property/2")
-def predicate_property(machine: Any, head: Term, prop: Term) -> Iterator[Any]:
+def predicate_property(machine: Machine, head: Term, prop: Term) -> Solutions:
     """Enumerate what is known of a predicate."""
     head = deref(head)
     logic = machine.logic
@@ -224,8 +225,8 @@ def predicate_property(machine: Any, head: Term, prop: Term) -> Iterator[Any]:
                     yield None
         return
     key = head[0] if head.__class__ is tuple else atom_of(head).functor
-    predicate = logic.lookup(key)
-    for found in [] if predicate is None else _properties(predicate):
+    known = logic.lookup(key)
+    for found in [] if known is None else _properties(known):
         if machine.unify(prop, found):
             yield None
 
@@ -252,7 +253,7 @@ def _properties(predicate: Predicate) -> Iterator[Term]:
 
 
 @nondeterministic("nth_clause/3")
-def nth_clause(machine: Any, head: Term, number: Term, reference: Term) -> Iterator[Any]:
+def nth_clause(machine: Machine, head: Term, number: Term, reference: Term) -> Solutions:
     """Enumerate the clauses of a predicate with their numbers; the reference is the clause itself."""
     head = deref(head)
     key = head[0] if head.__class__ is tuple else atom_of(head).functor

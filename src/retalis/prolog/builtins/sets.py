@@ -4,21 +4,25 @@ As for the single-sided rules of SWI-Prolog's library, arguments that fit no cla
 """
 
 from itertools import repeat
-from typing import Any, Callable, Iterator
+from typing import TYPE_CHECKING, Callable, Iterator, Optional
 
 from ...foundation import TermTooLarge
 from ..machine import no_matching_rule
-from ..terms import CONS, MOST, NIL, Term, Var, compare, deref, functor, list_items, unify
+from ..terms import CONS, MOST, NIL, Compound, Functor, Term, Var, compare, deref, functor, list_items, unify
 from .arguments import atom_of
 from .lists import memberchk
+from .program import Machine
 from .registry import deterministic
+
+if TYPE_CHECKING:
+    from typing_extensions import TypeGuard
 
 _SUBTRACT, _INTERSECTION, _UNION = (functor(name, 3) for name in ("subtract", "intersection", "union"))
 _SUBSET = functor("subset", 2)
 _ORD_UNION, _ORD_UNION_ALL, _UNION2 = functor("ord_union", 3), functor("ord_union", 2), functor("union2", 4)
 
 
-def is_cons(term: Term) -> bool:
+def is_cons(term: Term) -> "TypeGuard[Compound]":
     """Tell whether a dereferenced term is a list cell."""
     return term.__class__ is tuple and term[0] is CONS
 
@@ -29,10 +33,12 @@ def bounded() -> Iterator[None]:
     raise TermTooLarge
 
 
-def _filter(key: Any, keeps: bool, end: Callable[[Term], Term]) -> Any:
+def _filter(
+    key: Functor, keeps: bool, end: Callable[[Term], Term]
+) -> Callable[[Machine, Term, Term, Term], bool]:
     """Return a predicate that keeps the items of a list that are in another one, or those that are not."""
 
-    def run(machine: Any, given: Term, other: Term, result: Term) -> bool:
+    def run(machine: Machine, given: Term, other: Term, result: Term) -> bool:
         rest = deref(given)
         for _ in bounded():
             if not is_cons(rest):
@@ -56,7 +62,7 @@ deterministic("union/3", locked=False)(_filter(_UNION, False, lambda other: othe
 
 
 @deterministic("subset/2", locked=False)
-def subset(machine: Any, given: Term, other: Term) -> bool:
+def subset(machine: Machine, given: Term, other: Term) -> bool:
     """Test that each item of a list unifies with one of another."""
     rest = deref(given)
     for _ in bounded():
@@ -70,11 +76,11 @@ def subset(machine: Any, given: Term, other: Term) -> bool:
     return True
 
 
-def _best(name: str, sign: int) -> Any:
+def _best(name: str, sign: int) -> Callable[[Machine, Term, Term], bool]:
     """Return a predicate that finds the item that is last, or first, in the standard order."""
     outer, inner = functor(name, 2), functor(f"{name}_", 3)
 
-    def run(machine: Any, result: Term, given: Term) -> bool:
+    def run(machine: Machine, result: Term, given: Term) -> bool:
         rest = deref(given)
         if rest is NIL:
             return False
@@ -99,9 +105,9 @@ deterministic("min_member/2", locked=False)(_best("min_member", -1))
 
 
 @deterministic("ord_union/3", locked=False)
-def ord_union(machine: Any, left: Term, right: Term, result: Term) -> bool:
+def ord_union(machine: Machine, left: Term, right: Term, result: Term) -> bool:
     """Merge two ordered sets."""
-    first: Term = None  # the next item of the left one, once the two are being compared
+    first: Optional[Term] = None  # the next item of the left one, once the two are being compared
     for _ in bounded():
         if first is None:
             left = deref(left)
@@ -128,7 +134,7 @@ def ord_union(machine: Any, left: Term, right: Term, result: Term) -> bool:
 
 
 @deterministic("ord_union/2", locked=False)
-def ord_union_all(machine: Any, sets: Term, result: Term) -> bool:
+def ord_union_all(machine: Machine, sets: Term, result: Term) -> bool:
     """Merge a list of ordered sets."""
     merged = list_items(sets)
     if merged is None:
@@ -142,6 +148,6 @@ def ord_union_all(machine: Any, sets: Term, result: Term) -> bool:
 
 
 @deterministic("$no_rule/2")
-def no_rule(machine: Any, module: Term, goal: Term) -> bool:
+def no_rule(machine: Machine, module: Term, goal: Term) -> bool:
     """Raise the error of a library predicate of single-sided rules."""
     raise no_matching_rule(atom_of(module).name, goal)

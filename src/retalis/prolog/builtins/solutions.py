@@ -1,8 +1,8 @@
 """All solutions of a goal: bagof, setof, aggregate_all (findall and forall are control)."""
 
-from typing import Any, Callable, List, Optional
+from typing import Any, Callable, Dict, List, Optional, Tuple
 
-from ..arithmetic import EVALUABLE, add, evaluate
+from ..arithmetic import EVALUABLE, Number, add, evaluate
 from ..machine import Code, Frame, domain_error, instantiation_error, type_error
 from ..terms import (
     COMMA,
@@ -11,6 +11,7 @@ from ..terms import (
     Atom,
     Functor,
     Term,
+    Values,
     Var,
     atom,
     copy,
@@ -24,13 +25,14 @@ from ..terms import (
 from .arguments import is_iso, natural, partial_items
 from .comparing import is_variant
 from .ordering import sort_by, sort_unique
+from .program import Machine
 from .registry import control
 
 _HAT = functor("^", 2)
 _MAX, _MIN = EVALUABLE[functor("max", 2)], EVALUABLE[functor("min", 2)]
 
 
-def _strip(goal: Term) -> Any:
+def _strip(goal: Term) -> Tuple[Term, List[Term]]:
     """Return the goal inside ``Var^Goal`` and the terms before the hats."""
     bound = []
     goal = deref(goal)
@@ -41,8 +43,8 @@ def _strip(goal: Term) -> Any:
     return goal, bound
 
 
-def _grouped(sort: bool) -> Any:
-    def run(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+def _grouped(sort: bool) -> Callable[[Machine, Values, Frame], Optional[Frame]]:
+    def run(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
         template, goal, result = args
         if is_iso(machine):
             partial_items(result)
@@ -74,12 +76,12 @@ def _grouped(sort: bool) -> Any:
     return run
 
 
-def _groups(found: List[Term]) -> List[Any]:
+def _groups(found: List[Any]) -> List[Tuple[Term, List[Term]]]:
     """Group ``Witness-Template`` pairs by variants of the witness, in the standard order of witnesses."""
     for pair in found:  # so that variants keep the order in which they were found
         for var in variables(pair[1]):
             serial(var)
-    groups: List[Any] = []
+    groups: List[Tuple[Term, List[Term]]] = []
     for _, pair in sort_by(found, [pair[1] for pair in found]):
         for key, items in reversed(groups):
             if is_variant(key, pair[1]):
@@ -95,7 +97,7 @@ def _groups(found: List[Term]) -> List[Any]:
 
 
 def _enumerate(
-    machine: Any, witness: Term, result: Term, groups: List[Any], at: int, after: Frame
+    machine: Machine, witness: Term, result: Term, groups: List[Tuple[Term, Term]], at: int, after: Frame
 ) -> Optional[Frame]:
     while at < len(groups):
         mark = len(machine.trail)
@@ -118,7 +120,7 @@ control("setof/3")(_grouped(True))
 
 
 @control("findnsols/4", "findnsols/5")
-def findnsols(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+def findnsols(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
     """Collect solutions in lists of a length; the next ones on backtracking."""
     count = natural(args[0])
     result = args[3]
@@ -129,10 +131,13 @@ def findnsols(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
     height = len(machine.choices)
     machine.choices.append((_REST, machine, found, result, tail, after, len(machine.trail)))
     collect = (_PORTION, machine, height, found, pair[1], count, result, tail, after)
-    return machine.logic.control.call(pair[2], collect)  # type: ignore[no-any-return]
+    return machine.logic.control.call(pair[2], collect)
 
 
 def _portion(frame: Frame) -> Optional[Frame]:
+    machine: Machine
+    found: List[Term]
+    after: Frame
     _, machine, height, found, template, count, result, tail, after = frame
     found.append(copy(template))
     if len(found) < count:
@@ -145,6 +150,8 @@ def _portion(frame: Frame) -> Optional[Frame]:
 
 
 def _rest(entry: Frame) -> Optional[Frame]:
+    machine: Machine
+    after: Frame
     _, machine, found, result, tail, after, _ = entry
     return after if unify(result, make_list(found, tail), machine.trail) else None
 
@@ -155,11 +162,10 @@ _REST = Code("findnsols", _rest, True)
 
 # Aggregates
 
-_COUNT, _SUM, _BAG, _SET = (functor(name, 1) for name in ("count", "sum", "bag", "set"))
-_EXTREMES = {
-    functor("max", 1): _MAX,
-    functor("min", 1): _MIN,
-}
+Finish = Callable[[List[Term]], Optional[Term]]
+"""What makes the result of an aggregate from the collected terms; None where there is none."""
+
+_COUNT = atom("count")
 _WITH_WITNESS = {functor("max", 2): 1, functor("min", 2): -1}
 _R = functor("r", 2)
 
@@ -172,21 +178,22 @@ def _total(values: List[Term]) -> Term:
 
 
 @control("aggregate_all/4", locked=False)
-def aggregate_all_distinct(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+def aggregate_all_distinct(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
     """Aggregate over the solutions that differ in a discriminator (or in what is aggregated)."""
     spec, discriminator, goal, result = deref(args[0]), args[1], args[2], args[3]
     finish, template = _aggregate(spec)
 
     def done(found: List[Term]) -> Optional[Frame]:
-        value = finish([pair[2] for pair in sort_unique(found)])
+        pairs: List[Any] = sort_unique(found)
+        value = finish([pair[2] for pair in pairs])
         return after if value is not None and unify(result, value, machine.trail) else None
 
     inner, _ = _strip(goal)
-    return machine.logic.control.collect(inner, (MINUS, discriminator, template), done)  # type: ignore[no-any-return]
+    return machine.logic.control.collect(inner, (MINUS, discriminator, template), done)
 
 
 @control("aggregate_all/3", locked=False)
-def aggregate_all(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+def aggregate_all(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
     """Aggregate over all solutions: count, count(T), sum(E), max(E), min(E), max(E,W), min(E,W), bag(T), set(T)."""
     spec, goal, result = deref(args[0]), args[1], args[2]
     finish, template = _aggregate(spec)
@@ -196,38 +203,30 @@ def aggregate_all(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
         return after if value is not None and unify(result, value, machine.trail) else None
 
     inner, _ = _strip(goal)
-    return machine.logic.control.collect(inner, template, done)  # type: ignore[no-any-return]
+    return machine.logic.control.collect(inner, template, done)
 
 
-def _aggregate(given: Term) -> Any:
+def _aggregate(given: Term) -> Tuple[Finish, Term]:
     """Return what makes the result of an aggregate from the collected terms, and what to collect."""
-    spec: Any = deref(given)
-    if spec is atom("count"):
+    spec = deref(given)
+    if spec is _COUNT:
         return len, spec
     if spec.__class__ is Var:
         raise instantiation_error()
-    is_compound = spec.__class__ is tuple
-    if not is_compound and spec.__class__ is not Atom:
+    if spec.__class__ is Atom:
+        raise domain_error("aggregate_template", spec)
+    if spec.__class__ is not tuple:
         raise type_error("aggregate_template", spec)
-    key: Functor = spec[0] if is_compound else spec.functor
-    if key is _COUNT:
-        return len, spec[1]
-    if key is _SUM:
-        return _total, spec[1]
-    if key is _BAG:
-        return make_list, spec[1]
-    if key is _SET:
-        return (lambda found: make_list(sort_unique(found))), spec[1]
-    if key in _EXTREMES:
-        return _extreme(_EXTREMES[key]), spec[1]
+    key = spec[0]
+    finish = _FINISHES.get(key)
+    if finish is not None:
+        return finish, spec[1]
     if key in _WITH_WITNESS:
         return _witness(key, _WITH_WITNESS[key]), (_R, spec[1], spec[2])
-    if not is_compound:
-        raise domain_error("aggregate_template", spec)
     return _several(key, [_aggregate(part) for part in spec[1:]])
 
 
-def _several(key: Functor, parts: List[Any]) -> Any:
+def _several(key: Functor, parts: List[Tuple[Finish, Term]]) -> Tuple[Finish, Term]:
     """Return the aggregate of a term whose arguments are aggregates."""
 
     def finish(found: List[Term]) -> Optional[Term]:
@@ -237,13 +236,13 @@ def _several(key: Functor, parts: List[Any]) -> Any:
     return finish, (key, *[template for _, template in parts])
 
 
-def _columns(found: List[Term], count: int) -> List[List[Term]]:
+def _columns(found: List[Any], count: int) -> List[List[Term]]:
     return [[item[at] for item in found] for at in range(1, count + 1)]
 
 
-def _extreme(better: Callable[..., Any]) -> Callable[[List[Term]], Optional[Term]]:
+def _extreme(better: Callable[..., Number]) -> Finish:
     def finish(found: List[Term]) -> Optional[Term]:
-        value = None
+        value: Optional[Number] = None
         for item in found:
             number = evaluate(item)
             value = number if value is None else better(value, number)
@@ -252,9 +251,9 @@ def _extreme(better: Callable[..., Any]) -> Callable[[List[Term]], Optional[Term
     return finish
 
 
-def _witness(key: Functor, sign: int) -> Callable[[List[Term]], Optional[Term]]:
-    def finish(found: List[Term]) -> Optional[Term]:
-        best = None
+def _witness(key: Functor, sign: int) -> Finish:
+    def finish(found: List[Any]) -> Optional[Term]:
+        best: Optional[Tuple[Number, Term]] = None
         for _, item, witness in found:
             number = evaluate(item)
             if best is None or (number - best[0]) * sign > 0:
@@ -262,3 +261,13 @@ def _witness(key: Functor, sign: int) -> Callable[[List[Term]], Optional[Term]]:
         return None if best is None else (key, *best)
 
     return finish
+
+
+_FINISHES: Dict[Functor, Finish] = {
+    functor("count", 1): len,
+    functor("sum", 1): _total,
+    functor("bag", 1): make_list,
+    functor("set", 1): lambda found: make_list(sort_unique(found)),
+    functor("max", 1): _extreme(_MAX),
+    functor("min", 1): _extreme(_MIN),
+}

@@ -1,10 +1,11 @@
 """Global variables, flags, operators, counters: what outlives a goal."""
 
-from typing import Any, Dict, Iterator
+from typing import Dict, Optional, Tuple
 
 from ...foundation import UsageError
 from ..machine import (
     LAST,
+    Frame,
     domain_error,
     existence_error,
     instantiation_error,
@@ -12,8 +13,10 @@ from ..machine import (
     representation_error,
     type_error,
 )
-from ..terms import CONS, FALSE, NIL, TRUE, Atom, Term, Var, atom, copy, deref, functor, unify
+from ..syntax import Operators
+from ..terms import CONS, FALSE, NIL, TRUE, Atom, Term, Values, Var, atom, copy, deref, functor, unify
 from .arguments import atom_of, integer, is_iso, items
+from .program import Machine, Solutions
 from .registry import control, deterministic, nondeterministic
 
 
@@ -40,7 +43,7 @@ def default_flags() -> Dict[str, Term]:
     }
 
 
-_CHANGEABLE: Dict[str, Any] = {
+_CHANGEABLE: Dict[str, Tuple[str, ...]] = {
     "debug": ("on", "off"),
     "unknown": ("error", "fail", "warning"),
     "double_quotes": ("codes", "chars", "atom", "string"),
@@ -52,7 +55,7 @@ _CHANGEABLE: Dict[str, Any] = {
 
 
 @deterministic("set_prolog_flag/2")
-def set_prolog_flag(machine: Any, flag: Term, value: Term) -> bool:
+def set_prolog_flag(machine: Machine, flag: Term, value: Term) -> bool:
     """Set a flag."""
     name, value = atom_of(flag), deref(value)
     if value.__class__ is Var:
@@ -71,14 +74,14 @@ def set_prolog_flag(machine: Any, flag: Term, value: Term) -> bool:
 
 
 @deterministic("create_prolog_flag/3")
-def create_prolog_flag(machine: Any, flag: Term, value: Term, options: Term) -> bool:
+def create_prolog_flag(machine: Machine, flag: Term, value: Term, options: Term) -> bool:
     """Make a flag of the program's own."""
     machine.logic.flags[atom_of(flag).name] = copy(value)
     return True
 
 
 @nondeterministic("current_prolog_flag/2")
-def current_prolog_flag(machine: Any, flag: Term, value: Term) -> Iterator[Any]:
+def current_prolog_flag(machine: Machine, flag: Term, value: Term) -> Solutions:
     """Enumerate flags."""
     flag = deref(flag)
     flags = machine.logic.flags
@@ -102,7 +105,7 @@ _SPECIFIERS = ("xfx", "xfy", "yfx", "fy", "fx", "xf", "yf")
 
 
 @deterministic("op/3")
-def op(machine: Any, priority: Term, kind: Term, names: Term) -> bool:
+def op(machine: Machine, priority: Term, kind: Term, names: Term) -> bool:
     """Define operators."""
     value = integer(priority)
     name_of_kind = atom_of(kind).name
@@ -127,7 +130,7 @@ def op(machine: Any, priority: Term, kind: Term, names: Term) -> bool:
     return True
 
 
-def _operator_name(term: Term, priority: int, kind: str, operators: Any, in_list: bool) -> str:
+def _operator_name(term: Term, priority: int, kind: str, operators: Operators, in_list: bool) -> str:
     if term.__class__ is Var:
         raise instantiation_error()
     if term.__class__ is not Atom:
@@ -145,7 +148,7 @@ def _operator_name(term: Term, priority: int, kind: str, operators: Any, in_list
 
 
 @nondeterministic("current_op/3")
-def current_op(machine: Any, priority: Term, kind: Term, name: Term) -> Iterator[Any]:
+def current_op(machine: Machine, priority: Term, kind: Term, name: Term) -> Solutions:
     """Enumerate operators."""
     priority, kind, name = deref(priority), deref(kind), deref(name)
     if priority.__class__ is not Var and (priority.__class__ is not int or not 0 <= priority <= 1200):
@@ -165,7 +168,7 @@ def current_op(machine: Any, priority: Term, kind: Term, name: Term) -> Iterator
 
 
 @deterministic("char_conversion/2")
-def char_conversion(machine: Any, char: Term, other: Term) -> bool:
+def char_conversion(machine: Machine, char: Term, other: Term) -> bool:
     """Take two characters; nothing is converted when a program is read."""
     _character(char)
     _character(other)
@@ -173,7 +176,7 @@ def char_conversion(machine: Any, char: Term, other: Term) -> bool:
 
 
 @nondeterministic("current_char_conversion/2")
-def current_char_conversion(machine: Any, char: Term, other: Term) -> Iterator[Any]:
+def current_char_conversion(machine: Machine, char: Term, other: Term) -> Solutions:
     """Give each character itself."""
     given = deref(char) if deref(char).__class__ is not Var else deref(other)
     if given.__class__ is not Var:
@@ -205,11 +208,11 @@ class _RestoreValue:
         self.old = values.get(name)
 
     @property
-    def ref(self) -> Any:
+    def ref(self) -> None:
         return None
 
     @ref.setter
-    def ref(self, value: Any) -> None:
+    def ref(self, value: None) -> None:
         if self.old is None:
             self.values.pop(self.name, None)
         else:
@@ -224,14 +227,14 @@ def _key(name: Term) -> str:
 
 
 @deterministic("nb_setval/2")
-def nb_setval(machine: Any, name: Term, value: Term) -> bool:
+def nb_setval(machine: Machine, name: Term, value: Term) -> bool:
     """Set a global variable to a copy of a term; backtracking does not undo it."""
     machine.logic.globals[atom_of(name).name] = copy(value)
     return True
 
 
 @deterministic("b_setval/2")
-def b_setval(machine: Any, name: Term, value: Term) -> bool:
+def b_setval(machine: Machine, name: Term, value: Term) -> bool:
     """Set a global variable; backtracking undoes it."""
     values = machine.logic.globals
     key = atom_of(name).name
@@ -241,7 +244,7 @@ def b_setval(machine: Any, name: Term, value: Term) -> bool:
 
 
 @deterministic("nb_getval/2", "b_getval/2")
-def getval(machine: Any, name: Term, value: Term) -> bool:
+def getval(machine: Machine, name: Term, value: Term) -> bool:
     """Look a global variable up."""
     key = atom_of(name).name
     values = machine.logic.globals
@@ -254,7 +257,7 @@ def getval(machine: Any, name: Term, value: Term) -> bool:
 
 
 @deterministic("incCounter/1", locked=False)
-def inc_counter(machine: Any, name: Term) -> bool:
+def inc_counter(machine: Machine, name: Term) -> bool:
     """Add one to a counter."""
     counters = machine.logic.state.setdefault("counters", {})
     key = _key(name)
@@ -263,33 +266,33 @@ def inc_counter(machine: Any, name: Term) -> bool:
 
 
 @deterministic("resetCounter/1", locked=False)
-def reset_counter(machine: Any, name: Term) -> bool:
+def reset_counter(machine: Machine, name: Term) -> bool:
     """Set a counter to zero."""
     machine.logic.state.setdefault("counters", {})[_key(name)] = 0
     return True
 
 
 @deterministic("counter/2", locked=False)
-def counter(machine: Any, name: Term, value: Term) -> bool:
+def counter(machine: Machine, name: Term, value: Term) -> bool:
     """Look a counter up."""
     return unify(value, machine.logic.state.get("counters", {}).get(_key(name), 0), machine.trail)
 
 
 @deterministic("set_flag/2", locked=False)
-def set_flag(machine: Any, name: Term, value: Term) -> bool:
+def set_flag(machine: Machine, name: Term, value: Term) -> bool:
     """Set a flag of the program."""
     machine.logic.state.setdefault("flags", {})[_key(name)] = copy(value)
     return True
 
 
 @deterministic("get_flag/2", locked=False)
-def get_flag(machine: Any, name: Term, value: Term) -> bool:
+def get_flag(machine: Machine, name: Term, value: Term) -> bool:
     """Look a flag of the program up; ``nil`` where it is not set."""
     return unify(value, machine.logic.state.get("flags", {}).get(_key(name), atom("nil")), machine.trail)
 
 
 @control("halt/0", "halt/1")
-def halt(machine: Any, args: Any, after: Any) -> Any:
+def halt(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
     """Refuse: a program may not end the process it runs in."""
     if args:
         integer(args[0])

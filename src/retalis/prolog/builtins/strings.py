@@ -1,12 +1,13 @@
 """Strings: conversions and parts."""
 
-from typing import Any, Iterator, Optional, Union
+from typing import Callable, Dict, Iterator, Optional
 
 from ...foundation import BULK, look
 from ..machine import LAST, domain_error, existence_error, instantiation_error, type_error
 from ..terms import NIL, Atom, String, Term, Var, atom, deref, functor, is_ground, make_list, unify
 from .arguments import integer_or_var, partial_items
 from .atoms import halves
+from .program import Machine, Outcome, Solutions
 from .registry import deterministic, nondeterministic
 from .text import (
     atomic_text,
@@ -30,15 +31,15 @@ _OFTEN = len(BULK) - 1
 
 
 @deterministic("string_length/2")
-def string_length(machine: Any, text: Term, length: Term) -> bool:
+def string_length(machine: Machine, text: Term, length: Term) -> bool:
     """Give the number of characters of a text."""
     size = len(text_of(text))
     integer_or_var(length)
     return unify(length, size, machine.trail)
 
 
-def _converter(to_parts: Any) -> Any:
-    def run(machine: Any, text: Term, parts: Term) -> bool:
+def _converter(to_parts: Callable[[str], Term]) -> Callable[[Machine, Term, Term], bool]:
+    def run(machine: Machine, text: Term, parts: Term) -> bool:
         if deref(text).__class__ is not Var:
             whole, given = text_of(text), deref(parts)
             if given is not NIL and given.__class__ not in (Var, tuple):
@@ -59,7 +60,7 @@ def _is_no_text(term: Term) -> bool:
 
 
 @deterministic("atom_string/2")
-def atom_string(machine: Any, name: Term, text: Term) -> bool:
+def atom_string(machine: Machine, name: Term, text: Term) -> bool:
     """Relate the text of an atom or a number with a string."""
     if deref(name).__class__ is Var:
         return unify(name, atom(whole_text(text, "string")), machine.trail)
@@ -71,13 +72,13 @@ def atom_string(machine: Any, name: Term, text: Term) -> bool:
 
 
 @deterministic("string_to_atom/2")
-def string_to_atom(machine: Any, text: Term, name: Term) -> bool:
+def string_to_atom(machine: Machine, text: Term, name: Term) -> bool:
     """Do what ``atom_string/2`` does."""
     return atom_string(machine, name, text)
 
 
 @deterministic("number_string/2")
-def number_string(machine: Any, number: Term, text: Term) -> bool:
+def number_string(machine: Machine, number: Term, text: Term) -> bool:
     """Relate a number with its string; fails where the text is not a number."""
     number = deref(number)
     if number.__class__ not in (Var, int, float):
@@ -86,13 +87,13 @@ def number_string(machine: Any, number: Term, text: Term) -> bool:
     if is_ground(text):
         found = parse_number(parts_text(machine, text, True).strip(), machine.logic.operators)
         return found is not None and unify(number, found, machine.trail)
-    if number.__class__ is Var:
+    if not isinstance(number, (int, float)):
         raise instantiation_error()
     return unify(text, String(number_text(number)), machine.trail)
 
 
 @deterministic("text_to_string/2")
-def text_to_string(machine: Any, text: Term, result: Term) -> bool:
+def text_to_string(machine: Machine, text: Term, result: Term) -> bool:
     """Give the string of an atom, string, or list of codes or characters."""
     found = text_of(text, numbers=False)
     given = deref(result)
@@ -114,7 +115,7 @@ def _wanted_code(term: Term) -> Term:
 
 
 @nondeterministic("string_code/3")
-def string_code(machine: Any, index: Term, text: Term, code: Term) -> Union[bool, Iterator[Any]]:
+def string_code(machine: Machine, index: Term, text: Term, code: Term) -> Outcome:
     """Relate the characters' codes with their positions from 1."""
     at = integer_or_var(index)
     whole = text_of(text, numbers=False)
@@ -125,17 +126,17 @@ def string_code(machine: Any, index: Term, text: Term, code: Term) -> Union[bool
     return 0 < at <= len(whole) and unify(code, ord(whole[at - 1]), machine.trail)
 
 
-def _codes(machine: Any, index: Term, whole: str, wanted: Term) -> Iterator[Any]:
+def _codes(machine: Machine, index: Term, whole: str, wanted: Term) -> Solutions:
     for at, char in enumerate(whole, 1):
         if machine.unify_all((index, at), (wanted, ord(char))):
             yield LAST if at == len(whole) else None
 
 
 @nondeterministic("text_concat/3")
-def text_concat(machine: Any, left: Term, right: Term, whole: Term) -> Union[bool, Iterator[Any]]:
+def text_concat(machine: Machine, left: Term, right: Term, whole: Term) -> Outcome:
     """Relate two texts with the text that they make together: a string where one of them is."""
     given = [deref(term) for term in (left, right, whole)]
-    make: Any = String if any(term.__class__ is String for term in given) else atom
+    make: Callable[[str], Term] = String if any(term.__class__ is String for term in given) else atom
     start, end, text = (None if term.__class__ is Var else text_of(term) for term in given)
     if start is not None and end is not None:
         long_text(len(start) + len(end))
@@ -151,7 +152,7 @@ def text_concat(machine: Any, left: Term, right: Term, whole: Term) -> Union[boo
 
 
 @deterministic("split_string/4")
-def split_string(machine: Any, text: Term, separators: Term, pad: Term, parts: Term) -> bool:
+def split_string(machine: Machine, text: Term, separators: Term, pad: Term, parts: Term) -> bool:
     """Split a text at any of the separators and strip the pad characters from each part."""
     whole, between, strip = (text_of(given, numbers=False) for given in (text, separators, pad))
     long_text(len(whole))
@@ -179,7 +180,7 @@ def _strip(text: str, pad: str) -> str:
 
 
 @deterministic("normalize_space/2")
-def normalize_space(machine: Any, sink: Term, text: Term) -> bool:
+def normalize_space(machine: Machine, sink: Term, text: Term) -> bool:
     """Unify a text with runs of white space made one blank."""
     sink = deref(sink)
     if sink.__class__ is Var:
@@ -191,7 +192,7 @@ def normalize_space(machine: Any, sink: Term, text: Term) -> bool:
 
 # Characters
 
-_CLASSES = {
+_CLASSES: Dict[str, Callable[[str], bool]] = {
     "alnum": str.isalnum,
     "alpha": str.isalpha,
     "csym": lambda char: char.isalnum() or char == "_",
@@ -235,11 +236,11 @@ def _of_code(term: Term) -> Optional[str]:
     return text
 
 
-def _char_type(as_code: bool) -> Any:
+def _char_type(as_code: bool) -> Callable[[Machine, Term, Term], Outcome]:
     def wrap(char: str) -> Term:
         return ord(char) if as_code else atom(char)
 
-    def run(machine: Any, char: Term, kind: Term) -> Union[bool, Iterator[Any]]:
+    def run(machine: Machine, char: Term, kind: Term) -> Outcome:
         kind = deref(kind)
         _check_type(kind)
         given = _of_code(char)
@@ -248,7 +249,7 @@ def _char_type(as_code: bool) -> Any:
         found = next(_types(given, kind, wrap), None)
         return found is not None and unify(kind, found, machine.trail)
 
-    def enumerate_(machine: Any, char: Term, kind: Term, given: Optional[str]) -> Iterator[Any]:
+    def enumerate_(machine: Machine, char: Term, kind: Term, given: Optional[str]) -> Solutions:
         for one in [given] if given is not None else map(chr, range(256)):
             for found in _types(one, kind, wrap):
                 pairs = [(kind, found)]
@@ -273,7 +274,7 @@ def _check_type(kind: Term) -> None:
         raise type_error("char_type", kind)
 
 
-def _types(char: str, kind: Term, wrap: Any) -> Iterator[Term]:
+def _types(char: str, kind: Term, wrap: Callable[[str], Term]) -> Iterator[Term]:
     """Yield the types of a character that may be the one asked for."""
     name = kind.name if kind.__class__ is Atom else kind[0].name if kind.__class__ is tuple else None
     for plain, test in _CLASSES.items():

@@ -1,6 +1,6 @@
 """What tabling keeps: the answers to a variant of a call, and the calls that wait for more of them."""
 
-from typing import Any, Dict, List, NamedTuple, Optional, Tuple
+from typing import Any, Dict, Hashable, List, NamedTuple, Optional, Tuple
 
 from ..machine import Frame
 from ..terms import Term, Var
@@ -67,7 +67,7 @@ class Table:
     def empty(self) -> None:
         """Forget the answers."""
         self.answers: List[Any] = []
-        self.known: Dict[Any, int] = {}
+        self.known: Dict[Hashable, int] = {}
         self.ground = True
         self.followers: List[Follower] = []
 

@@ -11,7 +11,7 @@ An answer is what the call's unbound variables stand for, in the order in which 
 them gives its variables these values, which cannot fail: nothing is unified.
 """
 
-from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, Hashable, List, Optional, Sequence, Tuple
 
 from ..database import Predicate
 from ..machine import Code, Frame, Guard, uninstantiation_error
@@ -21,6 +21,7 @@ from ..terms import (
     Functor,
     String,
     Term,
+    Values,
     Var,
     conjunction,
     copy,
@@ -34,6 +35,7 @@ from ..terms import (
 from .arguments import indicator_of
 from .clauses import declared
 from .modes import Mode, modes_of
+from .program import Machine
 from .registry import control, deterministic
 from .tables import Follower, Table
 
@@ -47,9 +49,9 @@ TabledCall = Callable[[Frame], Optional[Frame]]
 class Tables:
     """All tables of a program, and the ones being evaluated."""
 
-    def __init__(self, machine: Any):
+    def __init__(self, machine: Machine):
         self.machine = machine
-        self.by_call: Dict[Any, Table] = {}
+        self.by_call: Dict[Hashable, Table] = {}
         self.active: List[Table] = []
         self.waiting: List[Table] = []
         self.ready: List[Tuple[Table, Follower]] = []
@@ -95,7 +97,7 @@ class Tables:
 
         return call
 
-    def caller(self, predicate: Predicate, modes: Sequence[Mode] = ()) -> Any:
+    def caller(self, predicate: Predicate, modes: Sequence[Mode] = ()) -> Callable[..., Optional[Frame]]:
         """Return the function that does calls of a predicate, given the variables of arguments with modes."""
         key_of_call = predicate.functor
         find = self.by_call.get
@@ -121,28 +123,25 @@ class Tables:
                     break
             else:
                 key = tuple(key)
+            after: Frame = frame[-1]
             table = find(key)
             if table is None:
                 table = self.by_call[key] = Table()
             elif table.state == "complete":
                 if len(table.answers) != 1 or not table.ground:
-                    return self._enumerate(table.answers, table.ground, 0, free, frame[-1])
+                    return self._enumerate(table.answers, table.ground, 0, free, after)
                 for var, value in zip(free, table.answers[0]):
                     var.ref = value
                     bound(var)
-                return frame[-1]  # type: ignore[no-any-return]
+                return after
             if table.state == "new":
                 own = [Var() for _ in free]
-                if walked:
-                    args = copy(goal, dict(zip(free, own)))[1:]
-                else:
-                    fresh = iter(own)
-                    args = [next(fresh) if known is None else known for known in key[1:]]
+                args = copy(goal, dict(zip(free, own)))[1:] if walked else _renamed(key, own)
                 collect: Frame = (self._answer, table, own)
                 if modes:
                     collect = (self._better, *collect[1:], list(map(free.index, moded)), modes)
-                return self._evaluate((predicate.tabled, *args, collect), table, free, frame[-1])
-            return self._consult(table, free, frame[-1])
+                return self._evaluate((predicate.tabled, *args, collect), table, free, after)
+            return self._consult(table, free, after)
 
         return call
 
@@ -191,7 +190,7 @@ class Tables:
         self.machine.choices.append((self._round, table, clauses, free, after, table.mark))
         table.height = len(self.machine.choices)
 
-    def _found(self, table: Table, key: Any, answer: Any) -> None:
+    def _found(self, table: Table, key: Hashable, answer: Values) -> None:
         """Note an answer; whoever waits for one can go on."""
         table.known[key] = len(table.answers)
         table.answers.append(answer)
@@ -201,6 +200,8 @@ class Tables:
 
     def _add(self, frame: Frame) -> None:
         """Note an answer, and look for the next one."""
+        table: Table
+        free: List[Var]
         _, table, free = frame
         answer: Any = []
         for var in free:
@@ -222,6 +223,8 @@ class Tables:
 
     def _improve(self, frame: Frame) -> Optional[Frame]:
         """Note an answer of a table with modes, or what is better of it and the one that is there."""
+        table: Table
+        modes: Sequence[Mode]
         _, table, free, places, modes = frame
         answer = copy((_ANSWER, *free))[1:]
         key = term_key((_ANSWER, *[value for at, value in enumerate(answer) if at not in places]))
@@ -236,7 +239,7 @@ class Tables:
             old, new = table.answers[at][place], answer[place]
             if mode.pick is not None:
                 kept[place] = mode.pick(old, new)
-            else:
+            elif mode.goal is not None:
                 kept[place] = Var()
                 goals.append(mode.goal(old, new, kept[place]))
         grows = any(mode.grows for mode in modes)
@@ -245,6 +248,7 @@ class Tables:
 
     def _keep(self, frame: Frame) -> None:
         """Put an answer in the place of another."""
+        table: Table
         _, table, key, kept, grows = frame
         answer = copy((_ANSWER, *kept))
         at = table.known[key]
@@ -258,6 +262,8 @@ class Tables:
 
     def _end_of_round(self, entry: Frame) -> Optional[Frame]:
         """Let followers go on, evaluate the clauses again, or be done."""
+        table: Table
+        clauses: Frame
         _, table, clauses, free, after, _ = entry
         if table.low < table.index:
             return self._hand_on(table, free, after)
@@ -278,7 +284,7 @@ class Tables:
                 member.followers.clear()
                 member.state = "active" if member is table else "new"
             self._begin(table, clauses, free, after)
-            return clauses  # type: ignore[no-any-return]
+            return clauses
         for member in members:
             member.complete()
         self.active.pop()
@@ -288,7 +294,7 @@ class Tables:
     def _go_on(self, entry: Frame, followed: Table, follower: Follower) -> Optional[Frame]:
         """Bring back what was bound when a call had seen all answers, and give it those that came since."""
         choices, trail = self.machine.choices, self.machine.trail
-        table = entry[1]
+        table: Table = entry[1]
         self._begin(*entry[1:5])
         # Cuts count on as many choice points as there were.
         below = len(choices)
@@ -339,6 +345,7 @@ class Tables:
 
     def _abandon(self, entry: Frame) -> None:
         """Forget evaluations that an error has ended, and what they found."""
+        table: Table
         _, index, table, _ = entry
         waiting, ready = table.first
         for member in [*self.active[index:], *self.waiting[waiting:]]:
@@ -349,7 +356,13 @@ class Tables:
         del self.ready[ready:]
 
 
-def tables_of(machine: Any) -> Tables:
+def _renamed(key: Sequence[Optional[Term]], own: List[Var]) -> List[Term]:
+    """Return the arguments of a call whose key has None in the place of each variable, with new ones."""
+    fresh = iter(own)
+    return [next(fresh) if known is None else known for known in key[1:]]
+
+
+def tables_of(machine: Machine) -> Tables:
     """Return the tables of a machine's program."""
     found: Optional[Tables] = machine.logic.state.get("tables")
     if found is None:
@@ -358,7 +371,7 @@ def tables_of(machine: Any) -> Tables:
 
 
 @deterministic("table/1")
-def table_declaration(machine: Any, which: Term) -> bool:
+def table_declaration(machine: Machine, which: Term) -> bool:
     """Declare predicates tabled."""
     for item in declared(which):
         if item.__class__ is tuple and item[0].name == ":" and len(item) == 3:
@@ -370,7 +383,7 @@ def table_declaration(machine: Any, which: Term) -> bool:
     return True
 
 
-def declare(machine: Any, key: Functor, modes: Dict[int, Mode]) -> None:
+def declare(machine: Machine, key: Functor, modes: Dict[int, Mode]) -> None:
     """Make a predicate tabled: its clauses go to a hidden predicate that the tables call."""
     database = machine.logic.database
     predicate = database.writable(key, "modify")
@@ -385,7 +398,7 @@ def declare(machine: Any, key: Functor, modes: Dict[int, Mode]) -> None:
 
 
 @control("abolish_all_tables/0")
-def abolish_all_tables(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+def abolish_all_tables(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
     """Forget the answers of all tabled predicates."""
     tables = tables_of(machine)
     if not tables.active:

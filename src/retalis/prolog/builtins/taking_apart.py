@@ -1,18 +1,19 @@
 """Terms taken apart and put together: functor, arg, univ, copies."""
 
-from typing import Any, Iterator, Optional, Sequence, Union
+from typing import Optional, Sequence
 
 from ...foundation import BULK, look
 from ..machine import LAST, domain_error, instantiation_error, permission_error, resource_error, type_error
-from ..terms import NIL, Atom, Term, Var, atom, copy, deref, functor, make_list, resolve, unify
+from ..terms import NIL, Atom, Compound, Term, Var, atom, copy, deref, functor, make_list, resolve, unify
 from .arguments import check_tail, integer, is_iso, items, natural, partial_items
+from .program import Machine, Outcome, Solutions
 from .registry import deterministic, function, nondeterministic
 
 _MOST_ARGUMENTS = 1_000_000
 
 
 @deterministic("functor/3")
-def functor_of(machine: Any, term: Term, name: Term, arity: Term) -> bool:
+def functor_of(machine: Machine, term: Term, name: Term, arity: Term) -> bool:
     """Relate a term with its name and arity."""
     term = deref(term)
     if term.__class__ is tuple:
@@ -53,7 +54,7 @@ def _term(name: Atom, args: Sequence[Term]) -> Term:
 
 
 @nondeterministic("arg/3")
-def arg(machine: Any, number: Term, term: Term, value: Term) -> Union[bool, Iterator[Any]]:
+def arg(machine: Machine, number: Term, term: Term, value: Term) -> Outcome:
     """Relate a compound term with its arguments."""
     number, term = deref(number), deref(term)
     if term.__class__ is not tuple:
@@ -62,10 +63,11 @@ def arg(machine: Any, number: Term, term: Term, value: Term) -> Union[bool, Iter
         raise type_error("compound", term)
     if number.__class__ is Var:
         return _arguments(machine, number, term, value)
-    return 0 < natural(number) < len(term) and unify(value, term[number], machine.trail)
+    at = natural(number)
+    return 0 < at < len(term) and unify(value, term[at], machine.trail)
 
 
-def _arguments(machine: Any, number: Term, term: Term, value: Term) -> Iterator[Any]:
+def _arguments(machine: Machine, number: Term, term: Compound, value: Term) -> Solutions:
     last = len(term) - 1
     for at in range(1, len(term)):
         if machine.unify_all((number, at), (value, term[at])):
@@ -85,7 +87,7 @@ def known_arg(number: Term, term: Term) -> Optional[Term]:
 
 
 @deterministic("=../2")
-def univ(machine: Any, term: Term, parts: Term) -> bool:
+def univ(machine: Machine, term: Term, parts: Term) -> bool:
     """Relate a term with the list of its name and arguments."""
     term = deref(term)
     if term.__class__ is not Var and is_iso(machine):
@@ -97,33 +99,36 @@ def univ(machine: Any, term: Term, parts: Term) -> bool:
         if deref(parts).__class__ not in (Var, tuple):
             check_tail(parts)
         return unify(parts, make_list([term]), machine.trail)
+    return unify(term, _of_parts(parts), machine.trail)
+
+
+def _of_parts(parts: Term) -> Term:
+    """Return the term of a list of name and arguments."""
     found = partial_items(parts)
     if not found:
         if deref(parts) is NIL:
             raise domain_error("non_empty_list", NIL)
         raise instantiation_error()
     head, args = deref(found[0]), items(parts)[1:]
+    if head.__class__ is Var:
+        raise instantiation_error()
     if not args:
-        if head.__class__ is Var:
-            raise instantiation_error()
         if head.__class__ is tuple:
             raise type_error("atomic", head)
-        return unify(term, head, machine.trail)
+        return head
     if head.__class__ is not Atom:
-        if head.__class__ is Var:
-            raise instantiation_error()
         raise type_error("atom", head)
-    return unify(term, _term(head, args), machine.trail)
+    return _term(head, args)
 
 
 @deterministic("copy_term/2", "duplicate_term/2", "copy_term_nat/2")
-def copy_term(machine: Any, term: Term, result: Term) -> bool:
+def copy_term(machine: Machine, term: Term, result: Term) -> bool:
     """Copy a term with new variables."""
     return unify(result, copy(term), machine.trail)
 
 
 @deterministic("compound_name_arity/3")
-def compound_name_arity(machine: Any, term: Term, name: Term, arity: Term) -> bool:
+def compound_name_arity(machine: Machine, term: Term, name: Term, arity: Term) -> bool:
     """Relate a compound term, also one without arguments, with its name and arity."""
     term = deref(term)
     if term.__class__ is tuple:
@@ -140,7 +145,7 @@ def compound_name_arity(machine: Any, term: Term, name: Term, arity: Term) -> bo
 
 
 @deterministic("compound_name_arguments/3")
-def compound_name_arguments(machine: Any, term: Term, name: Term, arguments: Term) -> bool:
+def compound_name_arguments(machine: Machine, term: Term, name: Term, arguments: Term) -> bool:
     """Relate a compound term with its name and list of arguments."""
     term = deref(term)
     if term.__class__ is tuple:
@@ -160,6 +165,6 @@ def compound_name_arguments(machine: Any, term: Term, name: Term, arguments: Ter
 
 
 @deterministic("setarg/3", "nb_setarg/3")
-def setarg(machine: Any, number: Term, term: Term, value: Term) -> bool:
+def setarg(machine: Machine, number: Term, term: Term, value: Term) -> bool:
     """Refuse: terms do not change here."""
     raise permission_error("modify", "term", resolve(term))

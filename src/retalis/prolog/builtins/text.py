@@ -1,8 +1,9 @@
 """Text arguments: atoms, strings, numbers, lists of codes or characters, as Python strings and back."""
 
-from typing import Any, Callable, List, Optional, Sequence
+from typing import TYPE_CHECKING, Any, Callable, List, Optional, Sequence
 
 from ...foundation import BULK, SyntaxFault, look
+from ..arithmetic import Number
 from ..machine import (
     PrologError,
     instantiation_error,
@@ -11,9 +12,26 @@ from ..machine import (
     syntax_error,
     type_error,
 )
-from ..syntax import read_term, write_term
-from ..terms import NIL, Atom, String, Term, Var, atom, deref, list_items, list_parts, make_list, unify
+from ..syntax import Operators, read_term, write_term
+from ..terms import (
+    NIL,
+    Atom,
+    Compound,
+    String,
+    Term,
+    Var,
+    atom,
+    deref,
+    list_items,
+    list_parts,
+    make_list,
+    unify,
+)
 from .arguments import is_iso
+from .program import Machine
+
+if TYPE_CHECKING:
+    from typing_extensions import TypeGuard
 
 LARGEST_CODE = 0x10FFFF
 _LONG = 10**300
@@ -36,7 +54,7 @@ def long_text(size: int) -> None:
         look()
 
 
-def each(make: Callable[[Any], Term], parts: Sequence[Any]) -> List[Term]:
+def each(make: Callable[[str], Term], parts: Sequence[str]) -> List[Term]:
     """Return what is made of each part, of a character of a text say; look at the goal's limits meanwhile."""
     if len(parts) <= len(BULK):
         return list(map(make, parts))
@@ -53,21 +71,20 @@ def joined(parts: Sequence[str], between: str = "") -> str:
     return between.join(parts)
 
 
-def number_text(value: Any) -> str:
+def number_text(value: Number) -> str:
     """Return a number as it is written."""
     return write_term(value)
 
 
 def constant_text(term: Term) -> Optional[str]:
     """Return the text of an atom, string or number; None for anything else."""
-    kind = term.__class__
-    if kind is Atom:
-        return term.name  # type: ignore[no-any-return]
-    if kind is String:
-        return term.text  # type: ignore[no-any-return]
-    if kind is int:
+    if term.__class__ is Atom:
+        return term.name
+    if term.__class__ is String:
+        return term.text
+    if term.__class__ is int:
         return str(term) if -_LONG < term < _LONG else number_text(term)
-    if kind is float:
+    if term.__class__ is float:
         return number_text(term)
     return None
 
@@ -124,7 +141,7 @@ def _checked_list(term: Term, kind: str) -> str:
     if tail is not NIL and tail.__class__ is not Var:
         raise type_error(kind, term)
     long_text(len(found))
-    items = [deref(item) for item in found]
+    items: List[Any] = [deref(item) for item in found]
     culprit = wrong_item(items)
     if culprit is not None:
         raise culprit
@@ -148,7 +165,7 @@ def wrong_item(items: List[Term]) -> Optional[PrologError]:
     return None
 
 
-def parts_text(machine: Any, term: Term, as_codes: bool) -> str:
+def parts_text(machine: Machine, term: Term, as_codes: bool) -> str:
     """Return the text of an argument that has to be a list of codes or characters; strings are taken too.
 
     Raises:
@@ -156,7 +173,7 @@ def parts_text(machine: Any, term: Term, as_codes: bool) -> str:
     """
     term = deref(term)
     if term.__class__ is String:
-        return term.text  # type: ignore[no-any-return]
+        return term.text
     if term.__class__ is not tuple and term is not NIL and term.__class__ is not Var:
         raise type_error("list", term)
     if is_iso(machine):
@@ -217,7 +234,7 @@ def chars(text: str) -> Term:
     return make_list(each(atom, text))
 
 
-def parse_number(text: str, operators: Any) -> Optional[Term]:
+def parse_number(text: str, operators: Operators) -> Optional[Term]:
     """Return the number that a text is, with white space before it and a sign allowed; None for no number."""
     stripped = text.lstrip()
     body = stripped[1:] if stripped[:1] in ("-", "+") else stripped
@@ -234,7 +251,7 @@ def parse_number(text: str, operators: Any) -> Optional[Term]:
     return -term if stripped[0] == "-" else term
 
 
-def number_or_error(text: str, operators: Any) -> Term:
+def number_or_error(text: str, operators: Operators) -> Term:
     """Return the number that a text is.
 
     Raises:
@@ -255,7 +272,7 @@ def make_text(like: str, text: str) -> Term:
     return codes(text) if like == "codes" else chars(text)
 
 
-def is_sink(sink: Term) -> bool:
+def is_sink(sink: Term) -> "TypeGuard[Compound]":
     """Tell whether a term asks for text: ``atom(A)``, ..., also ``codes(Cs,Tail)`` and ``chars(Cs,Tail)``."""
     if sink.__class__ is not tuple:
         return False
@@ -268,7 +285,7 @@ def is_sink(sink: Term) -> bool:
     )
 
 
-def fill_sink(machine: Any, sink: Any, text: str) -> bool:
+def fill_sink(machine: Machine, sink: Compound, text: str) -> bool:
     """Unify the text of a sink."""
     found = make_text(sink[0].name, text)
     if len(sink) == 3:

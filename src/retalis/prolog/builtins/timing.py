@@ -7,12 +7,14 @@ A stamp is a float of seconds since the epoch; a date is ``date(Y,M,D,H,Mn,S,Off
 import re
 import time
 from datetime import date, datetime, timedelta, timezone
-from typing import Any, Callable, Dict, Iterator, Tuple
+from typing import Callable, Dict, List, Match, Tuple
 
+from ..arithmetic import Number
 from ..machine import LAST, domain_error, instantiation_error, type_error
-from ..terms import Atom, Term, Var, atom, deref, functor, make_list, unify
+from ..terms import Atom, Compound, Term, Var, atom, deref, functor, make_list, unify
 from .arguments import integer
 from .output import write_to
+from .program import Machine, Solutions
 from .registry import deterministic, nondeterministic
 from .text import fill_sink, is_sink, text_of
 
@@ -21,11 +23,11 @@ _UTC, _NONE = atom("UTC"), atom("-")
 _EPOCH = datetime(1970, 1, 1)
 
 
-def _number(term: Term) -> Any:
+def _number(term: Term) -> Number:
     term = deref(term)
     if term.__class__ is Var:
         raise instantiation_error()
-    if term.__class__ not in (int, float):
+    if not isinstance(term, (int, float)):
         raise type_error("number", term)
     return term
 
@@ -40,16 +42,14 @@ def _of_stamp(stamp: float) -> Tuple[datetime, float]:
     return found, found.second + (stamp - whole)
 
 
-def _of_date(term: Term) -> Tuple[datetime, float]:
+def _of_date(term: Compound) -> Tuple[datetime, float]:
     """Return date and time (UTC) that a date term names."""
     parts = [deref(part) for part in term[1:]]
-    values = [0 if part.__class__ is Var else part for part in parts[:6]] + [0, 0, 0, 0]
-    year, month, day, hour, minute, second = values[:6]
-    offset = parts[6] if len(parts) == 9 and parts[6].__class__ is int else 0
-    for part in values[:6]:
-        if part.__class__ not in (int, float):
-            raise type_error("number", part)
-    year, month = integer(year), integer(month)
+    values: List[Number] = [0 if part.__class__ is Var else _number(part) for part in parts[:6]]
+    zone = parts[6] if len(parts) == 9 else 0
+    offset = zone if zone.__class__ is int else 0
+    given_year, given_month, day, hour, minute, second = (values + [0, 0, 0])[:6]
+    year, month = integer(given_year), integer(given_month)
     year += (month - 1) // 12
     try:
         start = datetime(year, (month - 1) % 12 + 1, 1)
@@ -74,13 +74,13 @@ def _stamp(moment: datetime, second: float) -> float:
 
 
 @deterministic("get_time/1")
-def get_time(machine: Any, stamp: Term) -> bool:
+def get_time(machine: Machine, stamp: Term) -> bool:
     """Give the present."""
     return unify(stamp, machine.logic.now() / 1e9, machine.trail)
 
 
 @deterministic("stamp_date_time/3")
-def stamp_date_time(machine: Any, stamp: Term, result: Term, zone: Term) -> bool:
+def stamp_date_time(machine: Machine, stamp: Term, result: Term, zone: Term) -> bool:
     """Give the date of a stamp; local time is UTC."""
     moment, second = _of_stamp(_number(stamp))
     zone = deref(zone)
@@ -108,7 +108,7 @@ def stamp_date_time(machine: Any, stamp: Term, result: Term, zone: Term) -> bool
 
 
 @deterministic("date_time_stamp/2")
-def date_time_stamp(machine: Any, given: Term, stamp: Term) -> bool:
+def date_time_stamp(machine: Machine, given: Term, stamp: Term) -> bool:
     """Give the stamp of a date."""
     given = deref(given)
     if given.__class__ is Var:
@@ -122,7 +122,7 @@ _FIELDS = ("year", "month", "day", "hour", "minute", "second", "utc_offset", "ti
 
 
 @nondeterministic("date_time_value/3")
-def date_time_value(machine: Any, name: Term, given: Term, value: Term) -> Iterator[Any]:
+def date_time_value(machine: Machine, name: Term, given: Term, value: Term) -> Solutions:
     """Enumerate the fields of a date."""
     given = deref(given)
     if given.__class__ is not tuple or given[0] is not _DATE9:
@@ -135,7 +135,7 @@ def date_time_value(machine: Any, name: Term, given: Term, value: Term) -> Itera
 
 
 @deterministic("day_of_the_week/2")
-def day_of_the_week(machine: Any, given: Term, number: Term) -> bool:
+def day_of_the_week(machine: Machine, given: Term, number: Term) -> bool:
     """Give the day of the week of ``date(Y,M,D)``: Monday is 1."""
     given = deref(given)
     if given.__class__ is Var:
@@ -153,7 +153,7 @@ _ISO = re.compile(r"(\d{4})-(\d\d)-(\d\d)(?:[T ](\d\d):(\d\d)(?::(\d\d(?:\.\d+)?
 
 
 @deterministic("parse_time/2")
-def parse_time(machine: Any, text: Term, stamp: Term) -> bool:
+def parse_time(machine: Machine, text: Term, stamp: Term) -> bool:
     """Give the stamp of an ISO 8601 text; fails for others."""
     found = _ISO.match(text_of(text))
     if found is None:
@@ -173,7 +173,7 @@ def _formatted(form: str, moment: datetime, second: float) -> str:
     """Return the text of a C time format; ``%f`` is the fraction of the second, ``%3f`` its first digits."""
     fraction = second - int(second)
 
-    def fraction_text(match: Any) -> str:
+    def fraction_text(match: "Match[str]") -> str:
         digits = int(match.group(1) or 6)
         return f"{fraction:.{digits}f}"[2:] if fraction < 1 - 0.5 * 10**-digits else "9" * digits
 
@@ -187,7 +187,7 @@ def _formatted(form: str, moment: datetime, second: float) -> str:
 
 
 @deterministic("format_time/3")
-def format_time(machine: Any, sink: Term, form: Term, given: Term) -> bool:
+def format_time(machine: Machine, sink: Term, form: Term, given: Term) -> bool:
     """Write a stamp or date by a format, or unify it as ``format/3`` does."""
     text = _formatted(text_of(form), *_moment(given))
     sink = deref(sink)
@@ -208,7 +208,7 @@ def _milliseconds(seconds: float) -> int:
     return int(seconds * 1000)
 
 
-_STATISTICS: Dict[str, Callable[[Any], Term]] = {
+_STATISTICS: Dict[str, Callable[[Machine], Term]] = {
     "cputime": lambda machine: time.process_time(),
     "process_cputime": lambda machine: time.process_time(),
     "inferences": lambda machine: machine.budget.inferences,
@@ -222,7 +222,7 @@ _STATISTICS: Dict[str, Callable[[Any], Term]] = {
 }
 
 
-def _pair(machine: Any, name: str, value: int) -> Term:
+def _pair(machine: Machine, name: str, value: int) -> Term:
     """Return ``[Value,SinceTheLastCall]``."""
     last = machine.logic.state.setdefault("statistics", {})
     since = value - last.get(name, 0)
@@ -231,7 +231,7 @@ def _pair(machine: Any, name: str, value: int) -> Term:
 
 
 @deterministic("statistics/2")
-def statistics(machine: Any, key: Term, value: Term) -> bool:
+def statistics(machine: Machine, key: Term, value: Term) -> bool:
     """Give a figure about the process and the machine."""
     key = deref(key)
     if key.__class__ is Var:

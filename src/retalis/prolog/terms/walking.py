@@ -1,10 +1,10 @@
 """Walks over terms: variables, copies, keys."""
 
-from typing import Any, Callable, Dict, Hashable, List, Optional, Sequence
+from typing import Any, Callable, Dict, Hashable, List, Optional, Sequence, overload
 
 from ...foundation import BULK, TermTooLarge, look
 from ._steps import MASK, MOST, ROUNDS, check_steps
-from .kinds import Atom, Lazy, String, Term, Var, deref
+from .kinds import Atom, Compound, Lazy, String, Term, Var, deref
 
 
 def variables(term: Term) -> List[Var]:
@@ -173,6 +173,14 @@ def resolve(term: Term) -> Term:
 
 def _same(var: Var) -> Term:
     return var
+
+
+@overload
+def copy(term: Compound, fresh: Optional[Dict[Var, Term]] = None) -> Compound: ...
+
+
+@overload
+def copy(term: Term, fresh: Optional[Dict[Var, Term]] = None) -> Term: ...
 
 
 def copy(term: Term, fresh: Optional[Dict[Var, Term]] = None) -> Term:

@@ -1,0 +1,64 @@
+"""What built-ins are called with: the machine, and the program that it runs, as far as they need to know them."""
+
+from typing import Any, Callable, Dict, Iterator, List, Optional, Protocol, Tuple, Union
+
+from ...foundation import Place
+from ..database import Clause, Control, Database, Predicate
+from ..machine import Budget, Frame
+from ..syntax import Operators
+from ..terms import Functor, Term, Trail
+
+Solutions = Iterator[object]
+"""What a nondeterministic predicate yields at each solution: None, or `LAST` where there is surely no other."""
+
+Outcome = Union[bool, Solutions]
+"""The same, or whether there is a solution where the arguments leave one at most."""
+
+
+class Program(Protocol):
+    """The program that a machine runs, see `Logic`."""
+
+    control: Control
+    database: Database
+    operators: Operators
+    flags: Dict[str, Term]
+    globals: Dict[str, Term]
+    state: Dict[str, Any]
+    column: int
+    output: Callable[[str], None]
+    error_output: Callable[[str], None]
+    message: Callable[[str, str], None]
+    now: Callable[[], int]
+
+    def once(self, goal: Term) -> bool:
+        """Run a goal for its first solution, whose bindings stay."""
+
+    def write(self, text: str) -> None:
+        """Write to the current output."""
+
+    def show(self, term: Term, quoted: bool = True) -> str:
+        """Return a term as text."""
+
+    def add_clause(self, term: Term, place: Optional[Place] = None, first: bool = False) -> Clause:
+        """Add a clause."""
+
+    def defines(self, key: Functor) -> bool:
+        """Tell whether there is such a predicate."""
+
+    def lookup(self, key: Functor) -> Optional[Predicate]:
+        """Return the predicate of a functor if it is defined."""
+
+
+class Machine(Protocol):
+    """The machine, as predicates in Python see it."""
+
+    trail: Trail
+    choices: List[Frame]
+    budget: Budget
+    logic: Program
+
+    def unify(self, left: Term, right: Term) -> bool:
+        """Make two terms equal, or bind nothing."""
+
+    def unify_all(self, *pairs: Tuple[Term, Term]) -> bool:
+        """Unify pairs of terms, all or none."""
