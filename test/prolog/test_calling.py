@@ -143,6 +143,8 @@ def test_there_is_no_input(logic, goal, found):
         ("must_be(stream, user_output)", [{}]),
         ("must_be(stream, a)", ["type_error(stream,a)"]),
         ("must_be(dict, a)", ["type_error(dict,a)"]),
+        ("must_be(list_of, [a])", ["existence_error(type,list_of)"]),
+        ("must_be(list(a, b), [a])", ["existence_error(type,list(a,b))"]),
         ("must_be(stream, _)", ["instantiation_error"]),
     ],
 )

@@ -155,10 +155,10 @@ def check(kind: Term, term: Term) -> Optional[PrologError]:
     known = holds(kind, term)
     if known:
         return None
-    if name in ("list", "list_of") or of_items is not None:
-        return _no_list(kind, term)
     if known is None:
         return existence_error("type", kind)
+    if name in ("list", "list_of") or of_items is not None:
+        return _no_list(kind, term)
     if name == "var":
         return uninstantiation_error(term)
     if name in ("cyclic", "acyclic"):
@@ -170,7 +170,7 @@ def check(kind: Term, term: Term) -> Optional[PrologError]:
 
 def _no_list(kind: Term, term: Term) -> Optional[PrologError]:
     found = list_items(term)
-    if found is None:
+    if found is None or kind.__class__ is not tuple:
         return instantiation_error() if _is_partial_list(term) else type_error_of(kind, term)
     errors = (check(kind[1], item) for item in found)
     return next((error for error in errors if error is not None), None)
