@@ -84,7 +84,7 @@ def test_a_record_is_added_found_and_erased_without_walking_over_the_others(logi
         def number(self, value):
             self.own = value
 
-    monkeypatch.setattr(recorded, "_Record", Noting)
+    monkeypatch.setattr(recorded, "_RecordedTerm", Noting)
     found = []
     for size in (10, 1000):
         assert first(logic, f"forall(between(1, {size}, N), {add}(k, N))") is not None
