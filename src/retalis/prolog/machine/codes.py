@@ -31,7 +31,7 @@ class Takes(Protocol):
 
 
 class Asked(Protocol):
-    """A `Goal`, as far as the machine knows it."""
+    """A `CompiledGoal`, as far as the machine knows it."""
 
     straight: Optional[Callable[..., Any]]
 
