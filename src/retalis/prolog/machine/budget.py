@@ -4,7 +4,7 @@ import os
 from contextlib import contextmanager
 from threading import get_ident
 from time import monotonic
-from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple
+from typing import Any, Callable, Dict, Iterator, List, Optional, Protocol, Tuple, TypeVar, Union
 
 from ...foundation import WATCH, watch_for
 from .faults import resource_error
@@ -12,6 +12,29 @@ from .limits import LOOP, NO_LIMITS, SLICE, LimitError, LimitPassed, Limits
 
 _MEASURE_EVERY = 0.005
 """Seconds between two looks at the memory in use."""
+
+
+T = TypeVar("T")
+
+Ask = Optional[Callable[[int], None]]
+"""Whom long steps ask, see `Watch`."""
+
+
+class Turn(Protocol):
+    """Who tells where entries begin and end."""
+
+    entry: object
+
+    @property
+    def thread(self) -> Optional[int]:
+        """The thread in which there is work at hand; None while there is none."""
+
+    def follow(self, work: Callable[[], None], /) -> None:
+        """Do something after the work at hand."""
+
+
+Running = Tuple[bool, Ask, object, int, Tuple[int, ...]]
+"""What runs, see `Budget.state`."""
 
 
 class Budget:
@@ -38,9 +61,9 @@ class Budget:
     """
 
     def __init__(self) -> None:
-        self.turn: Any = None
-        self.goal: Any = None
-        self.on_refused: Callable[[int, str, Any], None] = lambda number, what, entry: None
+        self.turn: Optional[Turn] = None
+        self.goal: object = None
+        self.on_refused: Callable[[int, str, object], None] = lambda number, what, entry: None
         self.allow(NO_LIMITS)
         self.running = False
         self._ask = self.look
@@ -49,8 +72,8 @@ class Budget:
         self.ceilings: Dict[int, LimitPassed] = {}
         self._steps = 0  # that are not counted as inferences yet
         self._measured = 0.0
-        self._expired: Any = None
-        self._entry: Any = None  # that of the turn when it was first used
+        self._expired: object = None
+        self._entry: object = None  # that of the turn when it was first used
         self.start_anew()
 
     def allow(self, limits: Limits) -> None:
@@ -60,7 +83,7 @@ class Budget:
         self._bounded = limits != NO_LIMITS
         self.limited = self._bounded and self.turn is None
 
-    def count_for(self, turn: Any) -> None:
+    def count_for(self, turn: Turn) -> None:
         """Take the pieces of work of a turn (see `turn`) for entries; ``turn.follow`` does something after one."""
         self.turn = turn
         self.limited = False
@@ -78,7 +101,7 @@ class Budget:
 
     # Entries
 
-    def enter(self) -> Any:
+    def enter(self) -> "Union[Ask, _Inside]":
         """Begin a run with limits; return what `leave` needs at its end.
 
         Long steps look at the limits too, see `watching`. A run inside another belongs to that.
@@ -90,9 +113,9 @@ class Budget:
         WATCH.ask = self._ask
         return before
 
-    def leave(self, saved: Any) -> None:
+    def leave(self, saved: "Union[Ask, _Inside]") -> None:
         """End a run with limits."""
-        if saved is _INSIDE:
+        if isinstance(saved, _Inside):
             return
         self.running = False
         WATCH.ask = saved
@@ -105,11 +128,11 @@ class Budget:
         self.alarms.clear()
         self.ceilings.clear()
 
-    def state(self) -> Any:
+    def state(self) -> Running:
         """Return what runs, for `restore`."""
         return self.running, WATCH.ask, self.goal, len(self.alarms), tuple(self.ceilings)
 
-    def restore(self, state: Any) -> None:
+    def restore(self, state: Optional[Running]) -> None:
         """Go back to what ran, or to nothing that runs with None, whatever an interrupt has left."""
         if state is None:
             self.running = False
@@ -141,9 +164,10 @@ class Budget:
         if self.refused and self._out is not None:
             self.on_refused(self.refused, self._out, self._entry)
 
-    def apart(self, entry: Any, work: Callable[[], Any]) -> Any:
+    def apart(self, entry: object, work: Callable[[], T]) -> T:
         """Return what work returns; it is an entry of its own, in the midst of another of a turn."""
         turn = self.turn
+        assert turn is not None
         outer = turn.entry, self.goal
         kept = [getattr(self, name) for name in _OF_ENTRY] if self.used else None
         if kept is not None:
@@ -164,6 +188,8 @@ class Budget:
     def paused(self) -> Iterator[None]:
         """Have nothing that the entry at hand waits for meanwhile (a user) count for it; it may use as much again."""
         turn = self.turn
+        assert turn is not None
+        what: Any
         what, turn.entry = turn.entry, None
         try:
             yield
@@ -192,7 +218,7 @@ class Budget:
         if self._out is None:
             self._out = error.what
 
-    def expire(self, entry: Any) -> None:
+    def expire(self, entry: object) -> None:
         """Note that an entry has used its seconds, if it is still at work; any thread may call this."""
         self._expired = entry
         self.closed = True
@@ -246,9 +272,10 @@ class Budget:
         """Note that there is something to forget at the end of the entry."""
         if not self.used:
             self.used = True
-            if self.at_work:
-                self._entry = self.turn.entry
-                self.turn.follow(self.end)
+            turn = self.turn
+            if turn is not None and turn.thread is not None:
+                self._entry = turn.entry
+                turn.follow(self.end)
 
     def _count(self) -> None:
         self._use()
@@ -289,7 +316,7 @@ class Budget:
                 self._deadline = now + limits.seconds
             elif now > self._deadline:
                 return "seconds"
-            if self._expired is not None and self._expired is self.turn.entry:
+            if self._expired is not None and self.turn is not None and self._expired is self.turn.entry:
                 return "seconds"
         if limits.megabytes is not None and now > self._measured + _MEASURE_EVERY:
             self._measured = now
@@ -320,8 +347,11 @@ class Budget:
         return error
 
 
-_INSIDE = object()
-"""What `Budget.enter` returns for a run inside another."""
+class _Inside:
+    """What `Budget.enter` returns for a run inside another."""
+
+
+_INSIDE = _Inside()
 
 _OF_ENTRY = ("rounds", "refused", "closed", "used", "_entry", "_spent", "_deadline", "_memory", "_out")
 """The attributes of a budget that tell what an entry has used."""

@@ -33,7 +33,9 @@ class Takes(Protocol):
 class Asked(Protocol):
     """A `CompiledGoal`, as far as the machine knows it."""
 
-    straight: Optional[Callable[..., Any]]
+    @property
+    def straight(self) -> Optional[Callable[..., Any]]:
+        """Its function, which returns its outputs, None, or `BAIL`; None where there is none."""
 
     def bail(self) -> None:
         """Note that its function could not tell."""
@@ -111,4 +113,4 @@ class CatchMark:
     __slots__ = ("ref",)
 
     def __init__(self) -> None:
-        self.ref: Any = None
+        self.ref: Optional[bool] = None

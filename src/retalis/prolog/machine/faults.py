@@ -1,6 +1,6 @@
 """Errors of Prolog goals: ISO error terms carried by a Python exception."""
 
-from typing import Any, Optional
+from typing import Optional
 
 from ...foundation import RetalisError, TermTooLarge
 from ..terms import SLASH, Functor, Term, Var, atom, functor
@@ -126,7 +126,7 @@ def from_python(exc: BaseException) -> Optional[PrologError]:
     """Return the Prolog error that stands for a Python exception, or None where it is not to be caught."""
     if isinstance(exc, PrologError):
         return exc
-    found: Any = None
+    found: Optional[PrologError] = None
     if isinstance(exc, ZeroDivisionError):
         found = evaluation_error("zero_divisor")
     elif isinstance(exc, OverflowError):

@@ -1,6 +1,6 @@
 """What an event or a question may use with all that it starts, and the errors of what has used more."""
 
-from typing import Any, NamedTuple, Optional
+from typing import NamedTuple, Optional, Protocol
 
 from ..terms import Term
 from .faults import PrologError
@@ -29,6 +29,13 @@ class Limits(NamedTuple):
 NO_LIMITS = Limits()
 
 
+class Refuses(Protocol):
+    """Whose limit has run out, a `Budget`."""
+
+    def close(self, error: "LimitError") -> None:
+        """Refuse further goals because of an error."""
+
+
 class LimitError(PrologError):
     """A limit has run out.
 
@@ -40,7 +47,7 @@ class LimitError(PrologError):
     """
 
     final = False
-    budget: Any = None
+    budget: Optional[Refuses] = None
     what = ""
     refused = False
 

@@ -224,7 +224,9 @@ class Machine:
             watched_by(before)
             budget.goal = asked
 
-    def _loop(self, frame: Optional[Frame], base: int) -> bool:
+    def _loop(  # noqa: C901 -- a call for each step would cost more than the step
+        self, frame: Optional[Frame], base: int
+    ) -> bool:
         choices = self.choices
         trail = self.trail
         pop = choices.pop
@@ -293,14 +295,14 @@ class Machine:
             code = entry[0]
             if code is self.catch_code:
                 if entry[1].ref is None and not is_final and self._catches(entry, ball):
-                    return entry[3]
+                    return entry[3]  # type: ignore[no-any-return]
             elif code.__class__ is Guard:
                 code.unwind(entry)
             elif code is self._attempt_code:
                 undo(self.trail, entry[-1])
                 self.budget.goal = entry[1]
                 entry[3](error)
-                return entry[2]
+                return entry[2]  # type: ignore[no-any-return]
         raise error
 
     @staticmethod
@@ -370,6 +372,7 @@ class Machine:
         return (self._enter_code, goal, values, then, on_error, otherwise)
 
     def _enter_attempt(self, frame: Frame) -> Frame:
+        goal: Asked
         _, goal, values, then, on_error, otherwise = frame
         choices = self.choices
         height = len(choices)
@@ -382,7 +385,7 @@ class Machine:
 
     def _attempt_failed(self, entry: Frame) -> Optional[Frame]:
         self.budget.goal = entry[1]
-        return entry[2]
+        return entry[2]  # type: ignore[no-any-return]
 
 
 def _functor_of(goal: Term) -> Optional[Functor]:
@@ -404,4 +407,4 @@ class _AttemptExit:
         del machine.choices[height:]
         undo(machine.trail, entry[-1])
         machine.budget.goal = entry[1]
-        return frame[2](outputs)
+        return frame[2](outputs)  # type: ignore[no-any-return]

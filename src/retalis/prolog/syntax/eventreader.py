@@ -18,7 +18,7 @@ What makes that safe:
 
 import re
 from json import JSONDecoder
-from typing import Any, Dict, List, Match, Optional, Tuple
+from typing import Dict, List, Match, Optional, Tuple
 
 from ...foundation import Cache, SyntaxFault
 from ..terms import Term, atom
@@ -157,7 +157,7 @@ def _split_escaped(text: str) -> Optional[Parts]:
     return "\0".join(pieces), numbers, quoted, strings
 
 
-def _number(text: str) -> Any:
+def _number(text: str) -> float:
     return int(text) if text.lstrip("-").isdigit() else float(text)
 
 
@@ -174,9 +174,9 @@ def _builder(skeleton: str, operators: Operators) -> Optional[Builder]:
     return ShapeCompiler(marks).compile(term)
 
 
-def _marked(skeleton: str) -> Tuple[str, Dict[Any, str]]:
+def _marked(skeleton: str) -> Tuple[str, Dict[Term, str]]:
     """Return the skeleton with a mark in each place, and the variable that stands for each mark."""
-    marks: Dict[Any, str] = {}
+    marks: Dict[Term, str] = {}
     counts = {"\0": 0, "'": 0, '""': 0}
 
     def mark(found: "Match[str]") -> str:

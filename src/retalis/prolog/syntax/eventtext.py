@@ -1,14 +1,16 @@
 """Terms to event text, as the String topics carry it."""
 
 from functools import lru_cache
-from typing import Any, List
+from typing import Any, List, Union
 
 from ..terms import CONS, NIL, SECOND, Atom, String, Term, Var, datime, deref, serial
 from .atoms import atom_text, quote
 from .numerals import integer_text
 
 
-def to_text(term: Term) -> str:
+def to_text(  # noqa: C901 -- the loop of all events that go out: a call for each part would cost as much
+    term: Term,
+) -> str:
     """Return a term as event text: quoted, without operators and blanks.
 
     Floats are written as Python's shortest text that reads back; ``nan``, ``inf`` and ``-inf`` bare (the
@@ -16,10 +18,10 @@ def to_text(term: Term) -> str:
     """
     out: List[str] = []
     put = out.append
-    stack: List[Any] = [term]
+    stack: List[Union[Term, str]] = [term]
     pop = stack.pop
     while stack:
-        item = pop()
+        item: Any = pop()
         kind = item.__class__
         if kind is str:
             put(item)
@@ -64,8 +66,8 @@ def _second_text(seconds: int) -> str:
     return to_text(datime(seconds * SECOND))[:-2]
 
 
-def _list(term: Term, stack: List[Any]) -> None:
-    entries: List[Any] = ["["]
+def _list(term: Term, stack: List[Union[Term, str]]) -> None:
+    entries: List[Union[Term, str]] = ["["]
     while term.__class__ is tuple and term[0] is CONS:
         entries += (term[1], ",")
         term = deref(term[2])

@@ -89,6 +89,12 @@ def _operator_hint(parser: ReadingState, token: AnyToken, opened: Optional[int])
         return _ELSEWHERE[before[1]]
     if kind == NAME and value == "!" and text[start + 1 : start + 2] == "=":
         return _ELSEWHERE["!="]
+    return _hint_of_two(before, token) or (_unknown_operator(parser, value) if kind in (NAME, QUOTED) else "")
+
+
+def _hint_of_two(before: AnyToken, token: AnyToken) -> str:
+    """Return what is likely wrong with two tokens that follow each other, or nothing."""
+    kind, _, start, _ = token
     if before[0] == QUOTED and before[3] == start:
         return "a quote inside quotes is doubled, as in 'it''s'"
     if kind == NUMBER and before[0] == NAME and before[1] == ".":
@@ -102,8 +108,6 @@ def _operator_hint(parser: ReadingState, token: AnyToken, opened: Optional[int])
         )
     if kind == NUMBER and before[0] == NUMBER:
         return "is a comma missing? (groups of digits are written 1_000_000)"
-    if kind in (NAME, QUOTED):
-        return _unknown_operator(parser, value)
     return ""
 
 

@@ -4,7 +4,7 @@ The parser is in one of two states: it wants an operand, or it has one (``left``
 the end of what is open.
 """
 
-from typing import Tuple
+from typing import Optional, Tuple
 
 from ..terms import FALSE, TRUE, Term, Var, atom, functor
 from . import faults
@@ -126,10 +126,11 @@ class Parser(Open):
         if self.flags.iso and name in self.operators:
             self._bare_operator(name, start)
 
-    def _signed(self, following: AnyToken) -> Term:
+    def _signed(self, following: AnyToken) -> Optional[float]:
         """Return the number after a minus, or None (ISO Prolog allows layout between the two)."""
         if following[0] == NUMBER:
-            return following[1]
+            value: float = following[1]
+            return value
         if following[0] == NAME and self.flags.event_text and self.tokens[self.at + 1][0] != OPEN_CT:
             return _SPECIAL_FLOATS.get(following[1])
         return None

@@ -63,7 +63,8 @@ class ReadTerm:
         ``place_at(2, 1)`` is the first argument of the second argument. Where the path leads into a list
         or out of the term, it is the place of what is around it.
         """
-        part, offset = self.term, self.offset
+        part: Optional[Term] = self.term
+        offset = self.offset
         for number in path:
             spots = self._spots.get(id(part))
             if spots is None or number >= len(spots) or part.__class__ is not tuple:

@@ -1,9 +1,9 @@
 """Compiles the function that builds all terms of one shape."""
 
-from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
+from typing import Callable, Dict, Hashable, List, NamedTuple, Optional, Tuple, Union
 
 from ...foundation import codegen
-from ..terms import CONS, NIL, Atom, Functor, Term, Var, atom, make_list
+from ..terms import CONS, NIL, Atom, Compound, Functor, Term, Var, atom, make_list
 
 
 class Builder(NamedTuple):
@@ -15,7 +15,7 @@ class Builder(NamedTuple):
         ground: whether there is no variable in them.
     """
 
-    build: Callable[[List[Any], List[str], List[str]], Term]
+    build: Callable[[List[float], List[str], List[str]], Term]
     ground: bool
 
 
@@ -36,8 +36,14 @@ class ShapeCompiler:
         """Take the marks: a constant of the term -> its variable: ``n0``, ... numbers; ``q0``, ``s0``, ... text."""
         self._marks = marks
         self._used: Dict[str, int] = dict.fromkeys(marks.values(), 0)
-        self._constants: Dict[Any, str] = {}
-        self._names: Dict[str, Any] = {"atom": atom, "make_list": make_list, "Var": Var, "C": CONS, "N": NIL}
+        self._constants: Dict[Hashable, str] = {}
+        self._names: Dict[str, object] = {
+            "atom": atom,
+            "make_list": make_list,
+            "Var": Var,
+            "C": CONS,
+            "N": NIL,
+        }
         self._variables: Dict[Var, str] = {}
         self._lines: List[str] = []
 
@@ -82,10 +88,9 @@ class ShapeCompiler:
         return results[0]
 
     def _leaf(self, term: Term) -> str:
-        kind = term.__class__
-        if kind is Var:
+        if term.__class__ is Var:
             return self._variables.setdefault(term, f"v{len(self._variables)}")
-        mark = self._marks.get(term) if kind is int or kind is Atom else None
+        mark = self._marks.get(term) if term.__class__ is int or term.__class__ is Atom else None
         if mark is None:
             return self._constant(term)
         self._used[mark] += 1
@@ -93,7 +98,7 @@ class ShapeCompiler:
             return mark if len(self._marks) <= _LOCALS else f"n[{mark[1:]}]"
         return f"atom({mark})" if mark[0] == "q" else f"atom(f'\"{{{mark}}}\"')"
 
-    def _constant(self, value: Any) -> str:
+    def _constant(self, value: Union[Term, Functor]) -> str:
         key = (value.__class__, value.hex() if value.__class__ is float else value)
         name = self._constants.get(key)
         if name is None:
@@ -101,7 +106,7 @@ class ShapeCompiler:
             self._names[name] = value
         return name
 
-    def _compound(self, term: Tuple[Any, ...], arguments: List[str]) -> str:
+    def _compound(self, term: Compound, arguments: List[str]) -> str:
         found: Functor = term[0]
         if found is not CONS:
             return self._temporary(f"({self._constant(found)}, {', '.join(arguments)})")
@@ -122,7 +127,7 @@ class ShapeCompiler:
         return f"t{len(self._lines) - 1}"
 
 
-def _items(term: Tuple[Any, ...]) -> List[Term]:
+def _items(term: Compound) -> List[Term]:
     """Return the arguments of a compound term; of a list, its items and its tail."""
     if term[0] is not CONS:
         return list(term[1:])

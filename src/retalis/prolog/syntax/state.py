@@ -2,7 +2,7 @@
 
 from typing import Any, Dict, List, Optional, Sequence, Tuple
 
-from ..terms import Term, Var
+from ..terms import NIL, Term, Var
 from .operators import Operator, Operators
 from .rules import NO_RULES, Layout
 from .tokens import AnyToken, ReadFlags, Source
@@ -47,7 +47,7 @@ class ReadingState:
         self.brackets: List[List[Any]] = []
         self.table: OperatorTable = operators.infix
         self.patterns: Optional[OperatorTable] = operators.patterns() if rules is not NO_RULES else None
-        self.left: Term = None
+        self.left: Term = NIL
         self.left_priority = 0
         self.left_at = 0
         self.wants_operand = True

@@ -4,10 +4,24 @@ Works without recursion: a stack holds what is still to be written. Two tokens t
 parted by a blank, and nothing else is, as SWI-Prolog 9 does it.
 """
 
-from typing import Any, Callable, List, Mapping, NamedTuple, Optional, Tuple
+from typing import Any, Callable, List, Mapping, NamedTuple, Optional, Tuple, Union
 
 from ...foundation import BULK, TermTooLarge, look
-from ..terms import CONS, NIL, Atom, Functor, String, Term, Var, deref, functor, list_parts, resolve, serial
+from ..terms import (
+    CONS,
+    NIL,
+    Atom,
+    Compound,
+    Functor,
+    String,
+    Term,
+    Var,
+    deref,
+    functor,
+    list_parts,
+    resolve,
+    serial,
+)
 from .atoms import atom_text, quote
 from .numerals import float_text, integer_text
 from .operators import Operator, Operators
@@ -47,6 +61,10 @@ class WriteOptions(NamedTuple):
     portray: Optional[Callable[[Term], Optional[str]]] = None
 
 
+Piece = Union[str, "_PrefixOperator", Tuple[Term, int], Tuple[Term, int, bool]]
+"""What is to be written, see `_TermWriter.write`."""
+
+
 class _TermWriter:
     def __init__(self, operators: Operators, options: WriteOptions):
         self.operators = operators
@@ -58,7 +76,7 @@ class _TermWriter:
         self.atom: Callable[[str], str] = atom_text if options.quoted else str
         self.comma = ", " if options.spacing else ","
         self.portray = options.portray
-        self.stack: List[Any] = []
+        self.stack: List[Piece] = []
         self.counted = 0
         self.size = 0
 
@@ -75,7 +93,7 @@ class _TermWriter:
             steps += 1
             if not steps & _MASK:
                 self._check(term, steps)
-            entry = stack.pop()
+            entry: Any = stack.pop()
             kind = entry.__class__
             if kind is str:
                 self._put(entry)
@@ -111,23 +129,22 @@ class _TermWriter:
         return parted
 
     def _term(self, term: Term, limit: int, is_operand: bool) -> None:
-        kind = term.__class__
-        if self.portray is not None and kind is not Var:
+        if self.portray is not None and term.__class__ is not Var:
             text = self.portray(term)
             if text is not None:
                 self._put(text)
                 return
-        if kind is tuple:
+        if term.__class__ is tuple:
             self._compound(term, limit)
-        elif kind is Atom:
+        elif term.__class__ is Atom:
             self._atom_term(term.name, is_operand)
-        elif kind is int:
+        elif term.__class__ is int:
             self._put(integer_text(term))
-        elif kind is float:
+        elif term.__class__ is float:
             self._put(float_text(term))
-        elif kind is String:
+        elif term.__class__ is String:
             self._put(quote(term.text, '"') if self.options.quoted else term.text)
-        else:
+        elif term.__class__ is Var:
             self._put(self.names.get(term) or f"_G{serial(term)}")
 
     def _atom_term(self, name: str, is_operand: bool) -> None:
@@ -138,7 +155,7 @@ class _TermWriter:
         else:
             self._put(self.atom(name))
 
-    def _compound(self, term: Tuple[Any, ...], limit: int) -> None:
+    def _compound(self, term: Compound, limit: int) -> None:
         found: Functor = term[0]
         if found is CONS:
             self._list(term)
@@ -159,7 +176,7 @@ class _TermWriter:
         self._put(letter + (str(number // 26) if number >= 26 else ""))
         return True
 
-    def _canonical(self, term: Tuple[Any, ...], found: Functor) -> None:
+    def _canonical(self, term: Compound, found: Functor) -> None:
         stack = self.stack
         stack.append(")")
         for argument in term[:1:-1]:
@@ -170,8 +187,8 @@ class _TermWriter:
         self._put(self.atom(found.name))
         self._put("(")
 
-    def _list(self, term: Tuple[Any, ...]) -> None:
-        entries: List[Any] = ["["]
+    def _list(self, term: Compound) -> None:
+        entries: List[Piece] = ["["]
         items, rest = list_parts(term)
         for item in items:
             entries += ((item, 999), self.comma)
@@ -182,7 +199,7 @@ class _TermWriter:
         entries.reverse()
         self.stack += entries
 
-    def _operator(self, term: Tuple[Any, ...], found: Functor, limit: int) -> bool:
+    def _operator(self, term: Compound, found: Functor, limit: int) -> bool:
         """Write a term with its operator; False where its functor is none."""
         name = found.name
         if found.arity == 2:
@@ -211,8 +228,8 @@ class _TermWriter:
         self.stack += entries
         return True
 
-    def _infix(self, term: Tuple[Any, ...], infix: Operator, name: str) -> List[Any]:
-        text: Any
+    def _infix(self, term: Compound, infix: Operator, name: str) -> List[Piece]:
+        text: Union[str, _PrefixOperator]
         if name == ",":
             text = self.comma
         elif name == "|":

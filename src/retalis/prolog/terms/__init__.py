@@ -84,6 +84,7 @@ __all__ = [
     "COLON",
     "COMMA",
     "compare",
+    "Compound",
     "conjunction",
     "conjuncts",
     "Compound",

@@ -30,7 +30,7 @@ def term_key(term: Term) -> Hashable:
 
 def variant_key(term: Term) -> Hashable:
     """Return the key of a term with variables: they count by the order in which they are met."""
-    flat: List[Any] = [Var]
+    flat: List[Hashable] = [Var]
     numbers: Dict[Var, int] = {}
     stack = [term]
     for _ in ROUNDS:

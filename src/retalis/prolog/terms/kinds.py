@@ -49,7 +49,7 @@ class Atom:
     def __repr__(self) -> str:
         return f"atom({self.name!r})"
 
-    def __reduce__(self) -> Tuple[Any, ...]:
+    def __reduce__(self) -> Tuple[object, ...]:
         return atom, (self.name,)
 
 
@@ -74,7 +74,7 @@ class Functor:
     def __str__(self) -> str:
         return f"{self.name}/{self.arity}"
 
-    def __reduce__(self) -> Tuple[Any, ...]:
+    def __reduce__(self) -> Tuple[object, ...]:
         return functor, (self.name, self.arity)
 
 

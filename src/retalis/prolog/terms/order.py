@@ -28,7 +28,9 @@ def unlike(left: Var, right: Var) -> int:
     return 1
 
 
-def compare(left: Term, right: Term, variables: Callable[[Var, Var], int] = by_age) -> int:
+def compare(  # noqa: C901 -- the loop of sorting: a call for each pair of terms would double its time
+    left: Term, right: Term, variables: Callable[[Var, Var], int] = by_age
+) -> int:
     """Compare in the standard order of terms: -1, 0 or 1.
 
     Variables by age (or as ``variables`` says), then numbers by value (a float before an integer of the same

@@ -15,10 +15,10 @@ from calendar import isleap
 from datetime import date
 from functools import lru_cache
 from math import frexp, ldexp
-from typing import Optional, Tuple
+from typing import Any, List, Optional, Tuple
 
 from ...foundation import UsageError
-from .kinds import CONS, NIL, Functor, Lazy, Term, Var, deref, functor
+from .kinds import CONS, NIL, Compound, Functor, Lazy, Term, Var, deref, functor
 from .lists import list_items
 
 SECOND = 1_000_000_000
@@ -161,13 +161,13 @@ def to_term(instant: int) -> Term:
         return (DATIME7, year, month, day, hour, minute, float(second), nanosecond)
     if kind is WholeSeconds:
         return datime(instant)
-    return instant.term  # type: ignore[attr-defined]
+    return instant.term  # type: ignore[attr-defined, no-any-return]
 
 
 def shown(instant: int) -> Term:
     """Return the term of an instant as a lazy one: most are handed on to `from_term` and never looked at."""
     if instant.__class__ is Stamp:
-        return instant.term  # type: ignore[attr-defined]
+        return instant.term
     return Lazy(DATIME7, to_term, instant)
 
 
@@ -187,20 +187,20 @@ def from_term(term: Term) -> int:
     while term.__class__ is Var and term.ref is not None:
         term = term.ref
     if term.__class__ is Lazy and term.make is to_term and term.made is None:
-        return term.source
-    term = deref(term)
-    kind = term.__class__
+        return term.source  # type: ignore[no-any-return]
+    found: Any = deref(term)
+    kind = found.__class__
     if kind is int or kind is float:
-        return Stamp.of(from_seconds(term), term)
+        return Stamp.of(from_seconds(found), found)
     if kind is tuple:
-        if term[0] is DATIME7:
-            instant, exact = _from_fields(term)
+        if found[0] is DATIME7:
+            instant, exact = _from_fields(found)
             if exact is not None:
                 return WholeSeconds(instant) if exact is int else instant
-        elif term[0] is DATIME6:
-            instant, exact = _from_fields(term)
+        elif found[0] is DATIME6:
+            instant, exact = _from_fields(found)
             if exact is not None:
-                return Stamp.of(instant, term)
+                return Stamp.of(instant, found)
     raise UsageError("expected datime(Year,Month,Day,Hour,Minute,Second,Nanosecond), datime/6 or a number")
 
 
@@ -213,9 +213,9 @@ def is_instant(term: Term) -> bool:
     return True
 
 
-def _from_fields(term: Term) -> Tuple[int, Optional[type]]:
+def _from_fields(term: Compound) -> Tuple[int, Optional[type]]:
     """Return the instant of a datime term and the class of its seconds field; None where it is wrong."""
-    values = [deref(value) for value in term[1:]]
+    values: List[Any] = [deref(value) for value in term[1:]]
     second = values[5]
     nanosecond = values[6] if len(values) == 7 else 0
     for value, (low, high) in zip(values, _FIELD_LIMITS):

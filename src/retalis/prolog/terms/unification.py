@@ -7,7 +7,9 @@ from ._steps import MASK, check_steps
 from .kinds import Atom, Lazy, Trail, Var
 
 
-def unify(left: Any, right: Any, trail: Trail) -> bool:
+def unify(  # noqa: C901 -- the innermost loop of all: no calls, no second look at a class
+    left: Any, right: Any, trail: Trail
+) -> bool:
     """Make two terms equal by binding variables; each bound variable is pushed on ``trail``.
 
     Of two variables the one stays that is the older one in the order of terms.
