@@ -10,6 +10,7 @@ from typing import Any, Callable, Dict, Generator, List, NamedTuple, Optional, S
 
 from ...events.history import Occurrence
 from ...events.language import (
+    AGGREGATES,
     OPERATORS,
     Absent,
     Action,
@@ -18,7 +19,6 @@ from ...events.language import (
     Either,
     Occurs,
     Pair,
-    PatternOperator,
     Repeated,
     Star,
     Within,
@@ -26,7 +26,7 @@ from ...events.language import (
 from ...events.network import Rule
 from ...foundation import RetalisError, codegen
 from ...prolog.logic import Logic
-from ...prolog.syntax import write_term
+from ...prolog.syntax import EventOperator, write_term
 from ...prolog.terms import Term, Trail, Var, copy, functor, timestamps, undo, unify, variables
 
 _MOST = 200
@@ -37,16 +37,6 @@ _WRITTEN_OUT = 50
 _VALUES = functor("values", 0)
 _EQUAL = functor("=", 2)
 _T1, _T2 = functor("t1", 1), functor("t2", 1)
-_WRONG = {
-    "seq": "none of the first ended before one of the second started",
-    "forall_seq": "none of the first ended before one of the second started",
-    "par": "no two of them overlap",
-    "equals": "no two of them have the same interval",
-    "meets": "none of the first ended when one of the second started",
-    "during": "none of the first lies within one of the second",
-    "starts": "none of the first starts with one of the second and ends before it",
-    "finishes": "none of the first ends with one of the second and starts after it",
-}
 
 
 class Candidate(NamedTuple):
@@ -119,7 +109,7 @@ class Shortfall:
             Action: self._action,
         }
 
-    def of(self, pattern: PatternOperator) -> Part:
+    def of(self, pattern: Any) -> Part:
         """Return how far a pattern got."""
         return self._look[type(pattern)](pattern)
 
@@ -151,7 +141,7 @@ class Shortfall:
                     found.append(Candidate(values, *span, None, (one.end, two.start)))
         reason = "one side is missing"
         if left.found and right.found:
-            reason = _WRONG.get(pattern.operator, "no pair fits") if agree else "no pair with the same values"
+            reason = OPERATORS[pattern.operator].wrong if agree else "no pair with the same values"
         return Part(f"{pattern.operator}: {self._seen(found, reason)}", found[-_MOST:], [left, right])
 
     def _repeated(self, pattern: Repeated) -> Part:
@@ -186,7 +176,7 @@ class Shortfall:
     def _aggregate(self, pattern: Aggregate) -> Part:
         first, collected = self.of(pattern.first), self.of(pattern.collected)
         found = self._later(first, collected)
-        if pattern.kind in ("count", "sum", "list"):
+        if AGGREGATES[pattern.kind].initial is not None:
             found = first.found + found
         reason = "nothing was collected" if first.found else "it did not begin"
         return Part(f"{pattern.kind}: {self._seen(found, reason)}", found, [first, collected])
@@ -266,7 +256,7 @@ class Shortfall:
 
 
 @lru_cache(maxsize=len(OPERATORS))
-def _spans(operator: PatternOperator) -> Callable[[int, int, int, int], Optional[Tuple[int, int]]]:
+def _spans(operator: EventOperator) -> Callable[[int, int, int, int], Optional[Tuple[int, int]]]:
     """Return the function from the intervals of a pair to that of the result, None where they do not fit."""
     lines = [
         "def made(s1, e1, s2, e2):",

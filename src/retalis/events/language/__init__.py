@@ -1,5 +1,6 @@
 """The language of event rules: operators and patterns, read from terms and checked."""
 
+from .aggregates import AGGREGATES, Collector
 from .alarms import ALARMS, alarm_of, is_absolute
 from .calls import Subgoal, Unknown, called_by, calls, unknown_calls
 from .collecting import check_aggregate
@@ -7,7 +8,7 @@ from .definition import RuleDefinition
 from .heads import SYNCHRONIZED, check_head
 from .labels import RULE, Property, is_rule, label_error, labelled
 from .occurrences import occurrences
-from .operators import OPERATORS, PatternOperator
+from .operators import ARROWS, NO_FACTS, OPERATORS, SPELLINGS
 from .pattern import (
     Absent,
     Action,
@@ -26,12 +27,13 @@ from .pattern import (
     surely_bound_by,
     walk,
 )
-from .reading import ARROWS, SPELLINGS, PatternReader, Spot
+from .reading import PatternReader, Spot
 
 __all__ = [
     "Absent",
     "Action",
     "Aggregate",
+    "AGGREGATES",
     "alarm_of",
     "ALARMS",
     "ARROWS",
@@ -42,6 +44,7 @@ __all__ = [
     "check_aggregate",
     "check_head",
     "children",
+    "Collector",
     "Condition",
     "RuleDefinition",
     "Either",
@@ -49,9 +52,9 @@ __all__ = [
     "is_rule",
     "label_error",
     "labelled",
+    "NO_FACTS",
     "occurrences",
     "Occurs",
-    "PatternOperator",
     "OPERATORS",
     "own_terms",
     "Pair",

@@ -5,6 +5,7 @@ from typing import Any, Callable, Mapping
 from ...foundation import RuleError
 from ...prolog.arithmetic import EVALUABLE
 from ...prolog.terms import CONS, Atom, String, Term, Var, deref, variables
+from .aggregates import AGGREGATES
 from .occurrences import occurrences
 from .pattern import Aggregate, bound_by
 from .reading import Spot
@@ -34,7 +35,8 @@ def check_aggregate(
     first, collected = set(bound_by(part.first)), set(bound_by(part.collected))
     mentioned = [] if part.value is None else variables(part.value)
     free = [var for var in mentioned if var not in first and var not in collected]
-    if part.kind == "list":
+    numeric = AGGREGATES[part.kind].numeric
+    if not numeric:
         counts = occurrences([], pattern)
         free = [var for var in free if counts[var] == 1]
     if free:
@@ -43,10 +45,10 @@ def check_aggregate(
             f"{name} never gets a value: neither what {part.kind} collects nor what comes before it binds it"
         )
         error = RuleError(message, spot(deref(term[1])))
-        if part.kind != "list":
+        if numeric:
             raise error
         warn(error)
-    if part.value is not None and part.kind != "list" and not _may_be_number(part.value):
+    if part.value is not None and numeric and not _may_be_number(part.value):
         raise RuleError(f"{part.kind} needs numbers or arithmetic expressions", spot(deref(term[1])))
     if part.result.__class__ is Var and part.result in (collected | set(mentioned)) - first:
         name = names.get(part.result, "a variable")

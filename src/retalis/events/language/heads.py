@@ -7,7 +7,8 @@ from ...prolog.terms import NIL, Atom, Term, Var, deref, functor, list_parts
 from .alarms import ALARMS, require_alarm
 from .calls import calls
 from .meant import head_doubt, head_error
-from .reading import SPELLINGS, Spot
+from .operators import SPELLINGS
+from .reading import Spot
 
 SYNCHRONIZED = frozenset((functor("syncronized", 3), functor("synchronized", 3)))
 _COLON = functor(":", 2)

@@ -5,7 +5,8 @@ from typing import Any, NamedTuple, Optional, Tuple
 
 from ...foundation import RuleError
 from ...prolog.terms import COLON, Atom, Term, Var, deref, functor, list_items
-from .reading import ARROWS, SPELLINGS, Spot
+from .operators import ARROWS, SPELLINGS
+from .reading import Spot
 
 RULE = functor("rule:", 2)
 _PROPERTY = functor("property", 2)

@@ -4,6 +4,7 @@ from difflib import SequenceMatcher
 from typing import Any, Dict, Optional
 
 from ...prolog.terms import CONS, Atom, Term, deref, functor, list_items
+from .operators import ARROWS, NO_EVENTS
 
 _COMPARISONS = [
     "=",
@@ -41,9 +42,7 @@ _MEANT: Dict[Any, str] = {
     **{functor(name, 0): f"{name} is an event here; {_BEHIND}" for name in ("true", "fail", "false", "!")},
 }
 _ARITIES = {
-    **dict.fromkeys(("seq", "and", "or", "cnot", "fnot", "forall_seq", "ntimes", "event_multiply"), 2),
-    "aggregate": 3,
-    "star_times": 1,
+    **NO_EVENTS,
     "prolog": 1,
     "exceptionAlarm": 2,
     "exceptionAlarmAbsoluteDatime": 2,
@@ -61,16 +60,11 @@ _SPECIAL = {
 _SPECIAL_NAMES = frozenset(("synchronized", "syncronized", "exceptionAlarm", "exceptionAlarmAbsoluteDatime"))
 _ALIKE = 0.9
 
-_NO_EVENTS = frozenset(("seq", "and", "or", "cnot", "fnot", "forall_seq", "ntimes", "event_multiply"))
-"""Operators whose names are those of no events; those of others may be, as ``meets(Ann, Bob)``."""
 _ONE = "the head of a rule is one event"
 _NO_HEADS = {
     functor(",", 2): f"{_ONE}; write one rule for each",
     functor(";", 2): f"{_ONE}, not one of two",
-    **{
-        functor(name, 2): f"{_ONE}, not a rule; rules are separated by full stops"
-        for name in ("<-", "iff", "IFF")
-    },
+    **dict.fromkeys(ARROWS, f"{_ONE}, not a rule; rules are separated by full stops"),
 }
 
 
@@ -106,7 +100,7 @@ def head_error(head: Any, operator: Optional[str]) -> Optional[str]:
     """Return why a compound term, or what is that operator of patterns, is the head of no rule; else None."""
     if operator == "do":
         return "a head has one do: Head do (Goal, Goal)"
-    if operator in _NO_EVENTS and head[0].name.isidentifier():
+    if operator in NO_EVENTS and head[0].name.isidentifier():
         return f"{_ONE}; {operator} is a pattern operator"
     return _NO_HEADS.get(head[0])
 

@@ -1,53 +1,26 @@
-"""The operators between two patterns: one line each says when a pair fits and which interval it has.
+"""The operators of patterns, by the functors of the terms that they are read from."""
 
-``s1, e1`` is the interval of the left operand, ``s2, e2`` that of the right one. The expressions are put into
-the code that is compiled for each node, and into that which says where in time partners are to be looked for.
-"""
+from typing import Dict
 
-from typing import Dict, NamedTuple, Tuple
+from ...prolog.syntax import EVENT_OPERATORS, EventOperator, OperatorKind
+from ...prolog.terms import Functor
 
-
-class PatternOperator(NamedTuple):
-    """A two-sided operator.
-
-    Attributes:
-        name: how rules spell it.
-        comparisons: when the intervals of a pair fit; all of them have to hold.
-        start: where the result starts.
-        end: where the result ends.
-        either: whether the sides may arrive in either order; else only the right side completes a pair (a
-            late left side does so under ``out_of_order``).
-        alone: whether one single event could be both sides if nothing forbade it.
-        everything: whether a right side takes all left sides that fit, under every policy.
-    """
-
-    name: str
-    comparisons: Tuple[str, ...]
-    start: str
-    end: str
-    either: bool = True
-    alone: bool = True
-    everything: bool = False
-
-    @property
-    def fits(self) -> str:
-        """When the intervals of a pair fit, as an expression."""
-        return " and ".join(self.comparisons) or "True"
-
-
-_LOW, _HIGH = "s1 if s1 <= s2 else s2", "e1 if e1 >= e2 else e2"
-
-OPERATORS: Dict[str, PatternOperator] = {
-    operator.name: operator
-    for operator in (
-        PatternOperator("seq", ("e1 < s2",), "s1", "e2", either=False, alone=False),
-        PatternOperator("forall_seq", ("e1 < s2",), "s1", "e2", either=False, alone=False, everything=True),
-        PatternOperator("and", (), _LOW, _HIGH),
-        PatternOperator("par", ("s1 < e2", "s2 < e1", "s1 < e1", "s2 < e2"), _LOW, _HIGH),
-        PatternOperator("equals", ("s1 == s2", "e1 == e2"), "s1", "e1"),
-        PatternOperator("meets", ("e1 == s2",), "s1", "e2"),
-        PatternOperator("during", ("s2 <= s1", "e1 <= e2"), "s2", "e2"),
-        PatternOperator("starts", ("s1 == s2", "e1 < e2"), "s2", "e2", alone=False),
-        PatternOperator("finishes", ("e1 == e2", "s2 < s1"), "s2", "e2", alone=False),
-    )
+OPERATORS: Dict[str, EventOperator] = {
+    one.name: one for one in EVENT_OPERATORS if one.kind is OperatorKind.PAIR
 }
+"""The operators between two patterns, by name."""
+
+_NOT_BETWEEN = (OperatorKind.RULE, OperatorKind.RUN, OperatorKind.AGGREGATE)
+
+SPELLINGS: Dict[Functor, str] = {
+    key: one.name for one in EVENT_OPERATORS if one.kind not in _NOT_BETWEEN for key in one.keys
+}
+"""Functor of a term -> the operator that it is in patterns, in whose form it is read."""
+
+ARROWS = frozenset(key for one in EVENT_OPERATORS if one.meant == "<-" for key in one.keys)
+
+NO_EVENTS = {one.name: len(one.patterns) for one in EVENT_OPERATORS if not one.names_events}
+"""What has a name that events do not have, and how many arguments it takes; with others it is an event."""
+
+NO_FACTS = frozenset(key for one in EVENT_OPERATORS if not one.names_facts for key in one.keys[:1])
+"""Facts of these were meant as rules: they are the names of nothing else."""

@@ -3,10 +3,12 @@
 from typing import Any, Callable, Dict, FrozenSet, List, Optional, Tuple
 
 from ...foundation import Place, RuleError
+from ...prolog.syntax import EVENT_OPERATOR, OperatorKind
 from ...prolog.terms import Atom, String, Term, Var, deref, from_seconds, functor
+from .aggregates import AGGREGATES
 from .calls import Subgoal, asking_interval, calls
 from .meant import doubt
-from .operators import OPERATORS
+from .operators import ARROWS, SPELLINGS
 from .pattern import (
     MOST_TIMES,
     SEQ,
@@ -26,40 +28,9 @@ from .pattern import (
 
 Spot = Callable[..., Optional[Place]]
 """Gives the place of a compound term: that of its functor, or with a number that of an argument."""
-_GOAL_OPERATORS = {"where": (True, False), "check": (True, True), "timestamp": (True, True)}
 _GOALS_AS_PATTERN = frozenset((functor("prolog", 1), functor("query", 1), functor("db", 1)))
-_AGGREGATES = {"count": 0, "sum": 1, "min": 1, "max": 1, "avg": 1, "list": 1}
-
-
-def _spellings() -> Dict[Any, str]:
-    names = [
-        *OPERATORS,
-        "or",
-        "cnot",
-        "fnot",
-        "not",
-        "ntimes",
-        "where",
-        "check",
-        "timestamp",
-        "event_multiply",
-        "do",
-    ]
-    table = {}
-    for name in names:
-        title = "_".join(part.capitalize() for part in name.split("_"))
-        for spelling in (name, name.capitalize(), title, name.upper()):
-            table[functor(spelling, 2)] = name
-    table[functor("within", 2)] = "within"
-    for spelling, name in (("*", "seq"), ("#", "par"), ("/\\", "and"), ("\\/", "or")):
-        table[functor(spelling, 2)] = name
-    return table
-
-
-SPELLINGS = _spellings()
 STAR_TIMES = functor("star_times", 1)
 AGGREGATE = functor("aggregate", 3)
-ARROWS = frozenset(functor(name, 2) for name in ("<-", "iff", "IFF"))
 _NOT_INSIDE = (
     "P cnot R where P is not a sequence means that no R ended before P started (write fnot); for no R between "
     "two events write (P seq Q) cnot R"
@@ -113,25 +84,26 @@ class PatternReader:
             if head is AGGREGATE:
                 raise self._error("an aggregate can only be the right side of a seq", term)
             return self._event(parent, number)
+        return self._forms[EVENT_OPERATOR[name].kind](self, name, term)
+
+    def _pair(self, name: str, term: Term) -> Any:
         if name == SEQ:
             return self._sequence(term)
-        if name in OPERATORS:
-            return Pair(name, self._operand(term, 1, name), self._operand(term, 2, name))
-        if name == "or":
-            return self._alternatives(term)
-        if name == "not":
-            raise self._error("there is no operator not; use cnot or fnot for the absence of an event", term)
-        if name in ("cnot", "fnot"):
-            return self._absence(name, term)
-        if name == "ntimes":
-            return self._repetition(term)
-        if name == "within":
-            return Within(self._operand(term, 1, name), self._span(term) - 1)
+        return Pair(name, self._operand(term, 1, name), self._operand(term, 2, name))
+
+    def _refused(self, name: str, term: Term) -> Any:
+        raise self._error(f"there is no operator {name}; use cnot or fnot for the absence of an event", term)
+
+    def _limited(self, name: str, term: Term) -> Within:
+        return Within(self._operand(term, 1, name), self._span(term) - 1)
+
+    def _conditional(self, name: str, term: Term) -> Condition:
         pattern = self._operand(term, 1, name)
-        goal = self.goal(term, 2, name)
-        if name in _GOAL_OPERATORS:
-            return Condition(pattern, goal, _GOAL_OPERATORS[name][1])
-        return Action(pattern, goal, name == "event_multiply")
+        return Condition(pattern, self.goal(term, 2, name), EVENT_OPERATOR[name].timed)
+
+    def _acting(self, name: str, term: Term) -> Action:
+        pattern = self._operand(term, 1, name)
+        return Action(pattern, self.goal(term, 2, name), EVENT_OPERATOR[name].every)
 
     def _operand(self, parent: Term, number: int, operator: str) -> Any:
         term = deref(parent[number])  # type: ignore[index]
@@ -176,8 +148,8 @@ class PatternReader:
         kind = deref(term[1])
         name = kind.name if kind.__class__ is Atom else kind[0].name if kind.__class__ is tuple else ""
         arity = len(kind) - 1 if kind.__class__ is tuple else 0
-        if _AGGREGATES.get(name) != arity:
-            known = "count, sum(X), min(X), max(X), avg(X), list(X)"
+        if name not in AGGREGATES or AGGREGATES[name].arity != arity:
+            known = ", ".join(one.form for one in AGGREGATES.values())
             raise self._error(
                 f"there is no such aggregate; the aggregates are {known}", kind if arity else term
             )
@@ -186,16 +158,16 @@ class PatternReader:
         self.aggregates.append((found, term))
         return found
 
-    def _alternatives(self, term: Term) -> Either:
+    def _alternatives(self, name: str, term: Term) -> Either:
         branches: List[Any] = []
         pending = [(term, 2), (term, 1)]
         while pending:
             parent, number = pending.pop()
             one = deref(parent[number])  # type: ignore[index]
-            if one.__class__ is tuple and SPELLINGS.get(one[0]) == "or":
+            if one.__class__ is tuple and SPELLINGS.get(one[0]) == name:
                 pending += [(one, 2), (one, 1)]
             else:
-                branches.append(self._operand(parent, number, "or"))
+                branches.append(self._operand(parent, number, name))
         return Either(tuple(branches))
 
     def _absence(self, name: str, term: Term) -> Absent:
@@ -206,13 +178,13 @@ class PatternReader:
             self._warn(self._error(_NOT_INSIDE, term))
         return Absent(pattern, negated, inside)
 
-    def _repetition(self, term: Term) -> Any:
+    def _repetition(self, name: str, term: Term) -> Any:
         times = deref(term[2])
         if times.__class__ is not int or times < 1:
             raise self._error("ntimes needs a positive integer", term, 2)
         if times > MOST_TIMES:
             raise self._error(f"ntimes takes at most {MOST_TIMES} repetitions", term, 2)
-        pattern = self._operand(term, 1, "ntimes")
+        pattern = self._operand(term, 1, name)
         if times == 1:
             return pattern
         own = tuple([var for var in bound_by(pattern, True) if var in self._anonymous])
@@ -237,12 +209,24 @@ class PatternReader:
             if call.term.__class__ not in (tuple, Atom, Var):
                 raise self._error(f"{operator} needs a goal", call.parent, call.number)
             self.goals.append(call)
-        if operator not in _GOAL_OPERATORS or not _GOAL_OPERATORS[operator][1]:
+        if operator not in EVENT_OPERATOR or not EVENT_OPERATOR[operator].timed:
             self.untimed += asking_interval(parent, number)
         return deref(parent[number])  # type: ignore[index]
 
     def _error(self, message: str, term: Term, number: int = 0) -> RuleError:
         return RuleError(message, self.place(term, number))
+
+    _forms: Dict[OperatorKind, Callable[["PatternReader", str, Term], Any]] = {
+        OperatorKind.PAIR: _pair,
+        OperatorKind.ALTERNATIVES: _alternatives,
+        OperatorKind.ABSENCE: _absence,
+        OperatorKind.REFUSED: _refused,
+        OperatorKind.REPETITION: _repetition,
+        OperatorKind.LIMIT: _limited,
+        OperatorKind.CONDITION: _conditional,
+        OperatorKind.ACTION: _acting,
+    }
+    """What reads a term, by the kind of its operator."""
 
 
 def _is_sequence(pattern: Any) -> bool:

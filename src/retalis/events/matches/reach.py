@@ -4,7 +4,8 @@ from functools import lru_cache
 from typing import Callable, Dict, List, NamedTuple, Optional, Tuple
 
 from ...foundation import shared_function
-from ..language import OPERATORS, PatternOperator
+from ...prolog.syntax import EventOperator
+from ..language import OPERATORS
 from .timeindex import LEAST, MOST, TimeBounds
 
 _MIRRORED = {"<": ">", "<=": ">=", "==": "=="}
@@ -52,7 +53,7 @@ def reach_of(name: str, span: Optional[int], left: bool) -> Optional[Reach]:
 
 
 def _bounds(
-    operator: PatternOperator, span: Optional[int], mine: str
+    operator: EventOperator, span: Optional[int], mine: str
 ) -> Tuple[Dict[str, List[str]], Dict[str, List[str]]]:
     """Return the lower and the upper bounds of a partner's start and end, as sources."""
     lower: Dict[str, List[str]] = {"s": [], "e": []}

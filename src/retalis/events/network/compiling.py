@@ -12,6 +12,7 @@ from ..language import (
     Absent,
     Action,
     Aggregate,
+    Collector,
     Condition,
     Either,
     Occurs,
@@ -24,7 +25,6 @@ from ..language import (
     surely_bound_by,
     walk,
 )
-from .aggregates import Collector
 from .conditions import RuleGoal, Test, goal_test
 from .deferred import Deferred, Items, Negated, absence_of, deferred_test, early_test, ready_where
 from .joining import Joining

@@ -3,8 +3,8 @@
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 from ...foundation import shared_function
+from ...prolog.syntax import EventOperator
 from ...prolog.terms import Var, positions
-from ..language import PatternOperator
 from ..matches import (
     Emit,
     Found,
@@ -52,7 +52,7 @@ class Joining(NetworkNode):
     def __init__(
         self,
         rule: Any,
-        operator: PatternOperator,
+        operator: EventOperator,
         left: NetworkNode,
         right: NetworkNode,
         keep: Any,

@@ -5,6 +5,7 @@ from typing import Any, List, Optional, Sequence, Tuple
 from ...foundation import RuleError
 from ...prolog.terms import Term, Var, positions, resolve, undo, unify, variables
 from ..dispatch import compile_builder
+from ..language import Collector
 from ..matches import (
     NO_ITEMS,
     Emit,
@@ -29,7 +30,6 @@ from ..matches import (
     that_came_before,
     unify_sides,
 )
-from .aggregates import Collector
 from .conditions import Test
 from .deferred import Items, with_item
 from .nodes import NetworkNode

@@ -10,6 +10,7 @@ from ...prolog.terms import COLON, Atom, Term, Var, atom, copy, deref, functor, 
 from ..language import (
     ALARMS,
     ARROWS,
+    NO_FACTS,
     RULE,
     SPELLINGS,
     SYNCHRONIZED,
@@ -50,10 +51,6 @@ _USING = {
 }
 _REV = functor("rev", 1)
 _INSERT = functor("ins_event_rule", 2)
-_FACTS = frozenset(
-    functor(name, 2) for name in ("seq", "cnot", "fnot", "forall_seq", "ntimes", "event_multiply")
-)
-"""Facts of these were meant as rules: they are the names of nothing else."""
 _DASH = functor("-", 2)
 TOO_DEEP = "the pattern is nested too deeply"
 
@@ -159,7 +156,7 @@ class FileChecker:
                 self._warn(
                     "this is not a labelled rule (a rule has one label), so it is kept as a fact", place
                 )
-        elif head in _FACTS:
+        elif head in NO_FACTS:
             self._warn("this is a fact; an event rule has <- between head and pattern", spot(term) or place)
         elif head is _DASH and all(deref(side).__class__ in (Atom, tuple) for side in term[1:]):
             self._warn(

@@ -23,6 +23,7 @@ What SWI-Prolog 9 reads and this package does not: rational numbers (``1r3``), d
 terms without arguments (``f()``), and a blank between groups of digits (``1 000``).
 """
 
+from .eventoperators import EVENT_OPERATOR, EVENT_OPERATORS, EventOperator, OperatorKind
 from .eventreader import EventReader
 from .eventtext import event_text, float_text, to_text
 from .operators import Operators
@@ -31,9 +32,13 @@ from .tokens import ReadFlags
 from .writer import write_term, writeq
 
 __all__ = [
+    "EVENT_OPERATOR",
+    "EVENT_OPERATORS",
     "event_text",
+    "EventOperator",
     "EventReader",
     "float_text",
+    "OperatorKind",
     "Operators",
     "read_program",
     "read_term",

@@ -5,6 +5,7 @@ from typing import Dict, Iterator, List, NamedTuple, Optional, Tuple
 
 from ...foundation import UsageError
 from ..terms import Functor, functor
+from .eventoperators import EVENT_OPERATORS
 
 
 class Operator(NamedTuple):
@@ -56,35 +57,12 @@ _SWI = """
 1 fx $
 """
 
-_EVENTS = """
-1200 xfy rule: <- iff
-1124 yfx do
-1060 yfx where
-1055 xfy within
-1053 yfx or
-1050 yfx check timestamp event_multiply
-1045 yfx par
-1040 yfx and
-1031 yfx cnot fnot not
-1025 yfx seq forall_seq equals meets during starts finishes ntimes
-200 xf star_times
-"""
-
-_SIGNS = {"*": "seq", "#": "par", "/\\": "and", "\\/": "or"}
+_SIGNS = {sign: one.name for one in EVENT_OPERATORS for sign in one.signs}
 """What these stand for in patterns; elsewhere they are Prolog's."""
 
-
-def _spellings() -> Dict[str, str]:
-    """Return the canonical name of each spelling of an operator of the event language."""
-    found = {}
-    for line in _EVENTS.split("\n"):
-        for name in line.split()[2:]:
-            for spelling in (name, name.capitalize(), name.title(), name.upper()):
-                found[spelling] = "<-" if name == "iff" else name
-    return found
-
-
-CANONICAL: Dict[str, str] = _spellings()
+CANONICAL: Dict[str, str] = {
+    spelling: one.meant for one in EVENT_OPERATORS if one.priority for spelling in one.spellings
+}
 """Spelling of an operator of the event language -> its canonical name."""
 
 CANONICAL_IN_PATTERNS: Dict[str, str] = {**CANONICAL, **_SIGNS}
@@ -189,7 +167,10 @@ def _read_table(text: str) -> Operators:
 
 @lru_cache(maxsize=1)
 def _standard() -> Operators:
-    made = _read_table("\n".join(table.strip() for table in (_ISO, _SWI, _EVENTS)))
+    made = _read_table(_ISO + _SWI.strip())
+    for one in EVENT_OPERATORS:
+        if one.priority:
+            made.add(one.priority, one.type, one.name)
     for spelling, name in CANONICAL.items():
         for table in (made.infix, made.postfix):
             if name in table:

@@ -16,6 +16,7 @@ A ``:`` or ``'rule:'`` before the rest of a rule is that of its label; any other
 from typing import Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 from ..terms import Functor, functor
+from .eventoperators import EVENT_OPERATORS, OperatorKind
 from .operators import CANONICAL, Operators
 from .tokens import END, NAME, OPEN_CT, QUOTED, AnyToken
 
@@ -29,35 +30,16 @@ MARKERS = frozenset(name for name, same in CANONICAL.items() if same in ("<-", "
 ARROW = functor("<-", 2)
 
 GOAL_RIGHT = frozenset(
-    functor(name, 2) for name in ("where", "do", "check", "timestamp", "event_multiply", "within")
+    functor(one.name, 2)
+    for one in EVENT_OPERATORS
+    if one.kind in (OperatorKind.ACTION, OperatorKind.CONDITION, OperatorKind.LIMIT)
 )
 """Operators of patterns whose right argument is a goal or a number: there, Prolog's operators hold."""
 
 PATTERN_ARGUMENTS: Dict[Functor, Tuple[bool, ...]] = {
-    **{
-        functor(name, 2): (True, True)
-        for name in (
-            [
-                "seq",
-                "and",
-                "or",
-                "par",
-                "cnot",
-                "fnot",
-                "not",
-                "equals",
-                "meets",
-                "during",
-                "starts",
-                "finishes",
-                "forall_seq",
-            ]
-        )
-    },
-    **dict.fromkeys((*GOAL_RIGHT, functor("ntimes", 2)), (True, False)),
-    functor("star_times", 1): (True,),
-    functor("aggregate", 3): (False, True, False),
-    ARROW: (False, True),
+    functor(one.name, len(one.patterns)): one.patterns
+    for one in EVENT_OPERATORS
+    if one.kind is not OperatorKind.RULE or one.name == "<-"
 }
 """Which arguments are patterns, where these are written as functor and arguments in a pattern."""
 

@@ -1,6 +1,6 @@
 """What aggregates collect: how they begin, what a further value does, and what they show."""
 
-from typing import Any, Callable, NamedTuple, Optional, Tuple
+from typing import Any, Callable, Dict, NamedTuple, Optional, Tuple
 
 from ...foundation import RuleError
 from ...prolog.terms import NIL, Term, make_list
@@ -8,10 +8,12 @@ from ...prolog.terms import NIL, Term, make_list
 Values = Tuple[Term, ...]
 
 
-class Kind(NamedTuple):
+class AggregateKind(NamedTuple):
     """A kind of aggregate.
 
     Attributes:
+        name: how rules spell it.
+        arity: how many arguments it takes: what is collected, or none.
         start: the state without any value.
         initial: the result without any value; None where there is none.
         add: gives the state with one more value.
@@ -19,15 +21,30 @@ class Kind(NamedTuple):
         numeric: whether values have to be numbers.
     """
 
+    name: str
+    arity: int
     start: Any
     initial: Any
     add: Callable[[Any, Term], Any]
     result: Callable[[Any], Term]
     numeric: bool
 
+    @property
+    def form(self) -> str:
+        """How it is written."""
+        return f"{self.name}(X)" if self.arity else self.name
+
 
 def _same(state: Any) -> Any:
     return state
+
+
+def _least(state: Any, value: Any) -> Term:
+    return value if state is None or value < state else state
+
+
+def _greatest(state: Any, value: Any) -> Term:
+    return value if state is None or value > state else state
 
 
 def _average(state: Tuple[Any, int]) -> Term:
@@ -35,20 +52,6 @@ def _average(state: Tuple[Any, int]) -> Term:
     if total.__class__ is int and total % number == 0:
         return total // number
     return total / number
-
-
-KINDS = {
-    "count": Kind(0, 0, lambda state, value: state + 1, _same, False),
-    "sum": Kind(0, 0, lambda state, value: state + value, _same, True),
-    "min": Kind(
-        None, None, lambda state, value: value if state is None or value < state else state, _same, True
-    ),
-    "max": Kind(
-        None, None, lambda state, value: value if state is None or value > state else state, _same, True
-    ),
-    "avg": Kind((0, 0), None, lambda state, value: (state[0] + value, state[1] + 1), _average, True),
-    "list": Kind((), NIL, lambda state, value: (state, value), lambda state: _listed(state), False),
-}
 
 
 def _listed(state: Any) -> Term:
@@ -61,11 +64,27 @@ def _listed(state: Any) -> Term:
     return make_list(items)
 
 
+AGGREGATES: Dict[str, AggregateKind] = {
+    kind.name: kind
+    for kind in (
+        AggregateKind("count", 0, 0, 0, lambda state, value: state + 1, _same, False),
+        AggregateKind("sum", 1, 0, 0, lambda state, value: state + value, _same, True),
+        AggregateKind("min", 1, None, None, _least, _same, True),
+        AggregateKind("max", 1, None, None, _greatest, _same, True),
+        AggregateKind(
+            "avg", 1, (0, 0), None, lambda state, value: (state[0] + value, state[1] + 1), _average, True
+        ),
+        AggregateKind("list", 1, (), NIL, lambda state, value: (state, value), _listed, False),
+    )
+}
+"""By their names."""
+
+
 class Collector:
     """An aggregate of one rule: a kind, and how to get the value from a match.
 
     Args:
-        kind: one of `KINDS`.
+        kind: one of `AGGREGATES`.
         value: gives the value from the values of a match.
         evaluate: gives the number of an expression, for values that are not numbers.
     """
@@ -73,7 +92,7 @@ class Collector:
     def __init__(
         self, kind: str, value: Callable[[Values], Term], evaluate: Callable[[Term], Optional[Term]]
     ):
-        self.kind = KINDS[kind]
+        self.kind = AGGREGATES[kind]
         self.name = kind
         self.start = self.kind.start
         self.initial = self.kind.initial
