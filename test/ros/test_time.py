@@ -25,7 +25,7 @@ def test_a_clock_that_stands_still_is_warned_of_after_a_while(warnings, monkeypa
     monkeypatch.setattr(_time, "_began", time.monotonic() - 2 * _time.PATIENCE)
     assert _time.ros_now() == 0
     assert len(warnings) == 1
-    assert "nobody publishes /clock" in warnings[0]
+    assert "nothing publishes /clock" in warnings[0]
 
 
 def test_a_clock_that_runs_is_not_warned_of(warnings, monkeypatch):
