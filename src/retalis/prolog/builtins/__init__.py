@@ -23,7 +23,7 @@ from . import (  # noqa: F401  (imported for what they register)
     solutions,
     state,
     strings,
-    tabling,
+    tabled,
     taking_apart,
     timing,
 )

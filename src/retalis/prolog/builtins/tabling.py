@@ -16,9 +16,7 @@ from typing import Any, Callable, Dict, Hashable, List, Optional, Sequence, Tupl
 from ..database import Predicate
 from ..machine import Code, Frame, Guard, uninstantiation_error
 from ..terms import (
-    SLASH,
     Atom,
-    Functor,
     String,
     Term,
     Values,
@@ -32,11 +30,8 @@ from ..terms import (
     unify,
     variables,
 )
-from .arguments import indicator_of
-from .clauses import declared
-from .modes import Mode, modes_of
+from .modes import Mode
 from .program import Machine
-from .registry import control, deterministic
 from .tables import Follower, Table
 
 _ANSWER = functor("answer", 0)
@@ -97,7 +92,9 @@ class Tables:
 
         return call
 
-    def caller(self, predicate: Predicate, modes: Sequence[Mode] = ()) -> Callable[..., Optional[Frame]]:
+    def caller(  # noqa: C901  (what it returns runs at each call of a tabled predicate: one function)
+        self, predicate: Predicate, modes: Sequence[Mode] = ()
+    ) -> Callable[..., Optional[Frame]]:
         """Return the function that does calls of a predicate, given the variables of arguments with modes."""
         key_of_call = predicate.functor
         find = self.by_call.get
@@ -135,15 +132,20 @@ class Tables:
                     bound(var)
                 return after
             if table.state == "new":
-                own = [Var() for _ in free]
+                collect = self._collector(table, free, moded, modes)
+                own = collect[2]
                 args = copy(goal, dict(zip(free, own)))[1:] if walked else _renamed(key, own)
-                collect: Frame = (self._answer, table, own)
-                if modes:
-                    collect = (self._better, *collect[1:], list(map(free.index, moded)), modes)
                 return self._evaluate((predicate.tabled, *args, collect), table, free, after)
             return self._consult(table, free, after)
 
         return call
+
+    def _collector(self, table: Table, free: List[Var], moded: Sequence[Var], modes: Sequence[Mode]) -> Frame:
+        """Return the frame that takes answers, with new variables for what they say."""
+        own = [Var() for _ in free]
+        if not modes:
+            return (self._answer, table, own)
+        return (self._better, table, own, list(map(free.index, moded)), modes)
 
     def _consult(self, table: Table, free: List[Var], after: Frame) -> Optional[Frame]:
         """Give the answers of a table that is not complete: what is evaluated now depends on it."""
@@ -368,39 +370,3 @@ def tables_of(machine: Machine) -> Tables:
     if found is None:
         found = machine.logic.state["tables"] = Tables(machine)
     return found
-
-
-@deterministic("table/1")
-def table_declaration(machine: Machine, which: Term) -> bool:
-    """Declare predicates tabled."""
-    for item in declared(which):
-        if item.__class__ is tuple and item[0].name == ":" and len(item) == 3:
-            item = deref(item[2])
-        if item.__class__ is tuple and item[0] is not SLASH:
-            declare(machine, *modes_of(item))
-        else:
-            declare(machine, indicator_of(item), {})
-    return True
-
-
-def declare(machine: Machine, key: Functor, modes: Dict[int, Mode]) -> None:
-    """Make a predicate tabled: its clauses go to a hidden predicate that the tables call."""
-    database = machine.logic.database
-    predicate = database.writable(key, "modify")
-    if predicate.tabled is not None:
-        return
-    hidden = database.predicate(functor(f"{key.name} tabled", key.arity))
-    for clause in list(predicate.live()):
-        hidden.add(clause)
-    tables = tables_of(machine)
-    predicate.table(hidden, tables.moded_caller(predicate, modes) if modes else tables.caller(predicate))
-    database.forget()
-
-
-@control("abolish_all_tables/0")
-def abolish_all_tables(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
-    """Forget the answers of all tabled predicates."""
-    tables = tables_of(machine)
-    if not tables.active:
-        tables.clear()
-    return after

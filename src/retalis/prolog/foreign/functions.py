@@ -17,11 +17,26 @@ The parameters are the first arguments of the predicate; the result is unified w
 
 import inspect
 import numbers
-from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple, get_type_hints
+from typing import (
+    Any,
+    Callable,
+    Dict,
+    Iterator,
+    List,
+    NamedTuple,
+    Optional,
+    Protocol,
+    Sequence,
+    Tuple,
+    TypeVar,
+    Union,
+    get_type_hints,
+    overload,
+)
 
 from ...foundation import BULK, RetalisError, TermTooLarge, UsageError, look
 from ..logic import Logic
-from ..machine import PrologError, instantiation_error, permission_error, type_error
+from ..machine import Machine, PrologError, instantiation_error, permission_error, type_error
 from ..terms import (
     CONS,
     FALSE,
@@ -48,6 +63,14 @@ _ERROR = functor("error", 2)
 _PYTHON_ERROR = functor("python_error", 2)
 _MARK = "__retalis_foreign__"
 
+Function = TypeVar("Function", bound=Callable[..., object])
+
+
+class Caller(Protocol):
+    """What is told which function runs, see `Runner`."""
+
+    callback: Optional[Tuple[str]]
+
 
 class Compound(NamedTuple):
     """A compound term for Python code: a name and arguments, which are Python values.
@@ -64,7 +87,7 @@ class _Spec(NamedTuple):
 
     name: str
     outputs: int
-    readers: List[Callable[[Term], Any]]
+    readers: List[Callable[[Term], object]]
     many: bool
 
     @property
@@ -72,12 +95,22 @@ class _Spec(NamedTuple):
         return len(self.readers) + self.outputs
 
 
+@overload
+def foreign(function: Function) -> Function: ...
+
+
+@overload
 def foreign(
-    function: Optional[Callable[..., Any]] = None,
+    function: None = None, *, name: Optional[str] = None, outputs: Optional[int] = None
+) -> Callable[[Function], Function]: ...
+
+
+def foreign(
+    function: Optional[Function] = None,
     *,
     name: Optional[str] = None,
     outputs: Optional[int] = None,
-) -> Any:
+) -> Union[Function, Callable[[Function], Function]]:
     """Mark a function as a predicate; `Engine.add_foreign` or ``use_foreign/1`` defines it in a program.
 
     A parameter with the annotation int, float, str, bool or list takes only that (float takes integers too);
@@ -94,7 +127,7 @@ def foreign(
             bool or None.
     """
 
-    def mark(function: Callable[..., Any]) -> Callable[..., Any]:
+    def mark(function: Function) -> Function:
         hints = get_type_hints(function)
         count = outputs
         if count is None:
@@ -107,7 +140,7 @@ def foreign(
     return mark if function is None else mark(function)
 
 
-def _parameters(function: Callable[..., Any]) -> List[inspect.Parameter]:
+def _parameters(function: Callable[..., object]) -> List[inspect.Parameter]:
     found = list(inspect.signature(function).parameters.values())
     for one in found:
         if one.kind not in (one.POSITIONAL_ONLY, one.POSITIONAL_OR_KEYWORD):
@@ -117,7 +150,7 @@ def _parameters(function: Callable[..., Any]) -> List[inspect.Parameter]:
     return found
 
 
-def define_foreign(logic: Logic, runner: Any, *sources: Any) -> List[Functor]:
+def define_foreign(logic: Logic, runner: Caller, *sources: object) -> List[Functor]:
     """Define marked functions, and those of modules, in a program; return their functors.
 
     Args:
@@ -143,11 +176,11 @@ def define_foreign(logic: Logic, runner: Any, *sources: Any) -> List[Functor]:
     return done
 
 
-def _is_marked(value: Any) -> bool:
+def _is_marked(value: object) -> bool:
     return isinstance(getattr(value, _MARK, None), _Spec)
 
 
-def _define(logic: Logic, runner: Any, function: Callable[..., Any], spec: _Spec) -> Functor:
+def _define(logic: Logic, runner: Caller, function: Callable[..., Any], spec: _Spec) -> Functor:
     key = functor(spec.name, spec.arity)
     known = logic.database.predicates.get(key)
     if known is not None and known.locked:
@@ -159,11 +192,13 @@ def _define(logic: Logic, runner: Any, function: Callable[..., Any], spec: _Spec
     return key
 
 
-def _function(runner: Any, function: Callable[..., Any], spec: _Spec, key: Functor) -> Callable[..., bool]:
+def _function(
+    runner: Caller, function: Callable[..., object], spec: _Spec, key: Functor
+) -> Callable[..., bool]:
     count = len(spec.readers)
     what = f"the foreign predicate {key}"
 
-    def run(machine: Any, *arguments: Term) -> bool:
+    def run(machine: Machine, *arguments: Term) -> bool:
         values = [read(term) for read, term in zip(spec.readers, arguments)]
         outer = runner.callback
         runner.callback = (what,)
@@ -181,12 +216,12 @@ def _function(runner: Any, function: Callable[..., Any], spec: _Spec, key: Funct
 
 
 def _generator(
-    runner: Any, function: Callable[..., Any], spec: _Spec, key: Functor
+    runner: Caller, function: Callable[..., Iterator[object]], spec: _Spec, key: Functor
 ) -> Callable[..., Iterator[None]]:
     count = len(spec.readers)
     what = f"the foreign predicate {key}"
 
-    def run(machine: Any, *arguments: Term) -> Iterator[None]:
+    def run(machine: Machine, *arguments: Term) -> Iterator[None]:
         values = [read(term) for read, term in zip(spec.readers, arguments)]
         solutions = function(*values)
         while True:
@@ -207,12 +242,12 @@ def _generator(
     return run
 
 
-def _unify(machine: Any, outputs: Sequence[Term], result: Any) -> bool:
+def _unify(machine: Machine, outputs: Sequence[Term], result: Any) -> bool:
     if len(outputs) == 1:
-        return bool(machine.unify(outputs[0], to_term(result)))
+        return machine.unify(outputs[0], to_term(result))
     if len(result) != len(outputs):
         raise UsageError(f"a foreign predicate returned {len(result)} values for {len(outputs)} outputs")
-    return bool(machine.unify_all(*[(output, to_term(value)) for output, value in zip(outputs, result)]))
+    return machine.unify_all(*[(output, to_term(value)) for output, value in zip(outputs, result)])
 
 
 def _raised(error: Exception, key: Functor) -> RetalisError:
@@ -246,8 +281,8 @@ def to_python(term: Term) -> Any:
     Raises:
         PrologError: an instantiation error for an unbound variable in it.
     """
-    values: List[Any] = []
-    stack: List[Any] = [term]
+    values: List[object] = []
+    stack: List[Union[Term, _PendingParts]] = [term]
     steps = 0
     while stack:
         steps += 1
@@ -255,17 +290,18 @@ def to_python(term: Term) -> Any:
             look()
             if steps > MOST:
                 raise TermTooLarge
-        item = deref(stack.pop())
-        kind = item.__class__
-        if kind is _PendingParts:
-            values[len(values) - item.count :] = [item.join(values[len(values) - item.count :])]
-        elif kind is tuple:
+        top = stack.pop()
+        if isinstance(top, _PendingParts):
+            values[len(values) - top.count :] = [top.join(values[len(values) - top.count :])]
+            continue
+        item = deref(top)
+        if item.__class__ is tuple:
             items = list_items(item) if item[0] is CONS else None
             parts = list(item[1:]) if items is None else items
             stack.append(_PendingParts(len(parts), None if items is not None else item[0].name))
             stack.extend(reversed(parts))
         else:
-            values.append(_constant(item, kind))
+            values.append(_constant(item))
     return values[0]
 
 
@@ -278,24 +314,24 @@ class _PendingParts:
         self.count = count
         self.name = name
 
-    def join(self, values: List[Any]) -> Any:
+    def join(self, values: List[object]) -> object:
         """Return the value of the whole."""
         return values if self.name is None else Compound(self.name, values)
 
 
-def _constant(item: Term, kind: type) -> Any:
-    if kind is Var:
+def _constant(item: Term) -> object:
+    if item.__class__ is Var:
         raise instantiation_error()
     if item is TRUE or item is FALSE:
         return item is TRUE
-    if kind is Atom:
+    if item.__class__ is Atom:
         return [] if item is NIL else item.name
-    if kind is String:
+    if item.__class__ is String:
         return item.text
     return int(item) if isinstance(item, int) else item
 
 
-def to_term(value: Any) -> Term:
+def to_term(value: object) -> Term:
     """Return a Python value as a term.
 
     The other way of `to_python`; str becomes an atom (a `retalis.terms.String` stays a string), tuple and any
@@ -308,13 +344,7 @@ def to_term(value: Any) -> Term:
         raise UsageError("None is not a term")
     if isinstance(value, bool):
         return TRUE if value else FALSE
-    if isinstance(value, Compound):
-        if not value.args:
-            return atom(value.name)
-        return (functor(value.name, len(value.args)), *[to_term(item) for item in value.args])
     if isinstance(value, (Atom, String, Var, Lazy)):
-        return value
-    if isinstance(value, tuple) and value and isinstance(value[0], Functor):
         return value
     if isinstance(value, str):
         return atom(value)
@@ -322,6 +352,17 @@ def to_term(value: Any) -> Term:
         return int(value)
     if isinstance(value, numbers.Real):
         return float(value)
+    return _to_compound(value)
+
+
+def _to_compound(value: Any) -> Term:
+    """Return what is neither a constant nor a variable as a term."""
+    if isinstance(value, Compound):
+        if not value.args:
+            return atom(value.name)
+        return (functor(value.name, len(value.args)), *[to_term(item) for item in value.args])
+    if isinstance(value, tuple) and value and isinstance(value[0], Functor):
+        return value
     if isinstance(value, dict):
         return make_list([(MINUS, to_term(key), to_term(item)) for key, item in value.items()])
     try:
@@ -338,15 +379,17 @@ def to_term(value: Any) -> Term:
     return make_list(found)
 
 
-def _reader(hint: Any) -> Callable[[Term], Any]:
+def _reader(hint: object) -> Callable[[Term], object]:
     """Return what makes the argument for a parameter with an annotation."""
     if hint is Term or hint is Var:
         return deref
     return _READERS.get(hint, to_python)
 
 
-def _typed(accepts: Tuple[type, ...], name: str, convert: Callable[[Any], Any]) -> Callable[[Term], Any]:
-    def read(term: Term) -> Any:
+def _typed(
+    accepts: Tuple[type, ...], name: str, convert: Callable[[Any], object]
+) -> Callable[[Term], object]:
+    def read(term: Term) -> object:
         value = to_python(term)
         if isinstance(value, bool) and bool not in accepts:
             value = "true" if value else "false"
@@ -357,7 +400,7 @@ def _typed(accepts: Tuple[type, ...], name: str, convert: Callable[[Any], Any]) 
     return read
 
 
-_READERS: Dict[Any, Callable[[Term], Any]] = {
+_READERS: Dict[object, Callable[[Term], object]] = {
     int: _typed((int,), "integer", int),
     float: _typed((int, float), "number", float),
     str: _typed((str,), "atom", str),

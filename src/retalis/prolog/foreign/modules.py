@@ -2,16 +2,38 @@
 
 import importlib
 import importlib.util
-from typing import Any
+from pathlib import Path
+from types import ModuleType
+from typing import Protocol
 
 from ...foundation import UsageError
 from ..logic import Logic
-from ..machine import instantiation_error, permission_error, type_error
+from ..machine import Machine, instantiation_error, permission_error, type_error
 from ..terms import Atom, String, Term, Var, deref
-from .functions import define_foreign
+from .functions import Caller, define_foreign
 
 
-def define_use_foreign(logic: Logic, runner: Any, files: Any, allowed: bool) -> None:
+class Loading(Protocol):
+    """What says whether the program's own files are being loaded."""
+
+    is_loading: bool
+
+
+class NamedFiles(Protocol):
+    """The files that a program names, see `Files`."""
+
+    @property
+    def door(self) -> Loading:
+        """What opens them."""
+
+    def resolve(self, name: str) -> Path:
+        """Return the path of a name."""
+
+    def is_file(self, path: Path) -> bool:
+        """Tell whether there is a file that may be read."""
+
+
+def define_use_foreign(logic: Logic, runner: Caller, files: NamedFiles, allowed: bool) -> None:
     """Define ``use_foreign(Module)``, which loads a Python module and defines its predicates.
 
     Args:
@@ -21,25 +43,25 @@ def define_use_foreign(logic: Logic, runner: Any, files: Any, allowed: bool) -> 
         allowed: whether its own files may do that, while they are loaded; goals that run later never may.
     """
 
-    def use_foreign(machine: Any, module: Term) -> bool:
+    def use_foreign(machine: Machine, module: Term) -> bool:
         module = deref(module)
         if module.__class__ is Var:
             raise instantiation_error()
-        if module.__class__ not in (Atom, String):
+        if not isinstance(module, (Atom, String)):
             raise type_error("atom", module)
         reason = "" if allowed else "the setting allow_foreign is off"
         if not files.door.is_loading:
             reason = "Python may be loaded only by the program's own files, while they are being loaded"
         if reason:
             raise permission_error("load", "foreign_module", module, reason)
-        name: str = module.name if module.__class__ is Atom else module.text  # type: ignore[assignment]
+        name = module.name if isinstance(module, Atom) else module.text
         define_foreign(logic, runner, load_module(name, files))
         return True
 
     logic.define("use_foreign", 1, use_foreign).locked = True
 
 
-def load_module(name: str, files: Any) -> Any:
+def load_module(name: str, files: NamedFiles) -> ModuleType:
     """Return a module by its name, or by the path of its file.
 
     Args:
