@@ -349,7 +349,7 @@ class Engine:
             if frame is not self._done:
                 self.logic.machine.run(frame)
         except BaseException:
-            dispatcher.current, dispatcher.cause = current, cause
+            dispatcher.restore((current, cause))
             raise
 
     def _take_message(self, term: Term) -> None:
@@ -361,7 +361,7 @@ class Engine:
                 if lane(term, stamp, stamp):
                     return
             except BaseException:
-                self.dispatcher.current = self.dispatcher.cause = None
+                self.dispatcher.restore()
                 raise
         self._take(term, stamp, stamp, True)
 

@@ -24,12 +24,10 @@ class EngineRecovery(Recovery):
 
     def state(self) -> Any:
         """Return what is being worked on."""
-        dispatcher = self._dispatcher
         return (
             state_of(self._logic.machine),
             self._rules.files.state(),
-            dispatcher.current,
-            dispatcher.cause,
+            self._dispatcher.state(),
             self._logic.new_goals,
         )
 
@@ -38,11 +36,11 @@ class EngineRecovery(Recovery):
         if state is not None and not mend_all:
             return  # an error of a program has left all in order
         dispatcher = self._dispatcher
-        machine, files, current, cause, goals = (None,) * 5 if state is None else state
+        machine, files, served, goals = (None, None, (None, None), None) if state is None else state
         go_back(self._logic.machine, machine)
         if mend_all:
             self._rules.files.restore(files)
-        dispatcher.current, dispatcher.cause = current, cause
+        dispatcher.restore(served)
         self._logic.new_goals = goals
         if mend_all and state is None:
             mend(self._logic)

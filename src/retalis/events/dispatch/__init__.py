@@ -2,9 +2,9 @@
 
 from .building import compile_builder
 from .dispatch import Dispatcher
-from .lanes import Completion, goal_lane
+from .lanes import Completion, goal_lane, stand_in
 from .plans import NOBODY
-from .serving import AT_ONCE, LEFT_OUT, RESTORE, Dispatch, EventAction, Lane, Listener, Stage
+from .serving import AT_ONCE, Dispatch, EventAction, Lane, Listener, Stage
 
 __all__ = [
     "EventAction",
@@ -15,9 +15,8 @@ __all__ = [
     "Dispatch",
     "goal_lane",
     "Lane",
-    "LEFT_OUT",
     "Listener",
     "NOBODY",
-    "RESTORE",
     "Stage",
+    "stand_in",
 ]

@@ -15,7 +15,7 @@ from ...prolog.terms import Atom, Functor, Lazy, Term, Var, copy, deref, is_grou
 from .gates import Gate
 from .matching import Matcher, Values, compile_matcher
 from .plans import Choice, Onlookers, make_plan
-from .serving import AT_ONCE, LEFT_OUT, Dispatch, EventAction, Frame, Lane, Listener, Stage, event_of
+from .serving import AT_ONCE, LEFT_OUT, RESTORE, Dispatch, EventAction, Frame, Lane, Listener, Stage, event_of
 
 _GATES = 1000
 """Functors with gates from which on it is looked which gates are still used."""
@@ -114,7 +114,7 @@ class Dispatcher:
     def mend(self) -> None:
         """Make the plans anew and serve nothing, after an interrupt."""
         self._changed(None)
-        self.current = self.cause = None
+        self.restore()
 
     def gate(self, functor: Functor, positions: Tuple[int, ...] = ()) -> Gate:
         """Return what tells whether an event of a functor can concern anybody, see `Gate`.
@@ -294,23 +294,52 @@ class Dispatcher:
             return otherwise
         return otherwise if found is None else then(found)
 
+    def state(self) -> Tuple[Any, Any]:
+        """Return what is being served and why, for `restore`."""
+        return self.current, self.cause
+
+    def restore(self, state: Tuple[Any, Any] = (None, None)) -> None:
+        """Serve again what was being served, nothing without a state: what came in between is over, or has failed."""
+        self.current, self.cause = state
+
+    def serve_again(self, current: Any) -> None:
+        """Serve again what was `current` before a goal that raised an error, maybe amid an event that it made."""
+        self.current = current
+
+    def caused_by(
+        self, cause: Any, then: Callable[..., Frame], after: Frame
+    ) -> Tuple[Callable[..., Frame], Frame]:
+        """Have events know the rule and match whose goal makes them, until that goal is over.
+
+        Returns:
+            What to go on with in place of ``then`` and ``after``.
+        """
+        before = self.cause
+
+        def over(*found: Any) -> Frame:
+            self.cause = before
+            return then(*found)
+
+        self.cause = cause
+        return over, (RESTORE, self, "cause", before, after)
+
     def undisturbed(self, work: Callable[[], Any]) -> Any:
         """Return what work returns; where it raises, what was being served before is being served again."""
-        current, cause = self.current, self.cause
+        state = self.state()
         try:
             return work()
         except BaseException:
-            self.current, self.cause = current, cause
+            self.restore(state)
             raise
 
     def apart(self, work: Callable[[], Any]) -> Any:
         """Return what work returns; what it dispatches follows from nothing that is being served."""
-        current, cause = self.current, self.cause
-        self.current = self.cause = None
+        state = self.state()
+        self.restore()
         try:
             return work()
         finally:
-            self.current, self.cause = current, cause
+            self.restore(state)
 
     def event(self) -> Optional[Dispatch]:
         """Return the event that is being served, or None."""

@@ -1,12 +1,14 @@
 """Lanes: how a message that one rule takes whole is served in the fewest steps."""
 
-from typing import Any, NamedTuple, Optional
+from typing import Any, Callable, NamedTuple, Optional, Tuple
 
 from ...foundation import shared_function
-from ...prolog.terms import undo
+from ...prolog.terms import Functor, Term, are_ground, undo
+from .dispatch import Dispatcher
 from .gates import Gate
+from .matching import Values
 from .plans import NOBODY
-from .serving import EventAction, Lane
+from .serving import LEFT_OUT, RESTORE, EventAction, Frame, Lane
 
 OPEN = Gate((), None)
 
@@ -78,3 +80,49 @@ def goal_lane(call: Any, completion: Completion) -> Lane:
     values = ", ".join(f"a{at}" for at in range(len(call.known)))
     found: Lane = shared_function(_LANE.format(values=values), names, "lane")
     return found
+
+
+def stand_in(
+    dispatcher: Dispatcher,
+    machine: Any,
+    key: Functor,
+    known: int,
+    work: Callable[[Values, int, int, Frame], Frame],
+    otherwise: EventAction,
+) -> Tuple[EventAction, Lane]:
+    """Return an action and a lane that do what is to be done for an event without making it; see `shortcuts`.
+
+    Args:
+        dispatcher: whose event it is.
+        machine: runs what is left to do.
+        key: functor of the event.
+        known: how many of the values of a match, the first ones, are ground where the event is.
+        work: what the one who listens does; takes values, start, end and the next frame.
+        otherwise: the action that makes the event, where it has to be made.
+    """
+    left_out, one_listens, done = dispatcher.left_out, dispatcher.one_listens, machine.done
+
+    def take(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+        current = dispatcher.current
+        instead = left_out(key)
+        if instead is None or not are_ground(values[known:] if dispatcher.ground() else values):
+            return otherwise(term, values, start, end, after)
+        dispatcher.current = instead
+        then = (RESTORE, dispatcher, "current", current, after)
+        frame = work(values, start, end, then)
+        if frame is not then:
+            return frame
+        dispatcher.current = current
+        return after
+
+    def lane(term: Any, start: int, end: int) -> bool:
+        if not one_listens(key):
+            return False
+        dispatcher.current = LEFT_OUT[1]
+        frame = work(term[1:], start, end, done)
+        if frame is not done:
+            machine.run(frame)
+        dispatcher.current = None
+        return True
+
+    return take, lane

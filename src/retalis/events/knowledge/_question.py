@@ -76,7 +76,7 @@ class Question:
         try:  # as `Dispatcher.call`, without functions made for each query
             found = goal.test(given)
         except PrologError as error:
-            dispatcher.current = event
+            dispatcher.serve_again(event)
             self._failed(values, error)
             return after
         return after if found is None else self._trigger(values + found, start, end, after)

@@ -96,9 +96,7 @@ def recording(
         try:
             solution = test(values) if ground else test_open(values)
         except PrologError as error:
-            dispatcher.current = (
-                event  # the conditions may have been in the middle of an event that they made
-            )
+            dispatcher.serve_again(event)
             if keep_back(error):
                 problem(f"{name}: event {logic.brief(term)}: {error}", name)
             return None

@@ -5,9 +5,8 @@ from typing import Any, Dict, Iterator, List, Optional, Tuple
 
 from ...foundation import UsageError
 from ...prolog.logic import Logic
-from ...prolog.terms import Term, Var, are_ground, functor
-from ..dispatch import LEFT_OUT, RESTORE, Dispatcher, Stage
-from ..network import Leaf
+from ...prolog.terms import Term, Var, functor
+from ..dispatch import Dispatcher, Stage, stand_in
 from ._conditions import Behind, behind, compile_conditions
 from ._question import Question, Surroundings, Values, compile_question, general_question, kind_of
 from ._recording import Warn
@@ -85,14 +84,11 @@ class WaitingQueries:
     def _shortcut(self, rule: Any, otherwise: Any) -> Optional[Tuple[Any, Any]]:
         """Return what takes the values of a rule's match in place of its head; see `Dispatcher.shortcuts`."""
         key, event, query, conditions = rule.definition.head
-        names = rule.root.vars
+        names = rule.vars
         find = compile_conditions(self._logic, self._memories, conditions, names)
         asked = compile_question(self._around, event, query, names, rule.place)
         if find is None or asked is None:
             return None
-        dispatcher, machine = self._dispatcher, self._logic.machine
-        left_out, one_listens, done = dispatcher.left_out, dispatcher.one_listens, machine.done
-        known = _known_of_event(rule)
 
         def ask_or_wait(values: Values, start: int, end: int, after: Any) -> Any:
             try:
@@ -105,30 +101,9 @@ class WaitingQueries:
                 return after
             return asked.ask(values, start, end, after)
 
-        def take(term: Term, values: Values, start: int, end: int, after: Any) -> Any:
-            current = dispatcher.current
-            instead = left_out(key)
-            if instead is None or not are_ground(values[known:] if dispatcher.ground() else values):
-                return otherwise(term, values, start, end, after)
-            dispatcher.current = instead
-            then = (RESTORE, dispatcher, "current", current, after)
-            frame = ask_or_wait(values, start, end, then)
-            if frame is not then:
-                return frame
-            dispatcher.current = current
-            return after
-
-        def lane(term: Term, start: int, end: int) -> bool:
-            if not one_listens(key):
-                return False
-            dispatcher.current = LEFT_OUT[1]
-            frame = ask_or_wait(term[1:], start, end, done)
-            if frame is not done:
-                machine.run(frame)
-            dispatcher.current = None
-            return True
-
-        return take, lane
+        return stand_in(
+            self._dispatcher, self._logic.machine, key, rule.ground_with_event, ask_or_wait, otherwise
+        )
 
     def _drop(self, event: Term, error: UsageError) -> None:
         self._warn(f"{self._logic.brief(event)} is dropped: {error}", ("dropped", kind_of(event)))
@@ -235,13 +210,3 @@ class WaitingQueries:
                 f"dropped are the events that waited for it: {named}{more}",
                 ("deleted", instance),
             )
-
-
-def _known_of_event(rule: Any) -> int:
-    """Return how many of the values of a rule, the first ones, have variables only where the event has some."""
-    node = rule.root
-    if not node.alone:
-        return 0
-    while not isinstance(node, Leaf):
-        node = node.child
-    return len(node.vars)

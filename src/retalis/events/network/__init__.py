@@ -1,9 +1,9 @@
 """The network: nodes for the parts of a rule's pattern, and the rule that they belong to."""
 
-from .nodes import Leaf
+from .conditions import UnderWay
 from .rule import Rule
 
 __all__ = [
-    "Leaf",
     "Rule",
+    "UnderWay",
 ]

@@ -4,7 +4,7 @@ from typing import Any, Callable, Dict, Optional, Sequence, Tuple
 
 from ...prolog.machine import PrologError, resource_error
 from ...prolog.terms import Term, Var, are_ground, functor, list_items, make_list, positions, variables
-from ..dispatch import AT_ONCE, RESTORE, Completion, goal_lane
+from ..dispatch import AT_ONCE, Completion, goal_lane
 from ..matches import Frame, Match, emit_each
 
 Values = Tuple[Term, ...]
@@ -17,6 +17,21 @@ Solved = Callable[[Term, Values, int, int, Frame], Frame]
 _DEEPEST = 30
 """How often a condition may make an event whose rules have a condition that makes an event, and so on."""
 _FINDALL = functor("findall", 3)
+
+
+class UnderWay:
+    """What the conditions of all rules share while they are tested.
+
+    Attributes:
+        nested: how many of them are being tested, one within the other.
+        checked: the interval that ``t1/1`` and ``t2/1`` give, of the innermost that has one.
+    """
+
+    __slots__ = ("nested", "checked")
+
+    def __init__(self) -> None:
+        self.nested = 0
+        self.checked: Optional[Tuple[int, int]] = None
 
 
 class RuleGoal:
@@ -46,15 +61,15 @@ class RuleGoal:
         self._inputs = inputs
         self._plain = self._compile(inputs, self.outputs, False)
         self._dispatcher = rule.network.dispatcher
+        self._under_way: UnderWay = rule.network.under_way
 
     def test(self, values: Values) -> Optional[Values]:
         """Return the values with those of the first solution, or None; an error counts as failure and is reported."""
-        network = self.rule.network
-        dispatcher = network.dispatcher
-        current = dispatcher.current
-        network.nested += 1
+        current = self._dispatcher.current
+        under_way = self._under_way
+        under_way.nested += 1
         try:
-            if network.nested > _DEEPEST:
+            if under_way.nested > _DEEPEST:
                 raise resource_error("conditions_that_make_events")
             given = tuple([values[at] for at in self.positions])
             if are_ground(given):
@@ -64,11 +79,11 @@ class RuleGoal:
                 return values + found if found else values
             return self._open().test(values)  # type: ignore[no-any-return]
         except PrologError as error:
-            dispatcher.current = current
-            network.goal_failed(self.rule, self.goal, error)
+            self._dispatcher.serve_again(current)
+            self.failed(error)
             return None
         finally:
-            network.nested -= 1
+            under_way.nested -= 1
 
     def act(
         self, term: Term, values: Values, start: int, end: int, ground: bool, solved: Solved, after: Frame
@@ -98,7 +113,7 @@ class RuleGoal:
         try:  # as `Dispatcher.call`, without functions made for each event
             found = goal.test(given)
         except PrologError as error:
-            dispatcher.current = event
+            dispatcher.serve_again(event)
             self.failed(error)
             return after
         return after if found is None else solved(term, kept + found, start, end, after)
@@ -133,7 +148,7 @@ class RuleGoal:
             try:  # as `act`
                 found = check((code, *values, done), goal)
             except PrologError as error:
-                dispatcher.current = event
+                dispatcher.serve_again(event)
                 self.failed(error)
                 return after
             return solved(term, values, start, end, after) if found else after
@@ -164,15 +179,7 @@ class RuleGoal:
         Returns:
             What to hand to `act` instead of ``solved`` and ``after``.
         """
-        dispatcher = self.rule.network.dispatcher
-        before = dispatcher.cause
-
-        def over(term: Term, values: Values, start: int, end: int, then: Frame) -> Frame:
-            dispatcher.cause = before
-            return solved(term, values, start, end, then)
-
-        dispatcher.cause = (self.rule, match)
-        return over, (RESTORE, dispatcher, "cause", before, after)
+        return self._dispatcher.caused_by((self.rule, match), solved, after)  # type: ignore[no-any-return]
 
     def _open(self, every: bool = False) -> Any:
         """Return the goal for values with variables: it gives all values anew, as its solution leaves them."""
@@ -208,7 +215,7 @@ def goal_test(call: RuleGoal, timed: bool, captured: Optional[Tuple[int, int]]) 
             further up; a variable there means that the pattern is in a branch that was not taken.
     """
     goal = call.test
-    network = call.rule.network
+    under_way = call.rule.network.under_way
     missing = [Var for _ in call.outputs]
 
     def plain(values: Values, start: int, end: int) -> Optional[Values]:
@@ -221,11 +228,11 @@ def goal_test(call: RuleGoal, timed: bool, captured: Optional[Tuple[int, int]]) 
                 return values + tuple([make() for make in missing])
         if not timed:
             return goal(values)
-        before = network.checked
-        network.checked = (start, end)
+        before = under_way.checked
+        under_way.checked = (start, end)
         try:
             return goal(values)
         finally:
-            network.checked = before
+            under_way.checked = before
 
     return with_interval if timed or captured is not None else plain

@@ -4,12 +4,13 @@ from collections import deque
 from typing import Any, Deque, List, Optional, Tuple
 
 from ...foundation import RuleError, UsageError
-from ...prolog.terms import Atom, Term, deref, is_ground
+from ...prolog.terms import Atom, Term, Var, deref, is_ground
 from ..dispatch import NOBODY, Completion, EventAction, Lane, Listener, Stage, compile_builder
 from ..language import RuleDefinition, alarm_of
 from ..matches import Expiries, Frame, Match, NetworkOptions
 from .compiling import RuleCompiler
 from .limits import least
+from .nodes import Leaf
 
 _SPARE = 1000
 
@@ -113,6 +114,21 @@ class Rule:
         """Have a leaf's action called for its events; see `Dispatcher.listen`."""
         listen = self.network.dispatcher.listen
         self.listeners.append(listen(Stage.RULES, leaf.term, action, (self.serial, leaf.rank), lane))
+
+    @property
+    def vars(self) -> List[Var]:
+        """The variables whose values a match has, in their order."""
+        return self.root.vars
+
+    @property
+    def ground_with_event(self) -> int:
+        """How many of the values of a match, the first ones, have variables only where its event has some."""
+        node: Any = self.root
+        if not node.alone:
+            return 0
+        while not isinstance(node, Leaf):
+            node = node.child
+        return len(node.vars)
 
     @property
     def active(self) -> bool:

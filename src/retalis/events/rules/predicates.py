@@ -370,7 +370,7 @@ class _ListingGoals:
         logic.database.predicate(functor("event_rule_property", 3)).dynamic = True
 
     def checked(self, machine: Any, instant: Term, at: int) -> bool:
-        interval = self.rules.checked
+        interval = self.rules.under_way.checked
         return interval is not None and bool(machine.unify(instant, shown(interval[at])))
 
     def fired(self, machine: Any, event: Term, interval: Term) -> Iterator[bool]:

@@ -12,7 +12,7 @@ from ..dispatch import Dispatcher, Stage
 from ..history import Justifier, Store, Tracker
 from ..language import Property, RuleDefinition, called_by, is_absolute, is_rule
 from ..matches import NetworkOptions
-from ..network import Rule
+from ..network import Rule, UnderWay
 from ..program import FileChecker, Files, Loader, nowhere
 from .flags import Flags
 from .predicates import define_predicates
@@ -62,8 +62,7 @@ class Rules:
         self.warn_singletons = False
         self.revs_of_nothing = 0
         self.on_warning: Callable[[RetalisError], None] = lambda error: log.warning("%s", error)
-        self.nested = 0
-        self.checked: Optional[Tuple[int, int]] = None
+        self.under_way = UnderWay()
         self._rules: Dict[Rule, None] = {}
         self._by_label: Dict[Any, Dict[Rule, None]] = {}
         self._by_key: Dict[Any, Dict[Rule, None]] = {}

@@ -1,0 +1,33 @@
+"""State has one owner: what is being served is set in the room of the dispatcher and nowhere else."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import retalis
+
+SOURCE = Path(retalis.__file__).parent
+OWNERS = {
+    "current": "events/dispatch/",
+    "cause": "events/dispatch/",
+    "nested": "events/network/conditions.py",
+    "checked": "events/network/conditions.py",
+}
+
+
+def assigned(tree):
+    """Yield the attributes that a module assigns."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and isinstance(node.ctx, (ast.Store, ast.Del)):
+            yield node.attr
+
+
+@pytest.mark.parametrize("name", OWNERS)
+def test_only_the_owner_sets_it(name):
+    setting = set()
+    for path in SOURCE.rglob("*.py"):
+        if name in set(assigned(ast.parse(path.read_text(encoding="utf-8")))):
+            setting.add(path.relative_to(SOURCE).as_posix())
+    assert setting
+    assert all(path.startswith(OWNERS[name]) for path in setting), setting
