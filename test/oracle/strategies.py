@@ -198,9 +198,9 @@ class Generator:
         if kind == "subpattern":
             return self.subpattern(min(depth - 1, 2))
         if kind == "ntimes":
-            return Ntimes(
-                self.pattern(min(depth - 1, self.choice([0, 1, 1]))), self.choice([1, 2, 3, 3, 4, 5])
-            )
+            below = self.pattern(min(depth - 1, self.choice([0, 1, 1])))
+            # unrestricted, the combinations grow with the power of the repetitions
+            return Ntimes(below, self.choice([1, 2, 3, 3, 4, 5] if isinstance(below, Leaf) else [1, 2, 3]))
         if kind in ("do", "multiply"):
             below = self.pattern(depth - 1)
             if kind == "do":
