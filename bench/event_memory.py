@@ -14,7 +14,7 @@ from typing import Any, Dict, Iterator, List
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "src"))
 
-from retalis.engine import Engine  # noqa: E402
+from retalis.engine import Engine, parts_of  # noqa: E402
 from retalis.engine.runtime import StreamClock  # noqa: E402
 from retalis.prolog.terms import (  # noqa: E402
     SECOND,
@@ -62,7 +62,7 @@ def feed(name: str, number: int) -> List[List[int]]:
         clock.move_to(instant)
         engine.post((kind, at, at), instant)
         if at % step == 0:
-            samples.append([at, resident(), engine.rules.waiting])
+            samples.append([at, resident(), parts_of(engine).rules.waiting])
     return samples
 
 

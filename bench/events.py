@@ -35,7 +35,7 @@ import event_memory  # noqa: E402
 import event_tables  # noqa: E402
 from arguments import above_zero, existing, positive, target  # noqa: E402
 
-from retalis.engine import Engine  # noqa: E402
+from retalis.engine import Engine, parts_of  # noqa: E402
 from retalis.engine.runtime import StreamClock  # noqa: E402
 from retalis.events.dispatch import Stage  # noqa: E402
 from retalis.prolog.terms import (  # noqa: E402
@@ -242,9 +242,9 @@ class Expiring:
 
     def batch(self, length: int) -> Tuple[float, int]:
         """Let further events wait, at each of which an older one expires."""
-        before = self.engine.rules.waiting
+        before = parts_of(self.engine).rules.waiting
         seconds = self._dispatch(length)
-        assert self.engine.rules.waiting <= before + 1
+        assert parts_of(self.engine).rules.waiting <= before + 1
         return seconds, 0
 
     def _dispatch(self, number: int) -> float:
@@ -266,7 +266,7 @@ class Counter:
 
     def __init__(self, engine: Engine):
         self.number = 0
-        engine.dispatcher.listen(Stage.SUBSCRIPTIONS, atom("out"), self._count)
+        parts_of(engine).dispatcher.listen(Stage.SUBSCRIPTIONS, atom("out"), self._count)
 
     def _count(self, term: Term, values: Any, start: int, end: int, after: Any) -> Any:
         self.number += 1
@@ -277,14 +277,14 @@ def engine_with(policy: str, clock: Optional[StreamClock] = None) -> Engine:
     """Return an engine with a consumption policy."""
     engine = Engine(clock)
     engine.load(goals=f"set_etalis_flag(event_consumption_policy, {policy})")
-    engine.rules.cap = 10**8
+    parts_of(engine).rules.cap = 10**8
     return engine
 
 
 def dispatch(engine: Engine, events: Sequence[Event]) -> float:
     """Dispatch events; return the CPU seconds of each."""
-    machine = engine.logic.machine
-    enter, run, done = engine.dispatcher.dispatch, machine.run, machine.done
+    machine = parts_of(engine).logic.machine
+    enter, run, done = parts_of(engine).dispatcher.dispatch, machine.run, machine.done
 
     def all_of_them() -> float:
         began = time.thread_time()

@@ -9,6 +9,7 @@ import re
 import pytest
 
 from retalis import Engine
+from retalis.engine import parts_of
 from retalis.events.dispatch import building, matching
 from retalis.foundation import ProgramErrors, codegen
 from retalis.prolog.compiler import goals
@@ -193,6 +194,8 @@ def test_an_index_does_not_hold_each_clause_with_a_variable_under_each_key():
     engine = Engine()
     engine.load(rules="".join(f"f({at}, a).\nf(_, {at}).\n" for at in range(2000)))
     assert len(engine.query("f(7, a)")) == 1
-    predicate = next(one for one in engine.logic.database.predicates.values() if str(one.functor) == "f/2")
+    predicate = next(
+        one for one in parts_of(engine).logic.database.predicates.values() if str(one.functor) == "f/2"
+    )
     assert predicate.indexes
     assert sum(map(len, predicate.indexes.values())) < 20 * 4000

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from retalis.engine import parts_of
+
 BENCH = Path(__file__).resolve().parents[2] / "bench"
 
 
@@ -70,7 +72,7 @@ def test_partners_wait_again_after_a_batch(events):
     bench = events.Bench("seq", "recent", "values")
     bench.grow(10)
     bench.batch(5)
-    assert bench.engine.rules.waiting == 10
+    assert parts_of(bench.engine).rules.waiting == 10
 
 
 def test_bounds_hold_memory(events):

@@ -9,7 +9,7 @@ from retalis.cli import main
 from retalis.cli._prompt import Lines
 from retalis.cli._report import Report
 from retalis.cli.console import Console
-from retalis.engine import Settings
+from retalis.engine import Settings, parts_of
 from retalis.engine.playback import BagWriter
 from retalis.messages import Definitions
 from retalis.prolog.machine import Limits
@@ -119,7 +119,7 @@ def test_the_time_that_a_user_takes_is_not_counted(capsys):
         is_terminal = True
 
         def wants_more(self):
-            budget = console.engine.logic.machine.budget
+            budget = parts_of(console.engine).logic.machine.budget
             asked.append(budget.turn.entry)
             return True
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from retalis import foreign
-from retalis.engine import Engine, Settings
+from retalis.engine import Engine, Settings, parts_of
 from retalis.engine.runtime import StreamClock
 from retalis.foundation import ProgramErrors, RetalisError, SyntaxFault, UsageError
 from retalis.prolog.machine import PrologError
@@ -40,7 +40,7 @@ def test_stamped_events_move_the_clock_and_late_ones_do_not_move_it_back():
     for second in range(200):
         engine.event(f"a({second})", second)
     assert engine.clock.now() == 199 * 10**9
-    assert engine.rules.rules[0].waiting == 60
+    assert parts_of(engine).rules.rules[0].waiting == 60
     assert [event for event, _, _ in engine.events].count("ring(194)") == 1
     assert ("ring(195)", 195 * 10**9, 200 * 10**9) not in engine.events
     engine.event("late", 3)
@@ -85,7 +85,7 @@ def test_what_is_no_date_is_no_number():
 
 def test_a_text_that_is_too_long_to_read_is_refused(caplog, monkeypatch):
     engine = Watched()
-    monkeypatch.setattr("retalis.engine.engine.LONGEST_INPUT", 20)
+    monkeypatch.setattr("retalis.engine._texts.LONGEST_INPUT", 20)
     with caplog.at_level(logging.WARNING, "retalis"):
         engine.post_text("event(a(1234567890))")
         engine.post_text("event(a(12345678901))")
@@ -274,7 +274,7 @@ def test_an_interrupt_leaves_no_event_behind(goal):
     engine.on_output(stop)
     with pytest.raises(KeyboardInterrupt):
         engine.load(goals="new_event(a, 1, 1)") if goal == "load" else engine.call(goal)
-    assert engine.dispatcher.current is None
+    assert parts_of(engine).dispatcher.current is None
 
 
 def test_events_that_a_subscriber_makes_of_its_own_follow_from_what_it_was_sent(caplog):
@@ -290,7 +290,7 @@ def test_events_that_a_subscriber_makes_of_its_own_follow_from_what_it_was_sent(
     engine.event("n(0)", 1)
     assert seen == [f"n({number})" for number in range(11)]
     assert "more than 10 events were derived one from another" in caplog.text
-    assert engine.dispatcher.current is None
+    assert parts_of(engine).dispatcher.current is None
 
 
 def test_a_query_and_events_from_many_threads():
@@ -364,9 +364,9 @@ def test_a_subscriber_that_fails_cuts_nothing_off(caplog):
 
 def test_alarms_past_the_bound_are_dropped_and_reported():
     engine = Engine()
-    engine.rules.cap = 3
+    parts_of(engine).rules.cap = 3
     warnings = []
-    engine.rules.on_warning = lambda warning: warnings.append(str(warning))
+    parts_of(engine).rules.on_warning = lambda warning: warnings.append(str(warning))
     engine.load(rules="exceptionAlarm(late(X), 10) <- e(X).")
     rung = []
     engine.on_event(lambda term, start, end: rung.append(engine.show(term)))
@@ -465,7 +465,7 @@ def test_an_error_of_a_callback_is_reported_and_what_follows_of_the_event_is_don
     assert seen == ["a", "b", "c"] * 2
     assert caplog.text.count("ValueError: of the callback") >= 1
     assert caplog.text.count("BrokenPipeError: of the callback") >= 1
-    assert engine.reports.errors == 2 * 2 * 3 + 2 * 2
+    assert parts_of(engine).reports.errors == 2 * 2 * 3 + 2 * 2
 
 
 @pytest.mark.parametrize("kind", ["on_output", "on_event", "foreign"])
@@ -526,7 +526,7 @@ def test_a_callback_may_ask_the_engine_itself_and_other_threads_may_post():
 def test_names_alike_are_looked_for_a_few_times_only(caplog, monkeypatch):
     engine = Engine()
     looked = []
-    similar = engine.logic.similar
-    monkeypatch.setattr(engine.logic, "similar", lambda key: looked.append(key) or similar(key))
+    similar = parts_of(engine).logic.similar
+    monkeypatch.setattr(parts_of(engine).logic, "similar", lambda key: looked.append(key) or similar(key))
     engine.load(rules="".join(f"h <- a(X) where (unknown{at}(X)).\n" for at in range(200)))
     assert len(caplog.records) == 200 and len(looked) < 60

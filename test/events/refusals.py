@@ -3,6 +3,7 @@
 import pytest
 from events.running import Program
 
+from retalis.engine import parts_of
 from retalis.foundation import ProgramErrors
 
 
@@ -11,7 +12,7 @@ def errors_of(rules):
     program = Program()
     with pytest.raises(ProgramErrors) as caught:
         program.engine.load(rules=rules)
-    assert program.engine.rules.rules == []
+    assert parts_of(program.engine).rules.rules == []
     return [_shown(error) for error in caught.value.errors]
 
 

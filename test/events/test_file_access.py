@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from retalis.engine import Engine, Settings
+from retalis.engine import Engine, Settings, parts_of
 from retalis.engine.runtime import StreamClock
 from retalis.foundation import ProgramErrors, RetalisError
 from retalis.prolog.terms import CONS, NIL, atom, functor, make_list
@@ -208,7 +208,7 @@ def test_called_while_the_program_is_loaded(place, goal):
     for name, (_, wanted) in cases(place).items():
         for way in ("goals", "directive"):
             engine = watch(engine_of(place))
-            text = engine.logic.show(GOALS[goal](name))
+            text = parts_of(engine).logic.show(GOALS[goal](name))
             text = (
                 text
                 if "\\xD" not in text
@@ -350,7 +350,7 @@ def persistent(place, **settings):
     """Run a program with persistent events from its folder; return it and its warnings."""
     engine = engine_of(place, **settings)
     warnings = []
-    engine.rules.on_warning = lambda warning: warnings.append(str(warning))
+    parts_of(engine).rules.on_warning = lambda warning: warnings.append(str(warning))
     engine.load(rules="persistent_event(b(_)). b(X) <- a(X).", folder=place / "program")
     engine.event("a(1)", 1, 1)
     return engine, warnings
@@ -526,7 +526,7 @@ def audit(event, arguments):
 
 sys.addaudithook(audit)
 engine = engine_of(place, allow_foreign=True)
-engine.reports.error = engine.rules.on_error = lambda error, kind=None: None
+parts_of(engine).reports.error = parts_of(engine).rules.on_error = lambda error, kind=None: None
 engine.load(rules="persistent_event(_). done do (nb_getval(goal, t(G)), call(G)) <- in.", folder=place / "program")
 
 def run():

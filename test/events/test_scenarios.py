@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import pytest
 from events.contradictions import CONTRADICTED, Contradiction
 
-from retalis.engine import Engine, Settings
+from retalis.engine import Engine, Settings, parts_of
 from retalis.engine.runtime import StreamClock
 from retalis.foundation import RetalisError
 from retalis.prolog.syntax import Operators, read_term, write_term
@@ -49,9 +49,11 @@ class Run:
         self.engine.on_output(
             lambda term, topic, name: self.outputs.append(normal((OUTPUT, term, atom(topic), name)))
         )
-        self.engine.rules.on_error = lambda error: self.errors.append(str(error))
-        self.engine.logic.define("sleep", 1, self._sleep)
-        self.engine.logic.define("current_datime", 1, lambda machine, term: machine.unify(term, to_term(NOW)))
+        parts_of(self.engine).rules.on_error = lambda error: self.errors.append(str(error))
+        parts_of(self.engine).logic.define("sleep", 1, self._sleep)
+        parts_of(self.engine).logic.define(
+            "current_datime", 1, lambda machine, term: machine.unify(term, to_term(NOW))
+        )
         self._run(data, folder)
 
     def _sleep(self, machine, seconds):
@@ -84,8 +86,8 @@ class Run:
 
     def _solutions(self, goal):
         try:
-            term = read_term(goal, self.engine.logic.operators).term
-            return [normal(term) for _ in self.engine.logic.solutions(term)]
+            term = read_term(goal, self.engine.operators).term
+            return [normal(term) for _ in parts_of(self.engine).logic.solutions(term)]
         except RetalisError as error:
             return f"error: {error}"
 

@@ -3,7 +3,7 @@
 import pytest
 from events import table
 
-from retalis.engine import Engine
+from retalis.engine import Engine, parts_of
 from retalis.engine.explaining import explain
 from retalis.engine.runtime import StreamClock
 from retalis.prolog.syntax import Operators, read_term
@@ -26,7 +26,7 @@ class Run:
 
     def __init__(self, rules, stream, policy="recent", watch=("out", "rev"), **flags):
         self.engine = ENGINE
-        self.engine.rules.reset()
+        parts_of(self.engine).rules.reset()
         self.seen = []
         self._watch = watch
         WATCHING[:] = [self._see]
@@ -38,7 +38,7 @@ class Run:
             self.take(*event)
 
     def _flag(self, name, value):
-        self.engine.rules.flags.set(name, atom(value) if isinstance(value, str) else value)
+        parts_of(self.engine).rules.flags.set(name, atom(value) if isinstance(value, str) else value)
 
     def take(self, text, start, end):
         self.engine.event(text, start, end)

@@ -1,5 +1,6 @@
 """What holds of an engine that does nothing, whatever was interrupted before."""
 
+from retalis.engine import parts_of
 from retalis.foundation import WATCH
 
 
@@ -11,7 +12,7 @@ def faults(engine):
         if not holds:
             found.append(text)
 
-    machine, dispatcher, runner = engine.logic.machine, engine.dispatcher, engine._runner
+    machine, dispatcher, runner = parts_of(engine).logic.machine, parts_of(engine).dispatcher, engine._runner
     budget = machine.budget
     check(not machine.choices, f"{len(machine.choices)} choice points are left")
     check(not machine.trail, f"{len(machine.trail)} variables are bound")
@@ -26,13 +27,19 @@ def faults(engine):
     check(runner._lock.acquire(False), "the lock is another's")
     runner._lock.release()
     check(not runner._lock._is_owned(), "the lock is not given back")
-    check(engine.rules.files._open == [] and not engine.rules.files.door.is_loading, "a file is being loaded")
-    check(engine.logic.new_goals is None, "goals are being prepared")
-    check(not engine.rules.loader._begun and not engine.rules.loader._acting, "a load is under way")
-    found += _of_memories(engine.knowledge)
-    for rule in engine.rules.rules:
+    check(
+        parts_of(engine).rules.files._open == [] and not parts_of(engine).rules.files.door.is_loading,
+        "a file is being loaded",
+    )
+    check(parts_of(engine).logic.new_goals is None, "goals are being prepared")
+    check(
+        not parts_of(engine).rules.loader._begun and not parts_of(engine).rules.loader._acting,
+        "a load is under way",
+    )
+    found += _of_memories(parts_of(engine).knowledge)
+    for rule in parts_of(engine).rules.rules:
         found += _of_rule(rule)
-    found += _of_predicates(engine.logic)
+    found += _of_predicates(parts_of(engine).logic)
     return found
 
 

@@ -7,6 +7,7 @@ from itertools import count
 from pathlib import Path
 
 import retalis
+from retalis.engine import parts_of
 from retalis.prolog.machine import Limits, budget, machine
 
 _SOURCE = str(Path(retalis.__file__).parent)
@@ -99,11 +100,11 @@ def time_runs_out(engine, at):
         used[0] = next(looks)
         return 0.0 if at is None or used[0] < at else 1e9 + used[0]
 
-    clock, allowed = budget.monotonic, engine.logic.limits
+    clock, allowed = budget.monotonic, parts_of(engine).logic.limits
     budget.monotonic = fake
-    engine.logic.limits = Limits(seconds=100.0)
+    parts_of(engine).logic.limits = Limits(seconds=100.0)
     try:
         yield used
     finally:
         budget.monotonic = clock
-        engine.logic.limits = allowed
+        parts_of(engine).logic.limits = allowed

@@ -8,7 +8,7 @@ from functools import lru_cache
 
 from events.running import text_of
 
-from retalis.engine import Engine, Settings
+from retalis.engine import Engine, Settings, parts_of
 from retalis.engine.runtime import StreamClock
 from retalis.prolog.machine import Limits, PrologError
 from retalis.prolog.syntax import Operators, read_term
@@ -146,8 +146,10 @@ class Subject:
         self.engine.call("nb_setval(open,closed)")
         self.engine.on_event(lambda *event: self.seen.append(event))
         self.engine.on_output(lambda *output: self.seen.append(output))
-        self.engine.rules.on_error = lambda error: self.seen.append((atom("error"), error.message))
-        self.engine.reports.error = lambda error, kind=None: self.seen.append((atom("error"), repr(error)))
+        parts_of(self.engine).rules.on_error = lambda error: self.seen.append((atom("error"), error.message))
+        parts_of(self.engine).reports.error = lambda error, kind=None: self.seen.append(
+            (atom("error"), repr(error))
+        )
 
     def event(self, text, instant):
         self.clock.move_to(instant * SECOND)

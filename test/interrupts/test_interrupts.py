@@ -4,7 +4,7 @@ import contextlib
 
 import pytest
 
-from retalis.engine import Engine
+from retalis.engine import Engine, parts_of
 from retalis.events.knowledge.memory import Memory
 from retalis.prolog.terms import atom, functor
 
@@ -44,7 +44,7 @@ def test_an_event_that_is_interrupted_anywhere_is_recorded_whole_or_not_at_all()
     counts = []
     event = functor("a", 1)(1)
     for _ in interrupted(engine, lambda: engine.event_at(event, 1, 1)):
-        memory = engine.knowledge.memories.find(atom("m")).memory
+        memory = parts_of(engine).knowledge.memories.find(atom("m")).memory
         assert memory.added == memory._gone + len(memory.records)
         counts.append(memory.added)
     assert {new - old for old, new in zip(counts, counts[1:])} == {0, 1}
@@ -98,8 +98,8 @@ def test_solutions_that_are_closed_long_after_an_interrupt_disturb_no_other_goal
         kept.append(solutions)
         raise KeyboardInterrupt
 
-    engine.logic.define("keep", 1, keep)
-    engine.logic.define("close", 0, lambda machine: kept.pop().close() or True)
+    parts_of(engine).logic.define("keep", 1, keep)
+    parts_of(engine).logic.define("close", 0, lambda machine: kept.pop().close() or True)
     with pytest.raises(KeyboardInterrupt):
         engine.call("keep(1)")
     assert faults(engine) == []

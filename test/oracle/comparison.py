@@ -12,7 +12,7 @@ from dataclasses import fields, replace
 from itertools import count
 from typing import Any, Callable, Iterable, Iterator, List, Optional, Sequence, Tuple
 
-from retalis.engine import Engine
+from retalis.engine import Engine, parts_of
 from retalis.engine.runtime import StreamClock
 from retalis.events.matches import places, timeindex
 from retalis.foundation import RetalisError
@@ -42,7 +42,7 @@ class Reset:
     def ready(self) -> Engine:
         """Return the engine with nothing in it."""
         self.steps = []
-        self.engine.rules.reset()
+        parts_of(self.engine).rules.reset()
         return self.engine
 
 

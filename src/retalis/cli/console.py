@@ -8,8 +8,8 @@ from io import StringIO
 from pathlib import Path
 from typing import Callable, Dict, Generator, List, Optional, Union, cast
 
-from ..engine import Engine, Settings
-from ..engine.runtime import Clock, relax
+from ..engine import Engine, Settings, parts_of
+from ..engine.runtime import Clock, Reports, relax
 from ..events.program import read_text
 from ..events.rules import event_of
 from ..foundation import ProgramErrors, RetalisError, RuleError, SyntaxFault
@@ -70,7 +70,7 @@ def run(options: argparse.Namespace) -> int:
         return 0
     else:
         console.goals(Lines(sys.stdin))
-    console.engine.reports.sum_up()
+    console.reports.sum_up()
     return 1 if report.errors else 0
 
 
@@ -89,10 +89,12 @@ class Console:
     """
 
     def __init__(self, report: Report, settings: Optional[Settings] = None, most: int = 1000):
-        self.engine = Engine(Clock(time.time_ns), FREE if settings is None else settings)
-        self.engine.rules.warn_singletons = True
+        self.reports = Reports()
+        self.engine = Engine(Clock(time.time_ns), FREE if settings is None else settings, self.reports)
+        self._rules = parts_of(self.engine).rules
+        self._rules.warn_singletons = True
         self.engine.on_output(to_reader(self._output))
-        self.logic = self.engine.logic
+        self.logic = parts_of(self.engine).logic
         self.logic.output = _show
         self._report = report
         self._most = most
@@ -195,7 +197,7 @@ class Console:
             try:
                 if read.singletons:
                     self._warn(f"singleton variables: {', '.join(read.singletons)}", read)
-                self.engine.do(lambda: self.engine.rules.load_terms([(read.term, read.place)]))  # noqa: B023
+                self.engine.do(lambda: self._rules.load_terms([(read.term, read.place)]))  # noqa: B023
             except ProgramErrors as errors:
                 for error in errors.errors:
                     self._report(error)

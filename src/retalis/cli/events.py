@@ -7,9 +7,9 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import IO, Callable, Dict, Iterable, List, Optional, Sequence, Union
 
-from ..engine import Engine, Settings
+from ..engine import Engine, Settings, parts_of
 from ..engine.explaining import Explanation, Line, explain, prepare
-from ..engine.runtime import StreamClock, relax
+from ..engine.runtime import Reports, StreamClock, relax
 from ..events.program import goal_of, read_goals, read_text
 from ..events.rules import event_of
 from ..foundation import ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
@@ -94,7 +94,7 @@ def run(options: argparse.Namespace) -> int:
         relax()
         session.feed()
         session.ask()
-        session.engine.reports.sum_up()
+        session.reports.sum_up()
     sys.stdout.flush()
     if options.stream is None and is_left_unread():
         print("warning: standard input was not read; --stream - takes events from it", file=sys.stderr)
@@ -173,10 +173,11 @@ class Session:
         self._report = report
         self._printer = printer
         self._clock = StreamClock()
-        self.engine = Engine(self._clock, limited(allow_folders(Settings(), options), options))
+        self.reports = Reports()
+        self.engine = Engine(self._clock, limited(allow_folders(Settings(), options), options), self.reports)
         self.engine.on_event(to_reader(printer.event))
         self.engine.on_output(to_reader(printer.output))
-        self.engine.logic.define_control("sleep", 1, self._sleep)
+        parts_of(self.engine).logic.define_control("sleep", 1, self._sleep)
         if options.explain:
             prepare(self.engine)
         if options.clock:
@@ -201,7 +202,7 @@ class Session:
         name = self._options.stream
         if name is None:
             return
-        operators = self.engine.logic.operators
+        operators = self.engine.operators
         if name == "-":
             self._feed(read_stream(sys.stdin, operators, "standard input"))
             return
@@ -242,7 +243,7 @@ class Session:
         """Print the solutions of the queries, and the explanation."""
         if self._options.queries is not None:
             path = self._options.queries
-            for goal in read_goals(read_text(path), self.engine.logic.operators, str(path)):
+            for goal in read_goals(read_text(path), self.engine.operators, str(path)):
                 if isinstance(goal, SyntaxFault):
                     self._report(goal)
                 else:
@@ -251,7 +252,7 @@ class Session:
             self._try(self._explain, asked)
 
     def _explain(self, asked: str) -> None:
-        term = read_term(asked, self.engine.logic.operators, "--explain").term
+        term = read_term(asked, self.engine.operators, "--explain").term
         self._printer.explanation(term, explain(self.engine, term))
 
     def _query(self, goal: ReadTerm) -> None:

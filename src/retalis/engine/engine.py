@@ -3,31 +3,65 @@
 import logging
 from contextlib import closing
 from pathlib import Path
-from typing import Any, Callable, Dict, Generator, List, Optional, Tuple, Union, cast
+from typing import (
+    Callable,
+    Collection,
+    Dict,
+    Generator,
+    Iterator,
+    List,
+    NamedTuple,
+    Optional,
+    Tuple,
+    TypeVar,
+    Union,
+    cast,
+)
 
 from ..events.dispatch import Dispatcher, Stage
 from ..events.knowledge import Knowledge
-from ..events.program import GOALS, MEGABYTE, errors_in, goals_of, read_text
-from ..events.rules import InputReader, Rules, define_new_event
-from ..foundation import Errors, ProgramErrors, RetalisError, RuleError, UsageError, beginning
+from ..events.program import (
+    GOALS,
+    MEGABYTE,
+    FileGoal,
+    errors_in,
+    goals_of,
+    read_text,
+    unknown_memories,
+    unread_rules,
+    wrong_messages,
+)
+from ..events.rules import Rules, define_new_event
+from ..foundation import Errors, ProgramErrors, RetalisError, RuleError, UsageError
+from ..messages import Definitions
 from ..prolog.foreign import define_foreign, define_use_foreign
 from ..prolog.logic import Logic
-from ..prolog.machine import Limits
-from ..prolog.syntax import read_term
+from ..prolog.machine import Frame, Limits
+from ..prolog.syntax import Operators, read_term
 from ..prolog.terms import Functor, Term, Var, WholeSeconds, atom, copy, timestamps, variables
+from ._texts import TextInput
 from .runtime import Clock, EngineRecovery, Reports, Runner, StreamClock, watch
 from .settings import Settings
 
 log = logging.getLogger("retalis")
 
-LONGEST_INPUT = 10_000_000
-"""Characters of an event as text. Reading is not under the limits of what the event starts, so it has its own."""
-
 Instant = Union[int, Term]
 OnOutput = Callable[[Term, str, Term], None]
 OnEvent = Callable[[Term, int, int], None]
 
+Result = TypeVar("Result")
+
 _REQUEST = atom("a request")
+
+
+class Parts(NamedTuple):
+    """What an engine is made of."""
+
+    logic: Logic
+    dispatcher: Dispatcher
+    rules: Rules
+    knowledge: Knowledge
+    reports: Reports
 
 
 class Engine:
@@ -55,42 +89,47 @@ class Engine:
     Args:
         clock: what time it is; by default a clock that follows the stamps of events and never goes back.
         settings: limits and sizes.
+        reports: takes what goes wrong while events flow; by default it is logged.
     """
 
-    def __init__(self, clock: Optional[Clock] = None, settings: Optional[Settings] = None):
+    def __init__(
+        self,
+        clock: Optional[Clock] = None,
+        settings: Optional[Settings] = None,
+        reports: Optional[Reports] = None,
+    ):
         self._followed = StreamClock() if clock is None else None
         """The clock that stamped events move; somebody's own is moved by its owner."""
         self.clock: Clock = clock or self._followed  # type: ignore[assignment]
         self.settings = settings = Settings() if settings is None else settings
-        self.logic = Logic()
-        self._budget = budget = self.logic.machine.budget
-        self.logic.limits = settings.limits
-        self.logic.now = self.clock.now
-        self.dispatcher = Dispatcher(self.logic, max_depth=settings.max_depth)
-        self.reports = Reports()
-        self.rules = Rules(self.logic, self.dispatcher, self.clock)
-        self.rules.on_error = self.reports.error
-        self.rules.on_warning = self.reports.warning
-        self._files = self.rules.files
+        self._logic = Logic()
+        self._budget = budget = self._logic.machine.budget
+        self._logic.limits = settings.limits
+        self._logic.now = self.clock.now
+        self._dispatcher = Dispatcher(self._logic, max_depth=settings.max_depth)
+        self._reports = reports = Reports() if reports is None else reports
+        self._rules = Rules(self._logic, self._dispatcher, self.clock)
+        self._rules.on_error = reports.error
+        self._rules.on_warning = reports.warning
+        self._files = self._rules.files
         self._files.door.allow(settings.folders, settings.write_folders)
         self._files.door.most = settings.max_file_megabytes * MEGABYTE
-        self.knowledge = Knowledge(
-            self.logic, self.dispatcher, self.clock.stamp, self._deliver, self.reports.warning
+        self._knowledge = Knowledge(
+            self._logic, self._dispatcher, self.clock.stamp, self._deliver, reports.warning
         )
-        self.knowledge.on_conditions = self.rules.note_conditions
-        recovery = EngineRecovery(self.logic, self.dispatcher, self.rules, self.knowledge)
-        self._runner = Runner(
-            settings.queue, self._report_drop, self.reports.error, recovery, settings.patience
-        )
+        self._knowledge.on_conditions = self._rules.note_conditions
+        recovery = EngineRecovery(self._logic, self._dispatcher, self._rules, self._knowledge)
+        self._runner = Runner(settings.queue, self._report_drop, reports.error, recovery, settings.patience)
         budget.count_for(self._runner)
-        self._watchdog = watch(self._runner, self.logic, self.dispatcher, self.reports, settings.watchdog)
-        self._texts = InputReader(self.logic.operators)
+        self._watchdog = watch(self._runner, self._logic, self._dispatcher, reports, settings.watchdog)
+        call = self._call_undisturbed if settings.allow_goals else None
+        self._text_input = TextInput(self._logic.operators, self._take, call, reports)
         self._outputs: List[OnOutput] = []
-        self._done = self.logic.machine.done
+        self._done = self._logic.machine.done
         self._message = self._take_message
-        self._lanes = self.dispatcher.lanes
-        define_new_event(self.logic, self.dispatcher)
-        define_use_foreign(self.logic, self._runner, self._files, settings.allow_foreign)
+        self._lanes = self._dispatcher.lanes
+        define_new_event(self._logic, self._dispatcher)
+        define_use_foreign(self._logic, self._runner, self._files, settings.allow_foreign)
 
     # ---- loading -------------------------------------------------------------------------------------
 
@@ -121,7 +160,7 @@ class Engine:
             ProgramErrors: all errors; nothing of the text is active then.
         """
         self._own(folder)
-        self._load(folder, lambda: self.rules.load_text(text, source, folder))
+        self._load(folder, lambda: self._rules.load_text(text, source, folder))
 
     def load_program(self, folder: Union[str, Path]) -> None:
         """Call the goals of ``goalPredicates.txt`` in a program's folder; they name the rule files.
@@ -141,7 +180,7 @@ class Engine:
         """
         self._own(folder)
         errors = Errors()
-        for goal in goals_of(text, source, folder, self.logic.operators, self._files, self._load):
+        for goal in goals_of(text, source, folder, self._logic.operators, self._files, self._load):
             if isinstance(goal, RetalisError):
                 errors.append(goal)
                 continue
@@ -153,7 +192,7 @@ class Engine:
         if errors:
             raise ProgramErrors(errors)
 
-    def _start(self, goal: Any) -> bool:
+    def _start(self, goal: FileGoal) -> bool:
         """Call a goal of a goal file."""
         budget = self._budget
         self._runner.entry = goal
@@ -165,7 +204,7 @@ class Engine:
         finally:
             budget.allow(limits)
 
-    def add_foreign(self, *sources: Any) -> List[Functor]:
+    def add_foreign(self, *sources: object) -> List[Functor]:
         """Define Python functions that have the decorator `foreign`, and those of modules, as predicates.
 
         Returns:
@@ -175,8 +214,7 @@ class Engine:
             UsageError: for a function without the decorator, or a module in which none has it.
             PrologError: where a predicate of the system has that name.
         """
-        found: List[Functor] = self._runner.call(lambda: define_foreign(self.logic, self._runner, *sources))
-        return found
+        return self._runner.call(lambda: define_foreign(self._logic, self._runner, *sources))
 
     # ---- events --------------------------------------------------------------------------------------
 
@@ -220,7 +258,7 @@ class Engine:
 
         What is none of these is refused with a warning, unless the settings allow any goal.
         """
-        self._runner.post(self._take_text, text)
+        self._runner.post(self._text_input.take, text)
 
     def advance(self) -> None:
         """Do what has come due by the clock: alarms, and starting anew where it went back."""
@@ -233,7 +271,7 @@ class Engine:
             PrologError: what the goal raised.
         """
         term = self._read(goal)
-        return bool(self.do(lambda: self._once(term), term))
+        return self.do(lambda: self._once(term), term)
 
     def query(self, goal: Union[str, Term], most: Optional[int] = None) -> List[Dict[str, Term]]:
         """Return the solutions of a goal, each as its variables' values by name.
@@ -243,17 +281,16 @@ class Engine:
             PrologError: what the goal raised.
         """
         if isinstance(goal, str):
-            read = read_term(goal, self.logic.operators, "query")
+            read = read_term(goal, self._logic.operators, "query")
             term, names = read.term, read.names
         else:
             term = goal
             names = {f"_{at}": var for at, var in enumerate(variables(goal))}
-        found: List[Dict[str, Term]] = self.do(lambda: self._solutions(term, names, most), term)
-        return found
+        return self.do(lambda: self._solutions(term, names, most), term)
 
     def _solutions(self, term: Term, names: Dict[str, Var], most: Optional[int]) -> List[Dict[str, Term]]:
         found: List[Dict[str, Term]] = []
-        with closing(cast(Generator[None, None, None], self.logic.solutions(term))) as solutions:
+        with closing(cast(Generator[None, None, None], self._logic.solutions(term))) as solutions:
             for _ in solutions:
                 shared: Dict[Var, Term] = {}  # a variable in two values stays one variable
                 found.append({name: copy(value, shared) for name, value in names.items()})
@@ -261,14 +298,14 @@ class Engine:
                     break
         return found
 
-    def do(self, work: Callable[[], Any], what: Term = _REQUEST) -> Any:
+    def do(self, work: Callable[[], Result], what: Term = _REQUEST) -> Result:
         """Do a piece of work on the engine while nothing else does; return its result.
 
         Args:
             work: does it.
             what: is named where it takes long.
         """
-        return self._runner.call(lambda: self.dispatcher.undisturbed(work), (what,))
+        return self._runner.call(lambda: self._dispatcher.undisturbed(work), (what,))
 
     # ---- what comes out ------------------------------------------------------------------------------
 
@@ -279,15 +316,58 @@ class Engine:
     def on_event(self, callback: OnEvent) -> None:
         """Have ``callback`` called with term, start and end of each event, in the order of dispatch."""
 
-        def observe(term: Term, values: Tuple[Term, ...], start: int, end: int, after: Any) -> Any:
+        def observe(term: Term, values: Tuple[Term, ...], start: int, end: int, after: Frame) -> Frame:
             self._call_back("a callback of on_event", callback, term, start, end)
             return after
 
-        self.dispatcher.listen(Stage.TRACE, Var(), observe)
+        self._dispatcher.listen(Stage.TRACE, Var(), observe)
 
     def show(self, term: Term) -> str:
         """Return a term as text that reads back."""
-        return self.logic.show(term)
+        return self._logic.show(term)
+
+    def brief(self, term: Term) -> str:
+        """Return a term as errors show it: its beginning where it is long."""
+        return self._logic.brief(term)
+
+    # ---- what is there -------------------------------------------------------------------------------
+
+    @property
+    def operators(self) -> Operators:
+        """The operators by which texts are read and written; a program may add to them."""
+        return self._logic.operators
+
+    def has_memory(self, name: Term) -> bool:
+        """Tell whether there is a memory with an id."""
+        return self._knowledge.memories.find(name) is not None
+
+    def has_subscription(self, topic: Term, name: Term) -> bool:
+        """Tell whether there is a subscription with a topic and an id."""
+        return self._knowledge.subscriptions.has(topic, name)
+
+    def delete_subscription(self, topic: Term, name: Term) -> bool:
+        """Delete the subscription with a topic and an id; return whether there was one."""
+        return self.do(lambda: self._knowledge.subscriptions.delete(topic, name))
+
+    def summary(self) -> str:
+        """Say how many rules, memories and subscriptions there are."""
+        return (
+            f"{len(self._rules.rules)} event rules, {len(list(self._knowledge.memories))} memories, "
+            f"{len(list(self._knowledge.subscriptions))} subscriptions"
+        )
+
+    def doubts(self, folder: Path, definitions: Definitions, types: Collection[str]) -> Iterator[RuleError]:
+        """Yield a warning for each thing in the program that reads well and is probably not meant.
+
+        Args:
+            folder: the program's own.
+            definitions: the message types that are known.
+            types: those that the program's topics have.
+        """
+        parts = parts_of(self)
+        yield from unread_rules(parts, folder)
+        yield from wrong_messages(parts, definitions, types)
+        yield from unknown_memories(parts)
 
     @property
     def dropped(self) -> int:
@@ -299,10 +379,10 @@ class Engine:
         if folder is not None:
             self._files.door.add_own(folder)
 
-    def _load(self, folder: Optional[Path], work: Callable[[], Any]) -> Any:
+    def _load(self, folder: Optional[Path], work: Callable[[], Result]) -> Result:
         """Do work of the program's own files, which stand in a folder: it may name any file."""
 
-        def run() -> Any:
+        def run() -> Result:
             with self._files.loading(folder):
                 return work()
 
@@ -311,14 +391,14 @@ class Engine:
     # ---- inside --------------------------------------------------------------------------------------
 
     def _read(self, term: Union[str, Term]) -> Term:
-        return read_term(term, self.logic.operators, "text").term if isinstance(term, str) else term
+        return read_term(term, self._logic.operators, "text").term if isinstance(term, str) else term
 
     def _once(self, goal: Term) -> bool:
         """Call a goal once; where nothing else is under way nobody will undo its bindings: no trail of them stays."""
-        machine = self.logic.machine
-        outermost = not machine.trail and not machine.choices and self.dispatcher.current is None
+        machine = self._logic.machine
+        outermost = not machine.trail and not machine.choices and self._dispatcher.current is None
         try:
-            return self.logic.once(goal)
+            return self._logic.once(goal)
         finally:
             if outermost:
                 machine.trail.clear()
@@ -334,12 +414,12 @@ class Engine:
             end = start
         else:
             if end < start:
-                raise UsageError(f"{self.logic.brief(term)} ends before it starts")
+                raise UsageError(f"{self._logic.brief(term)} ends before it starts")
             if self._followed is not None:
                 self._followed.now()  # where somebody has put it back, that is seen first
                 self._followed.move_to(end)
             self._look_at_clock()
-        dispatcher = self.dispatcher
+        dispatcher = self._dispatcher
         current, cause = dispatcher.current, dispatcher.cause
         try:  # as `Dispatcher.undisturbed`
             lane = dispatcher.lanes.get(term[0]) if ground and term.__class__ is tuple else None
@@ -347,7 +427,7 @@ class Engine:
                 return
             frame = dispatcher.dispatch(term, start, end, self._done, None, ground)
             if frame is not self._done:
-                self.logic.machine.run(frame)
+                self._logic.machine.run(frame)
         except BaseException:
             dispatcher.restore((current, cause))
             raise
@@ -361,7 +441,7 @@ class Engine:
                 if lane(term, stamp, stamp):
                     return
             except BaseException:
-                self.dispatcher.restore()
+                self._dispatcher.restore()
                 raise
         self._take(term, stamp, stamp, True)
 
@@ -373,34 +453,8 @@ class Engine:
             self._watch_clock()
         return now
 
-    def _take_text(self, text: str) -> None:
-        if len(text) > LONGEST_INPUT:
-            self._refuse(
-                f"{beginning(text)}: it has {len(text)} characters, at most {LONGEST_INPUT} are allowed"
-            )
-            return
-        try:
-            made = self._texts.event(text)
-        except RetalisError as error:
-            self._refuse(error if error.place else f"{beginning(text)}: {error}")
-            return
-        if made is not None:
-            self._take(*made)
-        elif self.settings.allow_goals:
-            self._take_goal(text)
-        else:
-            self._refuse(f"{beginning(text)}: only event/1,2 and new_event/2,3,5 are accepted")
-
-    def _take_goal(self, text: str) -> None:
-        goal = self._texts.goal(text)
-        try:
-            if not self.dispatcher.undisturbed(lambda: self._once(goal)):
-                self.reports.warning(f"the goal {beginning(text)} fails")
-        except RetalisError as error:
-            self.reports.warning(f"the goal {beginning(text)} ends with an error: {error}")
-
-    def _refuse(self, reason: Any) -> None:
-        self.reports.warning(f"event refused: {reason}", "refused", texts=20)
+    def _call_undisturbed(self, goal: Term) -> bool:
+        return self._dispatcher.undisturbed(lambda: self._once(goal))
 
     def _watch_clock(self) -> None:
         """Start anew where time went back, and let alarms ring that are due."""
@@ -416,24 +470,35 @@ class Engine:
 
     def _start_anew(self) -> None:
         log.warning("time went back: memories, waiting queries and partial matches are cleared")
-        self.knowledge.clear()
-        self.rules.clear()
+        self._knowledge.clear()
+        self._rules.clear()
 
     def _deliver(self, term: Term, topic: str, name: Term) -> None:
         for callback in self._outputs:
             self._call_back("a callback of on_output", callback, term, topic, name)
 
-    def _call_back(self, what: str, callback: Callable[..., None], *arguments: Any) -> None:
+    def _call_back(self, what: str, callback: Callable[..., None], *arguments: object) -> None:
         runner = self._runner
         outer = runner.callback
         runner.callback = (what,)
         try:
             callback(*arguments)
         except Exception as error:  # a subscriber's own fault must not cut off what follows of the event
-            self.reports.error(error)
+            self._reports.error(error)
         runner.callback = outer
 
     def _report_drop(self, dropped: int) -> None:
-        self.reports.warning(
+        self._reports.warning(
             f"events come in faster than they can be processed: {dropped} dropped so far", "dropped"
         )
+
+
+def parts_of(engine: Engine) -> Parts:
+    """Return what an engine is made of, for those rooms and tests that look inside; programs need none of it."""
+    return Parts(
+        engine._logic,  # noqa: SLF001
+        engine._dispatcher,  # noqa: SLF001
+        engine._rules,  # noqa: SLF001
+        engine._knowledge,  # noqa: SLF001
+        engine._reports,  # noqa: SLF001
+    )

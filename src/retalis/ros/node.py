@@ -6,16 +6,8 @@ import rospy
 from std_msgs.msg import String
 
 from ..engine import Engine
-from ..engine.runtime import Alarm, Clock
-from ..events.program import (
-    TOPICS,
-    Topics,
-    TopicType,
-    read_topics,
-    unknown_memories,
-    unread_rules,
-    wrong_messages,
-)
+from ..engine.runtime import Alarm, Clock, Reports
+from ..events.program import TOPICS, Topics, TopicType, read_topics
 from ..foundation import RetalisError
 from ..messages import Decoder, Definitions, Installed
 from ..prolog.syntax import to_text
@@ -81,13 +73,14 @@ class RetalisNode:
     def __init__(self, parameters: Parameters):
         self._parameters = parameters
         clock = RosClock()
-        self.engine = clock.engine = Engine(clock, parameters.settings)
-        rospy.on_shutdown(self.engine.reports.sum_up)
+        self._reports = Reports()
+        self.engine = clock.engine = Engine(clock, parameters.settings, self._reports)
+        rospy.on_shutdown(self._reports.sum_up)
         self._load()
         topics = self._topics()
-        self._texts = Outlet(OUTPUT, String, parameters.queue, self.engine.reports)
+        self._texts = Outlet(OUTPUT, String, parameters.queue, self._reports)
         self._interface = Interface(
-            self._poster, parameters.queue, self.engine.reports, Definitions(bare=parameters.bare)
+            self._poster, parameters.queue, self._reports, Definitions(bare=parameters.bare)
         )
         self._lint(topics)
         self.engine.on_output(self._send_text)
@@ -100,24 +93,13 @@ class RetalisNode:
             self._subscribe(topic, kind)
         EngineServices(self.engine, (topic for topic, _ in topics.published))
         self._interface.subscribe_texts(INPUT, self.engine.post_text)
-        rospy.loginfo("%s: %s", parameters.program, self._summary())
+        rospy.loginfo("%s: %s", parameters.program, self.engine.summary())
 
     def _lint(self, topics: Topics) -> None:
         kinds = {kind for _, kind in (*topics.subscribed, *topics.published)}
         definitions = Definitions(Installed(rosbags=False))  # which the node has no other need of
-        for warning in (
-            *unread_rules(self.engine, self._parameters.program),
-            *wrong_messages(self.engine, definitions, kinds),
-            *unknown_memories(self.engine),
-        ):
+        for warning in self.engine.doubts(self._parameters.program, definitions, kinds):
             rospy.logwarn("%s", warning)
-
-    def _summary(self) -> str:
-        knowledge = self.engine.knowledge
-        return (
-            f"{len(self.engine.rules.rules)} event rules, {len(list(knowledge.memories))} memories, "
-            f"{len(list(knowledge.subscriptions))} subscriptions"
-        )
 
     def _load(self) -> None:
         try:

@@ -53,7 +53,7 @@ class EngineServices:
     def _add_subscription(self, request: Any) -> str:
         def work() -> None:
             topic, key = name(request.topic, "topic"), name(request.id, "id")
-            if self._engine.knowledge.subscriptions.has(topic, key):
+            if self._engine.has_subscription(topic, key):
                 raise UsageError(
                     f"a subscription {shown(request.id)} of topic {shown(request.topic)} already exists"
                 )
@@ -80,7 +80,7 @@ class EngineServices:
     def _add_memory(self, request: Any) -> str:
         def work() -> None:
             key, size = name(request.id, "id"), self._size(request.size)
-            if self._engine.knowledge.memories.find(key) is not None:
+            if self._engine.has_memory(key):
                 raise UsageError(f"a memory {shown(request.id)} already exists")
             self._add(request, "memorize", key, size)
 
@@ -89,7 +89,7 @@ class EngineServices:
     def _delete_subscription(self, request: Any) -> str:
         def work() -> None:
             topic, key = name(request.topic, "topic"), name(request.id, "id")
-            if not self._engine.do(lambda: self._engine.knowledge.subscriptions.delete(topic, key)):
+            if not self._engine.delete_subscription(topic, key):
                 raise UsageError(
                     f"there is no subscription {shown(request.id)} of topic {shown(request.topic)}"
                 )
@@ -99,7 +99,7 @@ class EngineServices:
     def _delete_memory(self, request: Any) -> str:
         def work() -> None:
             key = name(request.id, "id")
-            if self._engine.knowledge.memories.find(key) is None:
+            if not self._engine.has_memory(key):
                 raise UsageError(f"there is no memory {shown(request.id)}")
             self._call((functor("delete_memory", 1), key))
 
@@ -126,7 +126,7 @@ class EngineServices:
 
     def _check(self, field: str, expected: str, term: Term, kinds: Tuple[type, ...]) -> None:
         if not isinstance(deref(term), kinds):
-            raise UsageError(f"{field}: expected {expected}, found {self._engine.logic.brief(term)}")
+            raise UsageError(f"{field}: expected {expected}, found {self._engine.brief(term)}")
 
     def _read_together(self, fields: Dict[str, str]) -> Tuple[List[Term], Dict[str, Var]]:
         """Read fields each by itself, and have variables of one name be the same in all of them."""
@@ -136,7 +136,7 @@ class EngineServices:
             if not text.strip():
                 raise UsageError(f"{field} is empty")
             try:
-                read = read_term(text, self._engine.logic.operators, field)
+                read = read_term(text, self._engine.operators, field)
             except SyntaxFault as fault:
                 raise UsageError(f"{field}: {fault.brief()}") from fault
             for name, var in read.names.items():
@@ -157,7 +157,7 @@ class EngineServices:
 
     def _call(self, goal: Term) -> None:
         if not self._engine.call(goal):
-            raise UsageError(f"{self._engine.logic.brief(goal)} fails")
+            raise UsageError(f"{self._engine.brief(goal)} fails")
 
 
 class InterfaceServices:

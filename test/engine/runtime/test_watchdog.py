@@ -5,7 +5,7 @@ import threading
 
 import pytest
 
-from retalis.engine import Engine, Settings
+from retalis.engine import Engine, Settings, parts_of
 from retalis.engine.runtime import watchdog as _watchdog
 from retalis.engine.runtime.watchdog import Watchdog
 from retalis.prolog.machine import Budget, LimitError, Limits
@@ -106,7 +106,7 @@ def test_short_goals_that_add_up_are_ended_by_the_watchdog(caplog):
         dog.look(now[0])
         return True
 
-    engine.logic.define("slow", 1, slow)
+    parts_of(engine).logic.define("slow", 1, slow)
     seen = []
     engine.on_event(lambda term, start, end: seen.append(engine.show(term)))
     engine.event("in", 1)
@@ -134,7 +134,7 @@ def test_rule_goal_and_event_are_named(rules, goals, named, caplog):
         dog.look(1.5)
         return True
 
-    engine.logic.define("hold", 0, hold)
+    parts_of(engine).logic.define("hold", 0, hold)
     engine.load_rules(rules, "rules.txt")
     engine.load(goals=goals)
     engine.event("in(1)", 1)
@@ -154,7 +154,7 @@ def test_goals_at_the_start_and_questions_are_named(caplog, tmp_path):
             now[0] += 1.5
         return True
 
-    engine.logic.define("hold", 1, hold)
+    parts_of(engine).logic.define("hold", 1, hold)
     (tmp_path / "goalPredicates.txt").write_text("hold(1)\n")
     engine.load_program(tmp_path)
     assert "goalPredicates.txt:1:1: goal hold/1 is running" in caplog.text
@@ -166,7 +166,7 @@ def test_goals_at_the_start_and_questions_are_named(caplog, tmp_path):
 
 def test_what_cannot_be_named_is_ended_all_the_same(monkeypatch, caplog):
     engine = Engine(settings=Settings(watchdog=1.0, limits=Limits(seconds=1.0)))
-    dog, budget = engine._watchdog, engine.logic.machine.budget
+    dog, budget = engine._watchdog, parts_of(engine).logic.machine.budget
 
     def changed_meanwhile(*_):
         assert budget.closed
@@ -179,7 +179,7 @@ def test_what_cannot_be_named_is_ended_all_the_same(monkeypatch, caplog):
         dog.look(1.5)
         return budget.closed
 
-    engine.logic.define("hold", 0, hold)
+    parts_of(engine).logic.define("hold", 0, hold)
     assert engine.call("hold")
     assert "changed size during iteration" in caplog.text
 
@@ -211,14 +211,14 @@ def test_the_thread_ends_with_the_engine():
 def test_the_thread_ends_what_no_goal_counts():
     engine = Engine(settings=Settings(limits=Limits(seconds=0.05)))
     going = threading.Event()
-    budget = engine.logic.machine.budget
+    budget = parts_of(engine).logic.machine.budget
 
     def wait(machine):
         while not budget.closed:
             going.wait(0.01)
         return True
 
-    engine.logic.define("wait", 0, wait)
+    parts_of(engine).logic.define("wait", 0, wait)
     engine.load_rules("a <- in where wait.\nb <- in where true(1).\ntrue(1).")
     seen = []
     engine.on_event(lambda term, start, end: seen.append(term))

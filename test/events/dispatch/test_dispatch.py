@@ -3,7 +3,7 @@
 import pytest
 from events.running import Program, fired
 
-from retalis.engine import Engine, Settings
+from retalis.engine import Engine, Settings, parts_of
 from retalis.events.dispatch import Dispatcher, Stage
 from retalis.foundation import UsageError
 from retalis.prolog.terms import NIL, Lazy, Var, atom, functor, make_list
@@ -225,7 +225,7 @@ def test_onlookers_are_served_as_others_are(looks_on, depth):
 def test_as_many_events_as_allowed_are_derived_one_from_the_other(depth):
     engine = Engine(settings=Settings(max_depth=depth))
     errors, seen = [], []
-    engine.rules.on_error = errors.append
+    parts_of(engine).rules.on_error = errors.append
     engine.on_event(lambda term, start, end: seen.append(term))
     engine.load(rules=f"n(Y) <- n(X) where (X < {depth + 1}, Y is X + 1).")
     engine.event(f"n({1})", 1)

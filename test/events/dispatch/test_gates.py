@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retalis.engine import Engine, Settings
+from retalis.engine import Engine, Settings, parts_of
 from retalis.events.dispatch import Dispatcher, Stage
 from retalis.prolog.machine import Limits
 from retalis.prolog.terms import Var, atom, functor, make_list
@@ -125,7 +125,7 @@ def test_an_error_in_a_lane_names_the_event_and_the_next_one_is_served(caplog):
     program.engine.post(A(X))
     program.engine.post(A(2))
     assert program.outputs == ["b(2)", "b(3)"]
-    assert program.engine.dispatcher.current is None
+    assert parts_of(program.engine).dispatcher.current is None
     (message,) = [record.getMessage() for record in caplog.records]
     assert "at event a(x)" in message and "x/0" in message
 

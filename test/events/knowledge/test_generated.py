@@ -9,7 +9,7 @@ import re
 
 import pytest
 
-from retalis.engine import Engine, Settings
+from retalis.engine import Engine, Settings, parts_of
 from retalis.events.dispatch import Stage
 from retalis.prolog.terms import Var, functor
 
@@ -92,7 +92,7 @@ def outcome(seed, everything, caplog):
 
     kinds = [functor(name, arity)(*(Var() for _ in range(arity))) for name, arity in KINDS]
     for pattern in kinds:
-        engine.dispatcher.listen(Stage.TRACE, pattern, note)
+        parts_of(engine).dispatcher.listen(Stage.TRACE, pattern, note)
     if everything:
         engine.on_event(lambda term, start, end: None)
     engine.load(rules=rules(pick, names), goals=goals)
@@ -104,9 +104,13 @@ def outcome(seed, everything, caplog):
             engine.event_at(term, instant, instant)
         if pick.random() < 0.02:
             engine.call("delete_memory(m0)")
-    assert engine.dispatcher.current is None
+    assert parts_of(engine).dispatcher.current is None
     warnings = [re.sub(r" \(in \S+/\d+\)|(?<=_)G?\d+", "", record.message) for record in caplog.records]
-    return got, len(engine.knowledge.waiting), warnings  # without what calls a built-in of compiled code
+    return (
+        got,
+        len(parts_of(engine).knowledge.waiting),
+        warnings,
+    )  # without what calls a built-in of compiled code
 
 
 @pytest.mark.slow

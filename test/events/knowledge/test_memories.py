@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from retalis.engine import Engine
+from retalis.engine import Engine, parts_of
 from retalis.prolog.machine import PrologError
 from retalis.prolog.terms import deref, list_items
 
@@ -216,7 +216,7 @@ def test_a_condition_that_fails_in_an_event_of_its_own_leaves_the_event_as_it_wa
         goals="memorize(a(X), [(new_event(b(Y), 1, 1), Y > X)], a(X), first, 5)\nmemorize(a(_), [], _, second, 5)",
     )
     engine.event("a(1)", 1, 1)
-    assert engine.dispatcher.current is None
+    assert parts_of(engine).dispatcher.current is None
     assert engine.query("access_mem(first, R, _)") == []
     assert len(engine.query("access_mem(second, R, _)")) == 1
 

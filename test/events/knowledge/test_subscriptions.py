@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from retalis.engine import parts_of
 from retalis.prolog.machine import PrologError
 
 sys.path.append(str(Path(__file__).resolve().parents[2]))
@@ -73,7 +74,7 @@ def test_what_is_no_subscription_is_an_error_and_nothing_is_half_made(goal):
     engine = Watched()
     with pytest.raises(PrologError):
         engine.call(goal)
-    assert list(engine.knowledge.subscriptions) == []
+    assert list(parts_of(engine).knowledge.subscriptions) == []
     engine.event("a", 1)
     assert engine.outputs == []
 

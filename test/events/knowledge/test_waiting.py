@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from retalis.engine import Engine, Settings
+from retalis.engine import Engine, Settings, parts_of
 from retalis.events.dispatch import Stage
 from retalis.prolog.machine import Limits
 from retalis.prolog.terms import Var, atom, functor
@@ -72,7 +72,7 @@ def test_another_waits_and_is_called_once_with_the_interval_of_its_own_event(run
     engine.event("v(3)", 20)
     engine.event("v(4)", 30)
     assert answers(engine) == [("answer(a,3)", 3 * 10**9, 3 * 10**9)]
-    assert len(engine.knowledge.waiting) == 0
+    assert len(parts_of(engine).knowledge.waiting) == 0
 
 
 def test_both_spellings_hold(run):
@@ -167,7 +167,7 @@ def test_wrong_conditions_are_reported_and_the_event_is_dropped(run, conditions,
         engine.event("ask", 1)
     assert message in caplog.text
     assert answers(engine) == []
-    assert len(engine.knowledge.waiting) == 0
+    assert len(parts_of(engine).knowledge.waiting) == 0
 
 
 def test_a_query_that_raises_is_reported(run, caplog):
@@ -186,7 +186,7 @@ def test_a_query_that_gives_no_event_is_reported_and_the_rest_goes_on(run, when,
         engine.event("v(1)", 10)
     assert "1 is dropped" in caplog.text
     assert names(engine) == ["done", "done(1)"]
-    assert engine.dispatcher.current is None
+    assert parts_of(engine).dispatcher.current is None
 
 
 def test_a_chain_of_synchronized_events_without_end_is_an_error_of_its_own(run, caplog):
@@ -223,7 +223,7 @@ def test_a_chain_of_synchronized_events_waits_for_each_anew(run):
 
 def test_those_that_wait_are_bounded(run, caplog):
     engine = run("syncronized(done(X), true, [[m, 10]]) <- ask(X).", MEMORY)
-    engine.knowledge.waiting._limit = 3
+    parts_of(engine).knowledge.waiting._limit = 3
     with caplog.at_level(logging.WARNING, "retalis"):
         for number in range(5):
             engine.event(f"ask({number})", 1)
@@ -234,10 +234,10 @@ def test_those_that_wait_are_bounded(run, caplog):
 
 def test_a_memory_without_events_does_not_pile_up_what_was_dropped(run):
     engine = run("syncronized(done(X), true, [[m, 10], [m, 11]]) <- ask(X).", MEMORY)
-    engine.knowledge.waiting._limit = 3
+    parts_of(engine).knowledge.waiting._limit = 3
     for number in range(50):
         engine.event(f"ask({number})", 1)
-    (memory,) = engine.knowledge.memories
+    (memory,) = parts_of(engine).knowledge.memories
     assert len(memory._times) <= 2 * 3 + 16
     engine.event("v(1)", 10)
     assert names(engine) == []
@@ -258,7 +258,7 @@ def test_events_that_only_queries_listen_to_are_not_made():
     engine.event("ask(a)", 1)
     engine.event("v(1)", 10)
     assert names(engine) == ["done(a)"]
-    assert SYNCHRONIZED not in engine.dispatcher._plans
+    assert SYNCHRONIZED not in parts_of(engine).dispatcher._plans
     engine.event("syncronized(done(b), true, [[m, 10]])", 1)
     engine.load(rules="done(heard) <- syncronized(_, _, _).")
     engine.event("ask(c)", 1)
@@ -293,10 +293,10 @@ def test_what_follows_an_event_that_is_not_made_is_of_the_event_before():
     depths = []
 
     def measure(term, values, start, end, after):
-        depths.append(engine.dispatcher.event().depth)
+        depths.append(parts_of(engine).dispatcher.event().depth)
         return after
 
-    engine.dispatcher.listen(Stage.TRACE, functor("done", 1)(Var()), measure)
+    parts_of(engine).dispatcher.listen(Stage.TRACE, functor("done", 1)(Var()), measure)
     engine.event("a", 1)
     assert depths == [3] * 6
 
@@ -357,7 +357,7 @@ def test_a_query_waits_for_one_memory_after_the_other():
             engine.events.clear()
     engine.event("e(q)", 25)
     assert names(engine) == ["done(b)"]
-    assert len(engine.knowledge.waiting) == 0
+    assert len(parts_of(engine).knowledge.waiting) == 0
 
 
 def test_deleting_a_memory_drops_what_waits_for_it_among_others_but_not_what_has_got_its_data(run):
@@ -367,7 +367,7 @@ def test_deleting_a_memory_drops_what_waits_for_it_among_others_but_not_what_has
     engine.event("ask(a, 20)", 1)
     engine.event("ask(b, 30)", 1)
     engine.call("delete_memory(m)")
-    assert len(engine.knowledge.waiting) == 1
+    assert len(parts_of(engine).knowledge.waiting) == 1
     engine.event("w(1)", 50)
     assert names(engine) == ["done(a)"]
 
@@ -407,7 +407,7 @@ def test_an_error_in_the_query_of_a_message_leaves_nothing_behind(run, caplog):
     engine.post(value(0), 10**9)
     for at, asked in enumerate((2, atom("a"), 3, atom("b")), 1):
         engine.post(ask(asked, 1.0), at * 10**9)
-        assert engine.dispatcher.current is None
+        assert parts_of(engine).dispatcher.current is None
     engine.post(value(1), 20 * 10**9)
     assert names(engine) == ["done(rule)", "done(2)", "done(3)", "done(rule)"]
     assert "done(a) is dropped, its query raised" in caplog.text
@@ -424,7 +424,7 @@ def test_queries_of_messages_may_need_the_machine(run, query):
     engine.post(ask(10.0), 3 * 10**9)
     engine.post(value(1), 11 * 10**9)
     assert names(engine) == ["done(1)", "done(1)"]
-    assert engine.dispatcher.current is None
+    assert parts_of(engine).dispatcher.current is None
 
 
 @pytest.mark.parametrize("goal", ["loop", "length(_, 3000000)"])

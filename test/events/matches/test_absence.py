@@ -3,6 +3,7 @@
 import pytest
 from events.running import Program, fired
 
+from retalis.engine import parts_of
 from retalis.events.matches import Absence
 
 
@@ -10,7 +11,7 @@ def test_keys_under_which_nothing_waits_any_more_are_forgotten():
     program = Program("d(X) <- (a(X) seq b(X)) cnot c(X) within 5.")
     for number in range(3000):
         program.feed(f"c({number})@{number}")
-    (rule,) = program.engine.rules.rules
+    (rule,) = parts_of(program.engine).rules.rules
     (absence,) = (
         absence
         for node, _, _ in rule.nodes
@@ -112,4 +113,4 @@ def test_what_rules_out_goes_when_no_partner_can_come_any_more(flags):
     program = Program("o <- ((a seq b) cnot (c seq d)) within 5.", flags)
     for number in range(0, 1000, 2):
         program.feed(f"c@{number} d@{number + 1}")
-        assert program.engine.rules.waiting < 20
+        assert parts_of(program.engine).rules.waiting < 20

@@ -4,6 +4,7 @@ import pytest
 from events.refusals import warnings_of
 
 from retalis import Engine
+from retalis.engine import parts_of
 from retalis.foundation import ProgramErrors
 
 
@@ -27,7 +28,9 @@ def test_they_are_errors_that_name_the_arrow(goal, key):
     assert "write :- before a goal" in error.message
     assert (error.place.line, error.place.column) == (3, 3)
     assert not engine.call("catch(fact(1), _, fail)")
-    assert engine.logic.is_of_system(next(k for k in engine.logic.names() if str(k) == key))
+    assert parts_of(engine).logic.is_of_system(
+        next(k for k in parts_of(engine).logic.names() if str(k) == key)
+    )
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 import pytest
 
-from retalis.engine import Engine
+from retalis.engine import Engine, parts_of
 from retalis.engine.runtime import StreamClock
 from retalis.events.rules.flags import FLAGS
 from retalis.foundation import ProgramErrors
@@ -70,7 +70,7 @@ def test_a_directive_that_sets_a_wrong_flag_refuses_the_file():
     engine = Engine()
     with pytest.raises(ProgramErrors):
         engine.load(rules=":- set_etalis_flag(nonsense, on).\n" + SEQ)
-    assert not engine.rules.rules
+    assert not parts_of(engine).rules.rules
 
 
 def test_the_policy_holds_at_once_for_what_waits():

@@ -4,7 +4,7 @@ import logging
 from pathlib import Path
 
 from retalis import Engine
-from retalis.engine import Settings
+from retalis.engine import Settings, parts_of
 from retalis.foundation import RetalisError
 from retalis.prolog.machine import Limits
 
@@ -117,5 +117,5 @@ log.propagate = False
 def silent_engine(settings=SETTINGS):
     """Return an engine that prints nothing and raises what it would have logged as its own fault."""
     engine = Engine(settings=settings)
-    engine.logic.output = engine.logic.error_output = lambda text: None
+    parts_of(engine).logic.output = parts_of(engine).logic.error_output = lambda text: None
     return engine

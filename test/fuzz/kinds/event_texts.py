@@ -1,5 +1,7 @@
 """Texts on the topic of events, for an engine that takes events only."""
 
+from retalis.engine import parts_of
+
 from ..mutate import changed_text, soup, to_bytes, to_text
 from .base import ARGUMENTS, LOGGED, Kind, silent_engine
 
@@ -62,9 +64,9 @@ class Inputs(Kind):
         return to_bytes(changed_text(chance, chance.choice(self.texts), self.texts, PIECES))
 
     def run(self, data):
-        before = self.engine.reports.warnings
+        before = parts_of(self.engine).reports.warnings
         self.engine.post_text(to_text(data))
-        if self.engine.reports.warnings > before:
+        if parts_of(self.engine).reports.warnings > before:
             self.refused += 1
         else:
             self.taken += 1

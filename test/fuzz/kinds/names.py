@@ -223,21 +223,21 @@ class Inputs(Kind):
     # ---- logic ---------------------------------------------------------------------------------------
 
     def in_atom(self, name):
-        text = writeq(atom(name), self.engine.logic.operators)
+        text = writeq(atom(name), self.engine.operators)
         found = self.engine.query(f"X = {text}")
         self.same(found[0]["X"], atom(name))
         self.same(self.reader.read(text_of((functor("f", 1), atom(name))))[1], atom(name))
 
     def in_functor(self, name):
-        text = writeq((functor(name, 1), 1), self.engine.logic.operators)
+        text = writeq((functor(name, 1), 1), self.engine.operators)
         self.engine.load(rules=f"{text} :- true.\ncalls(X) :- {text}, X = 1.")
         self.same(len(self.engine.query(text)), 1)
         self.same(self.engine.query("calls(X)")[0]["X"], 1)
         self.engine.query(f"retractall({text})")
 
     def in_event(self, name):
-        text = writeq((functor(name, 1), 1), self.engine.logic.operators)
-        quoted = writeq(atom(name), self.engine.logic.operators)
+        text = writeq((functor(name, 1), 1), self.engine.operators)
+        quoted = writeq(atom(name), self.engine.operators)
         self.engine.load(rules=f"{quoted}(X) <- fuzz_a(X) seq fuzz_b({quoted}) where X > 0.")
         self.engine.load(goals=f"subscribe({quoted}(_), [], _, t, fuzz)")
         try:
@@ -251,7 +251,7 @@ class Inputs(Kind):
         self.outputs.clear()
 
     def in_variable(self, name):
-        read = read_term(f"f(_{name})", self.engine.logic.operators)
+        read = read_term(f"f(_{name})", self.engine.operators)
         for found in read.names:
             if found not in f"_{name}":
                 raise Finding("difference", f"{name!r} became {found!r}", "names")
@@ -259,20 +259,23 @@ class Inputs(Kind):
         self.engine.load(rules=f"v{MARK}(V{name}) <- a(V{name}) where V{name} > 1.")
 
     def in_string(self, name):
-        text = writeq(atom(name), self.engine.logic.operators)
+        text = writeq(atom(name), self.engine.operators)
         found = self.engine.query(f'atom_string({text}, S), atom_length(S, N), string_concat(S, "", S)')
         self.same(found[0]["S"].text, name)
         self.engine.load(rules=f"s({text}) <- a(X) where X = {text}.")
         self.engine.event(f"a({text})", 1)
 
     def in_operator(self, name):
-        quoted = writeq(atom(name), self.engine.logic.operators)
+        quoted = writeq(atom(name), self.engine.operators)
         self.engine.call(f"op(700, xfx, {quoted})")
         try:
             term = (functor(name, 2), 1, atom(name))
             self.same(
                 writeq(
-                    read_term(writeq(term, self.engine.logic.operators), self.engine.logic.operators).term
+                    read_term(
+                        writeq(term, self.engine.operators),
+                        self.engine.operators,
+                    ).term
                 ),
                 writeq(term),
             )
@@ -280,7 +283,7 @@ class Inputs(Kind):
             self.engine.call(f"op(0, xfx, {quoted})")
 
     def in_flag(self, name):
-        quoted = writeq(atom(name), self.engine.logic.operators)
+        quoted = writeq(atom(name), self.engine.operators)
         self.attempt(self.engine.call, f"set_prolog_flag({quoted}, {quoted})")
         self.attempt(self.engine.call, f"set_etalis_flag({quoted}, {quoted})")
         self.attempt(self.engine.call, f"create_prolog_flag({quoted}, {quoted}, [])")
@@ -290,13 +293,13 @@ class Inputs(Kind):
     # ---- programs ------------------------------------------------------------------------------------
 
     def in_label(self, name):
-        quoted = writeq(atom(name), self.engine.logic.operators)
+        quoted = writeq(atom(name), self.engine.operators)
         self.engine.load(rules=f"{quoted} : l{MARK}(X) <- a(X) seq b(X).")
         self.engine.event("a(1)", 1)
         self.engine.call(f"del_event_rule({quoted})")
 
     def in_topic(self, name):
-        quoted = writeq(atom(name), self.engine.logic.operators)
+        quoted = writeq(atom(name), self.engine.operators)
         self.engine.load(goals=f"subscribe(e(_), [], _, {quoted}, id)")
         self.engine.event("e(1)", 1)
         if not self.outputs:
@@ -305,14 +308,14 @@ class Inputs(Kind):
         self.engine.call(f"delete_subscription({quoted}, id)")
 
     def in_subscription(self, name):
-        quoted = writeq(atom(name), self.engine.logic.operators)
+        quoted = writeq(atom(name), self.engine.operators)
         self.engine.load(goals=f"subscribe(e(_), [], _, topic, {quoted})")
         self.engine.event("e(1)", 1)
         self.same(self.outputs.pop()[2], atom(name))
         self.engine.call(f"delete_subscription(topic, {quoted})")
 
     def in_memory(self, name):
-        quoted = writeq(atom(name), self.engine.logic.operators)
+        quoted = writeq(atom(name), self.engine.operators)
         self.engine.load(goals=f"memorize(m(X), [], X, {quoted}, 3)")
         self.engine.event("m(1)", 1)
         self.engine.call(f"delete_memory({quoted})")
@@ -325,7 +328,7 @@ class Inputs(Kind):
         self._use(definition)
 
     def in_module(self, name):
-        quoted = writeq(atom(name), self.engine.logic.operators)
+        quoted = writeq(atom(name), self.engine.operators)
         for goal in (
             "use_module({})",
             "use_module(library({}))",
@@ -337,6 +340,6 @@ class Inputs(Kind):
         self.attempt(self.engine.load_rules, f":- module({quoted}, [foo/1]).\nfoo(1).")
 
     def in_file(self, name):
-        quoted = writeq(atom(name), self.engine.logic.operators)
+        quoted = writeq(atom(name), self.engine.operators)
         for goal in FILE_GOALS:
             self.attempt(self.engine.call, goal.format(quoted))

@@ -9,7 +9,7 @@ from typing import Any, Iterator, List
 import pytest
 
 from retalis import Compound, Engine, foreign
-from retalis.engine import Settings
+from retalis.engine import Settings, parts_of
 from retalis.foundation import ProgramErrors, RetalisError, UsageError
 from retalis.prolog.foreign.functions import to_python, to_term
 from retalis.prolog.machine import Limits, PrologError
@@ -234,7 +234,7 @@ def test_goals_that_run_later_load_no_python(tmp_path, folders):
     (tmp_path / "helpers.py").write_text("import pathlib\npathlib.Path(__file__).with_name('ran').touch()\n")
     engine = Engine(settings=Settings(allow_foreign=True, folders=folders, write_folders=folders))
     errors: List[str] = []
-    engine.rules.on_error = lambda error: errors.append(str(error))
+    parts_of(engine).rules.on_error = lambda error: errors.append(str(error))
     engine.load(rules="loading(M) do use_foreign(M) <- load(M).", folder=tmp_path)
     for module in ("helpers", "'helpers.py'", f"'{tmp_path}/helpers.py'", "'os.path'"):
         for goal in (f"use_foreign({module})", f"compile_event_rules([(:- use_foreign({module}))])"):

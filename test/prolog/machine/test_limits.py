@@ -3,7 +3,7 @@
 import pytest
 from prolog.support import first, prolog
 
-from retalis.engine import Engine, Settings
+from retalis.engine import Engine, Settings, parts_of
 from retalis.foundation import ProgramErrors, look
 from retalis.prolog.machine import Limits, PrologError
 from retalis.prolog.syntax import writeq
@@ -218,7 +218,7 @@ def test_goals_do_not_look_at_limits_before_any_has_run_out():
 def test_goals_of_rules_that_need_no_machine_have_limits_too(goal):
     engine = Engine(settings=Settings(limits=Limits(inferences=2000)))
     errors = []
-    engine.rules.on_error = lambda error: errors.append(str(error))
+    parts_of(engine).rules.on_error = lambda error: errors.append(str(error))
     engine.load(rules=f"found(X) do ({goal}) <- e.")
     engine.event("e", 1)
     assert ["resource" in error or "inferences" in error for error in errors] == [True]
@@ -277,12 +277,12 @@ def test_a_second_limit_is_final_also_when_a_goal_of_a_rule_came_between():
 
 def test_an_interrupt_leaves_no_limit_behind():
     engine = Engine()
-    budget = engine.logic.machine.budget
+    budget = parts_of(engine).logic.machine.budget
 
     def interrupt(machine):
         raise KeyboardInterrupt
 
-    engine.logic.define("interrupt", 0, interrupt)
+    parts_of(engine).logic.define("interrupt", 0, interrupt)
     for goal in ("call_with_time_limit(60, interrupt)", "call_with_inference_limit(interrupt, 10000, _)"):
         with pytest.raises(KeyboardInterrupt):
             engine.call(goal)
@@ -297,11 +297,11 @@ def test_an_interrupt_leaves_no_binding_behind(limits):
     def interrupt(machine, term):
         raise KeyboardInterrupt
 
-    engine.logic.define("interrupt", 1, interrupt)
+    parts_of(engine).logic.define("interrupt", 1, interrupt)
     engine.load(rules="b <- a(X) where (Y = f(X, Z), Z = 3, interrupt(Y)).")
     with pytest.raises(KeyboardInterrupt):
         engine.event("a(1)", 1)
-    assert not engine.logic.machine.trail
+    assert not parts_of(engine).logic.machine.trail
 
 
 def test_a_limit_that_runs_out_in_a_function_is_not_run_into_again():

@@ -21,7 +21,7 @@ from ...prolog.terms import (
     undo,
     unify,
 )
-from .. import Engine
+from .. import Engine, parts_of
 from .shortfall import Part, Shortfall, names_of
 
 EVENT = functor("event", 2)
@@ -56,7 +56,7 @@ class Explanation(NamedTuple):
 
 def prepare(engine: Engine) -> None:
     """Have an engine keep what events come from; to be called before anything is loaded."""
-    engine.rules.flags.set("etalis_justification", atom("on"))
+    parts_of(engine).rules.flags.set("etalis_justification", atom("on"))
 
 
 def explain(engine: Engine, asked: Term) -> Explanation:
@@ -69,13 +69,13 @@ def explain(engine: Engine, asked: Term) -> Explanation:
     Raises:
         UsageError: where it is not an event.
     """
-    return engine.do(lambda: _Explainer(engine).explain(asked))  # type: ignore[no-any-return]
+    return engine.do(lambda: _Explainer(engine).explain(asked))
 
 
 class _Explainer:
     def __init__(self, engine: Engine):
-        self._engine = engine
-        self._kept = engine.rules.tracker.all()
+        self._parts = parts_of(engine)
+        self._kept = self._parts.rules.tracker.all()
         self._shown: Set[int] = set()
         self._made_by: Dict[int, List[Occurrence]] = {}
         for one in self._kept:
@@ -115,13 +115,13 @@ class _Explainer:
     ) -> List[Line]:
         """Return what was missing for each rule that could have fired the event."""
         lines = []
-        for rule in self._engine.rules.rules:
+        for rule in self._parts.rules.rules:
             head = rule.definition.head
             if head is None or rule in above:
                 continue
             trail: Trail = []
             if unify(_fired(head), copy(term), trail):
-                shortfall = Shortfall(self._engine.logic, self._kept, rule)
+                shortfall = Shortfall(self._parts.logic, self._kept, rule)
                 part = shortfall.of(rule.definition.pattern)
                 lines.append(Line(self._rule(rule), [self._part(part, (*above, rule))]))
                 if part.found:
@@ -158,17 +158,17 @@ class _Explainer:
 
     def _rule(self, rule: Rule) -> str:
         place = "" if rule.place is None else f" ({rule.place.source}:{rule.place.line})"
-        label = "" if rule.label is None else f"{show(self._engine, rule.label)}: "
-        return f"rule {label}{show(self._engine, rule.definition.term)}{place}"
+        label = "" if rule.label is None else f"{self._show(rule.label)}: "
+        return f"rule {label}{self._show(rule.definition.term)}{place}"
 
     def _event(self, one: Occurrence) -> str:
         interval = timestamps.interval_term(one.start, one.end)
-        return f"{show(self._engine, one.term)} {show(self._engine, interval)}"
+        return f"{self._show(one.term)} {self._show(interval)}"
 
-
-def show(engine: Engine, term: Term) -> str:
-    """Return a term as text with variables A, B, ..."""
-    return write_term(term, engine.logic.operators, quoted=True, wide=True, variable_names=names_of(term))
+    def _show(self, term: Term) -> str:
+        """Return a term as text with variables A, B, ..."""
+        operators = self._parts.logic.operators
+        return write_term(term, operators, quoted=True, wide=True, variable_names=names_of(term))
 
 
 def _asked(asked: Term) -> Tuple[Term, Optional[Tuple[int, int]]]:

@@ -5,12 +5,12 @@ from collections import Counter
 from pathlib import Path
 from typing import Callable, Dict, Iterable, List, NamedTuple, Optional, Union
 
-from ...events.program import TOPICS, TopicType, read_topics, unknown_memories, unread_rules, wrong_messages
+from ...events.program import TOPICS, TopicType, read_topics
 from ...foundation import MessageError, ProgramErrors, RetalisError, shortened, topic_fault, type_fault
 from ...messages import Decoder, Definition, Definitions
 from ...prolog.terms import Term
 from .. import Engine, Settings
-from ..runtime import StreamClock
+from ..runtime import Reports, StreamClock
 from .bags import BagReader, Topic
 
 log = logging.getLogger("retalis")
@@ -59,8 +59,9 @@ class Playback:
     ):
         self._folder = folder = Path(program)
         self.clock = StreamClock()
-        self.engine = Engine(self.clock, Settings() if settings is None else settings)
-        self.engine.reports.once = True
+        self._reports = Reports()
+        self._reports.once = True
+        self.engine = Engine(self.clock, settings, self._reports)
         self.definitions = Definitions()
         self._report = report
         self._decoders: Dict[Topic, Optional[Decoder]] = {}
@@ -86,11 +87,7 @@ class Playback:
         clock, outputs = self.clock, self._outputs
         self._learn_all(bag)
         kinds = {*self._types.values(), *self._published.values()}
-        for warning in (
-            *unread_rules(self.engine, self._folder),
-            *wrong_messages(self.engine, self.definitions, kinds),
-            *unknown_memories(self.engine),
-        ):
+        for warning in self.engine.doubts(self._folder, self.definitions, kinds):
             log.warning("%s", warning)
         wanted = {topic.name for topic in bag.topics if _plain(topic.name) in self._types}
         decoders = {id(topic): self._decoders.get(topic) for topic in bag.topics}
@@ -107,14 +104,14 @@ class Playback:
         self.engine.advance()
         yield from outputs
         outputs.clear()
-        self.engine.reports.sum_up()
+        self._reports.sum_up()
 
     def _post(self, topic: Topic, decoder: Decoder, data: bytes) -> None:
         try:
             self.engine.post(decoder.decode(data), decoder.stamp(data))
         except MessageError as error:
             message = f"a message on {topic.name} is dropped: {error.message}"
-            self.engine.reports.error(MessageError(message, error.place), ("in", topic.name))
+            self._reports.error(MessageError(message, error.place), ("in", topic.name))
 
     def _learn_all(self, bag: BagReader) -> None:
         """Note the decoders for a bag's connections; say what cannot become events, and what it has not got."""
@@ -163,7 +160,7 @@ class Playback:
             definition = self._published_type(kind, topic)
             data = self.definitions.encoder(definition).encode(term, topic)
         except MessageError as error:
-            self.engine.reports.error(error, ("out", topic))
+            self._reports.error(error, ("out", topic))
         self._outputs.append(Output(topic, term, self.clock.now(), definition, data))
 
     def _published_type(self, kind: str, topic: str) -> Definition:

@@ -5,7 +5,7 @@ dictionaries, so an event costs nothing for listeners whose constants differ.
 """
 
 from itertools import count
-from typing import Any, Callable, Collection, Dict, List, Optional, Tuple
+from typing import Any, Callable, Collection, Dict, List, Optional, Tuple, TypeVar
 from weakref import WeakValueDictionary
 
 from ...foundation import Cache, UsageError
@@ -16,6 +16,8 @@ from .gates import Gate
 from .matching import Matcher, Values, compile_matcher
 from .plans import Choice, Onlookers, make_plan
 from .serving import AT_ONCE, LEFT_OUT, RESTORE, Dispatch, EventAction, Frame, Lane, Listener, Stage, event_of
+
+Result = TypeVar("Result")
 
 _GATES = 1000
 """Functors with gates from which on it is looked which gates are still used."""
@@ -323,7 +325,7 @@ class Dispatcher:
         self.cause = cause
         return over, (RESTORE, self, "cause", before, after)
 
-    def undisturbed(self, work: Callable[[], Any]) -> Any:
+    def undisturbed(self, work: Callable[[], Result]) -> Result:
         """Return what work returns; where it raises, what was being served before is being served again."""
         state = self.state()
         try:

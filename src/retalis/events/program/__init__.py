@@ -4,7 +4,7 @@ from .clauses import FileChecker, nowhere
 from .door import MEGABYTE
 from .files import Files
 from .folder import GOALS, TOPICS, Topics, TopicType, read_text, read_topics, topic_type
-from .goals import errors_in, goal_of, goals_of, read_goals
+from .goals import FileGoal, errors_in, goal_of, goals_of, read_goals
 from .lint import unknown_memories, unread_rules, wrong_messages
 from .loading import Loader
 
@@ -12,6 +12,7 @@ __all__ = [
     "FileChecker",
     "errors_in",
     "Files",
+    "FileGoal",
     "goal_of",
     "GOALS",
     "goals_of",
