@@ -58,6 +58,7 @@ def test_the_source_archive_has_what_it_is_built_from(copy, tmp_path):
         "srv/AddMemory.srv",
         "src/retalis/prolog/syntax/tokens.lark",
         "src/retalis/prolog/library/lists.pl",
+        "src/retalis/py.typed",
         "install_apt.py",
     ):
         assert name in names
@@ -66,7 +67,9 @@ def test_the_source_archive_has_what_it_is_built_from(copy, tmp_path):
         found.extractall(unpacked)
     (folder,) = unpacked.iterdir()
     setup(folder, "build")
-    assert (folder / "build" / "lib" / "retalis" / "prolog" / "syntax" / "tokens.lark").is_file()
+    built = folder / "build" / "lib" / "retalis"
+    assert (built / "prolog" / "syntax" / "tokens.lark").is_file()
+    assert (built / "py.typed").is_file()  # type checkers look into the package
 
 
 def test_an_installation_has_the_example(copy, tmp_path):

@@ -4,14 +4,69 @@ import sys
 from importlib import import_module
 from pkgutil import extend_path
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:  # for type checkers; a program gets them by `__getattr__`
+    from .engine import Engine, OnEvent, OnOutput, Settings
+    from .engine.playback import BagError, BagReader, BagWriter, Output, Playback
+    from .engine.runtime import Clock, StreamClock
+    from .foundation import MessageError, ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
+    from .messages import Definitions
+    from .prolog.foreign import Compound, foreign
+    from .prolog.machine import Limits, PrologError
 
 # catkin puts the generated retalis.msg and retalis.srv into a folder of their own, in devel space: both are `retalis`
 __path__ = extend_path(__path__, __name__)
 
-__all__ = ["Compound", "Engine", "foreign"]
+__all__ = [
+    "BagError",
+    "BagReader",
+    "BagWriter",
+    "Clock",
+    "Compound",
+    "Definitions",
+    "Engine",
+    "foreign",
+    "Limits",
+    "MessageError",
+    "OnEvent",
+    "OnOutput",
+    "Output",
+    "Playback",
+    "ProgramErrors",
+    "PrologError",
+    "RetalisError",
+    "RuleError",
+    "Settings",
+    "StreamClock",
+    "SyntaxFault",
+    "UsageError",
+]
 
-_HOMES = {"Compound": "prolog.foreign.functions", "Engine": "engine", "foreign": "prolog.foreign.functions"}
+_HOMES = {
+    "BagError": "engine.playback",
+    "BagReader": "engine.playback",
+    "BagWriter": "engine.playback",
+    "Clock": "engine.runtime",
+    "Compound": "prolog.foreign",
+    "Definitions": "messages",
+    "Engine": "engine",
+    "foreign": "prolog.foreign",
+    "Limits": "prolog.machine",
+    "MessageError": "foundation",
+    "OnEvent": "engine",
+    "OnOutput": "engine",
+    "Output": "engine.playback",
+    "Playback": "engine.playback",
+    "ProgramErrors": "foundation",
+    "PrologError": "prolog.machine",
+    "RetalisError": "foundation",
+    "RuleError": "foundation",
+    "Settings": "engine",
+    "StreamClock": "engine.runtime",
+    "SyntaxFault": "foundation",
+    "UsageError": "foundation",
+}
 """Where names of this package stand: they are imported when somebody asks, so ``retalis.srv`` costs no engine."""
 
 _HOMES_OF_MODULES = {"errors": "foundation.errors", "explain": "engine.explaining", "terms": "prolog.terms"}

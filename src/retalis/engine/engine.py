@@ -40,14 +40,14 @@ from ..prolog.machine import Frame, Limits
 from ..prolog.syntax import Operators, read_term
 from ..prolog.terms import Functor, Term, Var, WholeSeconds, atom, copy, timestamps, variables
 from ._texts import TextInput
+from .callbacks import OnEvent, OnOutput
 from .runtime import Clock, EngineRecovery, Reports, Runner, StreamClock, watch
 from .settings import Settings
 
 log = logging.getLogger("retalis")
 
 Instant = Union[int, Term]
-OnOutput = Callable[[Term, str, Term], None]
-OnEvent = Callable[[Term, int, int], None]
+
 
 Result = TypeVar("Result")
 
@@ -477,7 +477,7 @@ class Engine:
         for callback in self._outputs:
             self._call_back("a callback of on_output", callback, term, topic, name)
 
-    def _call_back(self, what: str, callback: Callable[..., None], *arguments: object) -> None:
+    def _call_back(self, what: str, callback: Callable[..., object], *arguments: object) -> None:
         runner = self._runner
         outer = runner.callback
         runner.callback = (what,)

@@ -8,6 +8,10 @@ from ..prolog.machine import Limits
 class Settings(NamedTuple):
     """How an engine behaves.
 
+    >>> engine = Engine(settings=Settings(limits=Limits(seconds=0.5), queue=100))
+    >>> engine.settings.queue, engine.settings.max_depth
+    (100, 1000)
+
     Attributes:
         limits: what an event, a query or any other call may use with all that it starts: seconds, inferences,
             memory. Past that its goals end with a resource error; it is one of the others that may still be caught

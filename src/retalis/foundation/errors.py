@@ -97,6 +97,12 @@ def undecodable(error: UnicodeDecodeError) -> str:
 class RetalisError(Exception):
     """Root of all errors that this package raises on purpose.
 
+    >>> try:
+    ...     Engine().query("X = [1, 2")
+    ... except RetalisError as error:
+    ...     print(error.place.line, error.place.column)
+    1 10
+
     Attributes:
         message: what is wrong and what was expected, in one sentence.
         place: where in a text, or None.
@@ -121,11 +127,25 @@ class RetalisError(Exception):
 
 
 class SyntaxFault(RetalisError):
-    """A text that does not read as a term."""
+    """A text that does not read as a term.
+
+    >>> try:
+    ...     Engine().query("smoke(kitchen")
+    ... except SyntaxFault as error:
+    ...     print(error.brief())
+    expected ")" for the "(" in line 1, column 6 before the end of the text (line 1, column 14)
+    """
 
 
 class RuleError(RetalisError):
-    """A rule, clause or directive that reads well and cannot be accepted."""
+    """A rule, clause or directive that reads well and cannot be accepted.
+
+    >>> try:
+    ...     Engine().load(rules="alarm <- 7.")
+    ... except ProgramErrors as errors:
+    ...     print(type(errors.errors[0]) is RuleError)
+    True
+    """
 
 
 MOST_ERRORS = 100
@@ -165,6 +185,12 @@ class ProgramErrors(RetalisError):
     """All errors of a file at once; nothing of the file is active.
 
     Of many the first `MOST_ERRORS` are there, and one that says how many more there are.
+
+    >>> try:
+    ...     Engine().load(rules="a <- b. c <- 7. d <- . e <- f.", source="mine")
+    ... except ProgramErrors as errors:
+    ...     print([error.place.column for error in errors.errors])
+    [14, 22]
     """
 
     def __init__(self, errors: Iterable[RetalisError]):
@@ -177,11 +203,25 @@ class ProgramErrors(RetalisError):
 
 
 class MessageError(RetalisError):
-    """A message, message definition, or term that is to become one, which does not fit its type."""
+    r"""A message, message definition, or term that is to become one, which does not fit its type.
+
+    >>> try:
+    ...     Definitions().add("my_robot/Bumper", "bool left\nbool centre of it")
+    ... except MessageError as error:
+    ...     print(error.brief())
+    expected 'type name' or 'type NAME=value', found 'bool centre of it' (line 2, column 1)
+    """
 
 
 class UsageError(RetalisError):
-    """A call of the package that asks for what cannot be (an id that is taken, an unknown memory)."""
+    """A call of the package that asks for what cannot be (an id that is taken, an unknown memory).
+
+    >>> try:
+    ...     Engine().event("smoke(kitchen)", 3, 2)
+    ... except UsageError as error:
+    ...     print(error)
+    smoke(kitchen) ends before it starts
+    """
 
 
 class TermTooLarge(RetalisError):

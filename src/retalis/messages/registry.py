@@ -30,10 +30,15 @@ _SLOT = 2000
 
 
 class Definitions:
-    """Message types by name, with their decoders and encoders.
+    r"""Message types by name, with their decoders and encoders.
 
     A type is looked for among those added from texts (connection headers, bags), then among the installed
     ones, then among the types nested in added texts.
+
+    >>> definitions = Definitions()
+    >>> bumper = definitions.add("my_robot/Bumper", "bool left\nbool right")
+    >>> definitions.decoder(bumper).decode(b"\x01\x00")
+    (functor('my_robot__0__Bumper', 2), atom('true'), atom('false'))
 
     Args:
         installed: where installed types are looked up; the usual places by default.

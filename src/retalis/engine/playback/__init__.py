@@ -1,9 +1,10 @@
 """A program over a bag, without ROS: what the nodes give live, from the same messages."""
 
-from .bags import BagReader, BagWriter
+from .bags import BagError, BagReader, BagWriter
 from .playback import Output, Playback
 
 __all__ = [
+    "BagError",
     "BagReader",
     "BagWriter",
     "Output",

@@ -16,7 +16,14 @@ PathLike = Union[str, Path]
 
 
 class BagError(RetalisError):
-    """A bag that cannot be read or written."""
+    """A bag that cannot be read or written.
+
+    >>> try:
+    ...     BagReader(folder / "none.bag")
+    ... except BagError as error:
+    ...     print(str(error).endswith("there is no such file"))
+    True
+    """
 
 
 class Topic(NamedTuple):
@@ -51,6 +58,11 @@ class Record(NamedTuple):
 
 class BagReader:
     """A bag that is open for reading; a context manager.
+
+    >>> with BagReader(folder / "talk.bag") as bag:
+    ...     for topic, time, data in bag.records(["chatter"]):
+    ...         print(topic.name, topic.type, time, data[4:])
+    /chatter std_msgs/String 1000000000 b'hello'
 
     Attributes:
         path: the file.
@@ -138,6 +150,13 @@ class BagReader:
 
 class BagWriter:
     """A new bag; a context manager. The bag is complete when it is closed.
+
+    >>> with BagWriter(folder / "new.bag") as bag:
+    ...     text = bag.add("/chatter", Definitions().find("std_msgs/String"))
+    ...     bag.write(text, 1_000_000_000, bytes([2, 0, 0, 0]) + b"hi")
+    >>> with BagReader(folder / "new.bag") as bag:
+    ...     print(bag.messages)
+    1
 
     Raises:
         BagError: where the file exists already or cannot be written.

@@ -21,6 +21,11 @@ OnError = Callable[[RetalisError], None]
 class Output(NamedTuple):
     """A message that a program published.
 
+    >>> with BagReader(folder / "talk.bag") as bag:
+    ...     (output,) = Playback(folder, report=print).run(bag)
+    >>> output.topic, output.time, output.definition.name, output.data[4:]
+    ('echo', 1000000000, 'std_msgs/String', b'hello')
+
     Attributes:
         topic: the topic as the subscription names it.
         term: the message as a term.
@@ -38,6 +43,12 @@ class Output(NamedTuple):
 
 class Playback:
     """One program that is fed from bags.
+
+    >>> playback = Playback(folder, report=print)
+    >>> with BagReader(folder / "talk.bag") as bag:
+    ...     for output in playback.run(bag):
+    ...         print(output.topic, playback.engine.show(output.term))
+    echo std_msgs__0__String('"hello"')
 
     Args:
         program: the program's folder.

@@ -18,6 +18,11 @@ class Clock:
 
     Nothing here waits: whoever owns the clock asks `due` for alarms when time may have passed.
 
+    >>> engine = Engine(Clock(lambda: 5_000_000_000))
+    >>> engine.on_event(lambda term, start, end: print(engine.show(term), start))
+    >>> engine.event("tick")
+    tick 5000000000
+
     Args:
         source: returns the present instant (ns since the epoch); the system's clock by default.
 
@@ -99,6 +104,16 @@ class StreamClock(Clock):
     """A clock that stands still until it is moved: the time of a stream of events or of a bag.
 
     A clock that is pinned says the same time for ever; alarms go by the stream's time all the same.
+
+    >>> clock = StreamClock()
+    >>> engine = Engine(clock)
+    >>> engine.load(rules="exceptionAlarm(late, 5) <- start.")
+    >>> engine.on_event(lambda term, start, end: print(engine.show(term), end))
+    >>> engine.event("start", 1)
+    start 1000000000
+    >>> clock.move_to(10_000_000_000)
+    >>> engine.advance()
+    late 6000000000
     """
 
     def __init__(self, start: int = 0):

@@ -1,9 +1,11 @@
 """Foreign predicates: Python functions that a program calls as predicates."""
 
-from .functions import define_foreign
+from .functions import Compound, define_foreign, foreign
 from .modules import define_use_foreign
 
 __all__ = [
+    "Compound",
     "define_foreign",
     "define_use_foreign",
+    "foreign",
 ]

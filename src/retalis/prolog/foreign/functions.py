@@ -75,7 +75,13 @@ class Caller(Protocol):
 class Compound(NamedTuple):
     """A compound term for Python code: a name and arguments, which are Python values.
 
-    >>> to_term(Compound("point", [1, 2.5]))      # point(1,2.5)
+    >>> @foreign
+    ... def corner(width: float, height: float) -> Compound:
+    ...     return Compound("point", [width / 2, height / 2])
+    >>> engine = Engine()
+    >>> corners = engine.add_foreign(corner)
+    >>> engine.show(engine.query("corner(4, 2, P)")[0]["P"])
+    'point(2.0,1.0)'
     """
 
     name: str
@@ -118,6 +124,15 @@ def foreign(
     `to_python`). The result becomes a term (see `to_term`); None means failure, except of a function without
     outputs. A generator gives one solution with each value that it yields. What it raises is the error
     ``python_error(Kind, Message)``, unless it is a `PrologError`.
+
+    >>> @foreign
+    ... def near(room: str) -> Iterator[str]:
+    ...     yield from {"kitchen": ["hall", "cellar"]}.get(room, [])
+    >>> engine = Engine()
+    >>> print(*engine.add_foreign(near))
+    near/2
+    >>> [engine.show(found["Room"]) for found in engine.query("near(kitchen, Room)")]
+    ['hall', 'cellar']
 
     Args:
         function: the function, where the decorator is used without arguments.

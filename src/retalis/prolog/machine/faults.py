@@ -24,6 +24,13 @@ _INSTANTIATION_ERROR = atom("instantiation_error")
 class PrologError(RetalisError):
     """An error of a goal, or anything else that ``throw/1`` threw.
 
+    >>> engine = Engine()
+    >>> try:
+    ...     engine.call("throw(too_hot(kitchen))")
+    ... except PrologError as error:
+    ...     print(engine.show(error.term))
+    too_hot(kitchen)
+
     Attributes:
         term: the ball; ISO errors are ``error(Formal, Context)``.
     """

@@ -15,6 +15,11 @@ LOOP = (None,) * 256
 class Limits(NamedTuple):
     """What an event or a question may use with all that it starts; None means without limit.
 
+    >>> engine = Engine(settings=Settings(limits=Limits(inferences=10000)))
+    >>> engine.load(rules="forever :- forever.")
+    >>> engine.call("catch(forever, error(resource_error(_), _), true)")
+    True
+
     Attributes:
         seconds: of wall time.
         inferences: calls of predicates, and steps of walks over large terms (counted by the thousand).

@@ -1,0 +1,64 @@
+"""What users get: all names of the package have a docstring with an example, and the examples are true."""
+
+import doctest
+from typing import Iterator
+
+import pytest
+
+import retalis
+from retalis.prolog.terms import Term
+
+PROGRAM = """\
+<publish_subscribe>
+  <subscribe_to name="chatter" msg_type="std_msgs/String"/>
+  <publish_to name="echo" msg_type="std_msgs/String"/>
+</publish_subscribe>
+"""
+
+INSIDE = {"dispatcher", "knowledge", "logic", "reports", "rules"}
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Return a folder with a program that says what it hears, and a bag for it."""
+    (tmp_path / "pub_sub.xml").write_text(PROGRAM)
+    (tmp_path / "goalPredicates.txt").write_text("subscribe(std_msgs__0__String(_), [], _, echo, e)\n")
+    with retalis.BagWriter(tmp_path / "talk.bag") as bag:
+        text = bag.add("/chatter", retalis.Definitions().find("std_msgs/String"))
+        bag.write(text, 10**9, bytes([5, 0, 0, 0]) + b"hello")
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", retalis.__all__)
+def test_each_name_has_an_example_that_is_true(name, folder):
+    known = {one: getattr(retalis, one) for one in retalis.__all__}
+    known.update(folder=folder, Term=Term, Iterator=Iterator)
+    (example,) = doctest.DocTestFinder(recurse=False).find(known[name], name, globs=known)
+    assert example.examples, "no example"
+    said = []
+    doctest.DocTestRunner(verbose=False).run(example, out=said.append)
+    assert not said, "".join(said)
+
+
+def test_names_are_sorted_and_there():
+    assert retalis.__all__ == sorted(retalis.__all__, key=str.lower)
+    with pytest.raises(AttributeError, match="has no attribute 'Nothing'"):
+        retalis.Nothing  # noqa: B018
+
+
+def test_an_engine_does_not_show_what_it_is_made_of():
+    assert not INSIDE & set(vars(retalis.Engine())) | INSIDE & set(dir(retalis.Engine))
+
+
+def test_an_engine_shows_operators_and_what_is_there():
+    engine = retalis.Engine()
+    engine.load(goals="memorize(a, [], _, m, 3)\nsubscribe(a, [], _, out, s)", rules="b <- a.")
+    topic, name, memory = (engine.query(f"X = {text}")[0]["X"] for text in ("out", "s", "m"))
+    assert engine.summary() == "1 event rules, 1 memories, 1 subscriptions"
+    assert engine.has_memory(memory) and not engine.has_memory(name)
+    assert engine.has_subscription(topic, name) and not engine.has_subscription(name, topic)
+    assert engine.delete_subscription(topic, name) and not engine.delete_subscription(topic, name)
+    engine.call("op(700, xfx, near)")
+    assert engine.operators is engine.operators
+    assert engine.show(engine.query("X = (a near b)")[0]["X"]) == "a near b"
+    assert engine.brief(topic) == "out"
