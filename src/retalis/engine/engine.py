@@ -54,7 +54,7 @@ Result = TypeVar("Result")
 _REQUEST = atom("a request")
 
 
-class Parts(NamedTuple):
+class EngineParts(NamedTuple):
     """What an engine is made of."""
 
     logic: Logic
@@ -493,9 +493,9 @@ class Engine:
         )
 
 
-def parts_of(engine: Engine) -> Parts:
+def parts_of(engine: Engine) -> EngineParts:
     """Return what an engine is made of, for those rooms and tests that look inside; programs need none of it."""
-    return Parts(
+    return EngineParts(
         engine._logic,  # noqa: SLF001
         engine._dispatcher,  # noqa: SLF001
         engine._rules,  # noqa: SLF001

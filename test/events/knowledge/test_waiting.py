@@ -32,7 +32,7 @@ class Overheard(Engine):
         self.events = []
         for name, arity in KINDS:
             pattern = functor(name, arity)(*(Var() for _ in range(arity))) if arity else atom(name)
-            self.dispatcher.listen(Stage.TRACE, pattern, self._note)
+            parts_of(self).dispatcher.listen(Stage.TRACE, pattern, self._note)
         self.load(rules=rules, goals=goals)
 
     def _note(self, term, values, start, end, after):

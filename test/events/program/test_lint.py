@@ -2,7 +2,7 @@
 
 import pytest
 
-from retalis.engine import Engine
+from retalis.engine import Engine, parts_of
 from retalis.events.program import unknown_memories, unread_rules, wrong_messages
 from retalis.foundation import ProgramErrors
 from retalis.messages import Definitions
@@ -22,7 +22,10 @@ def definitions():
 def warnings(definitions, rules="", goals=""):
     engine = Engine()
     engine.load(rules=rules, goals=goals)
-    return [str(found) for found in wrong_messages(engine, definitions, ["my_msgs/Warm", "my_msgs/Empty"])]
+    return [
+        str(found)
+        for found in wrong_messages(parts_of(engine), definitions, ["my_msgs/Warm", "my_msgs/Empty"])
+    ]
 
 
 @pytest.mark.parametrize(
@@ -86,7 +89,7 @@ def test_types_that_are_learned_later_are_left_alone(definitions):
     engine = Engine()
     engine.load(rules="a(X) <- far_msgs__0__WarmFeedback(far_msgs__0__Warm(X), my_msgs__0__Warm(_, _)).")
     types = ["my_msgs/Warm", "far_msgs/WarmFeedback"]
-    assert list(wrong_messages(engine, definitions, types)) == []
+    assert list(wrong_messages(parts_of(engine), definitions, types)) == []
 
 
 @pytest.mark.parametrize(
@@ -103,7 +106,7 @@ def test_types_that_are_learned_later_are_left_alone(definitions):
 def test_memories_that_are_read_and_not_there_are_warned_of(rules, found):
     engine = Engine()
     engine.load(rules=rules, goals="memorize(t(X), [], _, odom_base, 5)")
-    (warning,) = unknown_memories(engine)
+    (warning,) = unknown_memories(parts_of(engine))
     assert warning.message == found
 
 
@@ -119,23 +122,23 @@ def test_memories_that_are_read_and_not_there_are_warned_of(rules, found):
 def test_memories_that_are_there_or_may_come_are_left_alone(rules):
     engine = Engine()
     engine.load(rules=rules, goals="memorize(t(X), [], _, odom_base, 5)")
-    assert list(unknown_memories(engine)) == []
+    assert list(unknown_memories(parts_of(engine))) == []
 
 
 def test_rules_that_no_goal_reads_are_warned_of(tmp_path):
     engine = Engine()
-    assert list(unread_rules(engine, tmp_path)) == []
+    assert list(unread_rules(parts_of(engine), tmp_path)) == []
     (tmp_path / "eventRules.txt").write_text("a <- b.")
-    (warning,) = unread_rules(engine, tmp_path)
+    (warning,) = unread_rules(parts_of(engine), tmp_path)
     assert warning.message == (
         f"{tmp_path}/eventRules.txt is not read: no goal in goalPredicates.txt calls "
         "compile_event_file('eventRules.txt')"
     )
     (tmp_path / "goalPredicates.txt").write_text("compile_event_file('eventRules.txt')")
     engine.load_program(tmp_path)
-    assert list(unread_rules(engine, tmp_path)) == []
+    assert list(unread_rules(parts_of(engine), tmp_path)) == []
     (tmp_path / "eventRules.txt").write_text("a <- .")
     engine = Engine()
     with pytest.raises(ProgramErrors):
         engine.load_program(tmp_path)
-    assert list(unread_rules(engine, tmp_path)) == []  # that they cannot be read is said already
+    assert list(unread_rules(parts_of(engine), tmp_path)) == []  # that they cannot be read is said already

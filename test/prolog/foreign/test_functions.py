@@ -372,7 +372,7 @@ def test_a_generator_is_closed_where_it_is_cut(forms, goal, at):
 
 
 def test_a_generator_without_end_is_stopped_by_the_limits(forms):
-    forms.logic.limits = Limits(inferences=20_000)
+    parts_of(forms).logic.limits = Limits(inferences=20_000)
     with pytest.raises(PrologError, match="Not enough resources: inferences"):
         forms.call("endless(1, X), X < 0")
 
@@ -410,6 +410,6 @@ def test_what_goes_wrong_is_an_error_of_the_goal(forms, goal, formal):
 
 
 def test_a_result_without_end_is_given_up(forms):
-    forms.logic.limits = Limits(inferences=20_000)
+    parts_of(forms).logic.limits = Limits(inferences=20_000)
     with pytest.raises(PrologError, match="Not enough resources"):
         forms.call("numbers_without_end(X)")

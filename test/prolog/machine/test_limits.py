@@ -207,7 +207,7 @@ def test_rules_loaded_at_run_time_cannot_name_files_outside(tmp_path):
 
 def test_goals_do_not_look_at_limits_before_any_has_run_out():
     for limits in (Limits(), Limits(seconds=1.0)):
-        budget = Engine(settings=Settings(limits=limits)).logic.machine.budget
+        budget = parts_of(Engine(settings=Settings(limits=limits))).logic.machine.budget
         assert not budget.limited
         assert not budget.closed
 

@@ -14,7 +14,7 @@ from ...prolog.terms import Atom, deref
 from .reports import Reports
 
 
-class Turn(Protocol):
+class AtWork(Protocol):
     """Tells what is at work: the thread in which it is, and what tells it from all else."""
 
     entry: object
@@ -46,7 +46,7 @@ class Watchdog:
         warn: called in the watchdog's thread with the seconds and the entry, while that may still be at work.
     """
 
-    def __init__(self, turn: Turn, budget: Budget, patience: Optional[float], warn: Warn):
+    def __init__(self, turn: AtWork, budget: Budget, patience: Optional[float], warn: Warn):
         self._turn = turn
         self._budget = budget
         self._patience = patience
@@ -79,7 +79,7 @@ class Watchdog:
 
 
 def watch(
-    turn: Turn, logic: Logic, dispatcher: Dispatcher, reports: Reports, patience: Optional[float]
+    turn: AtWork, logic: Logic, dispatcher: Dispatcher, reports: Reports, patience: Optional[float]
 ) -> Watchdog:
     """Return what watches an engine as long as somebody holds it, and have it reported what it finds."""
     budget = logic.machine.budget

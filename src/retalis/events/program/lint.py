@@ -39,7 +39,7 @@ def wrong_messages(engine: Any, definitions: Definitions, types: Collection[str]
     """Yield a warning for each kind of term in rules and patterns that is not a message of a type that is known.
 
     Args:
-        engine: whose program it is.
+        engine: the parts of the engine whose program it is.
         definitions: the message types that are known.
         types: those that the program's topics have.
     """
