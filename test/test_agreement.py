@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from retalis.engine.playback import BagReader, Playback
+from retalis.messages import Definitions
 from retalis.prolog.terms import deref, list_items
 
 HERE = Path(__file__).resolve().parent
@@ -72,7 +73,7 @@ def test_positions_are_the_true_ones_within_two_centimetres(nao, poses):
 
 
 def test_positions_agree_with_tf2(nao, poses):
-    import tf2_reference as tf2
+    import tf2_reference as tf2  # noqa: PLC0415 - needs numpy
 
     reference = tf2.Reference(nao[0])
     relative = observations(nao[0])
@@ -85,8 +86,6 @@ def test_positions_agree_with_tf2(nao, poses):
 
 def observations(path):
     """Return the pose of each observation relative to the camera, by marker and stamp."""
-    from retalis.messages import Definitions
-
     definitions = Definitions()
     found = {}
     with BagReader(path) as bag:
@@ -110,7 +109,7 @@ def test_a_known_face_by_a_marker_is_published(nao):
 
 @pytest.mark.skipif(not PR2.exists(), reason="the PR2's bag is not there")
 def test_the_head_of_a_pr2_agrees_with_tf2():
-    import tf2_reference as tf2
+    import tf2_reference as tf2  # noqa: PLC0415 - needs numpy
 
     engine, _ = play(HERE / "data" / "pr2", PR2)
     reference = tf2.Reference(PR2)

@@ -127,7 +127,7 @@ def look_into(bag: Path) -> Content:
     Raises:
         DemoError: It cannot be read, or no marker was seen.
     """
-    import rosbag
+    import rosbag  # noqa: PLC0415 - needs ROS
 
     try:
         with rosbag.Bag(str(bag)) as opened:
@@ -206,8 +206,8 @@ def play(
     Raises:
         DemoError: The nodes or the player failed.
     """
-    import rospy
-    from geometry_msgs.msg import PoseStamped
+    import rospy  # noqa: PLC0415 - needs ROS
+    from geometry_msgs.msg import PoseStamped  # noqa: PLC0415 - needs ROS
 
     rospy.init_node("nao_demo", disable_signals=True)
     poses = Poses()
@@ -289,7 +289,7 @@ def main(argv: Optional[Sequence[str]] = None) -> int:
     bag = options.bag
     try:
         if not bag:
-            from make_bag import make_bag
+            from make_bag import make_bag  # noqa: PLC0415 - needs rosbags
 
             bag = logs / "nao.bag"
             print(f"Making {options.seconds:g} s of a simulated NAO: {bag}", flush=True)

@@ -2,6 +2,8 @@
 
 import io
 import os
+import pty
+import re
 import signal
 import subprocess
 import sys
@@ -170,8 +172,6 @@ def test_trace_is_switched(ask):
 
 
 def _without_names(text):
-    import re
-
     return re.sub(r"_G\d+", "_", text)
 
 
@@ -210,7 +210,6 @@ def test_pipe(tmp_path):
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs a pseudo-terminal")
 def test_terminal(tmp_path):
-    import pty
 
     pid, terminal = pty.fork()
     if pid == 0:

@@ -11,7 +11,7 @@ from retalis import foreign
 from retalis.engine import Engine, Settings, parts_of
 from retalis.engine.runtime import StreamClock
 from retalis.foundation import ProgramErrors, RetalisError, SyntaxFault, UsageError
-from retalis.prolog.machine import PrologError
+from retalis.prolog.machine import Limits, PrologError
 from retalis.prolog.terms import atom, deref, functor, timestamps
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
@@ -308,8 +308,6 @@ def test_a_query_and_events_from_many_threads():
 
 
 def test_a_goal_that_runs_for_ever_is_stopped():
-    from retalis.prolog.machine import Limits
-
     engine = Watched("loop :- loop.\nnull do loop <- a.\nok <- a.", limits=Limits(inferences=100_000))
     engine.event("a", 1)
     assert [event for event, _, _ in engine.events] == ["a", "ok"]

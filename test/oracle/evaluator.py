@@ -173,7 +173,7 @@ class RuleState(Repetitions):
                 self.wait(node, q_waiting, q)
         return results
 
-    def _either_order(
+    def _either_order(  # noqa: C901 - one case after the other, as the semantics say it
         self,
         node: Both,
         lefts: List[Match],

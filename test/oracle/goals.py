@@ -145,7 +145,7 @@ def quotient(one: Any, other: int) -> Any:
     return float(Fraction(one) / other) if isinstance(one, int) else one / other
 
 
-def solve(goal: Term, bindings: Bindings, facts: Optional[Dict[str, Term]] = None) -> Iterator[Bindings]:
+def solve(goal: Term, bindings: Bindings, facts: Optional[Dict[str, Term]] = None) -> Iterator[Bindings]:  # noqa: C901 - a case for each kind of goal
     """Yield the solutions of a goal in order.
 
     ``facts`` are terms that hold for a predicate of one argument (``t1``, ``t2`` of check).

@@ -169,7 +169,7 @@ class Generator:
         ]
         return Leaf(functor(name, len(arguments))(*arguments) if arguments else atom(name))
 
-    def pattern(self, depth: int, left: Tuple[Var, ...] = ()) -> Pattern:
+    def pattern(self, depth: int, left: Tuple[Var, ...] = ()) -> Pattern:  # noqa: C901 - a case for each kind of pattern
         """Draw a pattern of up to so many operators above each other."""
         if depth == 0 or self.chance(5 if self.negating else 15):
             return self.leaf()

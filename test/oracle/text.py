@@ -175,7 +175,7 @@ def write_seconds(seconds: Any) -> str:
     return str(int(seconds)) if seconds == int(seconds) else str(float(seconds))
 
 
-def write_pattern(node: Pattern, names: Names) -> str:
+def write_pattern(node: Pattern, names: Names) -> str:  # noqa: C901 - a case for each kind of pattern
     """Write a pattern in the language's notation."""
 
     def term(part: Term) -> str:

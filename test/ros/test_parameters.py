@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+import rospkg
 
 rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 
@@ -46,8 +47,6 @@ def test_the_first_argument_is_the_package_and_a_program_wins(read):
 
 
 def test_a_package_that_is_not_found_is_an_error_with_a_way_out(monkeypatch):
-    import rospkg
-
     def get_path(self, name):
         raise rospkg.ResourceNotFound(name)
 

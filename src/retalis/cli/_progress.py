@@ -12,7 +12,7 @@ def progress(what: str, total: int) -> Iterator[Callable[[int], None]]:
     The bar needs the package ``tqdm``; without it, or with no terminal, nothing is shown.
     """
     try:
-        from tqdm import tqdm
+        from tqdm import tqdm  # noqa: PLC0415 - an optional package
     except ImportError:
         yield lambda done: None
         return

@@ -50,7 +50,7 @@ class Terminal:
 
     def _set_up(self) -> None:
         try:
-            import readline
+            import readline  # noqa: PLC0415 - not every Python has it
         except ImportError:  # a Python without it: plain lines
             return
         readline.set_completer(self._complete)
@@ -87,7 +87,7 @@ class Terminal:
 
 
 def _save_history() -> None:
-    import readline
+    import readline  # noqa: PLC0415 - not every Python has it
 
     try:
         readline.write_history_file(str(HISTORY))
@@ -98,8 +98,8 @@ def _save_history() -> None:
 def _key() -> str:
     """Return the key that is pressed next."""
     try:
-        import termios
-        import tty
+        import termios  # noqa: PLC0415 - not every system has it
+        import tty  # noqa: PLC0415 - not every system has it
     except ImportError:  # no such terminals: a line
         return input()[:1]
     stdin = sys.stdin.fileno()

@@ -121,7 +121,7 @@ def _full_text(path: str) -> Optional[str]:
 
 def _rosbags_text(package: str, kind: str) -> Optional[Tuple[str, str]]:
     try:
-        from rosbags.typesys import Stores, get_typestore
+        from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 - slow, and an optional package
     except ImportError:
         return None
     store = get_typestore(Stores.ROS1_NOETIC)

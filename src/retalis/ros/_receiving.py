@@ -214,8 +214,8 @@ class ConnectionReader:
     def _message(self, data: bytes) -> Any:
         """Return a message as rospy makes it."""
         message = rospy.AnyMsg()
-        message._buff = data
-        message._connection_header = self._link.header
+        message._buff = data  # noqa: SLF001 - rospy's only name for it
+        message._connection_header = self._link.header  # noqa: SLF001 - rospy's only name for it
         return message
 
 

@@ -205,8 +205,9 @@ class InputTopic:
 
     def _receive(self, message: Any) -> None:
         """Take a message that rospy has read."""
-        header = message._connection_header  # the connection's own, the same object for each of its messages
-        data = message._buff if message.__class__ is rospy.AnyMsg else raw_bytes(message)
+        # The connection's own header, the same object for each of its messages; rospy has no other name for either.
+        header = message._connection_header  # noqa: SLF001
+        data = message._buff if message.__class__ is rospy.AnyMsg else raw_bytes(message)  # noqa: SLF001
         self._taking(header)([data])
 
     def _taking(self, header: Dict[str, str]) -> TakeAll:

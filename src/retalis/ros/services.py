@@ -41,7 +41,7 @@ class EngineServices:
     """
 
     def __init__(self, engine: Engine, published: Iterable[str] = ()):
-        from retalis import srv  # generated: there only where the package was built
+        from retalis import srv  # noqa: PLC0415 - generated: there only where the package was built
 
         self._engine = engine
         self._published = {rospy.resolve_name(topic) for topic in published}
@@ -164,7 +164,7 @@ class InterfaceServices:
     """The services of the ROS interface: input subscriptions."""
 
     def __init__(self, interface: Interface):
-        from retalis import srv  # generated: there only where the package was built
+        from retalis import srv  # noqa: PLC0415 - generated: there only where the package was built
 
         self._interface = interface
         rospy.Service("add_input_subscription", srv.AddInputSubscription, self._add)

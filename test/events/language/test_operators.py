@@ -1,7 +1,7 @@
 """Each operator: when it fires, with which interval, and when it does not."""
 
 import pytest
-from events.running import fired
+from events.running import Program, fired
 
 CASES = [
     # pattern, stream, what c fires
@@ -93,8 +93,6 @@ def test_a_condition_on_the_result_decides_what_fires():
 
 
 def test_an_aggregate_of_what_is_no_number_is_reported():
-    from events.running import Program
-
     program = Program("r(N) <- s seq aggregate(sum(X), a(X), N).")
     assert program.feed("s@1 a(x)@2 a(3)@3") == "r(0)@1-1 r(3)@1-3"
     (error,) = program.errors

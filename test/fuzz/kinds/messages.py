@@ -1,5 +1,6 @@
 """Bytes of messages of many types, and terms that are to become messages."""
 
+import random
 import struct
 
 from retalis.messages import Definitions, text_writer
@@ -84,8 +85,6 @@ class Inputs(Kind):
         )
 
     def _learn(self):
-        import random
-
         chance = random.Random(1)
         for name, kind in self.types.items():
             self.valid[name] = [valid(chance, kind) for _ in range(20)]

@@ -4,6 +4,7 @@ import pytest
 from prolog.support import NEVER, answers, first, prolog
 
 from retalis.prolog.machine import PrologError
+from retalis.prolog.syntax import read_term
 
 PROGRAM = """
 p(1). p(2). p(3).
@@ -159,8 +160,6 @@ def test_only_clauses_that_may_have_made_the_call_are_named(compile_after, goal,
 
 
 def first_goal(logic, text):
-    from retalis.prolog.syntax import read_term
-
     return read_term(text, logic.operators).term
 
 

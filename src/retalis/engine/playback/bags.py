@@ -201,7 +201,7 @@ class BagWriter:
 
 def _rosbag1() -> Any:
     try:
-        from rosbags import rosbag1
+        from rosbags import rosbag1  # noqa: PLC0415 - an optional package
     except ImportError:
         raise BagError(
             "reading and writing bags needs the Python package rosbags (pip install rosbags)"

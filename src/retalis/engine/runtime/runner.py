@@ -265,7 +265,7 @@ class Runner:
 
     def _is_inside(self) -> bool:
         """Tell whether this thread is at work below, or an interrupt has left only the mark of it."""
-        frame: Optional[FrameType] = sys._getframe(2)
+        frame: Optional[FrameType] = sys._getframe(2)  # noqa: SLF001 - Python's only name for it
         while frame is not None:
             if frame.f_code in _AT_WORK and frame.f_locals.get("self") is self:
                 return True
@@ -368,7 +368,7 @@ class Runner:
             call.wake()
 
 
-_AT_WORK = frozenset(one.__code__ for one in (Runner.post, Runner.call, Runner._work_off))
+_AT_WORK = frozenset(one.__code__ for one in (Runner.post, Runner.call, Runner._work_off))  # noqa: SLF001 - its own module
 
 
 def is_unexpected(error: BaseException) -> bool:

@@ -4,6 +4,7 @@ import math
 import random
 import sys
 import time
+from struct import pack, unpack
 from typing import Callable
 
 from ...foundation import UsageError
@@ -90,8 +91,6 @@ def _nexttoward(value: Number, target: Number) -> float:
         return value
     if value == 0:
         return math.copysign(sys.float_info.min * sys.float_info.epsilon, target)
-    from struct import pack, unpack
-
     bits = unpack("<q", pack("<d", value))[0]
     bits += 1 if (target > value) == (value > 0) else -1
     return float(unpack("<d", pack("<q", bits))[0])
