@@ -267,34 +267,63 @@ class Dispatcher:
     def call(
         self,
         goal: CompiledGoal,
+        given: Values,
+        on_error: Callable[[Values, PrologError], None],
+        solved: EventAction,
+        term: Term,
         values: Values,
-        then: Callable[[Values], Frame],
-        otherwise: Frame,
-        on_error: Callable[[PrologError], None],
+        start: int,
+        end: int,
+        after: Frame,
     ) -> Frame:
         """Return the frame to go on with when a goal was called once for the event that is being served.
 
+        What is to be handed on comes as arguments: functions made for each call would cost more than the rest of it.
+
         Args:
             goal: what to call.
-            values: its inputs.
-            then: takes the outputs of the first solution; returns the frame to go on with.
-            otherwise: the frame to go on with where there is none, or the goal raised an error.
-            on_error: is told of that error.
+            given: its inputs.
+            on_error: is told of values and error where the goal raised one.
+            solved: takes term, values with the outputs of the first solution after them, start, end and next frame.
+            term: handed on.
+            values: handed on.
+            start: handed on.
+            end: handed on.
+            after: the frame to go on with where there is no solution, too.
         """
         event = self.event()
+        if event is not None and event.depth > AT_ONCE:
+            return self._call_by_frames(event, goal, given, on_error, solved, term, values, start, end, after)
+        try:
+            found = goal.test(given)
+        except PrologError as error:
+            self.current = event
+            on_error(values, error)
+            return after
+        return after if found is None else solved(term, values + found, start, end, after)
+
+    def _call_by_frames(
+        self,
+        event: Dispatch,
+        goal: CompiledGoal,
+        given: Values,
+        on_error: Callable[[Values, PrologError], None],
+        solved: EventAction,
+        term: Term,
+        values: Values,
+        start: int,
+        end: int,
+        after: Frame,
+    ) -> Frame:
+        """Return the frame that calls a goal by steps of the machine; see `call`."""
 
         def failed(error: PrologError) -> None:
             self.current = event
-            on_error(error)
+            on_error(values, error)
 
-        if event is not None and event.depth > AT_ONCE:
-            return self._machine.attempt(goal, values, then, otherwise, failed)
-        try:
-            found = goal.test(values)
-        except PrologError as error:
-            failed(error)
-            return otherwise
-        return otherwise if found is None else then(found)
+        return self._machine.attempt(
+            goal, given, lambda found: solved(term, values + found, start, end, after), after, failed
+        )
 
     def state(self) -> Tuple[Any, Any]:
         """Return what is being served and why, for `restore`."""

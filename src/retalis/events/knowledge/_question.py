@@ -7,7 +7,7 @@ from ...prolog.database import CompiledGoal
 from ...prolog.logic import Logic
 from ...prolog.machine import PrologError, keep_back
 from ...prolog.terms import TRUE, Term, Var, deref, functor, variables
-from ..dispatch import AT_ONCE, Dispatcher, compile_builder
+from ..dispatch import Dispatcher, compile_builder
 from ._recording import Warn
 
 Values = Tuple[Term, ...]
@@ -62,24 +62,12 @@ class Question:
 
     def _call(self, values: Values, start: int, end: int, after: Any) -> Any:
         goal: Any = self._goal
-        dispatcher = self._dispatcher
         given = tuple([values[at] for at in self._inputs])
-        event = dispatcher.event()
-        if event is not None and event.depth > AT_ONCE:
-            return dispatcher.call(
-                goal,
-                given,
-                lambda found: self._trigger(values + found, start, end, after),
-                after,
-                lambda error: self._failed(values, error),
-            )
-        try:  # as `Dispatcher.call`, without functions made for each query
-            found = goal.test(given)
-        except PrologError as error:
-            dispatcher.serve_again(event)
-            self._failed(values, error)
-            return after
-        return after if found is None else self._trigger(values + found, start, end, after)
+        call = self._dispatcher.call
+        return call(goal, given, self._failed, self._found, TRUE, values, start, end, after)
+
+    def _found(self, term: Term, values: Values, start: int, end: int, after: Any) -> Any:
+        return self._trigger(values, start, end, after)
 
     def _trigger(self, values: Values, start: int, end: int, after: Any) -> Any:
         event = self._build(values)

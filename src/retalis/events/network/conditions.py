@@ -104,19 +104,7 @@ class RuleGoal:
             goal, kept = self._plain, values
         else:
             goal, given, kept = self._open(), values, ()
-        dispatcher = self._dispatcher
-        event = dispatcher.event()
-        if event is None or event.depth > AT_ONCE:
-            return dispatcher.call(
-                goal, given, lambda found: solved(term, kept + found, start, end, after), after, self.failed
-            )
-        try:  # as `Dispatcher.call`, without functions made for each event
-            found = goal.test(given)
-        except PrologError as error:
-            dispatcher.serve_again(event)
-            self.failed(error)
-            return after
-        return after if found is None else solved(term, kept + found, start, end, after)
+        return self._dispatcher.call(goal, given, self._reported, solved, term, kept, start, end, after)
 
     @property
     def plain(self) -> Any:
@@ -163,7 +151,7 @@ class RuleGoal:
         ground = ground or are_ground(given)
         goal = self._compile(self._inputs, self.outputs, True) if ground else self._open(True)
 
-        def each(found: Any) -> Frame:
+        def each(term: Term, found: Values, start: int, end: int, after: Frame) -> Frame:
             solutions = [tuple(list_items(item) or ()) for item in list_items(found[0]) or ()]
             if ground:
                 solutions = [values + solution for solution in solutions]
@@ -171,7 +159,8 @@ class RuleGoal:
                 iter(solutions), lambda solution, then: solved(term, solution, start, end, then), after
             )
 
-        return self._dispatcher.call(goal, given if ground else values, each, after, self.failed)
+        given = given if ground else values
+        return self._dispatcher.call(goal, given, self._reported, each, term, (), start, end, after)
 
     def noting_cause(self, match: Match, solved: Solved, after: Frame) -> Tuple[Solved, Frame]:
         """Have events that the goal makes know what it was called for, until it is over.
@@ -199,6 +188,9 @@ class RuleGoal:
                 goal, list(inputs), wanted, place=rule.place, name=rule.name
             )
         return found
+
+    def _reported(self, values: Values, error: PrologError) -> None:
+        self.failed(error)
 
     def failed(self, error: PrologError) -> None:
         """Report an error that the goal raised."""
