@@ -181,10 +181,7 @@ class Dispatcher:
         if plan is None:
             plan = self._plan(functor)
         while plan.__class__ is Choice:
-            at = plan.at
-            value = term[at] if at else None
-            known = plan.table.get(value, plan.default) if value.__class__ is Atom else None
-            plan = plan.branch(term) if known is None else known
+            plan = plan.branch(term)
         if not plan:
             return after
         if not own:
