@@ -71,7 +71,10 @@ def _walking(positions: Tuple[int, ...]) -> Callable[[Gate], Passes]:
 
 
 def _looking(positions: Tuple[int, ...], at: int) -> Callable[[Any, Passes], Passes]:
-    """Return what makes a function that first looks whether anybody wants the constant at one place."""
+    """Return what makes a function that first looks whether anybody wants the constant at one place.
+
+    Walking the plan for each would take 3 % more of the NAO's instructions.
+    """
     lines = [
         f"    def passes({_parameters(positions)}):",
         f"        if a{at}.__class__ is Atom and a{at} not in table and {_TIME}:",
