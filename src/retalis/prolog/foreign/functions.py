@@ -16,11 +16,9 @@ The parameters are the first arguments of the predicate; the result is unified w
 """
 
 import inspect
-import numbers
 from typing import (
     Any,
     Callable,
-    Dict,
     Iterator,
     List,
     NamedTuple,
@@ -34,31 +32,12 @@ from typing import (
     overload,
 )
 
-from ...foundation import BULK, RetalisError, TermTooLarge, UsageError, look
+from ...foundation import RetalisError, UsageError
 from ..logic import Logic
-from ..machine import Machine, PrologError, instantiation_error, permission_error, type_error
-from ..terms import (
-    CONS,
-    FALSE,
-    MINUS,
-    MOST,
-    NIL,
-    SLASH,
-    TRUE,
-    Atom,
-    Functor,
-    Lazy,
-    String,
-    Term,
-    Var,
-    atom,
-    deref,
-    functor,
-    list_items,
-    make_list,
-)
+from ..machine import Machine, PrologError, permission_error
+from ..terms import SLASH, Functor, String, Term, Var, atom, functor
+from .values import reader_of, to_term
 
-_MASK = len(BULK) - 1
 _ERROR = functor("error", 2)
 _PYTHON_ERROR = functor("python_error", 2)
 _MARK = "__retalis_foreign__"
@@ -70,22 +49,6 @@ class Caller(Protocol):
     """What is told which function runs, see `Runner`."""
 
     callback: Optional[Tuple[str]]
-
-
-class Compound(NamedTuple):
-    """A compound term for Python code: a name and arguments, which are Python values.
-
-    >>> @foreign
-    ... def corner(width: float, height: float) -> Compound:
-    ...     return Compound("point", [width / 2, height / 2])
-    >>> engine = Engine()
-    >>> corners = engine.add_foreign(corner)
-    >>> engine.show(engine.query("corner(4, 2, P)")[0]["P"])
-    'point(2.0,1.0)'
-    """
-
-    name: str
-    args: Sequence[Any]
 
 
 class _Spec(NamedTuple):
@@ -147,7 +110,7 @@ def foreign(
         count = outputs
         if count is None:
             count = 0 if hints.get("return", 1) in (bool, type(None)) else 1
-        readers = [_reader(hints.get(one.name)) for one in _parameters(function)]
+        readers = [reader_of(hints.get(one.name)) for one in _parameters(function)]
         spec = _Spec(name or function.__name__, count, readers, inspect.isgeneratorfunction(function))
         setattr(function, _MARK, spec)
         return function
@@ -275,150 +238,3 @@ def _raised(error: Exception, key: Functor) -> RetalisError:
 
 def _indicator(key: Functor) -> Term:
     return (SLASH, atom(key.name), key.arity)
-
-
-# Conversion
-
-
-def to_python(term: Term) -> Any:
-    """Return a term as a Python value.
-
-    ========================  =============================
-    term                      value
-    ========================  =============================
-    integer, float            int, float
-    ``true``, ``false``       True, False
-    atom, string              str
-    list                      list
-    compound term             `Compound`
-    ========================  =============================
-
-    Raises:
-        PrologError: an instantiation error for an unbound variable in it.
-    """
-    values: List[object] = []
-    stack: List[Union[Term, _PendingParts]] = [term]
-    steps = 0
-    while stack:
-        steps += 1
-        if not steps & _MASK:
-            look()
-            if steps > MOST:
-                raise TermTooLarge
-        top = stack.pop()
-        if isinstance(top, _PendingParts):
-            values[len(values) - top.count :] = [top.join(values[len(values) - top.count :])]
-            continue
-        item = deref(top)
-        if item.__class__ is tuple:
-            items = list_items(item) if item[0] is CONS else None
-            parts = list(item[1:]) if items is None else items
-            stack.append(_PendingParts(len(parts), None if items is not None else item[0].name))
-            stack.extend(reversed(parts))
-        else:
-            values.append(_constant(item))
-    return values[0]
-
-
-class _PendingParts:
-    """On the stack of `to_python` after the parts of a list (without a name) or compound term."""
-
-    __slots__ = ("count", "name")
-
-    def __init__(self, count: int, name: Optional[str]):
-        self.count = count
-        self.name = name
-
-    def join(self, values: List[object]) -> object:
-        """Return the value of the whole."""
-        return values if self.name is None else Compound(self.name, values)
-
-
-def _constant(item: Term) -> object:
-    if item.__class__ is Var:
-        raise instantiation_error()
-    if item is TRUE or item is FALSE:
-        return item is TRUE
-    if item.__class__ is Atom:
-        return [] if item is NIL else item.name
-    if item.__class__ is String:
-        return item.text
-    return int(item) if isinstance(item, int) else item
-
-
-def to_term(value: object) -> Term:
-    """Return a Python value as a term.
-
-    The other way of `to_python`; str becomes an atom (a `retalis.terms.String` stays a string), tuple and any
-    other iterable but str become a list, dict a list of ``Key-Value``. Terms stay what they are.
-
-    Raises:
-        UsageError: for a value that is none of these.
-    """
-    if value is None:
-        raise UsageError("None is not a term")
-    if isinstance(value, bool):
-        return TRUE if value else FALSE
-    if isinstance(value, (Atom, String, Var, Lazy)):
-        return value
-    if isinstance(value, str):
-        return atom(value)
-    if isinstance(value, numbers.Integral):
-        return int(value)
-    if isinstance(value, numbers.Real):
-        return float(value)
-    return _to_compound(value)
-
-
-def _to_compound(value: Any) -> Term:
-    """Return what is neither a constant nor a variable as a term."""
-    if isinstance(value, Compound):
-        if not value.args:
-            return atom(value.name)
-        return (functor(value.name, len(value.args)), *[to_term(item) for item in value.args])
-    if isinstance(value, tuple) and value and isinstance(value[0], Functor):
-        return value
-    if isinstance(value, dict):
-        return make_list([(MINUS, to_term(key), to_term(item)) for key, item in value.items()])
-    try:
-        items = iter(value)
-    except TypeError:
-        raise UsageError(f"a {type(value).__name__} is not a term: {value!r}") from None
-    found = []
-    for count, item in enumerate(items, 1):
-        found.append(to_term(item))
-        if not count & _MASK:
-            look()
-            if count > MOST:
-                raise TermTooLarge
-    return make_list(found)
-
-
-def _reader(hint: object) -> Callable[[Term], object]:
-    """Return what makes the argument for a parameter with an annotation."""
-    if hint is Term or hint is Var:
-        return deref
-    return _READERS.get(hint, to_python)
-
-
-def _typed(
-    accepts: Tuple[type, ...], name: str, convert: Callable[[Any], object]
-) -> Callable[[Term], object]:
-    def read(term: Term) -> object:
-        value = to_python(term)
-        if isinstance(value, bool) and bool not in accepts:
-            value = "true" if value else "false"
-        if not isinstance(value, accepts) or isinstance(value, Compound):
-            raise type_error(name, deref(term))
-        return convert(value)
-
-    return read
-
-
-_READERS: Dict[object, Callable[[Term], object]] = {
-    int: _typed((int,), "integer", int),
-    float: _typed((int, float), "number", float),
-    str: _typed((str,), "atom", str),
-    bool: _typed((bool,), "bool", bool),
-    list: _typed((list,), "list", list),
-}
