@@ -260,21 +260,43 @@ def test_an_alarm_that_rings_inside_a_subscriber_leaves_the_event_as_it_was():
     engine.on_output(later)
     engine.event("a", 1)
     engine.event("b", 4)
-    found = [event for event, _, _ in engine.events if not event.startswith("memory_")]
-    assert found == ["a", "b", "late", "d", "c"]
+    found = [event for event in engine.events if not event[0].startswith("memory_")]
+    second = 10**9
+    assert found == [
+        ("a", second, second),
+        ("b", 4 * second, 4 * second),
+        ("late", second, 2 * second),
+        ("d", 5 * second, 5 * second),
+        ("c", 4 * second, 4 * second),
+    ]
+    (kept,) = engine.query("access_mem(m, b, [Start, End])")
+    assert [timestamps.from_term(kept[name]) for name in ("Start", "End")] == [4 * second] * 2
+    assert parts_of(engine).dispatcher.current is None
 
 
-@pytest.mark.parametrize("goal", ["new_event(a, 1, 1)", "load"])
-def test_an_interrupt_leaves_no_event_behind(goal):
-    engine = Watched("b <- a.", "subscribe(b, [], _, out, s)")
+@pytest.mark.parametrize(
+    "work",
+    [
+        lambda engine: engine.event("a", 1),
+        lambda engine: engine.call("new_event(a, 1, 1)"),
+        lambda engine: engine.load(goals="new_event(a, 1, 1)"),
+    ],
+    ids=["event", "goal", "goal file"],
+)
+def test_an_interrupt_leaves_no_event_behind(work):
+    engine = Watched("b <- a. c <- b. c <- a.", "subscribe(b, [], _, out, s)")
 
     def stop(term, topic, name):
-        raise KeyboardInterrupt
+        if not engine.events or engine.events[-1][0] == "b":
+            raise KeyboardInterrupt
 
     engine.on_output(stop)
     with pytest.raises(KeyboardInterrupt):
-        engine.load(goals="new_event(a, 1, 1)") if goal == "load" else engine.call(goal)
+        work(engine)
     assert parts_of(engine).dispatcher.current is None
+    del engine.events[:]
+    engine.event("d", 2)
+    assert [event for event, _, _ in engine.events] == ["d"]  # nothing of what was interrupted comes after
 
 
 def test_events_that_a_subscriber_makes_of_its_own_follow_from_what_it_was_sent(caplog):
