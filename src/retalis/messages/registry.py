@@ -1,6 +1,6 @@
 """The message types that are known: from texts, and from what is installed. No part of ROS is needed."""
 
-from typing import Dict, List, Optional, Sequence, Set, Tuple, Union
+from typing import Dict, List, NamedTuple, Optional, Sequence, Set, Tuple, Union
 
 from ..foundation import Cache, MessageError, beginning, type_fault
 from .decoding import Decoder
@@ -27,6 +27,13 @@ MOST_TYPES, MOST_TEXT = 1000, 16 << 20
 
 _SLOT = 2000
 """Bytes that a slot takes in a definition or in the functions of its type, as measured."""
+
+
+class Learned(NamedTuple):
+    """How to read the messages of a publisher, and whether their own type stands in for one that is not known."""
+
+    decoder: Decoder
+    instead: bool
 
 
 class Definitions:
@@ -108,6 +115,16 @@ class Definitions:
         self._added[definition.name] = definition
         for nested in definition.dependencies():
             self._nested.setdefault(nested.name, nested)
+
+    def learn(self, name: str, sent: str, text: str, md5sum: str) -> Learned:
+        """Return what reads the messages of a publisher as a type; see `received`.
+
+        Raises:
+            MessageError: where they are of another type, or what came with them is wrong.
+        """
+        unknown = name not in self
+        definition = self.received(name, sent, text, md5sum)
+        return Learned(self.decoder(definition), unknown and sent != name)
 
     def received(self, name: str, sent: str, text: str, md5sum: str) -> Definition:
         """Return the definition by which to read messages as a type: the known one, or what came with them.

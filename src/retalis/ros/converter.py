@@ -8,11 +8,11 @@ from ..foundation import RetalisError, UsageError, beginning
 from ..messages import Decoder, Definitions, text_writer
 from ..prolog.syntax import EventReader, event_text, to_text
 from ..prolog.terms import deref
+from ._connecting import OUTPUT_EVENT, connect
 from ._log import shown
 from ._texts import TextPublisher
 from ._time import ros_now
 from .interface import INPUT, OUTPUT, Interface, Take
-from .node import OUTPUT_EVENT, connect
 from .parameters import Parameters, direct_topics
 from .running import run_node
 from .services import InterfaceServices

@@ -264,11 +264,10 @@ class InputTopic:
             MessageError: where they are of another type.
         """
         sent = header.get("type", "*")
-        is_known = self.kind in self._definitions
-        definition = self._definitions.received(
+        learned = self._definitions.learn(
             self.kind, sent, header.get("message_definition", ""), header.get("md5sum", "")
         )
-        if not is_known and sent != self.kind:
+        if learned.instead:
             rospy.logwarn(
                 "topic %s is subscribed as %s, which is unknown here; %s publishes %s, which is used instead",
                 self._name,
@@ -276,7 +275,7 @@ class InputTopic:
                 printable(beginning(header.get("callerid", "somebody"))),
                 printable(beginning(sent)),
             )
-        return self._definitions.decoder(definition)
+        return learned.decoder
 
 
 def resolve(topic: str) -> str:

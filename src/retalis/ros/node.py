@@ -1,17 +1,18 @@
 """Node ``retalis``: the engine behind its services and topics."""
 
-from typing import Callable, Iterable, Optional, Tuple
+from typing import Optional, Tuple
 
 import rospy
 from std_msgs.msg import String
 
 from ..engine import Engine
 from ..engine.runtime import Alarm, Clock, Reports
-from ..events.program import TOPICS, Topics, TopicType, read_topics
+from ..events.program import TOPICS, Topics, read_topics
 from ..foundation import RetalisError
 from ..messages import Decoder, Definitions, Installed
 from ..prolog.syntax import to_text
-from ..prolog.terms import Term, atom, functor
+from ..prolog.terms import Term, atom
+from ._connecting import OUTPUT_EVENT, connect
 from ._log import shown
 from ._sending import Outlet
 from ._texts import text_frame
@@ -20,8 +21,6 @@ from .interface import INPUT, OUTPUT, Interface, Take
 from .parameters import Parameters, direct_topics
 from .running import run_node
 from .services import EngineServices, InterfaceServices
-
-OUTPUT_EVENT = functor("event", 3)
 
 
 class RosClock(Clock):
@@ -130,23 +129,6 @@ class RetalisNode:
     def _send_text(self, term: Term, topic: str, name: Term) -> None:
         if self._texts.links():
             self._texts.send(text_frame(to_text((OUTPUT_EVENT, term, atom(topic), name))))
-
-
-def connect(interface: Interface, topics: Topics, direct: Iterable[TopicType] = ()) -> None:
-    """Subscribe and advertise what ``pub_sub.xml`` names, but for what node retalis subscribes by itself."""
-    apart = {rospy.resolve_name(topic) for topic, _ in direct}
-    for topic, kind in topics.published:
-        _try(interface.advertise, topic, kind)
-    for topic, kind in topics.subscribed:
-        if rospy.resolve_name(topic) not in apart:
-            _try(interface.subscribe, topic, kind)
-
-
-def _try(work: Callable[[str, str], None], topic: str, kind: str) -> None:
-    try:
-        work(topic, kind)
-    except RetalisError as error:
-        rospy.logerr("%s: topic %s: %s", TOPICS, topic, error)
 
 
 def main() -> int:

@@ -146,20 +146,19 @@ class Playback:
     def _learn(self, topic: Topic) -> Optional[MessageError]:
         """Note the decoder for a connection, under the type that the program gives the topic, or return why not."""
         kind = self._types[_plain(topic.name)]
-        is_known = kind in self.definitions
         try:
-            definition = self.definitions.received(kind, topic.type, topic.definition, topic.md5sum)
+            learned = self.definitions.learn(kind, topic.type, topic.definition, topic.md5sum)
         except MessageError as error:
             self._decoders[topic] = None
             return error
-        if not is_known and topic.type != kind:
+        if learned.instead:
             log.warning(
                 "topic %s is requested as %s, which is unknown here; the bag has %s, which is used instead",
                 topic.name,
                 kind,
                 topic.type,
             )
-        self._decoders[topic] = self.definitions.decoder(definition)
+        self._decoders[topic] = learned.decoder
         return None
 
     def _collect(self, term: Term, topic: str, name: Term) -> None:
