@@ -47,6 +47,10 @@ class FrameSource(DecoderSource):
         self.count = self.fixed("I")
         element = self.message(slot.definition)
         self.closed = True
+        return self.only(element)
+
+    def only(self, element: str) -> str:
+        """Return the source of the list of one element."""
         return f"(C, {element}, N)"
 
     def elements(self, slot: Field, number: str) -> str:

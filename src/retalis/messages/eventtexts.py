@@ -1,17 +1,18 @@
 """Message bytes to the text of their event terms, without making the terms where their form allows it."""
 
-import re
-from typing import Callable, List
+from typing import Callable
 
 from ..foundation import codegen
 from ..prolog.syntax import float_text, to_text
-from ..prolog.terms import Term
+from ..prolog.terms import Term, atom
 from ._frame_code import FrameSource, Unsuited
+from .arrays import SMALL
 from .decoding import Decoder
+from .definition import Definition, Field
+from .slots import PRIMITIVES, TIMES
 
-_MARK = 10**40
-_PLACE = re.compile(r"1(0{30}\d{10})(?=[,\])])")
-_CODE = re.compile(r"(?<!\d)\d*[a-zA-Z?]")
+_EDGE = "\0"
+"""Stands in texts around the source of a value; no name has it in it."""
 
 
 def text_writer(decoder: Decoder) -> Callable[[bytes], str]:
@@ -36,28 +37,49 @@ def text_writer(decoder: Decoder) -> Callable[[bytes], str]:
 
 
 class _TextSource(FrameSource):
-    """Source of a function that gives the message's text, not its term."""
+    """Source of a function that gives the message's text, not its term.
+
+    What is the source of a term elsewhere is its text here, with the sources of values in it.
+    """
+
+    def message(self, definition: Definition) -> str:
+        name = to_text(atom(definition.functor_name))
+        return f"{name}({','.join(map(self.slot, definition.fields))})" if definition.fields else name
+
+    def single(self, slot: Field) -> str:
+        if slot.definition is not None:
+            return self.message(slot.definition)
+        if slot.type == "string":
+            return _value(self.string())
+        if slot.type in TIMES:
+            code = TIMES[slot.type][0]
+            return f"[{_value(self.fixed(code))},{_value(self.fixed(code))}]"
+        code = PRIMITIVES[slot.type]
+        if code in "?c":  # not the value itself stands in the term
+            raise Unsuited
+        value = self.fixed(code)
+        return _value(f"real({value})" if code in "fd" else value)
+
+    def fixed_array(self, slot: Field) -> str:
+        number = slot.length or 0
+        if slot.is_bytes or number > SMALL or (number and slot.definition is not None):
+            raise Unsuited
+        return f"[{','.join(self.single(slot._replace(length=None)) for _ in range(number))}]"
+
+    def only(self, element: str) -> str:
+        return f"[{element}]"
 
     def finish(self, result: str) -> str:
-        """Return an f-string: the pieces of the term's text by their names, and between them the values."""
-        places = {name: f"{{{name}}}" for name in self.texts}
-        for names, layout in ((self.before[1], self.before[0]), (self.targets, self.format)):
-            for name, kind in zip(names, _CODE.findall(layout)):
-                if kind[-1] in "s?c":  # not the value itself stands in the term
-                    raise Unsuited
-                places[name] = f"{{real({name})}}" if kind in "fd" else f"{{{name}}}"
+        """Return an f-string: the pieces of the text by their names, and between them the values."""
         self.names["real"] = float_text
-        pieces = _PLACE.split(self._template(result, list(places)))
-        values = list(places.values())
-        pieces[::2] = [f"{{{self.name('p', text)}}}" for text in pieces[::2]]
-        pieces[1::2] = [values[int(place)] for place in pieces[1::2]]
-        return f'f"{"".join(pieces)}"'
-
-    def _template(self, result: str, names: List[str]) -> str:
-        """Return the text of the term, with a number for each value that comes in later."""
-        lines = [f"def made({', '.join(names)}):", f"    return {result}"]
-        make = codegen.function(lines, self.names, "a term with marks")
-        return to_text(make(*(_MARK + at for at in range(len(names)))))
+        pieces = result.split(_EDGE)
+        pieces[::2] = [self.name("p", text) for text in pieces[::2]]
+        return 'f"' + "".join(f"{{{piece}}}" for piece in pieces) + '"'
 
     def kept(self, text: Term) -> object:
         return to_text(text)
+
+
+def _value(source: str) -> str:
+    """Return the source of a value as it stands in a text."""
+    return f"{_EDGE}{source}{_EDGE}"
