@@ -4,6 +4,7 @@ from .direct import Direct
 from .facts import fact_search
 from .goals import GoalGenerator
 from .keys import key_of
+from .known import KnownDatabase, KnownPredicate
 from .nodes import (
     ARROW,
     BAR,
@@ -33,6 +34,8 @@ __all__ = [
     "GoalGenerator",
     "IGNORE",
     "key_of",
+    "KnownDatabase",
+    "KnownPredicate",
     "NOT",
     "ONCE",
     "ORDERS",

@@ -1,7 +1,8 @@
 """Code for bodies: inline goals, calls as frames, and control constructs around calls."""
 
-from typing import Any, FrozenSet, List, Optional, Sequence
+from typing import FrozenSet, List, Optional, Sequence, Tuple
 
+from ..machine import Code
 from ..terms import Atom, Functor, Term, Var, conjunction, deref, functor, variables
 from .inline import forget, write_inline, write_test
 from .nodes import (
@@ -15,6 +16,7 @@ from .nodes import (
     Height,
     IfThenElse,
     Interpret,
+    Needed,
     needed_by,
 )
 from .scope import ClauseVariables, Scope, Unit
@@ -29,7 +31,7 @@ _MOST_LEAVES = 16
 """Variables of an event that are looked at to tell whether it has a variable."""
 
 _OUTPUTS = functor("outputs", 0)
-_EMPTY: FrozenSet[Any] = frozenset()
+_EMPTY: FrozenSet[Needed] = frozenset()
 _NO_VALUE = ("", "")
 
 
@@ -51,10 +53,10 @@ class Bodies:
         unit: Unit,
         clause: ClauseVariables,
         entry: Height,
-        interpret: Any,
+        interpret: object,
         title: str,
         key: Optional[Functor],
-        outputs: Any = None,
+        outputs: Optional[Code] = None,
     ):
         self.unit = unit
         self.clause = clause
@@ -97,8 +99,8 @@ class Bodies:
         if not isinstance(node, CallNode) or node.key is not ARG or self.unit.database.is_library:
             return False
         number = deref(node.args[0])
-        known = number in scope.names and number not in scope.fresh
-        return known and all(deref(other.source).__class__ in (tuple, Atom) for other in nodes[at:])
+        known = number.__class__ is Var and number in scope.names and number not in scope.fresh
+        return known and all(_is_callable(other.source) for other in nodes[at:])
 
     def _known(self, scope: Scope, nodes: Sequence[GoalNode]) -> CallNode:
         """Write the test that the number of ``arg/3`` is a variable: then the rest is run from its terms.
@@ -108,6 +110,7 @@ class Bodies:
         goal = nodes[0]
         assert isinstance(goal, CallNode)
         var = deref(goal.args[0])
+        assert var.__class__ is Var
         number = scope.names[var]
         found = CallNode("builtin", KNOWN_ARG, goal.args, True)
         if scope.numbers.get(var, _NO_VALUE)[0] == number:
@@ -120,7 +123,7 @@ class Bodies:
         if height is None:
             height = scope.temp("h")
             scope.push(f"{height} = len(choices)")
-        rest = scope.build(conjunction(node.source for node in nodes))
+        rest = scope.build(conjunction(node.source for node in nodes if node.source is not None))
         self._flush(scope)
         scope.line(f"return ({scope.unit.constant(self.interpret)}, {rest}, {height}, {scope.after})")
         scope.depth -= 1
@@ -129,7 +132,7 @@ class Bodies:
 
     # Leaving the function
 
-    def _flush(self, scope: Scope, needed: FrozenSet[Any] = _EMPTY) -> None:
+    def _flush(self, scope: Scope, needed: FrozenSet[Needed] = _EMPTY) -> None:
         """Write what has to happen before a frame is returned or a choice point pushed."""
         if self.entry in needed and self.entry not in scope.names:
             self._enter(scope)
@@ -197,15 +200,17 @@ class Bodies:
         positions: List[int] = []
         known: List[str] = []
         if term.__class__ is tuple:
+            key: Functor = term[0]
             for at, arg in enumerate(term[1:], 1):
                 arg = deref(arg)
                 is_known = arg.__class__ is Var and arg in scope.names and arg not in scope.fresh
                 if arg.__class__ is Atom or is_known:
                     positions.append(at)
                     known.append(scope.build(arg))
-        elif term.__class__ is not Atom:
+        elif term.__class__ is Atom:
+            key = term.functor
+        else:
             return None
-        key = term.functor if term.__class__ is Atom else term[0]
         gate = self.unit.gate(call.key, key, tuple(positions[:_MOST_LOOKED_AT]))
         if gate is None:
             return None
@@ -255,7 +260,7 @@ class Bodies:
 
     # Continuations
 
-    def _live(self, scope: Scope, needed: FrozenSet[Any]) -> List[Any]:
+    def _live(self, scope: Scope, needed: FrozenSet[Needed]) -> List[Needed]:
         return sorted((var for var in needed if var in scope.names), key=self.clause.number)
 
     def _continuation(
@@ -275,13 +280,13 @@ class Bodies:
             scope.fresh.discard(var)
         return f"({', '.join(parts)})"
 
-    def _code(self) -> Any:
+    def _code(self) -> Tuple[str, str]:
         function = self.unit.unique("then_")
         code = self.unit.code(self.title, function)
         code.functor = self.key
         return self.unit.constant(code), function
 
-    def _job(self, function: str, live: List[Any], nodes: Sequence[GoalNode], retried: bool) -> None:
+    def _job(self, function: str, live: List[Needed], nodes: Sequence[GoalNode], retried: bool) -> None:
         def write() -> None:
             scope = Scope(self.unit, self.clause)
             scope.entry = False
@@ -296,8 +301,8 @@ class Bodies:
 
     def _share(self, scope: Scope, groups: Sequence[Sequence[GoalNode]]) -> None:
         """Create the variables that more than one of the parts of a control construct needs."""
-        seen: FrozenSet[Any] = _EMPTY
-        twice: FrozenSet[Any] = _EMPTY
+        seen: FrozenSet[Needed] = _EMPTY
+        twice: FrozenSet[Needed] = _EMPTY
         for group in groups:
             needed = needed_by(group)
             twice |= seen & needed
@@ -380,3 +385,10 @@ class Bodies:
         """Write the remembering of the height at entry."""
         scope.push(f"{self.entry.name} = len(choices)")
         scope.names[self.entry] = self.entry.name
+
+
+def _is_callable(term: Optional[Term]) -> bool:
+    if term is None:
+        return False
+    goal = deref(term)
+    return goal.__class__ is tuple or goal.__class__ is Atom

@@ -5,9 +5,9 @@ ending in a variable that the next turn binds. The loop written here collects th
 the cells in one go, from the last to the first, so that no variable is needed in between.
 """
 
-from typing import Any, List, NamedTuple, Optional, Sequence, Tuple
+from typing import List, NamedTuple, Optional, Sequence, Tuple
 
-from ..terms import Term, Var, deref
+from ..terms import Compound, Functor, Term, Var, deref
 from .inline import write_inline
 from .nodes import CallNode, GoalNode, needed_by
 from .scope import ClauseVariables, Scope
@@ -22,7 +22,7 @@ class Shape(NamedTuple):
 
 
 def shape_of(
-    clause: ClauseVariables, args: Sequence[Term], nodes: Sequence[GoalNode], key: Any, switch: int
+    clause: ClauseVariables, args: Sequence[Term], nodes: Sequence[GoalNode], key: Functor, switch: int
 ) -> Optional[Shape]:
     """Return the shape of a clause whose last goal calls its own predicate, or None where it does not fit.
 
@@ -64,6 +64,8 @@ def write_building(
     assert isinstance(call, CallNode)
     source, built = locals_[switch], locals_[shape.position]
     pattern, cell = deref(args[switch]), deref(args[shape.position])
+    assert pattern.__class__ is tuple
+    assert cell.__class__ is tuple
     before = scope.branch()
     scope.dereference(built)
     scope.line("if k is Var:")
@@ -72,11 +74,13 @@ def write_building(
     scope.line("for _ in LOOP:")
     scope.depth += 1
     for at, arg in enumerate(args):
-        if deref(arg).__class__ is Var and at != shape.position:
-            scope.names.setdefault(deref(arg), locals_[at])
+        arg = deref(arg)
+        if arg.__class__ is Var and at != shape.position:
+            scope.names.setdefault(arg, locals_[at])
     take_apart(scope, source, pattern, 0, check=False)
     for at, arg in enumerate(args):
-        if at not in (switch, shape.position) and scope.clause.counts.get(deref(arg)) != 1:
+        arg = deref(arg)
+        if at not in (switch, shape.position) and not (arg.__class__ is Var and scope.clause.is_void(arg)):
             match(scope, locals_[at], arg)
     for at, node in enumerate(nodes[:-1]):
         scope.later = needed_by(nodes[at + 1 :])
@@ -118,7 +122,7 @@ def _advance(scope: Scope, locals_: Sequence[str], call: CallNode, shape: Shape)
         scope.line(f"{', '.join(targets)} = {', '.join(sources)}")
 
 
-def _cells(scope: Scope, cell: Term, shape: Shape) -> None:
+def _cells(scope: Scope, cell: Compound, shape: Shape) -> None:
     """Write the making of the cells, from the last to the first."""
     count = len(cell) - 2
     parts = []

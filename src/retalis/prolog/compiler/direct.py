@@ -6,12 +6,13 @@ bound and runs its goal on the machine. That can be done because nothing in a fu
 of unification, arithmetic, comparison, pure built-ins, facts, and other such predicates.
 """
 
-from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Tuple
+from typing import Dict, Iterator, List, Optional, Sequence, Tuple
 
 from ..machine import BAIL
-from ..terms import Functor, functor, undo
+from ..terms import Functor, Term, Trail, functor, undo
 from .inline import write_inline
 from .keys import key_of
+from .known import Finder, KnownDatabase, KnownPredicate
 from .nodes import BodyParser, CallNode, Cut, GoalNode, Height, IfThenElse, needed_by
 from .predicates import ClauseParts, Generator, title_of
 from .scope import ClauseVariables, Scope, Unit
@@ -47,16 +48,16 @@ class Direct:
 
     __slots__ = ("first", "only", "_database", "_key", "_facts", "_missing")
 
-    first: Callable[..., Optional[bool]]
-    only: Callable[..., Optional[bool]]
+    first: Finder
+    only: Finder
 
-    def __init__(self, database: Any, key: Functor):
+    def __init__(self, database: KnownDatabase, key: Functor):
         self._database = database
         self._key = key
         self._facts = False
         self.reset(None)
 
-    def reset(self, predicate: Any) -> None:
+    def reset(self, predicate: Optional[KnownPredicate]) -> None:
         """Forget the functions; those that look facts up go on as long as there are facts only."""
         if not self._facts or predicate is None or not predicate.ground:
             self._facts = False
@@ -69,11 +70,11 @@ class Direct:
         if once in self._missing:
             self._make(once)
 
-    def _make(self, once: bool) -> Callable[..., Optional[bool]]:
+    def _make(self, once: bool) -> Finder:
         database, key = self._database, self._key
         self._missing.discard(once)
         predicate = database.predicate(key)
-        function: Callable[..., Optional[bool]]
+        function: Finder
         if work(database, key) is None:
             function = _unknown
         elif is_facts(predicate):
@@ -90,16 +91,16 @@ class Direct:
         return function
 
 
-def _unknown(*args: Any) -> None:
+def _unknown(*args: Term) -> None:
     return None
 
 
-def is_facts(predicate: Any) -> bool:
+def is_facts(predicate: KnownPredicate) -> bool:
     """Tell whether a predicate is looked up by its index, not compiled clause by clause."""
     return predicate.ground and (predicate.dynamic or len(predicate) > _MOST_CLAUSES)
 
 
-def rules_of(predicate: Any) -> List[ClauseParts]:
+def rules_of(predicate: KnownPredicate) -> List[ClauseParts]:
     """Return the clauses of a predicate as the generator takes them."""
     return [
         ClauseParts(clause.head[1:] if clause.head.__class__ is tuple else (), clause.body, clause.place)
@@ -107,7 +108,7 @@ def rules_of(predicate: Any) -> List[ClauseParts]:
     ]
 
 
-def work(database: Any, key: Functor, path: Tuple[Functor, ...] = ()) -> Optional[int]:
+def work(database: KnownDatabase, key: Functor, path: Tuple[Functor, ...] = ()) -> Optional[int]:
     """Return how many clauses a call of a predicate may look at; None where it cannot be a function."""
     predicate = database.predicate(key)
     if database.interprets or predicate.kind != "user" or predicate.tabled is not None or predicate.library:
@@ -131,7 +132,9 @@ def work(database: Any, key: Functor, path: Tuple[Functor, ...] = ()) -> Optiona
     return total if total <= _MOST_WORK else None
 
 
-def work_of(database: Any, nodes: Sequence[GoalNode], path: Tuple[Functor, ...] = ()) -> Optional[int]:
+def work_of(
+    database: KnownDatabase, nodes: Sequence[GoalNode], path: Tuple[Functor, ...] = ()
+) -> Optional[int]:
     """Return what the predicates called in a body cost; None where one of its goals cannot be in a function."""
     total = 0
     for goal in goals_of(nodes):
@@ -145,7 +148,7 @@ def work_of(database: Any, nodes: Sequence[GoalNode], path: Tuple[Functor, ...] 
     return total
 
 
-def is_pure(database: Any, key: Functor) -> bool:
+def is_pure(database: KnownDatabase, key: Functor) -> bool:
     """Tell whether a deterministic built-in has no effect."""
     return key in _PURE or database.predicate(key).functional is not None
 
@@ -159,7 +162,7 @@ def goals_of(nodes: Sequence[GoalNode]) -> Iterator[CallNode]:
             yield from goals_of([*node.test, *node.then, *node.otherwise])
 
 
-def parser(database: Any, entry: Height, path: Tuple[Functor, ...] = ()) -> BodyParser:
+def parser(database: KnownDatabase, entry: Height, path: Tuple[Functor, ...] = ()) -> BodyParser:
     """Return a parser that takes calls of predicates that can be functions as inline goals."""
     known: Dict[Functor, bool] = {}
 
@@ -186,7 +189,7 @@ def choose_functions(nodes: Sequence[GoalNode], once: bool) -> None:
 class Functions(Generator):
     """Generates the functions of one predicate."""
 
-    def function(self, once: bool) -> Callable[..., Optional[bool]]:
+    def function(self, once: bool) -> Finder:
         """Return the function, for the first solution or for the only one."""
         unit = Unit(self.database.machine, self.database, repeats=True)
         unit.namespace["key_of"] = key_of
@@ -199,7 +202,7 @@ class Functions(Generator):
         place = next((rule.place for rule in self.rules if rule.place is not None), None)
         source = unit.source()
         name = f"{self.key} as a function"
-        found: Callable[..., Optional[bool]] = unit.finish(source, title_of(place, name))["main"]
+        found: Finder = unit.finish(source, title_of(place, name))["main"]
         return found
 
     def _keyed(self) -> List[int]:
@@ -245,7 +248,7 @@ class Functions(Generator):
         return f"({' and '.join(tests)})" if tests else "True"
 
 
-def give_up(trail: List[Any], mark: int) -> object:
+def give_up(trail: Trail, mark: int) -> object:
     """Undo bindings and return `BAIL`."""
     undo(trail, mark)
     return BAIL

@@ -3,7 +3,7 @@
 from typing import Tuple
 
 from ..arithmetic import EVALUABLE
-from ..terms import Atom, Functor, Term, Var, deref, functor
+from ..terms import Atom, Compound, Functor, Term, Var, deref, functor
 from .scope import Scope
 
 _PLUS, _MINUS, _TIMES = functor("+", 2), functor("-", 2), functor("*", 2)
@@ -29,17 +29,16 @@ Operand = Tuple[str, str]
 def number(scope: Scope, expression: Term, depth: int = 0) -> Operand:
     """Write the evaluation of an arithmetic expression and return the expression for its value."""
     expression = deref(expression)
-    kind = expression.__class__
-    if kind is int:
+    if expression.__class__ is int:
         return scope.unit.constant(expression), "int"
-    if kind is float and expression - expression == 0:
+    if expression.__class__ is float and expression - expression == 0:
         return scope.unit.constant(expression), "float"
-    if kind is Var:
+    if expression.__class__ is Var:
         return _variable(scope, expression)
     if depth < _DEEPEST:
-        if kind is tuple and expression[0] in EVALUABLE:
+        if expression.__class__ is tuple and expression[0] in EVALUABLE:
             return _operation(scope, expression, depth)
-        if kind is Atom and expression.functor in EVALUABLE:
+        if expression.__class__ is Atom and expression.functor in EVALUABLE:
             target = scope.temp()
             scope.line(f"{target} = {scope.unit.constant(EVALUABLE[expression.functor])}()")
             return target, "num"
@@ -67,7 +66,7 @@ def _variable(scope: Scope, var: Var) -> Operand:
     return target, "num"
 
 
-def _operation(scope: Scope, expression: Term, depth: int) -> Operand:
+def _operation(scope: Scope, expression: Compound, depth: int) -> Operand:
     key: Functor = expression[0]
     if key in _DIRECT:
         return _direct(scope, key, expression, depth)
@@ -88,7 +87,7 @@ def _operation(scope: Scope, expression: Term, depth: int) -> Operand:
     return target, "int" if key in _FUNCTIONS_OF_INTEGERS or key in _TO_INTEGER else "num"
 
 
-def _direct(scope: Scope, key: Functor, expression: Term, depth: int) -> Operand:
+def _direct(scope: Scope, key: Functor, expression: Compound, depth: int) -> Operand:
     symbol, slow = _DIRECT[key]
     left_term, right_term = deref(expression[1]), deref(expression[2])
     target = scope.temp()

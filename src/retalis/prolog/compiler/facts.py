@@ -1,11 +1,14 @@
 """Code that looks for a matching fact among many: one function for each arity and indexed argument."""
 
-from typing import Any, Callable, Dict, List, Optional
+from typing import Callable, Dict, List, Optional
 
 from ...foundation import codegen
+from ..machine import Frame
 
 
-def fact_search(arity: int, indexed: Optional[int], namespace: Dict[str, Any]) -> Callable[..., Any]:
+def fact_search(
+    arity: int, indexed: Optional[int], namespace: Dict[str, object]
+) -> Callable[..., Optional[Frame]]:
     """Return ``search(frame, clauses, at, end, generation, keys)``, which tries ground facts in order.
 
     It returns the frame to go on with, after pushing a choice point where another fact may match.
@@ -16,7 +19,9 @@ def fact_search(arity: int, indexed: Optional[int], namespace: Dict[str, Any]) -
         namespace: what `search` names: ``Var``, ``unify``, ``trail``, ``choose``, ``retry``, ``may_match``.
     """
     source = "\n".join(_search(arity, indexed)) + "\n"
-    found: Callable[..., Any] = codegen.shared_function(source, namespace, f"facts of {arity} arguments")
+    found: Callable[..., Optional[Frame]] = codegen.shared_function(
+        source, namespace, f"facts of {arity} arguments"
+    )
     return found
 
 

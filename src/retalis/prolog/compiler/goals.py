@@ -1,13 +1,14 @@
 """Code for goals that Python calls: a function of the inputs, or frames that hand the outputs over."""
 
-from typing import Any, Callable, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 from ...foundation import LARGEST, Place
-from ..machine import Code, LimitError
+from ..machine import Code, Frame, LimitError, Step, Takes
 from ..terms import Term, Var, copy, deref, functor, is_larger, resolve, variables
 from .bodies import Bodies
 from .direct import choose_functions, give_up, goals_of, parser, work_of
 from .inline import write_sequence
+from .known import KnownDatabase, KnownPredicate
 from .nodes import BodyParser, CallNode, GoalNode, Height, needed_by
 from .predicates import title_of
 from .scope import ClauseVariables, Scope, Unit
@@ -21,8 +22,8 @@ class HandOver(CallNode):
     __slots__ = ()
 
 
-def _hand_over(frame: Any) -> Any:
-    collector = frame[-1]
+def _hand_over(frame: Frame) -> Optional[Frame]:
+    collector: Tuple[Takes, ...] = frame[-1]
     return collector[0].take(collector, tuple([resolve(value) for value in frame[1:-1]]))
 
 
@@ -34,7 +35,7 @@ class GoalGenerator:
 
     def __init__(
         self,
-        database: Any,
+        database: KnownDatabase,
         term: Term,
         inputs: Tuple[Var, ...],
         outputs: Tuple[Term, ...],
@@ -60,7 +61,7 @@ class GoalGenerator:
         self._entry = Height("height")
         self._nodes = BodyParser(self._database, self._entry).parse(self._term)
 
-    def call(self) -> Optional[Any]:
+    def call(self) -> Optional[KnownPredicate]:
         """Return the predicate, where the goal is one call of it with the inputs as they are; else None."""
         if len(self._nodes) != 1:
             return None
@@ -123,7 +124,7 @@ class GoalGenerator:
         unit.add([f"def main({parameters}):", *lines, f"    return {result}"])
         return self._finish(unit)
 
-    def enter(self, hands_over: bool) -> Tuple[Callable[..., Any], bool]:
+    def enter(self, hands_over: bool) -> Tuple[Step, bool]:
         """Return the function of the goal's frame, and whether it is steady, see `Code.steady`."""
         if self._interprets:
             return self._interpreted(hands_over), False
@@ -143,17 +144,19 @@ class GoalGenerator:
         unit.add(["def main(frame):", f"    {', '.join(['_', *locals_, 'after'])} = frame", *scope.lines])
         return self._finish(unit), not scope.pushes
 
-    def _interpreted(self, hands_over: bool) -> Callable[[Any], Any]:
+    def _interpreted(self, hands_over: bool) -> Step:
         """Return a function that runs the goal from its term."""
-        call = self._database.machine.logic.control.call
+        call: Callable[[Term, Frame], Optional[Frame]] = self._database.machine.logic.control.call
         inputs, goal, outputs = self._inputs, self._term, self._outputs
 
-        def run(frame: Any) -> Any:
-            fresh = dict(zip(inputs, frame[1:-1]))
+        def run(frame: Frame) -> Optional[Frame]:
+            fresh: Dict[Var, Term] = dict(zip(inputs, frame[1:-1]))
             body = copy(goal, fresh)
             if not hands_over:
                 return call(body, frame[-1])
-            return call(body, (HAND_OVER, *copy((_OUTPUTS, *outputs), fresh)[1:], frame[-1]))
+            copied = copy((_OUTPUTS, *outputs), fresh)
+            assert copied.__class__ is tuple
+            return call(body, (HAND_OVER, *copied[1:], frame[-1]))
 
         return run
 

@@ -1,9 +1,10 @@
 """Code for goals that are straight Python: they leave no choice point and call no predicate of the program."""
 
-from typing import Any, Dict, FrozenSet, List, Optional, Sequence, Set, Tuple
+from typing import Dict, FrozenSet, List, Optional, Sequence, Set, Tuple
 
 from ..terms import Atom, Term, Var, deref, variables
 from .expressions import number
+from .known import KnownFunction
 from .nodes import (
     COMPARISONS,
     KNOWN_ARG,
@@ -14,12 +15,13 @@ from .nodes import (
     Fail,
     GoalNode,
     IfThenElse,
+    Needed,
     needed_by,
 )
-from .scope import Scope
+from .scope import Knowledge, Scope
 from .unification import differs, forget_fresh, match
 
-Missed = Tuple[Set[Any], Set[Any]]
+Missed = Tuple[Set[Needed], Set[Var]]
 
 
 def write_inline(scope: Scope, node: GoalNode) -> None:
@@ -126,7 +128,7 @@ def _builtin_call(scope: Scope, node: CallNode) -> str:
     return f"{scope.unit.builtin(node.key)}(M{args})"
 
 
-def _function(scope: Scope, node: CallNode, functional: Any) -> None:
+def _function(scope: Scope, node: CallNode, functional: KnownFunction) -> None:
     """Write a call for the outputs, and their unification; void variables are left alone."""
     inputs = [node.args[at] for at in functional.inputs]
     result = scope.temp()
@@ -296,7 +298,7 @@ def _condition(scope: Scope, node: IfThenElse) -> None:
     scope.depth -= 1
 
 
-def write_sequence(scope: Scope, nodes: Sequence[GoalNode], later: FrozenSet[Any]) -> None:
+def write_sequence(scope: Scope, nodes: Sequence[GoalNode], later: FrozenSet[Needed]) -> None:
     """Write inline goals one after the other; ``later`` is what is needed after them."""
     for at, node in enumerate(nodes):
         scope.later = later | needed_by(nodes[at + 1 :])
@@ -313,12 +315,12 @@ def forget(scope: Scope, missed: Missed) -> None:
         scope.numbers.pop(var, None)
 
 
-def _join(scope: Scope, then_state: Any, later: FrozenSet[Any], start: int, middle: int) -> None:
+def _join(scope: Scope, then_state: Knowledge, later: FrozenSet[Needed], start: int, middle: int) -> None:
     """Give the variables that are needed later the same names at the ends of both branches."""
     then_lines: List[str] = []
     indent = "    " * scope.depth
     else_names, then_names = scope.names, then_state[0]
-    merged: Dict[Any, str] = {}
+    merged: Dict[Needed, str] = {}
     for var in {**then_names, **else_names}:
         left, right = then_names.get(var), else_names.get(var)
         if left == right:

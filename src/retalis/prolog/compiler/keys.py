@@ -2,10 +2,10 @@
 
 from typing import Any
 
-from ..terms import Atom, Lazy, Term, Var, deref
+from ..terms import Atom, Lazy, Var, deref
 
 
-def key_of(term: Term) -> Any:
+def key_of(term: Any) -> object:
     """Return the first-level key of a term for indexes: constant, functor, or None for a variable."""
     kind = term.__class__
     if kind is tuple:

@@ -1,6 +1,6 @@
 """Bodies of clauses as nodes: what the generator of Python code walks."""
 
-from typing import Any, Callable, Dict, FrozenSet, Iterable, List, Optional, Tuple
+from typing import Callable, Dict, FrozenSet, Iterable, List, Optional, Tuple, Union
 
 from ..machine import type_error
 from ..terms import (
@@ -9,6 +9,7 @@ from ..terms import (
     FALSE,
     TRUE,
     Atom,
+    Compound,
     Functor,
     Lazy,
     Term,
@@ -18,6 +19,7 @@ from ..terms import (
     functor,
     variables,
 )
+from .known import KnownDatabase
 
 ARROW = functor("->", 2)
 SOFT_ARROW = functor("*->", 2)
@@ -78,6 +80,10 @@ class Height:
         self.name = name
 
 
+Needed = Union[Var, Height]
+"""What a goal needs to be there."""
+
+
 class GoalNode:
     """A goal of a body.
 
@@ -90,7 +96,7 @@ class GoalNode:
 
     __slots__ = ("vars", "inline", "cuts", "source")
 
-    def __init__(self, needed: FrozenSet[Any], inline: bool, cuts: bool = False):
+    def __init__(self, needed: FrozenSet[Needed], inline: bool, cuts: bool = False):
         self.vars = needed
         self.inline = inline
         self.cuts = cuts
@@ -183,7 +189,7 @@ class Interpret(GoalNode):
         self.height = height
 
 
-def needed_by(nodes: Iterable[GoalNode]) -> FrozenSet[Any]:
+def needed_by(nodes: Iterable[GoalNode]) -> FrozenSet[Needed]:
     """Return the variables and heights that nodes need."""
     return frozenset().union(*[node.vars for node in nodes])
 
@@ -199,7 +205,7 @@ class BodyParser:
 
     def __init__(
         self,
-        database: Any,
+        database: KnownDatabase,
         clause: Height,
         direct: Optional[Callable[[Functor], bool]] = None,
     ):
@@ -229,14 +235,13 @@ class BodyParser:
         return nodes
 
     def _node(self, goal: Term, cut: Height, depth: int) -> GoalNode:
-        kind = goal.__class__
-        if kind is Var:
+        if goal.__class__ is Var:
             return CallNode("call", CALL, (goal,), False)
-        if kind is Lazy:
-            goal = goal.term()
-        elif kind is Atom:
+        if goal.__class__ is Atom:
             return self._atom(goal, cut)
-        elif kind is not tuple:
+        if goal.__class__ is Lazy:
+            goal = goal.term()
+        if goal.__class__ is not tuple:
             raise type_error("callable", goal)
         key = goal[0]
         if key is COLON:  # there is one module
@@ -275,7 +280,7 @@ class BodyParser:
             return CallNode("direct", key, args, True)
         return CallNode("builtin" if inline else "call", key, args, inline)
 
-    def _control(self, key: Functor, goal: Term, cut: Height, depth: int) -> GoalNode:
+    def _control(self, key: Functor, goal: Compound, cut: Height, depth: int) -> GoalNode:
         if key is SEMICOLON or key is BAR:
             return self._either(goal, cut, depth)
         if key is ARROW or key is SOFT_ARROW:
@@ -290,7 +295,7 @@ class BodyParser:
             return IfThenElse(test, [Fail(frozenset(), True)], [], barrier)
         return IfThenElse(test, [], [] if key is IGNORE else [Fail(frozenset(), True)], barrier)
 
-    def _either(self, goal: Term, cut: Height, depth: int) -> GoalNode:
+    def _either(self, goal: Compound, cut: Height, depth: int) -> GoalNode:
         left = deref(goal[1])
         if left.__class__ is tuple and (left[0] is ARROW or left[0] is SOFT_ARROW):
             return self._condition(left, goal[2], cut, depth)
@@ -305,7 +310,7 @@ class BodyParser:
         branches.append(self.parse(rest, cut, depth))
         return Disjunction(branches)
 
-    def _condition(self, arrow: Term, otherwise: Optional[Term], cut: Height, depth: int) -> GoalNode:
+    def _condition(self, arrow: Compound, otherwise: Optional[Term], cut: Height, depth: int) -> GoalNode:
         inner = self.height()
         test = self.parse(arrow[1], inner, depth)
         then = self.parse(arrow[2], cut, depth)

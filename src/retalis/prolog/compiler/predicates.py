@@ -1,13 +1,14 @@
 """Code for predicates: the switch on an argument, and the clauses that are left one after the other."""
 
-from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
+from typing import Dict, List, Optional, Sequence, Tuple
 
 from ...foundation import Place
-from ..machine import Code
+from ..machine import Code, Frame, Runs, Step
 from ..terms import TRUE, Atom, Functor, Term, Var, deref
 from .bodies import Bodies
 from .building import shape_of, write_building
 from .keys import key_of
+from .known import KnownDatabase
 from .nodes import BodyParser, Height
 from .scope import ClauseVariables, Loop, Scope, Unit
 from .unification import match, take_apart
@@ -21,7 +22,7 @@ class ClauseParts:
 
     __slots__ = ("args", "body", "place")
 
-    def __init__(self, args: Sequence[Term], body: Term, place: Any = None):
+    def __init__(self, args: Sequence[Term], body: Term, place: Optional[Place] = None):
         self.args = tuple(args)
         self.body = body
         self.place = place
@@ -37,7 +38,7 @@ class Generator:
         code: the code object that calls of it go through.
     """
 
-    def __init__(self, database: Any, key: Functor, rules: Sequence[ClauseParts], code: Any):
+    def __init__(self, database: KnownDatabase, key: Functor, rules: Sequence[ClauseParts], code: Runs):
         self.database = database
         self.key = key
         self.rules = rules
@@ -47,7 +48,7 @@ class Generator:
         self._retries: Dict[Tuple[int, ...], Code] = {}
         self.steady = False
 
-    def main(self) -> Callable[[Any], Any]:
+    def main(self) -> Step:
         """Return the function of the predicate; `steady` then tells whether it is as `Code.steady` says."""
         unit = Unit(self.database.machine, self.database)
         body = self._switch(unit)
@@ -62,17 +63,17 @@ class Generator:
         unit.add(["def main(frame):", *lines])
         return self._finish(unit, "main", "")
 
-    def single(self, index: int) -> Callable[[Any], Any]:
+    def single(self, index: int) -> Step:
         """Return the function of one clause; its frame ends with the height that its cuts cut to."""
         unit = Unit(self.database.machine, self.database)
         scope = self._clause(unit, index, None, height="height")
         unit.add(["def main(frame):", self._unpack(", height"), *scope.lines])
         return self._finish(unit, "main", f" clause {index + 1}")
 
-    def _finish(self, unit: Unit, name: str, part: str) -> Callable[[Any], Any]:
+    def _finish(self, unit: Unit, name: str, part: str) -> Step:
         source = unit.source()
         place = next((rule.place for rule in self.rules if rule.place is not None), None)
-        function: Callable[[Any], Any] = unit.finish(source, title_of(place, f"{self.key}{part}"))[name]
+        function: Step = unit.finish(source, title_of(place, f"{self.key}{part}"))[name]
         return function
 
     def _unpack(self, last: str) -> str:
@@ -107,10 +108,10 @@ class Generator:
         out.line("return None")
         return out
 
-    def _groups(self) -> Dict[Any, List[int]]:
+    def _groups(self) -> Dict[object, List[int]]:
         """Return the clauses for each first-level key of the switched argument; None for all other keys."""
         assert self.position is not None
-        groups: Dict[Any, List[int]] = {None: []}
+        groups: Dict[object, List[int]] = {None: []}
         for at, rule in enumerate(self.rules):
             key = key_of(rule.args[self.position])
             if key is None:
@@ -120,7 +121,7 @@ class Generator:
                 groups.setdefault(key, list(groups[None])).append(at)
         return groups
 
-    def _tuple_case(self, out: Scope, groups: Dict[Any, List[int]], local: str) -> None:
+    def _tuple_case(self, out: Scope, groups: Dict[object, List[int]], local: str) -> None:
         keys = [key for key in groups if key.__class__ is Functor]
         out.line("if k is tuple:")
         out.depth += 1
@@ -145,7 +146,7 @@ class Generator:
         out.depth -= 1
 
     def _atomic_case(
-        self, out: Scope, groups: Dict[Any, List[int]], local: str, kind: type, test: str
+        self, out: Scope, groups: Dict[object, List[int]], local: str, kind: type, test: str
     ) -> None:
         keys = [key for key in groups if key.__class__ is kind]
         if not keys:
@@ -165,14 +166,14 @@ class Generator:
             out.line("    return None")
         out.depth -= 1
 
-    def _case(self, out: Scope, chain: Tuple[int, ...], key: Any) -> None:
+    def _case(self, out: Scope, chain: Tuple[int, ...], key: object) -> None:
         out.depth += 1
         self._chain(out, chain, key)
         out.depth -= 1
 
     # Chains of clauses
 
-    def _chain(self, out: Scope, chain: Tuple[int, ...], key: Any, retried: bool = False) -> None:
+    def _chain(self, out: Scope, chain: Tuple[int, ...], key: object, retried: bool = False) -> None:
         """Write the clauses of a chain one after the other.
 
         Args:
@@ -204,7 +205,7 @@ class Generator:
         if known is not None:
             return known
 
-        def first(frame: Any) -> Any:
+        def first(frame: Frame) -> Optional[Frame]:
             unit = Unit(self.database.machine, self.database)
             out = Scope(unit, ClauseVariables(()))
             self._chain(out, chain, None, retried=True)
@@ -221,7 +222,7 @@ class Generator:
         unit: Unit,
         index: int,
         rest: Optional[Tuple[int, ...]],
-        key: Any = None,
+        key: object = None,
         depth: int = 1,
         loops: bool = False,
         alone: bool = False,
@@ -282,7 +283,7 @@ class Generator:
         if shape is not None:
             write_building(scope, self.locals, rule.args, nodes, shape, self.position)
 
-    def _own_locals(self, scope: Scope, rule: ClauseParts, key: Any) -> List[str]:
+    def _own_locals(self, scope: Scope, rule: ClauseParts, key: object) -> List[str]:
         """Copy the arguments for a clause that others follow, and return the names of the copies.
 
         Dereferencing exchanges a local for what it is bound to; where the clause itself has bound it, the
@@ -302,7 +303,7 @@ class Generator:
             scope.line(f"{', '.join(owns)} = {', '.join(locals_)}")
         return found
 
-    def _head(self, scope: Scope, rule: ClauseParts, key: Any, locals_: Sequence[str]) -> None:
+    def _head(self, scope: Scope, rule: ClauseParts, key: object, locals_: Sequence[str]) -> None:
         """Write the unification of the head: variables, then constants, then compound terms."""
         patterns = [(local, deref(arg), at) for at, (local, arg) in enumerate(zip(locals_, rule.args))]
         for local, arg, _ in patterns:
@@ -310,16 +311,15 @@ class Generator:
                 scope.names[arg] = local
         for rank in (0, 1, 2):
             for local, arg, at in patterns:
-                kind = arg.__class__
-                if rank != (2 if kind is tuple else 0 if kind is Var else 1):
+                if rank != (2 if arg.__class__ is tuple else 0 if arg.__class__ is Var else 1):
                     continue
                 if key is not None and at == self.position:
-                    if kind is tuple:
+                    if arg.__class__ is tuple:
                         take_apart(scope, local, arg, 0, check=False)
                         continue
-                    if kind is not Var:
+                    if arg.__class__ is not Var:
                         continue
-                if kind is Var and scope.clause.is_void(arg):
+                if arg.__class__ is Var and scope.clause.is_void(arg):
                     continue
                 match(scope, local, arg)
 

@@ -6,8 +6,10 @@ from typing import Any, Callable, Dict, FrozenSet, List, NamedTuple, Optional, S
 
 from ...foundation import codegen
 from .. import arithmetic, terms
-from ..machine import DEAD, LOOP, RESUME, Code, Machine
+from ..machine import DEAD, LOOP, RESUME, Code, Frame, Machine
 from ..terms import Atom, Functor, Lazy, String, Term, Var, by_number, copy, deref, functor, is_ground, unlike
+from .known import KnownDatabase
+from .nodes import Height, Needed
 
 COMPARE = functor("compare", 3)
 _LARGEST = 60
@@ -19,7 +21,7 @@ def fill(template: Term, old: Tuple[Var, ...], *new: Term) -> Term:
     return copy(template, dict(zip(old, new)))
 
 
-def _compare_numbered(left: Term, right: Term, variables: Any = by_number) -> int:
+def _compare_numbered(left: Term, right: Term, variables: Callable[[Var, Var], int] = by_number) -> int:
     return terms.compare(left, right, variables)
 
 
@@ -69,7 +71,7 @@ class Unit:
             must leave no trace, so it gives up rather than number variables that it compares.
     """
 
-    def __init__(self, machine: Machine, database: Any, repeats: bool = False):
+    def __init__(self, machine: Machine, database: KnownDatabase, repeats: bool = False):
         self.database = database
         self.namespace = base_namespace(machine)
         self.repeats = repeats
@@ -79,7 +81,7 @@ class Unit:
         self._functions: List[str] = []
         self._codes: List[Tuple[Code, str]] = []
         self.jobs: List[Callable[[], None]] = []
-        self._kept: Dict[Functor, Any] = {}
+        self._kept: Dict[Functor, Callable[..., Any]] = {}
 
     def constant(self, value: Any) -> str:
         """Return an expression for a value: a literal, or the name of a global."""
@@ -111,6 +113,7 @@ class Unit:
     def builtin(self, key: Functor) -> str:
         """Return the name of the Python function of a built-in that is called in line."""
         function = self.database.predicate(key).function
+        assert function is not None
         if self.repeats and key is COMPARE:
             function = self._kept.setdefault(key, partial(function, variables=by_number))
         return self.constant(function)
@@ -143,7 +146,7 @@ class Unit:
         return self.namespace
 
 
-def _unset(frame: Any) -> Any:
+def _unset(frame: Frame) -> Optional[Frame]:
     raise AssertionError("code that was not generated")
 
 
@@ -155,19 +158,18 @@ class ClauseVariables:
         stack = list(parts)
         while stack:
             item = deref(stack.pop())
-            kind = item.__class__
-            if kind is Var:
+            if item.__class__ is Var:
                 self.counts[item] = self.counts.get(item, 0) + 1
-            elif kind is tuple:
+            elif item.__class__ is tuple:
                 stack.extend(item[1:])
-        self._numbers: Dict[Any, int] = {}
+        self._numbers: Dict[Needed, int] = {}
 
-    def local(self, var: Any) -> str:
+    def local(self, var: Needed) -> str:
         """Return the Python name of a variable or height."""
         number = self._numbers.setdefault(var, len(self._numbers))
-        return f"v{number}" if var.__class__ is Var else var.name
+        return var.name if isinstance(var, Height) else f"v{number}"
 
-    def number(self, var: Any) -> int:
+    def number(self, var: Needed) -> int:
         """Return a number that orders variables."""
         return self._numbers.setdefault(var, len(self._numbers))
 
@@ -192,6 +194,10 @@ class Loop(NamedTuple):
     end: Optional[Tuple[int, str]]
 
 
+Knowledge = Tuple[Dict[Needed, str], Set[Var], Dict[Var, Tuple[str, str]], str, Optional[str], str, bool]
+"""What is known at a point of a function, see `Scope.branch`."""
+
+
 class Scope:
     """A Python function being written, and what is known at this point of it.
 
@@ -213,7 +219,7 @@ class Scope:
         self.clause = clause
         self.lines: List[str] = []
         self.depth = 1
-        self.names: Dict[Any, str] = {}
+        self.names: Dict[Needed, str] = {}
         self.fresh: Set[Var] = set()
         self.numbers: Dict[Var, Tuple[str, str]] = {}
         self.fail = fail
@@ -227,7 +233,7 @@ class Scope:
         self.looped = False
         self.binds = False
         self.pushes = False
-        self.later: FrozenSet[Any] = frozenset()
+        self.later: FrozenSet[Needed] = frozenset()
         self._temps = 0
 
     def line(self, text: str) -> None:
@@ -244,7 +250,7 @@ class Scope:
         self._temps += 1
         return f"{stem}{self._temps}"
 
-    def branch(self) -> Tuple[Any, ...]:
+    def branch(self) -> Knowledge:
         """Return the knowledge at this point, to come back to with `restore`."""
         return (
             dict(self.names),
@@ -256,7 +262,7 @@ class Scope:
             self.entry,
         )
 
-    def restore(self, state: Tuple[Any, ...]) -> None:
+    def restore(self, state: Knowledge) -> None:
         """Go back to the knowledge that `branch` returned."""
         names, fresh, numbers, self.fail, self.pending, self.after, self.entry = state
         self.names, self.fresh, self.numbers = dict(names), set(fresh), dict(numbers)
@@ -287,14 +293,13 @@ class Scope:
     def build(self, term: Term) -> str:
         """Return an expression for a term, after writing the variables that it needs."""
         term = deref(term)
-        kind = term.__class__
-        if kind is Var:
+        if term.__class__ is Var:
             if term not in self.names and self.clause.is_void(term):
                 return "Var()"
             name = self.local(term)
             self.fresh.discard(term)
             return name
-        if kind is not tuple:
+        if term.__class__ is not tuple:
             return self.unit.constant(term)
         if is_ground(term):
             return self.unit.constant(terms.resolve(term))

@@ -1,6 +1,8 @@
 """Code that unifies a local with a term that is known when the clause is compiled."""
 
-from ..terms import Atom, String, Term, Var, deref, same_constant
+from typing import List, Tuple
+
+from ..terms import Atom, Compound, String, Term, Var, deref, same_constant
 from .scope import Scope, _is_large
 
 _FEWEST, _MOST = 3, 40
@@ -16,8 +18,7 @@ def match(scope: Scope, name: str, pattern: Term, depth: int = 0) -> None:
     New variables of the pattern become names for what they stand for; others are bound as needed.
     """
     pattern = deref(pattern)
-    kind = pattern.__class__
-    if kind is Var:
+    if pattern.__class__ is Var:
         known = scope.names.get(pattern)
         if known is None:
             scope.names[pattern] = name
@@ -26,7 +27,7 @@ def match(scope: Scope, name: str, pattern: Term, depth: int = 0) -> None:
             scope.fresh.discard(pattern)
             scope.line(f"if {known} is not {name} and not unify({known}, {name}, trail):")
             scope.line(f"    {scope.fail}")
-    elif kind is tuple and len(pattern) > 1:
+    elif pattern.__class__ is tuple and len(pattern) > 1:
         if not scope.at_one_go and _is_one_shape(scope, pattern):
             _at_one_go(scope, name, pattern, depth)
         else:
@@ -35,7 +36,7 @@ def match(scope: Scope, name: str, pattern: Term, depth: int = 0) -> None:
         _constant(scope, name, pattern)
 
 
-def _either_mode(scope: Scope, name: str, pattern: Term, depth: int) -> None:
+def _either_mode(scope: Scope, name: str, pattern: Compound, depth: int) -> None:
     if depth > _NESTING or _is_large(pattern):
         _general(scope, name, pattern)
     else:
@@ -61,7 +62,7 @@ def _is_one_shape(scope: Scope, pattern: Term) -> bool:
     return _FEWEST <= compounds <= _MOST
 
 
-def _at_one_go(scope: Scope, name: str, pattern: Term, depth: int) -> None:
+def _at_one_go(scope: Scope, name: str, pattern: Compound, depth: int) -> None:
     """Write the unpacking of a whole pattern in one statement; what it does not fit is looked at part by part.
 
     That is how messages come: deep, and without a variable anywhere.
@@ -140,7 +141,7 @@ def _bind(scope: Scope, name: str, value: str) -> None:
     scope.line(f"    push({name})")
 
 
-def _compound(scope: Scope, name: str, pattern: Term, depth: int) -> None:
+def _compound(scope: Scope, name: str, pattern: Compound, depth: int) -> None:
     """Write both modes: binding an unbound variable to a new term, taking a compound term apart."""
     scope.dereference(name)
     scope.line("if k is Var:")
@@ -172,13 +173,13 @@ def _compound(scope: Scope, name: str, pattern: Term, depth: int) -> None:
     forget_fresh(scope, pattern)
 
 
-def take_apart(scope: Scope, name: str, pattern: Term, depth: int, check: bool = True) -> None:
+def take_apart(scope: Scope, name: str, pattern: Compound, depth: int, check: bool = True) -> None:
     """Write the read mode: ``name`` holds a compound term (of the right functor unless ``check``)."""
     if check:
         scope.line(f"if {name}[0] is not {scope.unit.constant(pattern[0])}:")
         scope.line(f"    {scope.fail}")
     targets = []
-    later = []
+    later: List[Tuple[str, Term]] = []
     for item in pattern[1:]:
         item = deref(item)
         if item.__class__ is Var:
@@ -205,8 +206,8 @@ def take_apart(scope: Scope, name: str, pattern: Term, depth: int, check: bool =
         match(scope, target, item, depth + 1)
 
 
-def _cost(entry: object) -> int:
-    kind = entry[1].__class__  # type: ignore[index]
+def _cost(entry: Tuple[str, Term]) -> int:
+    kind = entry[1].__class__
     return 2 if kind is tuple else 1 if kind is Var else 0
 
 

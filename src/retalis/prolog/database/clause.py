@@ -1,9 +1,9 @@
 """Clauses as predicates keep them."""
 
-from typing import Any, List, Optional, Tuple
+from typing import Optional, Sequence, Tuple
 
-from ...foundation import LARGEST
-from ..compiler import key_of
+from ...foundation import LARGEST, Place
+from ..compiler import KnownPredicate, key_of
 from ..machine import Step
 from ..terms import TRUE, Term, is_ground, is_larger
 
@@ -23,7 +23,7 @@ class Clause:
 
     __slots__ = ("head", "body", "died", "keys", "ground", "fact", "code", "uses", "place", "predicate")
 
-    def __init__(self, predicate: Any, head: Term, body: Term, place: Any):
+    def __init__(self, predicate: KnownPredicate, head: Term, body: Term, place: Optional[Place]):
         self.predicate = predicate
         self.head = head
         self.body = body
@@ -41,7 +41,7 @@ class Clause:
         return is_larger((None, self.head, self.body), LARGEST)
 
 
-def may_match(keys: List[Any], others: Tuple[Any, ...]) -> bool:
+def may_match(keys: Sequence[object], others: Tuple[object, ...]) -> bool:
     """Tell whether the first-level keys of a call and of a clause's head agree."""
     for key, other in zip(keys, others):
         if key is not other and key is not None and other is not None and key != other:

@@ -4,7 +4,17 @@ from typing import Any, Callable, Dict, List, Optional, Tuple
 
 from ...foundation import BULK, TermTooLarge, look
 from ..compiler import ARROW, BAR, CALL, IGNORE, NOT, ONCE, SEMICOLON, SOFT_ARROW
-from ..machine import DEAD, RESUME, CatchMark, Code, Frame, PrologError, instantiation_error, type_error
+from ..machine import (
+    DEAD,
+    RESUME,
+    CatchMark,
+    Code,
+    Frame,
+    Machine,
+    PrologError,
+    instantiation_error,
+    type_error,
+)
 from ..terms import (
     COMMA,
     FALSE,
@@ -12,9 +22,11 @@ from ..terms import (
     ROUNDS,
     TRUE,
     Atom,
+    Compound,
     Functor,
     Lazy,
     Term,
+    Values,
     Var,
     copy,
     deref,
@@ -32,12 +44,16 @@ _NECK = functor(":-", 2)
 _STRUCTURES = {COMMA, SEMICOLON, BAR, ARROW, SOFT_ARROW, NOT}
 
 
+Controls = Callable[[Machine, Values, Frame], Optional[Frame]]
+"""A control built-in: takes the machine, the arguments and the frame that follows."""
+
+
 class Control:
     """Runs goals from their terms as frames of a database's machine."""
 
     def __init__(self, database: Database):
         self._database = database
-        self._machine = database.machine
+        self.machine = database.machine
         self._choices = database.machine.choices
         self._trail = database.machine.trail
         self.code = database.machine.goal_code = Code("goal", self._run)
@@ -59,7 +75,9 @@ class Control:
         database.interpret = self.code
         database.solve = self.solve
 
-    def solve(self, goal: Term, height: int, after: Frame) -> Optional[Frame]:
+    def solve(  # noqa: C901 -- runs each goal of what is interpreted: its tests in one place cost least
+        self, goal: Any, height: int, after: Frame
+    ) -> Optional[Frame]:
         """Return the frame that runs a goal and then ``after``; cuts in it cut to ``height``."""
         while True:
             kind = goal.__class__
@@ -110,11 +128,11 @@ class Control:
 
     def _cut_run(self, frame: Frame) -> Frame:
         del self._choices[frame[1] :]
-        return frame[2]
+        return frame[2]  # type: ignore[no-any-return]
 
     # Control constructs
 
-    def _either(self, goal: Term, height: int, after: Frame) -> Optional[Frame]:
+    def _either(self, goal: Compound, height: int, after: Frame) -> Optional[Frame]:
         left = deref(goal[1])
         if left.__class__ is tuple and left[0] is ARROW:
             return self._test(left[1], left[2], goal[2], height, after)
@@ -131,19 +149,19 @@ class Control:
         self._choices.append((self.code, otherwise, height, after, len(self._trail)))
         return self.solve(test, here + 1, (self._cut_code, here, (self.code, then, height, after)))
 
-    def _then(self, goal: Term, height: int, after: Frame) -> Optional[Frame]:
+    def _then(self, goal: Compound, height: int, after: Frame) -> Optional[Frame]:
         here = len(self._choices)
         return self.solve(goal[1], here, (self._cut_code, here, (self.code, goal[2], height, after)))
 
-    def _soft(self, goal: Term, height: int, after: Frame) -> Optional[Frame]:
+    def _soft(self, goal: Compound, height: int, after: Frame) -> Optional[Frame]:
         return self.solve(goal[1], len(self._choices), (self.code, goal[2], height, after))
 
     def _soft_run(self, frame: Frame) -> Frame:
         here = frame[1]
         self._choices[here] = (DEAD, self._choices[here][-1])
-        return frame[2]
+        return frame[2]  # type: ignore[no-any-return]
 
-    def _not(self, goal: Term, height: int, after: Frame) -> Optional[Frame]:
+    def _not(self, goal: Compound, height: int, after: Frame) -> Optional[Frame]:
         here = len(self._choices)
         self._choices.append((RESUME, after, len(self._trail)))
         return self.solve(goal[1], here + 1, (self._reject_code, here, after))
@@ -151,10 +169,10 @@ class Control:
     def _reject_run(self, frame: Frame) -> None:
         del self._choices[frame[1] :]
 
-    def _once(self, goal: Term, height: int, after: Frame) -> Optional[Frame]:
+    def _once(self, goal: Compound, height: int, after: Frame) -> Optional[Frame]:
         return self.once(goal[1], after)
 
-    def _ignore(self, goal: Term, height: int, after: Frame) -> Optional[Frame]:
+    def _ignore(self, goal: Compound, height: int, after: Frame) -> Optional[Frame]:
         here = len(self._choices)
         self._choices.append((RESUME, after, len(self._trail)))
         return self.call(goal[1], (self._cut_code, here, after))
@@ -166,10 +184,11 @@ class Control:
         mark = CatchMark()
         here = len(self._choices)
         recover = (self._database.predicate(CALL), recovery, after)
-        self._choices.append((self._machine.catch_code, mark, catcher, recover, len(self._trail)))
+        self._choices.append((self.machine.catch_code, mark, catcher, recover, len(self._trail)))
         return (self._database.predicate(CALL), goal, (self._exit_code, mark, here, after))
 
     def _exit_run(self, frame: Frame) -> Frame:
+        after: Frame
         _, mark, here, after = frame
         if len(self._choices) == here + 1:
             self._choices.pop()  # the goal left no choice points
@@ -214,13 +233,12 @@ def check_body(goal: Term) -> Term:
             if not stack:
                 return _called(goal) if open_goals else goal
             item = deref(stack.pop())
-            kind = item.__class__
-            if kind is tuple:
+            if item.__class__ is tuple:
                 if item[0] in _STRUCTURES:
                     stack.extend(item[1:])
-            elif kind is Var:
+            elif item.__class__ is Var:
                 open_goals = True
-            elif kind is not Atom:
+            elif item.__class__ is not Atom:
                 raise type_error("callable", goal)
         look()
     raise TermTooLarge
@@ -253,21 +271,21 @@ def check_partial_list(term: Term) -> None:
         raise type_error("list", term)
 
 
-def add_arguments(goal: Term, extra: Tuple[Term, ...]) -> Term:
+def add_arguments(goal: Term, extra: Values) -> Term:
     """Return a goal with more arguments, as ``call/N`` makes it."""
-    goal = deref(goal)
-    kind = goal.__class__
+    found: Any = deref(goal)
+    kind = found.__class__
     if kind is tuple:
-        while goal[0] is _COLON:
-            goal = deref(goal[2])
-            if goal.__class__ is not tuple:
-                return add_arguments(goal, extra)
-        return (functor(goal[0].name, len(goal) - 1 + len(extra)), *goal[1:], *extra)
+        while found[0] is _COLON:
+            found = deref(found[2])
+            if found.__class__ is not tuple:
+                return add_arguments(found, extra)
+        return (functor(found[0].name, len(found) - 1 + len(extra)), *found[1:], *extra)
     if kind is Atom:
-        return (functor(goal.name, len(extra)), *extra)
+        return (functor(found.name, len(extra)), *extra)
     if kind is Var:
         raise instantiation_error()
-    raise type_error("callable", goal)
+    raise type_error("callable", found)
 
 
 def thrown(ball: Term) -> PrologError:
@@ -278,20 +296,19 @@ def thrown(ball: Term) -> PrologError:
     return PrologError(ball if is_ground(ball) else copy(ball))
 
 
-def control_predicates(control: Control) -> Dict[Tuple[str, int], Any]:
+def control_predicates(control: Control) -> Dict[Tuple[str, int], Controls]:
     """Return the control built-ins: functions ``(machine, args, next) -> frame``."""
-    machine = control._machine
 
-    def call(machine: Any, args: Tuple[Term, ...], after: Frame) -> Optional[Frame]:
+    def call(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
         return control.call(args[0] if len(args) == 1 else add_arguments(args[0], args[1:]), after)
 
-    def catch(machine: Any, args: Tuple[Term, ...], after: Frame) -> Optional[Frame]:
+    def catch(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
         return control.catch(args[0], args[1], args[2], after)
 
-    def throw(machine: Any, args: Tuple[Term, ...], after: Frame) -> Optional[Frame]:
+    def throw(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
         raise thrown(args[0])
 
-    def findall(machine: Any, args: Tuple[Term, ...], after: Frame) -> Optional[Frame]:
+    def findall(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
         template, goal, result = args[0], args[1], args[2]
         tail = args[3] if len(args) == 4 else NIL
         if machine.logic.flags["iso"] is TRUE:
@@ -302,27 +319,32 @@ def control_predicates(control: Control) -> Dict[Tuple[str, int], Any]:
 
         return control.collect(goal, template, then)
 
-    def forall(machine: Any, args: Tuple[Term, ...], after: Frame) -> Optional[Frame]:
+    def forall(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
         return control.forall(args[0], args[1], after)
 
-    def structure(key: Functor) -> Any:
-        def run(machine: Any, args: Tuple[Term, ...], after: Frame) -> Optional[Frame]:
-            return control.call((key, *args), after)
+    found: Dict[Tuple[str, int], Controls] = {("call", arity): call for arity in range(1, 9)}
+    found.update({("catch", 3): catch, ("throw", 1): throw, ("findall", 3): findall, ("findall", 4): findall})
+    found.update({("forall", 2): forall, ("repeat", 0): _repeat(control.machine)})
+    for key in (*_STRUCTURES, ONCE, IGNORE):
+        found[key.name, key.arity] = _structure(control, key)
+    return found
 
-        return run
 
-    def repeat(machine: Any, args: Tuple[Term, ...], after: Frame) -> Optional[Frame]:
+def _structure(control: Control, key: Functor) -> Controls:
+    def run(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+        return control.call((key, *args), after)
+
+    return run
+
+
+def _repeat(machine: Machine) -> Controls:
+    def repeat(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
         machine.choices.append((again, args, after, len(machine.trail)))
         return after
 
     again = Code("repeat", lambda frame: repeat(machine, frame[1], frame[2]))
     again.functor = functor("repeat", 0)
-    found: Dict[Tuple[str, int], Any] = {("call", arity): call for arity in range(1, 9)}
-    found.update({("catch", 3): catch, ("throw", 1): throw, ("findall", 3): findall, ("findall", 4): findall})
-    found.update({("forall", 2): forall, ("repeat", 0): repeat})
-    for key in (*_STRUCTURES, ONCE, IGNORE):
-        found[key.name, key.arity] = structure(key)
-    return found
+    return repeat
 
 
 def split_clause(term: Term) -> Tuple[Term, Term]:

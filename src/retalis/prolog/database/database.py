@@ -4,7 +4,7 @@ from typing import Any, Callable, Dict, Iterable, Optional, Set
 from weakref import WeakValueDictionary
 
 from ..compiler import Direct
-from ..machine import Frame, Machine, Step, indicator, permission_error
+from ..machine import Code, Frame, Machine, Step, indicator, permission_error
 from ..terms import Functor, Term, deref
 from .clause import NEVER
 from .predicate import COMPILE_AFTER, Predicate
@@ -36,7 +36,7 @@ class Database:
         """Predicates that nobody has defined: they stay as long as something refers to them."""
         self._many = _SPARE
         self.library = Library(self)
-        self.interpret: Any = None
+        self.interpret: Optional[Code] = None
         self.solve: Callable[[Term, int, Frame], Optional[Frame]] = lambda goal, height, after: None
         self.undefined: Callable[[Predicate, Frame], Optional[Frame]] = lambda predicate, frame: None
 
@@ -87,7 +87,7 @@ class Database:
         found = self.predicates.get(key)
         return found is not None and found.kind == "builtin"
 
-    def define(self, key: Functor, function: Any, run: Step, kind: str) -> Predicate:
+    def define(self, key: Functor, function: Optional[Callable[..., Any]], run: Step, kind: str) -> Predicate:
         """Define a predicate in Python."""
         predicate = self.predicate(key)
         if predicate.kind != "undefined":
@@ -137,7 +137,7 @@ class Database:
         self.require_writable(key, action)
         predicate = self.predicate(key)
         if not predicate.library:
-            return predicate if predicate.tabled is None else predicate.tabled  # type: ignore[no-any-return]
+            return predicate if predicate.tabled is None else predicate.tabled
         self.library.kept[key] = predicate
         own = self.predicates[key] = Predicate(self, key)
         self.forget()
@@ -155,9 +155,18 @@ class Library:
         self.kept: Dict[Functor, Predicate] = {}
 
     @property
-    def interpret(self) -> Any:
+    def interpret(self) -> Optional[Code]:
         """The code that runs a goal from its term."""
         return self._database.interpret
+
+    @property
+    def interprets(self) -> bool:
+        """Whether nothing of the program is compiled."""
+        return self._database.interprets
+
+    def direct(self, key: Functor) -> Direct:
+        """Return the functions of a predicate of the program."""
+        return self._database.direct(key)
 
     def predicate(self, key: Functor) -> Predicate:
         """Return the library's predicate, else the program's."""

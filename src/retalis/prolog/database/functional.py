@@ -2,6 +2,7 @@
 
 from typing import Any, Callable, NamedTuple, Optional, Tuple
 
+from ..machine import Machine
 from ..terms import Term, unify
 
 
@@ -30,7 +31,7 @@ class Functional(NamedTuple):
         function, inputs, single = self.function, self.inputs, self.single
         outputs = tuple(zip(self.outputs, self.shows))
 
-        def call(machine: Any, *args: Term) -> bool:
+        def call(machine: Machine, *args: Term) -> bool:
             found = function(*[args[at] for at in inputs])
             if found is None:
                 return False

@@ -3,11 +3,10 @@
 from typing import Any, List, Optional, Sequence, Union
 
 from ...foundation import Place
-from ..compiler import GoalGenerator
+from ..compiler import GoalGenerator, KnownPredicate
 from ..machine import BAIL, Code, Frame, PrologError, from_python
 from ..terms import Term, Values, Var, undo
 from .database import Database
-from .predicate import Predicate
 
 _MOST_BAILS = 20
 
@@ -51,7 +50,9 @@ class CompiledGoal:
         self._bailed = 0
         self._handing_over = Code(self.name, self._first_enter)
         called = source.call()
-        self.code: Union[Code, Predicate] = Code(self.name, self._first_plain) if called is None else called
+        self.code: Union[Code, KnownPredicate] = (
+            Code(self.name, self._first_plain) if called is None else called
+        )
 
     def _first_straight(self, *values: Term) -> Any:
         # Not before it is first called: the predicates that it calls may be defined after it.
@@ -169,7 +170,7 @@ class _KeepOne:
 
     def take(self, frame: Frame, outputs: Values) -> Frame:
         frame[1].append(outputs)
-        return frame[2]
+        return frame[2]  # type: ignore[no-any-return]
 
 
 class _KeepAll:

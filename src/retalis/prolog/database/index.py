@@ -1,6 +1,6 @@
 """Indexes of clauses: by the key of one argument, those that a call may match, in their order."""
 
-from typing import Any, Dict, List, Tuple
+from typing import Dict, List, Tuple
 
 from .clause import Clause
 
@@ -22,13 +22,13 @@ class Index:
     __slots__ = ("own", "others", "_before", "_joined", "_copies")
 
     def __init__(self) -> None:
-        self.own: Dict[Any, List[Clause]] = {}
+        self.own: Dict[object, List[Clause]] = {}
         self.others: List[Clause] = []
-        self._before: Dict[Any, List[int]] = {}
-        self._joined: Dict[Any, Tuple[List[Clause], int, int]] = {}
+        self._before: Dict[object, List[int]] = {}
+        self._joined: Dict[object, Tuple[List[Clause], int, int]] = {}
         self._copies = 0
 
-    def add(self, key: Any, clause: Clause) -> None:
+    def add(self, key: object, clause: Clause) -> None:
         """Add the last clause; the key is None where it has a variable."""
         if key is None:
             self.others.append(clause)
@@ -41,7 +41,7 @@ class Index:
             before.append(len(self.others))
         own.append(clause)
 
-    def joined(self, key: Any) -> List[Clause]:
+    def joined(self, key: object) -> List[Clause]:
         """Return all clauses that may match under a key, in their order; to be called where there are `others`.
 
         The list is only added to from then on.

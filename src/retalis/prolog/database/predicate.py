@@ -5,10 +5,10 @@ which costs nothing to set up and suits facts and predicates that change all the
 again and again without changing is compiled.
 """
 
-from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple
+from typing import Any, Callable, Dict, Iterator, List, Optional, Protocol, Tuple
 
 from ...foundation import look
-from ..compiler import ClauseParts, Direct, Generator, fact_search, key_of
+from ..compiler import ClauseParts, Direct, Generator, KnownDatabase, fact_search, key_of
 from ..machine import Code, Frame, Machine, PrologError, Step
 from ..terms import Functor, Term, Trail, Values, Var, copy, undo, unify
 from .clause import NEVER, Clause, may_match
@@ -31,6 +31,25 @@ _MANY = 1000
 """Clauses from which on a search among them may take as long as many inferences."""
 
 
+class OwnDatabase(KnownDatabase, Protocol):
+    """The `Database` that predicates belong to, as they know it."""
+
+    generation: int
+    compile_after: int
+
+    @property
+    def library(self) -> KnownDatabase:
+        """The predicates as the library sees them."""
+
+    @property
+    def solve(self) -> Callable[[Term, int, Frame], Optional[Frame]]:
+        """Runs a goal from its term."""
+
+    @property
+    def undefined(self) -> "Callable[[Predicate, Frame], Optional[Frame]]":
+        """Takes a call of a predicate that nobody has defined."""
+
+
 class Predicate:
     """A predicate: code that is run by frames ``(predicate, argument..., next)``.
 
@@ -47,12 +66,12 @@ class Predicate:
         library: belongs to the system; programs may redefine it unless it is ``locked``.
     """
 
-    def __init__(self, database: Any, functor: Functor):
+    def __init__(self, database: OwnDatabase, functor: Functor):
         self.database = database
         self.functor = functor
         self.kind = "undefined"
-        self.function: Any = None
-        self.gate: Any = None
+        self.function: Optional[Callable[..., Any]] = None
+        self.gate: Optional[Callable[[Functor, Tuple[int, ...]], object]] = None
         self.functional: Optional[Functional] = None
         self.known: Optional[Functor] = None
         self.dynamic = False
@@ -61,7 +80,7 @@ class Predicate:
         self.locked = False
         self.library = False
         self.compiled = False
-        self.tabled: Any = None
+        self.tabled: Optional[Predicate] = None
         self.direct: Optional[Direct] = None
         self.ground = False
         self._searches: Dict[Optional[int], Callable[..., Optional[Frame]]] = {}
@@ -197,7 +216,7 @@ class Predicate:
         return self._advance(frame, clauses, 0, len(clauses), generation, keys)
 
     @staticmethod
-    def _keys(frame: Frame, position: Optional[int]) -> Optional[List[Any]]:
+    def _keys(frame: Frame, position: Optional[int]) -> Optional[List[object]]:
         """Return the keys of a call's arguments; None where only that at ``position`` has one."""
         for at in range(1, len(frame) - 1):
             if at - 1 != position and key_of(frame[at]) is not None:
@@ -273,14 +292,14 @@ class Predicate:
     def _next(self, entry: Frame) -> Optional[Frame]:
         return self._advance(*entry[1:7])
 
-    def _advance(
+    def _advance(  # noqa: C901 -- the loop of all interpreted calls: another call for each clause would slow it
         self,
         frame: Frame,
         clauses: List[Clause],
         at: int,
         end: int,
         generation: int,
-        keys: Optional[List[Any]],
+        keys: Optional[List[object]],
     ) -> Optional[Frame]:
         """Try the clauses from ``at`` on; push a choice point where another one may match."""
         machine = self.database.machine
@@ -324,9 +343,9 @@ class Predicate:
         A variable of the clause becomes a name for the argument, as in compiled clauses: the caller's variable
         is bound to nothing, and stays the older one.
         """
-        head = clause.head
+        head: Any = clause.head
         for at in range(1, len(frame) - 1):
-            pattern = head[at]
+            pattern: Term = head[at]
             if pattern.__class__ is Var:
                 known = fresh.get(pattern)
                 if known is None:
@@ -381,11 +400,11 @@ class Predicate:
         clause.code = Generator(self._view(), self.functor, [rule], self).single(0)
         return clause.code
 
-    def _view(self) -> Any:
+    def _view(self) -> KnownDatabase:
         return self.database.library if self.library else self.database
 
 
-def fact_names(machine: Machine) -> Dict[str, Any]:
+def fact_names(machine: Machine) -> Dict[str, object]:
     """Return what the code for facts names."""
     return {
         "Var": Var,

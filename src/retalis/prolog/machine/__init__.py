@@ -1,7 +1,7 @@
 """The machine: frames, choice points and budgets, and the errors that goals end with."""
 
 from .budget import Budget
-from .codes import BAIL, DEAD, LAST, RESUME, CatchMark, Code, Frame, Guard, Step
+from .codes import BAIL, DEAD, LAST, RESUME, CatchMark, Code, Frame, Guard, Runs, Step, Takes
 from .describing import CONTEXT, ERROR, describe
 from .faults import (
     PrologError,
@@ -56,8 +56,10 @@ __all__ = [
     "representation_error",
     "resource_error",
     "RESUME",
+    "Runs",
     "Step",
     "syntax_error",
+    "Takes",
     "type_error",
     "uninstantiation_error",
 ]
