@@ -5,7 +5,7 @@ on floats whose result is not a finite number raises, as SWI-Prolog does with it
 """
 
 import math
-from typing import Any, Callable, Dict, List, Union
+from typing import Any, Callable, Dict, List, TypeVar, Union
 
 from ...foundation import TermTooLarge, look
 from ..machine import (
@@ -16,9 +16,10 @@ from ..machine import (
     resource_error,
     type_error,
 )
-from ..terms import CONS, MOST, NIL, Atom, Functor, Lazy, String, Term, Var, deref, functor
+from ..terms import CONS, MOST, NIL, Atom, Compound, Functor, Lazy, String, Term, Var, deref, functor
 
 Number = Union[int, float]
+F = TypeVar("F", bound=Callable[..., Number])
 
 EVALUABLE: Dict[Functor, Callable[..., Number]] = {}
 """Functions of numbers, by name and arity."""
@@ -33,17 +34,17 @@ SLOW = 1 << 37
 """Product of the bits of two integers from which on an operation that is quadratic in them takes too long."""
 
 
-def evaluable(name: str, arity: int) -> Callable[[Any], Any]:
+def evaluable(name: str, arity: int) -> Callable[[F], F]:
     """Register a Python function of ``arity`` numbers as the evaluable ``name/arity``."""
 
-    def register(function: Any) -> Any:
+    def register(function: F) -> F:
         EVALUABLE[functor(name, arity)] = function
         return function
 
     return register
 
 
-def evaluate(term: Term) -> Number:
+def evaluate(term: Any) -> Number:
     """Return the value of an arithmetic expression.
 
     Raises:
@@ -51,22 +52,22 @@ def evaluate(term: Term) -> Number:
     """
     kind = term.__class__
     if kind is int or kind is float:
-        return term
+        return term  # type: ignore[no-any-return]
     if kind is Var:
         term = deref(term)
         kind = term.__class__
         if kind is int or kind is float:
-            return term
+            return term  # type: ignore[no-any-return]
     if kind is tuple and len(term) <= 3:
         function = EVALUABLE.get(term[0])
         if function is not None:
             # Most expressions are one operation on numbers.
-            left = deref(term[1])
+            left: Any = deref(term[1])
             kind = left.__class__
             if kind is int or kind is float:
                 if len(term) == 2:
                     return function(left)
-                right = deref(term[2])
+                right: Any = deref(term[2])
                 kind = right.__class__
                 if kind is int or kind is float:
                     return function(left, right)
@@ -76,13 +77,13 @@ def evaluate(term: Term) -> Number:
 def _evaluate_deep(term: Term) -> Number:
     """Evaluate with a stack of its own: the last operand first, a function once its operands have values."""
     values: List[Number] = []
-    stack: List[Any] = [term]
+    stack: List[Union[Term, _Apply]] = [term]
     steps = 0
     while stack:
         steps += 1
         if not steps & 1023:
             look()
-        item = stack.pop()
+        item: Any = stack.pop()
         if item.__class__ is _Apply:
             arity = item.arity
             values[-arity:] = [item.apply(*reversed(values[-arity:]))]
@@ -100,7 +101,7 @@ def _evaluate_deep(term: Term) -> Number:
                 raise TermTooLarge
             stack.extend(item[1:])
         else:
-            values.append(_constant(item, kind))
+            values.append(_constant(item))
     return values[0]
 
 
@@ -121,35 +122,35 @@ class _Apply:
         return function(*operands)
 
 
-def _character(item: Term) -> int:
+def _character(item: Compound) -> int:
     """Return the code that a list of one character, or of its code, is."""
     first = deref(item[1])
     if first.__class__ is Var:
         raise instantiation_error()
-    is_code = first.__class__ is int and first >= 0
+    code = first if first.__class__ is int and first >= 0 else None
     text = first.name if first.__class__ is Atom and first is not NIL else ""
-    if len(text) != 1 and not is_code:
+    if len(text) != 1 and code is None:
         raise type_error("character", first)
     if deref(item[2]) is not NIL:
         raise type_error("[]", item)
-    return first if is_code else ord(text)
+    return ord(text) if code is None else code
 
 
-def _constant(item: Term, kind: type) -> Number:
-    if kind is Var:
+def _constant(item: Term) -> Number:
+    if item.__class__ is Var:
         raise instantiation_error()
-    if kind is Atom:
+    if item.__class__ is Atom:
         function = EVALUABLE.get(item.functor)
         if function is not None:
             return function()
         if item is NIL:
             raise type_error("evaluable", item)
         raise type_error("evaluable", indicator(item.functor))
-    if kind is String:
+    if item.__class__ is String:
         if len(item.text) == 1:
             return ord(item.text)
         raise type_error("[]", item)
-    if kind is Lazy:
+    if item.__class__ is Lazy:
         return evaluate(item.term())
     raise type_error("evaluable", item)
 
@@ -167,7 +168,7 @@ def integer(value: Number) -> int:
     """Return an operand that has to be an integer."""
     if value.__class__ is not int:
         raise type_error("integer", checked(value))
-    return value  # type: ignore[return-value]
+    return value
 
 
 def not_less(least: int, value: Number) -> int:
@@ -348,7 +349,7 @@ def _lcm(left: Number, right: Number) -> int:
 def _rounded(function: Callable[[float], int]) -> Callable[[Number], int]:
     def apply(value: Number) -> int:
         if value.__class__ is int:
-            return value  # type: ignore[return-value]
+            return value
         return function(value) if value - value == 0 else value  # type: ignore[return-value]
 
     return apply

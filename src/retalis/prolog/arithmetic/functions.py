@@ -9,7 +9,7 @@ from typing import Callable
 
 from ...foundation import UsageError
 from ..machine import domain_error, evaluation_error, resource_error
-from ..terms import Functor, Term, functor, timestamps
+from ..terms import Functor, functor, timestamps
 from .evaluation import EVALUABLE, HUGE, SLOW, Number, _to_float, checked, evaluable, integer, not_less
 
 
@@ -108,7 +108,7 @@ def power(base: Number, exponent: Number) -> Number:
         if exponent == 0:
             return 1
         if base.__class__ is int and (exponent > 0 or base in (0, 1, -1)):
-            return _integer_power(base, exponent)  # type: ignore[arg-type]
+            return _integer_power(base, exponent)
     return _float_power(base, exponent)
 
 
@@ -121,13 +121,15 @@ def _power2(base: Number, exponent: Number) -> Number:
 def _integer_power(base: int, exponent: int) -> int:
     if base in (0, 1, -1):
         if exponent >= 0:
-            return base**exponent
+            small: int = base**exponent
+            return small
         if base == 0:
             raise evaluation_error("zero_divisor")
         return base if exponent % 2 else 1
     if base.bit_length() * exponent > HUGE:
         raise resource_error("memory")
-    return base**exponent
+    power: int = base**exponent
+    return power
 
 
 def _float_power(base: Number, exponent: Number) -> float:
@@ -209,7 +211,7 @@ for _key in (timestamps.DATIME6, timestamps.DATIME7):
 
 
 def _constants() -> None:
-    constant: Callable[[Term], Callable[[], Number]] = lambda value: lambda: value  # noqa: E731
+    constant: Callable[[Number], Callable[[], Number]] = lambda value: lambda: value  # noqa: E731
     for name, value in (
         ("pi", math.pi),
         ("e", math.e),

@@ -154,9 +154,7 @@ class GoalGenerator:
             body = copy(goal, fresh)
             if not hands_over:
                 return call(body, frame[-1])
-            copied = copy((_OUTPUTS, *outputs), fresh)
-            assert copied.__class__ is tuple
-            return call(body, (HAND_OVER, *copied[1:], frame[-1]))
+            return call(body, (HAND_OVER, *copy((_OUTPUTS, *outputs), fresh)[1:], frame[-1]))
 
         return run
 

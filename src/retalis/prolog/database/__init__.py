@@ -1,7 +1,7 @@
 """The clause store: predicates, their clauses, and how goals call them."""
 
 from .clause import NEVER, Clause, may_match
-from .control import Control, add_arguments, check_body, control_predicates, split_clause
+from .control import Control, add_arguments, check_body, control_predicates, functor_of, split_clause
 from .database import Database
 from .functional import functional
 from .goal import CompiledGoal
@@ -16,6 +16,7 @@ __all__ = [
     "control_predicates",
     "Database",
     "functional",
+    "functor_of",
     "CompiledGoal",
     "may_match",
     "NEVER",

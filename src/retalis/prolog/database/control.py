@@ -347,6 +347,15 @@ def _repeat(machine: Machine) -> Controls:
     return repeat
 
 
+def functor_of(head: Term) -> Functor:
+    """Return the functor of the head of a clause."""
+    if head.__class__ is tuple:
+        key: Functor = head[0]
+        return key
+    assert head.__class__ is Atom
+    return head.functor
+
+
 def split_clause(term: Term) -> Tuple[Term, Term]:
     """Return head and body of a clause.
 

@@ -23,7 +23,7 @@ class Functional(NamedTuple):
     function: Callable[..., Any]
     inputs: Tuple[int, ...]
     outputs: Tuple[int, ...]
-    shows: Tuple[Optional[Callable[[Any], Term]], ...]
+    shows: Tuple[Optional[Callable[..., Term]], ...]
     single: bool
 
     def predicate(self) -> Callable[..., bool]:
@@ -47,7 +47,7 @@ def functional(
     function: Callable[..., Any],
     arity: int,
     outputs: Tuple[int, ...] = (),
-    shows: Tuple[Optional[Callable[[Any], Term]], ...] = (),
+    shows: Tuple[Optional[Callable[..., Term]], ...] = (),
 ) -> Functional:
     """Return the description of a function; without ``outputs`` the last argument is the only one."""
     single = not outputs

@@ -7,9 +7,9 @@ from typing import Dict, Tuple
 
 from ...foundation import SyntaxFault, unwatched, watched_by
 from ..builtins import translate_rule
-from ..database import Clause, Database, Predicate, split_clause
+from ..database import Clause, Database, Predicate, functor_of, split_clause
 from ..syntax import Operators, read_program
-from ..terms import Atom, deref
+from ..terms import deref
 
 FOLDER = Path(__file__).resolve().parent.parent / "library"
 
@@ -46,7 +46,7 @@ def _load(database: Database, part: str) -> None:
         if term.__class__ is tuple and term[0].name == "-->":
             term = translate_rule(term)
         head, body = split_clause(term)
-        key = head.functor if head.__class__ is Atom else head[0]
+        key = functor_of(head)
         predicate = database.library.predicate(key)
         if not predicate.library:
             if predicate.kind == "user" or predicate.dynamic:  # the program has one of this name

@@ -8,10 +8,10 @@ from typing import Any, Callable, Dict, Iterable, Iterator, List, Mapping, Optio
 from ...foundation import Place, beginning
 from .. import builtins  # noqa: F401  (it registers trace/1)
 from ..compiler import CALL
-from ..database import COMPILE_AFTER, Clause, CompiledGoal, Predicate, check_body, split_clause
+from ..database import COMPILE_AFTER, Clause, CompiledGoal, Predicate, check_body, functor_of, split_clause
 from ..machine import Frame, Limits, PrologError
 from ..syntax import Operators, write_term
-from ..terms import Atom, Functor, Term, Var, copy, deref, functor
+from ..terms import Functor, Term, Var, copy, deref, functor
 from . import ports  # noqa: F401  (it registers trace/1)
 from .predicates import Predicates
 from .unknown import similar, undefined
@@ -72,8 +72,7 @@ class Logic(Predicates):
         if term.__class__ is tuple and term[0] is _ARROW:
             term = builtins.translate_rule(term)
         head, body = split_clause(copy(term))
-        key = head.functor if head.__class__ is Atom else head[0]
-        predicate = self.database.writable(key, "modify")
+        predicate = self.database.writable(functor_of(head), "modify")
         clause = Clause(predicate, head, body, place)
         predicate.add(clause, first)
         return clause

@@ -1,14 +1,15 @@
 """Goals traced by their ports."""
 
-from typing import Any, Optional
+from typing import Optional
 
 from ..builtins import control
-from ..machine import Code, Frame, Guard
+from ..machine import Code, Frame, Guard, Machine
+from ..terms import Values
 from .tracing import Tracer
 
 
 @control("trace/1")
-def trace(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
+def trace(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
     """Call a goal and write a line for each port that it passes to the error output."""
     logic = machine.logic
     tracer = Tracer(logic, lambda line: logic.error_output(f"{line}\n"))
@@ -18,7 +19,10 @@ def trace(machine: Any, args: Any, after: Frame) -> Optional[Frame]:
     return tracer.solve(args[0], height + 1, (_LEFT, machine, tracer, height, after))
 
 
-def _left(frame: Frame) -> Any:
+def _left(frame: Frame) -> Frame:
+    machine: Machine
+    tracer: Tracer
+    after: Frame
     _, machine, tracer, height, after = frame
     tracer.stop()
     if len(machine.choices) == height + 1:

@@ -1,12 +1,12 @@
 """The predicates that goals can call: the program's, those in Python, and those of the library."""
 
-from typing import Any, Callable, Dict, Iterator, Optional, Tuple
+from typing import Any, Callable, Dict, Iterable, Iterator, Optional, Tuple, Union
 
 from .. import builtins
 from ..database import COMPILE_AFTER, Control, Database, Predicate, control_predicates, functional
 from ..machine import LAST, Code, Frame, Machine
 from ..syntax import Operators
-from ..terms import Functor, Term, Var, deref, functor
+from ..terms import Functor, Term, Values, Var, deref, functor
 from .library import library_index, load_library
 
 _END = object()
@@ -35,15 +35,14 @@ class Predicates:
         self.flags: Dict[str, Term] = builtins.default_flags()
         for (name, arity), function in control_predicates(self.control).items():
             self.define_control(name, arity, function).locked = True
-        ways = {
+        ways: Dict[str, Callable[..., Predicate]] = {
             "deterministic": self.define,
             "function": self.define_function,
             "nondeterministic": self.define_nondeterministic,
             "control": self.define_control,
         }
         for (name, arity), entry in builtins.ENTRIES.items():
-            define: Any = ways[entry.kind]
-            define(name, arity, entry.function).locked = entry.locked
+            ways[entry.kind](name, arity, entry.function).locked = entry.locked
         self._library = library_index()
 
     def define(self, name: str, arity: int, function: Callable[..., bool]) -> Predicate:
@@ -65,7 +64,7 @@ class Predicates:
         arity: int,
         function: Callable[..., Any],
         outputs: Tuple[int, ...] = (),
-        shows: Tuple[Optional[Callable[[Any], Term]], ...] = (),
+        shows: Tuple[Optional[Callable[..., Term]], ...] = (),
     ) -> Predicate:
         """Define a deterministic predicate by a function of its input arguments; see `Functional`.
 
@@ -86,8 +85,8 @@ class Predicates:
         self,
         name: str,
         arity: int,
-        function: Callable[..., Any],
-        known: Optional[Callable[..., Any]] = None,
+        function: Callable[..., Union[bool, Iterable[object]]],
+        known: Optional[Callable[..., Optional[Term]]] = None,
     ) -> Predicate:
         """Define a predicate by a generator ``function(machine, *args)`` that yields at each solution.
 
@@ -109,6 +108,7 @@ class Predicates:
         key = functor(name, arity)
 
         def resume(entry: Frame) -> Optional[Frame]:
+            after: Frame
             _, solutions, after, _ = entry
             mark = len(trail)
             value = next(solutions, _END)
@@ -121,8 +121,8 @@ class Predicates:
         retry = Code(str(key), resume)
         retry.functor = key
 
-        def call(machine: Machine, args: Tuple[Term, ...], after: Frame) -> Optional[Frame]:
-            found = function(machine, *args)
+        def call(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+            found: Any = function(machine, *args)
             if found is True:
                 return after
             return resume((retry, iter(found), after, 0)) if found else None
@@ -147,7 +147,7 @@ class Predicates:
         arity: int,
         function: Callable[..., Optional[Frame]],
         at_once: bool = False,
-        gate: Optional[Callable[[Functor, Tuple[int, ...]], Any]] = None,
+        gate: Optional[Callable[[Functor, Tuple[int, ...]], object]] = None,
     ) -> Predicate:
         """Define a predicate that decides what runs next: ``function(machine, args, next)`` returns a frame.
 

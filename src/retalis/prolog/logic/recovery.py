@@ -3,7 +3,7 @@
 from typing import Any, NamedTuple, Optional
 
 from ..builtins import OutputCapture
-from ..machine import Guard
+from ..machine import Guard, Machine, Running
 from ..terms import undo
 
 
@@ -12,15 +12,15 @@ class MachineState(NamedTuple):
 
     height: int
     mark: int
-    budget: Any
+    budget: Running
 
 
-def state_of(machine: Any) -> MachineState:
+def state_of(machine: Machine) -> MachineState:
     """Return where a machine is."""
     return MachineState(len(machine.choices), len(machine.trail), machine.budget.state())
 
 
-def go_back(machine: Any, state: Optional[MachineState]) -> None:
+def go_back(machine: Machine, state: Optional[MachineState]) -> None:
     """Go back to a state, or with None to where the machine is while nothing runs; guards are told."""
     height, mark = machine.idle if state is None else state[:2]
     budget, choices = machine.budget, machine.choices

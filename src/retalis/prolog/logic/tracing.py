@@ -1,11 +1,11 @@
 """Tracing a goal by its ports: call, exit, redo, fail and exception."""
 
 from contextlib import contextmanager
-from typing import Any, Callable, Iterator, Optional
+from typing import Callable, Dict, Iterator, Optional
 
 from ..machine import Code, Frame, Guard
 from ..syntax import write_term
-from ..terms import COLON, COMMA, Atom, Functor, Term, copy, deref, functor, undo, unify
+from ..terms import COLON, COMMA, Atom, Functor, Term, Var, copy, deref, functor, undo, unify
 from .predicates import Predicates
 
 _SILENT = frozenset(functor(name, 0) for name in ("true", "!", "fail", "false", "otherwise"))
@@ -47,7 +47,7 @@ class Tracer:
         self._trail = logic.machine.trail
         self._depth = 0
         self._guard = Guard("trace", self._unwound)
-        self._guard.run = self._failed  # type: ignore[method-assign]
+        self._guard.run = self._failed
         self._exit = Code("trace exit", self._exited)
         self._again = Code("trace redo", self._redone)
         self._next = Code("trace clause", self._next_clause)
@@ -110,7 +110,7 @@ class Tracer:
         height = len(self._choices)
         for number in range(at, len(clauses)):
             clause = clauses[number]
-            fresh: Any = {}
+            fresh: Dict[Var, Term] = {}
             head = copy(clause.head, fresh)
             others = head[1:] if head.__class__ is tuple else ()
             if all(unify(one, other, trail) for one, other in zip(arguments, others)):
@@ -122,6 +122,7 @@ class Tracer:
         return None
 
     def _exited(self, frame: Frame) -> Frame:
+        after: Frame
         _, call, here, after = frame
         self._port("Exit", call)
         self._depth = call.depth - 1

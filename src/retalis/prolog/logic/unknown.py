@@ -1,15 +1,15 @@
 """Calls of procedures that nobody defined: an error that names the caller and what may have been meant."""
 
 from difflib import get_close_matches
-from typing import Any, Dict, List
+from typing import Dict, List, Optional
 
 from ..database import Clause, Predicate
 from ..machine import CONTEXT, Frame, existence_error, indicator
-from ..terms import FALSE, Atom, Functor, Term, atom, copy, deref, undo, unify
+from ..terms import FALSE, Atom, Compound, Functor, Trail, atom, copy, deref, undo, unify
 from .predicates import Predicates
 
 
-def undefined(logic: Predicates, predicate: Predicate, frame: Frame) -> Any:
+def undefined(logic: Predicates, predicate: Predicate, frame: Frame) -> Optional[Frame]:
     """Raise the existence error of a procedure (or fail, as the flag ``unknown`` says)."""
     flag = deref(logic.flags["unknown"])
     if flag is atom("fail") or flag is FALSE:
@@ -54,7 +54,7 @@ def _described(clause: Clause) -> str:
     return f"{clause.predicate.functor}{where}".split("\n")[0]
 
 
-def _may_call(clause: Clause, call: Term, least: int) -> bool:
+def _may_call(clause: Clause, call: Compound, least: int) -> bool:
     """Tell whether a goal that may make a call stands in a clause's body, if only with its first arguments."""
     stack = [clause.body]
     while stack:
@@ -68,9 +68,9 @@ def _may_call(clause: Clause, call: Term, least: int) -> bool:
     return False
 
 
-def _agree(goal: Term, call: Term) -> bool:
+def _agree(goal: Compound, call: Compound) -> bool:
     """Tell whether a goal, which may lack the last arguments, unifies with a call."""
-    trail: List[Any] = []
+    trail: Trail = []
     pairs = zip(copy(goal)[1:], call[1:])
     agree = all(unify(one, other, trail) for one, other in pairs)
     undo(trail, 0)
