@@ -2,7 +2,7 @@
 
 from typing import Dict, Iterator, List, NamedTuple, Optional, Set, Tuple
 
-from ...events.history import Occurrence
+from ...events.history import Fired, Occurrence
 from ...events.language import Aggregate, walk
 from ...events.network import Rule
 from ...foundation import UsageError
@@ -156,7 +156,7 @@ class _Explainer:
         shown = list(found)[-_SHOWN:]
         return [Line(f"{len(found)} of this name happened", [Line(text, []) for text in shown])]
 
-    def _rule(self, rule: Rule) -> str:
+    def _rule(self, rule: Fired) -> str:
         place = "" if rule.place is None else f" ({rule.place.source}:{rule.place.line})"
         label = "" if rule.label is None else f"{self._show(rule.label)}: "
         return f"rule {label}{self._show(rule.definition.term)}{place}"

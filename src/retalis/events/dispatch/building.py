@@ -1,11 +1,9 @@
 """Terms built from values by compiled code: heads of rules, and what aggregates collect."""
 
-from typing import Any, Callable, Dict, List, Sequence, Tuple
+from typing import Any, Callable, Dict, List, Sequence
 
 from ...foundation import LARGEST, shared_function
-from ...prolog.terms import Term, Var, copy, deref, is_ground, is_larger, resolve
-
-Values = Tuple[Term, ...]
+from ...prolog.terms import Term, Values, Var, copy, deref, is_ground, is_larger, resolve
 
 
 def compile_builder(term: Term, order: Sequence[Var], title: str) -> Callable[[Values], Term]:
@@ -19,7 +17,7 @@ def compile_builder(term: Term, order: Sequence[Var], title: str) -> Callable[[V
     lines: List[str] = []
     names: Dict[str, Any] = {"Var": Var}
 
-    def constant(value: Any) -> str:
+    def constant(value: object) -> str:
         name = f"k{len(names)}"
         names[name] = value
         return name
@@ -38,7 +36,9 @@ def compile_builder(term: Term, order: Sequence[Var], title: str) -> Callable[[V
     return made
 
 
-def _build(term: Term, leaf: Callable[[Term], str], constant: Callable[[Any], str], lines: List[str]) -> str:
+def _build(
+    term: Term, leaf: Callable[[Term], str], constant: Callable[[object], str], lines: List[str]
+) -> str:
     """Write one assignment for each compound with variables, inner ones first; return the name of the whole."""
     if term.__class__ is not tuple:
         return leaf(term)

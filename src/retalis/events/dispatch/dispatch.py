@@ -5,19 +5,28 @@ dictionaries, so an event costs nothing for listeners whose constants differ.
 """
 
 from itertools import count
-from typing import Any, Callable, Collection, Dict, List, Optional, Tuple, TypeVar
+from typing import Any, Callable, Collection, Dict, Hashable, List, Optional, Protocol, Tuple, TypeVar
 from weakref import WeakValueDictionary
 
 from ...foundation import Cache, UsageError
 from ...prolog.database import CompiledGoal
-from ...prolog.machine import Budget, PrologError, keep_back
-from ...prolog.terms import Atom, Functor, Lazy, Term, Var, copy, deref, is_ground, is_plain, term_key
+from ...prolog.machine import Budget, Frame, Machine, PrologError, keep_back
+from ...prolog.terms import Atom, Functor, Lazy, Term, Values, Var, copy, deref, is_ground, is_plain, term_key
 from .gates import Gate
-from .matching import Matcher, Values, compile_matcher
-from .plans import Choice, Onlookers, make_plan
-from .serving import AT_ONCE, LEFT_OUT, RESTORE, Dispatch, EventAction, Frame, Lane, Listener, Stage, event_of
+from .matching import Matcher, compile_matcher
+from .plans import Choice, Onlookers, Plan, make_plan
+from .serving import AT_ONCE, LEFT_OUT, RESTORE, Dispatch, EventAction, Lane, Listener, Stage, event_of
 
 Result = TypeVar("Result")
+
+
+class _Logic(Protocol):
+    """What has a machine."""
+
+    @property
+    def machine(self) -> Machine:
+        """Runs frames."""
+
 
 _GATES = 1000
 """Functors with gates from which on it is looked which gates are still used."""
@@ -41,18 +50,18 @@ class Dispatcher:
             or None where the rule's head does not allow it.
     """
 
-    def __init__(self, logic: Any = None, max_depth: int = 1000) -> None:
+    def __init__(self, logic: Optional[_Logic] = None, max_depth: int = 1000) -> None:
         self.max_depth = max_depth
         self._deepest = max_depth + 1
         self._at_once = min(AT_ONCE, self._deepest)
         self._machine: Any = None if logic is None else logic.machine
         self._budget = Budget() if logic is None else logic.machine.budget
         self._listeners: Dict[Optional[Functor], Dict[Listener, None]] = {}
-        self._plans: Cache[Functor, Any] = Cache(10_000, 16 << 20)
+        self._plans: Cache[Functor, Plan] = Cache(10_000, 16 << 20)
         self.lanes: Dict[Functor, Lane] = {}
         self._gates: Dict[Functor, WeakValueDictionary[Tuple[int, ...], Gate]] = {}
         self._many_gates = _GATES
-        self._matchers: WeakValueDictionary[Any, Matcher] = WeakValueDictionary()
+        self._matchers: WeakValueDictionary[Hashable, Matcher] = WeakValueDictionary()
         self._order = count()
         self._tokens = count(1)
         self.current: Any = None
@@ -136,9 +145,9 @@ class Dispatcher:
             gate = gates[positions] = Gate(positions, self._plans.get(functor))
         return gate
 
-    def dispatch(
+    def dispatch(  # noqa: C901  (each event takes it: calls would cost more than what is done)
         self,
-        term: Term,
+        term: Any,
         start: int,
         end: int,
         after: Frame,
@@ -177,7 +186,7 @@ class Dispatcher:
             functor = _functor_of(term)
             if functor is None:
                 raise UsageError("an event is an atom or a compound term, not a variable")
-        plan = self._plans.get(functor)
+        plan: Any = self._plans.get(functor)
         if plan is None:
             plan = self._plan(functor)
         while plan.__class__ is Choice:
@@ -231,7 +240,7 @@ class Dispatcher:
             if values is not None:
                 next_frame = action(term, values, start, end, frame)
                 if next_frame is not frame:
-                    return next_frame
+                    return next_frame  # type: ignore[no-any-return]
         self.current = parent
         return after
 
@@ -318,7 +327,7 @@ class Dispatcher:
             self.current = event
             on_error(values, error)
 
-        return self._machine.attempt(
+        return self._machine.attempt(  # type: ignore[no-any-return]
             goal, given, lambda found: solved(term, values + found, start, end, after), after, failed
         )
 
@@ -360,7 +369,7 @@ class Dispatcher:
             self.restore(state)
             raise
 
-    def apart(self, work: Callable[[], Any]) -> Any:
+    def apart(self, work: Callable[[], Result]) -> Result:
         """Return what work returns; what it dispatches follows from nothing that is being served."""
         state = self.state()
         self.restore()
@@ -419,11 +428,11 @@ class Dispatcher:
             for gate in list(gates.values()):
                 gate.set(None)
 
-    def _gates_of(self, functor: Functor) -> List[Any]:
+    def _gates_of(self, functor: Functor) -> List[WeakValueDictionary[Tuple[int, ...], Gate]]:
         gates = self._gates.get(functor)
         return [] if gates is None else [gates]
 
-    def _plan(self, functor: Functor) -> Any:
+    def _plan(self, functor: Functor) -> Plan:
         listeners = [*self._listeners.get(functor, ()), *self._listeners.get(None, ())]
         listeners.sort(key=lambda listener: listener.order)
         plan = self._plans.keep(functor, make_plan(listeners), len(functor.name))
@@ -449,13 +458,13 @@ def _functor_of(term: Term) -> Optional[Functor]:
     Raises:
         UsageError: for a number or string.
     """
-    kind = term.__class__
-    if kind is tuple:
-        return term[0]  # type: ignore[no-any-return]
-    if kind is Atom:
-        return term.functor  # type: ignore[no-any-return]
-    if kind is Lazy:
-        return term.functor  # type: ignore[no-any-return]
-    if kind is Var:
+    if term.__class__ is tuple:
+        found: Functor = term[0]
+        return found
+    if term.__class__ is Atom:
+        return term.functor
+    if term.__class__ is Lazy:
+        return term.functor
+    if term.__class__ is Var:
         return None
     raise UsageError("an event is an atom or a compound term, not a number or a string")

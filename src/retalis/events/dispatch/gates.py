@@ -4,11 +4,11 @@ A message that is taken apart gives many events of which few are wanted. A gate 
 are at hand already, by the same tests that the dispatcher makes, which events nobody listens to.
 """
 
-from typing import Any, Callable, Tuple
+from typing import Any, Callable, Dict, Hashable, List, Optional, Tuple
 
 from ...foundation import shared_function
 from ...prolog.terms import LAST, SECOND, Atom
-from .plans import NOBODY, Choice
+from .plans import NOBODY, Choice, Plan
 
 Passes = Callable[..., bool]
 """Takes seconds, nanoseconds and the arguments at a gate's positions."""
@@ -24,15 +24,15 @@ class Gate:
 
     __slots__ = ("plan", "passes", "_positions", "_walk", "__weakref__")
 
-    plan: Any
+    plan: Optional[Plan]
     passes: Passes
 
-    def __init__(self, positions: Tuple[int, ...], plan: Any):
+    def __init__(self, positions: Tuple[int, ...], plan: Optional[Plan]):
         self._positions = positions
         self._walk = _walking(positions)(self)
         self.set(plan)
 
-    def set(self, plan: Any) -> None:
+    def set(self, plan: Optional[Plan]) -> None:
         """Take the dispatcher's plan, or None where that is not known any more."""
         self.plan = plan
         self.passes = self._walk
@@ -67,10 +67,13 @@ def _walking(positions: Tuple[int, ...]) -> Callable[[Gate], Passes]:
             "            plan = plan.table.get(value, plan.default)",
         ]
     lines.append(f"        return plan is not NOBODY or not ({_TIME})")
-    return _made("gate", lines)
+    made: Callable[[Gate], Passes] = _made("gate", lines)
+    return made
 
 
-def _looking(positions: Tuple[int, ...], at: int) -> Callable[[Any, Passes], Passes]:
+def _looking(
+    positions: Tuple[int, ...], at: int
+) -> Callable[[Dict[Hashable, Optional[Plan]], Passes], Passes]:
     """Return what makes a function that first looks whether anybody wants the constant at one place.
 
     Walking the plan for each would take 3 % more of the NAO's instructions.
@@ -81,9 +84,10 @@ def _looking(positions: Tuple[int, ...], at: int) -> Callable[[Any, Passes], Pas
         "            return False",
         f"        return walk({_parameters(positions)})",
     ]
-    return _made("table, walk", lines)
+    made: Callable[[Dict[Hashable, Optional[Plan]], Passes], Passes] = _made("table, walk", lines)
+    return made
 
 
-def _made(parameters: str, lines: Any) -> Any:
+def _made(parameters: str, lines: List[str]) -> Any:
     source = "\n".join([f"def made({parameters}):", *lines, "    return passes", ""])
     return shared_function(source, _NAMES, "gate")

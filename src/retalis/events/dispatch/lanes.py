@@ -3,12 +3,12 @@
 from typing import Any, Callable, NamedTuple, Optional, Tuple
 
 from ...foundation import shared_function
-from ...prolog.terms import Functor, Term, are_ground, undo
+from ...prolog.machine import Frame, Machine
+from ...prolog.terms import Functor, Term, Values, are_ground, undo
 from .dispatch import Dispatcher
 from .gates import Gate
-from .matching import Values
 from .plans import NOBODY
-from .serving import LEFT_OUT, RESTORE, EventAction, Frame, Lane
+from .serving import LEFT_OUT, RESTORE, EventAction, Lane
 
 OPEN = Gate((), None)
 
@@ -84,7 +84,7 @@ def goal_lane(call: Any, completion: Completion) -> Lane:
 
 def stand_in(
     dispatcher: Dispatcher,
-    machine: Any,
+    machine: Machine,
     key: Functor,
     known: int,
     work: Callable[[Values, int, int, Frame], Frame],

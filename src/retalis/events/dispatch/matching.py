@@ -5,9 +5,12 @@ from typing import Any, Callable, Dict, List, Optional, Tuple
 from ...foundation import LARGEST, shared_function
 from ...prolog.terms import (
     Atom,
+    Compound,
     Lazy,
     String,
     Term,
+    Trail,
+    Values,
     Var,
     copy,
     deref,
@@ -20,7 +23,6 @@ from ...prolog.terms import (
     variables,
 )
 
-Values = Tuple[Term, ...]
 Matcher = Callable[[Term], Optional[Values]]
 """Takes an event term (no bound variables in it); gives the values of the pattern's variables, or None."""
 
@@ -54,7 +56,7 @@ def _nothing(term: Term) -> Optional[Values]:
 class _MatcherWriter:
     """Writes the source of one matcher."""
 
-    def __init__(self, pattern: Term):
+    def __init__(self, pattern: Compound):
         self.pattern = pattern
         self.lines: List[str] = []
         self.names: Dict[str, Any] = {"deref": deref, "Lazy": Lazy, "Var": Var, "same": _same}
@@ -64,7 +66,7 @@ class _MatcherWriter:
     def matcher(self) -> Matcher:
         order = variables(self.pattern)
         self.names["general"] = _general(self.pattern, order)
-        pending: List[Tuple[str, Term]] = [("term", self.pattern)]
+        pending: List[Tuple[str, Compound]] = [("term", self.pattern)]
         while pending:
             pending.extend(reversed(self._take_apart(*pending.pop())))
         values = ", ".join(self.places[var] for var in order)
@@ -73,9 +75,9 @@ class _MatcherWriter:
         made: Matcher = shared_function(source, self.names, "matcher")
         return made
 
-    def _take_apart(self, name: str, pattern: Term) -> List[Tuple[str, Term]]:
+    def _take_apart(self, name: str, pattern: Compound) -> List[Tuple[str, Compound]]:
         """Unpack a compound; test its constants; return its compound arguments with their names."""
-        inner: List[Tuple[str, Term]] = []
+        inner: List[Tuple[str, Compound]] = []
         tests: List[str] = []
         targets = []
         for argument in pattern[1:]:
@@ -123,7 +125,7 @@ class _MatcherWriter:
         self.counter += 1
         return f"a{self.counter}"
 
-    def _constant(self, value: Any) -> str:
+    def _constant(self, value: object) -> str:
         self.counter += 1
         name = f"k{self.counter}"
         self.names[name] = value
@@ -138,10 +140,10 @@ def _same(left: Term, right: Term) -> bool:
         return False
 
 
-def _general(pattern: Term, order: List[Var]) -> Callable[[Term, Any], Optional[Values]]:
+def _general(pattern: Term, order: List[Var]) -> Callable[[Term, Optional[Term]], Optional[Values]]:
     """Return what matches when straight code cannot: ``met`` is what stood in the way, None for any."""
 
-    def general(term: Term, met: Any) -> Optional[Values]:
+    def general(term: Term, met: Optional[Term]) -> Optional[Values]:
         if met is not None and deref(met).__class__ is not Var:
             return None
         return unify_pattern(pattern, order, term)
@@ -152,7 +154,7 @@ def _general(pattern: Term, order: List[Var]) -> Callable[[Term, Any], Optional[
 def unify_pattern(pattern: Term, order: List[Var], term: Term) -> Optional[Values]:
     """Unify a copy of the pattern with the event; nothing stays bound."""
     fresh: Dict[Var, Term] = {var: Var() for var in order}
-    trail: List[Any] = []
+    trail: Trail = []
     values: Optional[Values] = None
     if unify(copy(pattern, fresh), term, trail):
         values = tuple(resolve(fresh[var]) for var in order)

@@ -2,12 +2,13 @@
 
 from collections import Counter
 from itertools import chain
-from typing import Any, Dict, List, Optional, Tuple
+from typing import Any, Dict, Hashable, List, Optional, Tuple, Union
 
 from ...prolog.terms import Atom, Lazy, String, Term, Var, deref, freeze
+from .serving import Listener, Step
 
 Path = Tuple[int, ...]
-Steps = Tuple[Any, ...]
+Steps = Tuple[Step, ...]
 """What is left of a plan when all tests are made: pairs of matcher and action, in order."""
 
 NOBODY: Steps = ()
@@ -22,7 +23,7 @@ _DEEPEST = 6
 """How many tests a plan makes at most; the matchers make the rest."""
 
 
-def make_plan(listeners: List[Any]) -> Any:
+def make_plan(listeners: List[Listener]) -> "Plan":
     """Return the steps, or a `Choice` between them, for listeners that are in order."""
     return _plan(listeners, (), _DEEPEST)
 
@@ -35,25 +36,25 @@ class Choice:
 
     __slots__ = ("path", "at", "table", "default", "all", "groups", "any", "tested", "depth")
 
-    def __init__(self, path: Path, listeners: List[Any], tested: Tuple[Path, ...], depth: int):
+    def __init__(self, path: Path, listeners: List[Listener], tested: Tuple[Path, ...], depth: int):
         self.path = path
         self.at = path[0] if len(path) == 1 else 0
         self.tested = (*tested, path)
         self.depth = depth
-        self.groups: Dict[Any, List[Any]] = {}
+        self.groups: Dict[Hashable, List[Listener]] = {}
         for listener in listeners:
             self.groups.setdefault(_key_at(listener.pattern, path), []).append(listener)
         self.any = self.groups.pop(None, [])
-        self.table: Dict[Any, Any] = dict.fromkeys(self.groups)
-        self.default: Any = None
-        self.all: Any = None
+        self.table: Dict[Hashable, Optional[Plan]] = dict.fromkeys(self.groups)
+        self.default: Optional[Plan] = None
+        self.all: Optional[Plan] = None
 
-    def branch(self, term: Term) -> Any:
+    def branch(self, term: Any) -> "Plan":
         """Return the rest of the plan for an event."""
-        value = term[self.at] if self.at else _walk(term, self.path)
+        value: Any = term[self.at] if self.at else _walk(term, self.path)
         kind = value.__class__
         if kind is Lazy:
-            key: Any = value.functor
+            key: Hashable = value.functor
         elif kind is tuple:
             key = value[0]
         elif kind is Atom or kind is int or kind is String:
@@ -67,26 +68,29 @@ class Choice:
             key = _key(value)
         else:
             key = _key(value)
-        plan = self.table.get(key, _OTHER)
+        plan: Any = self.table.get(key, _OTHER)
         if plan is _OTHER:
             plan = self.default
             if plan is None:
                 plan = self.default = self._among()
         elif plan is None:
             plan = self.table[key] = self._among(self.groups[key])
-        return plan
+        return plan  # type: ignore[no-any-return]
 
-    def _among(self, *groups: List[Any]) -> Any:
+    def _among(self, *groups: List[Listener]) -> "Plan":
         """Return the plan of those in some groups and of those who take any value here."""
         listeners = sorted(chain(self.any, *groups), key=_order)
         return _plan(listeners, self.tested, self.depth - 1)
 
 
-def _order(listener: Any) -> Any:
+Plan = Union[Choice, Steps]
+
+
+def _order(listener: Listener) -> Tuple[int, ...]:
     return listener.order
 
 
-def _plan(listeners: List[Any], tested: Tuple[Path, ...], depth: int) -> Any:
+def _plan(listeners: List[Listener], tested: Tuple[Path, ...], depth: int) -> "Plan":
     if not listeners:
         return NOBODY
     path = _best_path(listeners, tested) if depth > 0 else None
@@ -96,7 +100,7 @@ def _plan(listeners: List[Any], tested: Tuple[Path, ...], depth: int) -> Any:
     return Choice(path, listeners, tested, depth)
 
 
-def _best_path(listeners: List[Any], tested: Tuple[Path, ...]) -> Optional[Path]:
+def _best_path(listeners: List[Listener], tested: Tuple[Path, ...]) -> Optional[Path]:
     """Return the argument where most of the patterns have a constant; None where no test is worth its cost."""
     found: Dict[Path, int] = Counter()
     for listener in listeners:
@@ -125,7 +129,7 @@ def _constant_paths(pattern: Term) -> List[Path]:
     return found
 
 
-def _key_at(pattern: Term, path: Path) -> Any:
+def _key_at(pattern: Term, path: Path) -> Hashable:
     """Return the key of the constant at a path of a pattern; None where a variable stands there or above."""
     term = pattern
     for at in path:
@@ -135,9 +139,9 @@ def _key_at(pattern: Term, path: Path) -> Any:
     return None if term.__class__ is Var else _key(term)
 
 
-def _key(term: Term) -> Any:
+def _key(term: Term) -> Hashable:
     if term.__class__ is tuple:
-        return term[0]
+        return term[0]  # type: ignore[no-any-return]
     if term.__class__ is Lazy:
         return term.functor
     return freeze(term)

@@ -1,12 +1,12 @@
 """What the dispatcher deals in: listeners, the stages in which they are served, and events that are being served."""
 
 from enum import IntEnum
-from typing import Any, Callable, Iterator, Optional, Tuple
+from typing import Any, Callable, Iterator, Optional, Protocol, Tuple
 
-from ...prolog.terms import TRUE, Functor, Term
-from .matching import Matcher, Values
+from ...prolog.machine import Frame
+from ...prolog.terms import TRUE, Functor, Term, Values
+from .matching import Matcher
 
-Frame = Any
 EventAction = Callable[[Term, Values, int, int, Frame], Frame]
 """Takes the event, the values of the pattern's variables, start, end and the next frame; gives a frame."""
 Lane = Callable[[Term, int, int], bool]
@@ -22,6 +22,10 @@ class Stage(IntEnum):
     MEMORIES = 2
     QUERIES = 3
     RULES = 4
+
+
+Step = Tuple[Matcher, EventAction]
+"""What is done for a listener."""
 
 
 class Listener:
@@ -52,6 +56,22 @@ AT_ONCE = 5
 """To this depth derived events are served inside the call that makes them; deeper ones by the machine's loop."""
 
 
+class Serving(Protocol):
+    """What serves events.
+
+    Attributes:
+        current: what is being served; see `Dispatcher`.
+    """
+
+    current: Any
+
+
+class _Nobody:
+    """What serves events that are not made."""
+
+    current: Any = None
+
+
 class Dispatch:
     """The dispatch of one event; as ``code`` of a frame it serves the listeners that are left.
 
@@ -64,8 +84,8 @@ class Dispatch:
 
     __slots__ = ("dispatcher", "steps", "term", "start", "end", "parent", "depth", "token", "cause", "ground")
 
-    dispatcher: Any
-    steps: Iterator[Any]
+    dispatcher: "Serving"
+    steps: Iterator[Step]
     term: Term
     start: int
     end: int
@@ -89,10 +109,10 @@ class Dispatch:
                 if after is not frame:
                     return after
         dispatcher.current = self.parent
-        return frame[1]
+        return frame[1]  # type: ignore[no-any-return]
 
 
-def event_of(dispatcher: Any, term: Term, start: int, end: int, depth: int) -> Dispatch:
+def event_of(dispatcher: "Serving", term: Term, start: int, end: int, depth: int) -> Dispatch:
     """Return an event without variables whose listeners have been served, or are by others."""
     event = Dispatch()
     event.dispatcher = dispatcher
@@ -104,7 +124,7 @@ def event_of(dispatcher: Any, term: Term, start: int, end: int, depth: int) -> D
     return event
 
 
-LEFT_OUT = [event_of(None, TRUE, 0, 0, depth) for depth in range(1, AT_ONCE + 1)]
+LEFT_OUT = [event_of(_Nobody(), TRUE, 0, 0, depth) for depth in range(1, AT_ONCE + 1)]
 """What is current in place of events that are not made, by the depth of what they follow from: at 0 of nothing."""
 
 
@@ -113,6 +133,7 @@ class _RestoreEvent:
 
     @staticmethod
     def run(frame: Frame) -> Frame:
+        after: Frame
         _, dispatcher, name, before, after = frame
         setattr(dispatcher, name, before)
         return after

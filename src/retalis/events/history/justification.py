@@ -1,9 +1,10 @@
 """Why an event happened, as a term; or what was missing for one that did not."""
 
-from typing import Any, Iterator, List, Sequence, Set, Tuple
+from typing import Any, Callable, Dict, Hashable, Iterator, List, Optional, Sequence, Set, Tuple, Union
 
 from ...prolog.terms import (
     Term,
+    Trail,
     Var,
     atom,
     copy,
@@ -15,9 +16,22 @@ from ...prolog.terms import (
     unify,
     variant_key,
 )
-from ..language import Absent, Action, Aggregate, Condition, Either, Occurs, Pair, Repeated, Star, Within
+from ..language import (
+    Absent,
+    Action,
+    Aggregate,
+    Condition,
+    Either,
+    Occurs,
+    Pair,
+    Pattern,
+    Repeated,
+    Star,
+    Within,
+)
 from ..matches import Found, Held, Match, repetitions
-from .tracking import Occurrence
+from .owners import Fired, Remembered
+from .tracking import Occurrence, Tracker
 
 _EVENT = functor("event", 2)
 _CLAUSE_BODY = functor("clause_body", 2)
@@ -33,35 +47,40 @@ _WRITTEN_OUT = 100
 """How many repetitions of a pattern it shows."""
 
 
+Show = Callable[[Occurrence], Term]
+"""Gives what stands for an event in the term of a match."""
+
+
 class Justifier:
     """Answers ``justify_event/3`` and ``justification_edge/2`` from what the tracker remembers."""
 
-    def __init__(self, rules: Any):
+    def __init__(self, rules: Remembered, tracker: Tracker):
         self._rules = rules
+        self._tracker = tracker
 
     # ---- what happened -------------------------------------------------------------------------------
 
     def edges(self) -> Iterator[Tuple[Term, Term]]:
         """Yield ``event(H,I)`` and ``clause_body(Label,Body)`` for each remembered event that a rule fired."""
-        for one in self._rules.tracker.all():
-            if one.rule is not None:
+        for one in self._tracker.all():
+            if one.rule is not None and one.match is not None:
                 body = describe(one.rule.definition.pattern, one.match, _as_event)
                 yield _as_event(one), (_CLAUSE_BODY, _label(one.rule), body)
 
     def explanations(self, event: Term, interval: Term) -> Iterator[Tuple[Term, Term, Term]]:
         """Yield event, interval and explanation for each occurrence; one explanation where there is none."""
         found = False
-        for one in self._rules.tracker.all():
+        for one in self._tracker.all():
             shown = interval_term(one.start, one.end)
             if _unifies((event, one.term), (interval, shown)):
                 found = True
                 yield one.term, shown, self._why(one)
         if not found:
-            yield event, interval, make_list(_Missing(self._rules).why_not(event, interval))
+            yield event, interval, make_list(_Missing(self._rules, self._tracker).why_not(event, interval))
 
     def _why(self, root: Occurrence) -> Term:
         """Return the tree of an occurrence, the newest first; done without recursion along the rules."""
-        done: Any = {}
+        done: Dict[int, Term] = {}
         stack = [root]
         while stack:
             one = stack[-1]
@@ -70,9 +89,9 @@ class Justifier:
                 stack += missing
                 continue
             stack.pop()
-            if one.match is None:
-                label, body = _UNLABELED, _DEFAULT
-            else:
+            label: Term = _UNLABELED
+            body: Term = _DEFAULT
+            if one.rule is not None and one.match is not None:
                 label = _label(one.rule)
                 body = describe(one.rule.definition.pattern, one.match, lambda source: done[id(source)])
             head = (_HEAD, one.term, interval_term(one.start, one.end))
@@ -83,9 +102,10 @@ class Justifier:
 class _Missing:
     """What was missing for an event that did not happen, each rule on the way looked at once."""
 
-    def __init__(self, rules: Any):
+    def __init__(self, rules: Remembered, tracker: Tracker):
         self._rules = rules
-        self._open: Set[Any] = set()
+        self._tracker = tracker
+        self._open: Set[Hashable] = set()
         self._left = _LARGEST
 
     def why_not(self, event: Term, interval: Term) -> List[Term]:
@@ -101,11 +121,11 @@ class _Missing:
             self._open.discard(key)
         return found or [(_JUSTIFICATION, _UNLABELED, (_HEAD, event, interval), _FAILED)]
 
-    def _for_rule(self, rule: Any, event: Term, interval: Term) -> Any:
+    def _for_rule(self, rule: Fired, event: Term, interval: Term) -> Optional[Term]:
         head = rule.definition.head
         if head is None or not self._left:
             return None
-        trail: List[Any] = []
+        trail: Trail = []
         try:
             if not unify(head, event, trail):
                 return None
@@ -116,7 +136,7 @@ class _Missing:
         finally:
             undo(trail, 0)
 
-    def _pattern(self, pattern: Any) -> Term:
+    def _pattern(self, pattern: Pattern) -> Term:
         if isinstance(pattern, Occurs):
             return self._event(pattern.term)
         if isinstance(pattern, Repeated):
@@ -133,20 +153,22 @@ class _Missing:
 
     def _event(self, term: Term) -> Term:
         term = resolve(term)
-        for one in self._rules.tracker.all():
+        for one in self._tracker.all():
             if _unifies((term, one.term)):
                 shown = interval_term(one.start, one.end)
                 return (_JUSTIFICATION, _UNLABELED, (_HEAD, one.term, shown), _DEFAULT)
         return self.why_not(term, make_list([Var(), Var()]))[0]
 
 
-def describe(pattern: Any, match: Match, show: Any) -> Term:
+def describe(pattern: Pattern, match: Match, show: Show) -> Term:
     """Return the term of a match: its events, shown by ``show``, under the names of the operators."""
     while isinstance(pattern, (Condition, Within)) or (isinstance(pattern, Absent) and pattern.inside):
         pattern = pattern.pattern
     if isinstance(pattern, Occurs):
         while match.parts is not None:
-            match = match.parts[0]
+            part = match.parts[0]
+            assert isinstance(part, Match)
+            match = part
         return show(match.event) if isinstance(match.event, Occurrence) else match.term
     parts: Sequence[Any] = match.parts or ()
     if isinstance(pattern, Absent):
@@ -163,10 +185,11 @@ def describe(pattern: Any, match: Match, show: Any) -> Term:
     if isinstance(pattern, Pair):
         left = describe(pattern.left, parts[0], show)
         return functor(f"{pattern.operator}f", 2)(left, describe(pattern.right, parts[1], show))
+    assert isinstance(pattern, (Star, Aggregate))
     return _describe_run(pattern, parts, show)
 
 
-def _described_one_by_one(pattern: Repeated, match: Match, show: Any) -> Term:
+def _described_one_by_one(pattern: Repeated, match: Match, show: Show) -> Term:
     """Return the term of several repetitions: that of the sequence written out."""
     first, *others = repetitions(match, pattern.times)
     shown = describe(pattern.pattern, first, show)
@@ -180,7 +203,7 @@ def _is_wrapped(parts: Sequence[Any]) -> bool:
     return bool(parts) and isinstance(parts[0], Match) and (len(parts) == 1 or parts[1].__class__ is Found)
 
 
-def _describe_run(pattern: Any, parts: Sequence[Any], show: Any) -> Term:
+def _describe_run(pattern: Union[Star, Aggregate], parts: Sequence[Any], show: Show) -> Term:
     first = describe(pattern.first, parts[0], show)
     held = [part for part in parts if part.__class__ is Held]
     taken = list(held[0].matches) if held else []
@@ -194,7 +217,7 @@ def _describe_run(pattern: Any, parts: Sequence[Any], show: Any) -> Term:
     return functor("aggregate", 2 + len(newest_first))(kind, *newest_first, first)
 
 
-def _parts(pattern: Any) -> Tuple[str, List[Any]]:
+def _parts(pattern: Pattern) -> "Tuple[str, List[Union[Pattern, _Quoted]]]":
     """Return name and operands of a pattern as an explanation shows it."""
     if isinstance(pattern, Pair):
         return f"{pattern.operator}f", [pattern.left, pattern.right]
@@ -208,11 +231,12 @@ def _parts(pattern: Any) -> Tuple[str, List[Any]]:
         return "aggregatef", [pattern.first, _Quoted(_as_term(pattern.collected))]
     if isinstance(pattern, Within):
         return "withinf", [pattern.pattern, _Quoted((pattern.span + 1) / 1e9)]
+    assert isinstance(pattern, (Condition, Action))
     name = "dof" if isinstance(pattern, Action) else "checkf" if pattern.timed else "wheref"
     return name, [pattern.pattern, _Quoted(resolve(pattern.goal))]
 
 
-def _shown_of(part: Repeated) -> Any:
+def _shown_of(part: Repeated) -> Pattern:
     """Return what an explanation shows of repetitions: the sequence written out, of not too many of them."""
     return part._replace(times=min(part.times, _WRITTEN_OUT)).written_out()
 
@@ -224,7 +248,7 @@ class _Quoted:
         self.term = term
 
 
-def _as_term(part: Any) -> Term:
+def _as_term(part: "Union[Pattern, _Quoted]") -> Term:
     if isinstance(part, _Quoted):
         return part.term
     if isinstance(part, Occurs):
@@ -235,16 +259,16 @@ def _as_term(part: Any) -> Term:
     return functor(name, len(parts))(*[_as_term(one) for one in parts])
 
 
-def _as_event(occurrence: Any) -> Term:
+def _as_event(occurrence: Occurrence) -> Term:
     return (_EVENT, occurrence.term, interval_term(occurrence.start, occurrence.end))
 
 
-def _label(rule: Any) -> Term:
+def _label(rule: Optional[Fired]) -> Term:
     return _UNLABELED if rule is None or rule.label is None else rule.label
 
 
 def _unifies(*pairs: Tuple[Term, Term]) -> bool:
-    trail: List[Any] = []
+    trail: Trail = []
     result = all(unify(copy(left), right, trail) for left, right in pairs)
     undo(trail, 0)
     return result

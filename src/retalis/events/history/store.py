@@ -3,12 +3,28 @@
 import logging
 import os
 from collections import deque
-from typing import Any, Deque, Iterator, List, Optional, Tuple
+from typing import Deque, Iterator, List, Optional, Tuple
 
 from ...foundation import RetalisError, UsageError
 from ...prolog.database import Predicate
-from ...prolog.terms import SLASH, Atom, Functor, Term, Var, copy, deref, functor, interval_term, undo, unify
+from ...prolog.machine import Frame, Machine
+from ...prolog.terms import (
+    SLASH,
+    Atom,
+    Functor,
+    Term,
+    Trail,
+    Values,
+    Var,
+    copy,
+    deref,
+    functor,
+    interval_term,
+    undo,
+    unify,
+)
 from ..dispatch import Listener, Stage
+from .owners import Remembered
 
 log = logging.getLogger("retalis.events")
 
@@ -22,21 +38,21 @@ _SHOWN = tuple(functor(name, 1) for name in ("external_trigger", "print_trigger"
 class EventList(Predicate):
     """A predicate whose facts name events: as soon as it has one, all events are looked at."""
 
-    def __init__(self, rules: Any, key: Functor):
+    def __init__(self, rules: Remembered, store: "Store", key: Functor):
         super().__init__(rules.logic.database, key)
         self.dynamic = True
-        self._rules = rules
+        self._store = store
 
     def changed(self) -> None:
         """Do what has to be done when a clause comes or goes."""
         super().changed()
-        self._rules.store.watch()
+        self._store.watch()
 
 
 class Store:
     """Looks on at all events; what is not asked for costs nothing."""
 
-    def __init__(self, rules: Any):
+    def __init__(self, rules: Remembered):
         self._rules = rules
         self._events: Deque[Tuple[Term, int, int]] = deque(maxlen=_KEPT)
         self._storing: Optional[Listener] = None
@@ -52,7 +68,7 @@ class Store:
             dispatcher.remove(self._storing)
             self._storing = None
 
-    def _keep(self, term: Term, values: Any, start: int, end: int, after: Any) -> Any:
+    def _keep(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
         self._events.append((term, start, end))
         return after
 
@@ -67,14 +83,14 @@ class Store:
     def define(self) -> None:
         """Have the facts that name events be noticed."""
         for key in (_PERSISTENT, *_SHOWN):
-            self._rules.logic.database.predicates[key] = EventList(self._rules, key)
+            self._rules.logic.database.predicates[key] = EventList(self._rules, self, key)
 
     def watch(self) -> None:
         """Write and log the events that facts of the program name, from now on."""
         if self._watching is None:
             self._watching = self._rules.dispatcher.listen(Stage.TRACE, Var(), self._look)
 
-    def _look(self, term: Term, values: Any, start: int, end: int, after: Any) -> Any:
+    def _look(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
         if self._is_named(_PERSISTENT, term):
             self._write((_EVENT2, term, interval_term(start, end)))
         if any(self._is_named(key, term) for key in _SHOWN):
@@ -95,29 +111,38 @@ class Store:
                     UsageError(f"{self._unwritten} persistent events could not be written: {error.message}")
                 )
 
-    def _is_named(self, key: Any, term: Term) -> bool:
+    def _is_named(self, key: Functor, term: Term) -> bool:
         predicate = self._rules.logic.database.predicates.get(key)
         if predicate is None or predicate.kind != "user":
             return False
-        return any(_names(deref(clause.head[1]), term) for clause in predicate.live())
+        heads = (clause.head for clause in predicate.live())
+        return any(_names(deref(head[1]), term) for head in heads if head.__class__ is tuple)
+
+
+def _functor_of(event: Term) -> Functor:
+    if event.__class__ is tuple:
+        key: Functor = event[0]
+        return key
+    assert event.__class__ is Atom
+    return event.functor
 
 
 def _names(pattern: Term, event: Term) -> bool:
     """Tell whether ``Name/Arity`` (either may be open) or an event pattern fits an event."""
     if pattern.__class__ is tuple and pattern[0] is SLASH:
-        key = event.functor if event.__class__ is Atom else event[0]
+        key = _functor_of(event)
         name, arity = deref(pattern[1]), deref(pattern[2])
         return (name.__class__ is Var or (name.__class__ is Atom and name.name == key.name)) and (
             arity.__class__ is Var or arity == key.arity
         )
-    trail: List[Any] = []
+    trail: Trail = []
     result = unify(copy(pattern), event, trail)
     undo(trail, 0)
     return result
 
 
 def solutions(
-    found: List[Tuple[Term, int, int]], machine: Any, event: Term, interval: Term
+    found: List[Tuple[Term, int, int]], machine: Machine, event: Term, interval: Term
 ) -> Iterator[bool]:
     """Unify an event and its interval with one stored event after the other."""
     for term, start, end in found:

@@ -1,12 +1,28 @@
 """What events came from: kept for revision and justification, bounded, and only while a flag asks for it."""
 
 from collections import deque
+from functools import partial
 from itertools import count
-from typing import Any, Deque, Dict, Iterator, List, Optional, Tuple
+from typing import (
+    Any,
+    Callable,
+    Deque,
+    Dict,
+    Hashable,
+    Iterator,
+    List,
+    Optional,
+    Protocol,
+    Sequence,
+    Tuple,
+    Union,
+)
 
-from ...prolog.terms import Term, Var, functor, term_key
+from ...prolog.machine import Frame
+from ...prolog.terms import Term, Values, Var, functor, term_key
 from ..dispatch import Dispatch, Listener, Stage
-from ..matches import Frame, Held, Match, Run, leaves, sources, taken_back
+from ..matches import Held, Holder, Match, Run, leaves, sources, taken_back
+from .owners import Fired, Remembered
 
 KEPT = 100_000
 """How many events are remembered."""
@@ -49,22 +65,22 @@ class Occurrence:
         "suppressed",
     )
 
-    def __init__(self, term: Term, start: int, end: int, rule: Any, match: Optional[Match]):
+    def __init__(self, term: Term, start: int, end: int, rule: Optional[Fired], match: Optional[Match]):
         self.term = term
         self.start = start
         self.end = end
         self.rule = rule
         self.match = match
-        self.derived: List[Occurrence] = []
+        self.derived: List[Known] = []
         self.forgotten = False
-        self.held: List[Any] = []
+        self.held: List[Holder] = []
         self.gone = False
         self.reported = False
         self.takes_back: Optional[List[Occurrence]] = None
         self.suppressed: List[Suppressed] = []
         self.number = 0
 
-    def follows(self, found: List[Any]) -> None:
+    def follows(self, found: "Sequence[Known]") -> None:
         """Have what it came from know it."""
         for source in found:
             if not source.forgotten:
@@ -84,10 +100,36 @@ class Occurrence:
             one = stack.pop()
             if not one.reported:
                 one.reported = True
-                if one.__class__ is Held:
+                if isinstance(one, Held):
                     stack += reversed(one.derived)
                 elif one.number:
                     yield one
+
+
+Known = Union[Occurrence, Held]
+Tried = Union[Match, Tuple[Match, Match]]
+"""A match, or two that are to be joined."""
+
+
+class Trying(Protocol):
+    """A node that tries again what something kept from firing."""
+
+    @property
+    def rule(self) -> Fired:
+        """The rule it belongs to."""
+
+    def retry(self, what: Any, after: Frame, /) -> Frame:
+        """Return the frame that fires what is tried, if it still does, and goes on with ``after``."""
+
+
+class _Extends(Trying, Protocol):
+    """A node whose runs are extended."""
+
+    def results_again(self, run: Run) -> List[Match]:
+        """Return the later results of a run from which a repetition was taken."""
+
+
+Step = Callable[[Frame], Frame]
 
 
 class Suppressed:
@@ -98,7 +140,7 @@ class Suppressed:
 
     __slots__ = ("node", "what", "number", "freed")
 
-    def __init__(self, node: Any, what: Any, number: int):
+    def __init__(self, node: Trying, what: Tried, number: int):
         self.node = node
         self.what = what
         self.number = number
@@ -109,7 +151,7 @@ class Suppressed:
         if self.freed:
             return False
         self.freed = True
-        matches = self.what if self.what.__class__ is tuple else (self.what,)
+        matches = (self.what,) if isinstance(self.what, Match) else self.what
         return not any(taken_back(match) for match in matches)
 
 
@@ -118,11 +160,11 @@ def occurrences_in(match: Match) -> List[Occurrence]:
     return [token for token in leaves(match) if isinstance(token, Occurrence)]
 
 
-def known_in(match: Match) -> List[Any]:
+def known_in(match: Match) -> List[Known]:
     """Return the events of a match, as far as they were tracked; in place of repetitions the last `Held`, linked."""
-    found: List[Any] = []
+    found: List[Known] = []
     for one in sources(match):
-        if one.__class__ is Held:
+        if isinstance(one, Held):
             _link(one)
             found.append(one)
         elif isinstance(one, Occurrence):
@@ -155,10 +197,10 @@ class Tracker:
         blocker: the negated match that made the last test fail.
     """
 
-    def __init__(self, rules: Any):
+    def __init__(self, rules: Remembered):
         self._rules = rules
         self._recent: Deque[Occurrence] = deque()
-        self._by_term: Dict[Any, List[Occurrence]] = {}
+        self._by_term: Dict[Hashable, List[Occurrence]] = {}
         self.listeners: List[Listener] = []
         self._plain_mark = rules.dispatcher.mark
         self.blocker: Optional[Match] = None
@@ -187,7 +229,7 @@ class Tracker:
             self._by_term.setdefault(term_key(one.term), []).append(one)
             if one.gone:
                 for match in one.held:
-                    if match.__class__ is not tuple:
+                    if isinstance(match, Match):
                         match.leave()
 
     def clear(self) -> None:
@@ -197,7 +239,8 @@ class Tracker:
 
     def present(self) -> int:
         """Return the number of the event that is being served."""
-        return self._rules.dispatcher.token().number  # type: ignore[no-any-return]
+        number: int = self._rules.dispatcher.token().number
+        return number
 
     # ---- remembering ---------------------------------------------------------------------------------
 
@@ -212,7 +255,7 @@ class Tracker:
         occurrence.follows(known)
         return occurrence
 
-    def _note(self, term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
+    def _note(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
         occurrence: Occurrence = self._rules.dispatcher.token()
         occurrence.number = next(self._arrivals)
         self._recent.append(occurrence)
@@ -229,7 +272,7 @@ class Tracker:
                 del self._by_term[key]
         return after
 
-    def fire(self, rule: Any, match: Match, head: Term, after: Frame) -> Frame:
+    def fire(self, rule: Fired, match: Match, head: Term, after: Frame) -> Frame:
         """Fire a rule and keep what its event came from."""
         occurrence = Occurrence(head, match.start, match.end, rule, match)
         occurrence.follows(known_in(match))
@@ -244,14 +287,16 @@ class Tracker:
             held = occurrence.held
             held.append(match)
             if len(held) > 64 and len(held) & (len(held) - 1) == 0:
-                occurrence.held = [one for one in held if one.__class__ is tuple or one.buffer is not None]
+                occurrence.held = [
+                    one for one in held if not isinstance(one, Match) or one.buffer is not None
+                ]
 
-    def hold_repetition(self, run: Run, match: Match, node: Any) -> None:
+    def hold_repetition(self, run: Run, match: Match, node: Trying) -> None:
         """Remember that a run was extended by a match."""
         for occurrence in known_in(match):
             occurrence.held.append((node, run, match))
 
-    def suppressed(self, node: Any, what: Any) -> None:
+    def suppressed(self, node: Trying, what: Tried) -> None:
         """Remember what the last negated match has kept from firing."""
         if self.blocker is not None:
             kept = Suppressed(node, what, next(self._numbers))
@@ -260,10 +305,10 @@ class Tracker:
 
     # ---- taking back ---------------------------------------------------------------------------------
 
-    def _take_back(self, term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
+    def _take_back(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
         """Take back what an event ``rev(E)`` names: all occurrences of E, or the one it was derived for."""
         found = self._rules.dispatcher.token().takes_back
-        again: List[Tuple[Any, Any]] = []
+        again: List[Tuple[Trying, Tried]] = []
         if found is None:
             found = [one for one in self._by_term.get(term_key(values[0]), ()) if not one.gone]
             if not found:
@@ -273,52 +318,54 @@ class Tracker:
         work = _TakingBack(self._steps(found, again, start, end))
         return work.run((work, after))
 
-    def _forget(self, found: List[Occurrence]) -> List[Tuple[Any, Any]]:
+    def _forget(self, found: List[Occurrence]) -> List[Tuple[Trying, Tried]]:
         """Take events and all that came from them out of what is kept, before anything follows from that.
 
         Returns what fires without them, each with its node: what they kept from firing, and the later results
         of runs that they were part of.
         """
-        gone: List[Any] = []
-        stack: List[Any] = found[::-1]
-        for one in found:
-            one.reported = True
+        gone: List[Known] = []
+        stack: List[Known] = [*reversed(found)]
+        for named in found:
+            named.reported = True
         while stack:
             one = stack.pop()
             if not one.gone:
                 one.gone = True
                 gone.append(one)
                 stack += reversed(one.derived)
-        runs: Dict[Run, Any] = {}
+        runs: Dict[Run, _Extends] = {}
         kept: List[Suppressed] = []
         for one in gone:
             held, one.held = one.held, []
             for match in held:
-                if match.__class__ is not tuple:
+                if isinstance(match, Match):
                     match.leave()
                 elif match[0].forget(*match[1:]):
                     runs[match[1]] = match[0]
             kept += one.suppressed
             one.suppressed = []
         kept.sort(key=_number)  # as they were tried, which the policy says
-        again = [(node, result) for run, node in runs.items() for result in node.results_again(run)]
-        return again + [(one.node, one.what) for one in kept if one.free()]
+        again: List[Tuple[Trying, Tried]] = [
+            (node, result) for run, node in runs.items() for result in node.results_again(run)
+        ]
+        return again + [(each.node, each.what) for each in kept if each.free()]
 
     def _steps(
-        self, found: List[Occurrence], again: List[Tuple[Any, Any]], start: int, end: int
-    ) -> Iterator[Any]:
+        self, found: List[Occurrence], again: List[Tuple[Trying, Tried]], start: int, end: int
+    ) -> Iterator[Step]:
         """Yield functions from a frame to a frame: what is to be done one after the other."""
         for occurrence in found:
             for one in occurrence.following():
                 yield self._dispatch_rev(one, start, end)
         for node, what in again:
-            yield lambda after, node=node, what=what: self._retry(node, what, after)
+            yield partial(self._retry, node, what)
 
-    def _retry(self, node: Any, what: Any, after: Frame) -> Frame:
+    def _retry(self, node: Trying, what: Tried, after: Frame) -> Frame:
         node.rule.add_those_of_other_events(self._rules.dispatcher.token())
-        return node.retry(what, after)  # type: ignore[no-any-return]
+        return node.retry(what, after)
 
-    def _dispatch_rev(self, occurrence: Occurrence, start: int, end: int) -> Any:
+    def _dispatch_rev(self, occurrence: Occurrence, start: int, end: int) -> Step:
         term = (REV, occurrence.term)
         token = Occurrence(term, start, end, None, None)
         token.takes_back = [occurrence]
@@ -352,7 +399,7 @@ class _TakingBack:
 
     __slots__ = ("steps",)
 
-    def __init__(self, steps: Iterator[Any]):
+    def __init__(self, steps: Iterator[Step]):
         self.steps = steps
 
     def run(self, frame: Frame) -> Frame:
@@ -360,4 +407,4 @@ class _TakingBack:
             after = step(frame)
             if after is not frame:
                 return after
-        return frame[1]
+        return frame[1]  # type: ignore[no-any-return]

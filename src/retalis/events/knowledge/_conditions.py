@@ -5,13 +5,12 @@ from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 from ...foundation import UsageError, shared_function
 from ...prolog.logic import Logic
 from ...prolog.machine import PrologError
-from ...prolog.terms import CONS, Term, Var, deref, list_items, positions, timestamps, variables
+from ...prolog.terms import CONS, Term, Values, Var, deref, list_items, positions, timestamps, variables
 from ..dispatch import compile_builder
 from ._recording import key_of
 from .memories import Memories
 from .recorder import Instance
 
-Values = Tuple[Term, ...]
 Behind = List[Tuple[Instance, int]]
 """Memories that have not got there, and the instants they have to reach."""
 

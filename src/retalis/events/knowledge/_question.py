@@ -1,16 +1,15 @@
 """A query with the event that its first solution triggers."""
 
-from typing import Any, Callable, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Callable, Hashable, NamedTuple, Optional, Sequence, Tuple
 
 from ...foundation import Place, UsageError
 from ...prolog.database import CompiledGoal
 from ...prolog.logic import Logic
-from ...prolog.machine import PrologError, keep_back
-from ...prolog.terms import TRUE, Term, Var, deref, functor, variables
+from ...prolog.machine import Frame, PrologError, keep_back
+from ...prolog.terms import TRUE, Term, Values, Var, deref, functor, variables
 from ..dispatch import Dispatcher, compile_builder
 from ._recording import Warn
 
-Values = Tuple[Term, ...]
 _CALL = functor("call", 1)
 _NAME = "synchronized query"
 
@@ -41,7 +40,7 @@ class Question:
 
     __slots__ = ("_around", "_dispatcher", "_dispatch", "_goal", "_inputs", "_build", "event", "ask")
 
-    ask: Callable[[Values, int, int, Any], Any]
+    ask: Callable[[Values, int, int, Frame], Frame]
 
     def __init__(
         self,
@@ -60,16 +59,16 @@ class Question:
         self.event = unsolved
         self.ask = self._trigger if goal is None else self._call
 
-    def _call(self, values: Values, start: int, end: int, after: Any) -> Any:
-        goal: Any = self._goal
+    def _call(self, values: Values, start: int, end: int, after: Frame) -> Frame:
+        goal: Any = self._goal  # there is one: else nobody calls it
         given = tuple([values[at] for at in self._inputs])
         call = self._dispatcher.call
         return call(goal, given, self._failed, self._found, TRUE, values, start, end, after)
 
-    def _found(self, term: Term, values: Values, start: int, end: int, after: Any) -> Any:
+    def _found(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
         return self._trigger(values, start, end, after)
 
-    def _trigger(self, values: Values, start: int, end: int, after: Any) -> Any:
+    def _trigger(self, values: Values, start: int, end: int, after: Frame) -> Frame:
         event = self._build(values)
         try:
             return self._dispatch(event, start, end, after)
@@ -128,7 +127,7 @@ def compile_question(
     )
 
 
-def kind_of(event: Term) -> Any:
+def kind_of(event: Term) -> Hashable:
     """Return what events of one kind share: the functor, or the atom."""
     event = deref(event)
     return event[0] if event.__class__ is tuple else event

@@ -1,6 +1,6 @@
 """What memories and subscriptions share: from an event that matches to what is kept or sent of it."""
 
-from typing import Any, Callable, List, Optional, Tuple
+from typing import Callable, Hashable, List, Optional, Tuple
 
 from ...prolog.logic import Logic
 from ...prolog.machine import PrologError, instantiation_error, keep_back, type_error
@@ -10,6 +10,7 @@ from ...prolog.terms import (
     TRUE,
     Atom,
     Term,
+    Values,
     Var,
     compare,
     conjunction,
@@ -23,12 +24,11 @@ from ..dispatch import Dispatcher, compile_builder
 Warn = Callable[..., None]
 """Takes a warning as text and what kind it is: those of one kind are shown at growing intervals."""
 
-Values = Tuple[Term, ...]
 Recording = Callable[[Term, Values, bool], Optional[Term]]
 """Takes an event, the values of the pattern's variables, and whether it has none; gives the record or None."""
 
 
-def key_of(name: Term) -> Any:
+def key_of(name: Term) -> Hashable:
     """Return the dictionary key of an id.
 
     Raises:
@@ -125,7 +125,7 @@ def _goals(conditions: Term) -> List[Term]:
     items = list_items(conditions)
     if items is None:
         raise type_error("list", conditions)
-    goals = []
+    goals: List[Term] = []
     for item in items:
         goal = deref(item)
         if goal.__class__ is Var:

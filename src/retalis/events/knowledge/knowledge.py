@@ -1,11 +1,11 @@
 """Memories, waiting queries and subscriptions of one program, and the goals that reach them."""
 
 from operator import attrgetter
-from typing import Any, Callable, Iterator, Optional, Tuple
+from typing import Callable, Iterator, Optional, Sequence, Tuple
 
 from ...foundation import UsageError
 from ...prolog.logic import Logic
-from ...prolog.machine import Machine, instantiation_error, type_error
+from ...prolog.machine import Frame, Machine, instantiation_error, type_error
 from ...prolog.terms import Atom, Term, Var, deref, functor
 from ..dispatch import Dispatcher
 from ._recording import Warn, key_of
@@ -79,18 +79,18 @@ class Knowledge:
         logic.define("subscribe", 5, self._subscribe)
         logic.define("delete_subscription", 2, self._delete_subscription)
 
-    def _memorize(self, active: bool) -> Callable[..., Any]:
-        def memorize(machine: Machine, arguments: Any, after: Any) -> Any:
+    def _memorize(self, active: bool) -> Callable[[Machine, Sequence[Term], Frame], Frame]:
+        def memorize(machine: Machine, arguments: Sequence[Term], after: Frame) -> Frame:
             return self._create(arguments, active, after)
 
         return memorize
 
-    def _create(self, arguments: Any, active: bool, after: Any) -> Any:
+    def _create(self, arguments: Sequence[Term], active: bool, after: Frame) -> Frame:
         made = self.memories.create((MEMORIZE, *arguments), active, after)
         self.on_conditions(arguments[1], f"memory {self._logic.brief(arguments[3])}")
         return made
 
-    def _memorize_by_flag(self, machine: Machine, arguments: Any, after: Any) -> Any:
+    def _memorize_by_flag(self, machine: Machine, arguments: Sequence[Term], after: Frame) -> Frame:
         active = deref(arguments[5])
         if active.__class__ is Var:
             raise instantiation_error()
@@ -98,7 +98,7 @@ class Knowledge:
             raise type_error("boolean", active)
         return self._create(arguments[:5], active == 1, after)
 
-    def _delete_memory(self, machine: Machine, arguments: Any, after: Any) -> Any:
+    def _delete_memory(self, machine: Machine, arguments: Sequence[Term], after: Frame) -> Frame:
         key_of(arguments[0])
         try:
             return self.memories.delete(arguments[0], after)

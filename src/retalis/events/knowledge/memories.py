@@ -1,11 +1,11 @@
 """Memory instances by name: made and deleted by goals and services, fed by events, read by goals."""
 
-from typing import Any, Callable, Dict, Iterator, Optional, Tuple
+from typing import Any, Callable, Dict, Hashable, Iterator, Optional, Tuple
 
 from ...foundation import UsageError
 from ...prolog.builtins import instant_of
 from ...prolog.logic import Logic
-from ...prolog.machine import Machine, domain_error, permission_error, type_error
+from ...prolog.machine import Frame, Machine, domain_error, permission_error, type_error
 from ...prolog.terms import (
     MINUS,
     NIL,
@@ -23,7 +23,7 @@ from ...prolog.terms import (
 )
 from ..dispatch import NOBODY, Dispatcher, Stage
 from ._recording import Warn, is_whole, key_of, recording
-from .recorder import UPDATED, Instance, Recorder
+from .recorder import UPDATED, Follow, Instance, Recorder
 
 CREATED: Functor = functor("memory_created", 5)
 DELETED: Functor = functor("memory_deleted", 1)
@@ -59,10 +59,10 @@ class Memories:
         self._dispatcher = dispatcher
         self._stamp = stamp
         self._problem = problem
-        self.instances: Dict[Any, Instance] = {}
+        self.instances: Dict[Hashable, Instance] = {}
         self._newest: Optional[Recorder] = None
         self._updates = dispatcher.gate(UPDATED)
-        self.on_update: Callable[[Instance, int, Any], Any] = lambda instance, end, after: after
+        self.on_update: Follow = lambda instance, end, after: after
         self.on_delete: Callable[[Instance], None] = lambda instance: None
 
     def __iter__(self) -> Iterator[Instance]:
@@ -83,14 +83,14 @@ class Memories:
         for instance in self.instances.values():
             instance.memory.clear()
 
-    def create(self, definition: Term, active: bool, after: Any) -> Any:
+    def create(self, definition: Term, active: bool, after: Frame) -> Frame:
         """Make a memory of ``Pattern, Conditions, Record, Id, Size`` and return the frame that tells of it.
 
         Raises:
             PrologError: for a taken id or arguments that are not a memory.
         """
-        definition = copy(definition)
-        pattern, conditions, form, name, size = (deref(part) for part in definition[1:])
+        copied: Any = copy(definition)
+        pattern, conditions, form, name, size = (deref(part) for part in copied[1:])
         key = key_of(name)
         if key in self.instances:
             raise permission_error("create", "memory", name, "one already exists")
@@ -110,7 +110,7 @@ class Memories:
             (CREATED, pattern, conditions, kept, name, size), instant, instant, after
         )
 
-    def delete(self, name: Term, after: Any) -> Any:
+    def delete(self, name: Term, after: Frame) -> Frame:
         """Delete a memory with its waiting queries and return the frame that tells of it.
 
         Raises:
@@ -156,7 +156,7 @@ class Memories:
         self._newest = Recorder(self._dispatcher, pattern, take, self._follow, key)
         return self._newest
 
-    def _follow(self, instance: Instance, end: int, after: Any) -> Any:
+    def _follow(self, instance: Instance, end: int, after: Frame) -> Frame:
         """Return the frame for what an update leads to: queries that waited for it, then who is told of it."""
         if instance.active and self._updates.plan is not NOBODY:
             instant = self._stamp()
@@ -166,8 +166,9 @@ class Memories:
             return self.on_update(instance, end, after)
         return after
 
-    def run(self, frame: Any) -> Any:
+    def run(self, frame: Frame) -> Frame:
         """Tell of an update, as code of a frame."""
+        after: Frame
         _, update, instant, after = frame
         try:
             return self._dispatcher.dispatch(update, instant, instant, after)
@@ -182,7 +183,7 @@ def define_read_access(logic: Logic, memories: Memories) -> None:
     """Define the deterministic predicates that read memories."""
     known, to_term = memories.instances.get, timestamps.to_term
 
-    def prev(name: Term, at: Term) -> Optional[FoundRecord]:
+    def prev(name: Term, at: Any) -> Optional[FoundRecord]:
         instance = known(name) if name.__class__ is Atom else memories.find(name)
         if instance is None:
             return None
@@ -190,7 +191,7 @@ def define_read_access(logic: Logic, memories: Memories) -> None:
         found = instance.memory.at_or_before(at.source if is_new else instant_of(at))
         return found if not instance.open or found is None else _fresh(found)
 
-    def next_inf(name: Term, at: Term) -> Optional[FoundRecord]:
+    def next_inf(name: Term, at: Any) -> Optional[FoundRecord]:
         instance = known(name) if name.__class__ is Atom else memories.find(name)
         if instance is None:
             return None

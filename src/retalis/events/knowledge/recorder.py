@@ -1,9 +1,10 @@
 """Recording: from an event to the memories that take it."""
 
 from heapq import heapify, heappop, heappush
-from typing import Any, Callable, Dict, Iterator, List, Tuple
+from typing import Any, Callable, Dict, Hashable, Iterator, List, Tuple
 
-from ...prolog.terms import Term, Var, deref, functor, is_ground
+from ...prolog.machine import Frame
+from ...prolog.terms import Term, Values, Var, deref, functor, is_ground
 from ..dispatch import NOBODY, Dispatcher, Stage
 from ._recording import Recording
 from .memory import Memory, MemoryRecord
@@ -13,6 +14,13 @@ UPDATED = functor("memory_updated", 2)
 
 NEVER = 1 << 100
 """Later than all instants."""
+
+
+Waiting = Tuple[Any, ...]
+"""A query that waits, of `WaitingQueries`, whose order is its first item."""
+
+Follow = Callable[["Instance", int, Frame], Frame]
+"""Takes an instance that has taken an event, the end of that, and the next frame; gives the frame to go on with."""
 
 
 class Instance:
@@ -35,7 +43,7 @@ class Instance:
         self.due = NEVER
         self._times: List[int] = []
         """A heap of the instants waited for; some may have no query any more."""
-        self._waiting: Dict[int, Dict[int, Any]] = {}
+        self._waiting: Dict[int, Dict[int, Waiting]] = {}
         """The queries by instant and order."""
 
     def has(self, instant: int) -> bool:
@@ -43,7 +51,7 @@ class Instance:
         ends = self.memory.ends
         return bool(ends) and ends[-1] >= instant
 
-    def wait(self, instant: int, order: int, query: Any) -> None:
+    def wait(self, instant: int, order: int, query: Waiting) -> None:
         """Keep a query, known by its order, until `reached` is called with its instant or a later one."""
         group = self._waiting.get(instant)
         if group is not None:
@@ -54,10 +62,10 @@ class Instance:
         if instant < self.due:
             self.due = instant
 
-    def reached(self, end: int) -> List[Any]:
+    def reached(self, end: int) -> List[Waiting]:
         """Return the queries that wait for nothing later than an instant; they are kept no more."""
         times = self._times
-        found: List[Any] = []
+        found: List[Waiting] = []
         while times and times[0] <= end:
             found += self._waiting.pop(heappop(times), _NOBODY).values()
         self.due = times[0] if times else NEVER
@@ -87,7 +95,7 @@ class Instance:
         self._waiting = {}
 
 
-_NOBODY: Dict[int, Any] = {}
+_NOBODY: Dict[int, Waiting] = {}
 _SPARE = 16
 
 
@@ -109,8 +117,8 @@ class Recorder:
         dispatcher: Dispatcher,
         pattern: Term,
         take: Tuple[Recording, bool],
-        follow: Callable[[Instance, int, Any], Any],
-        key: Any,
+        follow: Follow,
+        key: Hashable,
     ):
         self.key = key
         self.instances: Tuple[Instance, ...] = ()
@@ -141,7 +149,7 @@ class Recorder:
         if not self.instances:
             self._dispatcher.remove(self.listener)
 
-    def _arrive(self, term: Term, values: Tuple[Term, ...], start: int, end: int, after: Any) -> Any:
+    def _arrive(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
         if self._everything and self._is_own_update(term):
             return after
         ground = self._dispatcher.current.ground
@@ -153,11 +161,13 @@ class Recorder:
         opens = not (self._closed and ground) and not is_ground(kept)
         return self._record((kept, start, end), opens, iter(self.instances), after)
 
-    def run(self, frame: Any) -> Any:
+    def run(self, frame: Frame) -> Frame:
         """Go on with the memories that are left."""
         return self._record(*frame[1:])
 
-    def _record(self, record: MemoryRecord, opens: bool, instances: Iterator[Instance], after: Any) -> Any:
+    def _record(
+        self, record: MemoryRecord, opens: bool, instances: Iterator[Instance], after: Frame
+    ) -> Frame:
         end = int(record[2])
         telling = self._updates.plan is not NOBODY
         for instance in instances:

@@ -1,14 +1,18 @@
 """Subscriptions: which events go out, in which form, to which topic."""
 
-from typing import Any, Callable, Dict, Iterator, Tuple
+from typing import Any, Callable, Dict, Hashable, Iterator, Tuple
 
 from ...prolog.logic import Logic
-from ...prolog.machine import permission_error
-from ...prolog.terms import MINUS, Atom, Term, copy, deref
-from ..dispatch import Dispatcher, Stage
+from ...prolog.machine import Frame, permission_error
+from ...prolog.terms import MINUS, Atom, Term, Values, copy, deref
+from ..dispatch import Dispatcher, Listener, Stage
 from ._recording import Warn, itself, key_of, recording
 
 Deliver = Callable[[Term, str, Term], None]
+
+
+Key = Tuple[str, Hashable]
+"""Topic and id."""
 
 
 class Subscriptions:
@@ -26,12 +30,12 @@ class Subscriptions:
         self._dispatcher = dispatcher
         self._deliver = deliver
         self._problem = problem
-        self._listeners: Dict[Tuple[Any, Any], Any] = {}
+        self._listeners: Dict[Key, Listener] = {}
 
-    def __iter__(self) -> Iterator[Tuple[Any, Any]]:
+    def __iter__(self) -> Iterator[Key]:
         return iter(list(self._listeners))
 
-    def patterns(self) -> Iterator[Tuple[Term, Tuple[Any, Any]]]:
+    def patterns(self) -> Iterator[Tuple[Term, Key]]:
         """Yield the pattern of each subscription with topic and id."""
         return ((listener.pattern, key) for key, listener in list(self._listeners.items()))
 
@@ -41,8 +45,8 @@ class Subscriptions:
         Raises:
             PrologError: for a taken key or arguments that are not a subscription.
         """
-        definition = copy(definition)
-        pattern, conditions, form, topic, name = (deref(part) for part in definition[1:])
+        copied: Any = copy(definition)
+        pattern, conditions, form, topic, name = (deref(part) for part in copied[1:])
         topic_text = self._topic(topic)
         key = (topic_text, key_of(name))
         if key in self._listeners:
@@ -59,11 +63,11 @@ class Subscriptions:
         deliver = self._deliver
         ground = self._dispatcher.ground
 
-        def send(term: Term, values: Tuple[Term, ...], start: int, end: int, after: Any) -> Any:
+        def send(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
             deliver(term, topic_text, name)
             return after
 
-        def action(term: Term, values: Tuple[Term, ...], start: int, end: int, after: Any) -> Any:
+        def action(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
             shaped = shape(term, values, ground())
             if shaped is not None:
                 deliver(shaped, topic_text, name)

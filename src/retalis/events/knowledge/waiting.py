@@ -5,10 +5,12 @@ from typing import Any, Dict, Iterator, List, Optional, Tuple
 
 from ...foundation import UsageError
 from ...prolog.logic import Logic
-from ...prolog.terms import Term, Var, functor
-from ..dispatch import Dispatcher, Stage, stand_in
+from ...prolog.machine import Frame
+from ...prolog.terms import Term, Values, Var, functor
+from ..dispatch import Dispatcher, EventAction, Lane, Stage, stand_in
+from ..network import Rule
 from ._conditions import Behind, behind, compile_conditions
-from ._question import Question, Surroundings, Values, compile_question, general_question, kind_of
+from ._question import Question, Surroundings, compile_question, general_question, kind_of
 from ._recording import Warn
 from .memories import Memories
 from .recorder import Instance
@@ -69,7 +71,7 @@ class WaitingQueries:
         for instance in self._memories:
             instance.forget_waiting()
 
-    def _arrive(self, term: Term, values: Values, start: int, end: int, after: Any) -> Any:
+    def _arrive(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
         event, query, conditions = values
         try:
             missing = behind(self._logic, self._memories, conditions)
@@ -81,16 +83,17 @@ class WaitingQueries:
             return after
         return self._general.ask((event, query), start, end, after)
 
-    def _shortcut(self, rule: Any, otherwise: Any) -> Optional[Tuple[Any, Any]]:
+    def _shortcut(self, rule: Rule, otherwise: EventAction) -> Optional[Tuple[EventAction, Lane]]:
         """Return what takes the values of a rule's match in place of its head; see `Dispatcher.shortcuts`."""
-        key, event, query, conditions = rule.definition.head
+        head: Any = rule.definition.head  # it has the functor that this is the shortcut of
+        key, event, query, conditions = head
         names = rule.vars
         find = compile_conditions(self._logic, self._memories, conditions, names)
         asked = compile_question(self._around, event, query, names, rule.place)
         if find is None or asked is None:
             return None
 
-        def ask_or_wait(values: Values, start: int, end: int, after: Any) -> Any:
+        def ask_or_wait(values: Values, start: int, end: int, after: Frame) -> Frame:
             try:
                 missing = find(values)
             except UsageError as error:
@@ -116,7 +119,7 @@ class WaitingQueries:
         instance, instant = missing[-1]
         instance.wait(instant, order, waiting)
 
-    def _release(self, instance: Instance, end: int, after: Any) -> Any:
+    def _release(self, instance: Instance, end: int, after: Frame) -> Frame:
         """Return the frame that asks what has waited for this memory alone, in order of registration."""
         ready: List[Waiting] = []
         for waiting in instance.reached(end):
@@ -142,18 +145,18 @@ class WaitingQueries:
             missing.pop()
         return False
 
-    def run(self, frame: Any) -> Any:
+    def run(self, frame: Frame) -> Frame:
         """Ask the queries that are left, as code of a frame: one is done with before the next is asked."""
         return self._ask(frame)
 
     @staticmethod
-    def _ask(frame: Any) -> Any:
+    def _ask(frame: Frame) -> Frame:
         ready: Iterator[Waiting] = frame[1]
         for _, asked, values, start, end, _ in ready:
             result = asked.ask(values, start, end, frame)
             if result is not frame:
                 return result
-        return frame[2]
+        return frame[2]  # type: ignore[no-any-return]
 
     def mend(self) -> None:
         """Have all that wait do so where they have to, after an interrupt; what is ready is asked at the next."""

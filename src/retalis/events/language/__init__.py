@@ -59,6 +59,7 @@ __all__ = [
     "own_terms",
     "Pair",
     "Pattern",
+    "Pattern",
     "Property",
     "PatternReader",
     "Repeated",

@@ -3,9 +3,7 @@
 from typing import Any, Callable, Dict, NamedTuple, Optional, Tuple
 
 from ...foundation import RuleError
-from ...prolog.terms import NIL, Term, make_list
-
-Values = Tuple[Term, ...]
+from ...prolog.terms import NIL, Term, Values, make_list
 
 
 class AggregateKind(NamedTuple):
@@ -24,7 +22,7 @@ class AggregateKind(NamedTuple):
     name: str
     arity: int
     start: Any
-    initial: Any
+    initial: Optional[Term]
     add: Callable[[Any, Term], Any]
     result: Callable[[Any], Term]
     numeric: bool
@@ -35,19 +33,19 @@ class AggregateKind(NamedTuple):
         return f"{self.name}(X)" if self.arity else self.name
 
 
-def _same(state: Any) -> Any:
+def _same(state: Term) -> Term:
     return state
 
 
-def _least(state: Any, value: Any) -> Term:
+def _least(state: Any, value: Any) -> Any:
     return value if state is None or value < state else state
 
 
-def _greatest(state: Any, value: Any) -> Term:
+def _greatest(state: Any, value: Any) -> Any:
     return value if state is None or value > state else state
 
 
-def _average(state: Tuple[Any, int]) -> Term:
+def _average(state: Tuple[float, int]) -> Term:
     total, number = state
     if total.__class__ is int and total % number == 0:
         return total // number

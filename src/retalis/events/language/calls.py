@@ -3,7 +3,8 @@
 from typing import Any, Callable, Iterator, List, NamedTuple, Optional, Set
 
 from ...foundation import Place, RuleError
-from ...prolog.terms import COMMA, CONS, SLASH, Atom, Functor, Term, Var, deref, functor, list_items
+from ...prolog.logic import Logic
+from ...prolog.terms import COMMA, CONS, SLASH, Atom, Compound, Functor, Term, Var, deref, functor, list_items
 
 _GOALS_IN = {
     functor(name, arity): places
@@ -42,26 +43,27 @@ class Subgoal(NamedTuple):
     """A goal inside a goal, and where it stands: in which term, as which argument."""
 
     term: Term
-    parent: Term
+    parent: Compound
     number: int
 
 
-def calls(parent: Term, number: int) -> Iterator[Subgoal]:
+def calls(parent: Compound, number: int) -> Iterator[Subgoal]:
     """Yield what a goal, an argument of a term, calls: itself, or what its control constructs call."""
-    stack = [Subgoal(deref(parent[number]), parent, number)]  # type: ignore[index]
+    stack = [Subgoal(deref(parent[number]), parent, number)]
     while stack:
         call = stack.pop()
-        places = _GOALS_IN.get(call.term[0]) if call.term.__class__ is tuple else None
-        if places is None:
+        term = call.term
+        places = _GOALS_IN.get(term[0]) if term.__class__ is tuple else None
+        if places is None or term.__class__ is not tuple:
             yield call
         else:
-            stack += [Subgoal(deref(call.term[at]), call.term, at) for at in reversed(places)]
+            stack += [Subgoal(deref(term[at]), term, at) for at in reversed(places)]
 
 
-def asking_interval(parent: Term, number: int) -> List[Subgoal]:
+def asking_interval(parent: Compound, number: int) -> List[Subgoal]:
     """Return the calls of ``t1/1`` and ``t2/1`` without which a goal, an argument of a term, has no solution."""
     found: List[Subgoal] = []
-    stack = [Subgoal(deref(parent[number]), parent, number)]  # type: ignore[index]
+    stack = [Subgoal(deref(parent[number]), parent, number)]
     while stack:
         call = stack.pop()
         term = call.term
@@ -100,7 +102,7 @@ def called_by(conditions: Term, caller: str) -> List[Unknown]:
     return found
 
 
-def unknown_calls(logic: Any, found: List[Unknown], terms: Callable[[], List[Term]]) -> Iterator[RuleError]:
+def unknown_calls(logic: Logic, found: List[Unknown], terms: Callable[[], List[Term]]) -> Iterator[RuleError]:
     """Yield a warning for each predicate that is called and not there, and that no goal in ``terms`` can add."""
     missing = [one for one in found if one.key is not _CUT and not logic.defines(one.key)]
     if not missing:
@@ -148,8 +150,9 @@ def _heads(term: Term) -> Set[Functor]:
             stack.append(item[1])
         elif item.__class__ is tuple and item[0] is SLASH:
             name, arity = deref(item[1]), deref(item[2])
-            known = name.__class__ is Atom and arity.__class__ is int
-            found.add(functor(name.name, arity) if known else _ANY)
+            found.add(
+                functor(name.name, arity) if isinstance(name, Atom) and isinstance(arity, int) else _ANY
+            )
         elif item.__class__ is Var:
             found.add(_ANY)
         elif item.__class__ is Atom:

@@ -1,11 +1,11 @@
 """What a rule says, read and checked."""
 
 from types import MappingProxyType
-from typing import Any, Mapping, NamedTuple, Optional
+from typing import Hashable, Mapping, NamedTuple, Optional
 
 from ...foundation import Place
 from ...prolog.terms import Term, Var
-from .pattern import same_rule_key
+from .pattern import Pattern, same_rule_key
 
 
 class RuleDefinition(NamedTuple):
@@ -22,12 +22,12 @@ class RuleDefinition(NamedTuple):
 
     term: Term
     head: Optional[Term]
-    pattern: Any
+    pattern: Pattern
     label: Optional[Term]
     place: Optional[Place]
     names: Mapping[Var, str] = MappingProxyType({})
 
     @property
-    def key(self) -> Any:
+    def key(self) -> Hashable:
         """Equal for rules that are the same but for the names of variables, spellings and labels."""
         return same_rule_key(self.head, self.pattern)

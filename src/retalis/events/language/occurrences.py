@@ -1,9 +1,9 @@
 """How often variables stand in a rule."""
 
-from typing import Any, Dict, List
+from typing import Dict, List, Optional
 
 from ...prolog.terms import Term, Var
-from .pattern import own_terms, walk
+from .pattern import Pattern, own_terms, walk
 
 
 def _each_variable(term: Term) -> List[Var]:
@@ -22,10 +22,11 @@ def _each_variable(term: Term) -> List[Var]:
     return found
 
 
-def occurrences(terms: List[Term], pattern: Any) -> Dict[Var, int]:
+def occurrences(terms: List[Term], pattern: Optional[Pattern]) -> Dict[Var, int]:
     """Count how often each variable stands in a rule."""
     counts: Dict[Var, int] = {}
-    for term in [*terms, *(term for part in walk(pattern, True) for term in own_terms(part))]:
+    parts = [] if pattern is None else walk(pattern, True)
+    for term in [*terms, *(term for part in parts for term in own_terms(part))]:
         for var in _each_variable(term):
             counts[var] = counts.get(var, 0) + 1
     return counts

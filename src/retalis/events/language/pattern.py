@@ -1,6 +1,6 @@
 """Patterns of rules as trees."""
 
-from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Set, Tuple, Union
+from typing import Any, Dict, Hashable, List, Mapping, NamedTuple, Optional, Set, Tuple, Union
 
 from ...prolog.terms import Functor, Term, Var, functor, rebuild, variables, variant_key
 
@@ -19,20 +19,20 @@ class Pair(NamedTuple):
     """Two patterns joined by an operator of `OPERATORS`."""
 
     operator: str
-    left: Any
-    right: Any
+    left: "Pattern"
+    right: "Pattern"
 
 
 class Repeated(NamedTuple):
     """A pattern several times in sequence; ``own`` are the variables that are fresh in each repetition."""
 
-    pattern: Any
+    pattern: "Pattern"
     times: int
     own: Tuple[Var, ...]
 
-    def written_out(self) -> Any:
+    def written_out(self) -> "Pattern":
         """Return the same as a sequence of patterns."""
-        result = self.pattern
+        result: Pattern = self.pattern
         for _ in range(self.times - 1):
             fresh = {var: Var() for var in self.own}
             result = Pair(SEQ, result, with_others(self.pattern, fresh) if fresh else self.pattern)
@@ -53,38 +53,38 @@ class Repeated(NamedTuple):
 class Either(NamedTuple):
     """One of several patterns (``or``)."""
 
-    branches: Tuple[Any, ...]
+    branches: "Tuple[Pattern, ...]"
 
 
 class Absent(NamedTuple):
     """A pattern, and no event of another one: between the sides of a sequence (``inside``), or ever before."""
 
-    pattern: Any
-    negated: Any
+    pattern: "Pattern"
+    negated: "Pattern"
     inside: bool
 
 
 class Star(NamedTuple):
     """A pattern, then another one any number of times."""
 
-    first: Any
-    repeated: Any
+    first: "Pattern"
+    repeated: "Pattern"
 
 
 class Aggregate(NamedTuple):
     """A pattern, then another one any number of times, collected into a result."""
 
-    first: Any
+    first: "Pattern"
     kind: str
-    value: Term
-    collected: Any
+    value: Optional[Term]
+    collected: "Pattern"
     result: Term
 
 
 class Condition(NamedTuple):
     """A pattern and a goal that has to have a solution; ``timed`` gives the goal ``t1/1`` and ``t2/1``."""
 
-    pattern: Any
+    pattern: "Pattern"
     goal: Term
     timed: bool
 
@@ -92,14 +92,14 @@ class Condition(NamedTuple):
 class Within(NamedTuple):
     """A pattern that takes no longer than ``span`` nanoseconds."""
 
-    pattern: Any
+    pattern: "Pattern"
     span: int
 
 
 class Action(NamedTuple):
     """A pattern and a goal to call: once (``do``), or for all of its solutions (``every``)."""
 
-    pattern: Any
+    pattern: "Pattern"
     goal: Term
     every: bool
 
@@ -110,12 +110,12 @@ MOST_TIMES = 10_000
 """How many repetitions ``ntimes`` takes at most."""
 
 
-def with_others(part: Any, fresh: Mapping[Var, Var]) -> Any:
+def with_others(part: Pattern, fresh: Mapping[Var, Var]) -> Any:
     """Return a pattern with other variables in the place of some."""
 
     def renamed(found: Any) -> Any:
         if isinstance(found, _PATTERNS):
-            return found.__class__(*map(renamed, found))  # type: ignore[call-arg]
+            return found.__class__(*map(renamed, found))
         if found.__class__ is tuple and (not found or found[0].__class__ is not Functor):
             return tuple(map(renamed, found))  # the branches of an ``or``, the variables of repetitions
         return rebuild(found, lambda var: fresh.get(var, var)) if found.__class__ in (tuple, Var) else found
@@ -123,7 +123,7 @@ def with_others(part: Any, fresh: Mapping[Var, Var]) -> Any:
     return renamed(part)
 
 
-def bound_by(pattern: Any, negated: bool = False) -> List[Var]:
+def bound_by(pattern: Pattern, negated: bool = False) -> List[Var]:
     """Return the variables that a match of a pattern may give values to, from left to right; or all of them."""
     found: Dict[Var, None] = {}
     for part in walk(pattern, negated):
@@ -133,7 +133,7 @@ def bound_by(pattern: Any, negated: bool = False) -> List[Var]:
     return list(found)
 
 
-def surely_bound_by(pattern: Any, conditions: bool = True, empty: bool = False) -> Set[Var]:
+def surely_bound_by(pattern: Pattern, conditions: bool = True, empty: bool = False) -> Set[Var]:
     """Return the variables that every match of a pattern gives values to.
 
     Args:
@@ -153,7 +153,7 @@ def surely_bound_by(pattern: Any, conditions: bool = True, empty: bool = False) 
     return found
 
 
-def own_terms(part: Any) -> List[Term]:
+def own_terms(part: Pattern) -> List[Term]:
     """Return the terms that stand at one node of a pattern itself."""
     if isinstance(part, Occurs):
         return [part.term]
@@ -164,9 +164,9 @@ def own_terms(part: Any) -> List[Term]:
     return []
 
 
-def walk(pattern: Any, negated: bool = False) -> List[Any]:
+def walk(pattern: Pattern, negated: bool = False) -> List[Pattern]:
     """Return the nodes of a pattern from left to right, what it negates only if asked for."""
-    found: List[Any] = []
+    found: List[Pattern] = []
     stack = [pattern]
     while stack:
         part = stack.pop()
@@ -175,7 +175,7 @@ def walk(pattern: Any, negated: bool = False) -> List[Any]:
     return found
 
 
-def children(part: Any, negated: bool = True) -> Tuple[Any, ...]:
+def children(part: Pattern, negated: bool = True) -> Tuple[Pattern, ...]:
     """Return the patterns directly below a node, from left to right."""
     if isinstance(part, Pair):
         return (part.left, part.right)
@@ -192,16 +192,16 @@ def children(part: Any, negated: bool = True) -> Tuple[Any, ...]:
     return ()
 
 
-def same_rule_key(head: Optional[Term], pattern: Any) -> Any:
+def same_rule_key(head: Optional[Term], pattern: Pattern) -> Hashable:
     """Return a key: equal for rules that are the same but for the names of variables and spellings."""
     return variant_key((functor("<-", 2), functor("none", 0) if head is None else head, _as_term(pattern)))
 
 
-def _as_term(pattern: Any) -> Term:
+def _as_term(pattern: Pattern) -> Term:
     parts: List[Term] = []
     for part in walk(pattern, True):
         kind = type(part).__name__
-        marks: Tuple[Any, ...] = ()
+        marks: Tuple[int, ...] = ()
         if isinstance(part, Pair):
             kind = part.operator
         elif isinstance(part, Repeated):

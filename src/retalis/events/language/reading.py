@@ -1,10 +1,10 @@
 """The patterns of rules, read from terms and checked on the way."""
 
-from typing import Any, Callable, Dict, FrozenSet, List, Optional, Tuple
+from typing import Callable, Dict, FrozenSet, List, Optional, Tuple
 
 from ...foundation import Place, RuleError
 from ...prolog.syntax import EVENT_OPERATOR, OperatorKind
-from ...prolog.terms import Atom, String, Term, Var, deref, from_seconds, functor
+from ...prolog.terms import Atom, Compound, String, Term, Var, deref, from_seconds, functor
 from .aggregates import AGGREGATES
 from .calls import Subgoal, asking_interval, calls
 from .meant import doubt
@@ -19,6 +19,7 @@ from .pattern import (
     Either,
     Occurs,
     Pair,
+    Pattern,
     Repeated,
     Star,
     Within,
@@ -64,13 +65,13 @@ class PatternReader:
         self.untimed: List[Subgoal] = []
         self.aggregates: List[Tuple[Aggregate, Term]] = []
 
-    def read(self, parent: Term, number: int) -> Any:
+    def read(self, parent: Compound, number: int) -> Pattern:
         """Return the pattern that an argument of a term is.
 
         Raises:
             RuleError: for what cannot fire.
         """
-        term = deref(parent[number])  # type: ignore[index]
+        term = deref(parent[number])
         if term.__class__ is not tuple:
             return self._event(parent, number)
         head = term[0]
@@ -86,33 +87,33 @@ class PatternReader:
             return self._event(parent, number)
         return self._forms[EVENT_OPERATOR[name].kind](self, name, term)
 
-    def _pair(self, name: str, term: Term) -> Any:
+    def _pair(self, name: str, term: Compound) -> Pattern:
         if name == SEQ:
             return self._sequence(term)
         return Pair(name, self._operand(term, 1, name), self._operand(term, 2, name))
 
-    def _refused(self, name: str, term: Term) -> Any:
+    def _refused(self, name: str, term: Compound) -> Pattern:
         raise self._error(f"there is no operator {name}; use cnot or fnot for the absence of an event", term)
 
-    def _limited(self, name: str, term: Term) -> Within:
+    def _limited(self, name: str, term: Compound) -> Within:
         return Within(self._operand(term, 1, name), self._span(term) - 1)
 
-    def _conditional(self, name: str, term: Term) -> Condition:
+    def _conditional(self, name: str, term: Compound) -> Condition:
         pattern = self._operand(term, 1, name)
         return Condition(pattern, self.goal(term, 2, name), EVENT_OPERATOR[name].timed)
 
-    def _acting(self, name: str, term: Term) -> Action:
+    def _acting(self, name: str, term: Compound) -> Action:
         pattern = self._operand(term, 1, name)
         return Action(pattern, self.goal(term, 2, name), EVENT_OPERATOR[name].every)
 
-    def _operand(self, parent: Term, number: int, operator: str) -> Any:
-        term = deref(parent[number])  # type: ignore[index]
+    def _operand(self, parent: Compound, number: int, operator: str) -> Pattern:
+        term = deref(parent[number])
         if term.__class__ is tuple and term[0] in _GOALS_AS_PATTERN:
             raise self._error(f"{term[0].name}(Goal) can only stand beside seq, not beside {operator}", term)
         return self.read(parent, number)
 
-    def _event(self, parent: Term, number: int) -> Occurs:
-        term = deref(parent[number])  # type: ignore[index]
+    def _event(self, parent: Compound, number: int) -> Occurs:
+        term = deref(parent[number])
         if term.__class__ not in (tuple, Atom, Var):
             kind = "a string" if term.__class__ is String else "a number"
             message = f"an event is an atom or a compound term, not {kind}"
@@ -122,7 +123,7 @@ class PatternReader:
             self._warn(self._error(doubted, *((parent, number) if term.__class__ is Atom else (term, 0))))
         return Occurs(term)
 
-    def _sequence(self, term: Term) -> Any:
+    def _sequence(self, term: Compound) -> Pattern:
         left, right = deref(term[1]), deref(term[2])
         left_goal = self._called(left)
         right_goal = self._called(right)
@@ -144,7 +145,7 @@ class PatternReader:
             return self.goal(term, 1, term[0].name)
         return None
 
-    def _aggregate(self, first: Any, term: Term) -> Aggregate:
+    def _aggregate(self, first: Pattern, term: Compound) -> Aggregate:
         kind = deref(term[1])
         name = kind.name if kind.__class__ is Atom else kind[0].name if kind.__class__ is tuple else ""
         arity = len(kind) - 1 if kind.__class__ is tuple else 0
@@ -154,23 +155,24 @@ class PatternReader:
                 f"there is no such aggregate; the aggregates are {known}", kind if arity else term
             )
         collected = self._operand(term, 2, "aggregate")
-        found = Aggregate(first, name, deref(kind[1]) if arity else None, collected, deref(term[3]))
+        value = deref(kind[1]) if kind.__class__ is tuple else None
+        found = Aggregate(first, name, value, collected, deref(term[3]))
         self.aggregates.append((found, term))
         return found
 
-    def _alternatives(self, name: str, term: Term) -> Either:
-        branches: List[Any] = []
+    def _alternatives(self, name: str, term: Compound) -> Either:
+        branches: List[Pattern] = []
         pending = [(term, 2), (term, 1)]
         while pending:
             parent, number = pending.pop()
-            one = deref(parent[number])  # type: ignore[index]
+            one = deref(parent[number])
             if one.__class__ is tuple and SPELLINGS.get(one[0]) == name:
                 pending += [(one, 2), (one, 1)]
             else:
                 branches.append(self._operand(parent, number, name))
         return Either(tuple(branches))
 
-    def _absence(self, name: str, term: Term) -> Absent:
+    def _absence(self, name: str, term: Compound) -> Absent:
         pattern = self._operand(term, 1, name)
         negated = self._operand(term, 2, name)
         inside = name == "cnot" and _is_sequence(pattern)
@@ -178,7 +180,7 @@ class PatternReader:
             self._warn(self._error(_NOT_INSIDE, term))
         return Absent(pattern, negated, inside)
 
-    def _repetition(self, name: str, term: Term) -> Any:
+    def _repetition(self, name: str, term: Compound) -> Pattern:
         times = deref(term[2])
         if times.__class__ is not int or times < 1:
             raise self._error("ntimes needs a positive integer", term, 2)
@@ -193,13 +195,13 @@ class PatternReader:
         last = with_others(pattern, fresh) if fresh else pattern
         return Pair(SEQ, pattern if times == 2 else Repeated(pattern, times - 1, own), last)
 
-    def _span(self, term: Any) -> int:
+    def _span(self, term: Compound) -> int:
         span = deref(term[2])
         if span.__class__ not in (int, float) or not span > 0 or span == float("inf"):
             raise self._error("within needs a positive number of seconds", term, 2)
         return from_seconds(span)
 
-    def goal(self, parent: Term, number: int, operator: str) -> Term:
+    def goal(self, parent: Compound, number: int, operator: str) -> Term:
         """Return the goal that an argument of a term is.
 
         Raises:
@@ -211,12 +213,12 @@ class PatternReader:
             self.goals.append(call)
         if operator not in EVENT_OPERATOR or not EVENT_OPERATOR[operator].timed:
             self.untimed += asking_interval(parent, number)
-        return deref(parent[number])  # type: ignore[index]
+        return deref(parent[number])
 
     def _error(self, message: str, term: Term, number: int = 0) -> RuleError:
         return RuleError(message, self.place(term, number))
 
-    _forms: Dict[OperatorKind, Callable[["PatternReader", str, Term], Any]] = {
+    _forms: Dict[OperatorKind, Callable[["PatternReader", str, Compound], Pattern]] = {
         OperatorKind.PAIR: _pair,
         OperatorKind.ALTERNATIVES: _alternatives,
         OperatorKind.ABSENCE: _absence,
@@ -229,7 +231,7 @@ class PatternReader:
     """What reads a term, by the kind of its operator."""
 
 
-def _is_sequence(pattern: Any) -> bool:
+def _is_sequence(pattern: Pattern) -> bool:
     """Tell whether a pattern is a sequence, looking through conditions."""
     while isinstance(pattern, (Condition, Within)):
         pattern = pattern.pattern

@@ -1,11 +1,12 @@
 """Partial matches: where they wait for partners, which a policy takes, when they are to go."""
 
-from .absence import Absence
+from .absence import Absence, Emitting
 from .chains import Chain, Log, joined_at_once, joined_one_by_one, pieces_of, repetitions
 from .expiry import Expiries
 from .matches import (
     Found,
     Held,
+    Holder,
     Match,
     Named,
     agreed,
@@ -16,12 +17,10 @@ from .matches import (
     taken_back,
     unify_sides,
 )
+from .modes import NetworkOptions, Policy
 from .places import MatchBuffer, key_function, surely_same
 from .policy import (
     Emit,
-    Frame,
-    NetworkOptions,
-    Policy,
     Side,
     emit_each,
     taking_all,
@@ -43,12 +42,13 @@ __all__ = [
     "by_term",
     "Chain",
     "Emit",
+    "Emitting",
     "emit_each",
     "Expiries",
     "first_side",
     "Found",
-    "Frame",
     "Held",
+    "Holder",
     "identity",
     "in_order",
     "joined_at_once",

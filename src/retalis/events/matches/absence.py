@@ -1,15 +1,17 @@
 """What must not have happened: negated matches, kept so that one look tells whether one is in the way."""
 
 from bisect import bisect_left, bisect_right
-from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
+from typing import Callable, Dict, Hashable, List, Optional, Protocol, Sequence, Tuple
 
-from ...prolog.terms import Term
+from ...prolog.machine import Frame
+from ...prolog.terms import Values
 from .matches import Match, unify_sides
+from .modes import NetworkOptions
+from .owners import Owner
 from .places import MatchBuffer, surely_same
-from .policy import Frame, NetworkOptions
+from .policy import Emit
 from .reach import BEFORE, BETWEEN
 
-Values = Tuple[Term, ...]
 _SPARE = 1000
 
 
@@ -57,6 +59,13 @@ class _Border:
         return None
 
 
+class Emitting(Protocol):
+    """The node of a negated pattern."""
+
+    def bind(self, out: Emit, mode: NetworkOptions, /) -> None:
+        """Send matches to ``out`` from now on."""
+
+
 class Absence:
     """The matches of a negated pattern, by the variables that it shares with what it negates.
 
@@ -75,23 +84,23 @@ class Absence:
         carried: the absences among those conditions, with the nodes of what they negate.
     """
 
-    def __init__(self, rule: Any, shared: Sequence[Tuple[int, int]], ever: bool):
+    def __init__(self, rule: Owner, shared: Sequence[Tuple[int, int]], ever: bool):
         self.rule = rule
         self.shared = tuple(shared)
         self.ever = ever
         self.condition: Optional[Callable[[Values, Match], bool]] = None
-        self.carried: List[Tuple[Absence, Any]] = []
+        self.carried: List[Tuple[Absence, Emitting]] = []
         self.buffer = MatchBuffer(rule, tuple(one for one, _ in self.shared))
         self.buffer.reach = BEFORE if ever else BETWEEN
         self.asked = MatchBuffer(rule, tuple(two for _, two in self.shared))
-        self._borders: Dict[Any, _Border] = {}
+        self._borders: Dict[Hashable, _Border] = {}
         self.buffer.on_mend = self._forget_borders
 
     def _forget_borders(self) -> None:
         """Have the borders made anew when they are asked for."""
         self._borders = {}
 
-    def bind(self, negated: Any, mode: NetworkOptions) -> None:
+    def bind(self, negated: Emitting, mode: NetworkOptions) -> None:
         """Take what a node finds, and have the absences among the conditions take theirs."""
         negated.bind(self.arrive, mode)
         for absence, node in self.carried:
@@ -113,7 +122,7 @@ class Absence:
         """Tell whether only times matter: not where matches are tested one by one, or may be taken back."""
         return self.condition is None and not self.rule.network.mode.tracked
 
-    def _needed(self, key: Any, match: Match) -> bool:
+    def _needed(self, key: Hashable, match: Match) -> bool:
         waiting = self.buffer.newest.get(key)
         if self.ever:
             if waiting is None:
@@ -156,7 +165,7 @@ class Absence:
                 return border.between(after, before) is not None
         return self._search(key, values, after, before)
 
-    def _search(self, key: Any, values: Values, after: int, before: int) -> bool:
+    def _search(self, key: Hashable, values: Values, after: int, before: int) -> bool:
         """Look at all negated matches that may share the values."""
         asked = Match(values, after, before, None, None, ())
         condition = self.condition

@@ -2,7 +2,7 @@
 
 from typing import Any, List, Tuple
 
-from .matches import Match, Repetitions, identity
+from .matches import Match, Parts, Repetitions, identity
 
 _MASK = (1 << 61) - 1
 
@@ -52,9 +52,9 @@ class Chain(Repetitions):
     def __eq__(self, other: object) -> bool:
         if self is other:
             return True
-        if other.__class__ is not Chain or self.length != other.length or hash(self) != hash(other):  # type: ignore[attr-defined]
+        if other.__class__ is not Chain or self.length != other.length or hash(self) != hash(other):
             return False
-        pairs = zip(self.matches, other.matches)  # type: ignore[attr-defined]
+        pairs = zip(self.matches, other.matches)
         return all(one is two or identity(one) == identity(two) for one, two in pairs)
 
 
@@ -84,7 +84,7 @@ def joined_at_once(match: Match, times: int) -> None:
     _set_parts(match, (Chain(pieces_of(match, times)),))
 
 
-def _set_parts(match: Match, parts: Tuple[Any, ...]) -> None:
+def _set_parts(match: Match, parts: Parts) -> None:
     match.parts = parts
     if hasattr(match, "identity"):
         del match.identity
@@ -94,5 +94,5 @@ def pieces_of(match: Match, times: int) -> Tuple[Piece, ...]:
     """Return what a match of so many repetitions is made of."""
     parts: Any = match.parts
     if times > 1 and parts[0].__class__ is Chain:
-        return parts[0].pieces  # type: ignore[no-any-return]
+        return parts[0].pieces
     return ((Log(repetitions(match, times)), 0, times),)

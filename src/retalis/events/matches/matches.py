@@ -1,10 +1,23 @@
 """Partial matches, and what can be asked about them."""
 
-from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Tuple
+from typing import Any, Dict, Hashable, Iterator, List, NamedTuple, Optional, Protocol, Tuple, Union
 
-from ...prolog.terms import Term, Var, copy, resolve, term_key, undo, unify
+from ...prolog.terms import Term, Trail, Values, Var, copy, resolve, term_key, undo, unify
 
-Values = Tuple[Term, ...]
+
+class Waited(Protocol):
+    """Where a match waits, as the match sees it.
+
+    Attributes:
+        span: for how many nanoseconds what waits is of use; None for no bound.
+    """
+
+    @property
+    def span(self) -> Optional[int]:
+        """See above."""
+
+    def remove(self, match: "Match") -> None:
+        """Take out a match that waits here."""
 
 
 class Match:
@@ -42,20 +55,28 @@ class Match:
         "used",
     )
 
-    key: Any
-    older: Any
-    newer: Any
+    key: Hashable
+    older: "Match"
+    newer: "Match"
     order: int
-    identity: Any
+    identity: Hashable
 
-    def __init__(self, values: Values, start: int, end: int, event: Any, term: Term, parts: Any):
+    def __init__(
+        self,
+        values: Values,
+        start: int,
+        end: int,
+        event: Hashable,
+        term: Optional[Term],
+        parts: "Optional[Parts]",
+    ):
         self.values = values
         self.start = start
         self.end = end
         self.event = event
-        self.term = term
+        self.term: Any = term  # whoever asks for it knows that it is of one event
         self.parts = parts
-        self.buffer: Any = None
+        self.buffer: Optional[Waited] = None
         self.used: Optional[Match] = None
 
     @property
@@ -105,7 +126,7 @@ class Held:
         self.number: int = 0 if match is None or earlier is None else max(earlier.number, arrival(match))
         self.linked = self.gone = self.reported = False
         self.derived: List[Any] = []
-        self.held: List[Any] = []
+        self.held: List[Holder] = []
         self.suppressed: List[Any] = []
 
     @property
@@ -151,8 +172,14 @@ class Named(NamedTuple):
         values: what those variables stand for; they may get their values further up.
     """
 
-    structure: Any
-    values: Tuple[Any, ...]
+    structure: Hashable
+    values: Tuple[Hashable, ...]
+
+
+Part = Union[Match, Held, Repetitions, Found, int]
+Parts = Tuple[Part, ...]
+Holder = Union[Match, Tuple[Any, ...]]
+"""What is made of an event: a match that waits, or a node and what it is to forget, see `Tracker`."""
 
 
 class Identity:
@@ -163,7 +190,7 @@ class Identity:
 
     __slots__ = ("parts", "hash")
 
-    def __init__(self, parts: Tuple[Any, ...]):
+    def __init__(self, parts: Tuple[Hashable, ...]):
         self.parts = parts
         self.hash = hash(parts)
 
@@ -171,7 +198,7 @@ class Identity:
         return self.hash
 
     def __eq__(self, other: object) -> bool:
-        pairs: List[Tuple[Any, Any]] = [(self, other)]
+        pairs: List[Tuple[object, object]] = [(self, other)]
         while pairs:
             one, two = pairs.pop()
             if one is two:
@@ -185,7 +212,7 @@ class Identity:
         return True
 
 
-def identity(match: Match) -> Any:
+def identity(match: Match) -> Hashable:
     """Return a key: equal for two matches of a node made of identical event terms, carried values apart."""
     path = [match]
     while path[-1].__class__ is not Match or not hasattr(path[-1], "identity"):
@@ -195,7 +222,7 @@ def identity(match: Match) -> Any:
         path.append(parts[0])
     last = path[-1]
     waited = last.__class__ is Match and hasattr(last, "identity")
-    found: Any = last.identity if waited else _identity_of(last, ())
+    found: Hashable = last.identity if waited else _identity_of(last, ())
     if waited and found.__class__ is Named:
         found = found.structure
     for one in reversed(path[:-1]):
@@ -203,7 +230,7 @@ def identity(match: Match) -> Any:
     return found
 
 
-def _identity_of(match: Match, key: Tuple[Any, ...]) -> Any:
+def _identity_of(match: Match, key: Tuple[Hashable, ...]) -> Hashable:
     """Return the identity of a match, given those of its first parts."""
     parts = match.parts
     if parts is None:
@@ -218,7 +245,7 @@ def _identity_of(match: Match, key: Tuple[Any, ...]) -> Any:
     return key[0] if len(key) == 1 else Identity(key)
 
 
-def leaves(match: Match) -> Iterator[Any]:
+def leaves(match: Match) -> Iterator[Hashable]:
     """Yield the tokens of the events that a match was made of, in the order of the pattern."""
     stack = [match]
     while stack:
@@ -233,7 +260,7 @@ def leaves(match: Match) -> Iterator[Any]:
                     stack.extend(reversed(inner.matches))
 
 
-def sources(match: Match) -> Iterator[Any]:
+def sources(match: Match) -> Iterator[Hashable]:
     """Yield the tokens of the events that a match was made of; for those of repetitions the last `Held`."""
     stack = [match]
     while stack:
@@ -270,7 +297,7 @@ def unify_sides(
     """
     lefts = list(_renamed(left.values))
     rights = list(_renamed(right.values))
-    trail: List[Any] = []
+    trail: Trail = []
     result = None
     if all(unify(lefts[one], rights[other], trail) for one, other in shared):
         result = (_with(left, lefts), _with(right, rights))
@@ -280,7 +307,7 @@ def unify_sides(
 
 def agreed(left: Values, right: Values) -> Optional[Values]:
     """Unify values pairwise; return them, or None where they differ."""
-    trail: List[Any] = []
+    trail: Trail = []
     result = None
     if all(unify(one, other, trail) for one, other in zip(left, right)):
         result = tuple([resolve(one) for one in left])

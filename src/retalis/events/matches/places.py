@@ -1,10 +1,11 @@
 """Where matches wait for partners: by the values they share, in order of arrival and, where that helps, by time."""
 
 import heapq
-from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Set, Tuple
+from typing import Callable, Dict, Hashable, Iterator, List, Optional, Sequence, Set, Tuple
 
-from ...prolog.terms import Atom, String, freeze
-from .matches import Match, Values
+from ...prolog.terms import Atom, String, Values, freeze
+from .matches import Match
+from .owners import Owner
 from .reach import Reach
 from .timeindex import LEAST, MOST, TimeBounds, TimeIndex
 
@@ -28,25 +29,25 @@ class MatchBuffer:
         reach: where in time those lie that a partner looks for here; None for anywhere.
     """
 
-    def __init__(self, rule: Any, shared: Tuple[int, ...]):
+    def __init__(self, rule: Owner, shared: Tuple[int, ...]):
         self.rule = rule
         self.key = key_function(shared)
-        self.newest: Dict[Any, Match] = {}
+        self.newest: Dict[Hashable, Match] = {}
         self.span: Optional[int] = None
-        self.name: Optional[Callable[[Match], Any]] = None
+        self.name: Optional[Callable[[Match], Hashable]] = None
         self.reach: Optional[Reach] = None
-        self._indices: Dict[Any, TimeIndex] = {}
-        self._names: Dict[Any, Dict[Any, Match]] = {}
+        self._indices: Dict[Hashable, TimeIndex] = {}
+        self._names: Dict[Hashable, Dict[Hashable, Match]] = {}
         self.on_mend: Callable[[], None] = lambda: None
 
-    def key_of(self, match: Match) -> Any:
+    def key_of(self, match: Match) -> Hashable:
         """Return the key of a match; None where a shared value has variables."""
         try:
             return self.key(match.values)
         except ValueError:
             return None
 
-    def add(self, match: Match, key: Any) -> None:
+    def add(self, match: Match, key: Hashable) -> None:
         """Let a match wait."""
         rule = self.rule
         match.order = rule.order = rule.order + 1
@@ -78,7 +79,7 @@ class MatchBuffer:
         key = match.key
         older, newer = match.older, match.newer
         if older is match:
-            match.older = match.newer = None
+            match.older = match.newer = None  # type: ignore[assignment]  # asked only of one that waits
             del self.newest[key]
             self._indices.pop(key, None)
             self._names.pop(key, None)
@@ -87,7 +88,7 @@ class MatchBuffer:
         newer.older = older
         if self.newest[key] is match:
             self.newest[key] = older
-        match.older = match.newer = None
+        match.older = match.newer = None  # type: ignore[assignment]
         if self._indices and key in self._indices:
             self._indices[key].remove(match)
             self._drop_if_idle(key)
@@ -111,7 +112,7 @@ class MatchBuffer:
         self.on_mend()
         return sorted(found, key=_order)
 
-    def namesake(self, match: Match, key: Any) -> Optional[Match]:
+    def namesake(self, match: Match, key: Hashable) -> Optional[Match]:
         """Return the match that one with a key is to replace; those of one name have the same key."""
         assert self.name is not None
         match.identity = name = self.name(match)
@@ -130,11 +131,11 @@ class MatchBuffer:
             names = self._names[key] = {one.identity: one for one in self.with_key(key)}
         return names.get(name)
 
-    def _drop_if_idle(self, key: Any) -> None:
+    def _drop_if_idle(self, key: Hashable) -> None:
         if self._indices[key].idle:
             del self._indices[key]
 
-    def with_key(self, key: Any) -> List[Match]:
+    def with_key(self, key: Hashable) -> List[Match]:
         """Return those that wait under a key, oldest first."""
         last = self.newest.get(key)
         if last is None:
@@ -151,7 +152,7 @@ class MatchBuffer:
         """Return all that wait, oldest first."""
         return sorted((match for key in self.newest for match in self.with_key(key)), key=_order)
 
-    def partners(self, key: Any, start: int, end: int, newest: bool) -> Iterator[Match]:
+    def partners(self, key: Hashable, start: int, end: int, newest: bool) -> Iterator[Match]:
         """Yield those that a match may fit: the newest or the oldest first.
 
         Matches may come and go meanwhile: what comes is not yielded, nor is what has gone.
@@ -171,7 +172,7 @@ class MatchBuffer:
         both = self._within(key, limits, newest), self._within(None, limits, newest)
         return iter(heapq.merge(*both, key=_order, reverse=newest))
 
-    def partners_now(self, key: Any, start: int, end: int) -> Sequence[Match]:
+    def partners_now(self, key: Hashable, start: int, end: int) -> Sequence[Match]:
         """Return those that a match may fit, oldest first; see `partners`."""
         if key is not None and None not in self.newest:
             last = self.newest.get(key)
@@ -181,7 +182,7 @@ class MatchBuffer:
                 return (last,)
         return list(self.partners(key, start, end, False))
 
-    def _within(self, key: Any, limits: TimeBounds, newest: bool) -> Iterator[Match]:
+    def _within(self, key: Hashable, limits: TimeBounds, newest: bool) -> Iterator[Match]:
         """Yield those under a key that start and end within limits."""
         last = self.newest.get(key)
         if last is None:
@@ -213,21 +214,21 @@ class MatchBuffer:
             if match.buffer is self:
                 yield match
 
-    def _index(self, key: Any) -> TimeIndex:
+    def _index(self, key: Hashable) -> TimeIndex:
         found = self._indices.get(key)
         if found is None:
             by_end = self.reach is not None and self.reach.by_end
             found = self._indices[key] = TimeIndex(self.with_key(key), by_end)
         return found
 
-    def _behind(self, key: Any, order: int, newest: bool) -> Optional[Match]:
+    def _behind(self, key: Hashable, order: int, newest: bool) -> Optional[Match]:
         """Return the next match under a key after one of an order, which may have gone."""
         for match in reversed(self.with_key(key)) if newest else self.with_key(key):
             if match.order < order if newest else match.order > order:
                 return match
         return None
 
-    def identify(self, name: Optional[Callable[[Match], Any]]) -> None:
+    def identify(self, name: Optional[Callable[[Match], Hashable]]) -> None:
         """Have a match replace a waiting one of the same ``name``, or none with None.
 
         Of those that wait already under one name, the newest can be replaced.
@@ -256,12 +257,12 @@ def _order(match: Match) -> int:
     return match.order
 
 
-def surely_same(key: Any, partner: Match) -> bool:
+def surely_same(key: Hashable, partner: Match) -> bool:
     """Tell whether the shared values of one of `MatchBuffer.partners` are those of the key that it was found by."""
     return key is not None and partner.buffer is not None and partner.key is not None
 
 
-def key_function(positions: Tuple[int, ...]) -> Callable[[Values], Any]:
+def key_function(positions: Tuple[int, ...]) -> Callable[[Values], Hashable]:
     """Return a function from values to the key of those at ``positions``; it raises ValueError for variables.
 
     The key is never None.
@@ -272,7 +273,7 @@ def key_function(positions: Tuple[int, ...]) -> Callable[[Values], Any]:
         return lambda values: tuple([freeze(values[at]) for at in positions])
     at = positions[0]
 
-    def key(values: Values) -> Any:
+    def key(values: Values) -> Hashable:
         value = values[at]
         return value if value.__class__ in _PLAIN else freeze(value)
 

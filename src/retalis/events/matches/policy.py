@@ -1,54 +1,17 @@
 """Consumption policies: which waiting partners an event takes, and what becomes of them."""
 
-from enum import Enum
-from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Tuple
+from typing import Any, Callable, Dict, Hashable, Iterator, List, NamedTuple, Optional, Tuple, TypeVar
 
+from ...prolog.machine import Frame
 from .matches import Match, unify_sides
 from .places import MatchBuffer, surely_same
 
-Frame = Any
 Emit = Callable[[Match, Frame], Frame]
 _REMEMBERED = 2000
-Join = Callable[[Match, Match], Any]
-
-
-class Policy(Enum):
-    """A consumption policy; see the table in the language reference."""
-
-    RECENT = "recent"
-    """The newest that fits; a newer occurrence of the same event replaces a waiting one."""
-    RECENT_2 = "recent_2"
-    """The newest that fits; identical events both wait."""
-    CHRONOLOGICAL = "chronological"
-    """The oldest that fits."""
-    CHRONOLOGICAL_2 = "chronological_2"
-    """The oldest that fits."""
-    UNRESTRICTED = "unrestricted"
-    """All that fit, oldest first; nothing is used up."""
-
-    @property
-    def newest(self) -> bool:
-        """Whether the newest partner is taken first."""
-        return self in (Policy.RECENT, Policy.RECENT_2)
-
-    @property
-    def consuming(self) -> bool:
-        """Whether a partner is used up."""
-        return self is not Policy.UNRESTRICTED
-
-    @property
-    def replacing(self) -> bool:
-        """Whether a newer occurrence of the same event replaces the one that waits."""
-        return self is Policy.RECENT
-
-
-class NetworkOptions(NamedTuple):
-    """How the network runs: set by flags, the same for all rules."""
-
-    policy: Policy = Policy.RECENT
-    out_of_order: bool = False
-    tracked: bool = False
-    revised: bool = False
+Join = Callable[[Match, Match], Optional[Match]]
+_Matched = Callable[[Match, Hashable, Match, Match, Frame], Frame]
+"""Takes a match, its key, a partner, their result and the next frame."""
+T = TypeVar("T")
 
 
 class Side(NamedTuple):
@@ -72,7 +35,7 @@ class Side(NamedTuple):
     left: bool
     waits: bool
     stays: bool
-    wait: Optional[Callable[[Match, Any], None]] = None
+    wait: Optional[Callable[[Match, Hashable], None]] = None
 
 
 def waiting_only(side: Side) -> Emit:
@@ -91,7 +54,7 @@ def waiting_only(side: Side) -> Emit:
 
 
 def taking_one(
-    side: Side, newest: bool, uses: bool, emit: Emit, completed: Optional[Dict[Any, None]] = None
+    side: Side, newest: bool, uses: bool, emit: Emit, completed: Optional[Dict[Hashable, None]] = None
 ) -> Emit:
     """Return what a match does that takes one partner.
 
@@ -102,11 +65,12 @@ def taking_one(
         emit: where results go.
         completed: where one single event may be at both sides: those that have completed as the right one.
     """
-    own, other, join, waits, stays = side.own, side.other, side.join, side.waits, side.stays
+    own, other, join, waits = side.own, side.other, side.join, side.waits
     key_of = own.key
     waiting = other.newest
-    wait = side.own.add if side.wait is None else side.wait
-    remembering = completed is not None and not side.left
+    wait = own.add if side.wait is None else side.wait
+    matched = _matched(side, uses, emit, completed)
+    among = _among(side, matched)
 
     def arrive(match: Match, after: Frame) -> Frame:
         try:
@@ -128,7 +92,17 @@ def taking_one(
             wait(match, key)
         return after
 
-    def among(match: Match, key: Any, partners: Iterator[Match], after: Frame) -> Frame:
+    if completed is not None and side.left:
+        return _waiting_after_completion(arrive, own, completed)
+    return arrive
+
+
+def _among(side: Side, matched: _Matched) -> Callable[[Match, Hashable, Iterator[Match], Frame], Frame]:
+    """Return what gives a match the first partner that fits, of several; without one it waits."""
+    waits = side.waits
+    wait = side.own.add if side.wait is None else side.wait
+
+    def among(match: Match, key: Hashable, partners: Iterator[Match], after: Frame) -> Frame:
         for partner in partners:
             result = join_any(side, match, key, partner)
             if result is not None and partner.buffer is not None:
@@ -137,24 +111,31 @@ def taking_one(
             wait(match, key)
         return after
 
-    def matched(match: Match, key: Any, partner: Match, result: Match, after: Frame) -> Frame:
+    return among
+
+
+def _matched(side: Side, uses: bool, emit: Emit, completed: Optional[Dict[Hashable, None]]) -> _Matched:
+    """Return what is done when a match and a partner have a result; see `taking_one`."""
+    other, stays = side.other, side.stays
+    wait = side.own.add if side.wait is None else side.wait
+    remembered = None if side.left else completed
+
+    def matched(match: Match, key: Hashable, partner: Match, result: Match, after: Frame) -> Frame:
         if uses:
             other.remove(partner)
         match.used = partner
         if stays:
             wait(match, key)
-        if remembering and match.event is not None:
-            if len(completed) > _REMEMBERED:  # type: ignore[arg-type]
-                del completed[next(iter(completed))]  # type: ignore[union-attr, arg-type]
-            completed[match.event] = None  # type: ignore[index]
+        if remembered is not None and match.event is not None:
+            if len(remembered) > _REMEMBERED:
+                del remembered[next(iter(remembered))]
+            remembered[match.event] = None
         return emit(result, after)
 
-    if completed is not None and side.left:
-        return _waiting_after_completion(arrive, own, completed)
-    return arrive
+    return matched
 
 
-def _waiting_after_completion(arrive: Emit, own: MatchBuffer, completed: Dict[Any, None]) -> Emit:
+def _waiting_after_completion(arrive: Emit, own: MatchBuffer, completed: Dict[Hashable, None]) -> Emit:
     """Have a single event that has completed as the right side only wait as the left one."""
 
     def as_left(match: Match, after: Frame) -> Frame:
@@ -217,7 +198,7 @@ def taking_all_at_once(side: Side, uses: bool, emit: Emit) -> Emit:
     return arrive
 
 
-def join_any(side: Side, match: Match, key: Any, partner: Match) -> Any:
+def join_any(side: Side, match: Match, key: Hashable, partner: Match) -> Optional[Match]:
     """Join two matches whose shared values may have variables."""
     if surely_same(key, partner):
         return side.join(match, partner)
@@ -225,7 +206,7 @@ def join_any(side: Side, match: Match, key: Any, partner: Match) -> Any:
     return None if sides is None else side.join(*sides)
 
 
-def emit_each(results: Any, emit: Callable[[Any, Frame], Frame], after: Frame) -> Frame:
+def emit_each(results: Iterator[T], emit: Callable[[T, Frame], Frame], after: Frame) -> Frame:
     """Return the frame that emits one result after the other, each with all that it leads to."""
     burst = _Burst(results, emit)
     return burst.run((burst, after))
@@ -236,7 +217,7 @@ class _Burst:
 
     __slots__ = ("results", "emit")
 
-    def __init__(self, results: Any, emit: Callable[[Any, Frame], Frame]):
+    def __init__(self, results: Iterator[Any], emit: Callable[[Any, Frame], Frame]):
         self.results = results
         self.emit = emit
 
@@ -246,4 +227,4 @@ class _Burst:
             after = emit(result, frame)
             if after is not frame:
                 return after
-        return frame[1]
+        return frame[1]  # type: ignore[no-any-return]

@@ -5,11 +5,13 @@ taken back and a first side may come of that: it takes, of those that came after
 """
 
 from collections import deque
-from typing import Any, Deque, List, Optional
+from typing import Deque, Hashable, Iterable, List, Optional
 
+from ...prolog.machine import Frame
 from .matches import Match, arrival, sources
+from .owners import Noting
 from .places import MatchBuffer
-from .policy import Emit, Frame, Join, Side, emit_each, join_any
+from .policy import Emit, Join, Side, emit_each, join_any
 
 KEPT = 10_000
 """How many second sides are kept in one buffer."""
@@ -27,7 +29,7 @@ class Keeping:
         self.buffer = buffer
         self._kept: Deque[Match] = deque()
 
-    def add(self, match: Match, key: Any) -> None:
+    def add(self, match: Match, key: Hashable) -> None:
         """Keep one; see `MatchBuffer.add`."""
         self.buffer.add(match, key)
         self._kept.append(match)
@@ -35,12 +37,12 @@ class Keeping:
             self._kept.popleft().leave()
 
 
-def after_all(tracker: Any, came: int) -> bool:
+def after_all(tracker: Noting, came: int) -> bool:
     """Tell whether what came then is not a part of the event that is served: it is there after all, by a revision."""
     return came < tracker.present()
 
 
-def first_side(tracker: Any, side: Side, uses: bool, all_too: bool, emit: Emit) -> Emit:
+def first_side(tracker: Noting, side: Side, uses: bool, all_too: bool, emit: Emit) -> Emit:
     """Return what a first side does: it waits; set free by a revision, it takes what has come since.
 
     Args:
@@ -74,13 +76,13 @@ def first_side(tracker: Any, side: Side, uses: bool, all_too: bool, emit: Emit) 
     return arrive
 
 
-def in_order(tracker: Any, join: Join) -> Join:
+def in_order(tracker: Noting, join: Join) -> Join:
     """Return a join of a second side and a first one, for second sides that may be there after all.
 
     These take what had come before them only.
     """
 
-    def joined(match: Match, partner: Match) -> Any:
+    def joined(match: Match, partner: Match) -> Optional[Match]:
         came = arrival(match)
         if after_all(tracker, came) and arrival(partner) >= came:
             return None
@@ -89,7 +91,7 @@ def in_order(tracker: Any, join: Join) -> Join:
     return joined
 
 
-def that_came_before(match: Match, others: Any, tracker: Any) -> Any:
+def that_came_before(match: Match, others: Iterable[Match], tracker: Noting) -> Iterable[Match]:
     """Return those of others that a match may meet: all, unless it is there after all, by a revision."""
     came = arrival(match)
     return [one for one in others if arrival(one) < came] if after_all(tracker, came) else others

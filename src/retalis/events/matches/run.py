@@ -1,13 +1,11 @@
 """A run of a repetition or aggregate: a first match, and what has extended it so far."""
 
-from typing import Any, Callable, List, Optional, Tuple
+from typing import Any, Callable, Hashable, List, Optional, Tuple
 
-from ...prolog.terms import NIL, Term, Var
+from ...prolog.terms import NIL, Term, Values, Var
 from .matches import NOTHING_HELD, Match
 
 NO_ITEMS = NIL
-
-Values = Tuple[Term, ...]
 
 
 class Run(Match):
@@ -39,11 +37,11 @@ class Run(Match):
         "_next",
     )
 
-    def __init__(self, first: Match, state: Any, free: int):
+    def __init__(self, first: Match, state: object, free: int):
         super().__init__(first.values, first.start, first.end, first.event, None, (first,))
         self.first = first
         self.open = tuple([Var() for _ in range(free)])
-        self._next: Any = None
+        self._next: Optional[Tuple[int, Optional[Values], Term, Values, object]] = None
         self.fixed: Optional[Values] = None
         self.items: Term = NO_ITEMS
         self.restart(state)
@@ -53,7 +51,7 @@ class Run(Match):
         """The largest end so far; see `Match.latest`."""
         return self.last
 
-    def become(self, last: int, fixed: Any, items: Term, values: Values, state: Any) -> None:
+    def become(self, last: int, fixed: Optional[Values], items: Term, values: Values, state: object) -> None:
         """Be extended, all of it or nothing, also where an interrupt comes."""
         self._next = last, fixed, items, values, state
         self.last, self.fixed, self.items, self.values, self.state = self._next
@@ -66,7 +64,7 @@ class Run(Match):
         for var in self.open:
             var.ref = None
 
-    def restart(self, state: Any) -> None:
+    def restart(self, state: object) -> None:
         """Have no repetitions, with the state of an aggregate that has no values."""
         self.values = self.first.values
         self.last = self.first.end
@@ -79,15 +77,15 @@ class Run(Match):
         self.sound = 0
 
 
-def by_term(name: Callable[[Match], Any]) -> Callable[[Any], Any]:
+def by_term(name: Callable[[Match], Hashable]) -> Callable[[Any], Hashable]:
     """Return what tells runs apart by what names their starts: their terms."""
     return lambda run: name(run.first)
 
 
-def by_occurrence(name: Callable[[Match], Any]) -> Callable[[Any], Any]:
+def by_occurrence(name: Callable[[Match], Hashable]) -> Callable[[Any], Hashable]:
     """Return what tells runs apart by what names their starts, and by the stamps of those."""
 
-    def named(run: Any) -> Any:
+    def named(run: Run) -> Hashable:
         first = run.first
         return (name(first), int(first.start), int(first.end))
 

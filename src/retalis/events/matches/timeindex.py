@@ -11,6 +11,8 @@ from bisect import bisect_left, bisect_right, insort
 from contextlib import contextmanager
 from typing import Any, Iterable, Iterator, List, Optional, Tuple
 
+from .matches import Match
+
 TimeBounds = Tuple[int, int, int, int]
 """The least and the largest start, the least and the largest end; all of them inclusive."""
 
@@ -18,6 +20,8 @@ LEAST, MOST = -(1 << 80), 1 << 80
 """Before and after any instant and any order."""
 
 _FULL = 32
+
+_Entry = Tuple[int, int, int, Match]
 
 
 class _TreeNode:
@@ -35,7 +39,7 @@ class _TreeNode:
 
     __slots__ = ("keys", "kids", "low", "high", "oldest", "newest")
 
-    def __init__(self, keys: List[Any], kids: Optional[List["_TreeNode"]]):
+    def __init__(self, keys: List[Tuple[Any, ...]], kids: Optional[List["_TreeNode"]]):
         self.keys = keys
         self.kids = kids
         self._set_others()
@@ -56,7 +60,7 @@ class _TreeNode:
             self.oldest = min(kid.oldest for kid in self.kids)
             self.newest = max(kid.newest for kid in self.kids)
 
-    def add(self, entry: Any) -> Optional["_TreeNode"]:
+    def add(self, entry: _Entry) -> Optional["_TreeNode"]:
         """Add an entry; return the second half of the node where it has become too full."""
         _, other, order, _ = entry
         self.low, self.high = min(self.low, other), max(self.high, other)
@@ -83,7 +87,7 @@ class _TreeNode:
         self._set_orders()
         return half
 
-    def remove(self, entry: Any) -> None:
+    def remove(self, entry: _Entry) -> None:
         """Remove an entry that is there."""
         keys, kids = self.keys, self.kids
         if kids is None:
@@ -113,14 +117,14 @@ class TimeIndex:
         size: how many matches are in it.
     """
 
-    def __init__(self, matches: Iterable[Any], by_end: bool):
+    def __init__(self, matches: Iterable[Match], by_end: bool):
         self.by_end = by_end
         self.changes = 0
         self.searched = 0
         with paused():
             self._build(sorted(map(self._entry, matches)))
 
-    def _build(self, entries: List[Any]) -> None:
+    def _build(self, entries: List[_Entry]) -> None:
         self.size = len(entries)
         half = _FULL // 2
         nodes = [_TreeNode(entries[at : at + half], None) for at in range(0, len(entries), half)]
@@ -129,12 +133,12 @@ class TimeIndex:
             nodes = [_TreeNode([node.keys[0][:3] for node in part], part) for part in parts]
         self._root = nodes[0]
 
-    def _entry(self, match: Any) -> Any:
+    def _entry(self, match: Match) -> _Entry:
         if self.by_end:
             return (match.end, match.start, match.order, match)
         return (match.start, match.end, match.order, match)
 
-    def add(self, match: Any) -> None:
+    def add(self, match: Match) -> None:
         """Add a match."""
         self.changes += 1
         self.size += 1
@@ -143,7 +147,7 @@ class TimeIndex:
         if half is not None:
             self._root = _TreeNode([root.keys[0][:3], half.keys[0][:3]], [root, half])
 
-    def remove(self, match: Any) -> None:
+    def remove(self, match: Match) -> None:
         """Remove a match that is there and not the last one."""
         self.changes += 1
         self.size -= 1
@@ -158,7 +162,7 @@ class TimeIndex:
         """Whether keeping it up to date since the last search has cost more than making it anew would."""
         return 2 * (self.changes - self.searched) > self.size
 
-    def search(self, limits: TimeBounds, newest: bool, beyond: int) -> Iterator[Any]:
+    def search(self, limits: TimeBounds, newest: bool, beyond: int) -> Iterator[Match]:
         """Yield the matches within limits that are in it now, in order of arrival or against it.
 
         Others may come and go meanwhile; what is gone is not yielded any more.
@@ -180,7 +184,7 @@ class TimeIndex:
                 if self.changes != changes:
                     break
 
-    def _within(self, limits: TimeBounds, newest: bool, beyond: int) -> Iterator[Any]:
+    def _within(self, limits: TimeBounds, newest: bool, beyond: int) -> Iterator[Match]:
         if self.by_end:
             low, high, least, most = limits
         else:

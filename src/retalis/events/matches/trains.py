@@ -1,12 +1,33 @@
 """Waiting sequences of repetitions that go on together: the next repetition is the next one of all of them."""
 
 from collections import deque
-from typing import Any, Deque, Iterator, Optional, Tuple
+from typing import Deque, Dict, Hashable, Iterator, List, Optional, Protocol, Tuple
 
+from ...prolog.terms import Values
 from .chains import Chain, Log, Piece, pieces_of
 from .matches import Match
+from .owners import Owner
 
 _NEVER = -(1 << 80)
+
+
+class Carrier(Protocol):
+    """The node of sequences that go on together.
+
+    Attributes:
+        trains: the sequences, by their values.
+        limit: for how many nanoseconds what waits is of use; None for no bound.
+    """
+
+    trains: Dict[Hashable, "Train"]
+    limit: Optional[int]
+
+    @property
+    def rule(self) -> Owner:
+        """The rule it belongs to."""
+
+    def values_of(self, token: "Token") -> Values:
+        """Return the values of a sequence."""
 
 
 class Token(Match):
@@ -21,6 +42,8 @@ class Token(Match):
 
     __slots__ = ("first", "apart", "log", "at", "since")
 
+    buffer: "Optional[Train]"
+
     def __init__(self, first: Match, apart: int, train: "Train"):
         super().__init__(first.values, first.start, first.end, None, None, (first,))
         self.first = first
@@ -32,7 +55,7 @@ class Token(Match):
     @property
     def latest(self) -> int:
         """Where it ends by now; see `Match.latest`."""
-        return self.end if self.buffer is None else self.buffer.end  # type: ignore[no-any-return]
+        return self.end if self.buffer is None else self.buffer.end
 
 
 class Train:
@@ -50,7 +73,7 @@ class Train:
 
     __slots__ = ("node", "key", "tokens", "end", "order", "log", "taken", "alive")
 
-    def __init__(self, node: Any, key: Any):
+    def __init__(self, node: Carrier, key: Hashable):
         self.node = node
         self.key = key
         self.tokens: Deque[Optional[Token]] = deque()
@@ -63,7 +86,7 @@ class Train:
     @property
     def span(self) -> Optional[int]:
         """For how many nanoseconds what waits is of use; None for no bound."""
-        return self.node.limit  # type: ignore[no-any-return]
+        return self.node.limit
 
     def at(self, number: int) -> Optional[Token]:
         """Return the sequence with so many repetitions, if there is one."""
@@ -115,7 +138,7 @@ class Train:
         if len(self.log.items) >= size:
             self.log = Log([])
 
-    def remove(self, token: Token) -> None:
+    def remove(self, token: Match) -> None:
         """Take a sequence out."""
         token.end = self.end
         token.buffer = None
@@ -141,15 +164,15 @@ class Train:
 class Moving:
     """Where the sequences of all trains of a node wait, as its rule sees it."""
 
-    def __init__(self, node: Any):
+    def __init__(self, node: Carrier):
         self._node = node
 
     @property
     def span(self) -> Optional[int]:
         """For how many nanoseconds what waits is of use; None for no bound."""
-        return self._node.limit  # type: ignore[no-any-return]
+        return self._node.limit
 
-    def mend(self) -> Any:
+    def mend(self) -> List[Match]:
         """Return what waits, oldest first, whatever an interrupt has left half done."""
         found = []
         for key, train in list(self._node.trains.items()):

@@ -1,11 +1,12 @@
 """From the pattern of a rule to its nodes: which conditions are tested where, and how long a match can be of use."""
 
 from functools import partial
-from typing import Any, Dict, FrozenSet, List, NamedTuple, Optional, Sequence, Set, Tuple
+from typing import Any, Dict, FrozenSet, List, NamedTuple, Optional, Sequence, Set, Tuple, TypeVar, Union
 
 from ...foundation import RuleError
+from ...prolog.database import CompiledGoal
 from ...prolog.machine import PrologError, keep_back
-from ...prolog.terms import Term, Var, functor, variables
+from ...prolog.terms import NIL, Term, Var, functor, variables
 from ..dispatch import compile_builder
 from ..language import (
     OPERATORS,
@@ -17,6 +18,7 @@ from ..language import (
     Either,
     Occurs,
     Pair,
+    Pattern,
     Repeated,
     Star,
     Within,
@@ -26,54 +28,28 @@ from ..language import (
     walk,
 )
 from .conditions import RuleGoal, Test, goal_test
-from .deferred import Deferred, Items, Negated, absence_of, deferred_test, early_test, ready_where
+from .deferred import Built, Deferred, Items, Negated, absence_of, deferred_test, early_test, ready_where
 from .joining import Joining
 from .limits import UNLIMITED, Limit
 from .nodes import Acting, Alternatives, Capture, Filter, Leaf, NetworkNode, Never, Trying
+from .owners import Owner
 from .repeating import Repeating
 from .runs import Running
 from .telling import Name, Telling
 
 _IS = functor("is", 2)
 Names = FrozenSet[Var]
-
-
-class Built(NamedTuple):
-    """A node, with what is to be known of it above.
-
-    Attributes:
-        node: the node.
-        deferred: the conditions in it that are still to be tested.
-        joined: the leaves whose events complete something of several events, in the order in which they are served.
-        single: the leaves whose events the node passes on one by one.
-        branches: of an ``or`` all leaves, branch by branch.
-    """
-
-    node: Any
-    deferred: List[Deferred]
-    joined: List[Leaf]
-    single: List[Leaf]
-    branches: Optional[List[Leaf]] = None
-
-    @property
-    def leaves(self) -> List[Leaf]:
-        """All leaves, in the order in which they are served: those of an ``or`` branch by branch."""
-        return [*self.joined, *self.single] if self.branches is None else self.branches
-
-    def with_negated(self, node: Any, deferred: List[Deferred], negated: "Built") -> "Built":
-        """Return what is built by a node over this one and over a negated pattern."""
-        joined = [*self.joined, *negated.leaves]
-        branches = None if self.branches is None else [*self.branches, *negated.leaves]
-        return Built(node, deferred, joined, self.single, branches)
+Tested = Union[Condition, Deferred]
+N = TypeVar("N", bound=NetworkNode)
 
 
 class _Wrapping(NamedTuple):
     """The conditions that belong to one operator, inner ones first."""
 
-    core: Any
+    core: Pattern
     span: Optional[int]
-    conditions: List[Any]
-    absent: Any
+    conditions: List[Condition]
+    absent: Optional[Absent]
 
 
 class RuleCompiler:
@@ -90,7 +66,7 @@ class RuleCompiler:
         twins: what negated patterns were built anew, and what they were built as first.
     """
 
-    def __init__(self, rule: Any, head: List[Term], pattern: Any):
+    def __init__(self, rule: Owner, head: List[Term], pattern: Pattern):
         self.rule = rule
         self.pattern = pattern
         self.keep = _used_twice(head, pattern)
@@ -110,14 +86,13 @@ class RuleCompiler:
         for built_again, first in self.twins:
             for leaf, other in zip(built_again.leaves, first.leaves):
                 leaf.rank = other.rank
-        node: Any = built.node
-        root: NetworkNode = node
+        node = root = built.node
         while isinstance(node, (Acting, Filter)):
             node.windowed = True
             node = node.child
         return root
 
-    def _build(self, pattern: Any, context: Names, limit: Limit) -> Built:
+    def _build(self, pattern: Pattern, context: Names, limit: Limit) -> Built:
         """Build a pattern.
 
         Args:
@@ -125,7 +100,7 @@ class RuleCompiler:
             context: the variables of the patterns to its left.
             limit: the shortest interval bound above it; None for none.
         """
-        pairs: List[Tuple[_Wrapping, Limit]] = []
+        pairs: List[Tuple[Pair, _Wrapping, Limit]] = []
         while True:
             wrapping = _unwrap(pattern)
             span = wrapping.span
@@ -133,15 +108,15 @@ class RuleCompiler:
             core = wrapping.core
             if not isinstance(core, Pair):
                 break
-            pairs.append((wrapping, inner))
+            pairs.append((core, wrapping, inner))
             pattern = core.left
         built = self._build_core(core, wrapping, context, inner)
         while pairs:  # a long sequence is not a deep recursion
-            wrapping, inner = pairs.pop()
-            built = self._joining(wrapping.core, wrapping, context, inner, built)
+            pair, wrapping, inner = pairs.pop()
+            built = self._joining(pair, wrapping, context, inner, built)
         return built
 
-    def _build_core(self, core: Any, wrapping: _Wrapping, context: Names, inner: Limit) -> Built:
+    def _build_core(self, core: Pattern, wrapping: _Wrapping, context: Names, inner: Limit) -> Built:
         """Build what is not a pair of patterns."""
         if isinstance(core, (Star, Aggregate)):
             return self._running(core, wrapping, context, inner)
@@ -152,7 +127,7 @@ class RuleCompiler:
             built = Built(leaf, [], [], [leaf])
         elif isinstance(core, Either):
             branches = [self._build(branch, context, inner) for branch in core.branches]
-            node: Any = Alternatives([branch.node for branch in branches], self.keep)
+            node: NetworkNode = Alternatives([branch.node for branch in branches], self.keep)
             deferred = [one for branch in branches for one in branch.deferred]
             joined = [leaf for branch in branches for leaf in branch.joined]
             single = [leaf for branch in branches for leaf in branch.single]
@@ -180,7 +155,7 @@ class RuleCompiler:
             del self.nodes[before:]
         return self._build(core.written_out(), context, limit)
 
-    def _bound(self, pattern: Any) -> Names:
+    def _bound(self, pattern: Pattern) -> Names:
         """Return the variables that a match of a pattern may give values to; of a sequence looked for once."""
         found = self._bound_by.get(id(pattern))
         if found is None:
@@ -191,10 +166,10 @@ class RuleCompiler:
             self._bound_by[id(pattern)] = found
         return found
 
-    def _named(self, built: Built, pattern: Any) -> Name:
+    def _named(self, built: Built, pattern: Pattern) -> Name:
         return self._telling.name(built.node.vars, pattern)
 
-    def _add(self, node: Any, span: Optional[int], limit: Limit) -> Any:
+    def _add(self, node: N, span: Optional[int], limit: Limit) -> N:
         self.nodes.append((node, span, limit))
         return node
 
@@ -215,7 +190,9 @@ class RuleCompiler:
             node = self._add(Filter(node, names, tests, self.keep), wrapping.span, UNLIMITED)
         return built._replace(node=node, deferred=[*built.deferred, *put_off])
 
-    def _split(self, conditions: List[Any], core: Any, context: Names) -> Tuple[List[Any], List[Deferred]]:
+    def _split(
+        self, conditions: List[Condition], core: Pattern, context: Names
+    ) -> Tuple[List[Tested], List[Deferred]]:
         """Tell which conditions of an operator may have to wait for variables of patterns to its left.
 
         Returns:
@@ -223,7 +200,7 @@ class RuleCompiler:
         """
         if not conditions:
             return [], []
-        parted: List[Any] = []
+        parted: List[Tested] = []
         known = surely_bound_by(core, False, True)
         for condition in conditions:
             mentioned = set(variables(condition.goal))
@@ -235,7 +212,7 @@ class RuleCompiler:
                 known |= mentioned
         return parted, [one for one in parted if isinstance(one, Deferred)]
 
-    def _test(self, node: Any, condition: Any, names: List[Var]) -> Optional[Tuple[Test, List[Var]]]:
+    def _test(self, node: Any, condition: Tested, names: List[Var]) -> Optional[Tuple[Test, List[Var]]]:
         """Return the test of a condition where it belongs, and the names that it leaves.
 
         One that waits is tried on what may give it all that it waits for; None where nothing can.
@@ -245,7 +222,9 @@ class RuleCompiler:
         call = RuleGoal(self.rule, condition.goal, names)
         return goal_test(call, condition.timed, None), call.result_vars
 
-    def _deferred(self, goal: Any, timed: bool, absent: Any, needs: Set[Var]) -> Deferred:
+    def _deferred(
+        self, goal: Optional[Term], timed: bool, absent: Optional[Tuple[Negated, bool]], needs: Set[Var]
+    ) -> Deferred:
         start, end = Var(), Var()
         self.keep |= {start, end}
         if goal is not None:  # where they are found differs from match to match
@@ -254,31 +233,26 @@ class RuleCompiler:
             self._telling.carried.update(found)
         return Deferred(needs, goal, timed, absent, start, end)
 
-    def _captured(self, node: Any, one: Deferred) -> Any:
+    def _captured(self, node: NetworkNode, one: Deferred) -> NetworkNode:
         """Have a node's interval carried on for a condition."""
         return self._add(Capture(node, one.start, one.end), None, UNLIMITED)
 
     def _joining(self, core: Pair, wrapping: _Wrapping, context: Names, limit: Limit, left: Built) -> Built:
         here = context | self._bound(core.left)
         right = self._build(core.right, here, limit)
-        known = set(left.node.vars) | set(right.node.vars)
         below = [*left.deferred, *right.deferred]
-        ready, deferred = (
-            ready_where(below, surely_bound_by(core, False, True), context) if below else ([], [])
-        )
+        sure = surely_bound_by(core, False, True)
+        ready, deferred = ready_where(below, sure, context) if below else ([], [])
         conditions, put_off = self._split(wrapping.conditions, core, context)
-        absent = wrapping.absent
         negated: Optional[Negated] = None
         needs: Set[Var] = set()
-        if absent is not None:
+        if wrapping.absent is not None:
             inner = here | frozenset(bound_by(core.right)) | _in_goals(wrapping.conditions)
-            below_it = limit.of_negated(wrapping.span)
-            negated = Negated(lambda: self._build(absent.negated, inner, below_it), self.twins)
-            needs = negated.needs(inner, known) | negated.needs(context, surely_bound_by(core, False, True))
+            negated = self._negated(wrapping.absent, inner, limit.of_negated(wrapping.span))
+            known = set(left.node.vars) | set(right.node.vars)
+            needs = negated.needs(inner, known) | negated.needs(context, sure)
         gap = (Var(), Var()) if needs else None
-        if gap is not None:
-            self.keep |= set(gap)
-        naming = self._named(left, core.left), self._named(right, core.right)
+        self.keep |= set(gap or ())
         node = Joining(
             self.rule,
             OPERATORS[core.operator],
@@ -288,13 +262,33 @@ class RuleCompiler:
             gap,
             [(one.start, one.end) for one in put_off],
             _meet(left, right),
-            naming,
+            (self._named(left, core.left), self._named(right, core.right)),
         )
         node.revived = (_may_be_revived(core.left), _may_be_revived(core.right))
         self._add(node, wrapping.span, limit)
         if negated is not None and gap is None:
             built = negated.make()
             node.absent(absence_of(self.rule, built, node.vars, False), built.node)
+        self._test_joined(node, below, ready, conditions)
+        deferred += put_off
+        if negated is not None and gap is not None:
+            deferred += self._test_gap(node, Deferred(needs, None, False, (negated, False), *gap), conditions)
+        joined = _served(OPERATORS[core.operator].either, left, right)
+        if negated is not None:
+            joined += negated.first.leaves
+        return Built(node, deferred, joined, [])
+
+    def _negated(self, absent: Absent, context: Names, limit: Limit) -> Negated:
+        return Negated(lambda: self._build(absent.negated, context, limit), self.twins)
+
+    def _test_joined(
+        self,
+        node: Joining,
+        below: List[Deferred],
+        ready: List[Deferred],
+        conditions: Sequence[Tested],
+    ) -> None:
+        """Have a pair tested by the conditions that its sides have put off, and by its own."""
         for one in below:
             if one in ready:
                 node.test(*deferred_test(self.rule, node, one, node.vars))
@@ -304,30 +298,27 @@ class RuleCompiler:
             found = self._test(node, condition, node.vars)
             if found is not None:
                 node.test(*found)
-        deferred += put_off
-        if gap is not None:
-            one = Deferred(needs, None, False, (negated, False), *gap)
-            if needs - _in_goals([test for test in conditions if isinstance(test, Condition)]):
-                deferred.append(one)
-                if one.may_be_tried(node.vars):
-                    node.test(*early_test(self.rule, node, one, node.vars))
-            else:  # it has variables to which the conditions give values
-                node.test(*deferred_test(self.rule, node, one, node.vars))
-        joined = _served(OPERATORS[core.operator].either, left, right)
-        if negated is not None:
-            joined += negated.first.leaves
-        return Built(node, deferred, joined, [])
+
+    def _test_gap(self, node: Joining, one: Deferred, conditions: Sequence[Tested]) -> List[Deferred]:
+        """Have the gap of a pair tested by an absence that looks at others; return what is left for above."""
+        if not one.needs - _in_goals([test for test in conditions if isinstance(test, Condition)]):
+            # it has variables to which the conditions give values
+            node.test(*deferred_test(self.rule, node, one, node.vars))
+            return []
+        if one.may_be_tried(node.vars):
+            node.test(*early_test(self.rule, node, one, node.vars))
+        return [one]
 
     def _never(self, core: Absent, context: Names, limit: Limit) -> Built:
         below = self._build(core.pattern, context, limit)
         here = context | frozenset(bound_by(core.pattern))
-        negated = Negated(lambda: self._build(core.negated, here, UNLIMITED), self.twins)
+        negated = self._negated(core, here, UNLIMITED)
         sure = surely_bound_by(core.pattern, False, True)
         needs = negated.needs(here, set(below.node.vars)) | negated.needs(context, sure)
         if not needs:
             built = negated.make()
             absence = absence_of(self.rule, built, below.node.vars, True)
-            node: Any = self._add(Never(below.node, built.node, absence), None, UNLIMITED)
+            node: NetworkNode = self._add(Never(self.rule, below.node, built.node, absence), None, UNLIMITED)
             return below.with_negated(node, below.deferred, negated.first)
         one = self._deferred(None, False, (negated, True), needs)
         node = self._captured(below.node, one)
@@ -336,7 +327,9 @@ class RuleCompiler:
             node.test, _ = early_test(self.rule, node, one, node.vars)
         return below.with_negated(node, [*below.deferred, one], negated.first)
 
-    def _running(self, core: Any, wrapping: _Wrapping, context: Names, limit: Limit) -> Built:
+    def _running(
+        self, core: Union[Star, Aggregate], wrapping: _Wrapping, context: Names, limit: Limit
+    ) -> Built:
         here = context | frozenset(bound_by(core.first))
         pattern = core.repeated if isinstance(core, Star) else core.collected
         repeated = self._build(pattern, here, limit)
@@ -373,7 +366,7 @@ class RuleCompiler:
                 node.test(*found, late)
         return Built(node, [*deferred, *put_off], [*repeated.leaves, *first.joined], first.single)
 
-    def _outside(self, pattern: Any, value: Any = None) -> Set[Var]:
+    def _outside(self, pattern: Pattern, value: Optional[Term] = None) -> Set[Var]:
         """Return the variables that stand in the rule elsewhere than in a pattern (and what an aggregate takes)."""
         inside = occurrences([] if value is None else [value], pattern)
         return {var for var, number in self._counts.items() if number > inside.get(var, 0)}
@@ -381,10 +374,10 @@ class RuleCompiler:
     def _collector(self, core: Aggregate, names: List[Var]) -> Collector:
         logic = self.rule.network.logic
         if core.value is None:
-            return Collector(core.kind, lambda values: None, lambda term: None)
+            return Collector(core.kind, lambda values: NIL, lambda term: None)
         value = compile_builder(core.value, names, "value of an aggregate")
         number, expression = Var(), Var()
-        goal: List[Any] = []
+        goal: List[CompiledGoal] = []
 
         def evaluate(term: Term) -> Optional[Term]:
             if not goal:
@@ -399,24 +392,24 @@ class RuleCompiler:
         return Collector(core.kind, value, evaluate)
 
 
-def _may_be_revived(pattern: Any) -> bool:
+def _may_be_revived(pattern: Pattern) -> bool:
     """Tell whether taking an event back may make a match of a pattern, instead of only unmaking some."""
     return any(isinstance(part, (Absent, Star, Aggregate)) for part in walk(pattern))
 
 
-def _in_goals(conditions: List[Any]) -> Names:
+def _in_goals(conditions: List[Condition]) -> Names:
     """Return the variables of conditions."""
     return frozenset(var for condition in conditions for var in variables(condition.goal))
 
 
 def _those_about_a_result_last(
-    conditions: List[Any], known: Sequence[Var], result: Sequence[Var]
-) -> List[Tuple[bool, Any]]:
+    conditions: Sequence[Tested], known: Sequence[Var], result: Sequence[Var]
+) -> List[Tuple[bool, Tested]]:
     """Return the conditions of an aggregate, and whether each looks at the result or at what follows from it."""
     shown = set(result)
     early, late = [], []
     for condition in conditions:
-        mentioned = set(variables(condition.goal))
+        mentioned = set() if condition.goal is None else set(variables(condition.goal))
         if mentioned & shown:
             shown |= mentioned.difference(known)
             late.append((True, condition))
@@ -439,7 +432,7 @@ def _served(either: bool, left: Built, right: Built) -> List[Leaf]:
 def _meet(left: Built, right: Built) -> bool:
     """Tell whether one event may be in both sides of a pair."""
 
-    def kinds(built: Built) -> Set[Any]:
+    def kinds(built: Built) -> Set[Term]:
         found = set()
         for leaf in built.leaves:
             term = leaf.term
@@ -450,11 +443,11 @@ def _meet(left: Built, right: Built) -> bool:
     return bool(ours & theirs) or any(kind.__class__ is Var for kind in ours | theirs)
 
 
-def _unwrap(pattern: Any) -> _Wrapping:
+def _unwrap(pattern: Pattern) -> _Wrapping:
     """Take the conditions off a pattern until the operator that they belong to."""
     span: Optional[int] = None
-    conditions: List[Any] = []
-    absent: Any = None
+    conditions: List[Condition] = []
+    absent: Optional[Absent] = None
     while True:
         if isinstance(pattern, Condition):
             conditions.append(pattern)
@@ -467,5 +460,5 @@ def _unwrap(pattern: Any) -> _Wrapping:
         pattern = pattern.pattern
 
 
-def _used_twice(terms: List[Term], pattern: Any) -> Set[Var]:
+def _used_twice(terms: List[Term], pattern: Pattern) -> Set[Var]:
     return {var for var, number in occurrences(terms, pattern).items() if number > 1}

@@ -2,12 +2,23 @@
 
 from typing import Any, Callable, Dict, Optional, Sequence, Tuple
 
-from ...prolog.machine import PrologError, resource_error
-from ...prolog.terms import Term, Var, are_ground, functor, list_items, make_list, positions, variables
+from ...prolog.database import CompiledGoal
+from ...prolog.machine import Frame, PrologError, resource_error
+from ...prolog.terms import (
+    Term,
+    Values,
+    Var,
+    are_ground,
+    functor,
+    list_items,
+    make_list,
+    positions,
+    variables,
+)
 from ..dispatch import AT_ONCE, Completion, goal_lane
-from ..matches import Frame, Match, emit_each
+from ..matches import Match, emit_each
+from .owners import Owner
 
-Values = Tuple[Term, ...]
 Test = Callable[[Values, int, int], Optional[Values]]
 """Takes values and interval of a match; gives the values with what was found, or None where it fails."""
 
@@ -46,7 +57,7 @@ class RuleGoal:
         result_vars: ``known``, then the other variables of the goal.
     """
 
-    def __init__(self, rule: Any, goal: Term, known: Sequence[Var]):
+    def __init__(self, rule: Owner, goal: Term, known: Sequence[Var]):
         self.rule = rule
         self.goal = goal
         self.known = list(known)
@@ -57,11 +68,11 @@ class RuleGoal:
         self._takes_all = inputs == self.known
         self.outputs = [var for var in mentioned if var not in places]
         self.result_vars = [*self.known, *self.outputs]
-        self._compiled: Dict[Any, Any] = {}
+        self._compiled: Dict[Tuple[object, ...], CompiledGoal] = {}
         self._inputs = inputs
         self._plain = self._compile(inputs, self.outputs, False)
         self._dispatcher = rule.network.dispatcher
-        self._under_way: UnderWay = rule.network.under_way
+        self._under_way = rule.network.under_way
 
     def test(self, values: Values) -> Optional[Values]:
         """Return the values with those of the first solution, or None; an error counts as failure and is reported."""
@@ -77,7 +88,7 @@ class RuleGoal:
                 if found is None:
                     return None
                 return values + found if found else values
-            return self._open().test(values)  # type: ignore[no-any-return]
+            return self._open().test(values)
         except PrologError as error:
             self._dispatcher.serve_again(current)
             self.failed(error)
@@ -107,7 +118,7 @@ class RuleGoal:
         return self._dispatcher.call(goal, given, self._reported, solved, term, kept, start, end, after)
 
     @property
-    def plain(self) -> Any:
+    def plain(self) -> CompiledGoal:
         """The goal for inputs without variables."""
         return self._plain
 
@@ -168,13 +179,13 @@ class RuleGoal:
         Returns:
             What to hand to `act` instead of ``solved`` and ``after``.
         """
-        return self._dispatcher.caused_by((self.rule, match), solved, after)  # type: ignore[no-any-return]
+        return self._dispatcher.caused_by((self.rule, match), solved, after)
 
-    def _open(self, every: bool = False) -> Any:
+    def _open(self, every: bool = False) -> CompiledGoal:
         """Return the goal for values with variables: it gives all values anew, as its solution leaves them."""
         return self._compile(self.known, self.result_vars, every)
 
-    def _compile(self, inputs: Sequence[Var], outputs: Sequence[Var], every: bool) -> Any:
+    def _compile(self, inputs: Sequence[Var], outputs: Sequence[Var], every: bool) -> CompiledGoal:
         key = (tuple(inputs), tuple(outputs), every)
         found = self._compiled.get(key)
         if found is None:
@@ -213,7 +224,7 @@ def goal_test(call: RuleGoal, timed: bool, captured: Optional[Tuple[int, int]]) 
     def plain(values: Values, start: int, end: int) -> Optional[Values]:
         return goal(values)
 
-    def with_interval(values: Values, start: int, end: int) -> Optional[Values]:
+    def with_interval(values: Values, start: Any, end: Any) -> Optional[Values]:
         if captured is not None:
             start, end = values[captured[0]], values[captured[1]]
             if start.__class__ is Var:

@@ -1,14 +1,54 @@
 """Conditions that look at patterns further left: what they need is carried with a match until it meets those."""
 
-from typing import AbstractSet, Any, Callable, List, NamedTuple, Optional, Set, Tuple
+from typing import AbstractSet, Any, Callable, List, NamedTuple, Optional, Protocol, Set, Tuple
 
-from ...prolog.terms import Term, Var, deref, functor, positions, variables
-from ..matches import NO_ITEMS, Absence, Match
+from ...prolog.terms import Term, Values, Var, deref, functor, positions, variables
+from ..matches import NO_ITEMS, Absence, Emitting, Match
 from .conditions import RuleGoal, Test, goal_test
+from .nodes import Leaf, NetworkNode
+from .owners import Owner
 
-Values = Tuple[Term, ...]
 _ITEMS = functor("items", 2)
 _ITEM = functor("item", 1)
+
+
+class Carrying(Protocol):
+    """A node, or an absence, that looks at absences.
+
+    Attributes:
+        carried: those, with the nodes of what they negate.
+    """
+
+    carried: List[Tuple[Absence, Emitting]]
+
+
+class Built(NamedTuple):
+    """A node, with what is to be known of it above.
+
+    Attributes:
+        node: the node.
+        deferred: the conditions in it that are still to be tested.
+        joined: the leaves whose events complete something of several events, in the order in which they are served.
+        single: the leaves whose events the node passes on one by one.
+        branches: of an ``or`` all leaves, branch by branch.
+    """
+
+    node: NetworkNode
+    deferred: "List[Deferred]"
+    joined: List[Leaf]
+    single: List[Leaf]
+    branches: Optional[List[Leaf]] = None
+
+    @property
+    def leaves(self) -> List[Leaf]:
+        """All leaves, in the order in which they are served: those of an ``or`` branch by branch."""
+        return [*self.joined, *self.single] if self.branches is None else self.branches
+
+    def with_negated(self, node: NetworkNode, deferred: "List[Deferred]", negated: "Built") -> "Built":
+        """Return what is built by a node over this one and over a negated pattern."""
+        joined = [*self.joined, *negated.leaves]
+        branches = None if self.branches is None else [*self.branches, *negated.leaves]
+        return Built(node, deferred, joined, self.single, branches)
 
 
 class Items:
@@ -34,13 +74,13 @@ class Negated:
         twins: takes what was built anew, with what was built first.
     """
 
-    def __init__(self, build: Callable[[], Any], twins: List[Tuple[Any, Any]]):
+    def __init__(self, build: Callable[[], Built], twins: List[Tuple[Built, Built]]):
         self._build = build
         self._twins = twins
         self._made = False
         self.first = build()
 
-    def make(self) -> Any:
+    def make(self) -> Built:
         """Return the pattern as it was built first, or built anew for another place."""
         if not self._made:
             self._made = True
@@ -72,13 +112,13 @@ class Deferred(NamedTuple):
     """
 
     needs: Set[Var]
-    goal: Any
+    goal: Optional[Term]
     timed: bool
-    absent: Any
+    absent: "Optional[Tuple[Negated, bool]]"
     start: Var
     end: Var
     items: Optional[Items] = None
-    each: Any = None
+    each: "Optional[Deferred]" = None
 
     def of_each(self, items: Items) -> "Deferred":
         """Return the same condition on each repetition of a run."""
@@ -112,7 +152,7 @@ def with_item(items: Term, values: Values) -> Term:
     return (_ITEMS, (_ITEM, *values), items)
 
 
-def deferred_test(rule: Any, node: Any, one: Deferred, names: List[Var]) -> Tuple[Test, List[Var]]:
+def deferred_test(rule: Owner, node: Carrying, one: Deferred, names: List[Var]) -> Tuple[Test, List[Var]]:
     """Return the test of a condition at a node that knows all it looks at, and the names that it leaves.
 
     Args:
@@ -121,12 +161,13 @@ def deferred_test(rule: Any, node: Any, one: Deferred, names: List[Var]) -> Tupl
         one: the condition.
         names: the variables that are known there.
     """
-    if one.items is not None:
-        return _test_of_each(rule, node, one, names)
+    if one.items is not None and one.each is not None:
+        return _test_of_each(rule, node, one.items, one.each, names)
     at = (names.index(one.start), names.index(one.end))
-    if one.absent is None:
+    if one.goal is not None:
         call = RuleGoal(rule, one.goal, names)
         return goal_test(call, one.timed, at), call.result_vars
+    assert one.absent is not None
     negated, ever = one.absent
     built = negated.make()
     absence = absence_of(rule, built, names, ever)
@@ -134,7 +175,7 @@ def deferred_test(rule: Any, node: Any, one: Deferred, names: List[Var]) -> Tupl
     return _absence_test(absence, at, ever), names
 
 
-def early_test(rule: Any, node: Any, one: Deferred, names: List[Var]) -> Tuple[Test, List[Var]]:
+def early_test(rule: Owner, node: Carrying, one: Deferred, names: List[Var]) -> Tuple[Test, List[Var]]:
     """Return a test as `deferred_test` does, for where some of what the condition waits for may still be open.
 
     A match where it is open goes on untested; one that has passed is marked, and not tested further up.
@@ -148,34 +189,35 @@ def early_test(rule: Any, node: Any, one: Deferred, names: List[Var]) -> Tuple[T
     def early(values: Values, start: int, end: int) -> Optional[Values]:
         if any(deref(values[at]).__class__ is Var for at in needed):
             return values + tuple([Var() for _ in new])
-        found: Any = test(values, start, end)
+        found = test(values, start, end)
         return None if found is None else (*found[:mark], Var(), *found[mark + 1 :])
 
     return early, left
 
 
-def _test_of_each(rule: Any, node: Any, one: Deferred, names: List[Var]) -> Tuple[Test, List[Var]]:
-    items: Any = one.items
+def _test_of_each(
+    rule: Owner, node: Carrying, items: Items, one: Deferred, names: List[Var]
+) -> Tuple[Test, List[Var]]:
     at = names.index(items.var)
     mentioned = [] if one.goal is None else variables(one.goal)
     here = set(names)
     known = [*names, *(var for var in mentioned if var in items.same and var not in here)]
     width = len(known)
-    test_one, left = deferred_test(rule, node, one.each, [*known, *items.names])
+    test_one, left = deferred_test(rule, node, one, [*known, *items.names])
     items.names = left[width:]
 
     def test(values: Values, start: int, end: int) -> Optional[Values]:
         rest = values[at]
-        base: Any = values + tuple([Var() for _ in known[len(values) :]])
+        base = values + tuple([Var() for _ in known[len(values) :]])
         if rest.__class__ is Var:
-            return base  # type: ignore[no-any-return]
+            return base
         oldest_first = []
-        while rest is not NO_ITEMS:
+        while rest.__class__ is tuple:  # until NO_ITEMS
             oldest_first.append(rest[1][1:])
             rest = rest[2]
-        tested = NO_ITEMS
+        tested: Term = NO_ITEMS
         for item in reversed(oldest_first):
-            found: Any = test_one((*base, *item), start, end)
+            found = test_one((*base, *item), start, end)
             if found is None:
                 return None
             base = found[:width]
@@ -185,7 +227,7 @@ def _test_of_each(rule: Any, node: Any, one: Deferred, names: List[Var]) -> Tupl
     return test, known
 
 
-def absence_of(rule: Any, negated: Any, names: List[Var], ever: bool) -> Absence:
+def absence_of(rule: Owner, negated: Built, names: List[Var], ever: bool) -> Absence:
     """Return what looks for matches of a negated node.
 
     Args:
@@ -211,9 +253,10 @@ def absence_of(rule: Any, negated: Any, names: List[Var], ever: bool) -> Absence
     tracker = rule.network.tracker
 
     def condition(values: Values, match: Match) -> bool:
-        both: Any = values + tuple([match.values[index] for index in at])
+        both: Optional[Values] = values + tuple([match.values[index] for index in at])
         before = tracker.blocker
         for test in tests:
+            assert both is not None
             both = test(both, match.start, match.end)
             if both is None:
                 tracker.blocker = before  # what is in the way of the negated match
@@ -228,7 +271,8 @@ def _absence_test(absence: Absence, at: Tuple[int, int], ever: bool) -> Test:
     """Return the test of an absence whose gap is carried among the values."""
 
     def test(values: Values, start: int, end: int) -> Optional[Values]:
-        low, high = values[at[0]], values[at[1]]
+        low: Any = values[at[0]]  # an instant, or a variable in a branch that was not taken
+        high: Any = values[at[1]]
         if low.__class__ is Var:
             return values
         if absence.blocks(values, low, low if ever else high):

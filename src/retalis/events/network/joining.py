@@ -1,14 +1,16 @@
 """The node that puts two matches together."""
 
-from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
+from typing import AbstractSet, Any, Callable, Dict, Hashable, List, Optional, Sequence, Tuple
 
 from ...foundation import shared_function
+from ...prolog.machine import Frame
 from ...prolog.syntax import EventOperator
 from ...prolog.terms import Var, positions
 from ..matches import (
+    Absence,
     Emit,
+    Emitting,
     Found,
-    Frame,
     Keeping,
     Match,
     MatchBuffer,
@@ -26,6 +28,7 @@ from ..matches import (
 from .conditions import Test
 from .limits import kept_for_late
 from .nodes import NetworkNode
+from .owners import Buffer, Owner
 from .telling import Name, found_here
 
 
@@ -51,11 +54,11 @@ class Joining(NetworkNode):
 
     def __init__(
         self,
-        rule: Any,
+        rule: Owner,
         operator: EventOperator,
         left: NetworkNode,
         right: NetworkNode,
-        keep: Any,
+        keep: AbstractSet[Var],
         gap: Optional[Tuple[Var, Var]],
         captured: Sequence[Tuple[Var, Var]],
         double: bool,
@@ -82,11 +85,11 @@ class Joining(NetworkNode):
             taken += [("start", first), ("end", last)]
         self.taken = [source for source, _ in taken]
         self.vars = [var for _, var in taken]
-        self.absences: List[Any] = []
+        self.absences: List[Absence] = []
         self.negated: List[NetworkNode] = []
-        self.carried: List[Tuple[Any, NetworkNode]] = []
+        self.carried: List[Tuple[Absence, Emitting]] = []
         self.tests: List[Test] = []
-        self.completed: Dict[Any, None] = {}
+        self.completed: Dict[Hashable, None] = {}
         self.double = double
         self.span: Optional[int] = None
         self.kept = Keeping(self.right_buffer)
@@ -96,12 +99,12 @@ class Joining(NetworkNode):
         self.tests.append(test)
         self.vars = list(names)
 
-    def absent(self, absence: Any, negated: NetworkNode) -> None:
+    def absent(self, absence: Absence, negated: NetworkNode) -> None:
         """Add a pattern that must not match between the sides."""
         self.absences.append(absence)
         self.negated.append(negated)
 
-    def buffers(self) -> Sequence[MatchBuffer]:
+    def buffers(self) -> Sequence[Buffer]:
         """Return where matches wait."""
         absences = [*self.absences, *(absence for absence, _ in self.carried)]
         negated = [buffer for absence in absences for buffer in absence.buffers()]
@@ -117,68 +120,84 @@ class Joining(NetworkNode):
 
     def bind(self, out: Emit, mode: NetworkOptions) -> None:
         """Connect the node, and those of a sequence on its left; see `NetworkNode.bind`."""
-        node: Any = self
+        node: NetworkNode = self
         while isinstance(node, Joining):
-            out = node._bind(out, mode)
+            out = node.bind_right(out, mode)
             node = node.left
         node.bind(out, mode)
 
-    def _bind(self, out: Emit, mode: NetworkOptions) -> Emit:
+    def bind_right(self, out: Emit, mode: NetworkOptions) -> Emit:
         """Connect all but the left side; return where that sends its matches."""
-        policy = mode.policy
         operator = self.operator
         self.out = out
         self.joined = self._join(True)
         self.left_buffer.reach = reach_of(operator.name, self.span, False)
         self.right_buffer.reach = reach_of(operator.name, self.span, True)
-        left_name, right_name = self._names if policy.replacing else (None, None)
-        late = mode.out_of_order and not operator.either
-        both = operator.either
-        revised = mode.revised and not both and not late
-        keeps = revised and self.revived[0]
-        tracker = self.rule.network.tracker
+        left_name, right_name = self._names if mode.policy.replacing else (None, None)
         self.left_buffer.identify(None if operator.everything else left_name)
-        self.right_buffer.identify(None if keeps else right_name)
-        left = Side(self.left_buffer, self.right_buffer, self.joined, self.pairs, True, True, False)
+        self.right_buffer.identify(None if self._keeps(mode) else right_name)
+        arrive = self._bind_sides(self._left_side(), self._right_side(mode), out, mode)
+        for negated, absence in zip(self.negated, self.absences):
+            absence.bind(negated, mode)
+        for absence, node in self.carried:
+            absence.bind(node, mode)
+        return arrive
+
+    def _is_late(self, mode: NetworkOptions) -> bool:
+        """Tell whether a first side of a sequence may come after the second."""
+        return mode.out_of_order and not self.operator.either
+
+    def _is_revised(self, mode: NetworkOptions) -> bool:
+        """Tell whether a revision can make a match of a sequence whose sides come in their order."""
+        return mode.revised and not self.operator.either and not mode.out_of_order
+
+    def _keeps(self, mode: NetworkOptions) -> bool:
+        """Tell whether second sides are kept for a first one that a revision sets free."""
+        return self._is_revised(mode) and self.revived[0]
+
+    def _left_side(self) -> Side:
+        return Side(self.left_buffer, self.right_buffer, self.joined, self.pairs, True, True, False)
+
+    def _right_side(self, mode: NetworkOptions) -> Side:
+        both, late, keeps = self.operator.either, self._is_late(mode), self._keeps(mode)
         flipped = tuple((two, one) for one, two in self.pairs)
         join = self._join(False)
-        if revised and self.revived[1]:
-            join = in_order(tracker, join)
+        if self._is_revised(mode) and self.revived[1]:
+            join = in_order(self.rule.network.tracker, join)
         waits, stays = both or late or keeps, late or keeps
         right = Side(self.right_buffer, self.left_buffer, join, flipped, False, waits, stays)
-        only_waits = waiting_only(left)
         if keeps:
             right = right._replace(wait=self.kept.add)
-            only_waits = first_side(tracker, left, policy.consuming, operator.everything, out)
-        if self.double and policy.replacing and (both or late):
+        if self.double and mode.policy.replacing and (both or late):
             right = right._replace(wait=self._wait_later)
+        return right
+
+    def _bind_sides(self, left: Side, right: Side, out: Emit, mode: NetworkOptions) -> Emit:
+        """Connect the right side by the policy; return what the left one does."""
+        policy, operator, late = mode.policy, self.operator, self._is_late(mode)
+        both = operator.either
+        only_waits = waiting_only(left)
+        if self._keeps(mode):
+            tracker = self.rule.network.tracker
+            only_waits = first_side(tracker, left, policy.consuming, operator.everything, out)
         if operator.everything:
             self.right.bind(taking_all_at_once(right, True, out), mode)
             if not late:
-                arrive = only_waits
-            elif policy.consuming:
-                arrive = taking_one(left, policy.newest, True, out)
-            else:
-                arrive = taking_all_at_once(left, False, out)
-        elif not policy.consuming:
+                return only_waits
+            if policy.consuming:
+                return taking_one(left, policy.newest, True, out)
+            return taking_all_at_once(left, False, out)
+        if not policy.consuming:
             self.right.bind(taking_all(right, out), mode)
-            arrive = taking_all(left, out) if both or late else only_waits
-        else:
-            once = self.completed if self.double and both and operator.alone else None
-            self.right.bind(taking_one(right, policy.newest, True, out, once), mode)
-            if both or late:
-                arrive = taking_one(left, policy.newest, True, out, once)
-                if right.wait and both:
-                    arrive = self._after_waiting(arrive)
-            else:
-                arrive = only_waits
-        for negated, absence in zip(self.negated, self.absences):
-            absence.bind(negated, mode)
-        for absence, negated in self.carried:
-            absence.bind(negated, mode)
-        return arrive
+            return taking_all(left, out) if both or late else only_waits
+        once = self.completed if self.double and both and operator.alone else None
+        self.right.bind(taking_one(right, policy.newest, True, out, once), mode)
+        if not both and not late:
+            return only_waits
+        arrive = taking_one(left, policy.newest, True, out, once)
+        return self._after_waiting(arrive) if right.wait and both else arrive
 
-    def _wait_later(self, match: Match, key: Any) -> None:
+    def _wait_later(self, match: Match, key: Hashable) -> None:
         """Let a right side wait when its event has been tried as a left side too.
 
         Else it would replace an older one of the same event that the left side still has to meet.

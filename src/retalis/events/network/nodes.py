@@ -4,12 +4,14 @@ A node takes matches from the nodes below it and emits its own to ``out``; both 
 frame and return the frame to go on with. `NetworkNode.bind` connects them for a policy, from the root down.
 """
 
-from typing import Any, Dict, List, Optional, Sequence
+from typing import AbstractSet, Any, Dict, List, Optional, Sequence, Tuple
 
-from ...prolog.terms import Term, Var, positions, variables
+from ...prolog.machine import Frame
+from ...prolog.terms import Term, Values, Var, positions, variables
 from ..dispatch import Completion
-from ..matches import Emit, Found, Frame, Match, MatchBuffer, NetworkOptions
-from .conditions import Test
+from ..matches import Absence, Emit, Emitting, Found, Match, NetworkOptions
+from .conditions import RuleGoal, Test
+from .owners import Buffer, Owner
 from .telling import found_here
 
 
@@ -35,7 +37,7 @@ class NetworkNode:
         """Send values to ``completion`` from now on, without making matches; for nodes that are `alone`."""
         raise NotImplementedError
 
-    def buffers(self) -> Sequence[MatchBuffer]:
+    def buffers(self) -> Sequence[Buffer]:
         """Return where matches wait in this node itself."""
         return ()
 
@@ -46,7 +48,7 @@ class NetworkNode:
 class Leaf(NetworkNode):
     """Waits for events that unify with a term."""
 
-    def __init__(self, rule: Any, term: Term):
+    def __init__(self, rule: Owner, term: Term):
         self.rule = rule
         self.term = term
         self.alone = True
@@ -58,14 +60,14 @@ class Leaf(NetworkNode):
         rule = self.rule
         token = rule.network.dispatcher.token
 
-        def arrive(term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
+        def arrive(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
             return out(Match(values, start, end, None, term, None), after)
 
-        def arrive_timed(term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
+        def arrive_timed(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
             rule.tick(end)
             return out(Match(values, start, end, None, term, None), after)
 
-        def arrive_known(term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
+        def arrive_known(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
             event = token()
             if rule.later:
                 rule.add_those_of_other_events(event)
@@ -84,7 +86,9 @@ class Leaf(NetworkNode):
 class Filter(NetworkNode):
     """Lets through what passes tests: conditions on an event, an ``or``, or what an action has left."""
 
-    def __init__(self, child: NetworkNode, names: Sequence[Var], tests: Sequence[Test], keep: Any):
+    def __init__(
+        self, child: NetworkNode, names: Sequence[Var], tests: Sequence[Test], keep: AbstractSet[Var]
+    ):
         self.child = child
         self.keep = keep
         self.alone = child.alone
@@ -157,7 +161,7 @@ class Capture(NetworkNode):
 class Alternatives(NetworkNode):
     """Emits what any of its branches emits; variables of the other branches are left open."""
 
-    def __init__(self, children: Sequence[NetworkNode], keep: Any):
+    def __init__(self, children: Sequence[NetworkNode], keep: AbstractSet[Var]):
         self.children = children
         found: Dict[Var, None] = {}
         for child in children:
@@ -186,7 +190,7 @@ class Alternatives(NetworkNode):
 class Acting(NetworkNode):
     """Calls a goal for each match: once, or for all of its solutions."""
 
-    def __init__(self, child: NetworkNode, call: Any, every: bool, keep: Any):
+    def __init__(self, child: NetworkNode, call: RuleGoal, every: bool, keep: AbstractSet[Var]):
         self.child = child
         self.keep = keep
         self.alone = child.alone
@@ -213,7 +217,7 @@ class Acting(NetworkNode):
             if span is not None and match.end - match.start > span:
                 return after
 
-            def solved(term: Term, values: Any, start: int, end: int, then: Frame) -> Frame:
+            def solved(term: Term, values: Values, start: int, end: int, then: Frame) -> Frame:
                 return out(Match(values, start, end, match.event, None, (match, Found(own(values)))), then)
 
             done = call.noting_cause(match, solved, after) if tracked else (solved, after)
@@ -231,13 +235,13 @@ class Acting(NetworkNode):
         only_of_event = isinstance(self.child, Leaf)
         dispatcher = call.rule.network.dispatcher
 
-        def arrive(term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
+        def arrive(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
             return act(term, values, start, end, only_of_event and dispatcher.ground(), complete, after)
 
         done = call.alone(completion) if only_of_event and not self.every else Completion(arrive)
         once = done.action
 
-        def arrive_in_span(term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
+        def arrive_in_span(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
             if span is not None and end - start > span:
                 return after
             return once(term, values, start, end, after)
@@ -248,17 +252,17 @@ class Acting(NetworkNode):
 class Never(NetworkNode):
     """Lets a match through if no event of another kind ended before it started."""
 
-    def __init__(self, child: NetworkNode, negated: NetworkNode, absence: Any):
+    def __init__(self, rule: Owner, child: NetworkNode, negated: NetworkNode, absence: Absence):
         self.child = child
         self.negated = negated
         self.absence = absence
-        self.rule = absence.rule
+        self.rule = rule
         self.vars = child.vars
 
     def bind(self, out: Emit, mode: NetworkOptions) -> None:
         """Connect the node; see `NetworkNode.bind`."""
         absence = self.absence
-        tracker = absence.rule.network.tracker
+        tracker = self.rule.network.tracker
         tracked = mode.tracked
 
         def arrive(match: Match, after: Frame) -> Frame:
@@ -272,9 +276,9 @@ class Never(NetworkNode):
         self.child.bind(arrive, mode)
         absence.bind(self.negated, mode)
 
-    def buffers(self) -> Sequence[MatchBuffer]:
+    def buffers(self) -> Sequence[Buffer]:
         """Return where matches wait."""
-        return self.absence.buffers()  # type: ignore[no-any-return]
+        return self.absence.buffers()
 
 
 class Trying(NetworkNode):
@@ -287,10 +291,10 @@ class Trying(NetworkNode):
 
     test: Test
 
-    def __init__(self, rule: Any, child: NetworkNode):
+    def __init__(self, rule: Owner, child: NetworkNode):
         self.rule = rule
         self.child = child
-        self.carried: List[Any] = []
+        self.carried: List[Tuple[Absence, Emitting]] = []
         self.vars = child.vars
 
     def bind(self, out: Emit, mode: NetworkOptions) -> None:
@@ -313,6 +317,6 @@ class Trying(NetworkNode):
         for absence, negated in self.carried:
             absence.bind(negated, mode)
 
-    def buffers(self) -> Sequence[MatchBuffer]:
+    def buffers(self) -> Sequence[Buffer]:
         """Return where matches wait."""
         return [buffer for absence, _ in self.carried for buffer in absence.buffers()]

@@ -5,15 +5,27 @@ each of them (see `trains`). What does not go on with the others waits apart, by
 this does not hold (nothing is used up, first sides come late, values have variables), there are nodes of `seq`.
 """
 
-from typing import Any, Callable, Collection, Dict, Iterator, List, Optional, Sequence, Tuple
+from typing import (
+    AbstractSet,
+    Any,
+    Callable,
+    Collection,
+    Dict,
+    Hashable,
+    Iterator,
+    List,
+    Optional,
+    Sequence,
+    Tuple,
+)
 
-from ...prolog.terms import Var, positions
+from ...prolog.machine import Frame
+from ...prolog.terms import Values, Var, positions
 from ..history import known_in
 from ..language import OPERATORS
 from ..matches import (
     Chain,
     Emit,
-    Frame,
     Log,
     Match,
     MatchBuffer,
@@ -31,6 +43,7 @@ from ..matches import (
 )
 from .joining import Joining
 from .nodes import NetworkNode
+from .owners import Buffer, Owner
 from .telling import Name
 
 _SEQ = OPERATORS["seq"]
@@ -69,7 +82,14 @@ class Repeating(NetworkNode):
         visits: how many sequences, or numbers of repetitions, were looked at one by one.
     """
 
-    def __init__(self, rule: Any, child: NetworkNode, times: int, keep: Any, named: Callable[[Any], Name]):
+    def __init__(
+        self,
+        rule: Owner,
+        child: NetworkNode,
+        times: int,
+        keep: AbstractSet[Var],
+        named: Callable[[List[Var]], Name],
+    ):
         self.rule = rule
         self.child = child
         self.times = times
@@ -79,10 +99,10 @@ class Repeating(NetworkNode):
         self._kept = tuple([at[var] for var in self.vars])
         self._key = key_function(self._kept)
         self._buffers: Dict[int, MatchBuffer] = {}
-        self._apart: Dict[Any, Dict[int, None]] = {}
+        self._apart: Dict[Hashable, Dict[int, None]] = {}
         self._joinings: List[Joining] = []
         self._relays: List[_Relay] = []
-        self.trains: Dict[Any, Train] = {}
+        self.trains: Dict[Hashable, Train] = {}
         self._moving = Moving(self)
         self.span: Optional[int] = None
         self.limit: Optional[int] = None
@@ -90,7 +110,7 @@ class Repeating(NetworkNode):
         self._together = False
         self.visits = 0
 
-    def buffers(self) -> Sequence[Any]:
+    def buffers(self) -> Sequence[Buffer]:
         """Return where matches wait."""
         right = [joining.right_buffer for joining in self._joinings]
         return (self._moving, *self._buffers.values(), *right)
@@ -121,7 +141,7 @@ class Repeating(NetworkNode):
                     self._apart.setdefault(key, {})[number] = None
         self.child.bind(self._arrive, mode)
 
-    def values_of(self, token: Token) -> Any:
+    def values_of(self, token: Token) -> Values:
         """Return the values of a sequence."""
         return token.values if token.apart > 1 else tuple([token.values[at] for at in self._kept])
 
@@ -138,7 +158,7 @@ class Repeating(NetworkNode):
 
     # ---- together ------------------------------------------------------------------------------------
 
-    def _take(self, match: Match, key: Any) -> Optional[Match]:
+    def _take(self, match: Match, key: Hashable) -> Optional[Match]:
         """Have what waits take a repetition; return what is complete with it."""
         train = self.trains.get(key)
         apart = self._apart.get(key)
@@ -203,7 +223,8 @@ class Repeating(NetworkNode):
     def _take_apart(self, train: Train, match: Match, apart: Optional[Dict[int, None]]) -> Optional[Match]:
         """Have what waits apart take a repetition that began before the last one of the train had ended."""
         made = None
-        for number in sorted(apart, reverse=True) if apart else ():
+        apart = apart or {}
+        for number in sorted(apart, reverse=True):
             self.visits += 1
             other = self._first_fit(number, train.key, match, apart)
             if other is None:
@@ -219,7 +240,7 @@ class Repeating(NetworkNode):
         self._set_apart(train, match, 1)
         return made
 
-    def _first_fit(self, number: int, key: Any, match: Match, apart: Any) -> Optional[Match]:
+    def _first_fit(self, number: int, key: Hashable, match: Match, apart: Dict[int, None]) -> Optional[Match]:
         """Return which of those that wait apart a repetition takes."""
         buffer = self._buffers[number]
         if key not in buffer.newest:
@@ -254,7 +275,7 @@ class Repeating(NetworkNode):
         finally:
             rule.order = before
 
-    def _wait_apart(self, match: Match, number: int, key: Any) -> None:
+    def _wait_apart(self, match: Match, number: int, key: Hashable) -> None:
         buffer = self._buffer(number)
         buffer.add(match, key)
         if key not in self._apart and len(self._apart) > 2 * self.rule.waiting + 1000:
@@ -329,7 +350,7 @@ class Repeating(NetworkNode):
         joined_at_once(match, self.times)
         return self._out(match, after)
 
-    def _served(self) -> Iterator[Any]:
+    def _served(self) -> Iterator[_Relay]:
         """Yield what takes a match, the last repetition first; what can complete nothing only where it may wait."""
         relays, late = self._relays, self._mode.out_of_order
         for number in range(self.times - 1, 0, -1):

@@ -1,16 +1,18 @@
 """Event rules at run time: their clock, what waits for them, and what they fire."""
 
 from collections import deque
-from typing import Any, Deque, List, Optional, Tuple
+from typing import Any, Deque, Hashable, List, Optional, Tuple
 
 from ...foundation import RuleError, UsageError
-from ...prolog.terms import Atom, Term, Var, deref, is_ground
+from ...prolog.machine import Frame
+from ...prolog.terms import Atom, Functor, Term, Values, Var, deref, is_ground
 from ..dispatch import NOBODY, Completion, EventAction, Lane, Listener, Stage, compile_builder
 from ..language import RuleDefinition, alarm_of
-from ..matches import Expiries, Frame, Match, NetworkOptions
+from ..matches import Expiries, Match, MatchBuffer, NetworkOptions
 from .compiling import RuleCompiler
 from .limits import least
 from .nodes import Leaf
+from .owners import Listening, Network
 
 _SPARE = 1000
 
@@ -30,7 +32,7 @@ class Rule:
         clock: the newest end among the events that its patterns matched.
     """
 
-    def __init__(self, network: Any, definition: RuleDefinition, serial: int, name: str):
+    def __init__(self, network: Network, definition: RuleDefinition, serial: int, name: str):
         self.network = network
         self.definition = definition
         self.place = definition.place
@@ -54,8 +56,8 @@ class Rule:
         self._by_end = Expiries()
         self.listeners: List[Listener] = []
         self._bound = False
-        self.later: List[Tuple[Any, Match, Any]] = []
-        self._later_event: Any = None
+        self.later: List[Tuple[MatchBuffer, Match, Hashable]] = []
+        self._later_event: object = None
         head = definition.head
         compiler = RuleCompiler(self, [] if head is None else [head], definition.pattern)
         self.root = compiler.build()
@@ -110,7 +112,7 @@ class Rule:
             if match.buffer is not None:
                 self._file(match, match.buffer.span)
 
-    def listen(self, leaf: Any, action: EventAction, lane: Optional[Lane] = None) -> None:
+    def listen(self, leaf: Listening, action: EventAction, lane: Optional[Lane] = None) -> None:
         """Have a leaf's action called for its events; see `Dispatcher.listen`."""
         listen = self.network.dispatcher.listen
         self.listeners.append(listen(Stage.RULES, leaf.term, action, (self.serial, leaf.rank), lane))
@@ -156,17 +158,17 @@ class Rule:
         self._expiries = Expiries()
         self._by_end = Expiries()
 
-    def add_later(self, buffer: Any, match: Match, key: Any) -> None:
+    def add_later(self, buffer: MatchBuffer, match: Match, key: Hashable) -> None:
         """Let a match wait in a buffer when the next event comes."""
         self._later_event = self.network.dispatcher.token()
         self.later.append((buffer, match, key))
 
-    def add_those_of_other_events(self, event: Any) -> None:
+    def add_those_of_other_events(self, event: object) -> None:
         """Let those matches wait that were to wait when another event comes."""
         if self._later_event != event:
             self.settle()
 
-    def settle(self, only: Any = None) -> None:
+    def settle(self, only: Optional[MatchBuffer] = None) -> None:
         """Let all matches wait that are to wait; with ``only``, those of one buffer."""
         for one in list(self.later):
             buffer, match, key = one
@@ -237,7 +239,7 @@ class Rule:
                 self.network.dropped(self)
                 return
 
-    def _complete_values(self, term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
+    def _complete_values(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
         window = self.window
         if window is not None and end - start > window:
             return after
@@ -250,15 +252,19 @@ class Rule:
         head = self.definition.head
         if build is None or head is None:
             return Completion(lambda term, values, start, end, after: after)
-        plain = head.__class__ is Atom or (head.__class__ is tuple and head[0].name not in _ALARMS)
-        if self.window is not None or not plain:
+        key: Optional[Functor] = None
+        if head.__class__ is Atom:
+            key = head.functor
+        elif head.__class__ is tuple and head[0].name not in _ALARMS:
+            key = head[0]
+        if self.window is not None or key is None:
             return Completion(self._complete_values)
         dispatcher = self.network.dispatcher
         dispatch = dispatcher.dispatch
-        gate = dispatcher.gate(head.functor if head.__class__ is Atom else head[0])
+        gate = dispatcher.gate(key)
         constant = build(()) if is_ground(head) else None
 
-        def complete(term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
+        def complete(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
             if gate.plan is NOBODY:
                 return after
             try:
@@ -279,7 +285,7 @@ class Rule:
             return after
         return self.network.tracker.fire(self, match, self.builder(match.values), after)
 
-    def fire(self, head: Term, start: int, end: int, after: Frame, token: Any = None) -> Frame:
+    def fire(self, head: Term, start: int, end: int, after: Frame, token: object = None) -> Frame:
         """Return the frame that dispatches the head, or sets its alarm, and goes on with ``after``."""
         network = self.network
         dispatcher = network.dispatcher

@@ -1,16 +1,18 @@
 """Repetitions and aggregates: a first match starts a run, and later matches extend it in place."""
 
-from typing import Any, List, Optional, Sequence, Tuple
+from typing import AbstractSet, Any, Callable, Hashable, Iterable, List, Optional, Sequence, Tuple, Union
 
 from ...foundation import RuleError
-from ...prolog.terms import Term, Var, positions, resolve, undo, unify, variables
+from ...prolog.machine import Frame
+from ...prolog.terms import Term, Trail, Values, Var, positions, resolve, undo, unify, variables
 from ..dispatch import compile_builder
 from ..language import Collector
 from ..matches import (
     NO_ITEMS,
+    Absence,
     Emit,
+    Emitting,
     Found,
-    Frame,
     Held,
     Keeping,
     Match,
@@ -33,9 +35,8 @@ from ..matches import (
 from .conditions import Test
 from .deferred import Items, with_item
 from .nodes import NetworkNode
+from .owners import Buffer, Owner
 from .telling import Name, found_here
-
-Values = Tuple[Term, ...]
 
 
 class Running(NetworkNode):
@@ -59,12 +60,12 @@ class Running(NetworkNode):
 
     def __init__(
         self,
-        rule: Any,
+        rule: Owner,
         first: NetworkNode,
         repeated: NetworkNode,
         double: bool,
         names: Tuple[Name, Name],
-        keep: Any,
+        keep: AbstractSet[Var],
     ):
         self.rule = rule
         self._first_name, self._repeated_name = names
@@ -82,7 +83,7 @@ class Running(NetworkNode):
         self.tests: List[Test] = []
         self.late_tests: List[Test] = []
         self.step_tests: List[Test] = []
-        self.carried: List[Tuple[Any, NetworkNode]] = []
+        self.carried: List[Tuple[Absence, Emitting]] = []
         self.step_vars = [*first.vars, *(var for var in repeated.vars if var not in in_first)]
         self._step_at = [at for at, var in enumerate(repeated.vars) if var not in in_first]
         self.open_vars: List[Var] = []
@@ -95,7 +96,11 @@ class Running(NetworkNode):
         self.step_vars = [*self.step_vars, *self.open_vars]
 
     def finish(
-        self, outside: Any, collector: Optional[Collector], result: Term, items: Optional[Items]
+        self,
+        outside: AbstractSet[Var],
+        collector: Optional[Collector],
+        result: Optional[Term],
+        items: Optional[Items],
     ) -> None:
         """Say what the run gives on, when all conditions on repetitions are known.
 
@@ -123,7 +128,7 @@ class Running(NetworkNode):
             self._same_at += 1
         places = positions(known)
         self._open_at = [places[var] for var in self.open_vars]
-        if collector is not None:
+        if collector is not None and result is not None:
             self.result_is_open = result.__class__ is Var and result not in places
             self.result_new = [var for var in variables(result) if var not in places]
             self._result_at = len(known)
@@ -144,7 +149,7 @@ class Running(NetworkNode):
         (self.late_tests if late else self.tests).append(test)
         self.vars = list(names)
 
-    def buffers(self) -> Sequence[MatchBuffer]:
+    def buffers(self) -> Sequence[Buffer]:
         """Return where matches wait."""
         carried = [buffer for absence, _ in self.carried for buffer in absence.buffers()]
         return (self.buffer, self.incoming, *carried)
@@ -159,6 +164,7 @@ class Running(NetworkNode):
         """Connect the node; see `NetworkNode.bind`."""
         policy = mode.policy
         self.tracked = mode.tracked
+        self.extending: Callable[[Any, Match, bool], Tuple[bool, Optional[Match]]]
         self.extending = self._extend_noting if mode.tracked and self.carried else self.extend
         self.consuming = policy.consuming
         self.late = mode.out_of_order
@@ -208,7 +214,7 @@ class Running(NetworkNode):
         values = self._fit(run.values, NO_ITEMS, None, run.start, run.end)
         return None if values is None else self.result_of(run, values)
 
-    def _results_of_earlier(self, run: Run, key: Any) -> List[Match]:
+    def _results_of_earlier(self, run: Run, key: Hashable) -> List[Match]:
         """Return the results of a late start with the repetitions that came before it, in their order.
 
         One that a revision has set free has those that came after it and are left.
@@ -227,7 +233,7 @@ class Running(NetworkNode):
                 results.append(result)
         return results
 
-    def _wait(self, match: Match, key: Any) -> None:
+    def _wait(self, match: Match, key: Hashable) -> None:
         """Have a repetition wait for late starts; where its event may be one, only after it was tried as that."""
         if self.waits_later:
             self.rule.add_later(self.incoming, match, key)
@@ -242,7 +248,7 @@ class Running(NetworkNode):
         def arrive(match: Match, after: Frame) -> Frame:
             key = self.incoming.key_of(match)
             extended, result = False, None
-            runs: Any = self.buffer.partners(key, match.start, match.end, newest)
+            runs: Iterable[Match] = self.buffer.partners(key, match.start, match.end, newest)
             if ordered:
                 runs = that_came_before(match, runs, self.rule.network.tracker)
             for run in runs:
@@ -261,7 +267,7 @@ class Running(NetworkNode):
 
         def arrive(match: Match, after: Frame) -> Frame:
             key = self.incoming.key_of(match)
-            runs = self.buffer.partners_now(key, match.start, match.end)
+            runs: Iterable[Match] = self.buffer.partners_now(key, match.start, match.end)
             if ordered:
                 runs = that_came_before(match, runs, self.rule.network.tracker)
             if waits:
@@ -279,7 +285,7 @@ class Running(NetworkNode):
 
         return arrive
 
-    def extend(self, run: Any, match: Match, keyed: bool) -> Tuple[bool, Optional[Match]]:
+    def extend(self, run: Run, match: Match, keyed: bool) -> Tuple[bool, Optional[Match]]:
         """Extend a run if the match fits; returns whether it did, and the result to emit.
 
         ``keyed`` tells that the shared variables are known to have the same values.
@@ -307,7 +313,7 @@ class Running(NetworkNode):
             self.rule.network.tracker.hold_repetition(run, match, self)
         return extended, result
 
-    def _extend_noting(self, run: Any, match: Match, keyed: bool) -> Tuple[bool, Optional[Match]]:
+    def _extend_noting(self, run: Run, match: Match, keyed: bool) -> Tuple[bool, Optional[Match]]:
         """As `extend`; what an absence has kept from it is noted, to be tried again when that is taken back."""
         tracker = self.rule.network.tracker
         tracker.blocker = None
@@ -325,7 +331,7 @@ class Running(NetworkNode):
             fixed = agreed(run.fixed, fixed)
             if fixed is None:
                 return False, None
-        items = NO_ITEMS
+        items: Term = NO_ITEMS
         if self.items is not None:
             items = with_item(run.items, tuple([step[at] for at in self._items_at]))
         found = self._fit(values, items, fixed, run.start, last)
@@ -366,10 +372,12 @@ class Running(NetworkNode):
                 results.append(result)
         return results if self.rule.active else []
 
-    def retry(self, what: Any, after: Frame) -> Frame:
+    def retry(self, what: Union[Match, Tuple[Run, Match]], after: Frame) -> Frame:
         """Fire a result that was computed again, or extend a run by a repetition that something had ruled out."""
-        result: Optional[Match] = what
-        if what.__class__ is tuple:
+        result: Optional[Match]
+        if isinstance(what, Match):
+            result = what
+        else:
             run, match = what
             if run.buffer is None or (self.consuming and match.used is not None):
                 return after
@@ -397,7 +405,7 @@ class Running(NetworkNode):
                 return None
         return values  # type: ignore[no-any-return]
 
-    def result_of(self, run: Any, values: Values) -> Optional[Match]:
+    def result_of(self, run: Run, values: Values) -> Optional[Match]:
         """Return the result of a run as it stands, or None where it is not to fire."""
         found: Any = values
         start, end = run.start, run.last
@@ -420,7 +428,7 @@ class Running(NetworkNode):
 
     def _with_open(self, run: Run, values: Values, value: Term) -> Tuple[Values, Term]:
         """Have a result say what conditions have made of the variables that no repetition gives a value."""
-        trail: List[Any] = []
+        trail: Trail = []
         for var, at in zip(run.open, self._open_at):
             unify(var, values[at], trail)
         found = tuple([resolve(one) for one in values]), resolve(value)
@@ -436,7 +444,7 @@ class Running(NetworkNode):
 
     def _unify_result(self, values: Values, value: Term) -> Optional[Values]:
         term = self.make_result(values)
-        trail: List[Any] = []
+        trail: Trail = []
         result = None
         if unify(term, value, trail):
             result = tuple([resolve(one) for one in values])

@@ -5,14 +5,13 @@ from an event further up: two matches are of the same term only if it is the sam
 """
 
 from operator import itemgetter
-from typing import AbstractSet, Any, Callable, Dict, FrozenSet, List, Sequence, Set, Tuple
+from typing import AbstractSet, Callable, Dict, FrozenSet, Hashable, List, Sequence, Set
 
-from ...prolog.terms import Term, Var, term_key, variables
-from ..language import Aggregate, Either, Star, children, own_terms
+from ...prolog.terms import Values, Var, term_key, variables
+from ..language import Aggregate, Either, Pattern, Star, children, own_terms
 from ..matches import Match, Named, identity
 
-Values = Tuple[Term, ...]
-Name = Callable[[Match], Any]
+Name = Callable[[Match], Hashable]
 
 
 class Telling:
@@ -29,19 +28,19 @@ class Telling:
         self.carried: Set[Var] = set(shared)
         self._given: Dict[int, FrozenSet[Var]] = {}
 
-    def name(self, names: Sequence[Var], pattern: Any) -> Name:
+    def name(self, names: Sequence[Var], pattern: Pattern) -> Name:
         """Return what names the matches of a pattern, given the variables whose values they carry."""
         carried = [(at, var) for at, var in enumerate(names) if var in self.carried]
         return naming([at for at, var in carried if var not in self._by_events(pattern)])
 
-    def _by_events(self, pattern: Any) -> FrozenSet[Var]:
+    def _by_events(self, pattern: Pattern) -> FrozenSet[Var]:
         """Return the variables that the events of a match always give values to; those of a part are kept."""
         found = self._given.get(id(pattern))
         if found is None:
             found = self._given[id(pattern)] = self._given_by(pattern)
         return found
 
-    def _given_by(self, pattern: Any) -> FrozenSet[Var]:
+    def _given_by(self, pattern: Pattern) -> FrozenSet[Var]:
         if isinstance(pattern, (Star, Aggregate)):
             return self._by_events(pattern.first)
         below = [self._by_events(child) for child in children(pattern, False)]

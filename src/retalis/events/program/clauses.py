@@ -4,9 +4,22 @@ from typing import Any, Callable, Dict, List, NamedTuple, Optional
 
 from ...foundation import Errors, Place, RetalisError, RuleError
 from ...prolog.database import split_clause
+from ...prolog.logic import Logic
 from ...prolog.machine import PrologError
 from ...prolog.syntax import ReadTerm
-from ...prolog.terms import COLON, Atom, Term, Var, atom, copy, deref, functor, list_items, variables
+from ...prolog.terms import (
+    COLON,
+    Atom,
+    Compound,
+    Term,
+    Var,
+    atom,
+    copy,
+    deref,
+    functor,
+    list_items,
+    variables,
+)
 from ..language import (
     ALARMS,
     ARROWS,
@@ -15,6 +28,7 @@ from ..language import (
     SPELLINGS,
     SYNCHRONIZED,
     Action,
+    Pattern,
     PatternReader,
     Property,
     RuleDefinition,
@@ -114,7 +128,7 @@ class FileChecker:
                 for at in range(before, len(problems)):
                     problems[at] = RuleError(f"{self._show(term)}: {problems[at].message}")
 
-    def _sort(self, term: Term, spot: Spot, place: Optional[Place]) -> None:
+    def _sort(self, term: Any, spot: Spot, place: Optional[Place]) -> None:
         head = term[0] if term.__class__ is tuple else None
         if is_rule(term):
             self._rule(term, spot, place)
@@ -133,12 +147,12 @@ class FileChecker:
             self._no_rule(term, spot, place)
             self.steps.append(FileEntry("clause", term, place))
 
-    def _directive(self, term: Any, spot: Spot, place: Optional[Place]) -> None:
+    def _directive(self, term: Compound, spot: Spot, place: Optional[Place]) -> None:
         goal, at = deref(term[1]), spot(term, 1) or place
         if is_rule(goal):
             raise RuleError("an event rule is written without :- before it", at)
         kind = _USING.get(goal[0]) if goal.__class__ is tuple else None
-        if kind is None:
+        if kind is None or goal.__class__ is not tuple:
             self.steps.append(FileEntry("directive", goal, at, goals_of(term, spot)))
         else:
             self.steps.append(FileEntry(kind, deref(goal[1]), at))
@@ -172,7 +186,7 @@ class FileChecker:
     def _warn(self, message: str, place: Optional[Place]) -> None:
         self.warnings.append(RuleError(message, place))
 
-    def _property(self, one: Property, term: Any, spot: Spot, place: Optional[Place]) -> None:
+    def _property(self, one: Property, term: Compound, spot: Spot, place: Optional[Place]) -> None:
         """Take a property from the term that has its name and value as the last arguments."""
         problem, last = one.problem, len(term) - 1
         if problem is None:
@@ -182,18 +196,18 @@ class FileChecker:
         else:
             self._warn(problem, spot(term, last - 1) or place)
 
-    def _rule(self, term: Term, spot: Spot, place: Optional[Place]) -> None:
+    def _rule(self, term: Compound, spot: Spot, place: Optional[Place]) -> None:
         label, rule = labelled(term)
         if label is not None and label.__class__ is tuple:
             name = label[0].name
             for item in list_items(label[1]) or ():
-                part = deref(item)
+                part: Any = deref(item)  # the label was looked at by `labelled`
                 self._property(Property(atom(name), _name(part[1]), deref(part[2])), part, spot, place)
             label = atom(name)
         self.rules.append(self.definition(rule, label, spot, place))
 
     def definition(
-        self, rule: Term, label: Optional[Term], spot: Spot, place: Optional[Place]
+        self, rule: Any, label: Optional[Term], spot: Spot, place: Optional[Place]
     ) -> RuleDefinition:
         """Return what a rule says; rules inside its pattern go to `inner`.
 
@@ -228,20 +242,21 @@ class FileChecker:
             self._unbound(head, pattern, at or place)
         self._goals(reader.goals, pattern, spot, place)
         for call in reader.untimed:
+            assert call.term.__class__ is tuple
             self.untimed.append(Unknown(call.term[0], spot(call.term) or place))
-        for one, part in reader.aggregates:
-            check_aggregate(one, part, pattern, self._names, reader.place, self.warnings.append)
+        for aggregate, part in reader.aggregates:
+            check_aggregate(aggregate, part, pattern, self._names, reader.place, self.warnings.append)
         for one in reader.inner:
             self.inner.append(self.definition(one, None, spot, spot(one) or place))
         return definition
 
-    def _arrow_in(self, rule: Any, spot: Spot) -> None:
+    def _arrow_in(self, rule: Compound, spot: Spot) -> None:
         """Warn of a rule in the place of a pattern that has no brackets: two arrows in a row."""
         inner, begin = deref(rule[2]), spot(rule, 2)
         if inner.__class__ is tuple and inner[0] in ARROWS and begin is not None and begin.character != "(":
             self._warn("this rule is inside the pattern of another; put it in brackets", spot(inner))
 
-    def _goals(self, goals: List[Subgoal], pattern: Any, spot: Spot, place: Optional[Place]) -> None:
+    def _goals(self, goals: List[Subgoal], pattern: Pattern, spot: Spot, place: Optional[Place]) -> None:
         """Check what the goals of a rule call, and note it: what is not there may come with the rest of the file."""
         counts = occurrences([], pattern)
         for call in goals:
@@ -259,7 +274,7 @@ class FileChecker:
         elif term.__class__ is Atom:
             self.calls.append(Unknown(term.functor, spot(call.parent, call.number) or place))
 
-    def _unbound(self, head: Term, pattern: Any, place: Optional[Place]) -> None:
+    def _unbound(self, head: Term, pattern: Pattern, place: Optional[Place]) -> None:
         bound = {*bound_by(pattern), *_bound_later(head)}
         free = [var for var in variables(head) if var not in bound]
         event = deref(head[1]) if head.__class__ is tuple and head[0] in ALARMS else head
@@ -279,8 +294,9 @@ class FileChecker:
 
 def _bound_later(head: Term) -> List[Var]:
     """Return the variables of a synchronized event that its query will bind."""
-    synchronized = head.__class__ is tuple and head[0] in SYNCHRONIZED
-    return variables(head[2]) if synchronized else []
+    if head.__class__ is tuple and head[0] in SYNCHRONIZED:
+        return variables(head[2])
+    return []
 
 
 def nowhere(part: Term, number: int = 0) -> Optional[Place]:
@@ -293,7 +309,7 @@ def _holds_label(term: Term) -> bool:
     return term.__class__ is tuple and (term[0] is RULE or term[0] is COLON)
 
 
-def _advice(goal: Any) -> str:
+def _advice(goal: Compound) -> str:
     """Return what was probably meant by a goal, where there is no such predicate."""
     name = SPELLINGS.get(goal[0])
     if name is not None:
@@ -313,7 +329,7 @@ def _is_negative(term: Term) -> bool:
 _NEARLY_ARROWS = frozenset((functor("->", 2), functor("=", 2)))
 
 
-def clause_error(logic: Any, term: Term) -> Optional[str]:
+def clause_error(logic: Logic, term: Term) -> Optional[str]:
     """Return why a term cannot be added as a clause, or None."""
     try:
         if term.__class__ is tuple and term[0] is _GRAMMAR:
@@ -321,7 +337,9 @@ def clause_error(logic: Any, term: Term) -> Optional[str]:
         head, _ = split_clause(copy(term))
         if head.__class__ is tuple and head[0] is _LESS and _is_negative(deref(head[2])):
             return "this compares two terms; the arrow of an event rule is <-, without a space"
-        logic.database.require_writable(head.functor if head.__class__ is Atom else head[0], "modify")
+        key = head[0] if head.__class__ is tuple else head.functor if head.__class__ is Atom else None
+        assert key is not None  # or `split_clause` has raised an error
+        logic.database.require_writable(key, "modify")
     except PrologError as error:
         is_near = term.__class__ is tuple and term[0] in _NEARLY_ARROWS
         return error.message + (

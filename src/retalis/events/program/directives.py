@@ -3,9 +3,10 @@
 from typing import Any, List, Optional, Tuple
 
 from ...foundation import Place, RuleError
-from ...prolog.machine import PrologError
-from ...prolog.terms import COMMA, Atom, Term, Var, deref, functor
-from ..language import calls
+from ...prolog.logic import Logic
+from ...prolog.machine import Machine, PrologError
+from ...prolog.terms import COMMA, TRUE, Atom, Term, Var, deref, functor
+from ..language import Spot, calls
 
 _GOAL = functor("$goal", 1)
 _CALLABLE = (tuple, Atom, Var)
@@ -13,10 +14,10 @@ _CALLABLE = (tuple, Atom, Var)
 Goals = List[Tuple[Term, Optional[Place]]]
 
 
-def goals_of(directive: Term, spot: Any) -> Goals:
+def goals_of(directive: Term, spot: Spot) -> Goals:
     """Return the goals of a directive that are called one after the other, each with its place."""
     found: Goals = []
-    stack = [(directive, 1)]
+    stack: List[Tuple[Any, int]] = [(directive, 1)]
     while stack:
         parent, number = stack.pop()
         goal = deref(parent[number])
@@ -35,7 +36,7 @@ class Directives:
     what a goal raises when it is asked for another solution is shown at the one that was begun last.
     """
 
-    def __init__(self, logic: Any):
+    def __init__(self, logic: Logic):
         self._logic = logic
         self._last = 0
         logic.define("$goal", 1, self._enter)
@@ -60,8 +61,10 @@ class Directives:
         finally:
             self._last = before
 
-    def _enter(self, machine: Any, number: Term) -> bool:
-        self._last = deref(number)
+    def _enter(self, machine: Machine, number: Term) -> bool:
+        reached = deref(number)
+        assert isinstance(reached, int)
+        self._last = reached
         return True
 
 
@@ -71,8 +74,8 @@ def _is_callable(goal: Term) -> bool:
 
 def _noting(goals: List[Term]) -> Term:
     """Return the goals as one that notes before each which it is."""
-    result: Any = None
+    result: Optional[Term] = None
     for number in range(len(goals) - 1, -1, -1):
-        one = (COMMA, (_GOAL, number), goals[number])
-        result = one if result is None else (COMMA, (_GOAL, number), (COMMA, goals[number], result))
-    return result
+        one = goals[number] if result is None else (COMMA, goals[number], result)
+        result = (COMMA, (_GOAL, number), one)
+    return result or TRUE

@@ -8,7 +8,7 @@ import errno
 import os
 import stat
 from contextlib import contextmanager
-from typing import Any, Iterable, Iterator, List, Optional
+from typing import Iterable, Iterator, List, Optional, Union
 
 from ...foundation import RetalisError, UsageError, shortened, undecodable
 from ...prolog.machine import (
@@ -28,6 +28,7 @@ _SAFELY = os.O_NOFOLLOW | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC
 _NO_PERMISSION = frozenset((errno.EACCES, errno.EPERM, errno.ELOOP, errno.ENXIO, errno.EISDIR, errno.EROFS))
 
 Folders = Optional[List[str]]
+FolderName = Union[str, "os.PathLike[str]"]
 
 
 class Door:
@@ -45,7 +46,7 @@ class Door:
         self._read: Folders = []
         self._write: Folders = []
 
-    def allow(self, read: Optional[Iterable[Any]], write: Optional[Iterable[Any]]) -> None:
+    def allow(self, read: Optional[Iterable[FolderName]], write: Optional[Iterable[FolderName]]) -> None:
         """Have goals open files in these folders and below, besides reading in the program's own; None allows all.
 
         Raises:
@@ -53,7 +54,7 @@ class Door:
         """
         self._read, self._write = _real_folders(read), _real_folders(write)
 
-    def add_own(self, folder: Any) -> None:
+    def add_own(self, folder: FolderName) -> None:
         """Count a folder as the program's own."""
         real = os.path.realpath(folder)
         if real not in self._own:
@@ -88,7 +89,8 @@ class Door:
         folders = [*self._write, *(self._own if self.is_loading else ())]
         if not folders:
             raise UsageError("there is no folder that goals may write to")
-        return folders[0]
+        first: str = folders[0]
+        return first
 
     def require(self, path: str, name: str) -> str:
         """Return the resolved path of a file that may be read.
@@ -194,7 +196,7 @@ def check_name(name: str) -> None:
         raise representation_error("max_path_length", f"{most}; found {shortened(name)}")
 
 
-def _real_folders(folders: Optional[Iterable[Any]]) -> Folders:
+def _real_folders(folders: Optional[Iterable[FolderName]]) -> Folders:
     if isinstance(folders, (str, bytes)):
         raise UsageError(f"expected a list of folders, found {folders!r}")
     return None if folders is None else [os.path.realpath(folder) for folder in folders]

@@ -3,12 +3,15 @@
 import os
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Iterator, List, Optional, Set
+from typing import Iterator, List, Optional, Set, Tuple, Union
 
 from ...foundation import UsageError
 from ...prolog.terms import Term
 from .door import Door, check_name
 from .libraries import file_name
+
+State = Tuple[Optional[Path], int, bool]
+"""Where relative paths are, how many files are open, and whether they are the program's own."""
 
 
 class Files:
@@ -42,16 +45,16 @@ class Files:
         finally:
             self._folder = before
 
-    def state(self) -> Any:
+    def state(self) -> State:
         """Return where relative paths are and what is allowed, for `restore`."""
         return self._folder, len(self._open), self.door.is_loading
 
-    def restore(self, state: Any) -> None:
+    def restore(self, state: "Optional[State]") -> None:
         """Go back to a state, with None to that in which nothing is being loaded."""
         self._folder, count, self.door.is_loading = state or (None, 0, False)
         del self._open[count:]
 
-    def resolve(self, name: Any) -> Path:
+    def resolve(self, name: Union[str, "os.PathLike[str]"]) -> Path:
         """Return a path, seen from the file that names it, else from where goals start.
 
         Raises:

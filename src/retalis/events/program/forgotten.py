@@ -1,7 +1,8 @@
 """Facts that were meant as goals: without their ``:-`` they would take the place of a predicate of the system."""
 
-from typing import Any, Optional, Sequence, Set
+from typing import Optional, Sequence, Set
 
+from ...prolog.logic import Logic
 from ...prolog.terms import COMMA, CONS, SLASH, Atom, Functor, Term, deref, functor
 from .clauses import FileEntry
 
@@ -14,14 +15,16 @@ def defined_in(steps: Sequence[FileEntry]) -> Set[Functor]:
     """Return the predicates that a file defines in earnest: by clauses with a body, or by declaring them."""
     found: Set[Functor] = set()
     for step in steps:
-        if step.kind == "clause" and _has_body(step.term):
-            found.add(_key(step.term[1]))
+        if step.kind == "clause" and step.term.__class__ is tuple and _has_body(step.term):
+            key = _key(step.term[1])
+            if key is not None:
+                found.add(key)
         elif step.kind == "directive":
             found |= _declared(step.term)
     return found
 
 
-def fact_error(logic: Any, term: Term, defined: Set[Functor]) -> Optional[str]:
+def fact_error(logic: Logic, term: Term, defined: Set[Functor]) -> Optional[str]:
     """Return why a fact of a file that defines these predicates is refused, or None."""
     key = None if _has_body(term) else _key(term)
     if key is None or key in defined or not logic.is_of_system(key):
@@ -36,7 +39,7 @@ def _has_body(term: Term) -> bool:
     return term.__class__ is tuple and (term[0] is _CLAUSE or term[0] is _GRAMMAR)
 
 
-def _key(term: Term) -> Any:
+def _key(term: Term) -> Optional[Functor]:
     term = deref(term)
     if isinstance(term, Atom):
         return term.functor

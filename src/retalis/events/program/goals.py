@@ -7,6 +7,7 @@ from typing import Any, Callable, Iterator, List, NamedTuple, Optional, Tuple, U
 from ...foundation import Place, ProgramErrors, RetalisError, RuleError, SyntaxFault
 from ...prolog.syntax import Operators, ReadTerm, read_term
 from ...prolog.terms import Term, deref, functor
+from .files import Files
 
 Read = Union[ReadTerm, SyntaxFault]
 Load = Callable[[Optional[Path], Callable[[], Any]], Any]
@@ -38,7 +39,7 @@ def goal_of(term: Term) -> Term:
 
 
 def goals_of(
-    text: str, source: str, folder: Optional[Path], operators: Operators, files: Any, load: Load
+    text: str, source: str, folder: Optional[Path], operators: Operators, files: Files, load: Load
 ) -> Iterator[Union[FileGoal, RetalisError]]:
     """Yield the goals of a goal file and, in their places, those of the files that it includes.
 
@@ -61,7 +62,7 @@ def goals_of(
 
 
 def _goals(
-    text: str, source: str, folder: Optional[Path], operators: Operators, files: Any, load: Load
+    text: str, source: str, folder: Optional[Path], operators: Operators, files: Files, load: Load
 ) -> Iterator[Union[FileGoal, RetalisError]]:
     for read in read_goals(text, operators, source):
         if isinstance(read, SyntaxFault):
@@ -78,7 +79,7 @@ def _goals(
             yield RuleError(error.message, read.place)
 
 
-def _found(files: Any, name: Term) -> Tuple[Path, str]:
+def _found(files: Files, name: Term) -> Tuple[Path, str]:
     path = files.find(name)
     return path, files.text(path)
 

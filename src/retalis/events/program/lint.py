@@ -2,12 +2,26 @@
 
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, Collection, Iterable, Iterator, List, NamedTuple, Optional, Set
+from typing import (
+    Collection,
+    Iterable,
+    Iterator,
+    List,
+    NamedTuple,
+    Optional,
+    Protocol,
+    Sequence,
+    Set,
+    Tuple,
+    Union,
+)
 
 from ...foundation import Place, RuleError, UsageError
 from ...messages import Definitions, type_name
-from ...prolog.terms import Atom, Functor, Term, deref, functor, list_items
+from ...prolog.terms import Atom, Compound, Functor, Term, deref, functor, list_items
 from ..language import Occurs, walk
+from ..network import Rule
+from .files import Files
 from .folder import GOALS, RULES, read_text
 
 _READS = frozenset(
@@ -27,6 +41,52 @@ _WAITS = frozenset(functor(name, 3) for name in ("synchronized", "syncronized"))
 _MAKES = frozenset((functor("memorize", 5), functor("memorize", 6), functor("memorize_diactive", 5)))
 
 
+class _Named(Protocol):
+    """A memory."""
+
+    @property
+    def id(self) -> Term:
+        """Its name."""
+
+
+class _Known(Protocol):
+    """What the program remembers and sends out."""
+
+    @property
+    def memories(self) -> Iterable[_Named]:
+        """Its memories."""
+
+    def patterns(self) -> Iterator[Tuple[Term, str]]:
+        """Yield the pattern of each memory and subscription, and what to call it."""
+
+
+class _Ruled(Protocol):
+    """The rules of the program."""
+
+    @property
+    def rules(self) -> Sequence[Rule]:
+        """Those that take events."""
+
+    @property
+    def files(self) -> Files:
+        """Its files."""
+
+    def terms(self) -> List[Term]:
+        """Return the rules as they were written, and the bodies of the program's clauses."""
+
+
+class Checkable(Protocol):
+    """An engine, as far as its program is looked at."""
+
+    @property
+    def knowledge(self) -> _Known:
+        """What it remembers and sends out."""
+
+    @property
+    def rules(self) -> _Ruled:
+        """Its rules."""
+
+
 class _NamedTerm(NamedTuple):
     """A term of the program, what to call it, and its place."""
 
@@ -35,7 +95,9 @@ class _NamedTerm(NamedTuple):
     place: Optional[Place]
 
 
-def wrong_messages(engine: Any, definitions: Definitions, types: Collection[str]) -> Iterator[RuleError]:
+def wrong_messages(
+    engine: Checkable, definitions: Definitions, types: Collection[str]
+) -> Iterator[RuleError]:
     """Yield a warning for each kind of term in rules and patterns that is not a message of a type that is known.
 
     Args:
@@ -55,7 +117,7 @@ def wrong_messages(engine: Any, definitions: Definitions, types: Collection[str]
     yield from _bare_texts([*_events(engine), *patterns], definitions)
     for text in [*_rules(engine), *patterns]:
         for part in _parts(text.term):
-            key = part.functor if isinstance(part, Atom) else part[0]
+            key: Functor = part.functor if isinstance(part, Atom) else part[0]
             kind = None if key in seen else type_name(key.name)
             seen.add(key)
             if kind is None or kind.partition("/")[0] in later:
@@ -65,27 +127,28 @@ def wrong_messages(engine: Any, definitions: Definitions, types: Collection[str]
                 yield RuleError(f"{text.who}{wrong}", text.place)
 
 
-def unknown_memories(engine: Any) -> Iterator[RuleError]:
+def unknown_memories(engine: Checkable) -> Iterator[RuleError]:
     """Yield a warning for each memory that rules and clauses read and that is not there, nor made by a goal."""
-    made = {instance.id for instance in engine.knowledge.memories if isinstance(instance.id, Atom)}
-    asked: List[_NamedTerm] = []
+    made: Set[Term] = {instance.id for instance in engine.knowledge.memories if isinstance(instance.id, Atom)}
+    asked: List[Tuple[Atom, Optional[Place]]] = []
     bodies = [_NamedTerm(term, "", None) for term in engine.rules.terms()]
     for text in [*_rules(engine), *bodies]:
         for part in _parts(text.term):
             if part.__class__ is tuple and part[0] in _MAKES:
                 made.add(deref(part[4]))
-            asked += [_NamedTerm(name, "", text.place) for name in _memories_in(part)]
-    if any(not isinstance(name, Atom) for name in made):  # which ones are made is known only then
+            asked += [(name, text.place) for name in _memories_in(part)]
+    there = {name for name in made if isinstance(name, Atom)}
+    if len(there) < len(made):  # which ones are made is known only then
         return
-    for name, _, place in asked:
-        if name not in made:
-            made.add(name)
-            meant = get_close_matches(name.name, [known.name for known in made if known is not name], 1)
+    for name, place in asked:
+        if name not in there:
+            meant = get_close_matches(name.name, [known.name for known in there], 1)
+            there.add(name)
             hint = f"; did you mean {meant[0]}?" if meant else ""
             yield RuleError(f"there is no memory {name.name} yet{hint}", place)
 
 
-def unread_rules(engine: Any, folder: Path) -> Iterator[RuleError]:
+def unread_rules(engine: Checkable, folder: Path) -> Iterator[RuleError]:
     """Yield a warning where a program's folder has rules that no goal has read."""
     path, goals = folder / RULES, folder / GOALS
     if path.is_file() and not engine.rules.files.has_loaded(path) and RULES not in _text(goals):
@@ -100,11 +163,11 @@ def _text(path: Path) -> str:
         return ""
 
 
-def _rules(engine: Any) -> List[_NamedTerm]:
+def _rules(engine: Checkable) -> List[_NamedTerm]:
     return [_NamedTerm(rule.definition.term, "", rule.place) for rule in engine.rules.rules]
 
 
-def _events(engine: Any) -> Iterator[_NamedTerm]:
+def _events(engine: Checkable) -> Iterator[_NamedTerm]:
     """Yield the events in the patterns of rules."""
     for rule in engine.rules.rules:
         for node in walk(rule.definition.pattern, negated=True):
@@ -116,7 +179,9 @@ def _bare_texts(texts: Iterable[_NamedTerm], definitions: Definitions) -> Iterat
     """Yield a warning for each text in a pattern that stands there without its quotes."""
     for text in texts:
         for part in _parts(text.term):
-            kind = type_name(part[0].name) if part.__class__ is tuple else None
+            if isinstance(part, Atom):
+                continue
+            kind = type_name(part[0].name)
             if kind is None or kind not in definitions:
                 continue
             for slot, value in zip(definitions.find(kind).fields, map(deref, part[1:])):
@@ -126,7 +191,7 @@ def _bare_texts(texts: Iterable[_NamedTerm], definitions: Definitions) -> Iterat
                     yield RuleError(f"{text.who}{wrong}: write '\"{bare}\"'", text.place)
 
 
-def _parts(term: Term) -> Iterator[Any]:
+def _parts(term: Term) -> Iterator[Union[Atom, Compound]]:
     """Yield the atoms and compound terms in a term."""
     stack = [term]
     while stack:
@@ -138,9 +203,9 @@ def _parts(term: Term) -> Iterator[Any]:
             yield item
 
 
-def _memories_in(part: Any) -> Iterator[Atom]:
+def _memories_in(part: Union[Atom, Compound]) -> Iterator[Atom]:
     """Yield the memories that a goal reads or a query waits for, where they are named."""
-    if part.__class__ is not tuple:
+    if isinstance(part, Atom):
         return
     names = [part[1]] if part[0] in _READS else []
     if part[0] in _WAITS:

@@ -1,13 +1,28 @@
 """Loading event files: read, check all of it, then act; what is refused leaves nothing behind."""
 
+from os import PathLike
 from pathlib import Path
-from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Set, Tuple
+from typing import (
+    Any,
+    Callable,
+    Dict,
+    Hashable,
+    List,
+    NamedTuple,
+    Optional,
+    Protocol,
+    Sequence,
+    Set,
+    Tuple,
+    Union,
+)
 
 from ...foundation import Errors, Place, ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
+from ...prolog.logic import Logic
 from ...prolog.machine import PrologError
-from ...prolog.syntax import Operators, read_program
+from ...prolog.syntax import Operators, Program, read_program
 from ...prolog.terms import Atom, Term, conjuncts, copy, deref, functor, list_items
-from ..language import RuleDefinition, Unknown, unknown_calls
+from ..language import Property, RuleDefinition, Unknown, unknown_calls
 from ..network import Rule
 from .clauses import DIRECTIVES, TOO_DEEP, FileChecker, FileEntry, clause_error, nowhere
 from .directives import Directives
@@ -26,7 +41,7 @@ class CheckedProgram(NamedTuple):
     The folder is None for the file that was asked for: there that is set already.
     """
 
-    steps: List[Any]
+    steps: "List[Union[FileEntry, CheckedProgram]]"
     rules: List[Rule]
     calls: List[Unknown]
     folder: Optional[Path] = None
@@ -46,16 +61,63 @@ class _Reading(NamedTuple):
     errors: Errors
 
 
+class Loaded(Protocol):
+    """What a file is loaded into.
+
+    Attributes:
+        warn_singletons: whether variables that stand in a clause only once are worth a warning.
+        on_warning: called with each warning.
+        serial: how many rules there have been.
+    """
+
+    warn_singletons: bool
+    on_warning: Callable[[RetalisError], None]
+    serial: int
+
+    @property
+    def logic(self) -> Logic:
+        """Where clauses are kept."""
+
+    @property
+    def files(self) -> Files:
+        """The files of the program."""
+
+    @property
+    def rules(self) -> List[Rule]:
+        """The rules that take events."""
+
+    def terms(self) -> List[Term]:
+        """Return the rules as they were written, and the bodies of the program's clauses."""
+
+    def compile(self, definition: RuleDefinition) -> Rule:
+        """Build a rule without having it take events."""
+
+    def activate(self, rule: Rule) -> None:
+        """Have a rule take events."""
+
+    def remove(self, rule: Rule) -> None:
+        """Take a rule out, with its partial matches."""
+
+    def set_property(self, one: Property) -> None:
+        """Give a label a property."""
+
+    def all_properties(self) -> Dict[Hashable, List[Property]]:
+        """Return the properties of all labels."""
+
+    def restore_properties(self, properties: Dict[Hashable, List[Property]]) -> None:
+        """Have the labels have these properties and no others."""
+
+
 class Loader:
     """Loads event files into `Rules`."""
 
-    def __init__(self, rules: Any):
+    def __init__(self, rules: Loaded):
         self._rules = rules
         self._files: Files = rules.files
         self._directives = Directives(rules.logic)
         self._acting: List[CheckedProgram] = []
         """The files whose terms are being taken in, the outer ones first."""
-        self._begun: List[Any] = []
+        self._begun: List[Union[_Beginning, _Snapshot]] = []
         """What takes a load back that is under way; what comes after the first two is of loads inside it."""
 
     def note_calls(self, found: List[Unknown]) -> None:
@@ -73,7 +135,7 @@ class Loader:
         with self._files.inside(folder / Path(source).name), self._files.relative_to(folder):
             self._load(text, source)
 
-    def load_file(self, path: Any) -> None:
+    def load_file(self, path: Union[str, "PathLike[str]"]) -> None:
         """Load a file; see `Rules.load_file`."""
         self._load_file(self._files.resolve(path))
 
@@ -124,7 +186,7 @@ class Loader:
         self._read(read_program(text, reading.operators, source), reading)
         return self._checked(reading.checker, errors)
 
-    def _read(self, program: Any, reading: _Reading) -> None:
+    def _read(self, program: Program, reading: _Reading) -> None:
         """Read the terms of a text, and in their places those of files that it includes."""
         for read in program:
             if isinstance(read, SyntaxFault):
@@ -142,7 +204,9 @@ class Loader:
             if term.__class__ is tuple and term[0] in DIRECTIVES:
                 self._change_reading(term[1], program)
 
-    def _include(self, name: Term, place: Optional[Place], reading: _Reading, outer: Any = None) -> None:
+    def _include(
+        self, name: Term, place: Optional[Place], reading: _Reading, outer: Optional[Program] = None
+    ) -> None:
         """Read the terms of another file as if they stood here."""
         try:
             path = self._files.find(name)
@@ -157,7 +221,7 @@ class Loader:
         except (UsageError, PrologError) as error:
             reading.errors.append(RuleError(error.message, place))
 
-    def _change_reading(self, goal: Term, program: Any) -> None:
+    def _change_reading(self, goal: Term, program: Program) -> None:
         """Have operators and flags that a directive sets hold for the rest of the file."""
         for one in conjuncts(goal):
             if one.__class__ is not tuple:
@@ -172,13 +236,14 @@ class Loader:
             elif one[0] is _SET_FLAG and arguments[0].__class__ is Atom and arguments[1].__class__ is Atom:
                 name = arguments[0].name
                 if name in ("double_quotes", "back_quotes"):
-                    program.flags = program.flags._replace(**{name: arguments[1].name})
+                    changed: Any = {name: arguments[1].name}
+                    program.flags = program.flags._replace(**changed)
 
     def _checked(self, checker: FileChecker, errors: Errors) -> CheckedProgram:
         """Check what needs the logic: clauses, goals of rules, files that are used."""
         errors.extend(checker.errors)
         logic = self._rules.logic
-        steps: List[Any] = []
+        steps: List[Union[FileEntry, CheckedProgram]] = []
         defined = defined_in(checker.steps)
         for step in checker.steps:
             if step.kind == "clause":
@@ -286,6 +351,7 @@ class Loader:
             elif step.kind == "clause":
                 rules.logic.add_clause(step.term, step.place)
             elif step.kind == "property":
+                assert isinstance(step.term, Property)
                 rules.set_property(step.term)
             else:
                 warning = self._directives.run(step.term, step.goals, step.place)
@@ -298,7 +364,7 @@ class Loader:
 class _Beginning:
     """What there was before a load, of what costs little to note."""
 
-    def __init__(self, rules: Any, loaded: Set[Path]):
+    def __init__(self, rules: Loaded, loaded: Set[Path]):
         self._rules = rules
         self._loaded = loaded
         self._serial = rules.serial
@@ -317,7 +383,7 @@ class _Beginning:
 class _Snapshot:
     """What the program was before a file was loaded: clauses, rules and properties."""
 
-    def __init__(self, rules: Any):
+    def __init__(self, rules: Loaded):
         self._rules = rules
         self._active = set(rules.rules)
         found = list(rules.logic.database.predicates.values())

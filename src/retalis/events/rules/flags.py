@@ -101,12 +101,19 @@ class Flags:
 
     def number(self, name: str) -> float:
         """Return the value of a flag that is a number."""
-        return self._values[name]  # type: ignore[no-any-return]
+        value = self._values[name]
+        assert isinstance(value, (int, float))
+        return value
+
+    def _text(self, name: str) -> str:
+        value = self._values[name]
+        assert isinstance(value, Atom)
+        return value.name
 
     def mode(self) -> NetworkOptions:
         """Return how the network is to run."""
         return NetworkOptions(
-            Policy(self._values["event_consumption_policy"].name),
+            Policy(self._text("event_consumption_policy")),
             self.is_on("out_of_order"),
             self.is_on("revision_flag") or self.is_on("etalis_justification"),
             self.is_on("revision_flag"),

@@ -1,8 +1,9 @@
 """The goals with which a program makes events at times of its own: ``new_event/2,3,5``."""
 
-from typing import Any, Sequence
+from typing import Sequence
 
 from ...prolog.logic import Logic
+from ...prolog.machine import Frame, Machine
 from ...prolog.terms import FIRST, LAST, SECOND, Term, functor
 from ..dispatch import Dispatcher
 from .inputs import READERS
@@ -12,7 +13,7 @@ def define_new_event(logic: Logic, dispatcher: Dispatcher) -> None:
     """Define ``new_event``: with a list of two stamps, with seconds and nanoseconds, with those of start and end."""
     dispatch = dispatcher.dispatch
 
-    def at_instant(machine: Any, arguments: Sequence[Term], after: Any, plain: bool = False) -> Any:
+    def at_instant(machine: Machine, arguments: Sequence[Term], after: Frame, plain: bool = False) -> Frame:
         event, seconds, nanoseconds = arguments
         if seconds.__class__ is int and nanoseconds.__class__ is int:
             instant = seconds * SECOND + nanoseconds
@@ -20,7 +21,7 @@ def define_new_event(logic: Logic, dispatcher: Dispatcher) -> None:
                 return dispatch(event, instant, instant, after, None, plain or None, plain)
         return general(machine, arguments, after)
 
-    def general(machine: Any, arguments: Sequence[Term], after: Any) -> Any:
+    def general(machine: Machine, arguments: Sequence[Term], after: Frame) -> Frame:
         made = READERS[functor("new_event", len(arguments))](arguments)
         return dispatch(made.term, made.start, made.end, after, own=False)
 

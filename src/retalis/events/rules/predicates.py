@@ -1,16 +1,26 @@
 """The goals of the event language: rules, flags, files, streams, stored events."""
 
-from typing import Any, Callable, Dict, Iterator, List, Sequence, Tuple
+from typing import Any, Callable, Dict, Hashable, Iterator, List, Optional, Sequence, Tuple
 
 from ...foundation import Errors, ProgramErrors, SyntaxFault, UsageError
 from ...prolog.builtins import callable_of
-from ...prolog.machine import PrologError, domain_error, existence_error, instantiation_error, type_error
+from ...prolog.logic import Logic
+from ...prolog.machine import (
+    Frame,
+    Machine,
+    PrologError,
+    domain_error,
+    existence_error,
+    instantiation_error,
+    type_error,
+)
 from ...prolog.syntax import read_program
 from ...prolog.terms import (
     CONS,
     Atom,
     String,
     Term,
+    Values,
     Var,
     atom,
     copy,
@@ -28,7 +38,6 @@ from ...prolog.terms import (
 from ..history import solutions
 from .flags import FLAGS
 
-Frame = Any
 _EVENT1 = functor("event", 1)
 _EVENT2 = functor("event", 2)
 
@@ -76,7 +85,7 @@ def _interval(term: Term) -> Tuple[int, int]:
     return start, end
 
 
-def _each(machine: Any, terms: Sequence[Term], found: Iterator[Tuple[Term, ...]]) -> Iterator[bool]:
+def _each(machine: Machine, terms: Sequence[Term], found: Iterator[Tuple[Term, ...]]) -> Iterator[bool]:
     """Unify terms with one solution after the other."""
     for solution in list(found):
         mark = len(machine.trail)
@@ -91,7 +100,7 @@ class _RuleGoals:
     def __init__(self, rules: Any):
         self.rules = rules
 
-    def define(self, logic: Any) -> None:
+    def define(self, logic: Logic) -> None:
         logic.define("ins_event_rule", 1, self.insert)
         logic.define("del_event_rule", 1, self.delete)
         logic.define("del_all_event_rules", 1, self.delete_by_head)
@@ -109,52 +118,52 @@ class _RuleGoals:
         logic.define("reset_etalis_state", 0, self.reset_state)
         logic.define("reset_etalis", 0, self.reset)
 
-    def insert(self, machine: Any, rule: Term) -> bool:
+    def insert(self, machine: Machine, rule: Term) -> bool:
         return bool(self.rules.insert(callable_of(rule)))
 
-    def delete(self, machine: Any, rule: Term) -> bool:
+    def delete(self, machine: Machine, rule: Term) -> bool:
         self.rules.delete(callable_of(rule))
         return True
 
-    def delete_by_head(self, machine: Any, head: Term) -> bool:
+    def delete_by_head(self, machine: Machine, head: Term) -> bool:
         self.rules.delete_by_head(callable_of(head))
         return True
 
-    def load_file(self, machine: Any, path: Term) -> bool:
+    def load_file(self, machine: Machine, path: Term) -> bool:
         self.rules.loader.load_file(_path(path))
         return True
 
-    def consult(self, machine: Any, names: Term) -> bool:
+    def consult(self, machine: Machine, names: Term) -> bool:
         found = list_items(names)
         for name in [names] if found is None else found:
             self.rules.loader.use(name, once=False)
         return True
 
-    def use(self, machine: Any, name: Term) -> bool:
+    def use(self, machine: Machine, name: Term) -> bool:
         self.rules.loader.use(name, once=False)
         return True
 
-    def ensure_loaded(self, machine: Any, name: Term) -> bool:
+    def ensure_loaded(self, machine: Machine, name: Term) -> bool:
         self.rules.loader.use(name, once=True)
         return True
 
-    def load_terms(self, machine: Any, terms: Term) -> bool:
+    def load_terms(self, machine: Machine, terms: Term) -> bool:
         self.rules.load_terms([(term, None) for term in _items(terms)])
         return True
 
-    def reset_db(self, machine: Any) -> bool:
+    def reset_db(self, machine: Machine) -> bool:
         for rule in self.rules.rules:
             rule.clear_matches()
         return True
 
-    def reset_state(self, machine: Any) -> bool:
+    def reset_state(self, machine: Machine) -> bool:
         for rule in self.rules.rules:
             rule.clear()
         self.rules.store.clear()
         self.rules.tracker.clear()
         return True
 
-    def reset(self, machine: Any) -> bool:
+    def reset(self, machine: Machine) -> bool:
         self.rules.reset()
         return True
 
@@ -164,10 +173,10 @@ class _FlagGoals:
 
     def __init__(self, rules: Any):
         self.rules = rules
-        self.counters: Dict[Any, int] = {}
-        self.values: Dict[Any, Term] = {}
+        self.counters: Dict[Hashable, int] = {}
+        self.values: Dict[Hashable, Term] = {}
 
-    def define(self, logic: Any) -> None:
+    def define(self, logic: Logic) -> None:
         logic.define("set_etalis_flag", 2, self.set_flag)
         logic.define_nondeterministic("get_etalis_flag", 2, self.get_flag)
         logic.define("incCounter", 1, self.increase)
@@ -176,7 +185,7 @@ class _FlagGoals:
         logic.define("set_flag", 2, self.set_value)
         logic.define("get_flag", 2, self.get_value)
 
-    def set_flag(self, machine: Any, name: Term, value: Term) -> bool:
+    def set_flag(self, machine: Machine, name: Term, value: Term) -> bool:
         name, value = callable_of(name), deref(value)
         if value.__class__ is Var:
             raise instantiation_error()
@@ -190,7 +199,7 @@ class _FlagGoals:
             raise domain_error("etalis_flag_value", (functor("+", 2), name, value), error.message) from None
         return True
 
-    def get_flag(self, machine: Any, name: Term, value: Term) -> Iterator[bool]:
+    def get_flag(self, machine: Machine, name: Term, value: Term) -> Iterator[bool]:
         name = deref(name)
         names = list(FLAGS) if name.__class__ is Var else [name.name if name.__class__ is Atom else ""]
         for one in names:
@@ -202,19 +211,19 @@ class _FlagGoals:
                 yield True
             undo(machine.trail, mark)
 
-    def increase(self, machine: Any, name: Term) -> bool:
+    def increase(self, machine: Machine, name: Term) -> bool:
         key = _key(name)
         self.counters[key] = self.counters.get(key, 0) + 1
         return True
 
-    def count(self, machine: Any, name: Term, value: Term) -> bool:
+    def count(self, machine: Machine, name: Term, value: Term) -> bool:
         return bool(machine.unify(value, self.counters.get(_key(name), 0)))
 
-    def reset_counter(self, machine: Any, name: Term) -> bool:
+    def reset_counter(self, machine: Machine, name: Term) -> bool:
         self.counters.pop(_key(name), None)
         return True
 
-    def set_value(self, machine: Any, name: Term, value: Term) -> bool:
+    def set_value(self, machine: Machine, name: Term, value: Term) -> bool:
         key, value = _key(name), copy(value)
         if value is _NO_VALUE:
             self.values.pop(key, None)
@@ -222,14 +231,14 @@ class _FlagGoals:
             self.values[key] = value
         return True
 
-    def get_value(self, machine: Any, name: Term, value: Term) -> bool:
+    def get_value(self, machine: Machine, name: Term, value: Term) -> bool:
         return bool(machine.unify(value, copy(self.values.get(_key(name), _NO_VALUE))))
 
 
 _NO_VALUE = atom("nil")
 
 
-def _key(term: Term) -> Any:
+def _key(term: Term) -> Hashable:
     try:
         return freeze(deref(term))
     except ValueError:
@@ -242,7 +251,7 @@ class _FiringGoals:
     def __init__(self, rules: Any):
         self.rules = rules
 
-    def define(self, logic: Any) -> None:
+    def define(self, logic: Logic) -> None:
         logic.define_control("event", 1, self.event, at_once=True)
         logic.define_control("event", 2, self.event, at_once=True)
         logic.define_control("fire_event_list", 1, self.fire_list)
@@ -250,19 +259,21 @@ class _FiringGoals:
         logic.define_control("execute_event_stream_file", 1, self.execute_file)
         logic.define("exists_file", 1, self.exists)
 
-    def event(self, machine: Any, arguments: Sequence[Term], after: Frame) -> Frame:
+    def event(self, machine: Machine, arguments: Sequence[Term], after: Frame) -> Optional[Frame]:
         """Dispatch an event, with the interval given or stamped by the clock."""
         term = callable_of(arguments[0])
-        interval = arguments[1] if len(arguments) == 2 else None
+        interval: Optional[Term] = arguments[1] if len(arguments) == 2 else None
         if interval is None and term.__class__ is tuple and term[0] is _EVENT2:
-            term, interval = callable_of(term[1]), term[2]
+            interval = term[2]
+            term = callable_of(term[1])
         if interval is None:
             start = end = self.rules.clock.stamp()
         else:
             start, end = _interval(interval)
-        return self.rules.dispatcher.dispatch(term, start, end, after, own=False)
+        found: Frame = self.rules.dispatcher.dispatch(term, start, end, after, own=False)
+        return found
 
-    def fire_list(self, machine: Any, arguments: Sequence[Term], after: Frame) -> Frame:
+    def fire_list(self, machine: Machine, arguments: Sequence[Term], after: Frame) -> Optional[Frame]:
         goals = list_items(arguments[0])
         if goals is None:
             self.rules.on_warning(
@@ -271,17 +282,17 @@ class _FiringGoals:
             goals = [callable_of(arguments[0])]
         return self._each([copy(goal) for goal in goals], after)
 
-    def fire_and_return(self, machine: Any, arguments: Sequence[Term], after: Frame) -> Frame:
+    def fire_and_return(self, machine: Machine, arguments: Sequence[Term], after: Frame) -> Optional[Frame]:
         goals = [(_EVENT1, copy(item)) for item in _items(arguments[0])]
         if not machine.unify(arguments[1], make_list([])):
             return None
         return self._each(goals, after)
 
-    def exists(self, machine: Any, name: Term) -> bool:
+    def exists(self, machine: Machine, name: Term) -> bool:
         files = self.rules.files
         return bool(files.is_file(files.resolve(_path(name))))
 
-    def execute_file(self, machine: Any, arguments: Sequence[Term], after: Frame) -> Frame:
+    def execute_file(self, machine: Machine, arguments: Sequence[Term], after: Frame) -> Optional[Frame]:
         files = self.rules.files
         path = files.resolve(_path(arguments[0]))
         text = files.text(path)
@@ -296,7 +307,7 @@ class _FiringGoals:
             raise ProgramErrors(errors)
         return self._each(goals, after)
 
-    def _each(self, goals: List[Term], after: Frame) -> Frame:
+    def _each(self, goals: Sequence[Term], after: Frame) -> Optional[Frame]:
         """Return the frame that calls the goals in order; what fails or raises is reported, and the rest goes on."""
         stream = _Stream(self.rules, goals)
         return stream.run((stream, after))
@@ -305,20 +316,23 @@ class _FiringGoals:
 class _Stream:
     """Code of a frame that calls the goals that are left."""
 
-    def __init__(self, rules: Any, goals: List[Term]):
+    def __init__(self, rules: Any, goals: Sequence[Term]):
         self.rules = rules
         self.goals = iter(goals)
+        self.machine: Machine = rules.logic.machine
         query = Var()
         self.call = rules.logic.compile_goal((functor("call", 1), query), [query], [])
 
-    def run(self, frame: Frame) -> Frame:
+    def run(self, frame: Frame) -> Optional[Frame]:
         for goal in self.goals:
-            return self.rules.logic.machine.attempt(
+            found: Optional[Frame] = self.machine.attempt(
                 self.call, (goal,), self._done(frame), (_FAILED, self, goal, frame), self._raised(goal)
             )
-        return frame[1]
+            return found
+        last: Frame = frame[1]
+        return last
 
-    def _done(self, frame: Frame) -> Callable[[Any], Frame]:
+    def _done(self, frame: Frame) -> Callable[[Values], Frame]:
         return lambda outputs: frame
 
     def _raised(self, goal: Term) -> Callable[[PrologError], None]:
@@ -330,7 +344,7 @@ class _Stream:
         return report
 
 
-_RAISED = object()
+_RAISED: Any = object()
 
 
 class _Failed:
@@ -338,6 +352,7 @@ class _Failed:
 
     @staticmethod
     def run(frame: Frame) -> Frame:
+        after: Frame
         _, stream, goal, after = frame
         left = list(stream.goals)
         if left and left[0] is _RAISED:
@@ -358,7 +373,7 @@ class _ListingGoals:
     def __init__(self, rules: Any):
         self.rules = rules
 
-    def define(self, logic: Any) -> None:
+    def define(self, logic: Logic) -> None:
         logic.define("t1", 1, lambda machine, instant: self.checked(machine, instant, 0))
         logic.define("t2", 1, lambda machine, instant: self.checked(machine, instant, 1))
         logic.define_nondeterministic("fired_event", 2, self.fired)
@@ -369,26 +384,26 @@ class _ListingGoals:
         logic.define_nondeterministic("justification_edge", 2, self.edges)
         logic.database.predicate(functor("event_rule_property", 3)).dynamic = True
 
-    def checked(self, machine: Any, instant: Term, at: int) -> bool:
+    def checked(self, machine: Machine, instant: Term, at: int) -> bool:
         interval = self.rules.under_way.checked
         return interval is not None and bool(machine.unify(instant, shown(interval[at])))
 
-    def fired(self, machine: Any, event: Term, interval: Term) -> Iterator[bool]:
+    def fired(self, machine: Machine, event: Term, interval: Term) -> Iterator[bool]:
         return solutions(self.rules.store.stored(), machine, event, interval)
 
-    def stored(self, machine: Any, event: Term) -> Iterator[bool]:
+    def stored(self, machine: Machine, event: Term) -> Iterator[bool]:
         found = self.rules.store.stored()
         stored = [((_EVENT2, term, interval_term(start, end)),) for term, start, end in found]
         return _each(machine, (event,), iter(stored))
 
-    def justify(self, machine: Any, event: Term, interval: Term, why: Term) -> Iterator[bool]:
+    def justify(self, machine: Machine, event: Term, interval: Term, why: Term) -> Iterator[bool]:
         found = self.rules.justifier.explanations(resolve(event), resolve(interval))
         return _each(machine, (event, interval, why), found)
 
-    def edges(self, machine: Any, head: Term, body: Term) -> Iterator[bool]:
+    def edges(self, machine: Machine, head: Term, body: Term) -> Iterator[bool]:
         return _each(machine, (head, body), self.rules.justifier.edges())
 
-    def see(self, machine: Any) -> bool:
+    def see(self, machine: Machine) -> bool:
         logic = self.rules.logic
         for rule in self.rules.rules:
             logic.output(f"{rule.name}: {rule.waiting} partial matches\n")

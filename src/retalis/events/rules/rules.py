@@ -1,18 +1,19 @@
 """All event rules of a program and the flags by which they run."""
 
 import logging
+from os import PathLike
 from pathlib import Path
-from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
+from typing import Callable, Dict, Hashable, List, Optional, Protocol, Sequence, Sized, Tuple, Union
 
 from ...foundation import Place, RetalisError, RuleError
 from ...prolog.logic import Logic
 from ...prolog.machine import keep_back
-from ...prolog.terms import SECOND, Term, atom, copy, deref, from_seconds, term_key, unify, variables
+from ...prolog.terms import SECOND, Term, Trail, atom, copy, deref, from_seconds, term_key, unify, variables
 from ..dispatch import Dispatcher, Stage
-from ..history import Justifier, Store, Tracker
+from ..history import Fired, Justifier, Occurrence, Store, Tracker
 from ..language import Property, RuleDefinition, called_by, is_absolute, is_rule
 from ..matches import NetworkOptions
-from ..network import Rule, UnderWay
+from ..network import Owner, Rule, UnderWay
 from ..program import FileChecker, Files, Loader, nowhere
 from .flags import Flags
 from .predicates import define_predicates
@@ -24,6 +25,23 @@ _CONFIGURING = frozenset(
     ("event_consumption_policy", "out_of_order", "revision_flag", "etalis_justification", "garbage_control")
     + ("garbage_window", "garbage_window_step")
 )
+
+
+class Timing(Protocol):
+    """A clock with alarms."""
+
+    @property
+    def alarms(self) -> Sized:
+        """Those that are set."""
+
+    def now(self) -> int:
+        """Return the present instant."""
+
+    def stamp(self) -> int:
+        """Return the present instant, later than all that were returned before."""
+
+    def call_at(self, instant: int, alarm: Callable[[int], None], /) -> None:
+        """Have a function called when an instant has come."""
 
 
 class Rules:
@@ -49,7 +67,7 @@ class Rules:
         self,
         logic: Logic,
         dispatcher: Dispatcher,
-        clock: Any,
+        clock: Timing,
         cap: int = 1_000_000,
         future: int = 10 * SECOND,
     ):
@@ -64,16 +82,16 @@ class Rules:
         self.on_warning: Callable[[RetalisError], None] = lambda error: log.warning("%s", error)
         self.under_way = UnderWay()
         self._rules: Dict[Rule, None] = {}
-        self._by_label: Dict[Any, Dict[Rule, None]] = {}
-        self._by_key: Dict[Any, Dict[Rule, None]] = {}
+        self._by_label: Dict[Hashable, Dict[Rule, None]] = {}
+        self._by_key: Dict[Hashable, Dict[Rule, None]] = {}
         self.flags = Flags(self._flag_changed)
         self.mode: NetworkOptions = self.flags.mode()
         self.tracker = Tracker(self)
-        self.justifier = Justifier(self)
+        self.justifier = Justifier(self, self.tracker)
         self.store = Store(self)
         self.files = Files()
         self.loader = Loader(self)
-        self._properties: Dict[Any, List[Property]] = {}
+        self._properties: Dict[Hashable, List[Property]] = {}
         self.serial = 0
         define_predicates(self)
 
@@ -87,7 +105,7 @@ class Rules:
         """
         self.loader.load_text(text, source, folder)
 
-    def load_file(self, path: Any) -> None:
+    def load_file(self, path: Union[str, "PathLike[str]"]) -> None:
         """Load an event file of the program's own, whose folder its goals may read from then on.
 
         Raises:
@@ -166,7 +184,7 @@ class Rules:
         """Delete all rules whose head unifies with a term; returns whether there were any."""
         found = []
         for rule in self.rules:
-            trail: List[Any] = []
+            trail: Trail = []
             own = rule.definition.head
             if own is not None and unify(copy(own), copy(head), trail):
                 found.append(rule)
@@ -247,11 +265,11 @@ class Rules:
         for rule in self._labelled(one.label):
             self._configure(rule)
 
-    def all_properties(self) -> Dict[Any, List[Property]]:
+    def all_properties(self) -> Dict[Hashable, List[Property]]:
         """Return the properties of all labels, as `restore_properties` takes them."""
         return {key: list(found) for key, found in self._properties.items()}
 
-    def restore_properties(self, properties: Dict[Any, List[Property]]) -> None:
+    def restore_properties(self, properties: Dict[Hashable, List[Property]]) -> None:
         """Have the labels have these properties and no others; this holds for their rules at once."""
         if properties != self._properties:
             self._properties = properties
@@ -265,7 +283,7 @@ class Rules:
     def _configure(self, rule: Rule) -> None:
         found: Dict[str, List[int]] = {}
         for one in self.properties(_label_of(rule)):
-            found.setdefault(one.name, []).append(from_seconds(one.value))
+            found.setdefault(one.name, []).append(from_seconds(one.number))
         windows = found.get("window", []) + found.get("event_rule_window", [])
         rule.configure(self.mode, min(windows) if windows else None, self._garbage_control(found))
 
@@ -291,7 +309,7 @@ class Rules:
 
     def newest_allowed(self) -> int:
         """Return the newest stamp that may move the clock of a rule."""
-        return self.clock.now() + self.future  # type: ignore[no-any-return]
+        return self.clock.now() + self.future
 
     def clear(self) -> None:
         """Drop all partial matches and what is kept of past events (time went back, or a reset)."""
@@ -316,7 +334,9 @@ class Rules:
 
     # ---- alarms and reports --------------------------------------------------------------------------
 
-    def set_alarm(self, rule: Rule, term: Term, start: int, instant: int, token: Any = None) -> None:
+    def set_alarm(
+        self, rule: Owner, term: Term, start: int, instant: int, token: Optional[Occurrence] = None
+    ) -> None:
         """Have an event fire when its instant has come."""
 
         def fire(now: int) -> None:
@@ -334,7 +354,7 @@ class Rules:
             return
         self.clock.call_at(instant, fire)
 
-    def look_at_alarm(self, rule: Rule, head: Term, alarm: Any) -> None:
+    def look_at_alarm(self, rule: Owner, head: Term, alarm: Optional[Tuple[Term, int, int]]) -> None:
         """Report an alarm for an instant that is over: one before its own start is None here, and rings never."""
         if not is_absolute(head) or (alarm is not None and alarm[2] >= self.clock.now()):
             return
@@ -343,7 +363,7 @@ class Rules:
         text = f": the instant of its alarm is in the past, so {then}; {rule.alarms_past} so far"
         self._warn_seldom(rule, rule.alarms_past, text)
 
-    def took_nothing_back(self, term: Term, rule: Optional[Rule]) -> None:
+    def took_nothing_back(self, term: Term, rule: Optional[Fired]) -> None:
         """Report an event ``rev(E)`` where there is no E to take back; at 1, 2, 4, 8 ... of them."""
         self.revs_of_nothing += 1
         number = self.revs_of_nothing
@@ -353,30 +373,30 @@ class Rules:
             place = None if rule is None else rule.place
             self.on_warning(RuleError(f"{text}; {number} so far", place))
 
-    def rule_failed(self, rule: Rule, error: RuleError) -> None:
+    def rule_failed(self, rule: Owner, error: RuleError) -> None:
         """Report what stopped a rule from firing."""
         event = self.dispatcher.event()
         met = "" if event is None else f", at event {self.logic.brief(event.term)}"
         self.on_error(RuleError(f"{rule.name}{met}: {error.message}", rule.place))
 
-    def goal_failed(self, rule: Rule, goal: Term, error: RetalisError) -> None:
+    def goal_failed(self, rule: Owner, goal: Term, error: RetalisError) -> None:
         """Report an error that a goal of a rule raised, or stopped for."""
         if keep_back(error):
             shown = self.logic.brief(goal, names=rule.definition.names)
             self.rule_failed(rule, RuleError(f"goal {shown}: {error.message}"))
 
-    def dropped(self, rule: Rule) -> None:
+    def dropped(self, rule: Owner) -> None:
         """Report that a rule has too many partial matches."""
         text = f" has more than {self.cap} partial matches; {rule.dropped} of the oldest have been dropped so far"
         self._warn_seldom(rule, rule.dropped, text)
 
-    def _warn_seldom(self, rule: Rule, number: int, text: str) -> None:
+    def _warn_seldom(self, rule: Owner, number: int, text: str) -> None:
         """Report what has happened to a rule a number of times; at 1, 2, 4, 8 ... of them."""
         if number & (number - 1) == 0:
             self.on_warning(RuleError(f"{rule.name}{text}", rule.place))
 
 
-def _take_out(table: Dict[Any, Dict[Rule, None]], key: Any, rule: Rule) -> None:
+def _take_out(table: Dict[Hashable, Dict[Rule, None]], key: Hashable, rule: Rule) -> None:
     """Take a rule out from among those of a key."""
     del table[key][rule]
     if not table[key]:

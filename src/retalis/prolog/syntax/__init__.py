@@ -27,7 +27,7 @@ from .eventoperators import EVENT_OPERATOR, EVENT_OPERATORS, EventOperator, Oper
 from .eventreader import EventReader
 from .eventtext import event_text, float_text, to_text
 from .operators import Operators
-from .reader import ReadTerm, read_program, read_term
+from .reader import Program, ReadTerm, read_program, read_term
 from .tokens import ReadFlags
 from .writer import write_term, writeq
 
@@ -40,6 +40,7 @@ __all__ = [
     "float_text",
     "OperatorKind",
     "Operators",
+    "Program",
     "read_program",
     "read_term",
     "ReadFlags",

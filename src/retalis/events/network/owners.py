@@ -1,0 +1,160 @@
+"""The rule that nodes belong to and what it is part of, as far as nodes look at them."""
+
+from typing import Any, Hashable, List, Optional, Protocol, Tuple
+
+from ...foundation import Place, RetalisError, RuleError
+from ...prolog.logic import Logic
+from ...prolog.machine import Frame
+from ...prolog.terms import Term
+from ..dispatch import Dispatcher, EventAction, Lane, Listener
+from ..history import Tracker
+from ..language import RuleDefinition
+from ..matches import Match, MatchBuffer, NetworkOptions
+
+
+class Listening(Protocol):
+    """A node that waits for events."""
+
+    @property
+    def term(self) -> Term:
+        """What the events unify with."""
+
+    @property
+    def rank(self) -> int:
+        """Its place among the nodes of the rule: lower ones are served first."""
+
+
+class Buffer(Protocol):
+    """Where matches wait."""
+
+    @property
+    def span(self) -> Optional[int]:
+        """For how many nanoseconds what waits is of use; None for no bound."""
+
+    def mend(self) -> List[Match]:
+        """Put right what an interrupt may have left half done; return what waits, oldest first."""
+
+
+class Tested(Protocol):
+    """What conditions share while they are tested; see `UnderWay`."""
+
+    nested: int
+    checked: Optional[Tuple[int, int]]
+
+
+class Network(Protocol):
+    """All rules of a program, as one of them sees the others.
+
+    Attributes:
+        cap: how many partial matches a rule may have.
+    """
+
+    cap: int
+    mode: NetworkOptions
+
+    @property
+    def logic(self) -> Logic:
+        """Where goals are compiled."""
+
+    @property
+    def dispatcher(self) -> Dispatcher:
+        """Whose events the rules take, and which takes theirs."""
+
+    @property
+    def under_way(self) -> Tested:
+        """What conditions share while they are tested."""
+
+    @property
+    def tracker(self) -> Tracker:
+        """What keeps what events came from."""
+
+    def newest_allowed(self) -> int:
+        """Return the newest stamp that may move the clock of a rule."""
+
+    def dropped(self, rule: "Owner") -> None:
+        """Report that a rule has too many partial matches."""
+
+    def set_alarm(self, rule: "Owner", term: Term, start: int, instant: int, token: Any = None) -> None:
+        """Have an event fire when its instant has come."""
+
+    def look_at_alarm(self, rule: "Owner", head: Term, alarm: Optional[Tuple[Term, int, int]]) -> None:
+        """Report an alarm for an instant that is over."""
+
+    def goal_failed(self, rule: "Owner", goal: Term, error: RetalisError) -> None:
+        """Report an error that a goal of a rule raised."""
+
+    def rule_failed(self, rule: "Owner", error: RuleError) -> None:
+        """Report what stopped a rule from firing."""
+
+
+class Owner(Protocol):
+    """A rule.
+
+    Attributes:
+        order: how many matches have begun to wait so far.
+        waiting: how many wait.
+        clock: the newest end among the events that its patterns matched.
+        timed: whether its clock has to be kept.
+        double: whether one event may be in two parts of a match.
+        later: the matches that are to wait when another event comes.
+        listeners: of its leaves.
+        dropped: how many partial matches it has lost so far.
+        alarms_dropped: how many alarms were not set.
+        alarms_past: how many were for an instant that was over.
+    """
+
+    order: int
+    waiting: int
+    clock: int
+    timed: bool
+    double: bool
+    later: List[Tuple[MatchBuffer, Match, Hashable]]
+    listeners: List[Listener]
+    dropped: int
+    alarms_dropped: int
+    alarms_past: int
+
+    @property
+    def network(self) -> Network:
+        """All rules of the program."""
+
+    @property
+    def definition(self) -> RuleDefinition:
+        """What it says."""
+
+    @property
+    def label(self) -> Optional[Term]:
+        """Its label, or None."""
+
+    @property
+    def name(self) -> str:
+        """What reports call it."""
+
+    @property
+    def place(self) -> Optional[Place]:
+        """Where it stands."""
+
+    @property
+    def active(self) -> bool:
+        """Whether it takes events."""
+
+    def keep(self, match: Match, span: Optional[int]) -> None:
+        """Count a match that begins to wait; with too many the oldest goes."""
+
+    def tick(self, end: int) -> None:
+        """Move the rule's clock and remove what is too old by it."""
+
+    def listen(self, leaf: Listening, action: EventAction, lane: Optional[Lane] = None) -> None:
+        """Have a leaf's action called for its events."""
+
+    def add_later(self, buffer: MatchBuffer, match: Match, key: Hashable) -> None:
+        """Let a match wait in a buffer when the next event comes."""
+
+    def add_those_of_other_events(self, event: object) -> None:
+        """Let those matches wait that were to wait when another event comes."""
+
+    def settle(self, only: Optional[MatchBuffer] = None) -> None:
+        """Let all matches wait that are to wait; with ``only``, those of one buffer."""
+
+    def fire(self, head: Term, start: int, end: int, after: Frame, token: object = None) -> Frame:
+        """Return the frame that dispatches the head and goes on with ``after``."""
