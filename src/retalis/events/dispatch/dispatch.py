@@ -428,7 +428,7 @@ class Dispatcher:
             for gate in list(gates.values()):
                 gate.set(None)
 
-    def _gates_of(self, functor: Functor) -> List[WeakValueDictionary[Tuple[int, ...], Gate]]:
+    def _gates_of(self, functor: Functor) -> "List[WeakValueDictionary[Tuple[int, ...], Gate]]":
         gates = self._gates.get(functor)
         return [] if gates is None else [gates]
 
