@@ -122,3 +122,12 @@ def test_a_function_that_nothing_holds_is_gone_at_once(make):
         assert held() is None
     finally:
         gc.enable()
+
+
+def test_names_are_new_and_those_of_one_key_the_same():
+    names = codegen.Names({"given": 1})
+    assert names.name("v") == "v1"
+    assert names.name("k", "text") == "k2"
+    assert names.constant(None, "a") == names.constant(None, "a") == "k3"
+    assert names.constant(2.0, "b") == "k4"
+    assert names.values == {"given": 1, "k2": "text", "k3": None, "k4": 2.0}

@@ -9,7 +9,7 @@ no files, no evaluation of texts.
 import builtins
 import re
 from itertools import count
-from typing import Any, Callable, Dict, Iterable, Mapping, Tuple
+from typing import Any, Callable, Dict, Hashable, Iterable, Mapping, Tuple
 
 from .caches import Cache
 from .errors import shortened
@@ -65,6 +65,40 @@ class _GeneratedSource:
 
     def get_source(self, name: str) -> str:
         return self._text
+
+
+class Names:
+    """The names in a source that is being written: of values that it is given, and of its own variables.
+
+    Args:
+        given: what has a name already; the names that are added stand there, too.
+
+    Attributes:
+        values: the values by their names, as `function` takes them.
+    """
+
+    __slots__ = ("values", "_serial", "_constants")
+
+    def __init__(self, given: Dict[str, Any]):
+        self.values = given
+        self._serial = 0
+        self._constants: Dict[Hashable, str] = {}
+
+    def name(self, prefix: str, value: Any = None) -> str:
+        """Return a new name, for a variable, or of a value that is not None."""
+        self._serial += 1
+        name = f"{prefix}{self._serial}"
+        if value is not None:
+            self.values[name] = value
+        return name
+
+    def constant(self, value: Any, key: Hashable) -> str:
+        """Return the name of a value, the same for all that have one key."""
+        name = self._constants.get(key)
+        if name is None:
+            name = self._constants[key] = self.name("k")
+            self.values[name] = value
+        return name
 
 
 def define(source: str, names: Dict[str, Any], title: str) -> Dict[str, Any]:

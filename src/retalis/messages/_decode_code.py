@@ -2,7 +2,7 @@
 
 from struct import Struct
 from struct import error as StructError
-from typing import Callable, Dict, List, Tuple, Union
+from typing import Callable, List, Tuple, Union
 
 from ..foundation import codegen
 from ..prolog.terms import CONS, FALSE, NIL, TRUE, Atom, Functor, Lazy, Term, atom, functor
@@ -23,37 +23,28 @@ class DecoderSource:
 
     def __init__(self) -> None:
         self.lines: List[str] = []
-        self.names: Dict[str, object] = {
-            "C": CONS,
-            "N": NIL,
-            "T": TRUE,
-            "F": FALSE,
-            "Lazy": Lazy,
-            "StructError": StructError,
-            "known": texts.get,
-            "read_text": read_text,
-            "text": text_term,
-            "alike": alike,
-        }
-        self.constants: Dict[Union[Atom, Functor], str] = {}
-        self.serial = 0
+        self._given = given = codegen.Names(
+            {
+                "C": CONS,
+                "N": NIL,
+                "T": TRUE,
+                "F": FALSE,
+                "Lazy": Lazy,
+                "StructError": StructError,
+                "known": texts.get,
+                "read_text": read_text,
+                "text": text_term,
+                "alike": alike,
+            }
+        )
+        self.names, self.name = given.values, given.name
         self.base, self.shift = "o", 0
         self.format = ""
         self.targets: List[str] = []
 
-    def name(self, prefix: str, value: object = None) -> str:
-        self.serial += 1
-        name = f"{prefix}{self.serial}"
-        if value is not None:
-            self.names[name] = value
-        return name
-
     def constant(self, value: Union[Atom, Functor]) -> str:
         """Return the name of an atom or a functor."""
-        name = self.constants.get(value)
-        if name is None:
-            name = self.constants[value] = self.name("k", value)
-        return name
+        return self._given.constant(value, value)
 
     # What a message is made of; the source of the term is returned.
 

@@ -8,7 +8,7 @@ goes to `checking`, which takes every form that is allowed and says exactly what
 from struct import Struct, pack
 from struct import error as StructError
 from sys import getsizeof
-from typing import Any, Callable, Dict, List
+from typing import Any, Callable, List
 
 from ..foundation import Cache, MessageError, codegen
 from ..prolog.terms import CONS, FALSE, NIL, TRUE, Atom, Lazy, Term, atom, functor
@@ -72,24 +72,19 @@ class _EncoderSource:
         self.chunks: List[str] = []
         self.format = ""
         self.values: List[str] = []
-        self.names: Dict[str, object] = {
-            "C": CONS,
-            "N": NIL,
-            "bools": _BOOLS,
-            "packed": _packed.get,
-            "read": _packed.read,
-            "Unusual": _Unusual,
-            "errors": _ERRORS,
-            "join": b"".join,
-        }
-        self.serial = 0
-
-    def name(self, prefix: str, value: object = None) -> str:
-        self.serial += 1
-        name = f"{prefix}{self.serial}"
-        if value is not None:
-            self.names[name] = value
-        return name
+        given = codegen.Names(
+            {
+                "C": CONS,
+                "N": NIL,
+                "bools": _BOOLS,
+                "packed": _packed.get,
+                "read": _packed.read,
+                "Unusual": _Unusual,
+                "errors": _ERRORS,
+                "join": b"".join,
+            }
+        )
+        self.names, self.name = given.values, given.name
 
     def message(self, definition: Definition, value: str) -> None:
         if not definition.fields:

@@ -1,8 +1,8 @@
 """Terms built from values by compiled code: heads of rules, and what aggregates collect."""
 
-from typing import Any, Callable, Dict, List, Sequence
+from typing import Any, Callable, List, Sequence
 
-from ...foundation import LARGEST, shared_function
+from ...foundation import LARGEST, codegen, shared_function
 from ...prolog.terms import Term, Values, Var, copy, deref, is_ground, is_larger, resolve
 
 
@@ -15,12 +15,10 @@ def compile_builder(term: Term, order: Sequence[Var], title: str) -> Callable[[V
         return lambda values: copy(term, dict(zip(order, values)))
     places = {var: f"v[{at}]" for at, var in enumerate(order)}
     lines: List[str] = []
-    names: Dict[str, Any] = {"Var": Var}
+    names = codegen.Names({"Var": Var})
 
     def constant(value: object) -> str:
-        name = f"k{len(names)}"
-        names[name] = value
-        return name
+        return names.name("k", value)
 
     def leaf(item: Term) -> str:
         if item.__class__ is not Var:
@@ -32,7 +30,7 @@ def compile_builder(term: Term, order: Sequence[Var], title: str) -> Callable[[V
 
     result = _build(deref(term), leaf, constant, lines)
     source = "def made(v):\n" + "\n".join(lines) + f"\n    return {result}\n"
-    made: Callable[[Values], Term] = shared_function(source, names, title)
+    made: Callable[[Values], Term] = shared_function(source, names.values, title)
     return made
 
 

@@ -1,8 +1,8 @@
 """Event patterns compiled to Python: from an event term to the values of the pattern's variables."""
 
-from typing import Any, Callable, Dict, List, Optional, Tuple
+from typing import Callable, Dict, List, Optional, Tuple
 
-from ...foundation import LARGEST, shared_function
+from ...foundation import LARGEST, codegen, shared_function
 from ...prolog.terms import (
     Atom,
     Compound,
@@ -59,9 +59,9 @@ class _MatcherWriter:
     def __init__(self, pattern: Compound):
         self.pattern = pattern
         self.lines: List[str] = []
-        self.names: Dict[str, Any] = {"deref": deref, "Lazy": Lazy, "Var": Var, "same": _same}
+        self.given = codegen.Names({"deref": deref, "Lazy": Lazy, "Var": Var, "same": _same})
+        self.names = self.given.values
         self.places: Dict[Var, str] = {}
-        self.counter = 0
 
     def matcher(self) -> Matcher:
         order = variables(self.pattern)
@@ -122,14 +122,10 @@ class _MatcherWriter:
         return f"{place}.__class__ is not {kind} or {place} != {name}"
 
     def _fresh(self) -> str:
-        self.counter += 1
-        return f"a{self.counter}"
+        return self.given.name("a")
 
     def _constant(self, value: object) -> str:
-        self.counter += 1
-        name = f"k{self.counter}"
-        self.names[name] = value
-        return name
+        return self.given.name("k", value)
 
 
 def _same(left: Term, right: Term) -> bool:

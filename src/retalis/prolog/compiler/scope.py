@@ -73,11 +73,11 @@ class Unit:
 
     def __init__(self, machine: Machine, database: KnownDatabase, repeats: bool = False):
         self.database = database
-        self.namespace = base_namespace(machine)
+        self._given = codegen.Names(base_namespace(machine))
+        self.namespace = self._given.values
         self.repeats = repeats
         if repeats:
             self.namespace["compare"] = _compare_numbered
-        self._names: Dict[int, str] = {}
         self._functions: List[str] = []
         self._codes: List[Tuple[Code, str]] = []
         self.jobs: List[Callable[[], None]] = []
@@ -90,11 +90,7 @@ class Unit:
             return str(value) if value >= 0 else f"({value})"
         if kind is float and math.isfinite(value):
             return repr(value) if math.copysign(1.0, value) > 0 else f"({value!r})"
-        name = self._names.get(id(value))
-        if name is None:
-            name = self._names[id(value)] = f"k{len(self._names)}"
-            self.namespace[name] = value  # keeps the value alive, so its id stays its own
-        return name
+        return self._given.constant(value, id(value))  # which keeps the value alive, so its id stays its own
 
     def predicate(self, key: Functor) -> str:
         """Return the name of a predicate."""

@@ -1,6 +1,6 @@
 """Compiles the function that builds all terms of one shape."""
 
-from typing import Callable, Dict, Hashable, List, NamedTuple, Optional, Tuple, Union
+from typing import Callable, Dict, List, NamedTuple, Optional, Tuple, Union
 
 from ...foundation import codegen
 from ..terms import CONS, NIL, Atom, Compound, Functor, Term, Var, atom, make_list
@@ -36,14 +36,15 @@ class ShapeCompiler:
         """Take the marks: a constant of the term -> its variable: ``n0``, ... numbers; ``q0``, ``s0``, ... text."""
         self._marks = marks
         self._used: Dict[str, int] = dict.fromkeys(marks.values(), 0)
-        self._constants: Dict[Hashable, str] = {}
-        self._names: Dict[str, object] = {
-            "atom": atom,
-            "make_list": make_list,
-            "Var": Var,
-            "C": CONS,
-            "N": NIL,
-        }
+        self._given = codegen.Names(
+            {
+                "atom": atom,
+                "make_list": make_list,
+                "Var": Var,
+                "C": CONS,
+                "N": NIL,
+            }
+        )
         self._variables: Dict[Var, str] = {}
         self._lines: List[str] = []
 
@@ -54,7 +55,9 @@ class ShapeCompiler:
             return None
         body = [*self._unpacking(), *(f"{name} = Var()" for name in self._variables.values()), *self._lines]
         lines = ["def build(n, q, s):", *(" " + line for line in body), f" return {result}"]
-        return Builder(codegen.function(lines, self._names, "event text", "build"), not self._variables)
+        return Builder(
+            codegen.function(lines, self._given.values, "event text", "build"), not self._variables
+        )
 
     def _unpacking(self) -> List[str]:
         lines = []
@@ -100,11 +103,7 @@ class ShapeCompiler:
 
     def _constant(self, value: Union[Term, Functor]) -> str:
         key = (value.__class__, value.hex() if value.__class__ is float else value)
-        name = self._constants.get(key)
-        if name is None:
-            name = self._constants[key] = f"k{len(self._constants)}"
-            self._names[name] = value
-        return name
+        return self._given.constant(value, key)
 
     def _compound(self, term: Compound, arguments: List[str]) -> str:
         found: Functor = term[0]
