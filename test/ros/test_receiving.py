@@ -12,7 +12,7 @@ rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 from rospy.exceptions import TransportException, TransportTerminated  # noqa: E402
 
 from retalis.ros import _receiving  # noqa: E402
-from retalis.ros._receiving import LATE, MOST, WINDOW, Pace, ConnectionReader, read_by  # noqa: E402
+from retalis.ros._receiving import LATE, MOST, WINDOW, ConnectionReader, Pace, read_by  # noqa: E402
 
 HEADER = {"type": "std_msgs/String", "callerid": "/talker"}
 

@@ -3,7 +3,7 @@ import threading
 import pytest
 
 from retalis.engine.runtime import Runner
-from retalis.engine.runtime.runner import Request, Recovery
+from retalis.engine.runtime.runner import Recovery, Request
 from retalis.foundation import UsageError
 
 
