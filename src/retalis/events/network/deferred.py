@@ -253,10 +253,9 @@ def absence_of(rule: Owner, negated: Built, names: List[Var], ever: bool) -> Abs
     tracker = rule.network.tracker
 
     def condition(values: Values, match: Match) -> bool:
-        both: Optional[Values] = values + tuple([match.values[index] for index in at])
+        both: Any = values + tuple([match.values[index] for index in at])
         before = tracker.blocker
         for test in tests:
-            assert both is not None
             both = test(both, match.start, match.end)
             if both is None:
                 tracker.blocker = before  # what is in the way of the negated match
