@@ -10,7 +10,9 @@ SOURCE = ROOT / "src" / "retalis"
 GLOSSARY = ROOT / "docs" / "glossary.md"
 
 # Names that are defined more than once, each with the reason.
-TWICE: "dict[str, str]" = {}
+TWICE: "dict[str, str]" = {
+    "Machine": "what runs frames, and the same as predicates in Python see it: with the program that it runs",
+}
 
 
 def classes():

@@ -19,7 +19,7 @@ from ..terms import CONS, NIL, Atom, Compound, Term, Values, Var, deref, list_it
 from .arguments import integer, is_iso, option_values
 from .formatting import Formatter
 from .portraying import OutputCapture, portray_of, printed
-from .program import Machine, Program
+from .program import Machine, MachineProgram
 from .registry import control, deterministic
 from .text import LARGEST_CODE, fill_sink, is_sink, make_text, whole_text
 
@@ -354,7 +354,7 @@ def with_output_to(machine: Machine, args: Values, after: Frame) -> Optional[Fra
 
 
 def _give_back(entry: Frame) -> None:
-    logic: Program = entry[1]
+    logic: MachineProgram = entry[1]
     logic.output, logic.column = entry[2], entry[3]
 
 

@@ -5,7 +5,7 @@ from typing import Callable, List, Optional, Tuple
 from ..compiler import NOT
 from ..syntax import write_term
 from ..terms import Term, functor
-from .program import Machine, Program
+from .program import Machine, MachineProgram
 from .text import long_text
 
 _PORTRAY = functor("portray", 1)
@@ -19,7 +19,7 @@ class OutputCapture:
         before: where output went before, and where that stood in its line.
     """
 
-    def __init__(self, logic: Program):
+    def __init__(self, logic: MachineProgram):
         self.texts: List[str] = []
         self.before = logic.output, logic.column
         self._size = 0

@@ -15,7 +15,7 @@ Outcome = Union[bool, Solutions]
 """The same, or whether there is a solution where the arguments leave one at most."""
 
 
-class Program(Protocol):
+class MachineProgram(Protocol):
     """The program that a machine runs, see `Logic`."""
 
     control: Control
@@ -55,7 +55,7 @@ class Machine(Protocol):
     trail: Trail
     choices: List[Frame]
     budget: Budget
-    logic: Program
+    logic: MachineProgram
 
     def unify(self, left: Term, right: Term) -> bool:
         """Make two terms equal, or bind nothing."""

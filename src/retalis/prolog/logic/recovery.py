@@ -3,7 +3,7 @@
 from typing import Any, NamedTuple, Optional
 
 from ..builtins import OutputCapture
-from ..machine import Guard, Machine, Running
+from ..machine import BudgetState, Guard, Machine
 from ..terms import undo
 
 
@@ -12,7 +12,7 @@ class MachineState(NamedTuple):
 
     height: int
     mark: int
-    budget: Running
+    budget: BudgetState
 
 
 def state_of(machine: Machine) -> MachineState:

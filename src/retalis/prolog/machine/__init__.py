@@ -1,6 +1,6 @@
 """The machine: frames, choice points and budgets, and the errors that goals end with."""
 
-from .budget import Budget, Running
+from .budget import Budget, BudgetState
 from .codes import BAIL, DEAD, LAST, RESUME, CatchMark, Code, Frame, Guard, Runs, Step, Takes
 from .describing import CONTEXT, ERROR, describe
 from .faults import (
@@ -56,7 +56,7 @@ __all__ = [
     "representation_error",
     "resource_error",
     "RESUME",
-    "Running",
+    "BudgetState",
     "Runs",
     "Step",
     "syntax_error",

@@ -33,7 +33,7 @@ class Turn(Protocol):
         """Do something after the work at hand."""
 
 
-Running = Tuple[bool, Ask, object, int, Tuple[int, ...]]
+BudgetState = Tuple[bool, Ask, object, int, Tuple[int, ...]]
 """What runs, see `Budget.state`."""
 
 
@@ -128,11 +128,11 @@ class Budget:
         self.alarms.clear()
         self.ceilings.clear()
 
-    def state(self) -> Running:
+    def state(self) -> BudgetState:
         """Return what runs, for `restore`."""
         return self.running, WATCH.ask, self.goal, len(self.alarms), tuple(self.ceilings)
 
-    def restore(self, state: Optional[Running]) -> None:
+    def restore(self, state: Optional[BudgetState]) -> None:
         """Go back to what ran, or to nothing that runs with None, whatever an interrupt has left."""
         if state is None:
             self.running = False
