@@ -266,12 +266,13 @@ def arguments(argv: Sequence[str]) -> argparse.Namespace:
 def lint(installation: Installation) -> int:
     """Run the checks that need no master; return how many failed."""
     python = str(installation.venv / "bin" / "python3")
-    checks = (
+    checks = [
         [python, "-m", "ruff", "check", "--output-format", "concise", "."],
         [python, "-m", "ruff", "format", "--check", "--output-format", "concise", "."],
-        [python, "-m", "mypy"],
         [python, "-m", "catkin_lint", "-W2", "--strict", "--offline", str(installation.package)],
-    )
+    ]
+    if sys.version_info >= (3, 9):  # the last mypy for 3.8 cannot tell the kind of a term by its class
+        checks.append([python, "-m", "mypy"])
     failed = 0
     for check in checks:
         print("$ " + " ".join(["python3", *check[1:]]), flush=True)

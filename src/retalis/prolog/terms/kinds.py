@@ -2,13 +2,10 @@
 
 from _weakref import _remove_dead_weakref  # type: ignore[attr-defined]
 from itertools import count
-from typing import Any, Callable, Dict, List, Optional, Protocol, Tuple, Union
+from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Protocol, Tuple, Union
 from weakref import ref
 
-CLOSED_TERMS = False
-"""Set by a type checker that looks whether the kind of a term is known before it is used."""
-
-if CLOSED_TERMS:
+if TYPE_CHECKING:
     Compound = Tuple[Any, ...]
     Term = Union[int, float, "Atom", "String", "Var", "Lazy", Compound]
 else:
