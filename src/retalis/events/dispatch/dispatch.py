@@ -183,9 +183,7 @@ class Dispatcher:
             functor = term.functor
         else:
             term = deref(term)
-            functor = _functor_of(term)
-            if functor is None:
-                raise UsageError("an event is an atom or a compound term, not a variable")
+            functor = _functor_of_event(term)
         plan: Any = self._plans.get(functor)
         if plan is None:
             plan = self._plan(functor)
@@ -229,10 +227,8 @@ class Dispatcher:
         event.depth = depth = 1 if parent is None else parent.depth + 1
         frame = (event, after)
         if depth > self._at_once:
-            if depth > self._deepest:
-                raise self._too_deep()
-            if self._budget.closed:
-                self._refuse_past_limits()
+            if depth > self._deepest or self._budget.closed:
+                self._admit(depth)
             return frame
         self.current = event
         for matcher, action in steps:  # as `Dispatch.run`
@@ -243,6 +239,12 @@ class Dispatcher:
                     return next_frame  # type: ignore[no-any-return]
         self.current = parent
         return after
+
+    def _admit(self, depth: int) -> None:
+        """Raise an error where an event is derived through too many, or through many past the limits."""
+        if depth > self._deepest:
+            raise self._too_deep()
+        self._refuse_past_limits()
 
     def _too_deep(self) -> UsageError:
         return UsageError(f"more than {self.max_depth} events were derived one from another")
@@ -450,6 +452,18 @@ def _takes_all(pattern: Term) -> bool:
         return False
     found = set(pattern[1:])
     return len(found) == len(pattern) - 1 and all(item.__class__ is Var for item in found)
+
+
+def _functor_of_event(term: Term) -> Functor:
+    """Return the functor of an event.
+
+    Raises:
+        UsageError: for what is none.
+    """
+    functor = _functor_of(term)
+    if functor is None:
+        raise UsageError("an event is an atom or a compound term, not a variable")
+    return functor
 
 
 def _functor_of(term: Term) -> Optional[Functor]:
