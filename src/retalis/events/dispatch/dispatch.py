@@ -20,7 +20,7 @@ from .serving import AT_ONCE, LEFT_OUT, RESTORE, Dispatch, EventAction, Lane, Li
 Result = TypeVar("Result")
 
 
-class _Logic(Protocol):
+class _GoalCaller(Protocol):
     """What has a machine."""
 
     @property
@@ -50,7 +50,7 @@ class Dispatcher:
             or None where the rule's head does not allow it.
     """
 
-    def __init__(self, logic: Optional[_Logic] = None, max_depth: int = 1000) -> None:
+    def __init__(self, logic: Optional[_GoalCaller] = None, max_depth: int = 1000) -> None:
         self.max_depth = max_depth
         self._deepest = max_depth + 1
         self._at_once = min(AT_ONCE, self._deepest)

@@ -71,7 +71,7 @@ class Occurrence:
         self.end = end
         self.rule = rule
         self.match = match
-        self.derived: List[Known] = []
+        self.derived: List[Tracked] = []
         self.forgotten = False
         self.held: List[Holder] = []
         self.gone = False
@@ -80,7 +80,7 @@ class Occurrence:
         self.suppressed: List[Suppressed] = []
         self.number = 0
 
-    def follows(self, found: "Sequence[Known]") -> None:
+    def follows(self, found: "Sequence[Tracked]") -> None:
         """Have what it came from know it."""
         for source in found:
             if not source.forgotten:
@@ -106,12 +106,12 @@ class Occurrence:
                     yield one
 
 
-Known = Union[Occurrence, Held]
+Tracked = Union[Occurrence, Held]
 Tried = Union[Match, Tuple[Match, Match]]
 """A match, or two that are to be joined."""
 
 
-class Trying(Protocol):
+class TriesAgain(Protocol):
     """A node that tries again what something kept from firing."""
 
     @property
@@ -122,7 +122,7 @@ class Trying(Protocol):
         """Return the frame that fires what is tried, if it still does, and goes on with ``after``."""
 
 
-class _Extends(Trying, Protocol):
+class _Extends(TriesAgain, Protocol):
     """A node whose runs are extended."""
 
     def results_again(self, run: Run) -> List[Match]:
@@ -140,7 +140,7 @@ class Suppressed:
 
     __slots__ = ("node", "what", "number", "freed")
 
-    def __init__(self, node: Trying, what: Tried, number: int):
+    def __init__(self, node: TriesAgain, what: Tried, number: int):
         self.node = node
         self.what = what
         self.number = number
@@ -160,9 +160,9 @@ def occurrences_in(match: Match) -> List[Occurrence]:
     return [token for token in leaves(match) if isinstance(token, Occurrence)]
 
 
-def known_in(match: Match) -> List[Known]:
+def known_in(match: Match) -> List[Tracked]:
     """Return the events of a match, as far as they were tracked; in place of repetitions the last `Held`, linked."""
-    found: List[Known] = []
+    found: List[Tracked] = []
     for one in sources(match):
         if isinstance(one, Held):
             _link(one)
@@ -291,12 +291,12 @@ class Tracker:
                     one for one in held if not isinstance(one, Match) or one.buffer is not None
                 ]
 
-    def hold_repetition(self, run: Run, match: Match, node: Trying) -> None:
+    def hold_repetition(self, run: Run, match: Match, node: TriesAgain) -> None:
         """Remember that a run was extended by a match."""
         for occurrence in known_in(match):
             occurrence.held.append((node, run, match))
 
-    def suppressed(self, node: Trying, what: Tried) -> None:
+    def suppressed(self, node: TriesAgain, what: Tried) -> None:
         """Remember what the last negated match has kept from firing."""
         if self.blocker is not None:
             kept = Suppressed(node, what, next(self._numbers))
@@ -308,7 +308,7 @@ class Tracker:
     def _take_back(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
         """Take back what an event ``rev(E)`` names: all occurrences of E, or the one it was derived for."""
         found = self._rules.dispatcher.token().takes_back
-        again: List[Tuple[Trying, Tried]] = []
+        again: List[Tuple[TriesAgain, Tried]] = []
         if found is None:
             found = [one for one in self._by_term.get(term_key(values[0]), ()) if not one.gone]
             if not found:
@@ -318,14 +318,14 @@ class Tracker:
         work = _TakingBack(self._steps(found, again, start, end))
         return work.run((work, after))
 
-    def _forget(self, found: List[Occurrence]) -> List[Tuple[Trying, Tried]]:
+    def _forget(self, found: List[Occurrence]) -> List[Tuple[TriesAgain, Tried]]:
         """Take events and all that came from them out of what is kept, before anything follows from that.
 
         Returns what fires without them, each with its node: what they kept from firing, and the later results
         of runs that they were part of.
         """
-        gone: List[Known] = []
-        stack: List[Known] = [*reversed(found)]
+        gone: List[Tracked] = []
+        stack: List[Tracked] = [*reversed(found)]
         for named in found:
             named.reported = True
         while stack:
@@ -346,13 +346,13 @@ class Tracker:
             kept += one.suppressed
             one.suppressed = []
         kept.sort(key=_number)  # as they were tried, which the policy says
-        again: List[Tuple[Trying, Tried]] = [
+        again: List[Tuple[TriesAgain, Tried]] = [
             (node, result) for run, node in runs.items() for result in node.results_again(run)
         ]
         return again + [(each.node, each.what) for each in kept if each.free()]
 
     def _steps(
-        self, found: List[Occurrence], again: List[Tuple[Trying, Tried]], start: int, end: int
+        self, found: List[Occurrence], again: List[Tuple[TriesAgain, Tried]], start: int, end: int
     ) -> Iterator[Step]:
         """Yield functions from a frame to a frame: what is to be done one after the other."""
         for occurrence in found:
@@ -361,7 +361,7 @@ class Tracker:
         for node, what in again:
             yield partial(self._retry, node, what)
 
-    def _retry(self, node: Trying, what: Tried, after: Frame) -> Frame:
+    def _retry(self, node: TriesAgain, what: Tried, after: Frame) -> Frame:
         node.rule.add_those_of_other_events(self._rules.dispatcher.token())
         return node.retry(what, after)
 

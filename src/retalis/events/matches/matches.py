@@ -176,8 +176,8 @@ class Named(NamedTuple):
     values: Tuple[Hashable, ...]
 
 
-Part = Union[Match, Held, Repetitions, Found, int]
-Parts = Tuple[Part, ...]
+MatchPart = Union[Match, Held, Repetitions, Found, int]
+Parts = Tuple[MatchPart, ...]
 Holder = Union[Match, Tuple[Any, ...]]
 """What is made of an event: a match that waits, or a node and what it is to forget, see `Tracker`."""
 

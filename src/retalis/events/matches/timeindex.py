@@ -21,7 +21,7 @@ LEAST, MOST = -(1 << 80), 1 << 80
 
 _FULL = 32
 
-_Entry = Tuple[int, int, int, Match]
+_IndexEntry = Tuple[int, int, int, Match]
 
 
 class _TreeNode:
@@ -60,7 +60,7 @@ class _TreeNode:
             self.oldest = min(kid.oldest for kid in self.kids)
             self.newest = max(kid.newest for kid in self.kids)
 
-    def add(self, entry: _Entry) -> Optional["_TreeNode"]:
+    def add(self, entry: _IndexEntry) -> Optional["_TreeNode"]:
         """Add an entry; return the second half of the node where it has become too full."""
         _, other, order, _ = entry
         self.low, self.high = min(self.low, other), max(self.high, other)
@@ -87,7 +87,7 @@ class _TreeNode:
         self._set_orders()
         return half
 
-    def remove(self, entry: _Entry) -> None:
+    def remove(self, entry: _IndexEntry) -> None:
         """Remove an entry that is there."""
         keys, kids = self.keys, self.kids
         if kids is None:
@@ -124,7 +124,7 @@ class TimeIndex:
         with paused():
             self._build(sorted(map(self._entry, matches)))
 
-    def _build(self, entries: List[_Entry]) -> None:
+    def _build(self, entries: List[_IndexEntry]) -> None:
         self.size = len(entries)
         half = _FULL // 2
         nodes = [_TreeNode(entries[at : at + half], None) for at in range(0, len(entries), half)]
@@ -133,7 +133,7 @@ class TimeIndex:
             nodes = [_TreeNode([node.keys[0][:3] for node in part], part) for part in parts]
         self._root = nodes[0]
 
-    def _entry(self, match: Match) -> _Entry:
+    def _entry(self, match: Match) -> _IndexEntry:
         if self.by_end:
             return (match.end, match.start, match.order, match)
         return (match.start, match.end, match.order, match)

@@ -32,14 +32,14 @@ from .deferred import Built, Deferred, Items, Negated, absence_of, deferred_test
 from .joining import Joining
 from .limits import UNLIMITED, Limit
 from .nodes import Acting, Alternatives, Capture, Filter, Leaf, NetworkNode, Never, Trying
-from .owners import Owner
+from .owners import RuleOwner
 from .repeating import Repeating
 from .runs import Running
 from .telling import Name, Telling
 
 _IS = functor("is", 2)
-Names = FrozenSet[Var]
-Tested = Union[Condition, Deferred]
+VarSet = FrozenSet[Var]
+TestedCondition = Union[Condition, Deferred]
 N = TypeVar("N", bound=NetworkNode)
 
 
@@ -66,7 +66,7 @@ class RuleCompiler:
         twins: what negated patterns were built anew, and what they were built as first.
     """
 
-    def __init__(self, rule: Owner, head: List[Term], pattern: Pattern):
+    def __init__(self, rule: RuleOwner, head: List[Term], pattern: Pattern):
         self.rule = rule
         self.pattern = pattern
         self.keep = _used_twice(head, pattern)
@@ -74,7 +74,7 @@ class RuleCompiler:
         self._telling = Telling(self.keep)
         self.nodes: List[Tuple[NetworkNode, Optional[int], Limit]] = []
         self.twins: List[Tuple[Built, Built]] = []
-        self._bound_by: Dict[int, Names] = {}
+        self._bound_by: Dict[int, VarSet] = {}
 
     def build(self) -> NetworkNode:
         """Return the root of the network."""
@@ -92,7 +92,7 @@ class RuleCompiler:
             node = node.child
         return root
 
-    def _build(self, pattern: Pattern, context: Names, limit: Limit) -> Built:
+    def _build(self, pattern: Pattern, context: VarSet, limit: Limit) -> Built:
         """Build a pattern.
 
         Args:
@@ -116,7 +116,7 @@ class RuleCompiler:
             built = self._joining(pair, wrapping, context, inner, built)
         return built
 
-    def _build_core(self, core: Pattern, wrapping: _Wrapping, context: Names, inner: Limit) -> Built:
+    def _build_core(self, core: Pattern, wrapping: _Wrapping, context: VarSet, inner: Limit) -> Built:
         """Build what is not a pair of patterns."""
         if isinstance(core, (Star, Aggregate)):
             return self._running(core, wrapping, context, inner)
@@ -142,7 +142,7 @@ class RuleCompiler:
             built = below._replace(node=self._add(node, None, inner))
         return self._filtered(built, wrapping, context)
 
-    def _repeated(self, core: Repeated, context: Names, limit: Limit) -> Built:
+    def _repeated(self, core: Repeated, context: VarSet, limit: Limit) -> Built:
         """Build a pattern that happens several times; written out where repetitions need nodes of their own."""
         if core.is_of_single_events():
             before = len(self.nodes)
@@ -155,7 +155,7 @@ class RuleCompiler:
             del self.nodes[before:]
         return self._build(core.written_out(), context, limit)
 
-    def _bound(self, pattern: Pattern) -> Names:
+    def _bound(self, pattern: Pattern) -> VarSet:
         """Return the variables that a match of a pattern may give values to; of a sequence looked for once."""
         found = self._bound_by.get(id(pattern))
         if found is None:
@@ -173,7 +173,7 @@ class RuleCompiler:
         self.nodes.append((node, span, limit))
         return node
 
-    def _filtered(self, built: Built, wrapping: _Wrapping, context: Names) -> Built:
+    def _filtered(self, built: Built, wrapping: _Wrapping, context: VarSet) -> Built:
         """Put the conditions of an event, ``or`` or action after its node."""
         conditions, put_off = self._split(wrapping.conditions, wrapping.core, context)
         node = built.node
@@ -191,8 +191,8 @@ class RuleCompiler:
         return built._replace(node=node, deferred=[*built.deferred, *put_off])
 
     def _split(
-        self, conditions: List[Condition], core: Pattern, context: Names
-    ) -> Tuple[List[Tested], List[Deferred]]:
+        self, conditions: List[Condition], core: Pattern, context: VarSet
+    ) -> Tuple[List[TestedCondition], List[Deferred]]:
         """Tell which conditions of an operator may have to wait for variables of patterns to its left.
 
         Returns:
@@ -200,7 +200,7 @@ class RuleCompiler:
         """
         if not conditions:
             return [], []
-        parted: List[Tested] = []
+        parted: List[TestedCondition] = []
         known = surely_bound_by(core, False, True)
         for condition in conditions:
             mentioned = set(variables(condition.goal))
@@ -212,7 +212,9 @@ class RuleCompiler:
                 known |= mentioned
         return parted, [one for one in parted if isinstance(one, Deferred)]
 
-    def _test(self, node: Any, condition: Tested, names: List[Var]) -> Optional[Tuple[Test, List[Var]]]:
+    def _test(
+        self, node: Any, condition: TestedCondition, names: List[Var]
+    ) -> Optional[Tuple[Test, List[Var]]]:
         """Return the test of a condition where it belongs, and the names that it leaves.
 
         One that waits is tried on what may give it all that it waits for; None where nothing can.
@@ -237,7 +239,7 @@ class RuleCompiler:
         """Have a node's interval carried on for a condition."""
         return self._add(Capture(node, one.start, one.end), None, UNLIMITED)
 
-    def _joining(self, core: Pair, wrapping: _Wrapping, context: Names, limit: Limit, left: Built) -> Built:
+    def _joining(self, core: Pair, wrapping: _Wrapping, context: VarSet, limit: Limit, left: Built) -> Built:
         here = context | self._bound(core.left)
         right = self._build(core.right, here, limit)
         below = [*left.deferred, *right.deferred]
@@ -278,7 +280,7 @@ class RuleCompiler:
             joined += negated.first.leaves
         return Built(node, deferred, joined, [])
 
-    def _negated(self, absent: Absent, context: Names, limit: Limit) -> Negated:
+    def _negated(self, absent: Absent, context: VarSet, limit: Limit) -> Negated:
         return Negated(lambda: self._build(absent.negated, context, limit), self.twins)
 
     def _test_joined(
@@ -286,7 +288,7 @@ class RuleCompiler:
         node: Joining,
         below: List[Deferred],
         ready: List[Deferred],
-        conditions: Sequence[Tested],
+        conditions: Sequence[TestedCondition],
     ) -> None:
         """Have a pair tested by the conditions that its sides have put off, and by its own."""
         for one in below:
@@ -299,7 +301,9 @@ class RuleCompiler:
             if found is not None:
                 node.test(*found)
 
-    def _test_gap(self, node: Joining, one: Deferred, conditions: Sequence[Tested]) -> List[Deferred]:
+    def _test_gap(
+        self, node: Joining, one: Deferred, conditions: Sequence[TestedCondition]
+    ) -> List[Deferred]:
         """Have the gap of a pair tested by an absence that looks at others; return what is left for above."""
         if not one.needs - _in_goals([test for test in conditions if isinstance(test, Condition)]):
             # it has variables to which the conditions give values
@@ -309,7 +313,7 @@ class RuleCompiler:
             node.test(*early_test(self.rule, node, one, node.vars))
         return [one]
 
-    def _never(self, core: Absent, context: Names, limit: Limit) -> Built:
+    def _never(self, core: Absent, context: VarSet, limit: Limit) -> Built:
         below = self._build(core.pattern, context, limit)
         here = context | frozenset(bound_by(core.pattern))
         negated = self._negated(core, here, UNLIMITED)
@@ -328,7 +332,7 @@ class RuleCompiler:
         return below.with_negated(node, [*below.deferred, one], negated.first)
 
     def _running(
-        self, core: Union[Star, Aggregate], wrapping: _Wrapping, context: Names, limit: Limit
+        self, core: Union[Star, Aggregate], wrapping: _Wrapping, context: VarSet, limit: Limit
     ) -> Built:
         here = context | frozenset(bound_by(core.first))
         pattern = core.repeated if isinstance(core, Star) else core.collected
@@ -397,14 +401,14 @@ def _may_be_revived(pattern: Pattern) -> bool:
     return any(isinstance(part, (Absent, Star, Aggregate)) for part in walk(pattern))
 
 
-def _in_goals(conditions: List[Condition]) -> Names:
+def _in_goals(conditions: List[Condition]) -> VarSet:
     """Return the variables of conditions."""
     return frozenset(var for condition in conditions for var in variables(condition.goal))
 
 
 def _those_about_a_result_last(
-    conditions: Sequence[Tested], known: Sequence[Var], result: Sequence[Var]
-) -> List[Tuple[bool, Tested]]:
+    conditions: Sequence[TestedCondition], known: Sequence[Var], result: Sequence[Var]
+) -> List[Tuple[bool, TestedCondition]]:
     """Return the conditions of an aggregate, and whether each looks at the result or at what follows from it."""
     shown = set(result)
     early, late = [], []

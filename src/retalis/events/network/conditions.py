@@ -17,7 +17,7 @@ from ...prolog.terms import (
 )
 from ..dispatch import AT_ONCE, Completion, goal_lane
 from ..matches import Match, emit_each
-from .owners import Owner
+from .owners import RuleOwner
 
 Test = Callable[[Values, int, int], Optional[Values]]
 """Takes values and interval of a match; gives the values with what was found, or None where it fails."""
@@ -57,7 +57,7 @@ class RuleGoal:
         result_vars: ``known``, then the other variables of the goal.
     """
 
-    def __init__(self, rule: Owner, goal: Term, known: Sequence[Var]):
+    def __init__(self, rule: RuleOwner, goal: Term, known: Sequence[Var]):
         self.rule = rule
         self.goal = goal
         self.known = list(known)

@@ -6,7 +6,7 @@ from ...prolog.terms import Term, Values, Var, deref, functor, positions, variab
 from ..matches import NO_ITEMS, Absence, Emitting, Match
 from .conditions import RuleGoal, Test, goal_test
 from .nodes import Leaf, NetworkNode
-from .owners import Owner
+from .owners import RuleOwner
 
 _ITEMS = functor("items", 2)
 _ITEM = functor("item", 1)
@@ -152,7 +152,7 @@ def with_item(items: Term, values: Values) -> Term:
     return (_ITEMS, (_ITEM, *values), items)
 
 
-def deferred_test(rule: Owner, node: Carrying, one: Deferred, names: List[Var]) -> Tuple[Test, List[Var]]:
+def deferred_test(rule: RuleOwner, node: Carrying, one: Deferred, names: List[Var]) -> Tuple[Test, List[Var]]:
     """Return the test of a condition at a node that knows all it looks at, and the names that it leaves.
 
     Args:
@@ -175,7 +175,7 @@ def deferred_test(rule: Owner, node: Carrying, one: Deferred, names: List[Var]) 
     return _absence_test(absence, at, ever), names
 
 
-def early_test(rule: Owner, node: Carrying, one: Deferred, names: List[Var]) -> Tuple[Test, List[Var]]:
+def early_test(rule: RuleOwner, node: Carrying, one: Deferred, names: List[Var]) -> Tuple[Test, List[Var]]:
     """Return a test as `deferred_test` does, for where some of what the condition waits for may still be open.
 
     A match where it is open goes on untested; one that has passed is marked, and not tested further up.
@@ -196,7 +196,7 @@ def early_test(rule: Owner, node: Carrying, one: Deferred, names: List[Var]) -> 
 
 
 def _test_of_each(
-    rule: Owner, node: Carrying, items: Items, one: Deferred, names: List[Var]
+    rule: RuleOwner, node: Carrying, items: Items, one: Deferred, names: List[Var]
 ) -> Tuple[Test, List[Var]]:
     at = names.index(items.var)
     mentioned = [] if one.goal is None else variables(one.goal)
@@ -227,7 +227,7 @@ def _test_of_each(
     return test, known
 
 
-def absence_of(rule: Owner, negated: Built, names: List[Var], ever: bool) -> Absence:
+def absence_of(rule: RuleOwner, negated: Built, names: List[Var], ever: bool) -> Absence:
     """Return what looks for matches of a negated node.
 
     Args:

@@ -28,7 +28,7 @@ from ..matches import (
 from .conditions import Test
 from .limits import kept_for_late
 from .nodes import NetworkNode
-from .owners import Buffer, Owner
+from .owners import Buffer, RuleOwner
 from .telling import Name, found_here
 
 
@@ -54,7 +54,7 @@ class Joining(NetworkNode):
 
     def __init__(
         self,
-        rule: Owner,
+        rule: RuleOwner,
         operator: EventOperator,
         left: NetworkNode,
         right: NetworkNode,

@@ -11,7 +11,7 @@ from ...prolog.terms import Term, Values, Var, positions, variables
 from ..dispatch import Completion
 from ..matches import Absence, Emit, Emitting, Found, Match, NetworkOptions
 from .conditions import RuleGoal, Test
-from .owners import Buffer, Owner
+from .owners import Buffer, RuleOwner
 from .telling import found_here
 
 
@@ -48,7 +48,7 @@ class NetworkNode:
 class Leaf(NetworkNode):
     """Waits for events that unify with a term."""
 
-    def __init__(self, rule: Owner, term: Term):
+    def __init__(self, rule: RuleOwner, term: Term):
         self.rule = rule
         self.term = term
         self.alone = True
@@ -252,7 +252,7 @@ class Acting(NetworkNode):
 class Never(NetworkNode):
     """Lets a match through if no event of another kind ended before it started."""
 
-    def __init__(self, rule: Owner, child: NetworkNode, negated: NetworkNode, absence: Absence):
+    def __init__(self, rule: RuleOwner, child: NetworkNode, negated: NetworkNode, absence: Absence):
         self.child = child
         self.negated = negated
         self.absence = absence
@@ -291,7 +291,7 @@ class Trying(NetworkNode):
 
     test: Test
 
-    def __init__(self, rule: Owner, child: NetworkNode):
+    def __init__(self, rule: RuleOwner, child: NetworkNode):
         self.rule = rule
         self.child = child
         self.carried: List[Tuple[Absence, Emitting]] = []

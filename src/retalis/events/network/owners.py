@@ -71,23 +71,23 @@ class Network(Protocol):
     def newest_allowed(self) -> int:
         """Return the newest stamp that may move the clock of a rule."""
 
-    def dropped(self, rule: "Owner") -> None:
+    def dropped(self, rule: "RuleOwner") -> None:
         """Report that a rule has too many partial matches."""
 
-    def set_alarm(self, rule: "Owner", term: Term, start: int, instant: int, token: Any = None) -> None:
+    def set_alarm(self, rule: "RuleOwner", term: Term, start: int, instant: int, token: Any = None) -> None:
         """Have an event fire when its instant has come."""
 
-    def look_at_alarm(self, rule: "Owner", head: Term, alarm: Optional[Tuple[Term, int, int]]) -> None:
+    def look_at_alarm(self, rule: "RuleOwner", head: Term, alarm: Optional[Tuple[Term, int, int]]) -> None:
         """Report an alarm for an instant that is over."""
 
-    def goal_failed(self, rule: "Owner", goal: Term, error: RetalisError) -> None:
+    def goal_failed(self, rule: "RuleOwner", goal: Term, error: RetalisError) -> None:
         """Report an error that a goal of a rule raised."""
 
-    def rule_failed(self, rule: "Owner", error: RuleError) -> None:
+    def rule_failed(self, rule: "RuleOwner", error: RuleError) -> None:
         """Report what stopped a rule from firing."""
 
 
-class Owner(Protocol):
+class RuleOwner(Protocol):
     """A rule.
 
     Attributes:

@@ -43,7 +43,7 @@ from ..matches import (
 )
 from .joining import Joining
 from .nodes import NetworkNode
-from .owners import Buffer, Owner
+from .owners import Buffer, RuleOwner
 from .telling import Name
 
 _SEQ = OPERATORS["seq"]
@@ -84,7 +84,7 @@ class Repeating(NetworkNode):
 
     def __init__(
         self,
-        rule: Owner,
+        rule: RuleOwner,
         child: NetworkNode,
         times: int,
         keep: AbstractSet[Var],

@@ -35,7 +35,7 @@ from ..matches import (
 from .conditions import Test
 from .deferred import Items, with_item
 from .nodes import NetworkNode
-from .owners import Buffer, Owner
+from .owners import Buffer, RuleOwner
 from .telling import Name, found_here
 
 
@@ -60,7 +60,7 @@ class Running(NetworkNode):
 
     def __init__(
         self,
-        rule: Owner,
+        rule: RuleOwner,
         first: NetworkNode,
         repeated: NetworkNode,
         double: bool,

@@ -41,7 +41,7 @@ _WAITS = frozenset(functor(name, 3) for name in ("synchronized", "syncronized"))
 _MAKES = frozenset((functor("memorize", 5), functor("memorize", 6), functor("memorize_diactive", 5)))
 
 
-class _Named(Protocol):
+class _NamedMemory(Protocol):
     """A memory."""
 
     @property
@@ -53,7 +53,7 @@ class _Known(Protocol):
     """What the program remembers and sends out."""
 
     @property
-    def memories(self) -> Iterable[_Named]:
+    def memories(self) -> Iterable[_NamedMemory]:
         """Its memories."""
 
     def patterns(self) -> Iterator[Tuple[Term, str]]:

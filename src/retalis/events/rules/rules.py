@@ -13,7 +13,7 @@ from ..dispatch import Dispatcher, Stage
 from ..history import Fired, Justifier, Occurrence, Store, Tracker
 from ..language import Property, RuleDefinition, called_by, is_absolute, is_rule
 from ..matches import NetworkOptions
-from ..network import Owner, Rule, UnderWay
+from ..network import Rule, RuleOwner, UnderWay
 from ..program import FileChecker, Files, Loader, nowhere
 from .flags import Flags
 from .predicates import define_predicates
@@ -335,7 +335,7 @@ class Rules:
     # ---- alarms and reports --------------------------------------------------------------------------
 
     def set_alarm(
-        self, rule: Owner, term: Term, start: int, instant: int, token: Optional[Occurrence] = None
+        self, rule: RuleOwner, term: Term, start: int, instant: int, token: Optional[Occurrence] = None
     ) -> None:
         """Have an event fire when its instant has come."""
 
@@ -354,7 +354,7 @@ class Rules:
             return
         self.clock.call_at(instant, fire)
 
-    def look_at_alarm(self, rule: Owner, head: Term, alarm: Optional[Tuple[Term, int, int]]) -> None:
+    def look_at_alarm(self, rule: RuleOwner, head: Term, alarm: Optional[Tuple[Term, int, int]]) -> None:
         """Report an alarm for an instant that is over: one before its own start is None here, and rings never."""
         if not is_absolute(head) or (alarm is not None and alarm[2] >= self.clock.now()):
             return
@@ -373,24 +373,24 @@ class Rules:
             place = None if rule is None else rule.place
             self.on_warning(RuleError(f"{text}; {number} so far", place))
 
-    def rule_failed(self, rule: Owner, error: RuleError) -> None:
+    def rule_failed(self, rule: RuleOwner, error: RuleError) -> None:
         """Report what stopped a rule from firing."""
         event = self.dispatcher.event()
         met = "" if event is None else f", at event {self.logic.brief(event.term)}"
         self.on_error(RuleError(f"{rule.name}{met}: {error.message}", rule.place))
 
-    def goal_failed(self, rule: Owner, goal: Term, error: RetalisError) -> None:
+    def goal_failed(self, rule: RuleOwner, goal: Term, error: RetalisError) -> None:
         """Report an error that a goal of a rule raised, or stopped for."""
         if keep_back(error):
             shown = self.logic.brief(goal, names=rule.definition.names)
             self.rule_failed(rule, RuleError(f"goal {shown}: {error.message}"))
 
-    def dropped(self, rule: Owner) -> None:
+    def dropped(self, rule: RuleOwner) -> None:
         """Report that a rule has too many partial matches."""
         text = f" has more than {self.cap} partial matches; {rule.dropped} of the oldest have been dropped so far"
         self._warn_seldom(rule, rule.dropped, text)
 
-    def _warn_seldom(self, rule: Owner, number: int, text: str) -> None:
+    def _warn_seldom(self, rule: RuleOwner, number: int, text: str) -> None:
         """Report what has happened to a rule a number of times; at 1, 2, 4, 8 ... of them."""
         if number & (number - 1) == 0:
             self.on_warning(RuleError(f"{rule.name}{text}", rule.place))

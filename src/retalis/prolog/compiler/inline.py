@@ -18,7 +18,7 @@ from .nodes import (
     Needed,
     needed_by,
 )
-from .scope import Knowledge, Scope
+from .scope import Scope, ScopeState
 from .unification import differs, forget_fresh, match
 
 Missed = Tuple[Set[Needed], Set[Var]]
@@ -315,7 +315,7 @@ def forget(scope: Scope, missed: Missed) -> None:
         scope.numbers.pop(var, None)
 
 
-def _join(scope: Scope, then_state: Knowledge, later: FrozenSet[Needed], start: int, middle: int) -> None:
+def _join(scope: Scope, then_state: ScopeState, later: FrozenSet[Needed], start: int, middle: int) -> None:
     """Give the variables that are needed later the same names at the ends of both branches."""
     then_lines: List[str] = []
     indent = "    " * scope.depth

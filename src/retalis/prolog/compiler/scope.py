@@ -190,7 +190,7 @@ class Loop(NamedTuple):
     end: Optional[Tuple[int, str]]
 
 
-Knowledge = Tuple[Dict[Needed, str], Set[Var], Dict[Var, Tuple[str, str]], str, Optional[str], str, bool]
+ScopeState = Tuple[Dict[Needed, str], Set[Var], Dict[Var, Tuple[str, str]], str, Optional[str], str, bool]
 """What is known at a point of a function, see `Scope.branch`."""
 
 
@@ -246,7 +246,7 @@ class Scope:
         self._temps += 1
         return f"{stem}{self._temps}"
 
-    def branch(self) -> Knowledge:
+    def branch(self) -> ScopeState:
         """Return the knowledge at this point, to come back to with `restore`."""
         return (
             dict(self.names),
@@ -258,7 +258,7 @@ class Scope:
             self.entry,
         )
 
-    def restore(self, state: Knowledge) -> None:
+    def restore(self, state: ScopeState) -> None:
         """Go back to the knowledge that `branch` returned."""
         names, fresh, numbers, self.fail, self.pending, self.after, self.entry = state
         self.names, self.fresh, self.numbers = dict(names), set(fresh), dict(numbers)
