@@ -70,5 +70,5 @@ def test_what_is_no_name_of_the_code_is_mentioned():
 
 def test_all_rooms_are_named():
     text = PAGE.read_text(encoding="utf-8")
-    rooms = [path.name for path in SOURCE.iterdir() if path.is_dir() and path.name != "__pycache__"]
+    rooms = {path.relative_to(SOURCE).parts[0] for path in SOURCE.glob("*/**/*.py")}
     assert [room for room in rooms if f"| `{room}/` |" not in text] == []

@@ -146,13 +146,6 @@ CASES: Dict[str, Case] = {
         ("", "a", "a[", "a[1", "a[1 ", "a[1] ", "a a", "a a "),
         (*BLANKS, "a", "1", "1 ", "[ ", "a "),
     ),
-    # messages/eventtexts.py
-    r"1(0{30}\d{10})(?=[,\])])": Case(
-        "search", "40 characters at each", ("",), ("0", "1" + "0" * 40, "1" + "0" * 30)
-    ),
-    r"(?<!\d)\d*[a-zA-Z?]": Case(
-        "search", "digits without a letter, once more", ("",), ("1", "1d", "d", "x1")
-    ),
     # messages/text.py
     r"[ -~\t\n\r\v\f]*\Z": Case(
         "match", "bytes that cannot be shown at the end: all once more", ("",), ("a", "\n")
