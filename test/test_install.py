@@ -3,6 +3,7 @@ import io
 import os
 import subprocess
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -262,6 +263,17 @@ def test_without_system_the_missing_packages_are_named(install, noetic):
     ):
         noetic.system_packages()
     assert noetic.shell.commands == []
+
+
+@pytest.mark.parametrize(
+    "version, options",
+    [((3, 8), ["--no-warn-unused-ignores", "--no-warn-return-any"]), ((3, 9), []), ((3, 11), [])],
+)
+def test_lint_checks_types_on_every_python(install, noetic, monkeypatch, version, options):
+    monkeypatch.setattr(install, "sys", SimpleNamespace(version_info=version))
+    assert install.lint(noetic) == 0
+    (types,) = [command for command in noetic.shell.commands if "mypy" in command]
+    assert types[types.index("mypy") + 1 :] == options
 
 
 def test_an_option_behind_the_command_is_refused_before_anything_is_done(install, capsys):

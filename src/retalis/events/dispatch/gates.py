@@ -36,7 +36,7 @@ class Gate:
         """Take the dispatcher's plan, or None where that is not known any more."""
         self.plan = plan
         self.passes = self._walk
-        if plan.__class__ is Choice and plan.at in self._positions and not plan.any:
+        if isinstance(plan, Choice) and plan.at in self._positions and not plan.any:
             self.passes = _looking(self._positions, plan.at)(plan.table, self._walk)
 
 

@@ -64,13 +64,11 @@ class Switches(Protocol):
 
 
 class Remembered(Protocol):
-    """The program.
+    """The program."""
 
-    Attributes:
-        on_warning: called with each warning.
-    """
-
-    on_warning: Callable[[RetalisError], None]
+    @property
+    def on_warning(self) -> Callable[[RetalisError], None]:
+        """Called with each warning."""
 
     @property
     def logic(self) -> Logic:

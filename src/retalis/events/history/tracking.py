@@ -384,6 +384,7 @@ def _number(one: Suppressed) -> int:
 
 def _unlink(oldest: Occurrence) -> None:
     """Have repetitions that an occurrence came from forget it: they may stay as long as their run does."""
+    one: Any
     if oldest.match is not None:
         for one in sources(oldest.match):
             if one.__class__ is Held:

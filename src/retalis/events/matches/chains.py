@@ -49,7 +49,7 @@ class Chain(Repetitions):
         total = sum(log.sum_to(end) - log.sum_to(begin) for log, begin, end in self.pieces)
         return hash((self.length, total & _MASK))
 
-    def __eq__(self, other: object) -> bool:
+    def __eq__(self, other: Any) -> bool:
         if self is other:
             return True
         if other.__class__ is not Chain or self.length != other.length or hash(self) != hash(other):

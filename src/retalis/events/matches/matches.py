@@ -198,7 +198,7 @@ class Identity:
         return self.hash
 
     def __eq__(self, other: object) -> bool:
-        pairs: List[Tuple[object, object]] = [(self, other)]
+        pairs: List[Tuple[Any, Any]] = [(self, other)]
         while pairs:
             one, two = pairs.pop()
             if one is two:
@@ -224,7 +224,8 @@ def identity(match: Match) -> Hashable:
     waited = last.__class__ is Match and hasattr(last, "identity")
     found: Hashable = last.identity if waited else _identity_of(last, ())
     if waited and found.__class__ is Named:
-        found = found.structure
+        named: Any = found
+        found = named.structure
     for one in reversed(path[:-1]):
         found = _identity_of(one, (found,))
     return found
@@ -235,6 +236,7 @@ def _identity_of(match: Match, key: Tuple[Hashable, ...]) -> Hashable:
     parts = match.parts
     if parts is None:
         return term_key(match.term)
+    part: Any
     for part in parts[len(key) :]:
         if isinstance(part, Match):
             key += (identity(part),)
@@ -247,6 +249,7 @@ def _identity_of(match: Match, key: Tuple[Hashable, ...]) -> Hashable:
 
 def leaves(match: Match) -> Iterator[Hashable]:
     """Yield the tokens of the events that a match was made of, in the order of the pattern."""
+    inner: Any
     stack = [match]
     while stack:
         part = stack.pop()
@@ -262,6 +265,7 @@ def leaves(match: Match) -> Iterator[Hashable]:
 
 def sources(match: Match) -> Iterator[Hashable]:
     """Yield the tokens of the events that a match was made of; for those of repetitions the last `Held`."""
+    inner: Any
     stack = [match]
     while stack:
         part = stack.pop()

@@ -134,7 +134,7 @@ def unknown_memories(engine: Checkable) -> Iterator[RuleError]:
     bodies = [_NamedTerm(term, "", None) for term in engine.rules.terms()]
     for text in [*_rules(engine), *bodies]:
         for part in _parts(text.term):
-            if part.__class__ is tuple and part[0] in _MAKES:
+            if isinstance(part, tuple) and part[0] in _MAKES:
                 made.add(deref(part[4]))
             asked += [(name, text.place) for name in _memories_in(part)]
     there = {name for name in made if isinstance(name, Atom)}

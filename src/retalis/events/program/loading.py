@@ -66,13 +66,15 @@ class Loaded(Protocol):
 
     Attributes:
         warn_singletons: whether variables that stand in a clause only once are worth a warning.
-        on_warning: called with each warning.
         serial: how many rules there have been.
     """
 
     warn_singletons: bool
-    on_warning: Callable[[RetalisError], None]
     serial: int
+
+    @property
+    def on_warning(self) -> Callable[[RetalisError], None]:
+        """Called with each warning."""
 
     @property
     def logic(self) -> Logic:

@@ -164,7 +164,7 @@ def checked(value: Number) -> Number:
     raise evaluation_error("undefined" if value != value else "float_overflow")
 
 
-def integer(value: Number) -> int:
+def integer(value: Any) -> int:
     """Return an operand that has to be an integer."""
     if value.__class__ is not int:
         raise type_error("integer", checked(value))
@@ -347,10 +347,10 @@ def _lcm(left: Number, right: Number) -> int:
 
 
 def _rounded(function: Callable[[float], int]) -> Callable[[Number], int]:
-    def apply(value: Number) -> int:
+    def apply(value: Any) -> int:
         if value.__class__ is int:
             return value
-        return function(value) if value - value == 0 else value  # type: ignore[return-value]
+        return function(value) if value - value == 0 else value
 
     return apply
 

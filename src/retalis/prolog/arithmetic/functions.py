@@ -5,7 +5,7 @@ import random
 import sys
 import time
 from struct import pack, unpack
-from typing import Callable
+from typing import Any, Callable
 
 from ...foundation import UsageError
 from ..machine import domain_error, evaluation_error, resource_error
@@ -118,7 +118,7 @@ def _power2(base: Number, exponent: Number) -> Number:
     return power(base, exponent)
 
 
-def _integer_power(base: int, exponent: int) -> int:
+def _integer_power(base: Any, exponent: Any) -> int:
     if base in (0, 1, -1):
         if exponent >= 0:
             small: int = base**exponent

@@ -1,6 +1,6 @@
 """Unification, comparison, arithmetic and type tests as predicates (clauses have most of them in line)."""
 
-from typing import Callable, Dict
+from typing import Any, Callable, Dict
 
 from ...foundation import TermTooLarge, codegen, look
 from ..arithmetic import evaluate
@@ -58,7 +58,7 @@ def unify_with_occurs_check(machine: Machine, left: Term, right: Term) -> bool:
     )
 
 
-def _is_cyclic(var: Var) -> bool:
+def _is_cyclic(var: Any) -> bool:
     """Tell whether the binding of a variable contains the variable."""
     seen = set()
     stack = [var.ref]

@@ -225,7 +225,7 @@ def _text(machine: Machine, term: Term, number: Optional[int]) -> str:
 
 def _integer(letter: str, term: Term) -> int:
     value = evaluate(term)
-    if value.__class__ is not int:
+    if not isinstance(value, int):
         raise argument_error(letter, value)
     return value
 

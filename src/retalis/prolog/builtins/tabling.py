@@ -207,7 +207,7 @@ class Tables:
         _, table, free = frame
         answer: Any = []
         for var in free:
-            value = var.ref
+            value: Any = var.ref
             while value.__class__ is Var and value.ref is not None:
                 value = value.ref
             if value.__class__ not in _PLAIN:

@@ -154,7 +154,7 @@ class Bodies:
         # New variables are made before the frames that share them.
         for call in calls:
             for var in sorted(call.vars, key=self.clause.number):
-                if var.__class__ is Var and var not in scope.names and not self.clause.is_void(var):
+                if isinstance(var, Var) and var not in scope.names and not self.clause.is_void(var):
                     scope.create(var)
         frame = self._continuation(scope, rest, scope.after) if rest else scope.after
         if self._at_once(calls[0]):
@@ -276,8 +276,7 @@ class Bodies:
         parts = [code, *[scope.names[var] for var in live], after]
         if retried:
             parts.append("len(trail)")
-        for var in live:
-            scope.fresh.discard(var)
+        scope.fresh.difference_update(live)
         return f"({', '.join(parts)})"
 
     def _code(self) -> Tuple[str, str]:
@@ -308,7 +307,7 @@ class Bodies:
             twice |= seen & needed
             seen |= needed
         for var in sorted(twice, key=self.clause.number):
-            if var.__class__ is Var and var not in scope.names:
+            if isinstance(var, Var) and var not in scope.names:
                 scope.create(var)
                 scope.fresh.discard(var)
 

@@ -60,7 +60,6 @@ class KnownPredicate(Protocol):
     """A predicate; see `Predicate`."""
 
     functor: Functor
-    run: Step
     kind: str
     function: Optional[Callable[..., Any]]
     gate: Optional[Callable[[Functor, Tuple[int, ...]], object]]
@@ -70,6 +69,10 @@ class KnownPredicate(Protocol):
     dynamic: bool
     library: bool
     ground: bool
+
+    @property
+    def run(self) -> Step:
+        """The function that does a call."""
 
     @property
     def functional(self) -> Optional[KnownFunction]:

@@ -159,7 +159,7 @@ class IfThenElse(GoalNode):
         everything = (*test, *then, *otherwise)
         cuts = any(node.cuts for node in (*then, *otherwise))
         inline = not soft and not cuts and inner is None and all(node.inline for node in everything)
-        super().__init__(needed_by(everything) - {inner}, inline, cuts)
+        super().__init__(needed_by(everything).difference([inner]), inline, cuts)
         self.test = test
         self.then = then
         self.otherwise = otherwise

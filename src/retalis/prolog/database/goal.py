@@ -79,7 +79,9 @@ class CompiledGoal:
         return self._handing_over.run(frame)
 
     def _first_plain(self, frame: Frame) -> Optional[Frame]:
-        self.code.run, self.code.steady = self._source.enter(False)
+        run, steady = self._source.enter(False)
+        code: Any = self.code  # not a predicate here: those run themselves
+        code.run, code.steady = run, steady
         return self.code.run(frame)
 
     def enter(self, values: Values, collector: Frame) -> Frame:

@@ -276,7 +276,7 @@ class Machine:
 
     # Exceptions
 
-    def _handle(self, exc: Exception, frame: Frame, base: int) -> Frame:
+    def _handle(self, exc: Exception, frame: Any, base: int) -> Frame:
         """Return the frame that handles an exception, or raise it where nothing above ``base`` does."""
         error = from_python(exc)
         if error is None:

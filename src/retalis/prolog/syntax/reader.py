@@ -1,6 +1,6 @@
 """Text to terms: one term, or a program clause by clause."""
 
-from typing import Dict, Iterator, List, Optional, Tuple, Union
+from typing import Any, Dict, Iterator, List, Optional, Tuple, Union
 
 from ...foundation import Place, SyntaxFault
 from ..terms import Term, Var
@@ -63,7 +63,7 @@ class ReadTerm:
         ``place_at(2, 1)`` is the first argument of the second argument. Where the path leads into a list
         or out of the term, it is the place of what is around it.
         """
-        part: Optional[Term] = self.term
+        part: Any = self.term
         offset = self.offset
         for number in path:
             spots = self._spots.get(id(part))

@@ -102,7 +102,7 @@ class ShapeCompiler:
         return f"atom({mark})" if mark[0] == "q" else f"atom(f'\"{{{mark}}}\"')"
 
     def _constant(self, value: Union[Term, Functor]) -> str:
-        key = (value.__class__, value.hex() if value.__class__ is float else value)
+        key = (value.__class__, value.hex() if isinstance(value, float) else value)
         return self._given.constant(value, key)
 
     def _compound(self, term: Compound, arguments: List[str]) -> str:

@@ -1,14 +1,15 @@
 """The kinds of terms, and the few that everybody names."""
 
+import sys
 from _weakref import _remove_dead_weakref  # type: ignore[attr-defined]
 from itertools import count
 from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Protocol, Tuple, Union
 from weakref import ref
 
-if TYPE_CHECKING:
+if TYPE_CHECKING and sys.version_info >= (3, 9):
     Compound = Tuple[Any, ...]
     Term = Union[int, float, "Atom", "String", "Var", "Lazy", Compound]
-else:
+else:  # the last mypy for Python 3.8 cannot tell the kind of a term by its class
     Compound = Tuple[Any, ...]
     Term = Any
 
@@ -83,7 +84,7 @@ class String:
     def __init__(self, text: str):
         self.text = text
 
-    def __eq__(self, other: object) -> bool:
+    def __eq__(self, other: Any) -> bool:
         return other.__class__ is String and other.text == self.text
 
     def __hash__(self) -> int:

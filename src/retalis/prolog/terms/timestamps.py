@@ -167,7 +167,7 @@ def to_term(instant: int) -> Term:
 def shown(instant: int) -> Term:
     """Return the term of an instant as a lazy one: most are handed on to `from_term` and never looked at."""
     if instant.__class__ is Stamp:
-        return instant.term
+        return instant.term  # type: ignore[attr-defined, unused-ignore]  # on Python 3.8 only
     return Lazy(DATIME7, to_term, instant)
 
 

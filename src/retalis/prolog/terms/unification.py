@@ -81,7 +81,7 @@ def _is_older(left: Var, right: Var) -> bool:
     return not hasattr(right, "serial") or left.serial < right.serial
 
 
-def same_constant(left: object, right: object) -> bool:
+def same_constant(left: Any, right: Any) -> bool:
     """Tell whether two constants of one class are the same term (``nan`` is itself; 0.0 is not -0.0)."""
     if left.__class__ is float:
         return right.__class__ is float and left.hex() == right.hex()
