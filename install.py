@@ -291,7 +291,10 @@ def main(argv: Sequence[str]) -> int:
     setup = options.workspace / "devel" / "setup.bash"
     if options.command == "where":
         if not setup.exists():
-            raise Problem("nothing has been built yet; run ./install.py")
+            raise Problem(
+                f"nothing has been built yet in {options.workspace}; "
+                "run ./install.py, or give the --workspace that it was run with"
+            )
         print(setup)
         return 0
     shell = Shell(options.workspace / "log", options.dry_run)

@@ -62,3 +62,8 @@ def test_an_engine_shows_operators_and_what_is_there():
     assert engine.operators is engine.operators
     assert engine.show(engine.query("X = (a near b)")[0]["X"]) == "a near b"
     assert engine.brief(topic) == "out"
+
+
+def test_what_there_is_is_shown():
+    assert {*retalis.__all__, "errors", "explain", "terms"} <= {*dir(retalis)}
+    assert {"Atom", "atom", "functor"} <= {*dir(retalis.terms)}

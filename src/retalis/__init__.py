@@ -1,10 +1,22 @@
-"""Event rules and a Prolog knowledge base for robots, on ROS 1 and without it."""
+"""Event rules and a Prolog knowledge base for robots, on ROS 1 and without it.
+
+An `Engine` takes a program and events, and gives events and answers::
+
+    engine = Engine()
+    engine.load(rules="fever(Who) <- (temperature(Who, A) seq temperature(Who, B)) where (A > 38, B > 38).")
+    engine.on_event(lambda term, start, end: print(engine.show(term)))
+    engine.event("temperature(ann, 38.4)", 1)
+    engine.event("temperature(ann, 38.6)", 2)
+
+prints the two events and ``fever(ann)``. Instants are nanoseconds since the epoch. `Playback` runs a program over a
+bag.
+"""
 
 import sys
 from importlib import import_module
 from pkgutil import extend_path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, List
 
 if TYPE_CHECKING:  # for type checkers; a program gets them by `__getattr__`
     from .engine import Engine, OnEvent, OnOutput, Settings
@@ -73,6 +85,11 @@ _HOMES_OF_MODULES = {"errors": "foundation.errors", "explain": "engine.explainin
 """Where the modules stand that programs name without their room."""
 
 
+def __dir__() -> List[str]:
+    """Return what a user needs, and the modules that programs name."""
+    return [*__all__, *_HOMES_OF_MODULES, *(name for name in globals() if name.startswith("__"))]
+
+
 def __getattr__(name: str) -> Any:
     """Import what is asked for."""
     if name in _HOMES:
@@ -86,9 +103,13 @@ class _LazyModule(ModuleType):
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):
             raise AttributeError(f"module {self.__name__!r} has no attribute {name!r}")
-        return getattr(
-            import_module(f"{__name__}.{_HOMES_OF_MODULES[self.__name__.rpartition('.')[2]]}"), name
-        )
+        return getattr(self._home(), name)
+
+    def __dir__(self) -> List[str]:
+        return list(self._home().__all__)
+
+    def _home(self) -> ModuleType:
+        return import_module(f"{__name__}.{_HOMES_OF_MODULES[self.__name__.rpartition('.')[2]]}")
 
 
 for _name, _home in _HOMES_OF_MODULES.items():

@@ -76,7 +76,7 @@ def test_tests_know_all():
 
 
 ENTRY = """    EventOperator(
-        "overlaps",
+        "straddles",
         OperatorKind.PAIR,
         1025,
         comparisons=("s1 < s2", "s2 < e1", "e1 < e2"),
@@ -98,18 +98,18 @@ for policy in ("recent", "recent_2", "chronological", "chronological_2", "unrest
     seen = []
     engine.on_event(lambda term, start, end: seen.append((engine.show(term), start // SECOND, end // SECOND)))
     goals = "set_etalis_flag(event_consumption_policy, %s)" % policy
-    engine.load(goals=goals, rules="o(X, Y) <- a(X) 'OVERLAPS' b(Y) where X > 0. p(X) <- a(X) overlaps b(X).")
+    engine.load(goals=goals, rules="o(X, Y) <- a(X) 'STRADDLES' b(Y) where X > 0. p(X) <- a(X) straddles b(X).")
     for event in EVENTS:
         engine.event(*event)
     print(policy, *("%s@%d-%d" % one for one in seen if one[0][0] == "o"))
 
 engine = Engine(clock=StreamClock(1000 * SECOND))
 prepare(engine)
-engine.load(rules="p(X) <- a(X) overlaps b(X).")
+engine.load(rules="p(X) <- a(X) straddles b(X).")
 engine.event("a(7)", 1, 2)
 engine.event("b(7)", 3, 4)
 lines = explain(engine, (functor("p", 1), 7)).lines
-print(*(line.strip() for one in lines for line in one.indented() if "overlaps:" in line))
+print(*(line.strip() for one in lines for line in one.indented() if "straddles:" in line))
 """
 PRINTED = """\
 recent o(2,3)@2-6 o(5,6)@0-5
@@ -117,7 +117,7 @@ recent_2 o(2,3)@2-6 o(5,6)@0-5
 chronological o(1,3)@1-6 o(5,6)@0-5
 chronological_2 o(1,3)@1-6 o(5,6)@0-5
 unrestricted o(1,3)@1-6 o(2,3)@2-6 o(5,3)@0-6 o(5,6)@0-5
-- overlaps: none of the first overlaps one of the second
+- straddles: none of the first overlaps one of the second
 """
 
 
