@@ -5,6 +5,7 @@ import random
 import pytest
 from events.running import Program, fired, text_of
 
+from retalis import Engine
 from retalis.engine import parts_of
 from retalis.events.network.repeating import Repeating
 
@@ -220,3 +221,9 @@ def test_of_values_that_do_not_wait_nothing_is_kept():
         node for node, _, _ in parts_of(program.engine).rules.rules[0].nodes if isinstance(node, Repeating)
     ]
     assert len(node.trains) <= 11
+
+
+@pytest.mark.slow
+def test_a_thousand_repetitions_of_a_sequence_are_loaded():
+    engine = Engine()
+    engine.load(rules="out <- (a seq b) ntimes 1000.")

@@ -1,10 +1,8 @@
 """Streams of terms: events and goals, one after the other, from a file or a pipe."""
 
-import fcntl
 import os
 import re
 import stat
-import termios
 from array import array
 from typing import IO, Iterator, NamedTuple, Optional, Sequence, Union
 
@@ -73,6 +71,11 @@ def _is_unfinished(found: Sequence[Read], text: str, line: int) -> bool:
 
 def is_left_unread(number: int = 0) -> bool:
     """Tell whether there is something to read in a pipe or file, by its number, that nobody has read; never waits."""
+    try:
+        import fcntl  # noqa: PLC0415 (not every system has them)
+        import termios  # noqa: PLC0415
+    except ImportError:
+        return False
     try:
         mode = os.fstat(number)
         if stat.S_ISREG(mode.st_mode):

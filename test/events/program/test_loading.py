@@ -27,6 +27,7 @@ def errors_of(rules):
         ("c <- a ntimes 0.", 15, "positive integer"),
         ("c <- a ntimes X.", 15, "positive integer"),
         ("c <- a ntimes 10001.", 15, "at most 10000 repetitions"),
+        ("c <- (a seq b) ntimes 1001.", 23, "at most 1000 repetitions of a pattern of several events"),
         ("c <- a star_times.", 8, "right side of a seq"),
         ("c <- a and aggregate(count,b,_).", 12, "right side of a seq"),
         ("c <- a seq aggregate(median(X),b(X),_).", 22, "no such aggregate"),

@@ -108,6 +108,8 @@ _PATTERNS = (Occurs, Pair, Repeated, Either, Absent, Star, Aggregate, Condition,
 SEQ = "seq"
 MOST_TIMES = 10_000
 """How many repetitions ``ntimes`` takes at most."""
+MOST_COMPOSED = 1_000
+"""The same where a repetition is more than one event: it is written out as a sequence then."""
 
 
 def with_others(part: Pattern, fresh: Mapping[Var, Var]) -> Any:

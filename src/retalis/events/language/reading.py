@@ -10,6 +10,7 @@ from .calls import Subgoal, asking_interval, calls
 from .meant import doubt
 from .operators import ARROWS, SPELLINGS
 from .pattern import (
+    MOST_COMPOSED,
     MOST_TIMES,
     SEQ,
     Absent,
@@ -193,7 +194,11 @@ class PatternReader:
         fresh = {var: Var() for var in own}
         self._anonymous |= set(fresh.values())
         last = with_others(pattern, fresh) if fresh else pattern
-        return Pair(SEQ, pattern if times == 2 else Repeated(pattern, times - 1, own), last)
+        before = Repeated(pattern, times - 1, own)
+        if times > MOST_COMPOSED and not before.is_of_single_events():
+            message = f"ntimes takes at most {MOST_COMPOSED} repetitions of a pattern of several events"
+            raise self._error(message, term, 2)
+        return Pair(SEQ, pattern if times == 2 else before, last)
 
     def _span(self, term: Compound) -> int:
         span = deref(term[2])

@@ -243,7 +243,9 @@ class RuleCompiler:
         here = context | self._bound(core.left)
         right = self._build(core.right, here, limit)
         below = [*left.deferred, *right.deferred]
-        sure = surely_bound_by(core, False, True)
+        sure: Set[Var] = set()
+        if below or wrapping.absent is not None:  # it walks all that is on the left
+            sure = set(surely_bound_by(core, False, True))
         ready, deferred = ready_where(below, sure, context) if below else ([], [])
         conditions, put_off = self._split(wrapping.conditions, core, context)
         negated: Optional[Negated] = None
