@@ -72,6 +72,7 @@ def test_positions_are_the_true_ones_within_two_centimetres(nao, poses):
         assert sum((a - b) ** 2 for a, b in zip(pose.position, true)) ** 0.5 < nao_truth.TOLERANCE
 
 
+@pytest.mark.slow
 def test_positions_agree_with_tf2(nao, poses):
     import tf2_reference as tf2  # noqa: PLC0415 - needs numpy
 

@@ -123,6 +123,7 @@ def test_goals_of_long_chains_of_events_are_refused_too(caplog):
     assert "tick/1 has exceeded its limit of inferences; goals refused" in caplog.text
 
 
+@pytest.mark.slow
 def test_a_chain_without_goals_that_branches_without_end_ends(caplog):
     engine = make(rules="tick <- tick.\ntick <- tick.", inferences=50_000)
     engine.event("tick", 1)
@@ -232,6 +233,7 @@ written(N) :- N > 0, M is N - 1, format("~@~@", [written(M), written(M)]).
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "goal", ["tidy_in_vain", "deep(100)", "catch(deep(100), _, true), loop", "print(30)", "written(30)"]
 )

@@ -62,6 +62,7 @@ def test_no_old_name_is_left(bench):
         assert f" {name}(" not in f" {text}".replace("(", " (").replace(" (", "(")
 
 
+@pytest.mark.slow
 def test_every_curve_is_measured(bench, tmp_path):
     curves = bench("curves")
     file = tmp_path / "curves.json"
@@ -71,6 +72,7 @@ def test_every_curve_is_measured(bench, tmp_path):
     assert all(us > 0 for row in rows.values() for _, us in row["points"])
 
 
+@pytest.mark.slow
 def test_a_bag_is_run(bench, capsys):
     offline = bench("offline")
     assert offline.main(["--seconds", "1", "--runs", "1"]) == 0

@@ -34,6 +34,7 @@ def ask(capsys):
     return ask
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("goal", "answer"),
     [

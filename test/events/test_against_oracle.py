@@ -52,6 +52,7 @@ def test_oracle(case):
         pytest.fail(report(shrink(case, lambda smaller: difference(smaller) is not None)), pytrace=False)
 
 
+@pytest.mark.slow
 @settings(quick, max_examples=150)
 @given(cases(unsure=True))
 def test_oracle_with_conditions_over_what_may_be_open(case):

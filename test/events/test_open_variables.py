@@ -44,6 +44,7 @@ WAITING = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("policy", POLICIES)
 @pytest.mark.parametrize("pattern, events", [*TOLD_APART, *WAITING])
 def test_open_variables(pattern, events, policy):

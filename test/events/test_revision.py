@@ -124,6 +124,7 @@ def test_justification_can_be_switched_on_later():
 IN_ORDER = ["recent", "recent_2", "chronological", "unrestricted"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("policy", IN_ORDER)
 @pytest.mark.parametrize(
     ("rules", "stream", "expected"),

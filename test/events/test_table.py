@@ -75,6 +75,7 @@ def nested(row, policy):
     return results if policy == "unrestricted" else results[:1]
 
 
+@pytest.mark.slow
 @each_cell
 def test_nested_left(row, policy):
     rule = f"out(X) <- ({row.pattern}) and z."
@@ -83,6 +84,7 @@ def test_nested_left(row, policy):
     assert Run(rule, row.fires, policy).intervals == []
 
 
+@pytest.mark.slow
 @each_cell
 def test_nested_right(row, policy):
     rule = f"out(X) <- z seq ({row.pattern})."
@@ -99,6 +101,7 @@ def test_condition(row, policy):
     assert Run(f"out(X) <- ({row.pattern}) where X =\\= 1.", row.fires, policy).intervals == []
 
 
+@pytest.mark.slow
 @each_cell
 def test_within(row, policy):
     """Shorter than, not as long as."""
@@ -136,6 +139,7 @@ def test_label(row, policy):
         assert run.intervals == left
 
 
+@pytest.mark.slow
 @each_cell
 def test_out_of_order(row, policy):
     rule = f"out(X) <- {row.pattern}."

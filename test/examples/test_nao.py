@@ -96,6 +96,7 @@ def at(history, stamp):
     return interpolate(before[2], history[after][2], share)
 
 
+@pytest.mark.slow
 def test_topics_and_rates(made, records):
     with BagReader(made[0]) as reader:
         assert {(topic.name, topic.type) for topic in reader.topics} == {
@@ -198,6 +199,7 @@ def test_the_same_seed_gives_the_same_bag(tmp_path):
     assert nao_truth.truth_path(paths[0]).read_text() == nao_truth.truth_path(paths[1]).read_text()
 
 
+@pytest.mark.slow
 def test_the_command(tmp_path):
     output = tmp_path / "x.bag"
     command = [sys.executable, str(NAO / "make_bag.py"), "--seconds", "1", "--output", str(output)]

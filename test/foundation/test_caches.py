@@ -62,6 +62,7 @@ def test_texts_are_made_once_where_they_are_short():
     assert made == ["a", "b" * 1000, "b" * 1000]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", sorted(SOURCE.rglob("*.py")), ids=lambda path: path.name)
 def test_each_cache_of_a_function_is_known_and_bounded(path):
     tree = ast.parse(path.read_text())

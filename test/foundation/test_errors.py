@@ -29,6 +29,7 @@ def test_texts_are_shown_by_their_beginning():
     assert beginning("a" * 5000) == "a" * SHOWN + "..."
 
 
+@pytest.mark.slow
 def test_what_is_read_of_one_long_line_keeps_little_of_it():
     (fault,) = read_program("f(" + "a," * 100_000 + "b c).", Operators.prolog(), "file")
     assert fault.place.column == 200_005

@@ -47,6 +47,7 @@ FOUND = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("act", FOUND)
 def test_what_counts(found, act):
     what, detail = FOUND[act]

@@ -62,6 +62,7 @@ def test_a_post_that_is_interrupted_anywhere_leaves_the_engine_to_others():
         assert len(seen) == 2
 
 
+@pytest.mark.slow
 def test_a_query_that_is_interrupted_anywhere_leaves_nothing_to_be_done_behind_it():
     engine = Engine()
     goal = engine._read("call_with_inference_limit(true, 1000, R)")

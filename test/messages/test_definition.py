@@ -206,6 +206,7 @@ def test_the_largest_types_compile_and_are_read():
         assert known.encoder(definition).encode(term) == data
 
 
+@pytest.mark.slow
 def test_ever_new_definitions_do_not_pile_up():
     known = registry()
     for number in range(3000):

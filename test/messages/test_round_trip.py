@@ -173,6 +173,7 @@ def test_a_type_with_everything(data):
     check(definition, WITHOUT_ROS, serialize(definition, data.draw(messages(definition))))
 
 
+@pytest.mark.slow
 @settings(brief, max_examples=15)
 @given(st.data())
 def test_the_term_is_the_expected_one(data):
@@ -200,6 +201,7 @@ def _without_codes(definition, values):
     return kept
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", SHAPES)
 def test_shapes_of_messages(shape):
     definition = WITHOUT_ROS.add(f"test_msgs/{shape}", SHAPES[shape] + _PARTS)

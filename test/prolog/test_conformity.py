@@ -39,6 +39,7 @@ def test_all_others_agree(answers):
     assert [goal for goal in listed if goal not in wrong] == []
 
 
+@pytest.mark.slow
 def test_how_many_agree(answers):
     good = sum(1 for good, _ in answers.values() if good)
     assert good / len(answers) >= 0.98

@@ -108,6 +108,7 @@ def test_attempts_in_attempts_without_recursion():
 LOOPS = "loop :- loop. grow(X) :- grow(f(X)). pile(N) :- M is N + 1, pile(M), true."
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "text", ["loop", "grow(a)", "pile(0), true", "repeat, fail", "between(1, inf, X), X < 0"]
 )
@@ -128,6 +129,7 @@ def test_seconds_are_limited():
     assert answers(logic, "loop") == ["resource_error(seconds)"]
 
 
+@pytest.mark.slow
 def test_memory_is_limited():
     logic = prolog("pile(T) :- pile([T,T,T,T,T,T|_]), true. piles(N) :- q(N), piles(N), q(N). q(_).")
     logic.limits = Limits(megabytes=50)

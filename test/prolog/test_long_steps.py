@@ -147,6 +147,7 @@ def test_large_integers_are_right(logic, goal, value):
     assert read.names["X"].ref == value
 
 
+@pytest.mark.slow
 def test_a_limit_is_caught_inside_a_long_step(logic):
     logic.limits = Limits(inferences=LIMIT)
     goal = "wide(T, _), catch(copy_term(T, _), error(resource_error(R), _), true), R == inferences"

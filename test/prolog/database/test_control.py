@@ -72,6 +72,7 @@ CASES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compile_after", [0, 1, NEVER])
 def test_control(compile_after):
     logic = prolog(PROGRAM, compile_after)

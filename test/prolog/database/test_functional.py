@@ -65,6 +65,7 @@ CASES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("goal, expected", CASES)
 def test_functions_as_predicates(logic, goal, expected):
     for _ in range(2):

@@ -210,6 +210,7 @@ def test_depth_is_no_danger(opening, closing, rule):
         read_term(rule + opening * depth + "(", OPERATORS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "text", ["'\\'", "' . ", '"\\\n', "0'", "1_ ", "'\\\n\\'", "(,", "a b\n", "/*", "\\"]
 )

@@ -23,6 +23,7 @@ def tokens_read(monkeypatch, text):
     return sum(given), found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "line", ["a\n", "a :- b\n", "h <- a seq b\n", "h <- a(b\n", "h(X) :- f([X, 'y', {Z}\n"]
 )

@@ -9,7 +9,6 @@ from .state import ReadingState
 from .tokens import END, NAME, NUMBER, OPEN_CT, QUOTED, VARIABLE, AnyToken, shown
 
 CLOSER = {"(": ")", OPEN_CT: ")", "[": "]", "{": "}"}
-_CLOSERS = frozenset(CLOSER.values())
 _NECKS = (":-", "<-", "-->", "rule:")
 _ELSEWHERE = {
     "<=": '"less or equal" is written =<',

@@ -251,12 +251,6 @@ def from_any(term: Term) -> int:
     return from_term(term)
 
 
-def ros_time(instant: int) -> Term:
-    """Return an instant as the term ``[Sec,NSec]``."""
-    seconds, nanoseconds = to_parts(instant)
-    return (CONS, seconds, (CONS, nanoseconds, NIL))
-
-
 def month_days(year: int, month: int) -> int:
     """Return the number of days of a month of the (proleptic Gregorian) calendar."""
     if month == 2:
