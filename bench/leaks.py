@@ -20,7 +20,7 @@ sys.path[:0] = [str(ROOT / "bench"), str(ROOT / "src")]
 from arguments import positive  # noqa: E402
 
 from retalis import Engine  # noqa: E402
-from retalis.engine import Settings  # noqa: E402
+from retalis.engine import Settings, parts_of  # noqa: E402
 from retalis.engine.runtime import Reports  # noqa: E402
 from retalis.foundation import RetalisError  # noqa: E402
 from retalis.messages import Definitions, Installed  # noqa: E402
@@ -105,7 +105,7 @@ def event_rules_of_new_events() -> Round:
         )
         one.event(f"hot_{number}(w, c_{number})", number)
         one.call(f"del_event_rule(l_{number})")
-        assert not one.rules.rules
+        assert not parts_of(one).rules.rules
 
     return do
 

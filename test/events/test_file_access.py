@@ -511,6 +511,7 @@ SCRIPT = """
 import json, os, sys
 from events.test_file_access import GOALS, cases, engine_of, one
 from pathlib import Path
+from retalis.engine import parts_of
 from retalis.terms import atom, functor
 from retalis.errors import RetalisError
 

@@ -51,3 +51,9 @@ def test_a_directive_that_runs_others_knows_where_it_is():
         None,
         10 + len(inner) + 2,
     ]
+
+
+@pytest.mark.parametrize("goal", ["'$goal'(b)", "'$goal'(_)", "'$goal'(99)", "'$goal'(-1)"])
+def test_what_notes_the_goals_of_a_directive_takes_no_other_numbers(goal):
+    assert warnings_of(f":- true, {goal}.") == [(1, 10, "this directive fails")]
+    assert list(Program("").engine.query(goal)) == []

@@ -3,6 +3,7 @@
 import re
 from pathlib import Path
 
+from retalis.engine import parts_of
 from retalis.prolog.syntax import write_term
 from retalis.prolog.terms import atom
 
@@ -29,7 +30,7 @@ class Inputs(Kind):
 
     def setup(self):
         self.texts += examples()
-        keys = silent_engine().logic.names()
+        keys = parts_of(silent_engine()).logic.names()
         self.keys = sorted((write_term(atom(key.name), None, quoted=True), key.arity) for key in keys)
 
     def begin(self):

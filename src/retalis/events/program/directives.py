@@ -39,6 +39,7 @@ class Directives:
     def __init__(self, logic: Logic):
         self._logic = logic
         self._last = 0
+        self._many = 0
         logic.define("$goal", 1, self._enter)
 
     def run(self, goal: Term, goals: Goals, place: Optional[Place]) -> Optional[RuleError]:
@@ -47,10 +48,10 @@ class Directives:
         Raises:
             RuleError: what it raised, at the goal that did.
         """
-        before = self._last
+        before = self._last, self._many
         wrong = [at for at, (one, _) in enumerate(goals) if not _is_callable(one)]
         noting = len(goals) > 1 and not wrong  # else it raises an error that shows all of it
-        self._last = wrong[0] if wrong else 0
+        self._last, self._many = wrong[0] if wrong else 0, len(goals)
         try:
             if self._logic.once(_noting([one for one, _ in goals]) if noting else goal, goal):
                 return None
@@ -59,11 +60,12 @@ class Directives:
             at = goals[self._last][1] or place
             raise RuleError(f"this directive raises an error: {error.message}", at) from error
         finally:
-            self._last = before
+            self._last, self._many = before
 
     def _enter(self, machine: Machine, number: Term) -> bool:
         reached = deref(number)
-        assert isinstance(reached, int)
+        if not isinstance(reached, int) or not 0 <= reached < self._many:
+            return False  # called by a program, by its name
         self._last = reached
         return True
 
