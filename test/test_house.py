@@ -68,6 +68,11 @@ def test_package_shows_few_names():
     assert len(names) <= MOST_NAMES, sorted(names)
 
 
+def test_no_file_is_marked_as_private():
+    """Its room's `__init__.py` says already what is for others."""
+    assert [module.path for module in MODULES.values() if re.match(r"_[^_]", module.path.name)] == []
+
+
 @pytest.mark.parametrize("room", ORDER)
 def test_only_what_a_room_hands_on_is_imported(room):
     wrong = []

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from retalis.cli._answers import bindings
+from retalis.cli.answers import bindings
 from retalis.prolog.logic import Logic
 from retalis.prolog.machine import Limits, PrologError
 from retalis.prolog.syntax import read_term, write_term

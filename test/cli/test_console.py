@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from retalis.cli._answers import bindings
-from retalis.cli._prompt import Lines, completions
-from retalis.cli._report import Report
+from retalis.cli.answers import bindings
 from retalis.cli.console import Console
+from retalis.cli.prompt import Lines, completions
+from retalis.cli.report import Report
 from retalis.engine import Settings
 from retalis.prolog.machine import Limits
 from retalis.prolog.syntax import Operators, read_term

@@ -6,9 +6,9 @@ import sys
 import pytest
 
 from retalis.cli import main
-from retalis.cli._prompt import Lines
-from retalis.cli._report import Report
 from retalis.cli.console import Console
+from retalis.cli.prompt import Lines
+from retalis.cli.report import Report
 from retalis.engine import Settings, parts_of
 from retalis.engine.playback import BagWriter
 from retalis.messages import Definitions

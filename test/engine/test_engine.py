@@ -85,7 +85,7 @@ def test_what_is_no_date_is_no_number():
 
 def test_a_text_that_is_too_long_to_read_is_refused(caplog, monkeypatch):
     engine = Watched()
-    monkeypatch.setattr("retalis.engine._texts.LONGEST_INPUT", 20)
+    monkeypatch.setattr("retalis.engine.textinput.LONGEST_INPUT", 20)
     with caplog.at_level(logging.WARNING, "retalis"):
         engine.post_text("event(a(1234567890))")
         engine.post_text("event(a(12345678901))")

@@ -3,7 +3,7 @@ import struct
 import pytest
 
 from retalis.foundation import MessageError
-from retalis.messages import Definitions, Installed, _texts
+from retalis.messages import Definitions, Installed, textcache
 from retalis.prolog.terms import Lazy, atom, deref, functor, list_items, make_list
 
 HEADER = "\n".join(["=" * 80, "MSG: std_msgs/Header", "uint32 seq", "time stamp", "string frame_id", ""])
@@ -170,8 +170,8 @@ def test_stamps():
 
 
 def test_texts_seen_before_are_the_same_atoms_and_do_not_pile_up(monkeypatch):
-    monkeypatch.setattr(_texts.texts, "entries", 10)
-    _texts.texts.clear()  # what other tests have left there
+    monkeypatch.setattr(textcache.texts, "entries", 10)
+    textcache.texts.clear()  # what other tests have left there
     found = decoder("Header header\nstring child\nfloat64 x\n" + HEADER)
     tail = struct.pack("<d", 1.0)
     for number in range(50):
@@ -180,7 +180,7 @@ def test_texts_seen_before_are_the_same_atoms_and_do_not_pile_up(monkeypatch):
         first, again = found.decode(data), found.decode(data)
         assert args(args(first)[0])[2] is args(args(again)[0])[2] is atom('"base"')
         assert args(first)[1] is atom(f'"child{number}"')
-    assert len(_texts.texts) <= 10
+    assert len(textcache.texts) <= 10
 
 
 def section(name, text):

@@ -7,7 +7,7 @@ import rospy
 from std_msgs.msg import String
 
 from retalis.messages import Definitions
-from retalis.ros._raw import raw_class
+from retalis.ros.raw import raw_class
 from retalis.srv import AddInputSubscription, AddOutputSubscription
 
 PATIENCE = 60.0

@@ -11,8 +11,8 @@ rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 
 from rospy.exceptions import TransportException, TransportTerminated  # noqa: E402
 
-from retalis.ros import _receiving  # noqa: E402
-from retalis.ros._receiving import LATE, MOST, WINDOW, ConnectionReader, Pace, read_by  # noqa: E402
+from retalis.ros import receiving  # noqa: E402
+from retalis.ros.receiving import LATE, MOST, WINDOW, ConnectionReader, Pace, read_by  # noqa: E402
 
 HEADER = {"type": "std_msgs/String", "callerid": "/talker"}
 
@@ -73,7 +73,7 @@ def send_in_pieces(sender, data, size):
 @pytest.mark.parametrize("read", [b"", frame(b"first"), frame(b"first")[:2], frame(b"first")[:7]])
 def test_messages_are_handed_on_wherever_they_are_cut(pair, monkeypatch, size, read):
     sender, receiver = pair
-    monkeypatch.setattr(_receiving, "BUFFER", size)
+    monkeypatch.setattr(receiving, "BUFFER", size)
     messages = [b"first", b"", b"second", b"x" * 300]
     stream = b"".join(map(frame, messages))
     assert stream.startswith(read)
@@ -235,7 +235,7 @@ def paced():
     return sock, pace, window
 
 
-linux = pytest.mark.skipif(not _receiving.sys.platform.startswith("linux"), reason="for Linux's sockets")
+linux = pytest.mark.skipif(not receiving.sys.platform.startswith("linux"), reason="for Linux's sockets")
 
 
 @linux
@@ -261,7 +261,7 @@ def test_when_it_gets_slower_each_message_is_read_at_once_again(paced):
     assert sock.least > 1
     window(2 * WINDOW / 900, 2)
     assert sock.least == 1
-    assert sock.timeout == _receiving.NEVER
+    assert sock.timeout == receiving.NEVER
 
 
 @linux

@@ -12,9 +12,9 @@ rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 from rospy.exceptions import TransportTerminated  # noqa: E402
 
 from retalis.engine.runtime import Reports  # noqa: E402
-from retalis.ros import _sending, _texts  # noqa: E402
-from retalis.ros._sending import Outlet  # noqa: E402
-from retalis.ros._texts import TextPublisher, text_frame  # noqa: E402
+from retalis.ros import sending, texts  # noqa: E402
+from retalis.ros.sending import Outlet  # noqa: E402
+from retalis.ros.texts import TextPublisher, text_frame  # noqa: E402
 
 BODY = b"b" * 20_000
 
@@ -122,9 +122,9 @@ def test_who_sends_patiently_loses_nothing(outlet, link, reports):
 
 
 def test_patience_is_tried_once(outlet, link, reports, monkeypatch):
-    monkeypatch.setattr(_sending, "PATIENCE", 0.01)
+    monkeypatch.setattr(sending, "PATIENCE", 0.01)
     waits = []
-    monkeypatch.setattr(_sending, "wallsleep", lambda seconds: waits.append(seconds))
+    monkeypatch.setattr(sending, "wallsleep", lambda seconds: waits.append(seconds))
     it = outlet(queue=5, patient=True)
     while not reports.warnings:
         it.send(numbered(0))
@@ -196,7 +196,7 @@ def test_texts_go_out_together_in_order(outlet, link, monkeypatch):
     it.flush()
     assert link.other.recv(100) == text_frame("a") + pack("<II", 6, 2) + b"b\xff"
     assert link.stat_num_msg == 2
-    monkeypatch.setattr(_texts, "MOST", 2)
+    monkeypatch.setattr(texts, "MOST", 2)
     it.add("c")
     it.add("d")
     assert link.other.recv(100) == text_frame("c") + text_frame("d")

@@ -7,7 +7,7 @@ from typing import List, Optional
 
 from ..foundation import RetalisError
 from . import bag, console, demo, events
-from ._report import NobodyReads, leave
+from .report import NobodyReads, leave
 
 COMMANDS = (bag, console, demo, events)
 

@@ -12,10 +12,10 @@ from ..events.program import TopicType, topic_type
 from ..foundation import UsageError, shortened
 from ..prolog.syntax import to_text
 from ..prolog.terms import atom, functor
-from ._folders import add_folders, allow_folders
-from ._limits import add_limits, limited
-from ._progress import progress
-from ._report import Report
+from .folders import add_folders, allow_folders
+from .limits import add_limits, limited
+from .progress import progress
+from .report import Report
 
 OUTPUT = functor("output", 2)
 

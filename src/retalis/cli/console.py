@@ -16,10 +16,10 @@ from ..foundation import ProgramErrors, RetalisError, RuleError, SyntaxFault
 from ..prolog.logic import Tracer
 from ..prolog.syntax import ReadTerm
 from ..prolog.terms import COMMA, Atom, String, Term, Var, deref, functor, list_items
-from ._answers import bindings
-from ._limits import add_limits, limited
-from ._prompt import Lines, Terminal, read_clause
-from ._report import Report, to_reader
+from .answers import bindings
+from .limits import add_limits, limited
+from .prompt import Lines, Terminal, read_clause
+from .report import Report, to_reader
 
 _QUERY = frozenset((functor("?-", 1), functor(":-", 1)))
 _TRACE = functor("trace", 1)

@@ -10,8 +10,8 @@ from typing import Any, Callable, Dict, Tuple
 from ..engine.playback import BagReader, Playback
 from ..foundation import UsageError
 from ..prolog.terms import resolve
-from ._progress import progress
-from ._report import Report
+from .progress import progress
+from .report import Report
 
 
 def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:

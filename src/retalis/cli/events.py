@@ -16,10 +16,10 @@ from ..foundation import ProgramErrors, RetalisError, RuleError, SyntaxFault, Us
 from ..prolog.machine import Frame, Machine
 from ..prolog.syntax import Operators, ReadTerm, read_term, write_term
 from ..prolog.terms import Term, Var, atom, deref, functor, rebuild, timestamps, variables
-from ._folders import add_folders, allow_folders
-from ._limits import add_limits, limited
-from ._report import Report, to_reader
-from ._stream import Read, ReadLine, is_left_unread, read_stream
+from .folders import add_folders, allow_folders
+from .limits import add_limits, limited
+from .report import Report, to_reader
+from .stream import Read, ReadLine, is_left_unread, read_stream
 
 EVENT = functor("event", 2)
 MEMORY_EVENT = functor("memory_event", 2)

@@ -39,10 +39,10 @@ from ..prolog.logic import Logic
 from ..prolog.machine import Frame, Limits
 from ..prolog.syntax import Operators, read_term
 from ..prolog.terms import Functor, Term, Var, WholeSeconds, atom, copy, timestamps, variables
-from ._texts import TextInput
 from .callbacks import OnEvent, OnOutput
 from .runtime import Clock, EngineRecovery, Reports, Runner, StreamClock, watch
 from .settings import Settings
+from .textinput import TextInput
 
 log = logging.getLogger("retalis")
 

@@ -12,9 +12,9 @@ from typing import Callable, Optional
 
 from ..foundation import MessageError, codegen
 from ..prolog.terms import Lazy, Term, functor
-from ._decode_code import DecoderSource
-from ._frame_code import FrameSource, Unsuited
+from .decode_code import DecoderSource
 from .definition import HEADER, Definition
+from .frame_code import FrameSource, Unsuited
 from .layout import BARE, check_bare, explain
 
 Decode = Callable[[bytes], Term]

@@ -5,10 +5,10 @@ from typing import Callable
 from ..foundation import codegen
 from ..prolog.syntax import float_text, to_text
 from ..prolog.terms import Term, atom
-from ._frame_code import FrameSource, Unsuited
 from .arrays import SMALL
 from .decoding import Decoder
 from .definition import Definition, Field
+from .frame_code import FrameSource, Unsuited
 from .slots import PRIMITIVES, TIMES
 
 _EDGE = "\0"

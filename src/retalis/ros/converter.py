@@ -8,14 +8,14 @@ from ..foundation import RetalisError, UsageError, beginning
 from ..messages import Decoder, Definitions, text_writer
 from ..prolog.syntax import EventReader, event_text, to_text
 from ..prolog.terms import deref
-from ._connecting import OUTPUT_EVENT, connect
-from ._log import shown
-from ._texts import TextPublisher
-from ._time import ros_now
+from .connecting import OUTPUT_EVENT, connect
 from .interface import INPUT, OUTPUT, Interface, Take
+from .log import shown
 from .parameters import Parameters, direct_topics
+from .rostime import ros_now
 from .running import run_node
 from .services import InterfaceServices
+from .texts import TextPublisher
 
 HOLD = 0.002
 """Seconds for which a message may wait for the next ones, to be read and sent on together."""

@@ -11,10 +11,10 @@ from ..events.program import TopicType, topic_type
 from ..foundation import Cache, MessageError, RetalisError, UsageError, beginning, printable, topic_fault
 from ..messages import Decoder, Definitions, Encoder
 from ..prolog.terms import Term
-from ._raw import raw_bytes, raw_class
-from ._receiving import read_by
-from ._sending import Outlet
-from ._texts import text_taker
+from .raw import raw_bytes, raw_class
+from .receiving import read_by
+from .sending import Outlet
+from .texts import text_taker
 
 Take = Callable[[bytes], None]
 """Takes a message."""

@@ -12,15 +12,15 @@ from ..foundation import RetalisError
 from ..messages import Decoder, Definitions, Installed
 from ..prolog.syntax import to_text
 from ..prolog.terms import Term, atom
-from ._connecting import OUTPUT_EVENT, connect
-from ._log import shown
-from ._sending import Outlet
-from ._texts import text_frame
-from ._time import ros_now
+from .connecting import OUTPUT_EVENT, connect
 from .interface import INPUT, OUTPUT, Interface, Take
+from .log import shown
 from .parameters import Parameters, direct_topics
+from .rostime import ros_now
 from .running import run_node
+from .sending import Outlet
 from .services import EngineServices, InterfaceServices
+from .texts import text_frame
 
 
 class RosClock(Clock):

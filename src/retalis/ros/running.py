@@ -8,7 +8,7 @@ import rospy
 
 from ..engine.runtime import relax
 from ..foundation import RetalisError
-from ._log import forward_log
+from .log import forward_log
 from .parameters import Parameters, read_parameters
 
 

@@ -8,9 +8,9 @@ from ...prolog.logic import Logic
 from ...prolog.machine import Frame, Machine, instantiation_error, type_error
 from ...prolog.terms import Atom, Term, Var, deref, functor
 from ..dispatch import Dispatcher
-from ._recording import Warn, key_of
 from .memories import Memories, define_read_access, enumerate_records
 from .recorder import Instance
+from .recording import Warn, key_of
 from .subscriptions import Deliver, Subscriptions
 from .waiting import WaitingQueries
 

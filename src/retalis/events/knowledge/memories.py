@@ -22,8 +22,8 @@ from ...prolog.terms import (
     timestamps,
 )
 from ..dispatch import NOBODY, Dispatcher, Stage
-from ._recording import Warn, is_whole, key_of, recording
 from .recorder import UPDATED, Follow, Instance, Recorder
+from .recording import Warn, is_whole, key_of, recording
 
 CREATED: Functor = functor("memory_created", 5)
 DELETED: Functor = functor("memory_deleted", 1)

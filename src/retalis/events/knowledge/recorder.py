@@ -6,8 +6,8 @@ from typing import Any, Callable, Dict, Hashable, Iterator, List, Tuple
 from ...prolog.machine import Frame
 from ...prolog.terms import Term, Values, Var, deref, functor, is_ground
 from ..dispatch import NOBODY, Dispatcher, Stage
-from ._recording import Recording
 from .memory import Memory, MemoryRecord
+from .recording import Recording
 
 UPDATED = functor("memory_updated", 2)
 

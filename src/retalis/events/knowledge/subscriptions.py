@@ -6,7 +6,7 @@ from ...prolog.logic import Logic
 from ...prolog.machine import Frame, permission_error
 from ...prolog.terms import MINUS, Atom, Term, Values, copy, deref
 from ..dispatch import Dispatcher, Listener, Stage
-from ._recording import Warn, itself, key_of, recording
+from .recording import Warn, itself, key_of, recording
 
 Deliver = Callable[[Term, str, Term], None]
 

@@ -9,11 +9,11 @@ from ...prolog.machine import Frame
 from ...prolog.terms import Term, Values, Var, functor
 from ..dispatch import Dispatcher, EventAction, Lane, Stage, stand_in
 from ..network import Rule
-from ._conditions import Behind, behind, compile_conditions
-from ._question import Question, Surroundings, compile_question, general_question, kind_of
-from ._recording import Warn
+from .conditions import Behind, behind, compile_conditions
 from .memories import Memories
+from .question import Question, Surroundings, compile_question, general_question, kind_of
 from .recorder import Instance
+from .recording import Warn
 
 LIMIT = 200_000
 """How many queries may wait at once; past that the oldest is dropped with a warning."""

@@ -18,7 +18,6 @@ after `MOST` steps, instead of going on forever.
 """
 
 from . import timestamps
-from ._steps import MOST, ROUNDS
 from .keys import term_key, variant_key
 from .kinds import (
     COLON,
@@ -46,6 +45,7 @@ from .kinds import (
 )
 from .lists import conjunction, conjuncts, list_items, list_parts, make_list
 from .order import by_age, by_number, compare, unlike
+from .steps import MOST, ROUNDS
 from .timestamps import (
     DATIME6,
     DATIME7,

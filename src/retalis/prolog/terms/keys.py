@@ -3,8 +3,8 @@
 from typing import Any, Dict, Hashable, List
 
 from ...foundation import BULK, TermTooLarge, look
-from ._steps import ROUNDS
 from .kinds import Atom, String, Term, Var, deref
+from .steps import ROUNDS
 from .walking import freeze
 
 _PLAIN = frozenset((Atom, int, String))

@@ -3,8 +3,8 @@
 from typing import Iterable, Iterator, List, Optional, Tuple
 
 from ...foundation import BULK, TermTooLarge, look
-from ._steps import ROUNDS
 from .kinds import COMMA, CONS, NIL, TRUE, Term, deref
+from .steps import ROUNDS
 
 
 def make_list(items: Iterable[Term], tail: Term = NIL) -> Term:

@@ -3,8 +3,8 @@
 from typing import Any, Callable, List
 
 from ...foundation import BULK, TermTooLarge, look
-from ._steps import ROUNDS
 from .kinds import Atom, String, Term, Var, deref, serial
+from .steps import ROUNDS
 
 _RANK = {Var: 0, float: 1, int: 1, String: 3, Atom: 4, tuple: 5}
 

@@ -3,8 +3,8 @@
 from typing import Any, List
 
 from ...foundation import look
-from ._steps import MASK, check_steps
 from .kinds import Atom, Lazy, Trail, Var
+from .steps import MASK, check_steps
 
 
 def unify(  # noqa: C901 -- the innermost loop of all: no calls, no second look at a class

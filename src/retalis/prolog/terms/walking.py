@@ -3,8 +3,8 @@
 from typing import Any, Callable, Dict, Hashable, List, Optional, Sequence, overload
 
 from ...foundation import BULK, TermTooLarge, look
-from ._steps import MASK, MOST, ROUNDS, check_steps
 from .kinds import Atom, Compound, Lazy, String, Term, Var, deref
+from .steps import MASK, MOST, ROUNDS, check_steps
 
 
 def variables(term: Term) -> List[Var]:

@@ -6,12 +6,12 @@ from typing import Callable, List, Tuple, Union
 
 from ..foundation import codegen
 from ..prolog.terms import CONS, FALSE, NIL, TRUE, Atom, Functor, Lazy, Term, atom, functor
-from ._texts import read_text, texts
 from .arrays import SMALL, alike, array_maker, record_maker, variable_array
 from .definition import Definition, Field, measure_of
 from .layout import element_size
 from .slots import PRIMITIVES, TIMES, VARIABLE
 from .text import text_term
+from .textcache import read_text, texts
 
 
 class DecoderSource:
@@ -49,6 +49,7 @@ class DecoderSource:
     # What a message is made of; the source of the term is returned.
 
     def message(self, definition: Definition) -> str:
+        """Return the source of a whole message's term."""
         if not definition.fields:
             return self.constant(atom(definition.functor_name))
         head = self.constant(functor(definition.functor_name, len(definition.fields)))
@@ -56,6 +57,7 @@ class DecoderSource:
         return f"({head}, {', '.join(parts)})"
 
     def slot(self, slot: Field) -> str:
+        """Return the source of a slot: of one value, or of an array."""
         if slot.length is None:
             return self.single(slot)
         if slot.length == VARIABLE:
@@ -63,6 +65,7 @@ class DecoderSource:
         return self.fixed_array(slot)
 
     def single(self, slot: Field) -> str:
+        """Return the source of one value of a slot."""
         if slot.definition is not None:
             return self.message(slot.definition)
         if slot.type == "string":
@@ -74,6 +77,7 @@ class DecoderSource:
         return f"(T if {value} else F)" if slot.type == "bool" else value
 
     def fixed_array(self, slot: Field) -> str:
+        """Return the source of an array whose length the definition says."""
         number = slot.length or 0
         if number == 0:
             return "text(b'')" if slot.is_bytes else "N"
@@ -91,6 +95,7 @@ class DecoderSource:
         return f"Lazy(C, {self.name('make', _maker(slot))}, {value})"
 
     def variable(self, slot: Field) -> str:
+        """Return the source of an array whose length the bytes say."""
         number = self.fixed("I")
         self.flush()
         if slot.is_bytes:
@@ -124,6 +129,7 @@ class DecoderSource:
         return value
 
     def string(self) -> str:
+        """Return the source of a text."""
         number = self.fixed("I")
         self.flush()
         self.move(number)
@@ -135,6 +141,7 @@ class DecoderSource:
         return value
 
     def blob(self, number: str) -> str:
+        """Return the source of an array of bytes, so many of them."""
         self.move(number)
         value = self.name("t")
         self.lines.append(f"{value} = text(data[s:o])")
@@ -143,14 +150,17 @@ class DecoderSource:
     # Runs.
 
     def fixed(self, code: str) -> str:
+        """Add a value of fixed size to the run, by its `struct` code; return its name."""
         self.format += code
         self.targets.append(self.name("v"))
         return self.targets[-1]
 
     def place(self) -> str:
+        """Return the source of the place where the run starts."""
         return f"{self.base} + {self.shift}" if self.shift else self.base
 
     def flush(self) -> None:
+        """End the run: add the line that reads it."""
         if not self.format:
             return
         layout = Struct("<" + self.format)

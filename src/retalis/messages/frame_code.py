@@ -5,9 +5,9 @@ from typing import Callable, List, Optional, Tuple
 
 from ..foundation import Cache
 from ..prolog.terms import Term
-from ._decode_code import DecoderSource
-from ._texts import keep_text, read_texts, text_cache
+from .decode_code import DecoderSource
 from .definition import Definition, Field
+from .textcache import keep_text, read_texts, text_cache
 
 
 class Unsuited(Exception):
@@ -28,11 +28,13 @@ class FrameSource(DecoderSource):
         self.closed = False
 
     def fixed(self, code: str) -> str:
+        """Add a number, before the texts or behind them."""
         if self.closed:
             raise Unsuited
         return super().fixed(code)
 
     def string(self) -> str:
+        """Add a text, which stands beside the others."""
         if self.closed or (self.texts and self.format):
             raise Unsuited
         if not self.texts:
@@ -42,6 +44,7 @@ class FrameSource(DecoderSource):
         return self.texts[-1]
 
     def variable(self, slot: Field) -> str:
+        """Add the array of messages, if it is the only one and before all texts."""
         if slot.definition is None or self.texts or self.count:
             raise Unsuited
         self.count = self.fixed("I")
@@ -54,6 +57,7 @@ class FrameSource(DecoderSource):
         return f"(C, {element}, N)"
 
     def elements(self, slot: Field, number: str) -> str:
+        """Refuse: elements that differ in size are not of this shape."""
         raise Unsuited
 
     def build(self, definition: Definition, general: Callable[[bytes], object]) -> List[str]:

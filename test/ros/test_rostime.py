@@ -6,30 +6,30 @@ import pytest
 
 rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 
-from retalis.ros import _time  # noqa: E402
+from retalis.ros import rostime  # noqa: E402
 
 
 @pytest.fixture
 def warnings(monkeypatch):
     found = []
     monkeypatch.setattr(rospy, "logwarn_once", found.append)
-    monkeypatch.setattr(_time, "is_wallclock", lambda: False)
+    monkeypatch.setattr(rostime, "is_wallclock", lambda: False)
     return found
 
 
 def test_a_clock_that_stands_still_is_warned_of_after_a_while(warnings, monkeypatch):
     monkeypatch.setattr(rospy, "get_rostime", rospy.Time)
-    monkeypatch.setattr(_time, "_began", time.monotonic())
-    assert _time.ros_now() == 0
+    monkeypatch.setattr(rostime, "_began", time.monotonic())
+    assert rostime.ros_now() == 0
     assert warnings == []
-    monkeypatch.setattr(_time, "_began", time.monotonic() - 2 * _time.PATIENCE)
-    assert _time.ros_now() == 0
+    monkeypatch.setattr(rostime, "_began", time.monotonic() - 2 * rostime.PATIENCE)
+    assert rostime.ros_now() == 0
     assert len(warnings) == 1
     assert "nothing publishes /clock" in warnings[0]
 
 
 def test_a_clock_that_runs_is_not_warned_of(warnings, monkeypatch):
     monkeypatch.setattr(rospy, "get_rostime", lambda: rospy.Time(3, 4))
-    monkeypatch.setattr(_time, "_began", time.monotonic() - 2 * _time.PATIENCE)
-    assert _time.ros_now() == 3_000_000_004
+    monkeypatch.setattr(rostime, "_began", time.monotonic() - 2 * rostime.PATIENCE)
+    assert rostime.ros_now() == 3_000_000_004
     assert warnings == []

@@ -7,9 +7,9 @@ from ...prolog.logic import Logic
 from ...prolog.machine import PrologError
 from ...prolog.terms import CONS, Term, Values, Var, deref, list_items, positions, timestamps, variables
 from ..dispatch import compile_builder
-from ._recording import key_of
 from .memories import Memories
 from .recorder import Instance
+from .recording import key_of
 
 Behind = List[Tuple[Instance, int]]
 """Memories that have not got there, and the instants they have to reach."""

@@ -8,7 +8,7 @@ from ...prolog.logic import Logic
 from ...prolog.machine import Frame, PrologError, keep_back
 from ...prolog.terms import TRUE, Term, Values, Var, deref, functor, variables
 from ..dispatch import Dispatcher, compile_builder
-from ._recording import Warn
+from .recording import Warn
 
 _CALL = functor("call", 1)
 _NAME = "synchronized query"

@@ -7,7 +7,7 @@ from std_msgs.msg import String
 
 from ..engine.runtime import Reports
 from ..foundation import MessageError
-from ._sending import Outlet
+from .sending import Outlet
 
 MOST = 64
 """Texts that are written at once at most."""
