@@ -6,7 +6,7 @@ import time
 from contextlib import closing, nullcontext
 from io import StringIO
 from pathlib import Path
-from typing import Callable, Dict, Generator, List, Optional, Union, cast
+from typing import Callable, Dict, List, Optional, Union, cast
 
 from ..engine import Engine, Settings, parts_of
 from ..engine.runtime import Clock, Reports, relax
@@ -226,7 +226,7 @@ class Console:
         choices = self.logic.machine.choices
         height = len(choices) + 1
         shown = 0
-        with closing(cast(Generator[None, None, None], self.logic.solutions(goal))) as solutions:
+        with closing(self.logic.solutions(goal)) as solutions:
             for _ in solutions:
                 self._fresh_line()
                 text = bindings(names, self.logic.operators) or "true"

@@ -7,7 +7,6 @@ from typing import (
     Callable,
     Collection,
     Dict,
-    Generator,
     Iterator,
     List,
     NamedTuple,
@@ -15,7 +14,6 @@ from typing import (
     Tuple,
     TypeVar,
     Union,
-    cast,
 )
 
 from ..events.dispatch import Dispatcher, Stage
@@ -290,7 +288,7 @@ class Engine:
 
     def _solutions(self, term: Term, names: Dict[str, Var], most: Optional[int]) -> List[Dict[str, Term]]:
         found: List[Dict[str, Term]] = []
-        with closing(cast(Generator[None, None, None], self._logic.solutions(term))) as solutions:
+        with closing(self._logic.solutions(term)) as solutions:
             for _ in solutions:
                 shared: Dict[Var, Term] = {}  # a variable in two values stays one variable
                 found.append({name: copy(value, shared) for name, value in names.items()})

@@ -6,7 +6,7 @@ is what was missing.
 
 from contextlib import closing
 from functools import lru_cache
-from typing import Any, Callable, Dict, Generator, List, NamedTuple, Optional, Sequence, Tuple, cast
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 from ...events.history import Occurrence
 from ...events.language import (
@@ -232,7 +232,7 @@ class Shortfall:
         trail: Trail = []
         try:
             if unify(self._vars, copy(one.values), trail):
-                with closing(cast(Generator[None, None, None], self._logic.solutions(goal))) as solutions:
+                with closing(self._logic.solutions(goal)) as solutions:
                     for _ in solutions:
                         return copy(self._vars)
             return None

@@ -3,7 +3,19 @@
 import sys
 from contextlib import contextmanager
 from time import time_ns
-from typing import Any, Callable, Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
+from typing import (
+    Any,
+    Callable,
+    Dict,
+    Generator,
+    Iterable,
+    Iterator,
+    List,
+    Mapping,
+    Optional,
+    Sequence,
+    Tuple,
+)
 
 from ...foundation import Place, beginning
 from .. import builtins  # noqa: F401  (it registers trace/1)
@@ -184,7 +196,7 @@ class Logic(Predicates):
         finally:
             budget.goal = asked
 
-    def solutions(self, goal: Term) -> Iterator[None]:
+    def solutions(self, goal: Term) -> Generator[None, None, None]:
         """Run a goal; yield at each solution, with its bindings in place. Closing drops what is left."""
         return self.machine.solutions((self.control.code, (CALL, goal), 0, self.machine.done), goal)
 

@@ -7,7 +7,7 @@ There is no recursion: the depth of a program is the length of a chain of frames
 """
 
 from sys import getrefcount
-from typing import Any, Callable, Iterator, List, Optional, Tuple
+from typing import Any, Callable, Generator, List, Optional, Tuple
 
 from ...foundation import RetalisError, TermTooLarge, watched_by
 from ..terms import Atom, Functor, Term, Trail, Values, Var, copy, deref, undo, unify
@@ -164,7 +164,7 @@ class Machine:
             undo(self.trail, mark)
         raise exc
 
-    def solutions(self, frame: Optional[Frame], goal: Optional[Term] = None) -> Iterator[None]:
+    def solutions(self, frame: Optional[Frame], goal: Optional[Term] = None) -> Generator[None, None, None]:
         """Run a frame that ends in `done`, of a goal; yield at each solution, with its bindings in place.
 
         Closing the iterator drops what is left and undoes the bindings. Other runs may take place
