@@ -362,10 +362,9 @@ class Engine:
             definitions: the message types that are known.
             types: those that the program's topics have.
         """
-        parts = parts_of(self)
-        yield from unread_rules(parts, folder)
-        yield from wrong_messages(parts, definitions, types)
-        yield from unknown_memories(parts)
+        yield from unread_rules(self._files, folder)
+        yield from wrong_messages(self._rules, self._knowledge.patterns(), definitions, types)
+        yield from unknown_memories(self._rules, [memory.id for memory in self._knowledge.memories])
 
     @property
     def dropped(self) -> int:

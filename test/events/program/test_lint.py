@@ -22,10 +22,21 @@ def definitions():
 def warnings(definitions, rules="", goals=""):
     engine = Engine()
     engine.load(rules=rules, goals=goals)
-    return [
-        str(found)
-        for found in wrong_messages(parts_of(engine), definitions, ["my_msgs/Warm", "my_msgs/Empty"])
-    ]
+    return [str(found) for found in messages(engine, definitions, ["my_msgs/Warm", "my_msgs/Empty"])]
+
+
+def messages(engine, definitions, types):
+    parts = parts_of(engine)
+    return list(wrong_messages(parts.rules, parts.knowledge.patterns(), definitions, types))
+
+
+def memories(engine):
+    parts = parts_of(engine)
+    return list(unknown_memories(parts.rules, [memory.id for memory in parts.knowledge.memories]))
+
+
+def unread(engine, folder):
+    return list(unread_rules(parts_of(engine).rules.files, folder))
 
 
 @pytest.mark.parametrize(
@@ -89,7 +100,7 @@ def test_types_that_are_learned_later_are_left_alone(definitions):
     engine = Engine()
     engine.load(rules="a(X) <- far_msgs__0__WarmFeedback(far_msgs__0__Warm(X), my_msgs__0__Warm(_, _)).")
     types = ["my_msgs/Warm", "far_msgs/WarmFeedback"]
-    assert list(wrong_messages(parts_of(engine), definitions, types)) == []
+    assert messages(engine, definitions, types) == []
 
 
 @pytest.mark.parametrize(
@@ -106,7 +117,7 @@ def test_types_that_are_learned_later_are_left_alone(definitions):
 def test_memories_that_are_read_and_not_there_are_warned_of(rules, found):
     engine = Engine()
     engine.load(rules=rules, goals="memorize(t(X), [], _, odom_base, 5)")
-    (warning,) = unknown_memories(parts_of(engine))
+    (warning,) = memories(engine)
     assert warning.message == found
 
 
@@ -122,23 +133,23 @@ def test_memories_that_are_read_and_not_there_are_warned_of(rules, found):
 def test_memories_that_are_there_or_may_come_are_left_alone(rules):
     engine = Engine()
     engine.load(rules=rules, goals="memorize(t(X), [], _, odom_base, 5)")
-    assert list(unknown_memories(parts_of(engine))) == []
+    assert memories(engine) == []
 
 
 def test_rules_that_no_goal_reads_are_warned_of(tmp_path):
     engine = Engine()
-    assert list(unread_rules(parts_of(engine), tmp_path)) == []
+    assert unread(engine, tmp_path) == []
     (tmp_path / "eventRules.txt").write_text("a <- b.")
-    (warning,) = unread_rules(parts_of(engine), tmp_path)
+    (warning,) = unread(engine, tmp_path)
     assert warning.message == (
         f"{tmp_path}/eventRules.txt is not read: no goal in goalPredicates.txt calls "
         "compile_event_file('eventRules.txt')"
     )
     (tmp_path / "goalPredicates.txt").write_text("compile_event_file('eventRules.txt')")
     engine.load_program(tmp_path)
-    assert list(unread_rules(parts_of(engine), tmp_path)) == []
+    assert unread(engine, tmp_path) == []
     (tmp_path / "eventRules.txt").write_text("a <- .")
     engine = Engine()
     with pytest.raises(ProgramErrors):
         engine.load_program(tmp_path)
-    assert list(unread_rules(parts_of(engine), tmp_path)) == []  # that they cannot be read is said already
+    assert unread(engine, tmp_path) == []  # that they cannot be read is said already

@@ -9,8 +9,6 @@ from typing import (
     List,
     NamedTuple,
     Optional,
-    Protocol,
-    Sequence,
     Set,
     Tuple,
     Union,
@@ -20,9 +18,9 @@ from ...foundation import Place, RuleError, UsageError
 from ...messages import Definitions, type_name
 from ...prolog.terms import Atom, Compound, Functor, Term, deref, functor, list_items
 from ..language import Occurs, walk
-from ..network import Rule
 from .files import Files
 from .folder import GOALS, RULES, read_text
+from .loading import Loaded
 
 _READS = frozenset(
     functor(name, arity)
@@ -41,52 +39,6 @@ _WAITS = frozenset(functor(name, 3) for name in ("synchronized", "syncronized"))
 _MAKES = frozenset((functor("memorize", 5), functor("memorize", 6), functor("memorize_diactive", 5)))
 
 
-class _NamedMemory(Protocol):
-    """A memory."""
-
-    @property
-    def id(self) -> Term:
-        """Its name."""
-
-
-class _Known(Protocol):
-    """What the program remembers and sends out."""
-
-    @property
-    def memories(self) -> Iterable[_NamedMemory]:
-        """Its memories."""
-
-    def patterns(self) -> Iterator[Tuple[Term, str]]:
-        """Yield the pattern of each memory and subscription, and what to call it."""
-
-
-class _Ruled(Protocol):
-    """The rules of the program."""
-
-    @property
-    def rules(self) -> Sequence[Rule]:
-        """Those that take events."""
-
-    @property
-    def files(self) -> Files:
-        """Its files."""
-
-    def terms(self) -> List[Term]:
-        """Return the rules as they were written, and the bodies of the program's clauses."""
-
-
-class Checkable(Protocol):
-    """An engine, as far as its program is looked at."""
-
-    @property
-    def knowledge(self) -> _Known:
-        """What it remembers and sends out."""
-
-    @property
-    def rules(self) -> _Ruled:
-        """Its rules."""
-
-
 class _NamedTerm(NamedTuple):
     """A term of the program, what to call it, and its place."""
 
@@ -96,12 +48,13 @@ class _NamedTerm(NamedTuple):
 
 
 def wrong_messages(
-    engine: Checkable, definitions: Definitions, types: Collection[str]
+    rules: Loaded, patterns: Iterable[Tuple[Term, str]], definitions: Definitions, types: Collection[str]
 ) -> Iterator[RuleError]:
     """Yield a warning for each kind of term in rules and patterns that is not a message of a type that is known.
 
     Args:
-        engine: the parts of the engine whose program it is.
+        rules: of the program.
+        patterns: of its memories and subscriptions, each with what to call it.
         definitions: the message types that are known.
         types: those that the program's topics have.
     """
@@ -113,9 +66,9 @@ def wrong_messages(
         kind.partition("/")[0] for kind in types if kind not in definitions
     }  # learned from their publishers
     seen: Set[Functor] = set()
-    patterns = [_NamedTerm(pattern, f"{who}: ", None) for pattern, who in engine.knowledge.patterns()]
-    yield from _bare_texts([*_events(engine), *patterns], definitions)
-    for text in [*_rules(engine), *patterns]:
+    outside = [_NamedTerm(pattern, f"{who}: ", None) for pattern, who in patterns]
+    yield from _bare_texts([*_events(rules), *outside], definitions)
+    for text in [*_rules(rules), *outside]:
         for part in _parts(text.term):
             key: Functor = part.functor if isinstance(part, Atom) else part[0]
             kind = None if key in seen else type_name(key.name)
@@ -127,12 +80,17 @@ def wrong_messages(
                 yield RuleError(f"{text.who}{wrong}", text.place)
 
 
-def unknown_memories(engine: Checkable) -> Iterator[RuleError]:
-    """Yield a warning for each memory that rules and clauses read and that is not there, nor made by a goal."""
-    made: Set[Term] = {instance.id for instance in engine.knowledge.memories if isinstance(instance.id, Atom)}
+def unknown_memories(rules: Loaded, names: Iterable[Term]) -> Iterator[RuleError]:
+    """Yield a warning for each memory that rules and clauses read and that is not there, nor made by a goal.
+
+    Args:
+        rules: of the program.
+        names: the ids of the memories that are there.
+    """
+    made: Set[Term] = {name for name in names if isinstance(name, Atom)}
     asked: List[Tuple[Atom, Optional[Place]]] = []
-    bodies = [_NamedTerm(term, "", None) for term in engine.rules.terms()]
-    for text in [*_rules(engine), *bodies]:
+    bodies = [_NamedTerm(term, "", None) for term in rules.terms()]
+    for text in [*_rules(rules), *bodies]:
         for part in _parts(text.term):
             if isinstance(part, tuple) and part[0] in _MAKES:
                 made.add(deref(part[4]))
@@ -148,10 +106,10 @@ def unknown_memories(engine: Checkable) -> Iterator[RuleError]:
             yield RuleError(f"there is no memory {name.name} yet{hint}", place)
 
 
-def unread_rules(engine: Checkable, folder: Path) -> Iterator[RuleError]:
+def unread_rules(files: Files, folder: Path) -> Iterator[RuleError]:
     """Yield a warning where a program's folder has rules that no goal has read."""
     path, goals = folder / RULES, folder / GOALS
-    if path.is_file() and not engine.rules.files.has_loaded(path) and RULES not in _text(goals):
+    if path.is_file() and not files.has_loaded(path) and RULES not in _text(goals):
         yield RuleError(f"{path} is not read: no goal in {GOALS} calls compile_event_file('{RULES}')")
 
 
@@ -163,13 +121,13 @@ def _text(path: Path) -> str:
         return ""
 
 
-def _rules(engine: Checkable) -> List[_NamedTerm]:
-    return [_NamedTerm(rule.definition.term, "", rule.place) for rule in engine.rules.rules]
+def _rules(rules: Loaded) -> List[_NamedTerm]:
+    return [_NamedTerm(rule.definition.term, "", rule.place) for rule in rules.rules]
 
 
-def _events(engine: Checkable) -> Iterator[_NamedTerm]:
+def _events(rules: Loaded) -> Iterator[_NamedTerm]:
     """Yield the events in the patterns of rules."""
-    for rule in engine.rules.rules:
+    for rule in rules.rules:
         for node in walk(rule.definition.pattern, negated=True):
             if isinstance(node, Occurs):
                 yield _NamedTerm(node.term, "", rule.place)
