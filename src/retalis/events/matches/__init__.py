@@ -18,6 +18,7 @@ from .matches import (
     unify_sides,
 )
 from .modes import NetworkOptions, Policy
+from .owners import Bounds, Owner
 from .places import MatchBuffer, key_function, surely_same
 from .policy import (
     Emit,
@@ -38,6 +39,7 @@ __all__ = [
     "after_all",
     "agreed",
     "arrival",
+    "Bounds",
     "by_occurrence",
     "by_term",
     "Chain",
@@ -62,6 +64,7 @@ __all__ = [
     "Moving",
     "Named",
     "NO_ITEMS",
+    "Owner",
     "pieces_of",
     "MatchBuffer",
     "Policy",

@@ -245,7 +245,7 @@ class RuleCompiler:
         below = [*left.deferred, *right.deferred]
         sure: Set[Var] = set()
         if below or wrapping.absent is not None:  # it walks all that is on the left
-            sure = set(surely_bound_by(core, False, True))
+            sure = surely_bound_by(core, False, True)
         ready, deferred = ready_where(below, sure, context) if below else ([], [])
         conditions, put_off = self._split(wrapping.conditions, core, context)
         negated: Optional[Negated] = None

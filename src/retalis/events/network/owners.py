@@ -2,14 +2,12 @@
 
 from typing import Any, Hashable, List, Optional, Protocol, Tuple
 
-from ...foundation import Place, RetalisError, RuleError
+from ...foundation import RetalisError, RuleError
 from ...prolog.logic import Logic
-from ...prolog.machine import Frame
 from ...prolog.terms import Term
 from ..dispatch import Dispatcher, EventAction, Lane, Listener
-from ..history import Tracker
-from ..language import RuleDefinition
-from ..matches import Match, MatchBuffer, NetworkOptions
+from ..history import Fired, Tracker
+from ..matches import Bounds, Match, MatchBuffer, Owner
 
 
 class Listening(Protocol):
@@ -42,15 +40,8 @@ class Tested(Protocol):
     checked: Optional[Tuple[int, int]]
 
 
-class Network(Protocol):
-    """All rules of a program, as one of them sees the others.
-
-    Attributes:
-        cap: how many partial matches a rule may have.
-    """
-
-    cap: int
-    mode: NetworkOptions
+class Network(Bounds, Protocol):
+    """All rules of a program, as one of them sees the others."""
 
     @property
     def logic(self) -> Logic:
@@ -87,12 +78,10 @@ class Network(Protocol):
         """Report what stopped a rule from firing."""
 
 
-class RuleOwner(Protocol):
-    """A rule.
+class RuleOwner(Owner, Fired, Protocol):
+    """A rule, as its nodes see it.
 
     Attributes:
-        order: how many matches have begun to wait so far.
-        waiting: how many wait.
         clock: the newest end among the events that its patterns matched.
         timed: whether its clock has to be kept.
         double: whether one event may be in two parts of a match.
@@ -103,8 +92,6 @@ class RuleOwner(Protocol):
         alarms_past: how many were for an instant that was over.
     """
 
-    order: int
-    waiting: int
     clock: int
     timed: bool
     double: bool
@@ -119,27 +106,8 @@ class RuleOwner(Protocol):
         """All rules of the program."""
 
     @property
-    def definition(self) -> RuleDefinition:
-        """What it says."""
-
-    @property
-    def label(self) -> Optional[Term]:
-        """Its label, or None."""
-
-    @property
-    def name(self) -> str:
-        """What reports call it."""
-
-    @property
-    def place(self) -> Optional[Place]:
-        """Where it stands."""
-
-    @property
     def active(self) -> bool:
         """Whether it takes events."""
-
-    def keep(self, match: Match, span: Optional[int]) -> None:
-        """Count a match that begins to wait; with too many the oldest goes."""
 
     def tick(self, end: int) -> None:
         """Move the rule's clock and remove what is too old by it."""
@@ -150,11 +118,5 @@ class RuleOwner(Protocol):
     def add_later(self, buffer: MatchBuffer, match: Match, key: Hashable) -> None:
         """Let a match wait in a buffer when the next event comes."""
 
-    def add_those_of_other_events(self, event: object) -> None:
-        """Let those matches wait that were to wait when another event comes."""
-
     def settle(self, only: Optional[MatchBuffer] = None) -> None:
         """Let all matches wait that are to wait; with ``only``, those of one buffer."""
-
-    def fire(self, head: Term, start: int, end: int, after: Frame, token: object = None) -> Frame:
-        """Return the frame that dispatches the head and goes on with ``after``."""
