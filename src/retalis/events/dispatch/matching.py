@@ -5,7 +5,7 @@ from typing import Callable, Dict, List, Optional, Tuple
 from ...foundation import LARGEST, codegen, shared_function
 from ...prolog.terms import (
     Atom,
-    Compound,
+    CompoundTerm,
     Lazy,
     String,
     Term,
@@ -56,7 +56,7 @@ def _nothing(term: Term) -> Optional[Values]:
 class _MatcherWriter:
     """Writes the source of one matcher."""
 
-    def __init__(self, pattern: Compound):
+    def __init__(self, pattern: CompoundTerm):
         self.pattern = pattern
         self.lines: List[str] = []
         self.given = codegen.Names({"deref": deref, "Lazy": Lazy, "Var": Var, "same": _same})
@@ -66,7 +66,7 @@ class _MatcherWriter:
     def matcher(self) -> Matcher:
         order = variables(self.pattern)
         self.names["general"] = _general(self.pattern, order)
-        pending: List[Tuple[str, Compound]] = [("term", self.pattern)]
+        pending: List[Tuple[str, CompoundTerm]] = [("term", self.pattern)]
         while pending:
             pending.extend(reversed(self._take_apart(*pending.pop())))
         values = ", ".join(self.places[var] for var in order)
@@ -75,9 +75,9 @@ class _MatcherWriter:
         made: Matcher = shared_function(source, self.names, "matcher")
         return made
 
-    def _take_apart(self, name: str, pattern: Compound) -> List[Tuple[str, Compound]]:
+    def _take_apart(self, name: str, pattern: CompoundTerm) -> List[Tuple[str, CompoundTerm]]:
         """Unpack a compound; test its constants; return its compound arguments with their names."""
-        inner: List[Tuple[str, Compound]] = []
+        inner: List[Tuple[str, CompoundTerm]] = []
         tests: List[str] = []
         targets = []
         for argument in pattern[1:]:

@@ -7,7 +7,7 @@ from ...prolog.terms import (
     CONS,
     DATIME6,
     DATIME7,
-    Compound,
+    CompoundTerm,
     Term,
     Var,
     WholeSeconds,
@@ -25,7 +25,7 @@ ALARMS = frozenset((_AFTER, _AT))
 _LEAP_YEAR = 2000
 
 
-def alarm_of(head: Compound, start: int, end: int) -> Optional[Tuple[Term, int, int]]:
+def alarm_of(head: CompoundTerm, start: int, end: int) -> Optional[Tuple[Term, int, int]]:
     """Return the event, its start and the instant at which it fires; None for a head that is not an alarm.
 
     An instant before the start is none: as in the original engine, the head is an ordinary event then.
@@ -61,7 +61,7 @@ def duration(term: Term) -> int:
     return from_seconds(seconds)
 
 
-def require_alarm(head: Compound) -> None:
+def require_alarm(head: CompoundTerm) -> None:
     """Check what an alarm's head says of its instant before it has its values.
 
     Raises:

@@ -4,7 +4,19 @@ from typing import Any, Callable, Iterator, List, NamedTuple, Optional, Set
 
 from ...foundation import Place, RuleError
 from ...prolog.logic import Logic
-from ...prolog.terms import COMMA, CONS, SLASH, Atom, Compound, Functor, Term, Var, deref, functor, list_items
+from ...prolog.terms import (
+    COMMA,
+    CONS,
+    SLASH,
+    Atom,
+    CompoundTerm,
+    Functor,
+    Term,
+    Var,
+    deref,
+    functor,
+    list_items,
+)
 
 _GOALS_IN = {
     functor(name, arity): places
@@ -43,11 +55,11 @@ class Subgoal(NamedTuple):
     """A goal inside a goal, and where it stands: in which term, as which argument."""
 
     term: Term
-    parent: Compound
+    parent: CompoundTerm
     number: int
 
 
-def calls(parent: Compound, number: int) -> Iterator[Subgoal]:
+def calls(parent: CompoundTerm, number: int) -> Iterator[Subgoal]:
     """Yield what a goal, an argument of a term, calls: itself, or what its control constructs call."""
     stack = [Subgoal(deref(parent[number]), parent, number)]
     while stack:
@@ -60,7 +72,7 @@ def calls(parent: Compound, number: int) -> Iterator[Subgoal]:
             stack += [Subgoal(deref(term[at]), term, at) for at in reversed(places)]
 
 
-def asking_interval(parent: Compound, number: int) -> List[Subgoal]:
+def asking_interval(parent: CompoundTerm, number: int) -> List[Subgoal]:
     """Return the calls of ``t1/1`` and ``t2/1`` without which a goal, an argument of a term, has no solution."""
     found: List[Subgoal] = []
     stack = [Subgoal(deref(parent[number]), parent, number)]

@@ -4,7 +4,7 @@ from math import isfinite
 from typing import Any, NamedTuple, Optional, Tuple
 
 from ...foundation import RuleError
-from ...prolog.terms import COLON, Atom, Compound, Term, Var, deref, functor, list_items
+from ...prolog.terms import COLON, Atom, CompoundTerm, Term, Var, deref, functor, list_items
 from .operators import ARROWS, SPELLINGS
 from .reading import Spot
 
@@ -58,7 +58,7 @@ def is_plain_rule(term: Term) -> bool:
     return term.__class__ is tuple and (term[0] in ARROWS or SPELLINGS.get(term[0]) == "do")
 
 
-def labelled(term: Compound) -> Tuple[Optional[Term], Term]:
+def labelled(term: CompoundTerm) -> Tuple[Optional[Term], Term]:
     """Return label and rule; the label is None where there is none or it is malformed."""
     if term[0] is not RULE and term[0] is not COLON:
         return None, term
@@ -72,7 +72,7 @@ def labelled(term: Compound) -> Tuple[Optional[Term], Term]:
     return label, deref(term[2])
 
 
-def label_error(term: Compound, spot: Spot) -> Optional[RuleError]:
+def label_error(term: CompoundTerm, spot: Spot) -> Optional[RuleError]:
     """Return what is wrong with the label of a rule; None for what is none."""
     if not is_plain_rule(deref(term[2])) or labelled(term)[0] is not None:
         return None

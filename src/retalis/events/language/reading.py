@@ -4,7 +4,7 @@ from typing import Callable, Dict, FrozenSet, List, Optional, Tuple
 
 from ...foundation import Place, RuleError
 from ...prolog.syntax import EVENT_OPERATOR, OperatorKind
-from ...prolog.terms import Atom, Compound, String, Term, Var, deref, from_seconds, functor
+from ...prolog.terms import Atom, CompoundTerm, String, Term, Var, deref, from_seconds, functor
 from .aggregates import AGGREGATES
 from .calls import Subgoal, asking_interval, calls
 from .meant import doubt
@@ -66,7 +66,7 @@ class PatternReader:
         self.untimed: List[Subgoal] = []
         self.aggregates: List[Tuple[Aggregate, Term]] = []
 
-    def read(self, parent: Compound, number: int) -> Pattern:
+    def read(self, parent: CompoundTerm, number: int) -> Pattern:
         """Return the pattern that an argument of a term is.
 
         Raises:
@@ -88,32 +88,32 @@ class PatternReader:
             return self._event(parent, number)
         return self._forms[EVENT_OPERATOR[name].kind](self, name, term)
 
-    def _pair(self, name: str, term: Compound) -> Pattern:
+    def _pair(self, name: str, term: CompoundTerm) -> Pattern:
         if name == SEQ:
             return self._sequence(term)
         return Pair(name, self._operand(term, 1, name), self._operand(term, 2, name))
 
-    def _refused(self, name: str, term: Compound) -> Pattern:
+    def _refused(self, name: str, term: CompoundTerm) -> Pattern:
         raise self._error(f"there is no operator {name}; use cnot or fnot for the absence of an event", term)
 
-    def _limited(self, name: str, term: Compound) -> Within:
+    def _limited(self, name: str, term: CompoundTerm) -> Within:
         return Within(self._operand(term, 1, name), self._span(term) - 1)
 
-    def _conditional(self, name: str, term: Compound) -> Condition:
+    def _conditional(self, name: str, term: CompoundTerm) -> Condition:
         pattern = self._operand(term, 1, name)
         return Condition(pattern, self.goal(term, 2, name), EVENT_OPERATOR[name].timed)
 
-    def _acting(self, name: str, term: Compound) -> Action:
+    def _acting(self, name: str, term: CompoundTerm) -> Action:
         pattern = self._operand(term, 1, name)
         return Action(pattern, self.goal(term, 2, name), EVENT_OPERATOR[name].every)
 
-    def _operand(self, parent: Compound, number: int, operator: str) -> Pattern:
+    def _operand(self, parent: CompoundTerm, number: int, operator: str) -> Pattern:
         term = deref(parent[number])
         if term.__class__ is tuple and term[0] in _GOALS_AS_PATTERN:
             raise self._error(f"{term[0].name}(Goal) can only stand beside seq, not beside {operator}", term)
         return self.read(parent, number)
 
-    def _event(self, parent: Compound, number: int) -> Occurs:
+    def _event(self, parent: CompoundTerm, number: int) -> Occurs:
         term = deref(parent[number])
         if term.__class__ not in (tuple, Atom, Var):
             kind = "a string" if term.__class__ is String else "a number"
@@ -124,7 +124,7 @@ class PatternReader:
             self._warn(self._error(doubted, *((parent, number) if term.__class__ is Atom else (term, 0))))
         return Occurs(term)
 
-    def _sequence(self, term: Compound) -> Pattern:
+    def _sequence(self, term: CompoundTerm) -> Pattern:
         left, right = deref(term[1]), deref(term[2])
         left_goal = self._called(left)
         right_goal = self._called(right)
@@ -146,7 +146,7 @@ class PatternReader:
             return self.goal(term, 1, term[0].name)
         return None
 
-    def _aggregate(self, first: Pattern, term: Compound) -> Aggregate:
+    def _aggregate(self, first: Pattern, term: CompoundTerm) -> Aggregate:
         kind = deref(term[1])
         name = kind.name if kind.__class__ is Atom else kind[0].name if kind.__class__ is tuple else ""
         arity = len(kind) - 1 if kind.__class__ is tuple else 0
@@ -161,7 +161,7 @@ class PatternReader:
         self.aggregates.append((found, term))
         return found
 
-    def _alternatives(self, name: str, term: Compound) -> Either:
+    def _alternatives(self, name: str, term: CompoundTerm) -> Either:
         branches: List[Pattern] = []
         pending = [(term, 2), (term, 1)]
         while pending:
@@ -173,7 +173,7 @@ class PatternReader:
                 branches.append(self._operand(parent, number, name))
         return Either(tuple(branches))
 
-    def _absence(self, name: str, term: Compound) -> Absent:
+    def _absence(self, name: str, term: CompoundTerm) -> Absent:
         pattern = self._operand(term, 1, name)
         negated = self._operand(term, 2, name)
         inside = name == "cnot" and _is_sequence(pattern)
@@ -181,7 +181,7 @@ class PatternReader:
             self._warn(self._error(_NOT_INSIDE, term))
         return Absent(pattern, negated, inside)
 
-    def _repetition(self, name: str, term: Compound) -> Pattern:
+    def _repetition(self, name: str, term: CompoundTerm) -> Pattern:
         times = deref(term[2])
         if times.__class__ is not int or times < 1:
             raise self._error("ntimes needs a positive integer", term, 2)
@@ -200,13 +200,13 @@ class PatternReader:
             raise self._error(message, term, 2)
         return Pair(SEQ, pattern if times == 2 else before, last)
 
-    def _span(self, term: Compound) -> int:
+    def _span(self, term: CompoundTerm) -> int:
         span = deref(term[2])
         if span.__class__ not in (int, float) or not span > 0 or span == float("inf"):
             raise self._error("within needs a positive number of seconds", term, 2)
         return from_seconds(span)
 
-    def goal(self, parent: Compound, number: int, operator: str) -> Term:
+    def goal(self, parent: CompoundTerm, number: int, operator: str) -> Term:
         """Return the goal that an argument of a term is.
 
         Raises:
@@ -223,7 +223,7 @@ class PatternReader:
     def _error(self, message: str, term: Term, number: int = 0) -> RuleError:
         return RuleError(message, self.place(term, number))
 
-    _forms: Dict[OperatorKind, Callable[["PatternReader", str, Compound], Pattern]] = {
+    _forms: Dict[OperatorKind, Callable[["PatternReader", str, CompoundTerm], Pattern]] = {
         OperatorKind.PAIR: _pair,
         OperatorKind.ALTERNATIVES: _alternatives,
         OperatorKind.ABSENCE: _absence,

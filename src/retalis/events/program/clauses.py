@@ -10,7 +10,7 @@ from ...prolog.syntax import ReadTerm
 from ...prolog.terms import (
     COLON,
     Atom,
-    Compound,
+    CompoundTerm,
     Term,
     Var,
     atom,
@@ -147,7 +147,7 @@ class FileChecker:
             self._no_rule(term, spot, place)
             self.steps.append(FileEntry("clause", term, place))
 
-    def _directive(self, term: Compound, spot: Spot, place: Optional[Place]) -> None:
+    def _directive(self, term: CompoundTerm, spot: Spot, place: Optional[Place]) -> None:
         goal, at = deref(term[1]), spot(term, 1) or place
         if is_rule(goal):
             raise RuleError("an event rule is written without :- before it", at)
@@ -186,7 +186,7 @@ class FileChecker:
     def _warn(self, message: str, place: Optional[Place]) -> None:
         self.warnings.append(RuleError(message, place))
 
-    def _property(self, one: Property, term: Compound, spot: Spot, place: Optional[Place]) -> None:
+    def _property(self, one: Property, term: CompoundTerm, spot: Spot, place: Optional[Place]) -> None:
         """Take a property from the term that has its name and value as the last arguments."""
         problem, last = one.problem, len(term) - 1
         if problem is None:
@@ -196,7 +196,7 @@ class FileChecker:
         else:
             self._warn(problem, spot(term, last - 1) or place)
 
-    def _rule(self, term: Compound, spot: Spot, place: Optional[Place]) -> None:
+    def _rule(self, term: CompoundTerm, spot: Spot, place: Optional[Place]) -> None:
         label, rule = labelled(term)
         if label is not None and label.__class__ is tuple:
             name = label[0].name
@@ -250,7 +250,7 @@ class FileChecker:
             self.inner.append(self.definition(one, None, spot, spot(one) or place))
         return definition
 
-    def _arrow_in(self, rule: Compound, spot: Spot) -> None:
+    def _arrow_in(self, rule: CompoundTerm, spot: Spot) -> None:
         """Warn of a rule in the place of a pattern that has no brackets: two arrows in a row."""
         inner, begin = deref(rule[2]), spot(rule, 2)
         if inner.__class__ is tuple and inner[0] in ARROWS and begin is not None and begin.character != "(":
@@ -309,7 +309,7 @@ def _holds_label(term: Term) -> bool:
     return term.__class__ is tuple and (term[0] is RULE or term[0] is COLON)
 
 
-def _advice(goal: Compound) -> str:
+def _advice(goal: CompoundTerm) -> str:
     """Return what was probably meant by a goal, where there is no such predicate."""
     name = SPELLINGS.get(goal[0])
     if name is not None:

@@ -16,7 +16,7 @@ from typing import (
 
 from ...foundation import Place, RuleError, UsageError
 from ...messages import Definitions, type_name
-from ...prolog.terms import Atom, Compound, Functor, Term, deref, functor, list_items
+from ...prolog.terms import Atom, CompoundTerm, Functor, Term, deref, functor, list_items
 from ..language import Occurs, walk
 from .files import Files
 from .folder import GOALS, RULES, read_text
@@ -149,7 +149,7 @@ def _bare_texts(texts: Iterable[_NamedTerm], definitions: Definitions) -> Iterat
                     yield RuleError(f"{text.who}{wrong}: write '\"{bare}\"'", text.place)
 
 
-def _parts(term: Term) -> Iterator[Union[Atom, Compound]]:
+def _parts(term: Term) -> Iterator[Union[Atom, CompoundTerm]]:
     """Yield the atoms and compound terms in a term."""
     stack = [term]
     while stack:
@@ -161,7 +161,7 @@ def _parts(term: Term) -> Iterator[Union[Atom, Compound]]:
             yield item
 
 
-def _memories_in(part: Union[Atom, Compound]) -> Iterator[Atom]:
+def _memories_in(part: Union[Atom, CompoundTerm]) -> Iterator[Atom]:
     """Yield the memories that a goal reads or a query waits for, where they are named."""
     if isinstance(part, Atom):
         return

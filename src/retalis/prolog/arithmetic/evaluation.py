@@ -16,7 +16,7 @@ from ..machine import (
     resource_error,
     type_error,
 )
-from ..terms import CONS, MOST, NIL, Atom, Compound, Functor, Lazy, String, Term, Var, deref, functor
+from ..terms import CONS, MOST, NIL, Atom, CompoundTerm, Functor, Lazy, String, Term, Var, deref, functor
 
 Number = Union[int, float]
 F = TypeVar("F", bound=Callable[..., Number])
@@ -122,7 +122,7 @@ class _Apply:
         return function(*operands)
 
 
-def _character(item: Compound) -> int:
+def _character(item: CompoundTerm) -> int:
     """Return the code that a list of one character, or of its code, is."""
     first = deref(item[1])
     if first.__class__ is Var:

@@ -15,7 +15,7 @@ from ..machine import (
 from ..terms import (
     NIL,
     Atom,
-    Compound,
+    CompoundTerm,
     String,
     Term,
     Var,
@@ -129,7 +129,7 @@ def holds(kind: Term, term: Term) -> Optional[bool]:
     return None if test is None else test(term)
 
 
-def _parametric(name: str, kind: Compound, term: Term) -> Optional[bool]:
+def _parametric(name: str, kind: CompoundTerm, term: Term) -> Optional[bool]:
     if name == "oneof" and len(kind) == 2:
         return is_ground(term) and any(not compare(item, term) for item in items(kind[1]))
     if name == "between" and len(kind) == 3:

@@ -8,7 +8,20 @@ from typing import Callable, Optional
 from ...foundation import UsageError
 from ..arithmetic import Number
 from ..machine import domain_error, instantiation_error, type_error
-from ..terms import CONS, DATIME6, DATIME7, NIL, SECOND, Compound, Lazy, Term, Var, deref, timestamps, unify
+from ..terms import (
+    CONS,
+    DATIME6,
+    DATIME7,
+    NIL,
+    SECOND,
+    CompoundTerm,
+    Lazy,
+    Term,
+    Var,
+    deref,
+    timestamps,
+    unify,
+)
 from .arguments import integer
 from .program import Machine
 from .registry import deterministic, function
@@ -124,7 +137,7 @@ def datime_minus_datime(machine: Machine, later: Term, earlier: Term, seconds: T
     return unify(seconds, value if arity == 6 else float(value), machine.trail)
 
 
-def _moved(stamp: Term, seconds: Term, sign: int) -> Optional[Compound]:
+def _moved(stamp: Term, seconds: Term, sign: int) -> Optional[CompoundTerm]:
     """Return ``datime/6`` some seconds later; None for another form."""
     stamp, seconds = deref(stamp), deref(seconds)
     instant = instant_of(stamp)

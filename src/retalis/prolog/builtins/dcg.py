@@ -11,7 +11,7 @@ from ..terms import (
     EMPTY_BLOCK,
     NIL,
     Atom,
-    Compound,
+    CompoundTerm,
     String,
     Term,
     Var,
@@ -29,7 +29,7 @@ _PHRASE = functor("phrase", 3)
 _CALL = "call"
 
 
-def translate_rule(rule: Compound) -> Term:
+def translate_rule(rule: CompoundTerm) -> Term:
     """Return the clause of a grammar rule ``Head --> Body``.
 
     Raises:
@@ -109,7 +109,7 @@ def _part(part: Term, first: Term, last: Term, pending: List[_Hole]) -> Term:
     return (functor(part.name, 2), first, last)
 
 
-def _compound_part(part: Compound, first: Term, last: Term, pending: List[_Hole]) -> Term:
+def _compound_part(part: CompoundTerm, first: Term, last: Term, pending: List[_Hole]) -> Term:
     key = part[0]
     if key is CONS:
         return _consume(_terminals(part), first, last)

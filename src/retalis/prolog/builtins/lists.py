@@ -22,7 +22,7 @@ from ..terms import (
     NIL,
     ROUNDS,
     Atom,
-    Compound,
+    CompoundTerm,
     Term,
     Trail,
     Values,
@@ -160,7 +160,7 @@ def keysort(machine: Machine, pairs: Term, result: Term) -> bool:
     return unify(result, make_list(found), machine.trail)
 
 
-def _pair(term: Term) -> Compound:
+def _pair(term: Term) -> CompoundTerm:
     pair = deref(term)
     if pair.__class__ is Var:
         raise instantiation_error()

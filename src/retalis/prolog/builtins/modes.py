@@ -4,7 +4,7 @@ from typing import Callable, Dict, NamedTuple, Optional, Tuple
 
 from ..compiler import ARROW, SEMICOLON
 from ..machine import domain_error, instantiation_error, type_error
-from ..terms import SLASH, Atom, Compound, Functor, Term, Var, compare, deref, functor
+from ..terms import SLASH, Atom, CompoundTerm, Functor, Term, Var, compare, deref, functor
 from .arguments import natural
 
 _EQUAL = functor("=", 2)
@@ -34,7 +34,7 @@ class Mode(NamedTuple):
     grows: bool = True
 
 
-def modes_of(spec: Compound) -> Tuple[Functor, Dict[int, Mode]]:
+def modes_of(spec: CompoundTerm) -> Tuple[Functor, Dict[int, Mode]]:
     """Return the functor that a declaration such as ``path(_, _, min)`` names, and modes by position.
 
     Raises:

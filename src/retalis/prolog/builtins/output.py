@@ -15,7 +15,7 @@ from ..machine import (
     type_error,
 )
 from ..syntax import write_term
-from ..terms import CONS, NIL, Atom, Compound, Term, Values, Var, deref, list_items, resolve, unify
+from ..terms import CONS, NIL, Atom, CompoundTerm, Term, Values, Var, deref, list_items, resolve, unify
 from .arguments import integer, is_iso, option_values
 from .formatting import Formatter
 from .portraying import OutputCapture, portray_of, printed
@@ -209,19 +209,19 @@ def write_options(machine: Machine, options: Term) -> Dict[str, object]:
     return found
 
 
-def _truth(option: Compound, value: Term, iso: bool) -> bool:
+def _truth(option: CompoundTerm, value: Term, iso: bool) -> bool:
     if value.__class__ is not Atom or value.name not in ("true", "false"):
         raise domain_error("write_option", option) if iso else type_error("bool", value)
     return value.name == "true"
 
 
-def _spacing(option: Compound, value: Term, iso: bool) -> bool:
+def _spacing(option: CompoundTerm, value: Term, iso: bool) -> bool:
     if value.__class__ is not Atom or value.name not in ("standard", "next_argument"):
         raise domain_error("spacing", value)
     return value.name == "next_argument"
 
 
-_OPTIONS: Dict[str, Callable[[Compound, Term, bool], object]] = {
+_OPTIONS: Dict[str, Callable[[CompoundTerm, Term, bool], object]] = {
     "quoted": _truth,
     "ignore_ops": _truth,
     "numbervars": _truth,
@@ -234,7 +234,7 @@ _OPTIONS: Dict[str, Callable[[Compound, Term, bool], object]] = {
 """What reads the value of an option, given the whole option and whether the flag ``iso`` is set."""
 
 
-def _variable_names(option: Compound) -> Dict[Var, str]:
+def _variable_names(option: CompoundTerm) -> Dict[Var, str]:
     names: Dict[Var, str] = {}
     for pair in option_values(option[1]):
         if pair.__class__ is not tuple or str(pair[0]) != "=/2":

@@ -5,7 +5,7 @@ from typing import List
 from ...foundation import SyntaxFault
 from ..machine import ERROR, PrologError, instantiation_error, type_error
 from ..syntax import ReadFlags, ReadTerm, read_term
-from ..terms import Compound, String, Term, Var, atom, deref, functor, make_list, unify, variables
+from ..terms import CompoundTerm, String, Term, Var, atom, deref, functor, make_list, unify, variables
 from .arguments import atom_of, option_values, partial_items
 from .program import Machine
 from .registry import deterministic
@@ -79,7 +79,7 @@ def atom_to_term(machine: Machine, text: Term, term: Term, bindings: Term) -> bo
 def read_term_from_atom(machine: Machine, text: Term, term: Term, options: Term) -> bool:
     """Read a term from a text."""
     whole = text_of(text, numbers=False)
-    asked: List[Compound] = []
+    asked: List[CompoundTerm] = []
     for option in option_values(options):
         if option.__class__ is not tuple:
             raise type_error("option", option)
@@ -88,7 +88,7 @@ def read_term_from_atom(machine: Machine, text: Term, term: Term, options: Term)
     return unify(term, found.term, machine.trail) and _unify_options(machine, found, asked)
 
 
-def _unify_options(machine: Machine, found: ReadTerm, options: List[Compound]) -> bool:
+def _unify_options(machine: Machine, found: ReadTerm, options: List[CompoundTerm]) -> bool:
     """Unify what the options of ``read_term`` ask for."""
     for option in options:
         name = option[0].name

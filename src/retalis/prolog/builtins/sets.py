@@ -8,7 +8,20 @@ from typing import TYPE_CHECKING, Callable, Iterator, Optional
 
 from ...foundation import TermTooLarge
 from ..machine import no_matching_rule
-from ..terms import CONS, MOST, NIL, Compound, Functor, Term, Var, compare, deref, functor, list_items, unify
+from ..terms import (
+    CONS,
+    MOST,
+    NIL,
+    CompoundTerm,
+    Functor,
+    Term,
+    Var,
+    compare,
+    deref,
+    functor,
+    list_items,
+    unify,
+)
 from .arguments import atom_of
 from .lists import memberchk
 from .program import Machine
@@ -22,7 +35,7 @@ _SUBSET = functor("subset", 2)
 _ORD_UNION, _ORD_UNION_ALL, _UNION2 = functor("ord_union", 3), functor("ord_union", 2), functor("union2", 4)
 
 
-def is_cons(term: Term) -> "TypeGuard[Compound]":
+def is_cons(term: Term) -> "TypeGuard[CompoundTerm]":
     """Tell whether a dereferenced term is a list cell."""
     return term.__class__ is tuple and term[0] is CONS
 

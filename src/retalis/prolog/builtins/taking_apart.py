@@ -4,7 +4,7 @@ from typing import Optional, Sequence
 
 from ...foundation import BULK, look
 from ..machine import LAST, domain_error, instantiation_error, permission_error, resource_error, type_error
-from ..terms import NIL, Atom, Compound, Term, Var, atom, copy, deref, functor, make_list, resolve, unify
+from ..terms import NIL, Atom, CompoundTerm, Term, Var, atom, copy, deref, functor, make_list, resolve, unify
 from .arguments import check_tail, integer, is_iso, items, natural, partial_items
 from .program import Machine, Outcome, Solutions
 from .registry import deterministic, function, nondeterministic
@@ -67,7 +67,7 @@ def arg(machine: Machine, number: Term, term: Term, value: Term) -> Outcome:
     return 0 < at < len(term) and unify(value, term[at], machine.trail)
 
 
-def _arguments(machine: Machine, number: Term, term: Compound, value: Term) -> Solutions:
+def _arguments(machine: Machine, number: Term, term: CompoundTerm, value: Term) -> Solutions:
     last = len(term) - 1
     for at in range(1, len(term)):
         if machine.unify_all((number, at), (value, term[at])):

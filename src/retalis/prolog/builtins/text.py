@@ -16,7 +16,7 @@ from ..syntax import Operators, read_term, write_term
 from ..terms import (
     NIL,
     Atom,
-    Compound,
+    CompoundTerm,
     String,
     Term,
     Var,
@@ -272,7 +272,7 @@ def make_text(like: str, text: str) -> Term:
     return codes(text) if like == "codes" else chars(text)
 
 
-def is_sink(sink: Term) -> "TypeGuard[Compound]":
+def is_sink(sink: Term) -> "TypeGuard[CompoundTerm]":
     """Tell whether a term asks for text: ``atom(A)``, ..., also ``codes(Cs,Tail)`` and ``chars(Cs,Tail)``."""
     if sink.__class__ is not tuple:
         return False
@@ -285,7 +285,7 @@ def is_sink(sink: Term) -> "TypeGuard[Compound]":
     )
 
 
-def fill_sink(machine: Machine, sink: Compound, text: str) -> bool:
+def fill_sink(machine: Machine, sink: CompoundTerm, text: str) -> bool:
     """Unify the text of a sink."""
     found = make_text(sink[0].name, text)
     if len(sink) == 3:

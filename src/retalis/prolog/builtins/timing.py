@@ -11,7 +11,7 @@ from typing import Callable, Dict, List, Match, Tuple
 
 from ..arithmetic import Number
 from ..machine import LAST, domain_error, instantiation_error, type_error
-from ..terms import Atom, Compound, Term, Var, atom, deref, functor, make_list, unify
+from ..terms import Atom, CompoundTerm, Term, Var, atom, deref, functor, make_list, unify
 from .arguments import integer
 from .output import write_to
 from .program import Machine, Solutions
@@ -42,7 +42,7 @@ def _of_stamp(stamp: float) -> Tuple[datetime, float]:
     return found, found.second + (stamp - whole)
 
 
-def _of_date(term: Compound) -> Tuple[datetime, float]:
+def _of_date(term: CompoundTerm) -> Tuple[datetime, float]:
     """Return date and time (UTC) that a date term names."""
     parts = [deref(part) for part in term[1:]]
     values: List[Number] = [0 if part.__class__ is Var else _number(part) for part in parts[:6]]

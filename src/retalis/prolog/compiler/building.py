@@ -7,7 +7,7 @@ the cells in one go, from the last to the first, so that no variable is needed i
 
 from typing import List, NamedTuple, Optional, Sequence, Tuple
 
-from ..terms import Compound, Functor, Term, Var, deref
+from ..terms import CompoundTerm, Functor, Term, Var, deref
 from .inline import write_inline
 from .nodes import CallNode, GoalNode, needed_by
 from .scope import ClauseVariables, Scope
@@ -122,7 +122,7 @@ def _advance(scope: Scope, locals_: Sequence[str], call: CallNode, shape: Shape)
         scope.line(f"{', '.join(targets)} = {', '.join(sources)}")
 
 
-def _cells(scope: Scope, cell: Compound, shape: Shape) -> None:
+def _cells(scope: Scope, cell: CompoundTerm, shape: Shape) -> None:
     """Write the making of the cells, from the last to the first."""
     count = len(cell) - 2
     parts = []

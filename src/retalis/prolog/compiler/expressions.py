@@ -3,7 +3,7 @@
 from typing import Tuple
 
 from ..arithmetic import EVALUABLE
-from ..terms import Atom, Compound, Functor, Term, Var, deref, functor
+from ..terms import Atom, CompoundTerm, Functor, Term, Var, deref, functor
 from .scope import Scope
 
 _PLUS, _MINUS, _TIMES = functor("+", 2), functor("-", 2), functor("*", 2)
@@ -66,7 +66,7 @@ def _variable(scope: Scope, var: Var) -> Operand:
     return target, "num"
 
 
-def _operation(scope: Scope, expression: Compound, depth: int) -> Operand:
+def _operation(scope: Scope, expression: CompoundTerm, depth: int) -> Operand:
     key: Functor = expression[0]
     if key in _DIRECT:
         return _direct(scope, key, expression, depth)
@@ -87,7 +87,7 @@ def _operation(scope: Scope, expression: Compound, depth: int) -> Operand:
     return target, "int" if key in _FUNCTIONS_OF_INTEGERS or key in _TO_INTEGER else "num"
 
 
-def _direct(scope: Scope, key: Functor, expression: Compound, depth: int) -> Operand:
+def _direct(scope: Scope, key: Functor, expression: CompoundTerm, depth: int) -> Operand:
     symbol, slow = _DIRECT[key]
     left_term, right_term = deref(expression[1]), deref(expression[2])
     target = scope.temp()

@@ -9,7 +9,7 @@ from ..terms import (
     FALSE,
     TRUE,
     Atom,
-    Compound,
+    CompoundTerm,
     Functor,
     Lazy,
     Term,
@@ -280,7 +280,7 @@ class BodyParser:
             return CallNode("direct", key, args, True)
         return CallNode("builtin" if inline else "call", key, args, inline)
 
-    def _control(self, key: Functor, goal: Compound, cut: Height, depth: int) -> GoalNode:
+    def _control(self, key: Functor, goal: CompoundTerm, cut: Height, depth: int) -> GoalNode:
         if key is SEMICOLON or key is BAR:
             return self._either(goal, cut, depth)
         if key is ARROW or key is SOFT_ARROW:
@@ -295,7 +295,7 @@ class BodyParser:
             return IfThenElse(test, [Fail(frozenset(), True)], [], barrier)
         return IfThenElse(test, [], [] if key is IGNORE else [Fail(frozenset(), True)], barrier)
 
-    def _either(self, goal: Compound, cut: Height, depth: int) -> GoalNode:
+    def _either(self, goal: CompoundTerm, cut: Height, depth: int) -> GoalNode:
         left = deref(goal[1])
         if left.__class__ is tuple and (left[0] is ARROW or left[0] is SOFT_ARROW):
             return self._condition(left, goal[2], cut, depth)
@@ -310,7 +310,7 @@ class BodyParser:
         branches.append(self.parse(rest, cut, depth))
         return Disjunction(branches)
 
-    def _condition(self, arrow: Compound, otherwise: Optional[Term], cut: Height, depth: int) -> GoalNode:
+    def _condition(self, arrow: CompoundTerm, otherwise: Optional[Term], cut: Height, depth: int) -> GoalNode:
         inner = self.height()
         test = self.parse(arrow[1], inner, depth)
         then = self.parse(arrow[2], cut, depth)

@@ -2,7 +2,7 @@
 
 from typing import List, Tuple
 
-from ..terms import Atom, Compound, String, Term, Var, deref, same_constant
+from ..terms import Atom, CompoundTerm, String, Term, Var, deref, same_constant
 from .scope import Scope, _is_large
 
 _FEWEST, _MOST = 3, 40
@@ -36,7 +36,7 @@ def match(scope: Scope, name: str, pattern: Term, depth: int = 0) -> None:
         _constant(scope, name, pattern)
 
 
-def _either_mode(scope: Scope, name: str, pattern: Compound, depth: int) -> None:
+def _either_mode(scope: Scope, name: str, pattern: CompoundTerm, depth: int) -> None:
     if depth > _NESTING or _is_large(pattern):
         _general(scope, name, pattern)
     else:
@@ -62,7 +62,7 @@ def _is_one_shape(scope: Scope, pattern: Term) -> bool:
     return _FEWEST <= compounds <= _MOST
 
 
-def _at_one_go(scope: Scope, name: str, pattern: Compound, depth: int) -> None:
+def _at_one_go(scope: Scope, name: str, pattern: CompoundTerm, depth: int) -> None:
     """Write the unpacking of a whole pattern in one statement; what it does not fit is looked at part by part.
 
     That is how messages come: deep, and without a variable anywhere.
@@ -141,7 +141,7 @@ def _bind(scope: Scope, name: str, value: str) -> None:
     scope.line(f"    push({name})")
 
 
-def _compound(scope: Scope, name: str, pattern: Compound, depth: int) -> None:
+def _compound(scope: Scope, name: str, pattern: CompoundTerm, depth: int) -> None:
     """Write both modes: binding an unbound variable to a new term, taking a compound term apart."""
     scope.dereference(name)
     scope.line("if k is Var:")
@@ -173,7 +173,7 @@ def _compound(scope: Scope, name: str, pattern: Compound, depth: int) -> None:
     forget_fresh(scope, pattern)
 
 
-def take_apart(scope: Scope, name: str, pattern: Compound, depth: int, check: bool = True) -> None:
+def take_apart(scope: Scope, name: str, pattern: CompoundTerm, depth: int, check: bool = True) -> None:
     """Write the read mode: ``name`` holds a compound term (of the right functor unless ``check``)."""
     if check:
         scope.line(f"if {name}[0] is not {scope.unit.constant(pattern[0])}:")

@@ -22,7 +22,7 @@ from ..terms import (
     ROUNDS,
     TRUE,
     Atom,
-    Compound,
+    CompoundTerm,
     Functor,
     Lazy,
     Term,
@@ -132,7 +132,7 @@ class Control:
 
     # Control constructs
 
-    def _either(self, goal: Compound, height: int, after: Frame) -> Optional[Frame]:
+    def _either(self, goal: CompoundTerm, height: int, after: Frame) -> Optional[Frame]:
         left = deref(goal[1])
         if left.__class__ is tuple and left[0] is ARROW:
             return self._test(left[1], left[2], goal[2], height, after)
@@ -149,11 +149,11 @@ class Control:
         self._choices.append((self.code, otherwise, height, after, len(self._trail)))
         return self.solve(test, here + 1, (self._cut_code, here, (self.code, then, height, after)))
 
-    def _then(self, goal: Compound, height: int, after: Frame) -> Optional[Frame]:
+    def _then(self, goal: CompoundTerm, height: int, after: Frame) -> Optional[Frame]:
         here = len(self._choices)
         return self.solve(goal[1], here, (self._cut_code, here, (self.code, goal[2], height, after)))
 
-    def _soft(self, goal: Compound, height: int, after: Frame) -> Optional[Frame]:
+    def _soft(self, goal: CompoundTerm, height: int, after: Frame) -> Optional[Frame]:
         return self.solve(goal[1], len(self._choices), (self.code, goal[2], height, after))
 
     def _soft_run(self, frame: Frame) -> Frame:
@@ -161,7 +161,7 @@ class Control:
         self._choices[here] = (DEAD, self._choices[here][-1])
         return frame[2]  # type: ignore[no-any-return]
 
-    def _not(self, goal: Compound, height: int, after: Frame) -> Optional[Frame]:
+    def _not(self, goal: CompoundTerm, height: int, after: Frame) -> Optional[Frame]:
         here = len(self._choices)
         self._choices.append((RESUME, after, len(self._trail)))
         return self.solve(goal[1], here + 1, (self._reject_code, here, after))
@@ -169,10 +169,10 @@ class Control:
     def _reject_run(self, frame: Frame) -> None:
         del self._choices[frame[1] :]
 
-    def _once(self, goal: Compound, height: int, after: Frame) -> Optional[Frame]:
+    def _once(self, goal: CompoundTerm, height: int, after: Frame) -> Optional[Frame]:
         return self.once(goal[1], after)
 
-    def _ignore(self, goal: Compound, height: int, after: Frame) -> Optional[Frame]:
+    def _ignore(self, goal: CompoundTerm, height: int, after: Frame) -> Optional[Frame]:
         here = len(self._choices)
         self._choices.append((RESUME, after, len(self._trail)))
         return self.call(goal[1], (self._cut_code, here, after))

@@ -5,7 +5,7 @@ from typing import Dict, List, Optional
 
 from ..database import Clause, Predicate
 from ..machine import CONTEXT, Frame, existence_error, indicator
-from ..terms import FALSE, Atom, Compound, Functor, Trail, atom, copy, deref, undo, unify
+from ..terms import FALSE, Atom, CompoundTerm, Functor, Trail, atom, copy, deref, undo, unify
 from .predicates import Predicates
 
 
@@ -54,7 +54,7 @@ def _described(clause: Clause) -> str:
     return f"{clause.predicate.functor}{where}".split("\n")[0]
 
 
-def _may_call(clause: Clause, call: Compound, least: int) -> bool:
+def _may_call(clause: Clause, call: CompoundTerm, least: int) -> bool:
     """Tell whether a goal that may make a call stands in a clause's body, if only with its first arguments."""
     stack = [clause.body]
     while stack:
@@ -68,7 +68,7 @@ def _may_call(clause: Clause, call: Compound, least: int) -> bool:
     return False
 
 
-def _agree(goal: Compound, call: Compound) -> bool:
+def _agree(goal: CompoundTerm, call: CompoundTerm) -> bool:
     """Tell whether a goal, which may lack the last arguments, unifies with a call."""
     trail: Trail = []
     pairs = zip(copy(goal)[1:], call[1:])

@@ -3,7 +3,7 @@
 from typing import Callable, Dict, List, NamedTuple, Optional, Tuple, Union
 
 from ...foundation import codegen
-from ..terms import CONS, NIL, Atom, Compound, Functor, Term, Var, atom, make_list
+from ..terms import CONS, NIL, Atom, CompoundTerm, Functor, Term, Var, atom, make_list
 
 
 class Builder(NamedTuple):
@@ -105,7 +105,7 @@ class ShapeCompiler:
         key = (value.__class__, value.hex() if isinstance(value, float) else value)
         return self._given.constant(value, key)
 
-    def _compound(self, term: Compound, arguments: List[str]) -> str:
+    def _compound(self, term: CompoundTerm, arguments: List[str]) -> str:
         found: Functor = term[0]
         if found is not CONS:
             return self._temporary(f"({self._constant(found)}, {', '.join(arguments)})")
@@ -126,7 +126,7 @@ class ShapeCompiler:
         return f"t{len(self._lines) - 1}"
 
 
-def _items(term: Compound) -> List[Term]:
+def _items(term: CompoundTerm) -> List[Term]:
     """Return the arguments of a compound term; of a list, its items and its tail."""
     if term[0] is not CONS:
         return list(term[1:])

@@ -11,7 +11,7 @@ from ..terms import (
     CONS,
     NIL,
     Atom,
-    Compound,
+    CompoundTerm,
     Functor,
     String,
     Term,
@@ -155,7 +155,7 @@ class _TermWriter:
         else:
             self._put(self.atom(name))
 
-    def _compound(self, term: Compound, limit: int) -> None:
+    def _compound(self, term: CompoundTerm, limit: int) -> None:
         found: Functor = term[0]
         if found is CONS:
             self._list(term)
@@ -176,7 +176,7 @@ class _TermWriter:
         self._put(letter + (str(number // 26) if number >= 26 else ""))
         return True
 
-    def _canonical(self, term: Compound, found: Functor) -> None:
+    def _canonical(self, term: CompoundTerm, found: Functor) -> None:
         stack = self.stack
         stack.append(")")
         for argument in term[:1:-1]:
@@ -187,7 +187,7 @@ class _TermWriter:
         self._put(self.atom(found.name))
         self._put("(")
 
-    def _list(self, term: Compound) -> None:
+    def _list(self, term: CompoundTerm) -> None:
         entries: List[Piece] = ["["]
         items, rest = list_parts(term)
         for item in items:
@@ -199,7 +199,7 @@ class _TermWriter:
         entries.reverse()
         self.stack += entries
 
-    def _operator(self, term: Compound, found: Functor, limit: int) -> bool:
+    def _operator(self, term: CompoundTerm, found: Functor, limit: int) -> bool:
         """Write a term with its operator; False where its functor is none."""
         name = found.name
         if found.arity == 2:
@@ -228,7 +228,7 @@ class _TermWriter:
         self.stack += entries
         return True
 
-    def _infix(self, term: Compound, infix: Operator, name: str) -> List[Piece]:
+    def _infix(self, term: CompoundTerm, infix: Operator, name: str) -> List[Piece]:
         text: Union[str, _PrefixOperator]
         if name == ",":
             text = self.comma

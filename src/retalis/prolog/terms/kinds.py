@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Protocol,
 from weakref import ref
 
 if TYPE_CHECKING and sys.version_info >= (3, 9):
-    Compound = Tuple[Any, ...]
-    Term = Union[int, float, "Atom", "String", "Var", "Lazy", Compound]
+    CompoundTerm = Tuple[Any, ...]
+    Term = Union[int, float, "Atom", "String", "Var", "Lazy", CompoundTerm]
 else:  # the last mypy for Python 3.8 cannot tell the kind of a term by its class
-    Compound = Tuple[Any, ...]
+    CompoundTerm = Tuple[Any, ...]
     Term = Any
 
 Values = Tuple[Term, ...]

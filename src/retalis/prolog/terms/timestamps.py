@@ -18,7 +18,7 @@ from math import frexp, ldexp
 from typing import Any, List, Optional, Tuple
 
 from ...foundation import UsageError
-from .kinds import CONS, NIL, Compound, Functor, Lazy, Term, Var, deref, functor
+from .kinds import CONS, NIL, CompoundTerm, Functor, Lazy, Term, Var, deref, functor
 from .lists import list_items
 
 SECOND = 1_000_000_000
@@ -213,7 +213,7 @@ def is_instant(term: Term) -> bool:
     return True
 
 
-def _from_fields(term: Compound) -> Tuple[int, Optional[type]]:
+def _from_fields(term: CompoundTerm) -> Tuple[int, Optional[type]]:
     """Return the instant of a datime term and the class of its seconds field; None where it is wrong."""
     values: List[Any] = [deref(value) for value in term[1:]]
     second = values[5]

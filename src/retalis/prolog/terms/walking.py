@@ -3,7 +3,7 @@
 from typing import Any, Callable, Dict, Hashable, List, Optional, Sequence, overload
 
 from ...foundation import BULK, TermTooLarge, look
-from .kinds import Atom, Compound, Lazy, String, Term, Var, deref
+from .kinds import Atom, CompoundTerm, Lazy, String, Term, Var, deref
 from .steps import MASK, MOST, ROUNDS, check_steps
 
 
@@ -178,7 +178,7 @@ def _same(var: Var) -> Term:
 
 
 @overload
-def copy(term: Compound, fresh: Optional[Dict[Var, Term]] = None) -> Compound: ...
+def copy(term: CompoundTerm, fresh: Optional[Dict[Var, Term]] = None) -> CompoundTerm: ...
 
 
 @overload
