@@ -160,7 +160,7 @@ def _to_compound(value: Any) -> Term:
 
 def reader_of(hint: object) -> Callable[[Term], object]:
     """Return what makes the argument for a parameter with an annotation."""
-    if hint is Term or hint is Var:
+    if hint in (Any, Term, Var):
         return deref
     return _READERS.get(hint, to_python)
 

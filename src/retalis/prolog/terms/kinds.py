@@ -6,16 +6,6 @@ from itertools import count
 from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Protocol, Tuple, Union
 from weakref import ref
 
-if TYPE_CHECKING and sys.version_info >= (3, 9):
-    CompoundTerm = Tuple[Any, ...]
-    Term = Union[int, float, "Atom", "String", "Var", "Lazy", CompoundTerm]
-else:  # the last mypy for Python 3.8 cannot tell the kind of a term by its class
-    CompoundTerm = Tuple[Any, ...]
-    Term = Any
-
-Values = Tuple[Term, ...]
-"""Arguments of a goal, or what the variables of a clause or a rule stand for."""
-
 
 class Bound(Protocol):
     """What stands on a trail: a variable, or something else that is taken back by setting its ``ref`` to None."""
@@ -62,7 +52,7 @@ class Functor:
     name: str
     arity: int
 
-    def __call__(self, *args: Term) -> Term:
+    def __call__(self, *args: "Term") -> "CompoundTerm":
         """Return the compound term with these arguments (as many as the arity says)."""
         return (self, *args)
 
@@ -120,13 +110,13 @@ class Lazy:
 
     __slots__ = ("functor", "make", "source", "made")
 
-    def __init__(self, functor: Functor, make: Callable[[Any], Term], source: Any):
+    def __init__(self, functor: Functor, make: "Callable[[Any], Term]", source: Any):
         self.functor = functor
         self.make = make
         self.source = source
         self.made: Optional[Term] = None
 
-    def term(self) -> Term:
+    def term(self) -> "Term":
         """Return the compound term (its arguments may be lazy in turn)."""
         made = self.made
         if made is None:
@@ -136,6 +126,18 @@ class Lazy:
 
     def __repr__(self) -> str:
         return f"Lazy({self.functor})"
+
+
+CompoundTerm = Tuple[Any, ...]
+"""A functor and its arguments. How many there are says the functor, so a type checker cannot tell what they are."""
+
+if not TYPE_CHECKING or sys.version_info >= (3, 9):
+    Term = Union[int, float, Atom, String, Var, Lazy, CompoundTerm]
+else:  # the last mypy for Python 3.8 cannot tell the kind of a term by its class
+    Term = Any
+
+Values = Tuple[Term, ...]
+"""Arguments of a goal, or what the variables of a clause or a rule stand for."""
 
 
 class _AtomRef(ref):  # type: ignore[type-arg]
