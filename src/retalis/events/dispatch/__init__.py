@@ -1,10 +1,11 @@
 """From an event to those who listen to its kind, in order, depth first."""
 
+from ...prolog.terms import EventAction
 from .building import compile_builder
 from .dispatch import Dispatcher
 from .lanes import Completion, goal_lane, stand_in
 from .plans import NOBODY
-from .serving import AT_ONCE, Dispatch, EventAction, Lane, Listener, Stage
+from .serving import AT_ONCE, Dispatch, Lane, Listener, Stage
 
 __all__ = [
     "EventAction",

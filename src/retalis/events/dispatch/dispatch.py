@@ -11,11 +11,24 @@ from weakref import WeakValueDictionary
 from ...foundation import Cache, UsageError
 from ...prolog.database import CompiledGoal
 from ...prolog.machine import Budget, Frame, Machine, PrologError, keep_back
-from ...prolog.terms import Atom, Functor, Lazy, Term, Values, Var, copy, deref, is_ground, is_plain, term_key
+from ...prolog.terms import (
+    Atom,
+    EventAction,
+    Functor,
+    Lazy,
+    Term,
+    Values,
+    Var,
+    copy,
+    deref,
+    is_ground,
+    is_plain,
+    term_key,
+)
 from .gates import Gate
 from .matching import Matcher, compile_matcher
 from .plans import Choice, Onlookers, Plan, make_plan
-from .serving import AT_ONCE, LEFT_OUT, RESTORE, Dispatch, EventAction, Lane, Listener, Stage, event_of
+from .serving import AT_ONCE, LEFT_OUT, RESTORE, Dispatch, Lane, Listener, Stage, event_of
 
 Result = TypeVar("Result")
 

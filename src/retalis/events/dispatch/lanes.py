@@ -4,11 +4,11 @@ from typing import Any, Callable, NamedTuple, Optional, Tuple
 
 from ...foundation import shared_function
 from ...prolog.machine import Frame, Machine
-from ...prolog.terms import Functor, Term, Values, are_ground, undo
+from ...prolog.terms import EventAction, Functor, Term, Values, are_ground, undo
 from .dispatch import Dispatcher
 from .gates import Gate
 from .plans import NOBODY
-from .serving import LEFT_OUT, RESTORE, EventAction, Lane
+from .serving import LEFT_OUT, RESTORE, Lane
 
 OPEN = Gate((), None)
 

@@ -3,12 +3,9 @@
 from enum import IntEnum
 from typing import Any, Callable, Iterator, Optional, Protocol, Tuple
 
-from ...prolog.machine import Frame
-from ...prolog.terms import TRUE, Functor, Term, Values
+from ...prolog.terms import TRUE, EventAction, Frame, Functor, Term
 from .matching import Matcher
 
-EventAction = Callable[[Term, Values, int, int, Frame], Frame]
-"""Takes the event, the values of the pattern's variables, start, end and the next frame; gives a frame."""
 Lane = Callable[[Term, int, int], bool]
 """Takes an event without variables that follows from no other, start and end; tells whether it has been served."""
 

@@ -129,7 +129,8 @@ class _Extends(TriesAgain, Protocol):
         """Return the later results of a run from which a repetition was taken."""
 
 
-Step = Callable[[Frame], Frame]
+Again = Callable[[Frame], Frame]
+"""Dispatches something anew; takes the frame to go on with."""
 
 
 class Suppressed:
@@ -353,7 +354,7 @@ class Tracker:
 
     def _steps(
         self, found: List[Occurrence], again: List[Tuple[TriesAgain, Tried]], start: int, end: int
-    ) -> Iterator[Step]:
+    ) -> Iterator[Again]:
         """Yield functions from a frame to a frame: what is to be done one after the other."""
         for occurrence in found:
             for one in occurrence.following():
@@ -365,7 +366,7 @@ class Tracker:
         node.rule.add_those_of_other_events(self._rules.dispatcher.token())
         return node.retry(what, after)
 
-    def _dispatch_rev(self, occurrence: Occurrence, start: int, end: int) -> Step:
+    def _dispatch_rev(self, occurrence: Occurrence, start: int, end: int) -> Again:
         term = (REV, occurrence.term)
         token = Occurrence(term, start, end, None, None)
         token.takes_back = [occurrence]
@@ -400,7 +401,7 @@ class _TakingBack:
 
     __slots__ = ("steps",)
 
-    def __init__(self, steps: Iterator[Step]):
+    def __init__(self, steps: Iterator[Again]):
         self.steps = steps
 
     def run(self, frame: Frame) -> Frame:

@@ -5,6 +5,7 @@ from typing import Any, Callable, Dict, Optional, Sequence, Tuple
 from ...prolog.database import CompiledGoal
 from ...prolog.machine import Frame, PrologError, resource_error
 from ...prolog.terms import (
+    EventAction,
     Term,
     Values,
     Var,
@@ -22,8 +23,6 @@ from .owners import RuleOwner
 Test = Callable[[Values, int, int], Optional[Values]]
 """Takes values and interval of a match; gives the values with what was found, or None where it fails."""
 
-Solved = Callable[[Term, Values, int, int, Frame], Frame]
-"""Takes the event, values, start, end and the next frame; gives the frame to go on with."""
 
 _DEEPEST = 30
 """How often a condition may make an event whose rules have a condition that makes an event, and so on."""
@@ -97,7 +96,14 @@ class RuleGoal:
             under_way.nested -= 1
 
     def act(
-        self, term: Term, values: Values, start: int, end: int, ground: bool, solved: Solved, after: Frame
+        self,
+        term: Term,
+        values: Values,
+        start: int,
+        end: int,
+        ground: bool,
+        solved: EventAction,
+        after: Frame,
     ) -> Frame:
         """Return the frame that calls the goal once and goes on with ``solved``; with ``after`` if it fails.
 
@@ -155,7 +161,14 @@ class RuleGoal:
         return Completion(acted, goal_lane(self, completion))
 
     def act_on_all(
-        self, term: Term, values: Values, start: int, end: int, ground: bool, solved: Solved, after: Frame
+        self,
+        term: Term,
+        values: Values,
+        start: int,
+        end: int,
+        ground: bool,
+        solved: EventAction,
+        after: Frame,
     ) -> Frame:
         """Return the frame that goes on with ``solved`` for every solution of the goal, in order; see `act`."""
         given = tuple([values[at] for at in self.positions])
@@ -173,7 +186,7 @@ class RuleGoal:
         given = given if ground else values
         return self._dispatcher.call(goal, given, self._reported, each, term, (), start, end, after)
 
-    def noting_cause(self, match: Match, solved: Solved, after: Frame) -> Tuple[Solved, Frame]:
+    def noting_cause(self, match: Match, solved: EventAction, after: Frame) -> Tuple[EventAction, Frame]:
         """Have events that the goal makes know what it was called for, until it is over.
 
         Returns:

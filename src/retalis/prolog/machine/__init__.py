@@ -1,7 +1,8 @@
 """The machine: frames, choice points and budgets, and the errors that goals end with."""
 
+from ..terms import Frame, Runs, Step
 from .budget import Budget, BudgetState
-from .codes import BAIL, DEAD, LAST, RESUME, CatchMark, Code, Frame, Guard, Runs, Step, Takes
+from .codes import BAIL, DEAD, LAST, RESUME, CatchMark, Code, Guard, Takes
 from .describing import CONTEXT, ERROR, describe
 from .faults import (
     PrologError,

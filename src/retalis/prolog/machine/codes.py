@@ -1,26 +1,8 @@
 """Steps and choice points: what frames run. See `machine`."""
 
-from typing import Any, Callable, Optional, Protocol, Tuple
+from typing import Any, Callable, Optional, Protocol
 
-from ..terms import Functor, Values
-
-Frame = Tuple[Any, ...]
-"""A tuple ``(runs, argument..., next)``: a step with what it needs, and the frame that follows it.
-
-The first item is a `Runs`; of what kinds the others are is up to it. Where a step fails there is no next frame:
-what may fail returns ``Optional[Frame]``. A choice point has one more item, the length of the trail.
-"""
-
-Step = Callable[[Frame], Optional[Frame]]
-"""What does a step, as a function: what a `Runs` has as its ``run``."""
-
-
-class Runs(Protocol):
-    """What frames begin with: a `Code`, a predicate, or whatever else does steps."""
-
-    @property
-    def run(self) -> Step:
-        """What does the step."""
+from ..terms import Frame, Functor, Step, Values
 
 
 class Takes(Protocol):

@@ -10,9 +10,9 @@ from sys import getrefcount
 from typing import Any, Callable, Generator, List, Optional, Tuple
 
 from ...foundation import RetalisError, TermTooLarge, watched_by
-from ..terms import Atom, Functor, Term, Trail, Values, Var, copy, deref, undo, unify
+from ..terms import Atom, Frame, Functor, Term, Trail, Values, Var, copy, deref, undo, unify
 from .budget import Budget
-from .codes import BAIL, DEAD, STOP, Asked, Code, Frame, Guard, fail
+from .codes import BAIL, DEAD, STOP, Asked, Code, Guard, fail
 from .describing import CONTEXT, ERROR
 from .faults import PrologError, from_python, indicator, resource_error
 from .limits import SLICE

@@ -1,4 +1,22 @@
-"""The kinds of terms, and the few that everybody names."""
+"""The kinds of terms, the types that all floors share, and the few terms that everybody names.
+
+=============== =============================================================================
+type            what it is
+=============== =============================================================================
+`Term`          anything that programs, events and messages are made of
+`CompoundTerm`  a term with arguments: a tuple whose first item is its `Functor`
+`Values`        arguments of a goal, or what the variables of a clause or a rule stand for
+`Trail`         what was bound, to be taken back
+`Frame`         a step with what it needs, and the frame that follows it
+`Step`          the function that does a step
+`Runs`          what a frame begins with
+`EventAction`   what is done with an event that fits a pattern
+=============== =============================================================================
+
+The last four stand here, though no term is a frame, because they are written in terms of the first ones and of one
+another, and because every room above names them: the machine runs frames, listeners and nodes return them. They name
+nothing of those rooms; what does is described where it is used.
+"""
 
 import sys
 from _weakref import _remove_dead_weakref  # type: ignore[attr-defined]
@@ -138,6 +156,30 @@ else:  # the last mypy for Python 3.8 cannot tell the kind of a term by its clas
 
 Values = Tuple[Term, ...]
 """Arguments of a goal, or what the variables of a clause or a rule stand for."""
+
+Frame = Tuple[Any, ...]
+"""A tuple ``(runs, argument..., next)``: a step with what it needs, and the frame that follows it.
+
+The first item is a `Runs`, the last one a frame (None in the frame that ends a run); of what kinds those between are
+is up to the first. A choice point has one more item, the length of the trail. Where a step fails there is no next
+frame: what may fail returns ``Optional[Frame]``. A class for each step would say more and cost time in all of them.
+"""
+
+Step = Callable[[Frame], Optional[Frame]]
+"""What does a step, as a function: what a `Runs` has as its ``run``."""
+
+
+class Runs(Protocol):
+    """What frames begin with: a `Code`, a predicate, or whatever else does steps."""
+
+    @property
+    def run(self) -> Step:
+        """What does the step."""
+
+
+EventAction = Callable[[Term, Values, int, int, Frame], Frame]
+"""Takes an event, the values of the variables of the pattern that it fits, its start, its end and the next frame;
+gives a frame that goes on with that one, or that one itself where there is nothing left to do."""
 
 
 class _AtomRef(ref):  # type: ignore[type-arg]
