@@ -5,10 +5,11 @@ are free it has to come back as it was; where ROS says what a name is, it is ref
 """
 
 import pytest
+from held import held
 
 from retalis import Engine, foreign
 from retalis.events.program import read_topics, topic_type
-from retalis.foundation import MessageError, ProgramErrors, RetalisError, UsageError, codegen
+from retalis.foundation import Cache, MessageError, ProgramErrors, RetalisError, UsageError, codegen
 from retalis.messages import Definitions, Installed, text_writer
 from retalis.prolog.syntax import Operators, read_term, writeq
 from retalis.prolog.terms import Var, atom, functor, make_list
@@ -53,7 +54,8 @@ def sources(monkeypatch):
         return define(source, names, title)
 
     monkeypatch.setattr(codegen, "define", collecting)
-    codegen._makers.clear()
+    for cache in held(list(vars(codegen).values()), Cache):
+        cache.clear()
     yield found
     assert "harm" not in "".join(found)
 

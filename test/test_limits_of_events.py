@@ -4,6 +4,7 @@ import pytest
 
 from retalis.engine import Engine, Settings, parts_of
 from retalis.prolog.machine import Limits, PrologError, budget
+from retalis.prolog.terms import functor
 
 RULES = """
 loop :- loop.
@@ -92,7 +93,7 @@ def test_the_next_event_has_its_own_limits(caplog):
 def test_posted_events_have_their_own_limits_each():
     engine = make(goals=subscriptions("count(10000)", 1), inferences=30_000)
     for number in range(5):
-        engine.post(engine._read(f"in({number})"), number)
+        engine.post(functor("in", 1)(number), number)
     assert len(engine.sent) == 5
 
 
@@ -179,8 +180,7 @@ def test_an_alarm_inside_a_goal_takes_nothing_from_it(caplog):
     engine.clock.move_to(10 * 10**9)
 
     def ring(machine):
-        engine.advance()
-        engine._watch_clock()
+        engine.event("tick", 10)
         return True
 
     parts_of(engine).logic.define("ring", 0, ring)

@@ -247,7 +247,7 @@ def all_patterns() -> Dict[str, Any]:
             for text in patterns_of(path):
                 verbose = re.VERBOSE if "\n " in text else 0
                 found[text] = re.compile(text, verbose | (re.MULTILINE if text[0] == "^" else 0))
-    for terminal in tokens._lark().terminals:
+    for terminal in tokens.grammar().terminals:
         found[terminal.name] = re.compile(terminal.pattern.to_regexp())
     return found
 

@@ -43,7 +43,7 @@ def held():
         if isinstance(one, Cache):
             one.clear()
         elif isinstance(one, Database):
-            one._put_aside()
+            one.put_aside()
     gc.collect()
     gc.collect()
     return len(gc.get_objects())

@@ -63,7 +63,7 @@ def test_oracle_with_conditions_over_what_may_be_open(case):
 @settings(quick, max_examples=150)
 @given(cases())
 def test_oracle_with_every_partner_looked_up_by_time(case):
-    with patch.multiple(places, _FEW=0, _FEWER=0), patch.object(timeindex, "_FULL", 4):
+    with patch.multiple(places, FEW=0, FEWER=0), patch.object(timeindex, "FULL", 4):
         assert difference(case) is None
 
 

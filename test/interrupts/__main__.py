@@ -72,9 +72,9 @@ class Campaign:
         self.random = random.Random(seed)
         self.outcomes = Counter()
         self._outcome = "done"
-        self._steps = {} if like is None else like._steps
-        self._times = {} if like is None else like._times
-        self._reference = Reference(way in ("limit", "limited")) if like is None else like._reference
+        self.steps = {} if like is None else like.steps
+        self.times = {} if like is None else like.times
+        self.reference = Reference(way in ("limit", "limited")) if like is None else like.reference
 
     def run(self, number):
         """Interrupt so often; raise a `Difference` at the first fault."""
@@ -103,12 +103,12 @@ class Campaign:
         found = faults(subject.engine)
         if not found and action.startswith("query") and "repeat" not in action:
             goal = action.partition(" ")[2]
-            mine, other = subject.answers(goal), self._reference.answers(goal)
+            mine, other = subject.answers(goal), self.reference.answers(goal)
             found = [] if mine == other else [f"asked again: {mine} and not {other}"]
         if not found and action.startswith("load"):
             found = self._of_load(subject, action, k - 1)
         if not found:
-            mine, other = subject.probe(k, instant), self._reference.probe(number)
+            mine, other = subject.probe(k, instant), self.reference.probe(number)
             found = [line for line in ndiff([*map(str, other)], [*map(str, mine)]) if line[0] in "+-"]
             found += faults(subject.engine)
         if found:
@@ -139,29 +139,29 @@ class Campaign:
             self._outcome = outcome
 
     def _by_bytecode(self, subject, action, k, instant):
-        most = self._steps.get(action)
+        most = self.steps.get(action)
         if most is None:
             trial = Subject()
             trial.set_up(k, instant - 5)
             with AtBytecode() as counted:
                 trial.act(action, k, instant)
-            most = self._steps[action] = counted.number
+            most = self.steps[action] = counted.number
         with AtBytecode(self.random.randrange(1, most + 1)) as at:
             self._do(subject, action, k, instant)
         if at.where is None:
-            self._steps[action] = at.number  # it gets faster when it has been compiled
+            self.steps[action] = at.number  # it gets faster when it has been compiled
         return f"bytecode {at.at} of {most}: {at.where}"
 
     _by_limited = _by_bytecode
 
     def _by_signal(self, subject, action, k, instant):
-        most = self._times.get(action)
+        most = self.times.get(action)
         if most is None:
             trial = Subject()
             trial.set_up(k, instant - 5)
             began = time.perf_counter()
             trial.act(action, k, instant)
-            most = self._times[action] = time.perf_counter() - began
+            most = self.times[action] = time.perf_counter() - began
         delay = self.random.uniform(0, most)
         began = time.perf_counter()
         try:
@@ -170,17 +170,17 @@ class Campaign:
         except Interrupt:  # just behind the action
             pass
         if self._outcome == "done":
-            self._times[action] = min(most, time.perf_counter() - began)
+            self.times[action] = min(most, time.perf_counter() - began)
         return f"a signal after {delay * 1e6:.0f} us of {most * 1e6:.0f}"
 
     def _by_limit(self, subject, action, k, instant):
-        most = 200 if "repeat" in action else self._steps.get(action)
+        most = 200 if "repeat" in action else self.steps.get(action)
         if most is None:
             trial = Subject(True)
             trial.set_up(k, instant - 5)
             with looking_often(), time_runs_out(trial.engine, None) as looks:
                 trial.act(action, k, instant)
-            most = self._steps[action] = max(1, looks[0])
+            most = self.steps[action] = max(1, looks[0])
         at = self.random.randrange(1, most + 1)
         with looking_often(), time_runs_out(subject.engine, at):
             self._do(subject, action, k, instant)

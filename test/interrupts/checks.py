@@ -1,5 +1,7 @@
 """What holds of an engine that does nothing, whatever was interrupted before."""
 
+from threading import Thread
+
 from retalis.engine import parts_of
 from retalis.foundation import WATCH
 
@@ -12,7 +14,11 @@ def faults(engine):
         if not holds:
             found.append(text)
 
-    machine, dispatcher, runner = parts_of(engine).logic.machine, parts_of(engine).dispatcher, engine._runner
+    machine, dispatcher, runner = (
+        parts_of(engine).logic.machine,
+        parts_of(engine).dispatcher,
+        parts_of(engine).runner,
+    )
     budget = machine.budget
     check(not machine.choices, f"{len(machine.choices)} choice points are left")
     check(not machine.trail, f"{len(machine.trail)} variables are bound")
@@ -22,20 +28,12 @@ def faults(engine):
     check(not budget.used and not budget.closed and budget.goal is None, "the budget of an entry is left")
     check(WATCH.ask is None, "somebody is asked about long work")
     check(dispatcher.current is None and dispatcher.cause is None, "an event is being served")
-    check(runner._running is None and runner.callback is None, "the runner is at work")
-    check(not runner._queue and not runner._calls, "something waits to be done")
-    check(runner._lock.acquire(False), "the lock is another's")
-    runner._lock.release()
-    check(not runner._lock._is_owned(), "the lock is not given back")
-    check(
-        parts_of(engine).rules.files._open == [] and not parts_of(engine).rules.files.door.is_loading,
-        "a file is being loaded",
-    )
+    check(runner.thread is None and runner.callback is None, "the runner is at work")
+    check(not len(runner) and not runner.callers, "something waits to be done")
+    check(others_are_served(runner), "the lock is not given back")
+    check(parts_of(engine).rules.files.state()[1:] == (0, False), "a file is being loaded")
     check(parts_of(engine).logic.new_goals is None, "goals are being prepared")
-    check(
-        not parts_of(engine).rules.loader._begun and not parts_of(engine).rules.loader._acting,
-        "a load is under way",
-    )
+    check(not parts_of(engine).rules.loader.is_loading, "a load is under way")
     found += _of_memories(parts_of(engine).knowledge)
     for rule in parts_of(engine).rules.rules:
         found += _of_rule(rule)
@@ -43,21 +41,31 @@ def faults(engine):
     return found
 
 
+def others_are_served(runner):
+    """Tell whether the work of another thread is done at once."""
+    done = []
+    other = Thread(target=runner.post, args=(done.append, 1))
+    other.start()
+    other.join()
+    return bool(done)
+
+
 def _of_memories(knowledge):
+    waiting_at_all = {waiting[0] for waiting in knowledge.waiting}
     for instance in knowledge.memories:
         memory = instance.memory
         if memory.ends != [int(record[2]) for record in memory.records]:
             yield f"memory {instance.id}: ends and records differ"
         if instance not in instance.recorder.instances:
             yield f"memory {instance.id} records nothing"
-        waiting = {order for group in instance._waiting.values() for order in group}
-        if not waiting <= set(knowledge.waiting._all):
+        waiting = {order for group in instance.waiting.values() for order in group}
+        if not waiting <= waiting_at_all:
             yield f"memory {instance.id}: queries wait that are not there"
-        if sorted(instance._waiting) and min(instance._waiting) < instance.due:
+        if sorted(instance.waiting) and min(instance.waiting) < instance.due:
             yield f"memory {instance.id} is due too late"
-    for order, waiting in knowledge.waiting._all.items():
-        instance, instant = waiting[5][-1]
-        if order not in instance._waiting.get(instant, {}):
+    for order, *_, missing in knowledge.waiting:
+        instance, instant = missing[-1]
+        if order not in instance.waiting.get(instant, {}):
             yield "a query waits for nothing"
 
 
@@ -74,7 +82,7 @@ def _of_rule(rule):
                 waiting += ring
     if rule.waiting != len(waiting):
         yield f"{rule.name}: {len(waiting)} matches wait and {rule.waiting} are counted"
-    if not set(waiting) <= set(rule._arrivals):
+    if not set(waiting) <= set(rule.arrivals):
         yield f"{rule.name}: a match can never be dropped"
     if not rule.listeners or not rule.sound:
         yield f"{rule.name} does not listen"

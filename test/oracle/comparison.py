@@ -211,7 +211,7 @@ def main() -> int:
     options = parser.parse_args()
     logging.disable(logging.CRITICAL)
     if options.index:
-        places._FEW, places._FEWER, timeindex._FULL = 0, 0, 4
+        places.FEW, places.FEWER, timeindex.FULL = 0, 0, 4
     begin = time.time()
     kinds: Any = Counter()
     differing = 0

@@ -74,7 +74,7 @@ def test_keys_whose_records_are_erased_are_gone(logic):
 def test_a_record_is_added_found_and_erased_without_walking_over_the_others(logic, monkeypatch, add):
     looked = []
 
-    class Noting(recorded._RecordedTerm):
+    class Noting(recorded.RecordedTerm):
         @property
         def number(self):
             looked.append(self)
@@ -84,7 +84,7 @@ def test_a_record_is_added_found_and_erased_without_walking_over_the_others(logi
         def number(self, value):
             self.own = value
 
-    monkeypatch.setattr(recorded, "_RecordedTerm", Noting)
+    monkeypatch.setattr(recorded, "RecordedTerm", Noting)
     found = []
     for size in (10, 1000):
         assert first(logic, f"forall(between(1, {size}, N), {add}(k, N))") is not None

@@ -10,6 +10,7 @@ rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 from retalis.engine.runtime import Reports  # noqa: E402
 from retalis.foundation import MessageError  # noqa: E402
 from retalis.messages import Definitions  # noqa: E402
+from retalis.ros import interface  # noqa: E402
 from retalis.ros.interface import InputTopic  # noqa: E402
 
 TEXT = "float32 degrees\n"
@@ -19,14 +20,16 @@ WARM = struct.pack("<f", 36.5)
 @pytest.fixture
 def receive(monkeypatch):
     """Return a function that has a topic of one type receive a message of another: the terms, the warnings."""
-    warnings = []
-    monkeypatch.setattr(rospy, "Subscriber", lambda *arguments, **options: None)
+    warnings, callbacks = [], []
+    monkeypatch.setattr(
+        rospy, "Subscriber", lambda name, kind, callback, **options: callbacks.append(callback)
+    )
     monkeypatch.setattr(rospy, "logwarn", lambda text, *values: warnings.append(text % values))
 
     def receive(wanted, sent, times=1, data=WARM):
         definitions = Definitions()
         taken = []
-        found = InputTopic(
+        InputTopic(
             definitions,
             "/heat",
             wanted,
@@ -45,12 +48,21 @@ def receive(monkeypatch):
             "callerid": "/thermometer",
         }
         for _ in range(times):
-            found._receive(message)
+            callbacks[-1](message)
         return taken, warnings
 
     reports = Reports()
     receive.reports = reports
     return receive
+
+
+@pytest.fixture
+def taken_by(monkeypatch):
+    """Return what is handed to who reads the connections: for each topic, what gives the taker of one."""
+    takers = []
+    monkeypatch.setattr(rospy, "Subscriber", lambda *arguments, **options: None)
+    monkeypatch.setattr(interface, "read_by", lambda subscriber, taker, hold: takers.append(taker))
+    return takers
 
 
 def test_a_misspelt_type_is_named_when_a_publisher_comes(receive):
@@ -88,9 +100,8 @@ def test_messages_that_do_not_fit_their_type_are_counted(receive, caplog):
 
 
 def test_messages_of_a_wake_up_are_taken_one_connection_at_a_time_and_none_cuts_off_the_others(
-    monkeypatch, caplog
+    taken_by, caplog
 ):
-    monkeypatch.setattr(rospy, "Subscriber", lambda *arguments, **options: None)
     gate, done = threading.Lock(), []
 
     def take(data):
@@ -101,7 +112,7 @@ def test_messages_of_a_wake_up_are_taken_one_connection_at_a_time_and_none_cuts_
             raise KeyError("no such thing")
         done.append(data)
 
-    found = InputTopic(
+    InputTopic(
         Definitions(),
         "/heat",
         "lab/Temperature",
@@ -113,7 +124,7 @@ def test_messages_of_a_wake_up_are_taken_one_connection_at_a_time_and_none_cuts_
     )
     md5sum = Definitions().add("lab/Temperature", TEXT).md5sum
     header = {"type": "lab/Temperature", "md5sum": md5sum, "message_definition": TEXT}
-    take_all = found._taking(header)
+    take_all = taken_by[0](header)
     take_all([b"one", b"wrong", b"worse", b"two"])
     take_all([b"three"])
     assert done == [b"one", b"two", "done", b"three", "done"]
@@ -123,18 +134,17 @@ def test_messages_of_a_wake_up_are_taken_one_connection_at_a_time_and_none_cuts_
     assert "no such thing" in errors[1]
 
 
-def test_a_connection_whose_messages_cannot_be_taken_is_refused_once_and_for_all(monkeypatch, caplog):
-    monkeypatch.setattr(rospy, "Subscriber", lambda *arguments, **options: None)
+def test_a_connection_whose_messages_cannot_be_taken_is_refused_once_and_for_all(taken_by, caplog):
 
     def taker(decoder):
         raise KeyError("no such thing")
 
     reports = Reports()
-    found = InputTopic(Definitions(), "/heat", "lab/Temperature", taker, 5, threading.Lock(), reports)
+    InputTopic(Definitions(), "/heat", "lab/Temperature", taker, 5, threading.Lock(), reports)
     md5sum = Definitions().add("lab/Temperature", TEXT).md5sum
     header = {"type": "lab/Temperature", "md5sum": md5sum, "message_definition": TEXT}
     for _ in range(3):
-        found._taking(header)([WARM])
+        taken_by[0](header)([WARM])
     assert (reports.errors, reports.warnings) == (1, 3)
     shown = [record.getMessage() for record in caplog.records]
     assert "no such thing" in shown[0]

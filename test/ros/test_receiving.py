@@ -146,7 +146,7 @@ def test_a_connection_that_is_closed_ends(pair):
         new_reader(new_link(None), [])()
 
 
-def test_a_message_alone_arrives_where_several_are_waited_for(pair):
+def test_a_message_alone_arrives_where_several_are_waited_for(pair, monkeypatch):
     sender, receiver = pair
     link, taken = new_link(receiver), []
 
@@ -154,9 +154,13 @@ def test_a_message_alone_arrives_where_several_are_waited_for(pair):
         taken.extend(messages)
         link.done = True
 
+    class Patient(Pace):
+        def __init__(self, *arguments):
+            super().__init__(*arguments)
+            self.wait_for(1000)
+
+    monkeypatch.setattr(receiving, "Pace", Patient)
     reader = ConnectionReader(link, subscribed(), lambda header: take, 0.001)
-    reader._open()
-    reader._pace._wait_for(1000)
     sender.sendall(frame(b"alone"))
     assert reader() == []
     assert taken == [b"alone"]

@@ -38,7 +38,7 @@ from ..prolog.machine import Frame, Limits
 from ..prolog.syntax import Operators, read_term
 from ..prolog.terms import Functor, Term, Var, WholeSeconds, atom, copy, timestamps, variables
 from .callbacks import OnEvent, OnOutput
-from .runtime import Clock, EngineRecovery, Reports, Runner, StreamClock, watch
+from .runtime import Clock, EngineRecovery, Reports, Runner, StreamClock, Watchdog, watch
 from .settings import Settings
 from .textinput import TextInput
 
@@ -60,6 +60,8 @@ class EngineParts(NamedTuple):
     rules: Rules
     knowledge: Knowledge
     reports: Reports
+    runner: Runner
+    watchdog: Watchdog
 
 
 class Engine:
@@ -498,4 +500,6 @@ def parts_of(engine: Engine) -> EngineParts:
         engine._rules,  # noqa: SLF001
         engine._knowledge,  # noqa: SLF001
         engine._reports,  # noqa: SLF001
+        engine._runner,  # noqa: SLF001
+        engine._watchdog,  # noqa: SLF001
     )

@@ -206,8 +206,8 @@ class InputTopic:
     def _receive(self, message: Any) -> None:
         """Take a message that rospy has read."""
         # The connection's own header, the same object for each of its messages; rospy has no other name for either.
-        header = message._connection_header  # noqa: SLF001
-        data = message._buff if message.__class__ is rospy.AnyMsg else raw_bytes(message)  # noqa: SLF001
+        header = message._connection_header
+        data = message._buff if message.__class__ is rospy.AnyMsg else raw_bytes(message)
         self._taking(header)([data])
 
     def _taking(self, header: Dict[str, str]) -> TakeAll:

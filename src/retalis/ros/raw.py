@@ -28,7 +28,7 @@ def raw_bytes(message: Any) -> bytes:
     It is no `rospy.AnyMsg` where the node had subscribed the topic by its class before (``/clock``, by rospy itself).
     """
     if isinstance(message, rospy.AnyMsg):
-        data: bytes = message._buff  # noqa: SLF001 - rospy's only name for it
+        data: bytes = message._buff
         return data
     buffer = BytesIO()
     message.serialize(buffer)

@@ -87,7 +87,7 @@ class Pace:
             self._late += 1
             if self._late > LATE:
                 self._pause = min(2 * self._pause, MOST)
-                self._wait_for(1)
+                self.wait_for(1)
                 self._begin(self._pause)
         if not self._left:
             self._look()
@@ -97,13 +97,14 @@ class Pace:
         rate = self._messages / max(self._now() - self._since, 1e-9)
         wanted = 1 + int(rate * self._hold)
         if wanted == 1 or (self.least == 1 and self._messages >= wanted * self._wakes):
-            self._wait_for(1)
+            self.wait_for(1)
         else:
             each = self._bytes // max(1, self._messages)
-            self._wait_for(min((wanted - 1) * each + 1, BUFFER // 4))
+            self.wait_for(min((wanted - 1) * each + 1, BUFFER // 4))
         self._begin(1)
 
-    def _wait_for(self, least: int) -> None:
+    def wait_for(self, least: int) -> None:
+        """Have the next read wait for so many bytes, where the system can."""
         if least == self.least or not sys.platform.startswith("linux"):
             return
         try:
@@ -214,8 +215,8 @@ class ConnectionReader:
     def _message(self, data: bytes) -> Any:
         """Return a message as rospy makes it."""
         message = rospy.AnyMsg()
-        message._buff = data  # noqa: SLF001 - rospy's only name for it
-        message._connection_header = self._link.header  # noqa: SLF001 - rospy's only name for it
+        message._buff = data
+        message._connection_header = self._link.header
         return message
 
 

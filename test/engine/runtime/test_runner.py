@@ -7,9 +7,9 @@ from retalis.engine.runtime.runner import Recovery, Request
 from retalis.foundation import UsageError
 
 
-def make(size=100):
+def make(size=100, **options):
     drops, errors = [], []
-    return Runner(size, drops.append, errors.append), drops, errors
+    return Runner(size, drops.append, errors.append, **options), drops, errors
 
 
 def test_work_is_done_in_order_and_an_error_stops_nothing():
@@ -92,12 +92,16 @@ def test_one_at_work_who_posts_too_much_does_not_wait_for_itself():
 def test_a_call_goes_before_what_waits():
     runner, _, _ = make()
     done = []
+    caller = threading.Thread(target=runner.call, args=(lambda: done.append("called"),))
 
     def first():
         runner.post(done.append, "posted")
-        runner._calls.append(Request(lambda: done.append("called")))
+        caller.start()
+        while not runner.callers:  # until it waits
+            pass
 
     runner.post(first)
+    caller.join(10)
     assert done == ["called", "posted"]
 
 
@@ -159,7 +163,7 @@ def test_an_interrupt_gives_the_lock_back_and_who_waits_gets_its_answer():
     threads[0].start()
     assert at_work.wait(10)
     threads[1].start()
-    while not runner._calls:  # until it waits
+    while not runner.callers:  # until it waits
         pass
     go_on.set()
     for thread in threads:
@@ -171,16 +175,25 @@ def test_a_mark_that_an_interrupt_has_left_is_no_work_from_inside():
     class Noting(Recovery):
         def restore(self, state, mend_all):
             found.append((state, mend_all))
+            if len(found) == 1:
+                raise KeyboardInterrupt
+
+    def interrupted():
+        raise KeyboardInterrupt
 
     found = []
     runner = Runner(10, found.append, found.append, Noting())
-    runner._lock.acquire()
-    runner._running = threading.get_ident()  # as left by an interrupt of what goes back after an interrupt
+    with pytest.raises(KeyboardInterrupt):
+        runner.call(interrupted)
+    assert runner.thread == threading.get_ident()  # going back after the interrupt was interrupted as well
+    assert found == [(None, True)]
+    found.clear()
+    found.append("the mark")
     done = []
     runner.post(done.append, 1)
     assert runner.call(lambda: 2) == 2
     assert done == [1]
-    assert found == [(None, True)]
+    assert found == ["the mark", (None, True)]
     thread = threading.Thread(target=runner.post, args=(done.append, 3))
     thread.start()
     thread.join(10)
@@ -188,8 +201,7 @@ def test_a_mark_that_an_interrupt_has_left_is_no_work_from_inside():
 
 
 def test_what_is_called_in_vain_is_not_done_later():
-    runner, _, _ = make()
-    runner._patience = 0
+    runner, _, _ = make(patience=0)
     done = []
 
     def ask():

@@ -99,7 +99,7 @@ def test_no_limit_and_no_patience_is_none(turn):
 def test_short_goals_that_add_up_are_ended_by_the_watchdog(caplog):
     engine = Engine(settings=Settings(limits=Limits(seconds=10.0)))
     engine.load_rules("".join(f"out({at}) <- in where slow({at}).\n" for at in range(10)))
-    dog, now = engine._watchdog, [0.0]
+    dog, now = parts_of(engine).watchdog, [0.0]
 
     def slow(machine, number):
         now[0] += 3.0
@@ -127,7 +127,7 @@ def test_short_goals_that_add_up_are_ended_by_the_watchdog(caplog):
 )
 def test_rule_goal_and_event_are_named(rules, goals, named, caplog):
     engine = Engine(settings=Settings(watchdog=1.0))
-    dog = engine._watchdog
+    dog = parts_of(engine).watchdog
 
     def hold(machine):
         dog.look(0.0)
@@ -146,7 +146,7 @@ def test_rule_goal_and_event_are_named(rules, goals, named, caplog):
 
 def test_goals_at_the_start_and_questions_are_named(caplog, tmp_path):
     engine = Engine(settings=Settings(watchdog=1.0, limits=Limits(seconds=1.0), limit_start=False))
-    dog, now = engine._watchdog, [0.0]
+    dog, now = parts_of(engine).watchdog, [0.0]
 
     def hold(machine, number):
         for _ in range(5):
@@ -166,7 +166,7 @@ def test_goals_at_the_start_and_questions_are_named(caplog, tmp_path):
 
 def test_what_cannot_be_named_is_ended_all_the_same(monkeypatch, caplog):
     engine = Engine(settings=Settings(watchdog=1.0, limits=Limits(seconds=1.0)))
-    dog, budget = engine._watchdog, parts_of(engine).logic.machine.budget
+    dog, budget = parts_of(engine).watchdog, parts_of(engine).logic.machine.budget
 
     def changed_meanwhile(*_):
         assert budget.closed

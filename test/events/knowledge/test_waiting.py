@@ -10,9 +10,11 @@ import sys
 from pathlib import Path
 
 import pytest
+from held import held
 
 from retalis.engine import Engine, Settings, parts_of
 from retalis.events.dispatch import Stage
+from retalis.foundation import Cache
 from retalis.prolog.machine import Limits
 from retalis.prolog.terms import Var, atom, functor
 
@@ -223,7 +225,7 @@ def test_a_chain_of_synchronized_events_waits_for_each_anew(run):
 
 def test_those_that_wait_are_bounded(run, caplog):
     engine = run("syncronized(done(X), true, [[m, 10]]) <- ask(X).", MEMORY)
-    parts_of(engine).knowledge.waiting._limit = 3
+    parts_of(engine).knowledge.waiting.limit = 3
     with caplog.at_level(logging.WARNING, "retalis"):
         for number in range(5):
             engine.event(f"ask({number})", 1)
@@ -234,11 +236,11 @@ def test_those_that_wait_are_bounded(run, caplog):
 
 def test_a_memory_without_events_does_not_pile_up_what_was_dropped(run):
     engine = run("syncronized(done(X), true, [[m, 10], [m, 11]]) <- ask(X).", MEMORY)
-    parts_of(engine).knowledge.waiting._limit = 3
+    parts_of(engine).knowledge.waiting.limit = 3
     for number in range(50):
         engine.event(f"ask({number})", 1)
     (memory,) = parts_of(engine).knowledge.memories
-    assert len(memory._times) <= 2 * 3 + 16
+    assert len(memory.times) <= 2 * 3 + 16
     engine.event("v(1)", 10)
     assert names(engine) == []
     engine.event("v(1)", 11)
@@ -258,7 +260,7 @@ def test_events_that_only_queries_listen_to_are_not_made():
     engine.event("ask(a)", 1)
     engine.event("v(1)", 10)
     assert names(engine) == ["done(a)"]
-    assert SYNCHRONIZED not in parts_of(engine).dispatcher._plans
+    assert not any(SYNCHRONIZED in cache for cache in held(engine, Cache))
     engine.event("syncronized(done(b), true, [[m, 10]])", 1)
     engine.load(rules="done(heard) <- syncronized(_, _, _).")
     engine.event("ask(c)", 1)

@@ -19,7 +19,7 @@ def test_keys_under_which_nothing_waits_any_more_are_forgotten():
         if isinstance(absence, Absence)
     )
     assert len(absence.buffer.newest) < 10
-    assert len(absence._borders) < 1100
+    assert len(absence.borders) < 1100
     assert program.feed("a(1)@3000 a(2)@3000 c(1)@3001 b(1)@3002 b(2)@3002") == "d(2)@3000-3002"
 
 

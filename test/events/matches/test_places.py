@@ -1,8 +1,10 @@
 """Where matches wait: order of arrival, partners by time, and changes under way."""
 
 import pytest
+from held import held
 
 from retalis.events.matches import Match, MatchBuffer, places, reach_of
+from retalis.events.matches.timeindex import TimeIndex
 from retalis.prolog.terms import Var, atom
 
 
@@ -51,7 +53,7 @@ def test_partners_are_those_of_the_key_at_the_right_time(buffer, number):
 def test_far_matches_are_found_by_time_once_many_are_not_in_time(buffer):
     for at in range(1000):
         wait(buffer, 0, at, at)
-    assert ends(buffer.partners(0, 999, 999, True)) == [999] and 0 in buffer._indices
+    assert ends(buffer.partners(0, 999, 999, True)) == [999] and held(buffer, TimeIndex)
     assert ends(buffer.partners(0, 500, 500, False)) == [500]
     for match in buffer.all()[:999]:
         match.leave()
@@ -63,10 +65,10 @@ def test_an_index_goes_when_it_is_not_used(buffer):
     for at in range(100):
         wait(buffer, 0, at, at)
     assert ends(buffer.partners(0, 3, 3, True)) == [3]
-    assert 0 in buffer._indices
+    assert held(buffer, TimeIndex)
     for at in range(200):
         wait(buffer, 0, at, at)
-    assert 0 not in buffer._indices
+    assert not held(buffer, TimeIndex)
     assert ends(buffer.partners(0, 3, 3, True)) == [3, 3]
 
 
@@ -80,7 +82,7 @@ def test_a_place_forgets_a_key_without_matches(buffer):
 @pytest.mark.parametrize("few", [0, 32])
 @pytest.mark.parametrize("newest", [False, True])
 def test_matches_may_come_and_go_while_partners_are_looked_at(buffer, monkeypatch, few, newest):
-    monkeypatch.setattr(places, "_FEW", few)
+    monkeypatch.setattr(places, "FEW", few)
     matches = [wait(buffer, 0, at, 50 if at % 3 else at) for at in range(30)]
     expected = [at for at in range(30) if at % 3]
     if newest:

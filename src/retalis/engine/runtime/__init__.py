@@ -5,7 +5,7 @@ from .collector import relax
 from .recovery import EngineRecovery
 from .reports import Reports
 from .runner import Runner
-from .watchdog import watch
+from .watchdog import Watchdog, watch
 
 __all__ = [
     "Alarm",
@@ -15,5 +15,6 @@ __all__ = [
     "Reports",
     "Runner",
     "StreamClock",
+    "Watchdog",
     "watch",
 ]

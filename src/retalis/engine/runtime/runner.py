@@ -151,6 +151,11 @@ class Runner:
         return len(self._queue)
 
     @property
+    def callers(self) -> int:
+        """How many calls are under way or wait for their turn, made while another was at work."""
+        return len(self._calls)
+
+    @property
     def thread(self) -> Optional[int]:
         """The thread in which there is work at hand; None while there is none."""
         return self._running
@@ -265,7 +270,7 @@ class Runner:
 
     def _is_inside(self) -> bool:
         """Tell whether this thread is at work below, or an interrupt has left only the mark of it."""
-        frame: Optional[FrameType] = sys._getframe(2)  # noqa: SLF001 - Python's only name for it
+        frame: Optional[FrameType] = sys._getframe(2)
         while frame is not None:
             if frame.f_code in _AT_WORK and frame.f_locals.get("self") is self:
                 return True

@@ -29,9 +29,11 @@ class Instance:
     Attributes:
         due: the least instant that a query waits for.
         open: whether a record may have variables, so that a reader needs a copy.
+        times: a heap of the instants waited for; some may have no query any more.
+        waiting: the queries that wait for it, by instant and order.
     """
 
-    __slots__ = ("id", "active", "memory", "recorder", "open", "due", "_times", "_waiting")
+    __slots__ = ("id", "active", "memory", "recorder", "open", "due", "times", "waiting")
 
     recorder: "Recorder"
 
@@ -41,10 +43,8 @@ class Instance:
         self.active = active
         self.open = False
         self.due = NEVER
-        self._times: List[int] = []
-        """A heap of the instants waited for; some may have no query any more."""
-        self._waiting: Dict[int, Dict[int, Waiting]] = {}
-        """The queries by instant and order."""
+        self.times: List[int] = []
+        self.waiting: Dict[int, Dict[int, Waiting]] = {}
 
     def has(self, instant: int) -> bool:
         """Tell whether it has taken an event that ends at an instant or later."""
@@ -53,33 +53,33 @@ class Instance:
 
     def wait(self, instant: int, order: int, query: Waiting) -> None:
         """Keep a query, known by its order, until `reached` is called with its instant or a later one."""
-        group = self._waiting.get(instant)
+        group = self.waiting.get(instant)
         if group is not None:
             group[order] = query
             return
-        self._waiting[instant] = {order: query}
-        heappush(self._times, instant)
+        self.waiting[instant] = {order: query}
+        heappush(self.times, instant)
         if instant < self.due:
             self.due = instant
 
     def reached(self, end: int) -> List[Waiting]:
         """Return the queries that wait for nothing later than an instant; they are kept no more."""
-        times = self._times
+        times = self.times
         found: List[Waiting] = []
         while times and times[0] <= end:
-            found += self._waiting.pop(heappop(times), _NOBODY).values()
+            found += self.waiting.pop(heappop(times), _NOBODY).values()
         self.due = times[0] if times else NEVER
         return found
 
     def forget(self, instant: int, order: int) -> None:
         """Keep a query no more."""
-        group = self._waiting[instant]
+        group = self.waiting[instant]
         del group[order]
         if not group:
-            del self._waiting[instant]
-            if len(self._times) > 2 * len(self._waiting) + _SPARE:
-                self._times = list(self._waiting)
-                heapify(self._times)
+            del self.waiting[instant]
+            if len(self.times) > 2 * len(self.waiting) + _SPARE:
+                self.times = list(self.waiting)
+                heapify(self.times)
 
     def mend(self) -> None:
         """Put right what an interrupt may have left half done; what waits is put back by who keeps it."""
@@ -91,8 +91,8 @@ class Instance:
     def forget_waiting(self) -> None:
         """Keep none of the queries any more."""
         self.due = NEVER
-        self._times = []
-        self._waiting = {}
+        self.times = []
+        self.waiting = {}
 
 
 _NOBODY: Dict[int, Waiting] = {}

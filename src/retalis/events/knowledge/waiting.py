@@ -35,6 +35,9 @@ class WaitingQueries:
 
     A query waits for one memory at a time, in a heap by time, so an event costs one comparison however many wait.
     Where a rule makes the synchronized event and nobody else listens to it, the event itself is not made.
+
+    Attributes:
+        limit: how many may wait at once.
     """
 
     def __init__(
@@ -49,7 +52,7 @@ class WaitingQueries:
         self._dispatcher = dispatcher
         self._memories = memories
         self._warn = warn
-        self._limit = limit
+        self.limit = limit
         self._order = count()
         self._all: Dict[int, Waiting] = {}
         self._oldest = 0
@@ -65,6 +68,10 @@ class WaitingQueries:
 
     def __len__(self) -> int:
         return len(self._all)
+
+    def __iter__(self) -> Iterator[Waiting]:
+        """Yield those that wait, the oldest first."""
+        return iter(self._all.values())
 
     def clear(self) -> None:
         """Drop all that wait (the clock went back)."""
@@ -113,7 +120,7 @@ class WaitingQueries:
         self._warn(f"{self._logic.brief(event)} is dropped: {error}", ("dropped", kind_of(event)))
 
     def _wait(self, asked: Question, values: Values, start: int, end: int, missing: Behind) -> None:
-        if len(self._all) >= self._limit:
+        if len(self._all) >= self.limit:
             self._drop_oldest()
         order = next(self._order)
         waiting = self._all[order] = (order, asked, values, start, end, missing)
@@ -186,7 +193,7 @@ class WaitingQueries:
         self._oldest = oldest
         event = self._forget(oldest)
         self._warn(
-            f"more than {self._limit} queries wait; the oldest is dropped: {self._logic.brief(event)}",
+            f"more than {self.limit} queries wait; the oldest is dropped: {self._logic.brief(event)}",
             "waiting",
         )
 

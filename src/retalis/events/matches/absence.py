@@ -82,6 +82,7 @@ class Absence:
         condition: tests the two together, where the negated pattern has conditions about the others; it takes
             the values asked for and the negated match.
         carried: the absences among those conditions, with the nodes of what they negate.
+        borders: by key, the matches that are in the way of something that no other is in the way of.
     """
 
     def __init__(self, rule: Owner, shared: Sequence[Tuple[int, int]], ever: bool):
@@ -93,12 +94,12 @@ class Absence:
         self.buffer = MatchBuffer(rule, tuple(one for one, _ in self.shared))
         self.buffer.reach = BEFORE if ever else BETWEEN
         self.asked = MatchBuffer(rule, tuple(two for _, two in self.shared))
-        self._borders: Dict[Hashable, _Border] = {}
+        self.borders: Dict[Hashable, _Border] = {}
         self.buffer.on_mend = self._forget_borders
 
     def _forget_borders(self) -> None:
         """Have the borders made anew when they are asked for."""
-        self._borders = {}
+        self.borders = {}
 
     def bind(self, negated: Emitting, mode: NetworkOptions) -> None:
         """Take what a node finds, and have the absences among the conditions take theirs."""
@@ -132,9 +133,9 @@ class Absence:
                 return False
             older.leave()
             return True
-        border = self._borders.get(key)
+        border = self.borders.get(key)
         if border is None or waiting is None:
-            border = self._borders[key] = _Border()
+            border = self.borders[key] = _Border()
             for other in self.buffer.with_key(key):
                 border.takes(other)
             self._drop_empty_borders()
@@ -143,14 +144,14 @@ class Absence:
     def _drop_empty_borders(self) -> None:
         """Forget keys under which nothing waits any more, and that nobody has asked for since, when they are many."""
         newest = self.buffer.newest
-        if len(self._borders) > 2 * len(newest) + _SPARE:
-            self._borders = {key: border for key, border in self._borders.items() if key in newest}
+        if len(self.borders) > 2 * len(newest) + _SPARE:
+            self.borders = {key: border for key, border in self.borders.items() if key in newest}
 
     def blocks(self, values: Values, after: int, before: int) -> bool:
         """Tell whether a negated match lies between two instants."""
         buffer = self.buffer
         if not buffer.newest:
-            self._borders.clear()
+            self.borders.clear()
             return False
         try:
             key = self.asked.key(values)
@@ -158,9 +159,9 @@ class Absence:
             key = None
         if key is not None and not self.ever and None not in buffer.newest and self._has_borders():
             if key not in buffer.newest:
-                self._borders.pop(key, None)
+                self.borders.pop(key, None)
                 return False
-            border = self._borders.get(key)
+            border = self.borders.get(key)
             if border is not None:
                 return border.between(after, before) is not None
         return self._search(key, values, after, before)

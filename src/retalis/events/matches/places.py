@@ -9,7 +9,7 @@ from .owners import Owner
 from .reach import Reach
 from .timeindex import LEAST, MOST, TimeBounds, TimeIndex
 
-_FEW, _FEWER = 32, 4
+FEW, FEWER = 32, 4
 """How many matches at the wrong time are passed over before an index is made; before one that there is is used."""
 _ANY: TimeBounds = (LEAST, MOST, LEAST, MOST)
 _PLAIN = frozenset((Atom, int, String))
@@ -122,7 +122,7 @@ class MatchBuffer:
         names = self._names.get(key)
         if names is None:
             one = last
-            for _ in range(_FEWER):
+            for _ in range(FEWER):
                 if one.identity == name:
                     return one
                 one = one.older
@@ -191,7 +191,7 @@ class MatchBuffer:
         final = last.order
         match = last if newest else last.newer
         order = MOST if newest else LEAST
-        misses = -(_FEWER if key in self._indices else _FEW)
+        misses = -(FEWER if key in self._indices else FEW)
         while misses <= 0:
             if match.order >= order if newest else not order < match.order <= final:
                 return  # all around the ring, or at what has come meanwhile

@@ -19,7 +19,8 @@ TimeBounds = Tuple[int, int, int, int]
 LEAST, MOST = -(1 << 80), 1 << 80
 """Before and after any instant and any order."""
 
-_FULL = 32
+FULL = 32
+"""How many parts of a node of the tree there are at most."""
 
 _IndexEntry = Tuple[int, int, int, Match]
 
@@ -74,7 +75,7 @@ class _TreeNode:
             if half is not None:
                 keys.insert(at + 1, half.keys[0][:3])
                 kids.insert(at + 1, half)
-        return self._halved() if len(keys) > _FULL else None
+        return self._halved() if len(keys) > FULL else None
 
     def _halved(self) -> "_TreeNode":
         keys, kids = self.keys, self.kids
@@ -126,7 +127,7 @@ class TimeIndex:
 
     def _build(self, entries: List[_IndexEntry]) -> None:
         self.size = len(entries)
-        half = _FULL // 2
+        half = FULL // 2
         nodes = [_TreeNode(entries[at : at + half], None) for at in range(0, len(entries), half)]
         while len(nodes) > 1:
             parts = [nodes[at : at + half] for at in range(0, len(nodes), half)]

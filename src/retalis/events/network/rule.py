@@ -49,7 +49,7 @@ class Rule:
         self._watched = False
         self.clock: int = -(1 << 63)
         self.order = 0
-        self._arrivals: Deque[Match] = deque()
+        self.arrivals: Deque[Match] = deque()
         self._expiries = Expiries()
         self._collected_at: Optional[int] = None
         self._garbage: Optional[Tuple[int, int]] = None
@@ -101,14 +101,14 @@ class Rule:
         for match in waiting:
             match.mend()
         self.waiting = len(waiting)
-        self._arrivals = deque(waiting)
+        self.arrivals = deque(waiting)
         self._resettle()
 
     def _resettle(self) -> None:
         """File what waits already under the bounds that hold now."""
         self._expiries = Expiries()
         self._by_end = Expiries()
-        for match in self._arrivals:
+        for match in self.arrivals:
             if match.buffer is not None:
                 self._file(match, match.buffer.span)
 
@@ -152,9 +152,9 @@ class Rule:
     def clear_matches(self) -> None:
         """Remove all partial matches: what waits, runs, and what rules others out."""
         self.later = []
-        for match in list(self._arrivals):
+        for match in list(self.arrivals):
             match.leave()
-        self._arrivals.clear()
+        self.arrivals.clear()
         self._expiries = Expiries()
         self._by_end = Expiries()
 
@@ -203,14 +203,14 @@ class Rule:
     def keep(self, match: Match, span: Optional[int]) -> None:
         """Count a match that begins to wait; with too many the oldest goes."""
         self.waiting += 1
-        arrivals = self._arrivals
+        arrivals = self.arrivals
         arrivals.append(match)
         if self._watched:
             self._watch(match, span)
         if self.waiting > self.network.cap:
             self._drop_oldest()
         elif len(arrivals) > 2 * self.waiting + _SPARE:
-            self._arrivals = deque(one for one in arrivals if one.buffer is not None)
+            self.arrivals = deque(one for one in arrivals if one.buffer is not None)
 
     def _watch(self, match: Match, span: Optional[int]) -> None:
         """Note when a match is to go, and whether what it is made of is taken back."""
@@ -230,7 +230,7 @@ class Rule:
             self._by_end.add(match.latest, match, self.waiting)
 
     def _drop_oldest(self) -> None:
-        arrivals = self._arrivals
+        arrivals = self.arrivals
         while arrivals:
             oldest = arrivals.popleft()
             if oldest.buffer is not None:

@@ -325,6 +325,11 @@ class Loader:
         if outermost:
             self._begun = []
 
+    @property
+    def is_loading(self) -> bool:
+        """Whether a load is under way."""
+        return bool(self._begun or self._acting)
+
     def mend(self) -> None:
         """Take back what an interrupted load has done so far."""
         self._acting.clear()

@@ -12,7 +12,9 @@ _REFERENCE = functor("$record", 1)
 _NEVER = 1 << 62
 
 
-class _RecordedTerm:
+class RecordedTerm:
+    """A record: a term under a key, linked with the next ones of that key."""
+
     __slots__ = ("key", "value", "number", "erased", "before", "behind")
 
     def __init__(self, key: Hashable, value: Term, number: int):
@@ -21,8 +23,8 @@ class _RecordedTerm:
         self.number = number
         self.erased = _NEVER
         """The number of the newest record when it was erased."""
-        self.before: Optional[_RecordedTerm] = None
-        self.behind: Optional[_RecordedTerm] = None
+        self.before: Optional[RecordedTerm] = None
+        self.behind: Optional[RecordedTerm] = None
 
     @property
     def reference(self) -> Term:
@@ -36,12 +38,12 @@ class _RecordChain:
     __slots__ = ("first", "last", "readers", "leaving")
 
     def __init__(self) -> None:
-        self.first: Optional[_RecordedTerm] = None
-        self.last: Optional[_RecordedTerm] = None
+        self.first: Optional[RecordedTerm] = None
+        self.last: Optional[RecordedTerm] = None
         self.readers = 0
-        self.leaving: List[_RecordedTerm] = []
+        self.leaving: List[RecordedTerm] = []
 
-    def add(self, record: _RecordedTerm, first: bool) -> None:
+    def add(self, record: RecordedTerm, first: bool) -> None:
         if self.first is None or self.last is None:
             self.last = self.first = record
         elif first:
@@ -64,7 +66,7 @@ class _RecordChain:
         self.last = before
         self.let_go()
 
-    def all(self) -> Iterator[_RecordedTerm]:
+    def all(self) -> Iterator[RecordedTerm]:
         """Yield the records, also those that were erased and are still linked."""
         record = self.first
         while record is not None:
@@ -93,13 +95,13 @@ class _RecordedDatabase:
 
     def __init__(self) -> None:
         self.by_key: Dict[Hashable, _RecordChain] = {}
-        self.by_number: Dict[int, _RecordedTerm] = {}
+        self.by_number: Dict[int, RecordedTerm] = {}
         self._last = 0
 
     def add(self, key: Term, value: Term, first: bool) -> Term:
         """Record a copy of a term under a key; return the reference."""
         self._last += 1
-        record = _RecordedTerm(_key(key), copy(value), self._last)
+        record = RecordedTerm(_key(key), copy(value), self._last)
         self.by_number[self._last] = record
         self.by_key.setdefault(record.key, _RecordChain()).add(record, first)
         return record.reference
@@ -115,7 +117,7 @@ class _RecordedDatabase:
         self._tidy(record.key)
         return True
 
-    def of_keys(self, keys: List[Hashable]) -> Iterator[_RecordedTerm]:
+    def of_keys(self, keys: List[Hashable]) -> Iterator[RecordedTerm]:
         """Yield the records of keys as they are now, whatever comes and goes meanwhile."""
         newest = self._last
         chains = [(key, self.by_key[key]) for key in keys if key in self.by_key]

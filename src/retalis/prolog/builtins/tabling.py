@@ -163,7 +163,7 @@ class Tables:
             at += 1
         if at < len(answers):
             self.machine.choices.append((self._more, table, at + 1, free, after, len(self.machine.trail)))
-            return self._give(answers[at], table.ground, free, after)
+            return self.give(answers[at], table.ground, free, after)
         choices, trail = self.machine.choices, self.machine.trail
         newest = self.active[-1]
         if any(getattr(entry[0], "closes", False) for entry in choices[newest.height :]):
@@ -331,9 +331,9 @@ class Tables:
         if at + 1 < count:
             mark = len(self.machine.trail)
             self.machine.choices.append((self._next, answers, ground, at + 1, free, after, mark))
-        return self._give(answers[at], ground, free, after)
+        return self.give(answers[at], ground, free, after)
 
-    def _give(self, answer: Tuple[Term, ...], ground: bool, free: List[Var], after: Frame) -> Frame:
+    def give(self, answer: Tuple[Term, ...], ground: bool, free: List[Var], after: Frame) -> Frame:
         """Give variables the values of an answer."""
         trail = self.machine.trail
         if ground:

@@ -45,11 +45,11 @@ class Database:
         found = self.predicates.get(key)
         if found is None:
             if len(self.predicates) >= self._many:
-                self._put_aside()
+                self.put_aside()
             found = self.predicates[key] = self._unused.get(key) or Predicate(self, key)
         return found
 
-    def _put_aside(self) -> None:
+    def put_aside(self) -> None:
         """Keep predicates that nobody has defined no longer than something refers to them."""
         for key, predicate in list(self.predicates.items()):
             if predicate.is_blank:

@@ -75,7 +75,7 @@ _EVERY = len(BULK) // 16 - 1
 _match: Optional[Callable[[str, int], Optional[Match[str]]]] = None
 
 
-def _lark() -> Lark:
+def grammar() -> Lark:
     """Return the grammar of the tokens."""
     return Lark(Path(__file__).with_name("tokens.lark").read_text(encoding="utf-8"), parser="lalr")
 
@@ -84,7 +84,7 @@ def _matcher() -> Callable[[str, int], Any]:
     """Return what matches the token at an offset; made at first use, which takes some milliseconds."""
     global _match
     if _match is None:
-        terminals = sorted(_lark().terminals, key=lambda terminal: -terminal.priority)
+        terminals = sorted(grammar().terminals, key=lambda terminal: -terminal.priority)
         _match = re.compile("|".join(f"(?P<{one.name}>{one.pattern.to_regexp()})" for one in terminals)).match
     return _match
 
