@@ -1,6 +1,5 @@
 """The engine: a program, the events that it takes, and what its subscribers get."""
 
-import logging
 from contextlib import closing
 from pathlib import Path
 from typing import (
@@ -21,35 +20,30 @@ from ..events.knowledge import Knowledge
 from ..events.program import (
     GOALS,
     MEGABYTE,
-    FileGoal,
-    errors_in,
-    goals_of,
     read_text,
     unknown_memories,
     unread_rules,
     wrong_messages,
 )
 from ..events.rules import Rules, define_new_event
-from ..foundation import Errors, ProgramErrors, RetalisError, RuleError, UsageError
+from ..foundation import RuleError
 from ..messages import Definitions
 from ..prolog.foreign import define_foreign, define_use_foreign
 from ..prolog.logic import Logic
-from ..prolog.machine import Frame, Limits
+from ..prolog.machine import Frame
 from ..prolog.syntax import Operators, read_term
-from ..prolog.terms import Functor, Term, Var, WholeSeconds, atom, copy, timestamps, variables
+from ..prolog.terms import Functor, Term, Var, WholeSeconds, copy, timestamps, variables
 from .callbacks import OnEvent, OnOutput
+from .intake import Intake
+from .ownfiles import REQUEST, OwnFiles
 from .runtime import Clock, EngineRecovery, Reports, Runner, StreamClock, Watchdog, watch
 from .settings import Settings
 from .textinput import TextInput
-
-log = logging.getLogger("retalis")
 
 Instant = Union[int, Term]
 
 
 Result = TypeVar("Result")
-
-_REQUEST = atom("a request")
 
 
 class EngineParts(NamedTuple):
@@ -98,9 +92,8 @@ class Engine:
         settings: Optional[Settings] = None,
         reports: Optional[Reports] = None,
     ):
-        self._followed = StreamClock() if clock is None else None
-        """The clock that stamped events move; somebody's own is moved by its owner."""
-        self.clock: Clock = clock or self._followed  # type: ignore[assignment]
+        followed = StreamClock() if clock is None else None  # somebody's own clock is moved by its owner
+        self.clock: Clock = clock or followed  # type: ignore[assignment]
         self.settings = settings = Settings() if settings is None else settings
         self._logic = Logic()
         self._budget = budget = self._logic.machine.budget
@@ -123,11 +116,16 @@ class Engine:
         budget.count_for(self._runner)
         self._watchdog = watch(self._runner, self._logic, self._dispatcher, reports, settings.watchdog)
         call = self._call_undisturbed if settings.allow_goals else None
+        self._intake = Intake(self._logic, self._dispatcher, self.clock, followed, self._start_anew)
+        self._take, self._message = (
+            self._intake.take,
+            self._intake.take_message,
+        )  # one step less for each event
         self._text_input = TextInput(self._logic.operators, self._take, call, reports)
         self._outputs: List[OnOutput] = []
-        self._done = self._logic.machine.done
-        self._message = self._take_message
-        self._lanes = self._dispatcher.lanes
+        self._own_files = OwnFiles(
+            self._logic, self._rules, self._runner, self._dispatcher, settings.limit_start, self._once
+        )
         define_new_event(self._logic, self._dispatcher)
         define_use_foreign(self._logic, self._runner, self._files, settings.allow_foreign)
 
@@ -159,8 +157,7 @@ class Engine:
         Raises:
             ProgramErrors: all errors; nothing of the text is active then.
         """
-        self._own(folder)
-        self._load(folder, lambda: self._rules.load_text(text, source, folder))
+        self._own_files.load_rules(text, source, folder)
 
     def load_program(self, folder: Union[str, Path]) -> None:
         """Call the goals of ``goalPredicates.txt`` in a program's folder; they name the rule files.
@@ -178,31 +175,7 @@ class Engine:
         Raises:
             ProgramErrors: all that did not read, failed or raised; the others have been called.
         """
-        self._own(folder)
-        errors = Errors()
-        for goal in goals_of(text, source, folder, self._logic.operators, self._files, self._load):
-            if isinstance(goal, RetalisError):
-                errors.append(goal)
-                continue
-            try:
-                if not self._load(goal.folder, lambda: self._start(goal)):  # noqa: B023
-                    errors.append(RuleError("this goal fails", goal.place))
-            except RetalisError as error:
-                errors.extend(errors_in(error, goal.place))
-        if errors:
-            raise ProgramErrors(errors)
-
-    def _start(self, goal: FileGoal) -> bool:
-        """Call a goal of a goal file."""
-        budget = self._budget
-        self._runner.entry = goal
-        limits = budget.limits
-        if not self.settings.limit_start:
-            budget.allow(Limits())
-        try:
-            return self._once(goal.term)
-        finally:
-            budget.allow(limits)
+        self._own_files.call_goals(text, source, folder)
 
     def add_foreign(self, *sources: object) -> List[Functor]:
         """Define Python functions that have the decorator `foreign`, and those of modules, as predicates.
@@ -262,7 +235,7 @@ class Engine:
 
     def advance(self) -> None:
         """Do what has come due by the clock: alarms, and starting anew where it went back."""
-        self._runner.post(self._watch_clock)
+        self._runner.post(self._intake.watch_clock)
 
     def call(self, goal: Union[str, Term]) -> bool:
         """Call a goal once; returns whether it has a solution.
@@ -298,7 +271,7 @@ class Engine:
                     break
         return found
 
-    def do(self, work: Callable[[], Result], what: Term = _REQUEST) -> Result:
+    def do(self, work: Callable[[], Result], what: Term = REQUEST) -> Result:
         """Do a piece of work on the engine while nothing else does; return its result.
 
         Args:
@@ -373,20 +346,6 @@ class Engine:
         """How many events were dropped because the queue was full."""
         return self._runner.dropped
 
-    def _own(self, folder: Optional[Path]) -> None:
-        """Count a folder as the program's own."""
-        if folder is not None:
-            self._files.door.add_own(folder)
-
-    def _load(self, folder: Optional[Path], work: Callable[[], Result]) -> Result:
-        """Do work of the program's own files, which stand in a folder: it may name any file."""
-
-        def run() -> Result:
-            with self._files.loading(folder):
-                return work()
-
-        return self.do(run)
-
     # ---- inside --------------------------------------------------------------------------------------
 
     def _read(self, term: Union[str, Term]) -> Term:
@@ -402,73 +361,11 @@ class Engine:
             if outermost:
                 machine.trail.clear()
 
-    def _take(
-        self, term: Term, start: Optional[int], end: Optional[int], ground: Optional[bool] = None
-    ) -> None:
-        """Dispatch an event; with no start it is stamped by the clock."""
-        if start is None or end is None:
-            start = self.clock.stamp_at_once()
-            if start is None:
-                start = self.clock.stamp(self._look_at_clock())
-            end = start
-        else:
-            if end < start:
-                raise UsageError(f"{self._logic.brief(term)} ends before it starts")
-            if self._followed is not None:
-                self._followed.now()  # where somebody has put it back, that is seen first
-                self._followed.move_to(end)
-            self._look_at_clock()
-        dispatcher = self._dispatcher
-        current, cause = dispatcher.current, dispatcher.cause
-        try:  # as `Dispatcher.undisturbed`
-            lane = dispatcher.lanes.get(term[0]) if ground and term.__class__ is tuple else None
-            if lane is not None and lane(term, start, end):
-                return
-            frame = dispatcher.dispatch(term, start, end, self._done, None, ground)
-            if frame is not self._done:
-                self._logic.machine.run(frame)
-        except BaseException:
-            dispatcher.restore((current, cause))
-            raise
-
-    def _take_message(self, term: Term) -> None:
-        """Dispatch a message that has come now: as `_take`, in the fewest steps where a `Lane` serves it."""
-        lane = self._lanes.get(term[0]) if term.__class__ is tuple else None
-        stamp = None if lane is None else self.clock.stamp_at_once()
-        if lane is not None and stamp is not None:
-            try:
-                if lane(term, stamp, stamp):
-                    return
-            except BaseException:
-                self._dispatcher.restore()
-                raise
-        self._take(term, stamp, stamp, True)
-
-    def _look_at_clock(self) -> int:
-        """Look what time it is, let alarms ring that are due, and return the time."""
-        clock = self.clock
-        now = clock.now()
-        if clock.behind or clock.alarms:
-            self._watch_clock()
-        return now
-
     def _call_undisturbed(self, goal: Term) -> bool:
         return self._dispatcher.undisturbed(lambda: self._once(goal))
 
-    def _watch_clock(self) -> None:
-        """Start anew where time went back, and let alarms ring that are due."""
-        clock = self.clock
-        if clock.went_back():
-            self._start_anew()
-        while True:
-            due = clock.due()
-            if due is None:
-                return
-            instant, alarm = due
-            self._budget.apart(("an alarm", instant), lambda: alarm(instant))  # noqa: B023
-
     def _start_anew(self) -> None:
-        log.warning("time went back: memories, waiting queries and partial matches are cleared")
+        """Forget what waits and what is remembered: time went back."""
         self._knowledge.clear()
         self._rules.clear()
 

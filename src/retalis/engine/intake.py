@@ -1,0 +1,103 @@
+"""How events enter: stamped by the clock, after the alarms that are due, by the shortest way that serves them."""
+
+import logging
+from typing import Callable, Optional
+
+from ..events.dispatch import Dispatcher
+from ..foundation import UsageError
+from ..prolog.logic import Logic
+from ..prolog.terms import Term
+from .runtime import Clock, StreamClock
+
+log = logging.getLogger("retalis")
+
+
+class Intake:
+    """Takes the events of an engine, one at a time.
+
+    Args:
+        logic: whose machine runs what events start.
+        dispatcher: serves them.
+        clock: what time it is.
+        followed: the same clock where stamped events move it; None for one that its owner moves.
+        start_anew: called where time went back.
+    """
+
+    def __init__(
+        self,
+        logic: Logic,
+        dispatcher: Dispatcher,
+        clock: Clock,
+        followed: Optional[StreamClock],
+        start_anew: Callable[[], None],
+    ):
+        self._logic = logic
+        self._dispatcher = dispatcher
+        self._clock = clock
+        self._followed = followed
+        self._start_anew = start_anew
+        self._done = logic.machine.done
+        self._lanes = dispatcher.lanes
+
+    def take(
+        self, term: Term, start: Optional[int], end: Optional[int], ground: Optional[bool] = None
+    ) -> None:
+        """Dispatch an event; with no start it is stamped by the clock."""
+        if start is None or end is None:
+            start = self._clock.stamp_at_once()
+            if start is None:
+                start = self._clock.stamp(self._look_at_clock())
+            end = start
+        else:
+            if end < start:
+                raise UsageError(f"{self._logic.brief(term)} ends before it starts")
+            if self._followed is not None:
+                self._followed.now()  # where somebody has put it back, that is seen first
+                self._followed.move_to(end)
+            self._look_at_clock()
+        dispatcher = self._dispatcher
+        current, cause = dispatcher.current, dispatcher.cause
+        try:  # as `Dispatcher.undisturbed`
+            lane = dispatcher.lanes.get(term[0]) if ground and term.__class__ is tuple else None
+            if lane is not None and lane(term, start, end):
+                return
+            frame = dispatcher.dispatch(term, start, end, self._done, None, ground)
+            if frame is not self._done:
+                self._logic.machine.run(frame)
+        except BaseException:
+            dispatcher.restore((current, cause))
+            raise
+
+    def take_message(self, term: Term) -> None:
+        """Dispatch a message that has come now: as `take`, in the fewest steps where a `Lane` serves it."""
+        lane = self._lanes.get(term[0]) if term.__class__ is tuple else None
+        stamp = None if lane is None else self._clock.stamp_at_once()
+        if lane is not None and stamp is not None:
+            try:
+                if lane(term, stamp, stamp):
+                    return
+            except BaseException:
+                self._dispatcher.restore()
+                raise
+        self.take(term, stamp, stamp, True)
+
+    def _look_at_clock(self) -> int:
+        """Look what time it is, let alarms ring that are due, and return the time."""
+        clock = self._clock
+        now = clock.now()
+        if clock.behind or clock.alarms:
+            self.watch_clock()
+        return now
+
+    def watch_clock(self) -> None:
+        """Start anew where time went back, and let alarms ring that are due."""
+        clock = self._clock
+        if clock.went_back():
+            log.warning("time went back: memories, waiting queries and partial matches are cleared")
+            self._start_anew()
+        while True:
+            due = clock.due()
+            if due is None:
+                return
+            instant, alarm = due
+            self._logic.machine.budget.apart(("an alarm", instant), lambda: alarm(instant))  # noqa: B023
