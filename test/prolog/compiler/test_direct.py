@@ -3,8 +3,8 @@
 import random
 
 import pytest
+from prolog.compiler.test_compiled import term
 from prolog.support import NEVER, prolog, show
-from prolog.test_compiled import term
 
 from retalis.prolog.machine import BAIL, PrologError
 from retalis.prolog.syntax import read_term
