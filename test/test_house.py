@@ -55,6 +55,9 @@ USERS = (
 )
 """Programs and pages whose names are the user's."""
 
+TESTED_ELSEWHERE = ("bench", "examples", "oracle", "fuzz", "interrupts")
+"""Folders of tests that are no rooms: of other folders, and programs that look for errors."""
+
 ROS = {"genpy", "rosgraph", "roslib", "rospy", "rostopic", "std_msgs"}
 
 
@@ -146,6 +149,18 @@ def test_what_is_handed_on_is_used(room):
         text = path.read_text(encoding="utf-8")
         used |= {name for name in handed_on if re.search(rf"\b{name}\b", text)}
     assert not handed_on - used
+
+
+def test_tests_stand_where_what_they_test_stands():
+    wrong = []
+    for path in sorted((ROOT / "test").rglob("test_*.py")):
+        folder, name = path.parent.relative_to(ROOT / "test"), path.name[len("test_") :]
+        if folder.as_posix() in TESTED_ELSEWHERE:
+            continue
+        room = house.SOURCE / folder
+        if not room.is_dir() or (not (room / name).exists() and list(room.glob(f"*/**/{name}"))):
+            wrong.append(path.relative_to(ROOT).as_posix())
+    assert wrong == []
 
 
 def test_picture_is_that_of_the_imports():
