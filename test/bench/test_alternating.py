@@ -1,0 +1,103 @@
+"""Two checkouts in turn: what was slower before, what is slower now, and what one of them lacks."""
+
+import importlib
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+MODULES = ("alternating", "comparison", "engine", "processes", "renamed", "workload")
+SCRIPT = """
+import sys
+from pathlib import Path
+
+log = Path(__file__).resolve().parent / "runs"
+before = log.read_text() if log.exists() else ""
+log.write_text(before + "x")
+print("case", sys.argv[1], "us_per_event", {figures}["{case}"][len(before) % 2])
+"""
+
+
+@pytest.fixture
+def alternating(monkeypatch):
+    """The module."""
+    monkeypatch.setattr(sys, "path", [str(ROOT / "bench"), str(ROOT / "examples" / "nao"), *sys.path])
+    yield importlib.import_module("alternating")
+    for name in MODULES:
+        sys.modules.pop(name, None)
+
+
+def write_checkout(folder, first, second, case="nao"):
+    """Make a checkout whose only case takes these microseconds, in turn."""
+    script = folder / "bench" / "engine.py"
+    script.parent.mkdir(parents=True, exist_ok=True)
+    script.write_text(SCRIPT.format(figures={case: [first, second]}, case=case).replace("'", '"'))
+    return folder
+
+
+def git(folder, *arguments):
+    """Run git as somebody, whatever the machine is set up for."""
+    someone = [
+        "-c",
+        "user.name=someone",
+        "-c",
+        "user.email=someone@example.org",
+        "-c",
+        "commit.gpgsign=false",
+    ]
+    subprocess.run(["git", "-C", str(folder), *someone, *arguments], check=True, stdout=subprocess.DEVNULL)
+
+
+def test_the_best_run_of_each_counts(alternating, tmp_path, capsys):
+    before = write_checkout(tmp_path / "before", 2.0, 9.0)
+    now = write_checkout(tmp_path / "now", 5.0, 2.05)
+    assert alternating.main([str(before), "--case", "nao", "--runs", "2"], now) == 0
+    assert " ".join(capsys.readouterr().out.split()) == "nao before 2.000 now 2.050 us +2.5 %"
+
+
+def test_a_case_that_has_become_slower_is_named(alternating, tmp_path, capsys):
+    before = write_checkout(tmp_path / "before", 2.0, 2.0)
+    now = write_checkout(tmp_path / "now", 2.1, 2.1)
+    assert alternating.main([str(before), "--case", "nao", "--runs", "1"], now) == 1
+    assert capsys.readouterr().out.splitlines()[-1] == "slower by more than 3 %: nao"
+    assert alternating.main([str(before), "--case", "nao", "--runs", "1", "--most", "6"], now) == 0
+
+
+def test_a_case_that_seems_slower_is_run_again(alternating, tmp_path, capsys):
+    before = write_checkout(tmp_path / "before", 2.0, 2.0)
+    now = write_checkout(tmp_path / "now", 3.0, 1.9)
+    assert alternating.main([str(before), "--case", "nao", "--runs", "1"], now) == 0
+    assert " ".join(capsys.readouterr().out.split()) == "nao before 2.000 now 1.900 us -5.0 %"
+    assert (now / "bench" / "runs").read_text() == "xx"
+
+
+def test_a_revision_is_taken_out_of_the_repository(alternating, tmp_path, capsys):
+    git(tmp_path, "init", "--quiet")
+    write_checkout(tmp_path, 4.0, 4.0)
+    git(tmp_path, "add", ".")
+    git(tmp_path, "commit", "--quiet", "-m", "Before")
+    write_checkout(tmp_path, 2.0, 2.0)
+    assert alternating.main(["HEAD", "--case", "nao", "--runs", "1"], tmp_path) == 0
+    assert " ".join(capsys.readouterr().out.split()) == "nao before 4.000 now 2.000 us -50.0 %"
+
+
+def test_a_case_that_was_not_there_is_left_out(alternating, tmp_path, capsys):
+    before = write_checkout(tmp_path / "before", 2.0, 2.0, "sync_now")
+    assert alternating.main([str(before), "--case", "nao"], tmp_path) == 0
+    assert " ".join(capsys.readouterr().out.split()) == "nao is not there before"
+
+
+def test_what_is_no_checkout_is_said(alternating, tmp_path):
+    git(tmp_path, "init", "--quiet")
+    with pytest.raises(SystemExit, match="^nosuch is neither a folder nor a revision: fatal: "):
+        alternating.main(["nosuch"], tmp_path)
+    with pytest.raises(SystemExit, match="^there is no .*engine.py$"):
+        alternating.main([str(tmp_path)], tmp_path)
+
+
+def test_this_checkout_beside_itself(alternating, capsys):
+    """A run of one case is no measurement: what it says of the change is left open."""
+    assert alternating.main([str(ROOT), "--case", "join_seq_1000", "--runs", "1", "--most", "1000"]) == 0
+    assert capsys.readouterr().out.startswith("join_seq_1000 ")
