@@ -1,12 +1,18 @@
 """What users get: all names of the package have a docstring with an example, and the examples are true."""
 
+import ast
 import doctest
+import importlib
+import inspect
+import subprocess
+import sys
+from pathlib import Path
 from typing import Iterator
 
 import pytest
 
 import retalis
-from retalis.prolog.terms import Term
+from retalis.prolog.terms import kinds
 
 PROGRAM = """\
 <publish_subscribe>
@@ -29,15 +35,59 @@ def folder(tmp_path):
     return tmp_path
 
 
-@pytest.mark.parametrize("name", retalis.__all__)
-def test_each_name_has_an_example_that_is_true(name, folder):
-    known = {one: getattr(retalis, one) for one in retalis.__all__}
-    known.update(folder=folder, Term=Term, Iterator=Iterator)
-    (example,) = doctest.DocTestFinder(recurse=False).find(known[name], name, globs=known)
+PUBLIC = {name: getattr(retalis, name) for name in retalis.__all__}
+
+
+def docstring(name, one):
+    """Return the text that explains a name; an alias of a type has it below, in its file."""
+    if inspect.isclass(one) or inspect.isroutine(one):
+        return inspect.getdoc(one)
+    body = ast.parse(Path(kinds.__file__).read_text(encoding="utf-8")).body
+    for statement, after in zip(body, body[1:]):
+        bound = {node.id for node in ast.walk(statement) if isinstance(node, ast.Name)}
+        if isinstance(statement, (ast.If, ast.Assign)) and name in bound and isinstance(after, ast.Expr):
+            return ast.literal_eval(after.value)
+    return ""
+
+
+def run(name, text, folder):
+    example = doctest.DocTestParser().get_doctest(
+        text or "", {**PUBLIC, "folder": folder, "Iterator": Iterator}, name, None, None
+    )
     assert example.examples, "no example"
     said = []
     doctest.DocTestRunner(verbose=False).run(example, out=said.append)
     assert not said, "".join(said)
+
+
+@pytest.mark.parametrize("name", retalis.__all__)
+def test_each_name_has_an_example_that_is_true(name, folder):
+    run(name, docstring(name, PUBLIC[name]), folder)
+
+
+def test_type_checkers_see_the_names_that_programs_get():
+    """What they read is imported by nobody: it has to be the same."""
+    tree = ast.parse(Path(retalis.__file__).read_text(encoding="utf-8"))
+    (seen,) = [node for node in tree.body if isinstance(node, ast.If)]
+    found = {
+        alias.name: getattr(importlib.import_module(f"retalis.{line.module}"), alias.name)
+        for line in seen.body
+        for alias in line.names
+    }
+    assert sorted(found) == sorted(retalis.__all__)
+    assert [name for name, one in found.items() if getattr(retalis, name) is not one] == []
+
+
+def test_names_cost_nothing_before_somebody_asks():
+    script = "import sys, retalis; print(*[name for name in sys.modules if name.startswith('retalis.')])"
+    loaded = subprocess.run(
+        [sys.executable, "-c", script],
+        cwd=Path(retalis.__file__).parent.parent,
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+    )
+    assert loaded.stdout.split() == []
 
 
 def test_names_are_sorted_and_there():
@@ -65,5 +115,7 @@ def test_an_engine_shows_operators_and_what_is_there():
 
 
 def test_what_there_is_is_shown():
-    assert {*retalis.__all__, "errors", "explain", "terms"} <= {*dir(retalis)}
-    assert {"Atom", "atom", "functor"} <= {*dir(retalis.terms)}
+    assert {*retalis.__all__} <= {*dir(retalis)}
+    names = {}
+    exec("from retalis import *", names)
+    assert {*retalis.__all__} <= {*names}

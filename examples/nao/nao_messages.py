@@ -8,8 +8,8 @@ from typing import Dict, Sequence, Tuple
 
 from nao_robot import Pose
 
-from retalis.messages import Definition, Definitions, Encoder, Installed
-from retalis.terms import Term, atom, functor, make_list
+from retalis import Definition, Definitions, Encoder, Term, atom, functor, make_list
+from retalis.messages import Installed
 
 HEADER = """\
 uint32 seq

@@ -12,106 +12,114 @@ prints the two events and ``fever(ann)``. Instants are nanoseconds since the epo
 bag.
 """
 
-import sys
 from importlib import import_module
 from pkgutil import extend_path
-from types import ModuleType
 from typing import TYPE_CHECKING, Any, List
 
 if TYPE_CHECKING:  # for type checkers; a program gets them by `__getattr__`
     from .engine import Engine, OnEvent, OnOutput, Settings
-    from .engine.playback import BagError, BagReader, BagWriter, Output, Playback
-    from .engine.runtime import Clock, StreamClock
-    from .foundation import MessageError, ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
-    from .messages import Definitions
-    from .prolog.foreign import Compound, foreign
+    from .engine.explaining import Explanation, ExplanationLine, explain, record_origins
+    from .engine.playback import BagError, BagReader, BagWriter, Output, Playback, Record, Topic
+    from .engine.runtime import Clock, Reports, StreamClock
+    from .events.program import TopicType
+    from .foundation import (
+        MessageError,
+        Place,
+        ProgramErrors,
+        RetalisError,
+        RuleError,
+        SyntaxFault,
+        UsageError,
+    )
+    from .messages import Decoder, Definition, Definitions, Encoder
+    from .prolog.foreign import Compound, foreign, to_python, to_term
     from .prolog.machine import Limits, PrologError
+    from .prolog.syntax import Operators
+    from .prolog.terms import Atom, Functor, String, Term, Var, atom, deref, functor, list_items, make_list
 
 # catkin puts the generated retalis.msg and retalis.srv into a folder of their own, in devel space: both are `retalis`
 __path__ = extend_path(__path__, __name__)
 
 __all__ = [
+    "Atom",
+    "atom",
     "BagError",
     "BagReader",
     "BagWriter",
     "Clock",
     "Compound",
+    "Decoder",
+    "Definition",
     "Definitions",
+    "deref",
+    "Encoder",
     "Engine",
+    "explain",
+    "Explanation",
+    "ExplanationLine",
     "foreign",
+    "Functor",
+    "functor",
     "Limits",
+    "list_items",
+    "make_list",
     "MessageError",
     "OnEvent",
     "OnOutput",
+    "Operators",
     "Output",
+    "Place",
     "Playback",
     "ProgramErrors",
     "PrologError",
+    "Record",
+    "record_origins",
+    "Reports",
     "RetalisError",
     "RuleError",
     "Settings",
     "StreamClock",
+    "String",
     "SyntaxFault",
+    "Term",
+    "to_python",
+    "to_term",
+    "Topic",
+    "TopicType",
     "UsageError",
+    "Var",
 ]
 
-_HOMES = {
-    "BagError": "engine.playback",
-    "BagReader": "engine.playback",
-    "BagWriter": "engine.playback",
-    "Clock": "engine.runtime",
-    "Compound": "prolog.foreign",
-    "Definitions": "messages",
-    "Engine": "engine",
-    "foreign": "prolog.foreign",
-    "Limits": "prolog.machine",
-    "MessageError": "foundation",
-    "OnEvent": "engine",
-    "OnOutput": "engine",
-    "Output": "engine.playback",
-    "Playback": "engine.playback",
-    "ProgramErrors": "foundation",
-    "PrologError": "prolog.machine",
-    "RetalisError": "foundation",
-    "RuleError": "foundation",
-    "Settings": "engine",
-    "StreamClock": "engine.runtime",
-    "SyntaxFault": "foundation",
-    "UsageError": "foundation",
-}
-"""Where names of this package stand: they are imported when somebody asks, so ``retalis.srv`` costs no engine."""
+_ROOMS = (
+    "foundation",
+    "prolog.terms",
+    "messages",
+    "prolog.syntax",
+    "prolog.machine",
+    "prolog.foreign",
+    "events.program",
+    "engine.runtime",
+    "engine",
+    "engine.explaining",
+    "engine.playback",
+)
+"""Where the names stand, what is imported by others first.
 
-_HOMES_OF_MODULES = {"errors": "foundation.errors", "explain": "engine.explaining", "terms": "prolog.terms"}
-"""Where the modules stand that programs name without their room."""
+They are looked for when somebody asks, so that ``retalis.srv`` costs no engine, and an error no bag.
+"""
 
 
 def __dir__() -> List[str]:
-    """Return what a user needs, and the modules that programs name."""
-    return [*__all__, *_HOMES_OF_MODULES, *(name for name in globals() if name.startswith("__"))]
+    """Return what a user needs."""
+    return [*__all__, *(name for name in globals() if name.startswith("__"))]
 
 
 def __getattr__(name: str) -> Any:
-    """Import what is asked for."""
-    if name in _HOMES:
-        return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    """Import what is asked for, and keep it."""
+    if name in __all__:
+        for room in _ROOMS:
+            home = import_module(f"{__name__}.{room}")
+            if name in home.__all__:
+                found = globals()[name] = getattr(home, name)
+                return found
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-
-
-class _LazyModule(ModuleType):
-    """A module under a name without its room; imported when something of it is asked for."""
-
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("__"):
-            raise AttributeError(f"module {self.__name__!r} has no attribute {name!r}")
-        return getattr(self._home(), name)
-
-    def __dir__(self) -> List[str]:
-        return list(self._home().__all__)
-
-    def _home(self) -> ModuleType:
-        return import_module(f"{__name__}.{_HOMES_OF_MODULES[self.__name__.rpartition('.')[2]]}")
-
-
-for _name, _home in _HOMES_OF_MODULES.items():
-    _module = f"{__name__}.{_name}"
-    globals()[_name] = sys.modules[_module] = _LazyModule(_module, f"See `{__name__}.{_home}`.")

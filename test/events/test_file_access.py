@@ -512,8 +512,7 @@ import json, os, sys
 from events.test_file_access import GOALS, cases, engine_of, one
 from pathlib import Path
 from retalis.engine import parts_of
-from retalis.terms import atom, functor
-from retalis.errors import RetalisError
+from retalis import RetalisError, atom, functor
 
 place = Path(sys.argv[1])
 names = list(cases(place)) + ["bare", "in", "folder/secret", "../outside/secret"]

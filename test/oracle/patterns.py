@@ -1,6 +1,6 @@
 """Patterns of event rules as plain data.
 
-A pattern is one of the classes below; their fields are terms (`retalis.terms`), seconds, or patterns.
+A pattern is one of the classes below; their fields are terms (`retalis.prolog.terms`), seconds, or patterns.
 Nodes compare by identity: the same pattern written at two places of a rule is two nodes.
 """
 

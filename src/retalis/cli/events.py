@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import IO, Callable, Dict, Iterable, List, Optional, Sequence, Union
 
 from ..engine import Engine, Settings, parts_of
-from ..engine.explaining import Explanation, Line, explain, prepare
+from ..engine.explaining import Explanation, ExplanationLine, explain, record_origins
 from ..engine.runtime import Reports, StreamClock, relax
 from ..events.program import goal_of, read_goals, read_text
 from ..events.rules import event_of
@@ -179,7 +179,7 @@ class Session:
         self.engine.on_output(to_reader(printer.output))
         parts_of(self.engine).logic.define_control("sleep", 1, self._sleep)
         if options.explain:
-            prepare(self.engine)
+            record_origins(self.engine)
         if options.clock:
             stamp = read_term(options.clock, Operators.prolog(), "--clock").term
             try:
@@ -287,7 +287,7 @@ class Session:
             self._report(error)
 
 
-def _as_json(line: Line) -> Dict[str, object]:
+def _as_json(line: ExplanationLine) -> Dict[str, object]:
     return {"text": line.text, "below": [_as_json(one) for one in line.below]}
 
 

@@ -38,6 +38,12 @@ class Place(NamedTuple):
 
     ``text`` is the line itself, so that the error can be shown without reading the source again; of a long one the
     part around the column, which begins ``before`` characters after the start of the line.
+
+    >>> try:
+    ...     Engine().query("X = (a b)")
+    ... except SyntaxFault as error:
+    ...     print(isinstance(error.place, Place), error.place)
+    True query:1:8
     """
 
     source: str

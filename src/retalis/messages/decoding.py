@@ -23,6 +23,11 @@ Decode = Callable[[bytes], Term]
 class Decoder:
     """The decoder of one message type.
 
+    >>> definitions = Definitions()
+    >>> decoder = definitions.decoder(definitions.add("my_robot/Bumper", "bool left"))
+    >>> Engine().show(decoder.decode(bytes([1])))
+    'my_robot__0__Bumper(true)'
+
     Args:
         definition: the type.
         bare: how many elements without bytes a message may have.

@@ -119,6 +119,10 @@ def measured(fields: Iterable[Field]) -> Measure:
 class Definition:
     """A message type with all the types it is made of.
 
+    >>> kind = Definitions().find("std_msgs/String")
+    >>> kind.name, [slot.name for slot in kind.fields], kind.md5sum
+    ('std_msgs/String', ['data'], '992ce8a1687cec8c8bd883ec73ca41d1')
+
     Attributes:
         name: ``pkg/Type``.
         fields: the slots in order.

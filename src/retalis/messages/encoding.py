@@ -24,6 +24,11 @@ _BOOLS = {TRUE: True, FALSE: False}
 class Encoder:
     """The encoder of one message type.
 
+    >>> definitions = Definitions()
+    >>> encoder = definitions.encoder(definitions.add("my_robot/Bumper", "bool left"))
+    >>> encoder.encode(functor("my_robot__0__Bumper", 1)(atom("true")), "bumper") == bytes([1])
+    True
+
     Attributes:
         definition: the type.
         encode: the function ``encode(term, topic="")`` from an event term to the bytes of a message. Raises

@@ -88,7 +88,7 @@ ENTRY = """    EventOperator(
 AFTER = """    EventOperator("fnot","""
 PROGRAM = """
 from retalis import Engine
-from retalis.engine.explaining import explain, prepare
+from retalis.engine.explaining import explain, record_origins
 from retalis.engine.runtime import StreamClock
 from retalis.prolog.terms import SECOND, functor
 
@@ -104,7 +104,7 @@ for policy in ("recent", "recent_2", "chronological", "chronological_2", "unrest
     print(policy, *("%s@%d-%d" % one for one in seen if one[0][0] == "o"))
 
 engine = Engine(clock=StreamClock(1000 * SECOND))
-prepare(engine)
+record_origins(engine)
 engine.load(rules="p(X) <- a(X) straddles b(X).")
 engine.event("a(7)", 1, 2)
 engine.event("b(7)", 3, 4)

@@ -1,10 +1,10 @@
 """Why an event happened, or what was missing for it."""
 
-from .explain import Explanation, Line, explain, prepare
+from .explain import Explanation, ExplanationLine, explain, record_origins
 
 __all__ = [
     "explain",
     "Explanation",
-    "Line",
-    "prepare",
+    "ExplanationLine",
+    "record_origins",
 ]

@@ -1,12 +1,12 @@
 """Why an event happened, or what was missing for it: trees of rules and events, to be read by people."""
 
-from typing import Dict, Iterator, List, NamedTuple, Optional, Set, Tuple
+from typing import Dict, Iterator, List, NamedTuple, Optional, Set, Tuple, Union
 
 from ...events.history import Fired, Occurrence
 from ...events.language import Aggregate, walk
 from ...events.network import Rule
 from ...foundation import UsageError
-from ...prolog.syntax import write_term
+from ...prolog.syntax import read_term, write_term
 from ...prolog.terms import (
     Atom,
     Term,
@@ -29,11 +29,15 @@ _SHOWN = 10
 _DEEPEST = 50
 
 
-class Line(NamedTuple):
-    """A line of an explanation, and the lines that belong below it."""
+class ExplanationLine(NamedTuple):
+    """A line of an explanation, and the lines that belong below it.
+
+    >>> ExplanationLine("the alarm", [ExplanationLine("the smoke", [])]).below[0].text
+    'the smoke'
+    """
 
     text: str
-    below: List["Line"]
+    below: List["ExplanationLine"]
 
     def indented(self, depth: int = 0) -> Iterator[str]:
         """Yield the line and all below it as text, two blanks more for each level."""
@@ -45,31 +49,63 @@ class Line(NamedTuple):
 class Explanation(NamedTuple):
     """The answer to the question why.
 
+    >>> engine = Engine()
+    >>> record_origins(engine)
+    >>> engine.load(rules="alarm(X) <- smoke(X) seq heat(X).", source="mine")
+    >>> engine.event("smoke(kitchen)", 1)
+    >>> isinstance(explain(engine, "alarm(kitchen)"), Explanation)
+    True
+
     Attributes:
         happened: whether the event happened.
         lines: why it did, one tree for each time; or what was missing, one for each rule that could have fired.
     """
 
     happened: bool
-    lines: List[Line]
+    lines: List[ExplanationLine]
 
 
-def prepare(engine: Engine) -> None:
-    """Have an engine keep what events come from; to be called before anything is loaded."""
+def record_origins(engine: Engine) -> None:
+    """Have an engine record what events come from; to be called before anything is loaded.
+
+    >>> engine = Engine()
+    >>> record_origins(engine)
+    >>> engine.load(rules="alarm(X) <- smoke(X) seq heat(X).", source="mine")
+    >>> engine.event("smoke(kitchen)", 1)
+    >>> print(explain(engine, "smoke(_)").lines[0].text)
+    smoke(kitchen) [1,1] came from outside
+    """
     parts_of(engine).rules.flags.set("etalis_justification", atom("on"))
 
 
-def explain(engine: Engine, asked: Term) -> Explanation:
+def explain(engine: Engine, asked: Union[str, Term]) -> Explanation:
     """Say why an event happened, or what was missing.
 
+    >>> engine = Engine()
+    >>> record_origins(engine)
+    >>> engine.load(rules="alarm(X) <- smoke(X) seq heat(X).", source="mine")
+    >>> engine.event("smoke(kitchen)", 1)
+    >>> why = explain(engine, "alarm(kitchen)")
+    >>> why.happened
+    False
+    >>> for line in why.lines[0].indented():
+    ...     print(line)
+    rule alarm(kitchen) <- smoke(kitchen) seq heat(kitchen) (mine:1)
+      - seq: one side is missing
+        + smoke(kitchen): [1,1]
+        - heat(kitchen): did not happen
+
     Args:
-        engine: has run with its flag ``etalis_justification`` on (`prepare`).
-        asked: the event, as far as it is known; or ``event(TERM,[T1,T2])`` to ask for an interval too.
+        engine: has run with its flag ``etalis_justification`` on (`record_origins`).
+        asked: the event, as far as it is known, as a term or its text; or ``event(TERM,[T1,T2])`` to ask for an
+            interval too.
 
     Raises:
         UsageError: where it is not an event.
+        SyntaxFault: for a text that is not a term.
     """
-    return engine.do(lambda: _Explainer(engine).explain(asked))
+    term = read_term(asked, engine.operators, "explain").term if isinstance(asked, str) else asked
+    return engine.do(lambda: _Explainer(engine).explain(term))
 
 
 class _Explainer:
@@ -91,28 +127,30 @@ class _Explainer:
             return Explanation(False, self._missing(term, interval, ()))
         lines = [self._because(one, 0) for one in found[:_SHOWN]]
         if len(found) > _SHOWN:
-            lines.append(Line(f"and {len(found) - _SHOWN} more times", []))
+            lines.append(ExplanationLine(f"and {len(found) - _SHOWN} more times", []))
         return Explanation(True, lines)
 
-    def _because(self, one: Occurrence, depth: int) -> Line:
+    def _because(self, one: Occurrence, depth: int) -> ExplanationLine:
         """Return why an event happened; what was said before is not said again."""
         text = self._event(one)
         if one.takes_back is not None:
-            return Line(f"{text} retracts", [Line(self._event(it), []) for it in one.takes_back])
+            return ExplanationLine(
+                f"{text} retracts", [ExplanationLine(self._event(it), []) for it in one.takes_back]
+            )
         made_by = self._made_by.get(id(one), [])
         if one.match is None and not made_by:
-            return Line(f"{text} came from outside", [])
+            return ExplanationLine(f"{text} came from outside", [])
         if id(one) in self._shown or depth > _DEEPEST:
-            return Line(f"{text}, see above" if depth <= _DEEPEST else f"{text} ...", [])
+            return ExplanationLine(f"{text}, see above" if depth <= _DEEPEST else f"{text} ...", [])
         self._shown.add(id(one))
         sources = [self._because(source, depth + 1) for source in one.sources() or made_by]
         if one.rule is None:
-            return Line(f"{text} was released by", sources)
-        return Line(f"{text} by {self._rule(one.rule)}", sources)
+            return ExplanationLine(f"{text} was released by", sources)
+        return ExplanationLine(f"{text} by {self._rule(one.rule)}", sources)
 
     def _missing(
         self, term: Term, interval: Optional[Tuple[int, int]], above: Tuple[Rule, ...]
-    ) -> List[Line]:
+    ) -> List[ExplanationLine]:
         """Return what was missing for each rule that could have fired the event."""
         lines = []
         for rule in self._parts.rules.rules:
@@ -123,28 +161,28 @@ class _Explainer:
             if unify(_fired(head), copy(term), trail):
                 shortfall = Shortfall(self._parts.logic, self._kept, rule)
                 part = shortfall.of(rule.definition.pattern)
-                lines.append(Line(self._rule(rule), [self._part(part, (*above, rule))]))
+                lines.append(ExplanationLine(self._rule(rule), [self._part(part, (*above, rule))]))
                 if part.found:
-                    lines[-1].below.append(Line(f"- but {_why_not(rule, part, interval)}", []))
+                    lines[-1].below.append(ExplanationLine(f"- but {_why_not(rule, part, interval)}", []))
             undo(trail, 0)
         if not lines and not above:
-            lines.append(Line("no rule has such a head, and no such event came from outside", []))
+            lines.append(ExplanationLine("no rule has such a head, and no such event came from outside", []))
         if not above:
             lines += self._taken_back(term) + self._alike(term)
         return lines
 
-    def _part(self, part: Part, above: Tuple[Rule, ...]) -> Line:
+    def _part(self, part: Part, above: Tuple[Rule, ...]) -> ExplanationLine:
         below = [self._part(one, above) for one in part.parts]
         if part.event is not None and not part.found:
             below += self._missing(part.event, None, above)
-        return Line(f"{'+' if part.found else '-'} {part.text}", below)
+        return ExplanationLine(f"{'+' if part.found else '-'} {part.text}", below)
 
-    def _taken_back(self, term: Term) -> List[Line]:
+    def _taken_back(self, term: Term) -> List[ExplanationLine]:
         """Return such events that did happen and were taken back."""
         gone = [one for rev in self._kept for one in rev.takes_back or () if _is_instance(one.term, term)]
-        return [Line(f"{self._event(one)} was retracted", []) for one in gone[-_SHOWN:]]
+        return [ExplanationLine(f"{self._event(one)} was retracted", []) for one in gone[-_SHOWN:]]
 
-    def _alike(self, term: Term) -> List[Line]:
+    def _alike(self, term: Term) -> List[ExplanationLine]:
         """Return events of the same name that did happen."""
         name = _name(term)
         found: Dict[str, None] = {}
@@ -154,7 +192,11 @@ class _Explainer:
         if not found:
             return []
         shown = list(found)[-_SHOWN:]
-        return [Line(f"{len(found)} of this name happened", [Line(text, []) for text in shown])]
+        return [
+            ExplanationLine(
+                f"{len(found)} of this name happened", [ExplanationLine(text, []) for text in shown]
+            )
+        ]
 
     def _rule(self, rule: Fired) -> str:
         place = "" if rule.place is None else f" ({rule.place.source}:{rule.place.line})"

@@ -1,4 +1,4 @@
-"""How far the pattern of a rule got with the events that happened: for `retalis.explain`.
+"""How far the pattern of a rule got with the events that happened: for `explain`.
 
 Patterns are looked at as if no event were ever used up, over the events that were kept: a part with nothing found
 is what was missing.

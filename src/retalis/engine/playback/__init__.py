@@ -1,6 +1,6 @@
 """A program over a bag, without ROS: what the nodes give live, from the same messages."""
 
-from .bags import BagError, BagReader, BagWriter
+from .bags import BagError, BagReader, BagWriter, Record, Topic
 from .playback import Output, Playback
 
 __all__ = [
@@ -9,4 +9,6 @@ __all__ = [
     "BagWriter",
     "Output",
     "Playback",
+    "Record",
+    "Topic",
 ]

@@ -29,6 +29,11 @@ class BagError(RetalisError):
 class Topic(NamedTuple):
     """A connection of a bag: one publisher's topic.
 
+    >>> with BagReader(folder / "talk.bag") as bag:
+    ...     (topic,) = bag.topics
+    >>> topic.name, topic.type, topic.messages
+    ('/chatter', 'std_msgs/String', 1)
+
     Attributes:
         name: the topic's name.
         type: the message type, ``pkg/Type``.
@@ -49,7 +54,13 @@ class Topic(NamedTuple):
 
 
 class Record(NamedTuple):
-    """A message of a bag: its topic, the time of its receipt in nanoseconds, and its bytes."""
+    """A message of a bag: its topic, the time of its receipt in nanoseconds, and its bytes.
+
+    >>> with BagReader(folder / "talk.bag") as bag:
+    ...     (record,) = bag.records()
+    >>> record.topic.name, record.time, record.data[4:]
+    ('/chatter', 1000000000, b'hello')
+    """
 
     topic: Topic
     time: int

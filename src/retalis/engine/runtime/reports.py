@@ -14,6 +14,13 @@ _KINDS = 1000
 class Reports:
     """Logs problems; one that comes again and again at the same place is logged at its 1st, 2nd, 4th, 8th ... time.
 
+    >>> reports = Reports()
+    >>> engine = Engine(reports=reports)
+    >>> engine.load(rules="alarm <- heat(T) where T > 40.")
+    >>> engine.event("heat(much)", 1)
+    >>> reports.errors, reports.warnings
+    (1, 0)
+
     Attributes:
         errors: how many errors there were, logged or not.
         warnings: the same of warnings.

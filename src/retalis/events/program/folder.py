@@ -30,7 +30,10 @@ DEEPEST = 100
 
 
 class TopicType(NamedTuple):
-    """A topic's name, as written (it may be relative), and its message type ``pkg/Type``."""
+    """A topic's name, as written (it may be relative), and its message type ``pkg/Type``.
+
+    >>> playback = Playback(folder, report=print, topics=[TopicType("scan", "sensor_msgs/LaserScan")])
+    """
 
     topic: str
     type: str

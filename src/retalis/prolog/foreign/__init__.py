@@ -2,11 +2,13 @@
 
 from .functions import define_foreign, foreign
 from .modules import define_use_foreign
-from .values import Compound
+from .values import Compound, to_python, to_term
 
 __all__ = [
     "Compound",
     "define_foreign",
     "define_use_foreign",
     "foreign",
+    "to_python",
+    "to_term",
 ]

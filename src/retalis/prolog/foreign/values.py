@@ -57,6 +57,10 @@ def to_python(term: Term) -> Any:
     compound term             `Compound`
     ========================  =============================
 
+    >>> (solution,) = Engine().query("X = [a, 1, true, point(2, 3.5)]")
+    >>> to_python(solution["X"])
+    ['a', 1, True, Compound(name='point', args=[2, 3.5])]
+
     Raises:
         PrologError: an instantiation error for an unbound variable in it.
     """
@@ -113,8 +117,11 @@ def _constant(item: Term) -> object:
 def to_term(value: object) -> Term:
     """Return a Python value as a term.
 
-    The other way of `to_python`; str becomes an atom (a `retalis.terms.String` stays a string), tuple and any
+    The other way of `to_python`; str becomes an atom (a `retalis.String` stays a string), tuple and any
     other iterable but str become a list, dict a list of ``Key-Value``. Terms stay what they are.
+
+    >>> Engine().show(to_term({"kitchen": [21.5, True]}))
+    '[kitchen-[21.5,true]]'
 
     Raises:
         UsageError: for a value that is none of these.

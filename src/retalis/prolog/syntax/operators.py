@@ -73,6 +73,12 @@ class Operators:
 
     `prolog` makes the usual one; programs change their own copy by `add`. A name may be a prefix operator
     and, at the same time, an infix or postfix one.
+
+    >>> engine = Engine()
+    >>> engine.call("op(700, xfx, near)")
+    True
+    >>> "near" in engine.operators
+    True
     """
 
     __slots__ = ("prefix", "infix", "postfix", "_patterns")

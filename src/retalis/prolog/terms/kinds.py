@@ -39,6 +39,10 @@ class Atom:
     """A constant; made by `atom`, which gives the same object for the same name.
 
     ``functor`` is the `Functor` of the name and arity 0, made when it is asked for.
+
+    >>> (solution,) = Engine().query("X = red")
+    >>> solution["X"].name, isinstance(solution["X"], Atom), solution["X"] is atom("red")
+    ('red', True, True)
     """
 
     __slots__ = ("name", "functor", "__weakref__")
@@ -62,7 +66,12 @@ class Atom:
 class Functor:
     """Name and arity of a compound term; made by `functor`, one object for each pair.
 
-    Call it to build a term: ``functor("point", 2)(1, 2)``.
+    Call it to build a term. The term is a tuple that begins with it:
+
+    >>> point = functor("point", 2)
+    >>> term = point(1, 2)
+    >>> term[0] is point, term[0].name, term[1:]
+    (True, 'point', (1, 2))
     """
 
     __slots__ = ("name", "arity", "__weakref__")
@@ -85,7 +94,11 @@ class Functor:
 
 
 class String:
-    """A Prolog string: text that is not an atom. Equal strings are equal terms."""
+    """A Prolog string: text that is not an atom. Equal strings are equal terms.
+
+    >>> Engine().show(String("two words"))
+    '"two words"'
+    """
 
     __slots__ = ("text",)
 
@@ -103,7 +116,14 @@ class String:
 
 
 class Var:
-    """A logic variable: ``ref`` is None while it is unbound, the term it stands for afterwards."""
+    """A logic variable: ``ref`` is None while it is unbound, the term it stands for afterwards.
+
+    >>> engine = Engine()
+    >>> engine.load(rules="near(kitchen, hall). near(garden, hall).")
+    >>> goal = functor("near", 2)(Var(), atom("hall"))
+    >>> [engine.show(found["_0"]) for found in engine.query(goal)]
+    ['kitchen', 'garden']
+    """
 
     __slots__ = ("ref", "serial")
 
@@ -153,6 +173,15 @@ if not TYPE_CHECKING or sys.version_info >= (3, 9):
     Term = Union[int, float, Atom, String, Var, Lazy, CompoundTerm]
 else:  # the last mypy for Python 3.8 cannot tell the kind of a term by its class
     Term = Any
+"""What programs, events and messages are made of.
+
+>>> def is_hot(term: Term) -> bool:
+...     return isinstance(term, tuple) and term[0].name == "fire"
+>>> is_hot(functor("fire", 1)(atom("kitchen"))), is_hot(atom("kitchen"))
+(True, False)
+
+What callbacks and queries get is looked at through `deref`, which makes what is made only when somebody asks.
+"""
 
 Values = Tuple[Term, ...]
 """Arguments of a goal, or what the variables of a clause or a rule stand for."""
@@ -204,7 +233,11 @@ _serials = count(1)
 
 
 def functor(name: str, arity: int) -> Functor:
-    """Return the one `Functor` of this name and arity; as atoms, those that nothing holds are forgotten."""
+    """Return the one `Functor` of this name and arity; as atoms, those that nothing holds are forgotten.
+
+    >>> Engine().show(functor("point", 2)(1, 2))
+    'point(1,2)'
+    """
     try:
         found: Optional[Functor] = _functors[name, arity]()
     except KeyError:
@@ -236,6 +269,9 @@ def atom(name: str) -> Atom:
     """Return the one `Atom` of this name.
 
     Atoms that no term holds any more are forgotten: texts of messages do not pile up.
+
+    >>> atom("kitchen") is atom("kitchen")
+    True
     """
     try:
         found: Optional[Atom] = _atoms[name]()
@@ -285,7 +321,14 @@ COLON = functor(":", 2)
 
 
 def deref(term: Term) -> Term:
-    """Follow bound variables and make a lazy term: the result is neither, or an unbound variable."""
+    """Follow bound variables and make a lazy term: the result is neither, or an unbound variable.
+
+    >>> definitions = Definitions()
+    >>> scan = definitions.add("my_robot/Scan", "float32[] ranges")
+    >>> term = definitions.decoder(scan).lazy(bytes(4))
+    >>> isinstance(term, tuple), isinstance(deref(term), tuple)
+    (False, True)
+    """
     while True:
         kind = term.__class__
         if kind is Var:

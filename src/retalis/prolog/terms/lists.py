@@ -8,7 +8,11 @@ from .steps import ROUNDS
 
 
 def make_list(items: Iterable[Term], tail: Term = NIL) -> Term:
-    """Return the Prolog list of ``items``."""
+    """Return the Prolog list of ``items``.
+
+    >>> Engine().show(make_list([1, atom("b")]))
+    '[1,b]'
+    """
     left = list(items)
     while len(left) > len(BULK):
         for item in reversed(left[-len(BULK) :]):
@@ -21,7 +25,12 @@ def make_list(items: Iterable[Term], tail: Term = NIL) -> Term:
 
 
 def list_items(term: Term) -> Optional[List[Term]]:
-    """Return the items of a proper list, or None where ``term`` is none (partial lists included)."""
+    """Return the items of a proper list, or None where ``term`` is none (partial lists included).
+
+    >>> (solution,) = Engine().query("X = [1, 2], Y = [1|_]")
+    >>> list_items(solution["X"]), list_items(solution["Y"])
+    ([1, 2], None)
+    """
     items, tail = list_parts(term)
     return items if tail is NIL else None
 
