@@ -2,14 +2,12 @@
 
 import ast
 import re
-from pathlib import Path
 
 import pytest
+from source import ROOT, SOURCE, TREES
 
 pytestmark = pytest.mark.docs
 
-ROOT = Path(__file__).resolve().parent.parent
-SOURCE = ROOT / "src" / "retalis"
 PAGE = ROOT / "docs" / "architecture.md"
 QUOTED = re.compile(r"`([^`\n]+)`")
 NO_NAMES = {
@@ -36,8 +34,8 @@ PATHS, NAMES = quoted()
 def names():
     """Return the names that the package's files define; those of a class also with its name before them."""
     found = set()
-    for path in SOURCE.rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for tree in TREES.values():
+        for node in ast.walk(tree):
             if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
                 found.add(node.name)
             if isinstance(node, ast.ClassDef):

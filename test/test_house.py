@@ -1,16 +1,11 @@
 """The house: rooms import downwards only, and of each other only what a room hands on."""
 
 import ast
-import importlib.util
 import re
-from pathlib import Path
 
 import pytest
+from source import ROOT, house
 
-ROOT = Path(__file__).resolve().parents[1]
-_spec = importlib.util.spec_from_file_location("house", str(ROOT / "docs" / "house.py"))
-house = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(house)
 MODULES, ROOMS, WINGS, CROSSINGS = house.MODULES, house.ROOMS, house.WINGS, house.CROSSINGS
 
 ORDER = (

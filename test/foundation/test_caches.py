@@ -1,14 +1,11 @@
 """Caches hold no more than they may, and all caches of the package are known here, with what bounds them."""
 
 import ast
-from pathlib import Path
 
-import pytest
+from source import TREES
 
 from retalis.foundation import Cache, Texts
 from retalis.foundation.caches import ENTRY
-
-SOURCE = Path(__file__).resolve().parents[2] / "src" / "retalis"
 
 DECORATED = {
     ("messages/arrays.py", "array_maker"): "one entry for each of the 13 number types",
@@ -62,13 +59,11 @@ def test_texts_are_made_once_where_they_are_short():
     assert made == ["a", "b" * 1000, "b" * 1000]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("path", sorted(SOURCE.rglob("*.py")), ids=lambda path: path.name)
-def test_each_cache_of_a_function_is_known_and_bounded(path):
-    tree = ast.parse(path.read_text())
+def test_each_cache_of_a_function_is_known_and_bounded():
     found = {
-        (path.relative_to(SOURCE).as_posix(), node.name)
+        (path, node.name)
+        for path, tree in TREES.items()
         for node in ast.walk(tree)
         if isinstance(node, ast.FunctionDef) and any("cache" in ast.dump(one) for one in node.decorator_list)
     }
-    assert found == {key for key in DECORATED if SOURCE / key[0] == path}
+    assert found == set(DECORATED)

@@ -55,12 +55,14 @@ def test_what_counts(found, act):
     assert found[act][1].startswith(detail)
 
 
+@pytest.mark.slow
 def test_a_process_that_dies_of_its_input(found):
     what, detail = found["crash"]
     assert what == "died (-6)"
     assert "bad.py" in detail
 
 
+@pytest.mark.slow
 def test_a_step_that_no_handler_can_end(found):
     what, detail = found["endless"]
     assert what == "hang"

@@ -1,13 +1,10 @@
 """State has one owner: what is being served is set in the room of the dispatcher and nowhere else."""
 
 import ast
-from pathlib import Path
 
 import pytest
+from source import TREES
 
-import retalis
-
-SOURCE = Path(retalis.__file__).parent
 OWNERS = {
     "current": "events/dispatch/",
     "cause": "events/dispatch/",
@@ -25,9 +22,6 @@ def assigned(tree):
 
 @pytest.mark.parametrize("name", OWNERS)
 def test_only_the_owner_sets_it(name):
-    setting = set()
-    for path in SOURCE.rglob("*.py"):
-        if name in set(assigned(ast.parse(path.read_text(encoding="utf-8")))):
-            setting.add(path.relative_to(SOURCE).as_posix())
+    setting = {path for path, tree in TREES.items() if name in assigned(tree)}
     assert setting
     assert all(path.startswith(OWNERS[name]) for path in setting), setting
