@@ -157,24 +157,23 @@ IN_ORDER = ["recent", "recent_2", "chronological", "unrestricted"]
 def test_a_side_of_a_sequence_that_is_there_after_all_meets_what_it_could_have_met(
     rules, stream, expected, policy
 ):
-    assert fired(rules, stream, policy, ["revision_flag"]) == expected
+    assert revised(rules, stream, policy) == expected
 
 
 def test_a_second_side_that_is_used_up_is_not_there_for_a_first_side_set_free():
     rules = "o(X) <- (a(X) fnot c(X)) seq d."
-    assert fired(rules, "c(1)@1 a(1)@2 a(2)@3 d@4 rev(c(1))@5", "recent", ["revision_flag"]) == "o(2)@3-4"
+    assert revised(rules, "c(1)@1 a(1)@2 a(2)@3 d@4 rev(c(1))@5", "recent") == "o(2)@3-4"
     stream = "c(1)@1 a(1)@2 a(2)@3 d@4 d@5 rev(c(1))@6"
-    assert fired(rules, stream, "recent", ["revision_flag"]) == "o(2)@3-4 o(1)@2-5"
-    assert fired(rules, stream + " d@7", "recent", ["revision_flag"]) == "o(2)@3-4 o(1)@2-5"
+    assert revised(rules, stream, "recent") == "o(2)@3-4 o(1)@2-5"
+    assert revised(rules, stream + " d@7", "recent") == "o(2)@3-4 o(1)@2-5"
 
 
 def test_what_a_run_results_in_again_takes_the_place_of_its_old_results():
     rules = "o(S) <- (s seq aggregate(max(V), a(V), S)) seq e."
     stream = "s@1 a(5)@2 a(2)@3 e@4 rev(a(5))@5"
-    assert fired(rules, stream, "recent", ["revision_flag"]) == "o(5)@1-4 rev(o(5))@5-5 o(2)@1-4"
+    assert revised(rules, stream, "recent") == "o(5)@1-4 rev(o(5))@5-5 o(2)@1-4"
     assert (
-        fired(rules, stream + " rev(a(2))@6", "recent", ["revision_flag"])
-        == "o(5)@1-4 rev(o(5))@5-5 o(2)@1-4 rev(o(2))@6-6"
+        revised(rules, stream + " rev(a(2))@6", "recent") == "o(5)@1-4 rev(o(5))@5-5 o(2)@1-4 rev(o(2))@6-6"
     )
 
 

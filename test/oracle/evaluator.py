@@ -5,7 +5,7 @@ operand place. Comments name the sentence of the language's definition that the 
 """
 
 from dataclasses import replace
-from typing import Any, Callable, Dict, FrozenSet, Iterable, List, Optional, Sequence, Set, Tuple
+from typing import Any, Callable, Dict, FrozenSet, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
 
 from retalis.prolog.terms import Term, copy
 
@@ -32,6 +32,15 @@ from .repetition import Repetitions
 
 Fit = Callable[[Match, Match], Optional[Match]]
 """The test of a pair: the match that the two sides make, or None."""
+
+
+class Sides(NamedTuple):
+    """The matches of two sides: those that an event has completed on each, and those that wait on each."""
+
+    lefts: List[Match]
+    rights: List[Match]
+    p_waiting: List[Match]
+    q_waiting: List[Match]
 
 
 class RuleState(Repetitions):
@@ -124,28 +133,23 @@ class RuleState(Repetitions):
 
     def two_sided(self, node: Both, event: Event, tests: List[Test], cnot: Optional[Cnot]) -> List[Match]:
         """Return the pairs that an event completes."""
-        lefts = self.arrive(node.left, event)
-        rights = self.arrive(node.right, event)
-        p_waiting = self.waiting.setdefault((node, "left"), [])
-        q_waiting = self.waiting.setdefault((node, "right"), [])
+        sides = Sides(
+            self.arrive(node.left, event),
+            self.arrive(node.right, event),
+            self.waiting.setdefault((node, "left"), []),
+            self.waiting.setdefault((node, "right"), []),
+        )
 
         def fit(p: Match, q: Match) -> Optional[Match]:
             return self.fit(node, p, q, tests, cnot)
 
         if node.kind in EITHER_ORDER:
-            return self._either_order(node, lefts, rights, p_waiting, q_waiting, fit)
-        return self._in_order(node, lefts, rights, p_waiting, q_waiting, fit)
+            return self._either_order(node, sides, fit)
+        return self._in_order(node, sides, fit)
 
-    def _in_order(
-        self,
-        node: Both,
-        lefts: List[Match],
-        rights: List[Match],
-        p_waiting: List[Match],
-        q_waiting: List[Match],
-        fit: Fit,
-    ) -> List[Match]:
+    def _in_order(self, node: Both, sides: Sides, fit: Fit) -> List[Match]:
         """Policies, for seq and its like: an event that fits both sides completes first, then waits."""
+        lefts, rights, p_waiting, q_waiting = sides
         results: List[Match] = []
         for_all = node.kind == "forall_seq"
         for q in rights:
@@ -174,19 +178,14 @@ class RuleState(Repetitions):
         return results
 
     def _either_order(  # noqa: C901 - one case after the other, as the semantics say it
-        self,
-        node: Both,
-        lefts: List[Match],
-        rights: List[Match],
-        p_waiting: List[Match],
-        q_waiting: List[Match],
-        fit: Fit,
+        self, node: Both, sides: Sides, fit: Fit
     ) -> List[Match]:
         """Take the sides in either order of arrival.
 
         Composed sides come first, left before right, each completing or waiting; then the event itself where it
         is a side.
         """
+        lefts, rights, p_waiting, q_waiting = sides
         results: List[Match] = []
 
         def as_left(p: Match) -> bool:

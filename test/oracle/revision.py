@@ -20,7 +20,7 @@ from retalis.prolog.terms import Term, copy, functor
 from .conditions import Test
 from .declarative import Combinations, Found, has_outer_absence
 from .declarative import defined_for as defined_without_state
-from .evaluator import Fit, RuleState
+from .evaluator import Fit, RuleState, Sides
 from .goals import first, instance, show
 from .matches import Event, Match, Run
 from .patterns import Both, Cnot, Fnot, Pattern, Rule, Within, take_out_subpatterns, walk
@@ -234,18 +234,10 @@ class RevisedState(RuleState):
         suppressed += rejected
         return [match for match in candidates if match not in rejected]
 
-    def _in_order(
-        self,
-        node: Both,
-        lefts: List[Match],
-        rights: List[Match],
-        p_waiting: List[Match],
-        q_waiting: List[Match],
-        fit: Fit,
-    ) -> List[Match]:
+    def _in_order(self, node: Both, sides: Sides, fit: Fit) -> List[Match]:
         """As always; where revision has set a side free, the others are those that it could have met."""
         if self.out_of_order:
-            return super()._in_order(node, lefts, rights, p_waiting, q_waiting, fit)
+            return super()._in_order(node, sides, fit)
         passed = self.passed.setdefault(node, [])
 
         def in_order(p: Match, q: Match) -> Optional[Match]:
@@ -254,7 +246,7 @@ class RevisedState(RuleState):
         results: List[Match] = []
 
         def second(q: Match) -> None:
-            found = super(RevisedState, self)._in_order(node, [], [q], p_waiting, q_waiting, in_order)
+            found = super(RevisedState, self)._in_order(node, sides._replace(lefts=[], rights=[q]), in_order)
             passed.append(Passed(q, [match.numbers for match in found]))
             results.extend(found)
 
@@ -262,12 +254,12 @@ class RevisedState(RuleState):
             found = self._later(node, p, passed, fit) if self.reviving else []
             results.extend(found)
             if not found or not (self.consuming or node.kind == "forall_seq"):
-                super(RevisedState, self)._in_order(node, [p], [], p_waiting, q_waiting, fit)
+                super(RevisedState, self)._in_order(node, sides._replace(lefts=[p], rights=[]), fit)
 
-        sides = [*((q, second) for q in rights), *((p, first_one) for p in lefts)]
+        coming = [*((q, second) for q in sides.rights), *((p, first_one) for p in sides.lefts)]
         if self.reviving:  # as they came
-            sides.sort(key=lambda side: max(side[0].numbers))
-        for match, take in sides:
+            coming.sort(key=lambda one: max(one[0].numbers))
+        for match, take in coming:
             take(match)
         return results
 

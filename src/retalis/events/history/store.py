@@ -6,7 +6,7 @@ from collections import deque
 from typing import Deque, Iterator, List, Optional, Tuple
 
 from ...foundation import RetalisError, UsageError
-from ...prolog.database import Predicate
+from ...prolog.database import Predicate, functor_of
 from ...prolog.machine import Frame, Machine
 from ...prolog.terms import (
     SLASH,
@@ -119,18 +119,10 @@ class Store:
         return any(_names(deref(head[1]), term) for head in heads if head.__class__ is tuple)
 
 
-def _functor_of(event: Term) -> Functor:
-    if event.__class__ is tuple:
-        key: Functor = event[0]
-        return key
-    assert event.__class__ is Atom
-    return event.functor
-
-
 def _names(pattern: Term, event: Term) -> bool:
     """Tell whether ``Name/Arity`` (either may be open) or an event pattern fits an event."""
     if pattern.__class__ is tuple and pattern[0] is SLASH:
-        key = _functor_of(event)
+        key = functor_of(event)
         name, arity = deref(pattern[1]), deref(pattern[2])
         return (name.__class__ is Var or (name.__class__ is Atom and name.name == key.name)) and (
             arity.__class__ is Var or arity == key.arity

@@ -348,7 +348,7 @@ def _repeat(machine: Machine) -> Controls:
 
 
 def functor_of(head: Term) -> Functor:
-    """Return the functor of the head of a clause."""
+    """Return the functor of an atom or a compound: of a clause's head, of an event."""
     if head.__class__ is tuple:
         key: Functor = head[0]
         return key
