@@ -1,7 +1,8 @@
 """The engine: a program, the events that it takes, and what its subscribers get."""
 
 from .callbacks import OnEvent, OnOutput
-from .engine import Engine, parts_of
+from .core import parts_of
+from .engine import Engine
 from .settings import Settings
 
 __all__ = [

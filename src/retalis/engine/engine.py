@@ -1,64 +1,25 @@
 """The engine: a program, the events that it takes, and what its subscribers get."""
 
-from contextlib import closing
 from pathlib import Path
-from typing import (
-    Callable,
-    Collection,
-    Dict,
-    Iterator,
-    List,
-    NamedTuple,
-    Optional,
-    Tuple,
-    TypeVar,
-    Union,
-)
+from typing import Callable, Collection, Dict, Iterator, List, Optional, Tuple, TypeVar, Union
 
-from ..events.dispatch import Dispatcher, Stage
-from ..events.knowledge import Knowledge
-from ..events.program import (
-    GOALS,
-    MEGABYTE,
-    read_text,
-    unknown_memories,
-    unread_rules,
-    wrong_messages,
-)
-from ..events.rules import Rules, define_new_event
+from ..events.dispatch import Stage
+from ..events.program import GOALS, read_text, unknown_memories, unread_rules, wrong_messages
 from ..foundation import RuleError
 from ..messages import Definitions
-from ..prolog.foreign import define_foreign, define_use_foreign
-from ..prolog.logic import Logic
+from ..prolog.foreign import define_foreign
 from ..prolog.machine import Frame
 from ..prolog.syntax import Operators, read_term
-from ..prolog.terms import Functor, Term, Var, WholeSeconds, copy, timestamps, variables
+from ..prolog.terms import Functor, Term, Var, WholeSeconds, timestamps, variables
 from .callbacks import OnEvent, OnOutput
-from .intake import Intake
-from .ownfiles import REQUEST, OwnFiles
-from .runtime import Clock, EngineRecovery, Reports, Runner, StreamClock, Watchdog, watch
-from .settings import Settings
-from .textinput import TextInput
+from .core import EngineCore
+from .ownfiles import REQUEST
 
 Instant = Union[int, Term]
-
-
 Result = TypeVar("Result")
 
 
-class EngineParts(NamedTuple):
-    """What an engine is made of."""
-
-    logic: Logic
-    dispatcher: Dispatcher
-    rules: Rules
-    knowledge: Knowledge
-    reports: Reports
-    runner: Runner
-    watchdog: Watchdog
-
-
-class Engine:
+class Engine(EngineCore):
     """A running program.
 
     Events go in (`event`, `post`), outputs come out (`on_output`), questions are answered (`query`). Calls may
@@ -86,55 +47,15 @@ class Engine:
         reports: takes what goes wrong while events flow; by default it is logged.
     """
 
-    def __init__(
-        self,
-        clock: Optional[Clock] = None,
-        settings: Optional[Settings] = None,
-        reports: Optional[Reports] = None,
-    ):
-        followed = StreamClock() if clock is None else None  # somebody's own clock is moved by its owner
-        self.clock: Clock = clock or followed  # type: ignore[assignment]
-        self.settings = settings = Settings() if settings is None else settings
-        self._logic = Logic()
-        self._budget = budget = self._logic.machine.budget
-        self._logic.limits = settings.limits
-        self._logic.now = self.clock.now
-        self._dispatcher = Dispatcher(self._logic, max_depth=settings.max_depth)
-        self._reports = reports = Reports() if reports is None else reports
-        self._rules = Rules(self._logic, self._dispatcher, self.clock)
-        self._rules.on_error = reports.error
-        self._rules.on_warning = reports.warning
-        self._files = self._rules.files
-        self._files.door.allow(settings.folders, settings.write_folders)
-        self._files.door.most = settings.max_file_megabytes * MEGABYTE
-        self._knowledge = Knowledge(
-            self._logic, self._dispatcher, self.clock.stamp, self._deliver, reports.warning
-        )
-        self._knowledge.on_conditions = self._rules.note_conditions
-        recovery = EngineRecovery(self._logic, self._dispatcher, self._rules, self._knowledge)
-        self._runner = Runner(settings.queue, self._report_drop, reports.error, recovery, settings.patience)
-        budget.count_for(self._runner)
-        self._watchdog = watch(self._runner, self._logic, self._dispatcher, reports, settings.watchdog)
-        call = self._call_undisturbed if settings.allow_goals else None
-        self._intake = Intake(self._logic, self._dispatcher, self.clock, followed, self._start_anew)
-        self._take, self._message = (
-            self._intake.take,
-            self._intake.take_message,
-        )  # one step less for each event
-        self._text_input = TextInput(self._logic.operators, self._take, call, reports)
-        self._outputs: List[OnOutput] = []
-        self._own_files = OwnFiles(
-            self._logic, self._rules, self._runner, self._dispatcher, settings.limit_start, self._once
-        )
-        define_new_event(self._logic, self._dispatcher)
-        define_use_foreign(self._logic, self._runner, self._files, settings.allow_foreign)
-
     # ---- loading -------------------------------------------------------------------------------------
 
     def load(
         self, rules: str = "", goals: str = "", source: str = "text", folder: Optional[Path] = None
     ) -> None:
         """Load goals and then rules from texts.
+
+        >>> engine = Engine()
+        >>> engine.load(rules="alarm <- fire.", goals="memorize(fire, [], _, fires, 10)")
 
         Args:
             rules: an event file's text.
@@ -154,6 +75,8 @@ class Engine:
     def load_rules(self, text: str, source: str = "text", folder: Optional[Path] = None) -> None:
         """Load the text of an event file; see `load`.
 
+        >>> Engine().load_rules("alarm <- fire seq smoke.", "mine")
+
         Raises:
             ProgramErrors: all errors; nothing of the text is active then.
         """
@@ -161,6 +84,9 @@ class Engine:
 
     def load_program(self, folder: Union[str, Path]) -> None:
         """Call the goals of ``goalPredicates.txt`` in a program's folder; they name the rule files.
+
+        >>> engine = Engine()
+        >>> engine.load_program(folder)
 
         Raises:
             ProgramErrors: the goals that did not read, failed or raised; the others have been called.
@@ -172,6 +98,8 @@ class Engine:
     def call_goals(self, text: str, source: str, folder: Optional[Path] = None) -> None:
         """Call the goals of a goal file one after the other; see `load`.
 
+        >>> Engine().call_goals("memorize(fire, [], _, fires, 10)", "mine")
+
         Raises:
             ProgramErrors: all that did not read, failed or raised; the others have been called.
         """
@@ -179,6 +107,12 @@ class Engine:
 
     def add_foreign(self, *sources: object) -> List[Functor]:
         """Define Python functions that have the decorator `foreign`, and those of modules, as predicates.
+
+        >>> @foreign
+        ... def half(number: int) -> float:
+        ...     return number / 2
+        >>> Engine().add_foreign(half)
+        [functor('half', 2)]
 
         Returns:
             The functors of the predicates.
@@ -196,6 +130,10 @@ class Engine:
     ) -> None:
         """Take an event and return when all that follows from it is done.
 
+        >>> engine = Engine()
+        >>> engine.event("fire(kitchen)", 1.5, 2)
+        >>> engine.event(functor("fire", 1)(atom("hall")))
+
         Args:
             term: the event, as a term or its text.
             start: when it began: a stamp term or a number of seconds; by default now, by the clock.
@@ -210,11 +148,16 @@ class Engine:
         self.event_at(self._read(term), first, last)
 
     def event_at(self, term: Term, start: Optional[int], end: Optional[int]) -> None:
-        """Take an event whose interval is given as instants in nanoseconds; see `event`."""
+        """Take an event whose interval is given as instants in nanoseconds; see `event`.
+
+        >>> Engine().event_at(atom("fire"), 1_500_000_000, 2_000_000_000)
+        """
         self._runner.call(lambda: self._take(term, start, end), (term,))
 
     def post(self, term: Term, instant: Optional[int] = None) -> None:
         """Queue a message and return without waiting for others.
+
+        >>> Engine().post(functor("battery", 1)(87), 1_500_000_000)
 
         Args:
             term: the event, without variables.
@@ -230,15 +173,26 @@ class Engine:
         """Queue an event as other nodes send it: ``event(E)``, ``event(E,[T1,T2])`` or ``new_event(...)``.
 
         What is none of these is refused with a warning, unless the settings allow any goal.
+
+        >>> Engine().post_text("event(fire(kitchen), [1.5,2])")
         """
         self._runner.post(self._text_input.take, text)
 
     def advance(self) -> None:
-        """Do what has come due by the clock: alarms, and starting anew where it went back."""
+        """Do what has come due by the clock: alarms, and starting anew where it went back.
+
+        >>> engine = Engine(StreamClock())
+        >>> engine.clock.move_to(1_000_000_000)
+        >>> engine.advance()
+        """
         self._runner.post(self._intake.watch_clock)
 
     def call(self, goal: Union[str, Term]) -> bool:
         """Call a goal once; returns whether it has a solution.
+
+        >>> engine = Engine()
+        >>> engine.call("assertz(room(hall))"), engine.call("room(attic)")
+        (True, False)
 
         Raises:
             PrologError: what the goal raised.
@@ -248,6 +202,9 @@ class Engine:
 
     def query(self, goal: Union[str, Term], most: Optional[int] = None) -> List[Dict[str, Term]]:
         """Return the solutions of a goal, each as its variables' values by name.
+
+        >>> Engine().query("member(X, [1, 2, 3])", most=2)
+        [{'X': 1}, {'X': 2}]
 
         Raises:
             SyntaxFault: for a text that is not a term.
@@ -261,18 +218,12 @@ class Engine:
             names = {f"_{at}": var for at, var in enumerate(variables(goal))}
         return self.do(lambda: self._solutions(term, names, most), term)
 
-    def _solutions(self, term: Term, names: Dict[str, Var], most: Optional[int]) -> List[Dict[str, Term]]:
-        found: List[Dict[str, Term]] = []
-        with closing(self._logic.solutions(term)) as solutions:
-            for _ in solutions:
-                shared: Dict[Var, Term] = {}  # a variable in two values stays one variable
-                found.append({name: copy(value, shared) for name, value in names.items()})
-                if most is not None and len(found) >= most:
-                    break
-        return found
-
     def do(self, work: Callable[[], Result], what: Term = REQUEST) -> Result:
         """Do a piece of work on the engine while nothing else does; return its result.
+
+        >>> engine = Engine()
+        >>> engine.do(lambda: engine.call("assertz(door(open))") and engine.query("door(X)"))
+        [{'X': atom('open')}]
 
         Args:
             work: does it.
@@ -283,11 +234,24 @@ class Engine:
     # ---- what comes out ------------------------------------------------------------------------------
 
     def on_output(self, callback: OnOutput) -> None:
-        """Have ``callback`` called with term, topic and subscription id of each output."""
+        """Have ``callback`` called with term, topic and subscription id of each output.
+
+        >>> engine = Engine()
+        >>> engine.on_output(lambda term, topic, name: print(topic, engine.show(term)))
+        >>> engine.load(goals="subscribe(fire(_), [], _, alarms, a)")
+        >>> engine.event("fire(hall)", 1)
+        alarms fire(hall)
+        """
         self._outputs.append(callback)
 
     def on_event(self, callback: OnEvent) -> None:
-        """Have ``callback`` called with term, start and end of each event, in the order of dispatch."""
+        """Have ``callback`` called with term, start and end of each event, in the order of dispatch.
+
+        >>> engine = Engine()
+        >>> engine.on_event(lambda term, start, end: print(engine.show(term), end))
+        >>> engine.event("fire(hall)", 1)
+        fire(hall) 1000000000
+        """
 
         def observe(term: Term, values: Tuple[Term, ...], start: int, end: int, after: Frame) -> Frame:
             self._call_back("a callback of on_event", callback, term, start, end)
@@ -296,41 +260,79 @@ class Engine:
         self._dispatcher.listen(Stage.TRACE, Var(), observe)
 
     def show(self, term: Term) -> str:
-        """Return a term as text that reads back."""
+        """Return a term as text that reads back.
+
+        >>> Engine().show(functor("said", 1)(atom("Good day")))
+        "said('Good day')"
+        """
         return self._logic.show(term)
 
     def brief(self, term: Term) -> str:
-        """Return a term as errors show it: its beginning where it is long."""
+        """Return a term as errors show it: its beginning where it is long.
+
+        >>> len(Engine().brief(make_list(range(10000)))) < 1000
+        True
+        """
         return self._logic.brief(term)
 
     # ---- what is there -------------------------------------------------------------------------------
 
     @property
     def operators(self) -> Operators:
-        """The operators by which texts are read and written; a program may add to them."""
+        """The operators by which texts are read and written; a program may add to them.
+
+        >>> engine = Engine()
+        >>> engine.call("op(700, xfx, near)"), "near" in engine.operators
+        (True, True)
+        """
         return self._logic.operators
 
     def has_memory(self, name: Term) -> bool:
-        """Tell whether there is a memory with an id."""
+        """Tell whether there is a memory with an id.
+
+        >>> engine = Engine()
+        >>> engine.load(goals="memorize(fire, [], _, fires, 10)")
+        >>> engine.has_memory(atom("fires"))
+        True
+        """
         return self._knowledge.memories.find(name) is not None
 
     def has_subscription(self, topic: Term, name: Term) -> bool:
-        """Tell whether there is a subscription with a topic and an id."""
+        """Tell whether there is a subscription with a topic and an id.
+
+        >>> engine = Engine()
+        >>> engine.load(goals="subscribe(fire, [], _, alarms, a)")
+        >>> engine.has_subscription(atom("alarms"), atom("a"))
+        True
+        """
         return self._knowledge.subscriptions.has(topic, name)
 
     def delete_subscription(self, topic: Term, name: Term) -> bool:
-        """Delete the subscription with a topic and an id; return whether there was one."""
+        """Delete the subscription with a topic and an id; return whether there was one.
+
+        >>> Engine().delete_subscription(atom("alarms"), atom("a"))
+        False
+        """
         return self.do(lambda: self._knowledge.subscriptions.delete(topic, name))
 
     def summary(self) -> str:
-        """Say how many rules, memories and subscriptions there are."""
+        """Say how many rules, memories and subscriptions there are.
+
+        >>> Engine().summary()
+        '0 event rules, 0 memories, 0 subscriptions'
+        """
         return (
             f"{len(self._rules.rules)} event rules, {len(list(self._knowledge.memories))} memories, "
             f"{len(list(self._knowledge.subscriptions))} subscriptions"
         )
 
-    def doubts(self, folder: Path, definitions: Definitions, types: Collection[str]) -> Iterator[RuleError]:
+    def warnings(self, folder: Path, definitions: Definitions, types: Collection[str]) -> Iterator[RuleError]:
         """Yield a warning for each thing in the program that reads well and is probably not meant.
+
+        >>> engine = Engine()
+        >>> engine.load(rules="alarm <- fire where prev(fires, _, 1, 2, _).")
+        >>> [warning.message for warning in engine.warnings(folder, Definitions(), [])]
+        ['there is no memory fires yet']
 
         Args:
             folder: the program's own.
@@ -343,60 +345,9 @@ class Engine:
 
     @property
     def dropped(self) -> int:
-        """How many events were dropped because the queue was full."""
+        """How many events were dropped because the queue was full.
+
+        >>> Engine().dropped
+        0
+        """
         return self._runner.dropped
-
-    # ---- inside --------------------------------------------------------------------------------------
-
-    def _read(self, term: Union[str, Term]) -> Term:
-        return read_term(term, self._logic.operators, "text").term if isinstance(term, str) else term
-
-    def _once(self, goal: Term) -> bool:
-        """Call a goal once; where nothing else is under way nobody will undo its bindings: no trail of them stays."""
-        machine = self._logic.machine
-        outermost = not machine.trail and not machine.choices and self._dispatcher.current is None
-        try:
-            return self._logic.once(goal)
-        finally:
-            if outermost:
-                machine.trail.clear()
-
-    def _call_undisturbed(self, goal: Term) -> bool:
-        return self._dispatcher.undisturbed(lambda: self._once(goal))
-
-    def _start_anew(self) -> None:
-        """Forget what waits and what is remembered: time went back."""
-        self._knowledge.clear()
-        self._rules.clear()
-
-    def _deliver(self, term: Term, topic: str, name: Term) -> None:
-        for callback in self._outputs:
-            self._call_back("a callback of on_output", callback, term, topic, name)
-
-    def _call_back(self, what: str, callback: Callable[..., object], *arguments: object) -> None:
-        runner = self._runner
-        outer = runner.callback
-        runner.callback = (what,)
-        try:
-            callback(*arguments)
-        except Exception as error:  # a subscriber's own fault must not cut off what follows of the event
-            self._reports.error(error)
-        runner.callback = outer
-
-    def _report_drop(self, dropped: int) -> None:
-        self._reports.warning(
-            f"events come in faster than they can be processed: {dropped} dropped so far", "dropped"
-        )
-
-
-def parts_of(engine: Engine) -> EngineParts:
-    """Return what an engine is made of, for those rooms and tests that look inside; programs need none of it."""
-    return EngineParts(
-        engine._logic,  # noqa: SLF001
-        engine._dispatcher,  # noqa: SLF001
-        engine._rules,  # noqa: SLF001
-        engine._knowledge,  # noqa: SLF001
-        engine._reports,  # noqa: SLF001
-        engine._runner,  # noqa: SLF001
-        engine._watchdog,  # noqa: SLF001
-    )

@@ -97,7 +97,7 @@ class RetalisNode:
     def _lint(self, topics: Topics) -> None:
         kinds = {kind for _, kind in (*topics.subscribed, *topics.published)}
         definitions = Definitions(Installed(rosbags=False))  # which the node has no other need of
-        for warning in self.engine.doubts(self._parameters.program, definitions, kinds):
+        for warning in self.engine.warnings(self._parameters.program, definitions, kinds):
             rospy.logwarn("%s", warning)
 
     def _load(self) -> None:

@@ -91,6 +91,10 @@ class Playback:
     def run(self, bag: BagReader, progress: Callable[[int], object] = lambda done: None) -> Iterable[Output]:
         """Feed a bag and yield what the program publishes, as it does.
 
+        >>> with BagReader(folder / "talk.bag") as bag:
+        ...     print(len(list(Playback(folder, report=print).run(bag))))
+        1
+
         Args:
             bag: the messages, in the order of their receipt.
             progress: called with the number of messages read so far, after each.
@@ -98,7 +102,7 @@ class Playback:
         clock, outputs = self.clock, self._outputs
         self._learn_all(bag)
         kinds = {*self._types.values(), *self._published.values()}
-        for warning in self.engine.doubts(self._folder, self.definitions, kinds):
+        for warning in self.engine.warnings(self._folder, self.definitions, kinds):
             log.warning("%s", warning)
         wanted = {topic.name for topic in bag.topics if _plain(topic.name) in self._types}
         decoders = {id(topic): self._decoders.get(topic) for topic in bag.topics}

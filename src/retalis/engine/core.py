@@ -1,0 +1,141 @@
+"""What stands behind an engine: its parts, put together, and what they call."""
+
+from contextlib import closing
+from typing import Callable, Dict, List, NamedTuple, Optional, Union
+
+from ..events.dispatch import Dispatcher
+from ..events.knowledge import Knowledge
+from ..events.program import MEGABYTE
+from ..events.rules import Rules, define_new_event
+from ..prolog.foreign import define_use_foreign
+from ..prolog.logic import Logic
+from ..prolog.syntax import read_term
+from ..prolog.terms import Term, Var, copy
+from .callbacks import OnOutput
+from .intake import Intake
+from .ownfiles import OwnFiles
+from .runtime import Clock, EngineRecovery, Reports, Runner, StreamClock, Watchdog, watch
+from .settings import Settings
+from .textinput import TextInput
+
+
+class EngineParts(NamedTuple):
+    """What an engine is made of."""
+
+    logic: Logic
+    dispatcher: Dispatcher
+    rules: Rules
+    knowledge: Knowledge
+    reports: Reports
+    runner: Runner
+    watchdog: Watchdog
+
+
+class EngineCore:
+    """An engine without what users call; see `Engine`."""
+
+    def __init__(
+        self,
+        clock: Optional[Clock] = None,
+        settings: Optional[Settings] = None,
+        reports: Optional[Reports] = None,
+    ):
+        followed = StreamClock() if clock is None else None  # somebody's own clock is moved by its owner
+        self.clock: Clock = clock or followed  # type: ignore[assignment]
+        self.settings = settings = Settings() if settings is None else settings
+        self._logic = Logic()
+        self._budget = budget = self._logic.machine.budget
+        self._logic.limits = settings.limits
+        self._logic.now = self.clock.now
+        self._dispatcher = Dispatcher(self._logic, max_depth=settings.max_depth)
+        self._reports = reports = Reports() if reports is None else reports
+        self._rules = Rules(self._logic, self._dispatcher, self.clock)
+        self._rules.on_error = reports.error
+        self._rules.on_warning = reports.warning
+        self._files = self._rules.files
+        self._files.door.allow(settings.folders, settings.write_folders)
+        self._files.door.most = settings.max_file_megabytes * MEGABYTE
+        self._knowledge = Knowledge(
+            self._logic, self._dispatcher, self.clock.stamp, self._deliver, reports.warning
+        )
+        self._knowledge.on_conditions = self._rules.note_conditions
+        recovery = EngineRecovery(self._logic, self._dispatcher, self._rules, self._knowledge)
+        self._runner = Runner(settings.queue, self._report_drop, reports.error, recovery, settings.patience)
+        budget.count_for(self._runner)
+        self._watchdog = watch(self._runner, self._logic, self._dispatcher, reports, settings.watchdog)
+        call = self._call_undisturbed if settings.allow_goals else None
+        self._intake = Intake(self._logic, self._dispatcher, self.clock, followed, self._start_anew)
+        self._take, self._message = (
+            self._intake.take,
+            self._intake.take_message,
+        )  # one step less for each event
+        self._text_input = TextInput(self._logic.operators, self._take, call, reports)
+        self._outputs: List[OnOutput] = []
+        self._own_files = OwnFiles(
+            self._logic, self._rules, self._runner, self._dispatcher, settings.limit_start, self._once
+        )
+        define_new_event(self._logic, self._dispatcher)
+        define_use_foreign(self._logic, self._runner, self._files, settings.allow_foreign)
+
+    def _read(self, term: Union[str, Term]) -> Term:
+        return read_term(term, self._logic.operators, "text").term if isinstance(term, str) else term
+
+    def _once(self, goal: Term) -> bool:
+        """Call a goal once; where nothing else is under way nobody will undo its bindings: no trail of them stays."""
+        machine = self._logic.machine
+        outermost = not machine.trail and not machine.choices and self._dispatcher.current is None
+        try:
+            return self._logic.once(goal)
+        finally:
+            if outermost:
+                machine.trail.clear()
+
+    def _call_undisturbed(self, goal: Term) -> bool:
+        return self._dispatcher.undisturbed(lambda: self._once(goal))
+
+    def _start_anew(self) -> None:
+        """Forget what waits and what is remembered: time went back."""
+        self._knowledge.clear()
+        self._rules.clear()
+
+    def _deliver(self, term: Term, topic: str, name: Term) -> None:
+        for callback in self._outputs:
+            self._call_back("a callback of on_output", callback, term, topic, name)
+
+    def _call_back(self, what: str, callback: Callable[..., object], *arguments: object) -> None:
+        runner = self._runner
+        outer = runner.callback
+        runner.callback = (what,)
+        try:
+            callback(*arguments)
+        except Exception as error:  # a subscriber's own fault must not cut off what follows of the event
+            self._reports.error(error)
+        runner.callback = outer
+
+    def _report_drop(self, dropped: int) -> None:
+        self._reports.warning(
+            f"events come in faster than they can be processed: {dropped} dropped so far", "dropped"
+        )
+
+    def _solutions(self, term: Term, names: Dict[str, Var], most: Optional[int]) -> List[Dict[str, Term]]:
+        found: List[Dict[str, Term]] = []
+        with closing(self._logic.solutions(term)) as solutions:
+            for _ in solutions:
+                shared: Dict[Var, Term] = {}  # a variable in two values stays one variable
+                found.append({name: copy(value, shared) for name, value in names.items()})
+                if most is not None and len(found) >= most:
+                    break
+        return found
+
+
+def parts_of(engine: EngineCore) -> EngineParts:
+    """Return what an engine is made of, for those rooms and tests that look inside; programs need none of it."""
+    return EngineParts(
+        engine._logic,  # noqa: SLF001
+        engine._dispatcher,  # noqa: SLF001
+        engine._rules,  # noqa: SLF001
+        engine._knowledge,  # noqa: SLF001
+        engine._reports,  # noqa: SLF001
+        engine._runner,  # noqa: SLF001
+        engine._watchdog,  # noqa: SLF001
+    )
