@@ -36,6 +36,16 @@ def folder(tmp_path):
 
 
 PUBLIC = {name: getattr(retalis, name) for name in retalis.__all__}
+METHODS = {
+    f"{name}.{member}": getattr(one, member)
+    for name, one in PUBLIC.items()
+    if inspect.isclass(one)
+    for member, found in vars(one).items()
+    if not member.startswith("_") and (inspect.isroutine(found) or isinstance(found, (property, classmethod)))
+}
+"""What users call, beside the names themselves."""
+OF_THEIR_CLASS = {name for name in PUBLIC if name != "Engine"}
+"""Classes whose own examples may show their methods, each in its place."""
 
 
 def docstring(name, one):
@@ -63,6 +73,19 @@ def run(name, text, folder):
 @pytest.mark.parametrize("name", retalis.__all__)
 def test_each_name_has_an_example_that_is_true(name, folder):
     run(name, docstring(name, PUBLIC[name]), folder)
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_each_method_is_shown_by_an_example_that_is_true(name, folder):
+    home, _, member = name.partition(".")
+    text = inspect.getdoc(METHODS[name]) or ""
+    if home in OF_THEIR_CLASS and ">>>" not in text:
+        shown = [
+            line for line in docstring(home, PUBLIC[home]).splitlines() if line.startswith((">>>", "..."))
+        ]
+        assert any(f".{member}" in line for line in shown), "no example"
+    else:
+        run(name, text, folder)
 
 
 def test_type_checkers_see_the_names_that_programs_get():

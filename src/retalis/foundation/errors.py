@@ -57,12 +57,21 @@ class Place(NamedTuple):
 
     @property
     def character(self) -> str:
-        """What stands there; nothing at the end of a line."""
+        """What stands there; nothing at the end of a line.
+
+        >>> Place("mine", 1, 3, "a $ b").character
+        '$'
+        """
         at = self.column - 1 - self.before
         return self.text[at : at + 1]
 
     def context(self) -> str:
-        """Return the source line and, under it, a caret at the column."""
+        """Return the source line and, under it, a caret at the column.
+
+        >>> print(Place("mine", 1, 3, "a $ b").context())
+        a $ b
+          ^
+        """
         at = self.column - 1 - self.before
         lead = "".join("\t" if char == "\t" else " " for char in self.text[:at])
         return f"{self.text}\n{lead}^"
@@ -126,7 +135,11 @@ class RetalisError(Exception):
         return printable(f"{self.place}: {self.message}\n{self.place.context()}")
 
     def brief(self) -> str:
-        """Return the error in one line: message, line and column."""
+        """Return the error in one line: message, line and column.
+
+        >>> RetalisError("there is no such room", Place("mine", 1, 3, "a $ b")).brief()
+        'there is no such room (line 1, column 3)'
+        """
         if self.place is None:
             return printable(self.message)
         return printable(f"{self.message} (line {self.place.line}, column {self.place.column})")

@@ -53,6 +53,11 @@ class Decoder:
         """Return the term of a message, decoded when something looks at it.
 
         A message that is broken is found out only then.
+
+        >>> definitions = Definitions()
+        >>> decoder = definitions.decoder(definitions.add("my_robot/Bumper", "bool left"))
+        >>> Engine().show(decoder.lazy(bytes([1])))
+        'my_robot__0__Bumper(true)'
         """
         if not self.definition.fields:
             return self.decode(data)

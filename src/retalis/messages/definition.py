@@ -151,25 +151,45 @@ class Definition:
 
     @property
     def functor_name(self) -> str:
-        """The name of the type's event terms: ``pkg__0__Type``."""
+        """The name of the type's event terms: ``pkg__0__Type``.
+
+        >>> Definitions().find("std_msgs/String").functor_name
+        'std_msgs__0__String'
+        """
         return functor_name(self.name)
 
     @property
     def full_text(self) -> str:
-        """The text with those of all nested types, as it stands in connection headers and bags."""
+        """The text with those of all nested types, as it stands in connection headers and bags.
+
+        >>> definitions = Definitions()
+        >>> seen = definitions.add("my_robot/Seen", "Header header")
+        >>> "MSG: std_msgs/Header" in seen.full_text
+        True
+        """
         parts = [self.text]
         for nested in self.dependencies():
             parts.append(f"{SEPARATOR}\nMSG: {nested.name}\n{nested.text}")
         return "\n".join(parts)
 
     def dependencies(self) -> List["Definition"]:
-        """Return the definitions of all nested types, each once, in the order of their first use."""
+        """Return the definitions of all nested types, each once, in the order of their first use.
+
+        >>> definitions = Definitions()
+        >>> seen = definitions.add("my_robot/Seen", "Header header")
+        >>> [nested.name for nested in seen.dependencies()]
+        ['std_msgs/Header']
+        """
         found: Dict[str, Definition] = {}
         _collect(self, found)
         return list(found.values())
 
     def renamed(self, name: str) -> "Definition":
-        """Return the same definition under another name (``tf/tfMessage`` for ``tf2_msgs/TFMessage``)."""
+        """Return the same definition under another name (``tf/tfMessage`` for ``tf2_msgs/TFMessage``).
+
+        >>> Definitions().find("std_msgs/String").renamed("my_robot/Text").functor_name
+        'my_robot__0__Text'
+        """
         return Definition(name, self.fields, self.constants, self.text)
 
     def __repr__(self) -> str:

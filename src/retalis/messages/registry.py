@@ -119,6 +119,11 @@ class Definitions:
     def learn(self, name: str, sent: str, text: str, md5sum: str) -> Learned:
         """Return what reads the messages of a publisher as a type; see `received`.
 
+        >>> definitions = Definitions()
+        >>> learned = definitions.learn("my_robot/Bumper", "my_robot/Bumper", "bool left", "*")
+        >>> Engine().show(learned.decoder.decode(bytes([0])))
+        'my_robot__0__Bumper(false)'
+
         Raises:
             MessageError: where they are of another type, or what came with them is wrong.
         """
@@ -131,6 +136,9 @@ class Definitions:
 
         A type that is known stays what it is for everybody else: a publisher can describe its own messages, not
         others'.
+
+        >>> Definitions().received("my_robot/Bumper", "my_robot/Bumper", "bool left", "*").name
+        'my_robot/Bumper'
 
         Args:
             name: the type that is wanted.
@@ -153,6 +161,9 @@ class Definitions:
 
     def find(self, name: str) -> Definition:
         """Return the definition of ``pkg/Type``.
+
+        >>> Definitions().find("std_msgs/String").full_text.split()
+        ['string', 'data']
 
         Raises:
             MessageError: where it is found nowhere, or is wrong.
@@ -182,7 +193,13 @@ class Definitions:
         return found
 
     def encoder(self, definition: Union[Definition, str]) -> Encoder:
-        """Return the encoder of a type, compiled once."""
+        """Return the encoder of a type, compiled once.
+
+        >>> definitions = Definitions()
+        >>> bumper = definitions.add("my_robot/Bumper", "bool left")
+        >>> definitions.encoder(bumper) is definitions.encoder("my_robot/Bumper")
+        True
+        """
         definition = self.find(definition) if isinstance(definition, str) else definition
         key = (definition.name, definition.md5sum)
         found = self._encoders.get(key)
@@ -191,11 +208,23 @@ class Definitions:
         return found
 
     def installed_text(self, name: str) -> Optional[Tuple[str, str]]:
-        """Return the text of an installed type and where it was read, or None."""
+        """Return the text of an installed type and where it was read, or None.
+
+        >>> text, where = Definitions().installed_text("std_msgs/String")
+        >>> text.split()
+        ['string', 'data']
+        """
         return self._installed.text(name)
 
     def known(self, name: str) -> Optional[Definition]:
-        """Return an added or nested type without looking at what is installed."""
+        """Return an added or nested type without looking at what is installed.
+
+        >>> definitions = Definitions()
+        >>> definitions.known("my_robot/Bumper") is None
+        True
+        >>> definitions.add("my_robot/Bumper", "bool left") is definitions.known("my_robot/Bumper")
+        True
+        """
         return self._added.get(name) or self._nested.get(name)
 
 

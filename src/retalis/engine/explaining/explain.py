@@ -40,7 +40,13 @@ class ExplanationLine(NamedTuple):
     below: List["ExplanationLine"]
 
     def indented(self, depth: int = 0) -> Iterator[str]:
-        """Yield the line and all below it as text, two blanks more for each level."""
+        """Yield the line and all below it as text, two blanks more for each level.
+
+        >>> for line in ExplanationLine("the alarm", [ExplanationLine("the smoke", [])]).indented():
+        ...     print(line)
+        the alarm
+          the smoke
+        """
         yield "  " * depth + self.text
         for line in self.below:
             yield from line.indented(depth + 1)

@@ -99,6 +99,10 @@ class BagReader:
     def records(self, topics: Optional[Collection[str]] = None) -> Iterator[Record]:
         """Yield the messages in the order of their receipt.
 
+        >>> with BagReader(folder / "talk.bag") as bag:
+        ...     print([time for topic, time, data in bag.records()])
+        [1000000000]
+
         Args:
             topics: names of the topics wanted, with or without leading ``/``; all by default.
 
@@ -149,7 +153,11 @@ class BagReader:
             yield Record(topic, time, data)
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the file.
+
+        >>> bag = BagReader(folder / "talk.bag")
+        >>> bag.close()
+        """
         self._reader.close()
 
     def __enter__(self) -> "BagReader":
@@ -200,7 +208,11 @@ class BagWriter:
         self._writer.write(connection, time, data)
 
     def close(self) -> None:
-        """Write the index and close the file."""
+        """Write the index and close the file.
+
+        >>> bag = BagWriter(folder / "silence.bag")
+        >>> bag.close()
+        """
         self._writer.close()
 
     def __enter__(self) -> "BagWriter":

@@ -40,7 +40,11 @@ class Clock:
         self._order = count()
 
     def now(self) -> int:
-        """Return the present instant, and notice where time went back by more than `JUMP`."""
+        """Return the present instant, and notice where time went back by more than `JUMP`.
+
+        >>> Clock(lambda: 5_000_000_000).now()
+        5000000000
+        """
         instant = self._source()
         if instant >= self._newest:
             self._newest = instant
@@ -50,7 +54,12 @@ class Clock:
         return instant
 
     def stamp(self, now: Optional[int] = None) -> int:
-        """Return an instant for an event: now, but always after the last one given out."""
+        """Return an instant for an event: now, but always after the last one given out.
+
+        >>> clock = Clock(lambda: 5_000_000_000)
+        >>> clock.stamp(), clock.stamp()
+        (5000000000, 5000000001)
+        """
         instant = self.now() if now is None else now
         if instant <= self._last_stamp:
             instant = self._last_stamp + 1
@@ -58,7 +67,14 @@ class Clock:
         return WholeSeconds(instant)
 
     def stamp_at_once(self) -> Optional[int]:
-        """Return `stamp` of now, or None where alarms or time that went back have to be looked at first."""
+        """Return `stamp` of now, or None where alarms or time that went back have to be looked at first.
+
+        >>> clock = Clock(lambda: 5_000_000_000)
+        >>> clock.stamp_at_once()
+        5000000000
+        >>> clock.call_at(6_000_000_000, print)
+        >>> clock.stamp_at_once()
+        """
         instant = self._source()
         if self.alarms or self.behind or instant < self._newest:
             return None
@@ -69,15 +85,35 @@ class Clock:
         return WholeSeconds(instant)
 
     def call_at(self, instant: int, alarm: Alarm) -> None:
-        """Have ``alarm`` called with the instant when that has come."""
+        """Have ``alarm`` called with the instant when that has come.
+
+        >>> clock = StreamClock()
+        >>> clock.call_at(2_000_000_000, lambda instant: print("alarm at", instant))
+        >>> clock.move_to(3_000_000_000)
+        >>> Engine(clock).advance()
+        alarm at 2000000000
+        """
         heapq.heappush(self.alarms, (instant, next(self._order), alarm))
 
     def next_alarm(self) -> Optional[int]:
-        """Return the instant of the next alarm, or None."""
+        """Return the instant of the next alarm, or None.
+
+        >>> clock = Clock()
+        >>> clock.call_at(2_000_000_000, print)
+        >>> clock.next_alarm()
+        2000000000
+        """
         return self.alarms[0][0] if self.alarms else None
 
     def due(self, until: Optional[int] = None) -> Optional[Tuple[int, Alarm]]:
-        """Take and return the next alarm that is due now (or at ``until``); None where there is none."""
+        """Take and return the next alarm that is due now (or at ``until``); None where there is none.
+
+        >>> clock = Clock(lambda: 5_000_000_000)
+        >>> clock.call_at(2_000_000_000, print)
+        >>> instant, alarm = clock.due()
+        >>> instant, clock.due()
+        (2000000000, None)
+        """
         if not self.alarms:
             return None
         if self.alarms[0][0] > (self.now() if until is None else until):
@@ -86,7 +122,13 @@ class Clock:
         return instant, alarm
 
     def went_back(self) -> bool:
-        """Tell whether time has gone back by more than `JUMP` since the last call; the clock starts anew then."""
+        """Tell whether time has gone back by more than `JUMP` since the last call; the clock starts anew then.
+
+        >>> times = [5_000_000_000, 1_000_000_000, 1_000_000_000]
+        >>> clock = Clock(lambda: times.pop(0))
+        >>> clock.now(), clock.went_back()
+        (5000000000, True)
+        """
         self.now()
         if not self.behind:
             return False
@@ -94,7 +136,14 @@ class Clock:
         return True
 
     def reset(self) -> None:
-        """Drop the alarms and the memory of the last stamp."""
+        """Drop the alarms and the memory of the last stamp.
+
+        >>> clock = Clock(lambda: 5_000_000_000)
+        >>> clock.call_at(6_000_000_000, print)
+        >>> clock.reset()
+        >>> clock.alarms
+        []
+        """
         self.alarms.clear()
         self._last_stamp = -1
         self.behind = False
@@ -128,20 +177,47 @@ class StreamClock(Clock):
         """Have the clock say an instant from now on, whatever moves the stream's time.
 
         Events that it stamps come after that instant, 1 ns apart.
+
+        >>> clock = StreamClock()
+        >>> clock.pin(1_000_000_000)
+        >>> clock.move_to(2_000_000_000)
+        >>> clock.now()
+        1000000000
         """
         self._pinned = int(instant)
         self._last_stamp = max(self._last_stamp, self._pinned)
         self._time = max(self._time, self._pinned)
 
     def move_to(self, instant: int, back: bool = False) -> None:
-        """Move the stream's time forward; with ``back`` also backwards."""
+        """Move the stream's time forward; with ``back`` also backwards.
+
+        >>> clock = StreamClock(1_000_000_000)
+        >>> clock.move_to(500_000_000)
+        >>> clock.now()
+        1000000000
+        >>> clock.move_to(500_000_000, back=True)
+        >>> clock.now()
+        500000000
+        """
         if back or instant > self._time:
             self._time = int(instant)
 
     def move_by(self, nanoseconds: int) -> None:
-        """Let some of the stream's time pass."""
+        """Let some of the stream's time pass.
+
+        >>> clock = StreamClock(1_000_000_000)
+        >>> clock.move_by(500)
+        >>> clock.now()
+        1000000500
+        """
         self._time += nanoseconds
 
     def due(self, until: Optional[int] = None) -> Optional[Tuple[int, Alarm]]:
-        """Take and return the next alarm that is due by the stream's time."""
+        """Take and return the next alarm that is due by the stream's time.
+
+        >>> clock = StreamClock()
+        >>> clock.call_at(2_000_000_000, print)
+        >>> clock.due() is None, clock.due(until=2_000_000_000)[0]
+        (True, 2000000000)
+        """
         return super().due(self._time if until is None else until)

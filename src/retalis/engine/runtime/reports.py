@@ -40,6 +40,11 @@ class Reports:
         """Log an error of a program, or of the package itself with its traceback.
 
         Those of one ``kind`` (its place or message by default) count together.
+
+        >>> reports = Reports()
+        >>> reports.error(RuleError("there is no such room"))
+        >>> reports.errors
+        1
         """
         self.errors += 1
         if isinstance(error, RetalisError):
@@ -52,13 +57,24 @@ class Reports:
         """Log a warning; those of one ``kind`` (its place or text by default) count together.
 
         So many ``texts`` of a kind that read differently are logged in any case.
+
+        >>> reports = Reports()
+        >>> reports.warning("the battery is low")
+        >>> reports.warnings
+        1
         """
         self.warnings += 1
         key = kind or getattr(problem, "place", None) or str(problem)
         self._log(logging.WARNING, key, str(problem), texts)
 
     def sum_up(self) -> None:
-        """Say of all that came more often than was logged how often it came."""
+        """Say of all that came more often than was logged how often it came.
+
+        >>> reports = Reports()
+        >>> for _ in range(3):
+        ...     reports.warning("the battery is low")
+        >>> reports.sum_up()
+        """
         for kind in list(self._kinds.values()):
             if kind.times > kind.told:
                 kind.told = kind.times

@@ -42,7 +42,11 @@ class PrologError(RetalisError):
 
     @property
     def message(self) -> str:  # type: ignore[override]
-        """What went wrong, as text."""
+        """What went wrong, as text.
+
+        >>> PrologError(atom("too_hot")).message
+        'Unhandled exception: too_hot'
+        """
         return describe(self.term)
 
 

@@ -91,16 +91,30 @@ class Operators:
 
     @classmethod
     def prolog(cls) -> "Operators":
-        """Return a table with the operators of ISO Prolog, SWI-Prolog 9 and the event language."""
+        """Return a table with the operators of ISO Prolog, SWI-Prolog 9 and the event language.
+
+        >>> "seq" in Operators.prolog()
+        True
+        """
         return _standard().copy()
 
     @classmethod
     def iso(cls) -> "Operators":
-        """Return a table with the operators of ISO 13211-1 only."""
+        """Return a table with the operators of ISO 13211-1 only.
+
+        >>> "seq" in Operators.iso(), "mod" in Operators.iso()
+        (False, True)
+        """
         return _read_table(_ISO)
 
     def copy(self) -> "Operators":
-        """Return a table with the same operators, which changes by itself."""
+        """Return a table with the same operators, which changes by itself.
+
+        >>> operators = Operators.prolog()
+        >>> operators.copy().add(0, "yfx", "mod")
+        >>> "mod" in operators
+        True
+        """
         table = Operators()
         table.prefix = dict(self.prefix)
         table.infix = dict(self.infix)
@@ -109,6 +123,11 @@ class Operators:
 
     def add(self, priority: int, kind: str, name: str) -> None:
         """Define an operator, or remove it where ``priority`` is 0.
+
+        >>> operators = Operators.prolog()
+        >>> operators.add(700, "xfx", "near")
+        >>> operators.find("near")[0].priority
+        700
 
         Args:
             priority: 0 to 1200.
@@ -138,7 +157,11 @@ class Operators:
         return (self.prefix, 1) if kind in _PREFIX else (self.postfix, 1)
 
     def patterns(self) -> Dict[str, Operator]:
-        """Return the infix operators as they are in patterns, where ``*`` is ``seq`` and so on."""
+        """Return the infix operators as they are in patterns, where ``*`` is ``seq`` and so on.
+
+        >>> Operators.prolog().patterns()["*"].functor
+        functor('seq', 2)
+        """
         found = self._patterns
         if found is None:
             found = self._patterns = dict(self.infix)
@@ -148,7 +171,11 @@ class Operators:
         return found
 
     def find(self, name: str) -> List[Operator]:
-        """Return the definitions of a name: prefix, infix, postfix, those that there are."""
+        """Return the definitions of a name: prefix, infix, postfix, those that there are.
+
+        >>> [found.type for found in Operators.prolog().find("-")]
+        ['fy', 'yfx']
+        """
         tables = (self.prefix, self.infix, self.postfix)
         return [table[name] for table in tables if name in table]
 
