@@ -1,9 +1,12 @@
 """What holds of an engine that does nothing, whatever was interrupted before."""
 
-from threading import Thread
+from concurrent.futures import ThreadPoolExecutor
 
 from retalis.engine import parts_of
 from retalis.foundation import WATCH
+
+OTHER = ThreadPoolExecutor(1)
+"""Another thread."""
 
 
 def faults(engine):
@@ -44,9 +47,7 @@ def faults(engine):
 def others_are_served(runner):
     """Tell whether the work of another thread is done at once."""
     done = []
-    other = Thread(target=runner.post, args=(done.append, 1))
-    other.start()
-    other.join()
+    OTHER.submit(runner.post, done.append, 1).result()
     return bool(done)
 
 
