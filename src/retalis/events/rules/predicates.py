@@ -1,45 +1,31 @@
-"""The goals of the event language: rules, flags, files, streams, stored events."""
+"""The goals of the event language: rules, flags, files, stored events; those that fire are in `firing`."""
 
-from typing import Any, Callable, Dict, Hashable, Iterator, List, Optional, Sequence, Tuple
+from typing import Any, Dict, Hashable, Iterator, Sequence, Tuple
 
-from ...foundation import Errors, ProgramErrors, SyntaxFault, UsageError
+from ...foundation import UsageError
 from ...prolog.builtins import callable_of
 from ...prolog.logic import Logic
-from ...prolog.machine import (
-    Frame,
-    Machine,
-    PrologError,
-    domain_error,
-    existence_error,
-    instantiation_error,
-    type_error,
-)
-from ...prolog.syntax import read_program
+from ...prolog.machine import Machine, domain_error, existence_error, instantiation_error
 from ...prolog.terms import (
     CONS,
     Atom,
-    String,
     Term,
-    Values,
     Var,
     atom,
     copy,
     deref,
     freeze,
-    from_any,
     functor,
     interval_term,
     list_items,
-    make_list,
     resolve,
     shown,
     undo,
 )
 from ..history import solutions
+from .arguments import EVENT2, items_of, path_of
+from .firing import define_firing
 from .flags import FLAGS
-
-_EVENT1 = functor("event", 1)
-_EVENT2 = functor("event", 2)
 
 
 def define_predicates(rules: Any) -> None:
@@ -47,42 +33,8 @@ def define_predicates(rules: Any) -> None:
     logic = rules.logic
     _RuleGoals(rules).define(logic)
     _FlagGoals(rules).define(logic)
-    _FiringGoals(rules).define(logic)
+    define_firing(rules)
     _ListingGoals(rules).define(logic)
-
-
-def _path(term: Term) -> str:
-    term = deref(term)
-    if term.__class__ is Var:
-        raise instantiation_error()
-    if term.__class__ not in (Atom, String):
-        raise type_error("atom", term)
-    return str(term.name if term.__class__ is Atom else term.text)
-
-
-def _items(term: Term) -> List[Term]:
-    items = list_items(term)
-    if items is None:
-        raise type_error("list", term)
-    return items
-
-
-def _interval(term: Term) -> Tuple[int, int]:
-    """Return the interval of ``[T1,T2]``.
-
-    Raises:
-        PrologError: where it is none, or reversed.
-    """
-    stamps = list_items(term)
-    if stamps is None or len(stamps) != 2:
-        raise type_error("interval", term)
-    try:
-        start, end = from_any(stamps[0]), from_any(stamps[1])
-    except UsageError:
-        raise type_error("datime", term) from None
-    if end < start:
-        raise domain_error("interval", term)
-    return start, end
 
 
 def _each(machine: Machine, terms: Sequence[Term], found: Iterator[Tuple[Term, ...]]) -> Iterator[bool]:
@@ -130,7 +82,7 @@ class _RuleGoals:
         return True
 
     def load_file(self, machine: Machine, path: Term) -> bool:
-        self.rules.loader.load_file(_path(path))
+        self.rules.loader.load_file(path_of(path))
         return True
 
     def consult(self, machine: Machine, names: Term) -> bool:
@@ -148,7 +100,7 @@ class _RuleGoals:
         return True
 
     def load_terms(self, machine: Machine, terms: Term) -> bool:
-        self.rules.load_terms([(term, None) for term in _items(terms)])
+        self.rules.load_terms([(term, None) for term in items_of(terms)])
         return True
 
     def reset_db(self, machine: Machine) -> bool:
@@ -245,128 +197,6 @@ def _key(term: Term) -> Hashable:
         raise instantiation_error() from None
 
 
-class _FiringGoals:
-    """Goals that fire events: one, a list, a file."""
-
-    def __init__(self, rules: Any):
-        self.rules = rules
-
-    def define(self, logic: Logic) -> None:
-        logic.define_control("event", 1, self.event, at_once=True)
-        logic.define_control("event", 2, self.event, at_once=True)
-        logic.define_control("fire_event_list", 1, self.fire_list)
-        logic.define_control("fire_event_list_return_external_events", 2, self.fire_and_return)
-        logic.define_control("execute_event_stream_file", 1, self.execute_file)
-        logic.define("exists_file", 1, self.exists)
-
-    def event(self, machine: Machine, arguments: Sequence[Term], after: Frame) -> Optional[Frame]:
-        """Dispatch an event, with the interval given or stamped by the clock."""
-        term = callable_of(arguments[0])
-        interval: Optional[Term] = arguments[1] if len(arguments) == 2 else None
-        if interval is None and term.__class__ is tuple and term[0] is _EVENT2:
-            interval = term[2]
-            term = callable_of(term[1])
-        if interval is None:
-            start = end = self.rules.clock.stamp()
-        else:
-            start, end = _interval(interval)
-        found: Frame = self.rules.dispatcher.dispatch(term, start, end, after, own=False)
-        return found
-
-    def fire_list(self, machine: Machine, arguments: Sequence[Term], after: Frame) -> Optional[Frame]:
-        goals = list_items(arguments[0])
-        if goals is None:
-            self.rules.on_warning(
-                UsageError("fire_event_list takes a list; what it was given is fired as a single event")
-            )
-            goals = [callable_of(arguments[0])]
-        return self._each([copy(goal) for goal in goals], after)
-
-    def fire_and_return(self, machine: Machine, arguments: Sequence[Term], after: Frame) -> Optional[Frame]:
-        goals = [(_EVENT1, copy(item)) for item in _items(arguments[0])]
-        if not machine.unify(arguments[1], make_list([])):
-            return None
-        return self._each(goals, after)
-
-    def exists(self, machine: Machine, name: Term) -> bool:
-        files = self.rules.files
-        return bool(files.is_file(files.resolve(_path(name))))
-
-    def execute_file(self, machine: Machine, arguments: Sequence[Term], after: Frame) -> Optional[Frame]:
-        files = self.rules.files
-        path = files.resolve(_path(arguments[0]))
-        text = files.text(path)
-        goals: List[Term] = []
-        errors = Errors()
-        for read in read_program(text, self.rules.logic.operators, str(path)):
-            if isinstance(read, SyntaxFault):
-                errors.append(read)
-            else:
-                goals.append(read.term)
-        if errors:
-            raise ProgramErrors(errors)
-        return self._each(goals, after)
-
-    def _each(self, goals: Sequence[Term], after: Frame) -> Optional[Frame]:
-        """Return the frame that calls the goals in order; what fails or raises is reported, and the rest goes on."""
-        stream = _Stream(self.rules, goals)
-        return stream.run((stream, after))
-
-
-class _Stream:
-    """Code of a frame that calls the goals that are left."""
-
-    def __init__(self, rules: Any, goals: Sequence[Term]):
-        self.rules = rules
-        self.goals = iter(goals)
-        self.machine: Machine = rules.logic.machine
-        query = Var()
-        self.call = rules.logic.compile_goal((functor("call", 1), query), [query], [])
-
-    def run(self, frame: Frame) -> Optional[Frame]:
-        for goal in self.goals:
-            found: Optional[Frame] = self.machine.attempt(
-                self.call, (goal,), self._done(frame), (_FAILED, self, goal, frame), self._raised(goal)
-            )
-            return found
-        last: Frame = frame[1]
-        return last
-
-    def _done(self, frame: Frame) -> Callable[[Values], Frame]:
-        return lambda outputs: frame
-
-    def _raised(self, goal: Term) -> Callable[[PrologError], None]:
-        def report(error: PrologError) -> None:
-            self.goals = iter([_RAISED, *self.goals])
-            text = self.rules.logic.show(goal)
-            self.rules.on_error(UsageError(f"{text} in an event stream: {error.message}"))
-
-        return report
-
-
-_RAISED: Any = object()
-
-
-class _Failed:
-    """Code of the frame for a goal of a stream that failed (or raised, which is reported already)."""
-
-    @staticmethod
-    def run(frame: Frame) -> Frame:
-        after: Frame
-        _, stream, goal, after = frame
-        left = list(stream.goals)
-        if left and left[0] is _RAISED:
-            stream.goals = iter(left[1:])
-        else:
-            stream.goals = iter(left)
-            text = stream.rules.logic.show(goal)
-            stream.rules.on_error(UsageError(f"{text} in an event stream fails"))
-        return after
-
-
-_FAILED = _Failed()
-
-
 class _ListingGoals:
     """Goals that look at what is there."""
 
@@ -393,7 +223,7 @@ class _ListingGoals:
 
     def stored(self, machine: Machine, event: Term) -> Iterator[bool]:
         found = self.rules.store.stored()
-        stored = [((_EVENT2, term, interval_term(start, end)),) for term, start, end in found]
+        stored = [((EVENT2, term, interval_term(start, end)),) for term, start, end in found]
         return _each(machine, (event,), iter(stored))
 
     def justify(self, machine: Machine, event: Term, interval: Term, why: Term) -> Iterator[bool]:
