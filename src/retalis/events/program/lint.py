@@ -2,17 +2,7 @@
 
 from difflib import get_close_matches
 from pathlib import Path
-from typing import (
-    Collection,
-    Iterable,
-    Iterator,
-    List,
-    NamedTuple,
-    Optional,
-    Set,
-    Tuple,
-    Union,
-)
+from typing import Collection, Iterable, Iterator, List, NamedTuple, Optional, Set, Tuple, Union
 
 from ...foundation import Place, RuleError, UsageError
 from ...messages import Definitions, type_name
@@ -20,7 +10,7 @@ from ...prolog.terms import Atom, CompoundTerm, Functor, Term, deref, functor, l
 from ..language import Occurs, walk
 from .files import Files
 from .folder import GOALS, RULES, read_text
-from .loading import Loaded
+from .owners import Loaded
 
 _READS = frozenset(
     functor(name, arity)

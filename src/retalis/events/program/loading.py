@@ -2,23 +2,9 @@
 
 from os import PathLike
 from pathlib import Path
-from typing import (
-    Any,
-    Callable,
-    Dict,
-    Hashable,
-    List,
-    NamedTuple,
-    Optional,
-    Protocol,
-    Sequence,
-    Set,
-    Tuple,
-    Union,
-)
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple, Union
 
 from ...foundation import Errors, Place, ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
-from ...prolog.logic import Logic
 from ...prolog.machine import PrologError
 from ...prolog.syntax import Operators, Program, read_program
 from ...prolog.terms import Atom, Term, conjuncts, copy, deref, functor, list_items
@@ -29,6 +15,8 @@ from .directives import Directives
 from .files import Files
 from .forgotten import defined_in, fact_error
 from .libraries import LIBRARY, require_library
+from .owners import Loaded
+from .restoring import Beginning, Snapshot
 
 _INCLUDE = functor("include", 1)
 _OP = functor("op", 3)
@@ -61,55 +49,6 @@ class _Reading(NamedTuple):
     errors: Errors
 
 
-class Loaded(Protocol):
-    """What a file is loaded into.
-
-    Attributes:
-        warn_singletons: whether variables that stand in a clause only once are worth a warning.
-        serial: how many rules there have been.
-    """
-
-    warn_singletons: bool
-    serial: int
-
-    @property
-    def on_warning(self) -> Callable[[RetalisError], None]:
-        """Called with each warning."""
-
-    @property
-    def logic(self) -> Logic:
-        """Where clauses are kept."""
-
-    @property
-    def files(self) -> Files:
-        """The files of the program."""
-
-    @property
-    def rules(self) -> List[Rule]:
-        """The rules that take events."""
-
-    def terms(self) -> List[Term]:
-        """Return the rules as they were written, and the bodies of the program's clauses."""
-
-    def compile(self, definition: RuleDefinition) -> Rule:
-        """Build a rule without having it take events."""
-
-    def activate(self, rule: Rule) -> None:
-        """Have a rule take events."""
-
-    def remove(self, rule: Rule) -> None:
-        """Take a rule out, with its partial matches."""
-
-    def set_property(self, one: Property) -> None:
-        """Give a label a property."""
-
-    def all_properties(self) -> Dict[Hashable, List[Property]]:
-        """Return the properties of all labels."""
-
-    def restore_properties(self, properties: Dict[Hashable, List[Property]]) -> None:
-        """Have the labels have these properties and no others."""
-
-
 class Loader:
     """Loads event files into `Rules`."""
 
@@ -119,7 +58,7 @@ class Loader:
         self._directives = Directives(rules.logic)
         self._acting: List[CheckedProgram] = []
         """The files whose terms are being taken in, the outer ones first."""
-        self._begun: List[Union[_Beginning, _Snapshot]] = []
+        self._begun: List[Union[Beginning, Snapshot]] = []
         """What takes a load back that is under way; what comes after the first two is of loads inside it."""
 
     def note_calls(self, found: List[Unknown]) -> None:
@@ -301,16 +240,16 @@ class Loader:
     def _finish(self, accepted: Callable[[Errors], CheckedProgram], errors: Errors) -> None:
         """Check all of a program, then have it act; what is refused leaves nothing behind."""
         loaded = set(self._files.loaded)
-        before: Optional[_Snapshot] = None
+        before: Optional[Snapshot] = None
         outermost = not self._begun
         if outermost:
-            self._begun = [_Beginning(self._rules, loaded)]
+            self._begun = [Beginning(self._rules, loaded)]
         try:
             checked = accepted(errors)
             if errors:
                 raise ProgramErrors(_in_order(errors))
             if checked.may_stop_half_way:
-                before = _Snapshot(self._rules)
+                before = Snapshot(self._rules)
                 self._begun.append(before)
             self._act(checked)
         except RetalisError as error:
@@ -366,55 +305,6 @@ class Loader:
                     rules.on_warning(warning)
         for rule in accepted.rules:
             rules.activate(rule)
-
-
-class _Beginning:
-    """What there was before a load, of what costs little to note."""
-
-    def __init__(self, rules: Loaded, loaded: Set[Path]):
-        self._rules = rules
-        self._loaded = loaded
-        self._serial = rules.serial
-        self._properties = rules.all_properties()
-
-    def restore(self) -> None:
-        """Take back what has come since."""
-        rules = self._rules
-        for rule in list(rules.rules):
-            if rule.serial > self._serial:
-                rules.remove(rule)
-        rules.restore_properties(self._properties)
-        rules.files.loaded = self._loaded
-
-
-class _Snapshot:
-    """What the program was before a file was loaded: clauses, rules and properties."""
-
-    def __init__(self, rules: Loaded):
-        self._rules = rules
-        self._active = set(rules.rules)
-        found = list(rules.logic.database.predicates.values())
-        self._library = [predicate for predicate in found if predicate.library]
-        self._clauses = {predicate: set(predicate.live()) for predicate in found if predicate.kind == "user"}
-        self._properties = rules.all_properties()
-
-    def restore(self) -> None:
-        """Take back what has come since."""
-        rules = self._rules
-        for rule in list(rules.rules):
-            if rule not in self._active:
-                rules.remove(rule)
-        for predicate in self._library:
-            rules.logic.database.give_back(predicate)
-        for predicate in list(rules.logic.database.predicates.values()):
-            if predicate.kind == "user":
-                kept = self._clauses.get(predicate, ())
-                for clause in list(predicate.live()):
-                    if clause not in kept:
-                        predicate.remove(clause)
-                if not predicate.clauses and predicate not in self._clauses and not predicate.dynamic:
-                    predicate.kind = "undefined"
-        rules.restore_properties(self._properties)
 
 
 def _names(term: Term) -> List[str]:

@@ -1,0 +1,59 @@
+"""What files are loaded into, as those who load or check them know it."""
+
+from typing import Callable, Dict, Hashable, List, Protocol
+
+from ...foundation import RetalisError
+from ...prolog.logic import Logic
+from ...prolog.terms import Term
+from ..language import Property, RuleDefinition
+from ..network import Rule
+from .files import Files
+
+
+class Loaded(Protocol):
+    """What a file is loaded into.
+
+    Attributes:
+        warn_singletons: whether variables that stand in a clause only once are worth a warning.
+        serial: how many rules there have been.
+    """
+
+    warn_singletons: bool
+    serial: int
+
+    @property
+    def on_warning(self) -> Callable[[RetalisError], None]:
+        """Called with each warning."""
+
+    @property
+    def logic(self) -> Logic:
+        """Where clauses are kept."""
+
+    @property
+    def files(self) -> Files:
+        """The files of the program."""
+
+    @property
+    def rules(self) -> List[Rule]:
+        """The rules that take events."""
+
+    def terms(self) -> List[Term]:
+        """Return the rules as they were written, and the bodies of the program's clauses."""
+
+    def compile(self, definition: RuleDefinition) -> Rule:
+        """Build a rule without having it take events."""
+
+    def activate(self, rule: Rule) -> None:
+        """Have a rule take events."""
+
+    def remove(self, rule: Rule) -> None:
+        """Take a rule out, with its partial matches."""
+
+    def set_property(self, one: Property) -> None:
+        """Give a label a property."""
+
+    def all_properties(self) -> Dict[Hashable, List[Property]]:
+        """Return the properties of all labels."""
+
+    def restore_properties(self, properties: Dict[Hashable, List[Property]]) -> None:
+        """Have the labels have these properties and no others."""
