@@ -1,25 +1,14 @@
-"""Code for goals that are straight Python: they leave no choice point and call no predicate of the program."""
+"""Code for goals that are straight Python, alone, in order, and as tests.
 
-from typing import Dict, FrozenSet, List, Optional, Sequence, Set, Tuple
+They leave no choice point and call no predicate of the program.
+"""
 
-from ..terms import Atom, Term, Var, deref, variables
-from .expressions import number
-from .known import KnownFunction
-from .nodes import (
-    COMPARISONS,
-    KNOWN_ARG,
-    ORDERS,
-    TYPE_TESTS,
-    CallNode,
-    Cut,
-    Fail,
-    GoalNode,
-    IfThenElse,
-    Needed,
-    needed_by,
-)
+from typing import Dict, FrozenSet, List, Sequence, Set, Tuple
+
+from ..terms import Var
+from .calls import simple_test, write_call
+from .nodes import CallNode, Cut, Fail, GoalNode, IfThenElse, Needed, needed_by
 from .scope import Scope, ScopeState
-from .unification import differs, forget_fresh, match
 
 Missed = Tuple[Set[Needed], Set[Var]]
 
@@ -27,233 +16,13 @@ Missed = Tuple[Set[Needed], Set[Var]]
 def write_inline(scope: Scope, node: GoalNode) -> None:
     """Write an inline goal; it fails by the scope's fail statement."""
     if isinstance(node, CallNode):
-        _WRITERS[node.form](scope, node)
+        write_call(scope, node)
     elif isinstance(node, Cut):
         _cut(scope, node)
     elif isinstance(node, IfThenElse):
         _condition(scope, node)
     else:
         scope.line(scope.fail)
-
-
-def _unify(scope: Scope, node: CallNode) -> None:
-    left, right = deref(node.args[0]), deref(node.args[1])
-    if left.__class__ is not Var:
-        left, right = right, left
-    if left.__class__ is not Var:
-        _unify_terms(scope, left, right)
-        return
-    if left not in scope.names:
-        if right.__class__ is Var and right not in scope.names:
-            scope.names[left] = scope.names[right] = scope.create(right)
-            scope.fresh.discard(right)
-            return
-        if left not in variables(right):
-            scope.names[left] = scope.build(right)
-            if right.__class__ is not Var:
-                name = scope.clause.local(left)
-                scope.line(f"{name} = {scope.names[left]}")
-                scope.names[left] = name
-                if right.__class__ in (int, float) and right - right == 0:
-                    scope.numbers[left] = name, right.__class__.__name__
-            return
-    if right.__class__ is Var and right not in scope.names:
-        scope.names[right] = scope.local(left)
-        scope.fresh.discard(left)
-        return
-    scope.fresh.discard(left)
-    match(scope, scope.local(left), right)
-
-
-def _unify_terms(scope: Scope, left: Term, right: Term) -> None:
-    """Unify two terms that are both no variables: argument by argument."""
-    if left.__class__ is tuple and right.__class__ is tuple:
-        if left[0] is not right[0]:
-            scope.line(scope.fail)
-            return
-        scope.binds = True
-        scope.line(f"if not unify({scope.build(left)}, {scope.build(right)}, trail):")
-        scope.line(f"    {scope.fail}")
-        forget_fresh(scope, left)
-        forget_fresh(scope, right)
-    elif left.__class__ is not right.__class__ or not (left is right or left == right):
-        scope.line(scope.fail)
-
-
-def _is(scope: Scope, node: CallNode) -> None:
-    target = deref(node.args[0])
-    value, kind = number(scope, node.args[1])
-    if target.__class__ is Var and target not in scope.names:
-        if target in variables(node.args[1]):
-            scope.create(target)
-        elif value[0] in "tn":
-            scope.names[target] = value
-            scope.numbers[target] = value, kind
-            return
-        else:
-            name = scope.clause.local(target)
-            scope.line(f"{name} = {value}")
-            scope.names[target] = name
-            scope.numbers[target] = name, kind
-            return
-    name = scope.temp("p")
-    scope.line(f"{name} = {scope.build(target)}")
-    scope.binds = True
-    scope.dereference(name)
-    scope.line("if k is Var:")
-    scope.line(f"    {name}.ref = {value}")
-    scope.line(f"    push({name})")
-    scope.line(
-        f"elif k is not {value}.__class__ or not same({name}, {value}):"
-        if value[0] in "tn"
-        else f"elif {differs(deref(node.args[1]), name, value)}:"
-    )
-    scope.line(f"    {scope.fail}")
-
-
-def _builtin(scope: Scope, node: CallNode) -> None:
-    functional = scope.unit.database.predicate(node.key).functional
-    if functional is not None:
-        _function(scope, node, functional)
-        return
-    scope.line(f"if not {_builtin_call(scope, node)}:")
-    scope.line(f"    {scope.fail}")
-
-
-def _builtin_call(scope: Scope, node: CallNode) -> str:
-    scope.binds = True
-    args = "".join(f", {scope.build(arg)}" for arg in node.args)
-    for arg in node.args:
-        forget_fresh(scope, arg)
-    return f"{scope.unit.builtin(node.key)}(M{args})"
-
-
-def _function(scope: Scope, node: CallNode, functional: KnownFunction) -> None:
-    """Write a call for the outputs, and their unification; void variables are left alone."""
-    inputs = [node.args[at] for at in functional.inputs]
-    result = scope.temp()
-    call = scope.unit.constant(functional.function)
-    if node.key is KNOWN_ARG:
-        _argument(scope, result, call, *inputs)
-    else:
-        scope.line(f"{result} = {call}({', '.join([scope.build(arg) for arg in inputs])})")
-        scope.line(f"if {result} is None:")
-        scope.line(f"    {scope.fail}")
-    for arg in inputs:
-        forget_fresh(scope, arg)
-    for index, (at, show) in enumerate(zip(functional.outputs, functional.shows)):
-        arg = deref(node.args[at])
-        if arg.__class__ is Var and scope.clause.is_void(arg):
-            continue
-        value = result if functional.single else f"{result}[{index}]"
-        name = scope.temp("p")
-        scope.line(f"{name} = {value}" if show is None else f"{name} = {scope.unit.constant(show)}({value})")
-        if node.key is KNOWN_ARG and arg.__class__ is Var and arg in scope.names:
-            _bind_output(scope, arg, name)
-        else:
-            match(scope, name, arg)
-
-
-def _argument(scope: Scope, result: str, otherwise: str, number: Term, whole: Term) -> None:
-    """Write the look-up of an argument; what is not a compound term and an integer is left to the built-in."""
-    at, term = scope.build(number), _dereferenced(scope, whole)
-    tests = [f"{term}.__class__ is tuple", f"0 < {at} < len({term})"]
-    if deref(number).__class__ is not int:
-        tests.insert(1, f"{at}.__class__ is int")
-    scope.line(f"if {' and '.join(tests)}:")
-    scope.line(f"    {result} = {term}[{at}]")
-    scope.line("else:")
-    scope.line(f"    {result} = {otherwise}({at}, {term})")
-    scope.line(f"    if {result} is None:")
-    scope.line(f"        {scope.fail}")
-
-
-def _bind_output(scope: Scope, var: Var, value: str) -> None:
-    """Write the unification of a variable that is there already, most likely unbound, with a value."""
-    name = scope.names[var]
-    scope.binds = True
-    scope.fresh.discard(var)
-    scope.dereference(name)
-    scope.line(f"if k is Var and {value}.__class__ is not Var:")
-    scope.line(f"    {name}.ref = {value}")
-    scope.line(f"    push({name})")
-    scope.line(f"elif not unify({name}, {value}, trail):")
-    scope.line(f"    {scope.fail}")
-
-
-def _direct(scope: Scope, node: CallNode) -> None:
-    """Write a call of a predicate as a function, see `compiler.direct`."""
-    result = scope.temp()
-    scope.binds = True
-    args = ", ".join([scope.build(arg) for arg in node.args])
-    for arg in node.args:
-        forget_fresh(scope, arg)
-    direct = scope.unit.database.direct(node.key)
-    direct.prepare(node.once)
-    function = scope.unit.constant(direct)
-    scope.line(f"{result} = {function}.{'first' if node.once else 'only'}({args})")
-    scope.line(f"if not {result}:")
-    scope.line(f"    if {result} is None:")
-    scope.line(f"        {scope.give_up}")
-    scope.line(f"    {scope.fail}")
-
-
-def _test(scope: Scope, node: CallNode) -> None:
-    scope.line(f"if not ({simple_test(scope, node)}):")
-    scope.line(f"    {scope.fail}")
-
-
-def simple_test(scope: Scope, node: GoalNode) -> Optional[str]:
-    """Return the Python condition of a test that binds nothing, after writing what it needs; None for others."""
-    if not isinstance(node, CallNode):
-        return None
-    if node.form == "arithmetic":
-        left, _ = number(scope, node.args[0])
-        right, _ = number(scope, node.args[1])
-        return f"{left} {COMPARISONS[node.key]} {right}"
-    if node.form == "type":
-        return TYPE_TESTS[node.key].format(_dereferenced(scope, node.args[0]))
-    if node.form == "order":
-        return _order(scope, node)
-    return None
-
-
-def _dereferenced(scope: Scope, term: Term) -> str:
-    term = deref(term)
-    if term.__class__ is not Var:
-        name = scope.temp("p")
-        scope.line(f"{name} = {scope.build(term)}")
-        return name
-    name = scope.local(term)
-    if term not in scope.fresh:
-        scope.dereference(name)
-        scope.line("if k is Lazy:")
-        scope.line(f"    {name} = {name}.term()")
-    return name
-
-
-def _order(scope: Scope, node: CallNode) -> str:
-    left, right = deref(node.args[0]), deref(node.args[1])
-    operator = ORDERS[node.key]
-    if operator in ("== 0", "!= 0"):
-        if left.__class__ is Atom:
-            left, right = right, left
-        if right.__class__ is Atom:
-            name, word = _dereferenced(scope, left), "is" if operator == "== 0" else "is not"
-            return f"{name} {word} {scope.unit.constant(right)}"
-        return f"compare({scope.build(left)}, {scope.build(right)}, unlike) {operator}"
-    return f"compare({scope.build(left)}, {scope.build(right)}) {operator}"
-
-
-def _differ(scope: Scope, node: CallNode) -> None:
-    mark = scope.temp("m")
-    scope.line(f"{mark} = len(trail)")
-    scope.line(f"if unify({scope.build(node.args[0])}, {scope.build(node.args[1])}, trail):")
-    scope.line(f"    undo(trail, {mark})")
-    scope.line(f"    {scope.fail}")
-    scope.line(f"undo(trail, {mark})")
-    for arg in node.args:
-        forget_fresh(scope, arg)
 
 
 def _cut(scope: Scope, node: Cut) -> None:
@@ -387,15 +156,3 @@ def write_test(scope: Scope, test: List[GoalNode]) -> Missed:
     return set(scope.names) - known, {
         var for var, value in scope.numbers.items() if numbers.get(var) != value
     }
-
-
-_WRITERS = {
-    "unify": _unify,
-    "differ": _differ,
-    "is": _is,
-    "arithmetic": _test,
-    "order": _test,
-    "type": _test,
-    "builtin": _builtin,
-    "direct": _direct,
-}
