@@ -1,7 +1,7 @@
 """From the pattern of a rule to its nodes: which conditions are tested where, and how long a match can be of use."""
 
 from functools import partial
-from typing import Any, Dict, FrozenSet, List, NamedTuple, Optional, Sequence, Set, Tuple, TypeVar, Union
+from typing import Any, Dict, List, Optional, Sequence, Set, Tuple, TypeVar, Union
 
 from ...foundation import RuleError
 from ...prolog.database import CompiledGoal
@@ -21,11 +21,9 @@ from ..language import (
     Pattern,
     Repeated,
     Star,
-    Within,
     bound_by,
     occurrences,
     surely_bound_by,
-    walk,
 )
 from .conditions import RuleGoal, Test, goal_test
 from .deferred import Built, Deferred, Items, Negated, absence_of, deferred_test, early_test, ready_where
@@ -33,23 +31,24 @@ from .joining import Joining
 from .limits import UNLIMITED, Limit
 from .nodes import Acting, Alternatives, Capture, Filter, Leaf, NetworkNode, Never, Trying
 from .owners import RuleOwner
+from .parting import (
+    TestedCondition,
+    VarSet,
+    Wrapping,
+    in_goals,
+    may_be_revived,
+    meet,
+    served,
+    those_about_a_result_last,
+    unwrap,
+    used_twice,
+)
 from .repeating import Repeating
 from .runs import Running
 from .telling import Name, Telling
 
 _IS = functor("is", 2)
-VarSet = FrozenSet[Var]
-TestedCondition = Union[Condition, Deferred]
 N = TypeVar("N", bound=NetworkNode)
-
-
-class _Wrapping(NamedTuple):
-    """The conditions that belong to one operator, inner ones first."""
-
-    core: Pattern
-    span: Optional[int]
-    conditions: List[Condition]
-    absent: Optional[Absent]
 
 
 class RuleCompiler:
@@ -69,7 +68,7 @@ class RuleCompiler:
     def __init__(self, rule: RuleOwner, head: List[Term], pattern: Pattern):
         self.rule = rule
         self.pattern = pattern
-        self.keep = _used_twice(head, pattern)
+        self.keep = used_twice(head, pattern)
         self._counts = occurrences(head, pattern)
         self._telling = Telling(self.keep)
         self.nodes: List[Tuple[NetworkNode, Optional[int], Limit]] = []
@@ -100,9 +99,9 @@ class RuleCompiler:
             context: the variables of the patterns to its left.
             limit: the shortest interval bound above it; None for none.
         """
-        pairs: List[Tuple[Pair, _Wrapping, Limit]] = []
+        pairs: List[Tuple[Pair, Wrapping, Limit]] = []
         while True:
-            wrapping = _unwrap(pattern)
+            wrapping = unwrap(pattern)
             span = wrapping.span
             limit = inner = limit.within(span)
             core = wrapping.core
@@ -116,7 +115,7 @@ class RuleCompiler:
             built = self._joining(pair, wrapping, context, inner, built)
         return built
 
-    def _build_core(self, core: Pattern, wrapping: _Wrapping, context: VarSet, inner: Limit) -> Built:
+    def _build_core(self, core: Pattern, wrapping: Wrapping, context: VarSet, inner: Limit) -> Built:
         """Build what is not a pair of patterns."""
         if isinstance(core, (Star, Aggregate)):
             return self._running(core, wrapping, context, inner)
@@ -173,7 +172,7 @@ class RuleCompiler:
         self.nodes.append((node, span, limit))
         return node
 
-    def _filtered(self, built: Built, wrapping: _Wrapping, context: VarSet) -> Built:
+    def _filtered(self, built: Built, wrapping: Wrapping, context: VarSet) -> Built:
         """Put the conditions of an event, ``or`` or action after its node."""
         conditions, put_off = self._split(wrapping.conditions, wrapping.core, context)
         node = built.node
@@ -239,7 +238,7 @@ class RuleCompiler:
         """Have a node's interval carried on for a condition."""
         return self._add(Capture(node, one.start, one.end), None, UNLIMITED)
 
-    def _joining(self, core: Pair, wrapping: _Wrapping, context: VarSet, limit: Limit, left: Built) -> Built:
+    def _joining(self, core: Pair, wrapping: Wrapping, context: VarSet, limit: Limit, left: Built) -> Built:
         here = context | self._bound(core.left)
         right = self._build(core.right, here, limit)
         below = [*left.deferred, *right.deferred]
@@ -251,7 +250,7 @@ class RuleCompiler:
         negated: Optional[Negated] = None
         needs: Set[Var] = set()
         if wrapping.absent is not None:
-            inner = here | frozenset(bound_by(core.right)) | _in_goals(wrapping.conditions)
+            inner = here | frozenset(bound_by(core.right)) | in_goals(wrapping.conditions)
             negated = self._negated(wrapping.absent, inner, limit.of_negated(wrapping.span))
             known = set(left.node.vars) | set(right.node.vars)
             needs = negated.needs(inner, known) | negated.needs(context, sure)
@@ -265,10 +264,10 @@ class RuleCompiler:
             self.keep,
             gap,
             [(one.start, one.end) for one in put_off],
-            _meet(left, right),
+            meet(left, right),
             (self._named(left, core.left), self._named(right, core.right)),
         )
-        node.revived = (_may_be_revived(core.left), _may_be_revived(core.right))
+        node.revived = (may_be_revived(core.left), may_be_revived(core.right))
         self._add(node, wrapping.span, limit)
         if negated is not None and gap is None:
             built = negated.make()
@@ -277,7 +276,7 @@ class RuleCompiler:
         deferred += put_off
         if negated is not None and gap is not None:
             deferred += self._test_gap(node, Deferred(needs, None, False, (negated, False), *gap), conditions)
-        joined = _served(OPERATORS[core.operator].either, left, right)
+        joined = served(OPERATORS[core.operator].either, left, right)
         if negated is not None:
             joined += negated.first.leaves
         return Built(node, deferred, joined, [])
@@ -307,7 +306,7 @@ class RuleCompiler:
         self, node: Joining, one: Deferred, conditions: Sequence[TestedCondition]
     ) -> List[Deferred]:
         """Have the gap of a pair tested by an absence that looks at others; return what is left for above."""
-        if not one.needs - _in_goals([test for test in conditions if isinstance(test, Condition)]):
+        if not one.needs - in_goals([test for test in conditions if isinstance(test, Condition)]):
             # it has variables to which the conditions give values
             node.test(*deferred_test(self.rule, node, one, node.vars))
             return []
@@ -334,15 +333,15 @@ class RuleCompiler:
         return below.with_negated(node, [*below.deferred, one], negated.first)
 
     def _running(
-        self, core: Union[Star, Aggregate], wrapping: _Wrapping, context: VarSet, limit: Limit
+        self, core: Union[Star, Aggregate], wrapping: Wrapping, context: VarSet, limit: Limit
     ) -> Built:
         here = context | frozenset(bound_by(core.first))
         pattern = core.repeated if isinstance(core, Star) else core.collected
         repeated = self._build(pattern, here, limit)
         first = self._build(core.first, context, limit)
         naming = self._named(first, core.first), self._named(repeated, pattern)
-        node = Running(self.rule, first.node, repeated.node, _meet(first, repeated), naming, self.keep)
-        node.revived = (_may_be_revived(core.first), _may_be_revived(pattern))
+        node = Running(self.rule, first.node, repeated.node, meet(first, repeated), naming, self.keep)
+        node.revived = (may_be_revived(core.first), may_be_revived(pattern))
         self._add(node, wrapping.span, limit)
         outside = self._outside(pattern, core.value if isinstance(core, Aggregate) else None)
         if isinstance(core, Aggregate) and core.value is not None:
@@ -366,7 +365,7 @@ class RuleCompiler:
         for one in first.deferred:
             if one.may_be_tried(node.vars):
                 node.test(*early_test(self.rule, node, one, node.vars), False)
-        for late, condition in _those_about_a_result_last(conditions, node.vars, node.result_new):
+        for late, condition in those_about_a_result_last(conditions, node.vars, node.result_new):
             found = self._test(node, condition, node.vars)
             if found is not None:
                 node.test(*found, late)
@@ -396,75 +395,3 @@ class RuleCompiler:
             return None if found is None else found[0]
 
         return Collector(core.kind, value, evaluate)
-
-
-def _may_be_revived(pattern: Pattern) -> bool:
-    """Tell whether taking an event back may make a match of a pattern, instead of only unmaking some."""
-    return any(isinstance(part, (Absent, Star, Aggregate)) for part in walk(pattern))
-
-
-def _in_goals(conditions: List[Condition]) -> VarSet:
-    """Return the variables of conditions."""
-    return frozenset(var for condition in conditions for var in variables(condition.goal))
-
-
-def _those_about_a_result_last(
-    conditions: Sequence[TestedCondition], known: Sequence[Var], result: Sequence[Var]
-) -> List[Tuple[bool, TestedCondition]]:
-    """Return the conditions of an aggregate, and whether each looks at the result or at what follows from it."""
-    shown = set(result)
-    early, late = [], []
-    for condition in conditions:
-        mentioned = set() if condition.goal is None else set(variables(condition.goal))
-        if mentioned & shown:
-            shown |= mentioned.difference(known)
-            late.append((True, condition))
-        else:
-            early.append((False, condition))
-    return [*early, *late]
-
-
-def _served(either: bool, left: Built, right: Built) -> List[Leaf]:
-    """Return the leaves of a pair in the order in which they take an event that fits several of them.
-
-    Of a sequence the right side comes first: it completes before the left one waits. Else what is made of several
-    events comes before a single event, and of two such the left one; of two single events the right one.
-    """
-    if not either:
-        return [*right.leaves, *left.leaves]
-    return [*left.joined, *right.joined, *right.single, *left.single]
-
-
-def _meet(left: Built, right: Built) -> bool:
-    """Tell whether one event may be in both sides of a pair."""
-
-    def kinds(built: Built) -> Set[Term]:
-        found = set()
-        for leaf in built.leaves:
-            term = leaf.term
-            found.add(term[0] if term.__class__ is tuple else term)
-        return found
-
-    ours, theirs = kinds(left), kinds(right)
-    return bool(ours & theirs) or any(kind.__class__ is Var for kind in ours | theirs)
-
-
-def _unwrap(pattern: Pattern) -> _Wrapping:
-    """Take the conditions off a pattern until the operator that they belong to."""
-    span: Optional[int] = None
-    conditions: List[Condition] = []
-    absent: Optional[Absent] = None
-    while True:
-        if isinstance(pattern, Condition):
-            conditions.append(pattern)
-        elif isinstance(pattern, Within):
-            span = pattern.span if span is None else min(span, pattern.span)
-        elif isinstance(pattern, Absent) and pattern.inside:
-            absent = pattern
-        else:
-            return _Wrapping(pattern, span, conditions[::-1], absent)
-        pattern = pattern.pattern
-
-
-def _used_twice(terms: List[Term], pattern: Pattern) -> Set[Var]:
-    return {var for var, number in occurrences(terms, pattern).items() if number > 1}
