@@ -1,9 +1,10 @@
 """What events came from and why they happened, kept while a flag asks for it."""
 
 from .justification import Justifier
+from .occurrences import Occurrence, known_in
 from .owners import Fired
 from .store import Store, solutions
-from .tracking import Occurrence, Tracker, known_in
+from .tracking import Tracker
 
 __all__ = [
     "Fired",

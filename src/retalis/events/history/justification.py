@@ -30,8 +30,9 @@ from ..language import (
     Within,
 )
 from ..matches import Found, Held, Match, repetitions
+from .occurrences import Occurrence
 from .owners import Fired, Remembered
-from .tracking import Occurrence, Tracker
+from .tracking import Tracker
 
 _EVENT = functor("event", 2)
 _CLAUSE_BODY = functor("clause_body", 2)
