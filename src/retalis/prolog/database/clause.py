@@ -1,11 +1,11 @@
-"""Clauses as predicates keep them."""
+"""Clauses as predicates keep them, and what tells whether a call matches one."""
 
-from typing import Optional, Sequence, Tuple
+from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 from ...foundation import LARGEST, Place
 from ..compiler import KnownPredicate, key_of
-from ..machine import Step
-from ..terms import TRUE, Term, is_ground, is_larger
+from ..machine import Frame, Step
+from ..terms import TRUE, Term, Trail, Var, copy, is_ground, is_larger, unify
 
 NEVER = 1 << 62
 """A generation that does not come."""
@@ -45,5 +45,35 @@ def may_match(keys: Sequence[object], others: Tuple[object, ...]) -> bool:
     """Tell whether the first-level keys of a call and of a clause's head agree."""
     for key, other in zip(keys, others):
         if key is not other and key is not None and other is not None and key != other:
+            return False
+    return True
+
+
+def keys_of(frame: Frame, position: Optional[int]) -> Optional[List[object]]:
+    """Return the keys of a call's arguments; None where only that at ``position`` has one."""
+    for at in range(1, len(frame) - 1):
+        if at - 1 != position and key_of(frame[at]) is not None:
+            return [key_of(arg) for arg in frame[1:-1]]
+    return None
+
+
+def match_head(frame: Frame, clause: Clause, fresh: Dict[Var, Term], trail: Trail) -> bool:
+    """Unify a call with a clause's head; ``fresh`` gets what the clause's variables stand for.
+
+    A variable of the clause becomes a name for the argument, as in compiled clauses: the caller's variable
+    is bound to nothing, and stays the older one.
+    """
+    head: Any = clause.head
+    for at in range(1, len(frame) - 1):
+        pattern: Term = head[at]
+        if pattern.__class__ is Var:
+            known = fresh.get(pattern)
+            if known is None:
+                fresh[pattern] = frame[at]
+                continue
+            pattern = known
+        elif pattern.__class__ is tuple and not clause.ground:
+            pattern = copy(pattern, fresh)
+        if not unify(pattern, frame[at], trail):
             return False
     return True

@@ -11,7 +11,7 @@ from ...foundation import look
 from ..compiler import ClauseParts, Direct, Generator, KnownDatabase, fact_search, key_of
 from ..machine import Code, Frame, Machine, PrologError, Step
 from ..terms import Functor, Term, Trail, Values, Var, copy, undo, unify
-from .clause import NEVER, Clause, may_match
+from .clause import NEVER, Clause, keys_of, match_head, may_match
 from .functional import Functional
 from .index import Index
 
@@ -209,19 +209,11 @@ class Predicate:
         if len(clauses) > _MANY:
             look(0)  # to find a clause among these may take long
         generation = self.database.generation
-        keys = self._keys(frame, position)
+        keys = keys_of(frame, position)
         if self.ground:
             search = self._searches.get(position) or self._search(position)
             return search(frame, clauses, 0, len(clauses), generation, keys)
         return self._advance(frame, clauses, 0, len(clauses), generation, keys)
-
-    @staticmethod
-    def _keys(frame: Frame, position: Optional[int]) -> Optional[List[object]]:
-        """Return the keys of a call's arguments; None where only that at ``position`` has one."""
-        for at in range(1, len(frame) - 1):
-            if at - 1 != position and key_of(frame[at]) is not None:
-                return [key_of(arg) for arg in frame[1:-1]]
-        return None
 
     def fact_finder(self, once: bool) -> Callable[..., Optional[bool]]:
         """Return a function of the arguments that looks a ground fact up; see `Direct`."""
@@ -234,7 +226,7 @@ class Predicate:
             clauses, position = self.select(frame)
             search = self._searches.get(position) or self._search(position)
             height = len(choices)
-            keys = self._keys(frame, position)
+            keys = keys_of(frame, position)
             if search(frame, clauses, 0, len(clauses), self.database.generation, keys) is None:
                 return False
             if len(choices) > height:
@@ -317,7 +309,7 @@ class Predicate:
             height = len(machine.choices)
             mark = len(trail)
             if clause.fact:
-                if self._match(frame, clause, {}, trail):
+                if match_head(frame, clause, {}, trail):
                     if at < end:
                         machine.choices.append((self._retry, frame, clauses, at, end, generation, keys, mark))
                     return frame[-1]  # type: ignore[no-any-return]
@@ -336,31 +328,9 @@ class Predicate:
             return code((*frame, height))
         return None
 
-    @staticmethod
-    def _match(frame: Frame, clause: Clause, fresh: Dict[Var, Term], trail: Trail) -> bool:
-        """Unify a call with a clause's head; ``fresh`` gets what the clause's variables stand for.
-
-        A variable of the clause becomes a name for the argument, as in compiled clauses: the caller's variable
-        is bound to nothing, and stays the older one.
-        """
-        head: Any = clause.head
-        for at in range(1, len(frame) - 1):
-            pattern: Term = head[at]
-            if pattern.__class__ is Var:
-                known = fresh.get(pattern)
-                if known is None:
-                    fresh[pattern] = frame[at]
-                    continue
-                pattern = known
-            elif pattern.__class__ is tuple and not clause.ground:
-                pattern = copy(pattern, fresh)
-            if not unify(pattern, frame[at], trail):
-                return False
-        return True
-
     def _interpret(self, frame: Frame, clause: Clause, height: int, trail: Trail) -> Optional[Frame]:
         fresh: Dict[Var, Term] = {}
-        if not self._match(frame, clause, fresh, trail):
+        if not match_head(frame, clause, fresh, trail):
             return None
         return self.database.solve(copy(clause.body, fresh), height, frame[-1])
 
