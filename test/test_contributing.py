@@ -52,3 +52,12 @@ def test_all_files_are_there():
 def test_marks_and_runs_are_those_that_are_named():
     for mark in re.findall(r'pytest -m "?(?:not )?(\w+)', PAGE):
         assert f'"{mark}: ' in (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", ["CONTRIBUTING.md", "noxfile.py", ".pre-commit-config.yaml"])
+def test_options_for_an_old_mypy_are_named_wherever_types_are_checked(name):
+    options = re.search(
+        r"^LENIENT = \((.*)\)$", (ROOT / "install.py").read_text(encoding="utf-8"), re.MULTILINE
+    )
+    for option in re.findall(r'"([^"]+)"', options.group(1)):
+        assert option in (ROOT / name).read_text(encoding="utf-8")
