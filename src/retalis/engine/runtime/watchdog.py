@@ -2,27 +2,16 @@
 
 import threading
 import time
-from typing import Callable, Optional, Protocol, Tuple
+from typing import Callable, Optional, Tuple
 from weakref import ref
 
 from ...events.dispatch import Dispatcher
 from ...foundation import Place, RuleError, beginning
 from ...prolog.database import CompiledGoal
 from ...prolog.logic import Logic
-from ...prolog.machine import Budget
+from ...prolog.machine import Budget, Turn
 from ...prolog.terms import Atom, deref
 from .reports import Reports
-
-
-class AtWork(Protocol):
-    """Tells what is at work: the thread in which it is, and what tells it from all else."""
-
-    entry: object
-
-    @property
-    def thread(self) -> Optional[int]:
-        """The thread; None while nothing is at work."""
-
 
 Warn = Callable[[float, object], None]
 
@@ -46,7 +35,7 @@ class Watchdog:
         warn: called in the watchdog's thread with the seconds and the entry, while that may still be at work.
     """
 
-    def __init__(self, turn: AtWork, budget: Budget, patience: Optional[float], warn: Warn):
+    def __init__(self, turn: Turn, budget: Budget, patience: Optional[float], warn: Warn):
         self._turn = turn
         self._budget = budget
         self._patience = patience
@@ -79,7 +68,7 @@ class Watchdog:
 
 
 def watch(
-    turn: AtWork, logic: Logic, dispatcher: Dispatcher, reports: Reports, patience: Optional[float]
+    turn: Turn, logic: Logic, dispatcher: Dispatcher, reports: Reports, patience: Optional[float]
 ) -> Watchdog:
     """Return what watches an engine as long as somebody holds it, and have it reported what it finds."""
     budget = logic.machine.budget

@@ -5,12 +5,13 @@ dictionaries, so an event costs nothing for listeners whose constants differ.
 """
 
 from itertools import count
-from typing import Any, Callable, Collection, Dict, Hashable, List, Optional, Protocol, Tuple, TypeVar
+from typing import Any, Callable, Collection, Dict, Hashable, List, Optional, Tuple, TypeVar
 from weakref import WeakValueDictionary
 
 from ...foundation import Cache, UsageError
 from ...prolog.database import CompiledGoal
-from ...prolog.machine import Budget, Frame, Machine, PrologError, keep_back
+from ...prolog.logic import Logic
+from ...prolog.machine import Budget, Frame, PrologError, keep_back
 from ...prolog.terms import (
     Atom,
     EventAction,
@@ -31,14 +32,6 @@ from .plans import Choice, Onlookers, Plan, make_plan
 from .serving import AT_ONCE, LEFT_OUT, RESTORE, Dispatch, Lane, Listener, Stage, event_of
 
 Result = TypeVar("Result")
-
-
-class _GoalCaller(Protocol):
-    """What has a machine."""
-
-    @property
-    def machine(self) -> Machine:
-        """Runs frames."""
 
 
 _GATES = 1000
@@ -63,7 +56,7 @@ class Dispatcher:
             or None where the rule's head does not allow it.
     """
 
-    def __init__(self, logic: Optional[_GoalCaller] = None, max_depth: int = 1000) -> None:
+    def __init__(self, logic: Optional[Logic] = None, max_depth: int = 1000) -> None:
         self.max_depth = max_depth
         self._deepest = max_depth + 1
         self._at_once = min(AT_ONCE, self._deepest)

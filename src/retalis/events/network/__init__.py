@@ -1,7 +1,6 @@
 """The network: nodes for the parts of a rule's pattern, and the rule that they belong to."""
 
-from .conditions import UnderWay
-from .owners import RuleOwner
+from .owners import RuleOwner, UnderWay
 from .rule import Rule
 
 __all__ = [

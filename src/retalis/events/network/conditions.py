@@ -29,21 +29,6 @@ _DEEPEST = 30
 _FINDALL = functor("findall", 3)
 
 
-class UnderWay:
-    """What the conditions of all rules share while they are tested.
-
-    Attributes:
-        nested: how many of them are being tested, one within the other.
-        checked: the interval that ``t1/1`` and ``t2/1`` give, of the innermost that has one.
-    """
-
-    __slots__ = ("nested", "checked")
-
-    def __init__(self) -> None:
-        self.nested = 0
-        self.checked: Optional[Tuple[int, int]] = None
-
-
 class RuleGoal:
     """A goal of a rule, compiled for the variables that are known where it stands.
 

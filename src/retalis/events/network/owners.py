@@ -33,11 +33,16 @@ class Buffer(Protocol):
         """Put right what an interrupt may have left half done; return what waits, oldest first."""
 
 
-class Tested(Protocol):
-    """What conditions share while they are tested; see `UnderWay`."""
+class UnderWay:
+    """What the conditions of all rules share while they are tested.
 
-    nested: int
-    checked: Optional[Tuple[int, int]]
+    Attributes:
+        nested: how many of them are being tested, one within the other.
+        checked: the interval that ``t1/1`` and ``t2/1`` give, of the innermost that has one.
+    """
+
+    nested: int = 0
+    checked: Optional[Tuple[int, int]] = None
 
 
 class Network(Bounds, Protocol):
@@ -52,7 +57,7 @@ class Network(Bounds, Protocol):
         """Whose events the rules take, and which takes theirs."""
 
     @property
-    def under_way(self) -> Tested:
+    def under_way(self) -> UnderWay:
         """What conditions share while they are tested."""
 
     @property

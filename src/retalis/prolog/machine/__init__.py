@@ -1,7 +1,7 @@
 """The machine: frames, choice points and budgets, and the errors that goals end with."""
 
 from ..terms import Frame, Runs, Step
-from .budget import Budget, BudgetState
+from .budget import Budget, BudgetState, Turn
 from .codes import BAIL, DEAD, LAST, RESUME, CatchMark, Code, Guard, Takes
 from .describing import CONTEXT, ERROR, describe
 from .faults import (
@@ -62,6 +62,7 @@ __all__ = [
     "Step",
     "syntax_error",
     "Takes",
+    "Turn",
     "type_error",
     "uninstantiation_error",
 ]
