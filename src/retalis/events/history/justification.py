@@ -186,7 +186,6 @@ def describe(pattern: Pattern, match: Match, show: Show) -> Term:
     if isinstance(pattern, Pair):
         left = describe(pattern.left, parts[0], show)
         return functor(f"{pattern.operator}f", 2)(left, describe(pattern.right, parts[1], show))
-    assert isinstance(pattern, (Star, Aggregate))
     return _describe_run(pattern, parts, show)
 
 

@@ -296,8 +296,7 @@ class Loader:
                 self._act(step)
             elif step.kind == "clause":
                 rules.logic.add_clause(step.term, step.place)
-            elif step.kind == "property":
-                assert isinstance(step.term, Property)
+            elif isinstance(step.term, Property):
                 rules.set_property(step.term)
             else:
                 warning = self._directives.run(step.term, step.goals, step.place)

@@ -87,7 +87,7 @@ class Generator:
         if self.position is None:
             self._chain(out, everything, None)
             return out
-        groups = self._groups()
+        groups = self._groups(self.position)
         local = self.locals[self.position]
         out.dereference(local)
         self._tuple_case(out, groups, local)
@@ -108,12 +108,11 @@ class Generator:
         out.line("return None")
         return out
 
-    def _groups(self) -> Dict[object, List[int]]:
+    def _groups(self, position: int) -> Dict[object, List[int]]:
         """Return the clauses for each first-level key of the switched argument; None for all other keys."""
-        assert self.position is not None
         groups: Dict[object, List[int]] = {None: []}
         for at, rule in enumerate(self.rules):
-            key = key_of(rule.args[self.position])
+            key = key_of(rule.args[position])
             if key is None:
                 for clauses in groups.values():
                     clauses.append(at)
@@ -243,8 +242,8 @@ class Generator:
             scope.loop = Loop(self.key, self.locals, "" if rest else "continue", self._end(unit))
         if height is not None:
             scope.names[entry] = height
-        if loops and alone and key.__class__ is Functor:
-            self._build(scope, rule, entry)
+        if loops and alone and key.__class__ is Functor and self.position is not None:
+            self._build(scope, rule, entry, self.position)
         self._head(scope, rule, key, self._own_locals(scope, rule, key) if rest else self.locals)
         nodes = BodyParser(self.database, entry).parse(rule.body)
         bodies = Bodies(unit, clause, entry, self.database.interpret, str(self.key), self.key)
@@ -266,7 +265,7 @@ class Generator:
         """Return the switched argument and an atom for which the predicate is true whatever the others are."""
         if self.position is None:
             return None
-        for key, clauses in self._groups().items():
+        for key, clauses in self._groups(self.position).items():
             rule = self.rules[clauses[0]] if clauses else None
             if key.__class__ is not Atom or rule is None or len(clauses) > 1 or rule.body is not TRUE:
                 continue
@@ -275,13 +274,12 @@ class Generator:
                 return self.position, unit.constant(key)
         return None
 
-    def _build(self, scope: Scope, rule: ClauseParts, entry: Height) -> None:
+    def _build(self, scope: Scope, rule: ClauseParts, entry: Height, position: int) -> None:
         """Write a loop of its own for a clause that builds a list as it recurses."""
-        assert self.position is not None
         nodes = BodyParser(self.database, entry).parse(rule.body)
-        shape = shape_of(scope.clause, rule.args, nodes, self.key, self.position)
+        shape = shape_of(scope.clause, rule.args, nodes, self.key, position)
         if shape is not None:
-            write_building(scope, self.locals, rule.args, nodes, shape, self.position)
+            write_building(scope, self.locals, rule.args, nodes, shape, position)
 
     def _own_locals(self, scope: Scope, rule: ClauseParts, key: object) -> List[str]:
         """Copy the arguments for a clause that others follow, and return the names of the copies.

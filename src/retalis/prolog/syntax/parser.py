@@ -181,11 +181,10 @@ class Parser(Open):
         if infix is None and postfix is None:
             raise faults.no_operator(self, self.brackets[-1])
         self.at += 1
-        if postfix is not None and (infix is None or not self._starts_operand(self.tokens[self.at])):
-            self._take_postfix(postfix, start)
-        else:
-            assert infix is not None
+        if infix is not None and (postfix is None or self._starts_operand(self.tokens[self.at])):
             self._push_infix(infix, name, start)
+        elif postfix is not None:
+            self._take_postfix(postfix, start)
 
     def _starts_operand(self, token: AnyToken) -> bool:
         kind, value = token[:2]
