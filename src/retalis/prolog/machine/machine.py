@@ -6,7 +6,6 @@ was pushed; on failure the newest one is popped, the trail is undone to that len
 There is no recursion: the depth of a program is the length of a chain of frames.
 """
 
-from sys import getrefcount
 from typing import Any, Callable, Generator, List, Optional, Tuple
 
 from ...foundation import RetalisError, TermTooLarge, watched_by
@@ -16,6 +15,7 @@ from .codes import BAIL, DEAD, STOP, Asked, Code, Guard, fail
 from .describing import CONTEXT, ERROR
 from .faults import PrologError, from_python, indicator, resource_error
 from .limits import SLICE
+from .trail import compact
 
 _FEW = (None,) * 16
 """Steps that a run begins with: most events and goals are done with sooner, without setting up the loop."""
@@ -258,21 +258,8 @@ class Machine:
                 frame = self._handle(exc, frame, base)
 
     def _compact(self) -> None:
-        """Drop trail entries above the newest choice point that nothing else can see any more.
-
-        A deterministic loop leaves nothing but such entries behind: variables that only the trail still
-        holds. Their unbinding could not be noticed, so they need not be remembered.
-        """
-        trail = self.trail
-        low = self.choices[-1][-1] if self.choices else 0
-        entries = trail[low:]
-        del trail[low:]
-        entries.reverse()
-        while entries:  # oldest first: what goes may have been the last to hold a newer one
-            entry = entries.pop()
-            if getrefcount(entry) > 2 or entry.__class__ is not Var:  # `entry` and the argument are two
-                trail.append(entry)
-        self._compact_at = max(_COMPACT_AT, 2 * len(trail))
+        compact(self.trail, self.choices[-1][-1] if self.choices else 0)
+        self._compact_at = max(_COMPACT_AT, 2 * len(self.trail))
 
     # Exceptions
 

@@ -1,0 +1,20 @@
+"""The trail of a long run: what of it need not be remembered."""
+
+from sys import getrefcount
+
+from ..terms import Trail, Var
+
+
+def compact(trail: Trail, low: int) -> None:
+    """Drop entries above the newest choice point, which is at ``low``, that nothing else can see any more.
+
+    A deterministic loop leaves nothing but such entries behind: variables that only the trail still
+    holds. Their unbinding could not be noticed, so they need not be remembered.
+    """
+    entries = trail[low:]
+    del trail[low:]
+    entries.reverse()
+    while entries:  # oldest first: what goes may have been the last to hold a newer one
+        entry = entries.pop()
+        if getrefcount(entry) > 2 or entry.__class__ is not Var:  # `entry` and the argument are two
+            trail.append(entry)
