@@ -3,7 +3,7 @@
 import logging
 from os import PathLike
 from pathlib import Path
-from typing import Callable, Dict, Hashable, List, Optional, Protocol, Sequence, Sized, Tuple, Union
+from typing import Callable, Dict, Hashable, List, Optional, Sequence, Tuple, Union
 
 from ...foundation import Place, RetalisError, RuleError
 from ...prolog.logic import Logic
@@ -17,6 +17,7 @@ from ..network import Rule, RuleOwner, UnderWay
 from ..program import FileChecker, Files, Loader, nowhere
 from .flags import Flags
 from .predicates import define_predicates
+from .timing import Timing
 
 log = logging.getLogger("retalis")
 
@@ -25,23 +26,6 @@ _CONFIGURING = frozenset(
     ("event_consumption_policy", "out_of_order", "revision_flag", "etalis_justification", "garbage_control")
     + ("garbage_window", "garbage_window_step")
 )
-
-
-class Timing(Protocol):
-    """A clock with alarms."""
-
-    @property
-    def alarms(self) -> Sized:
-        """Those that are set."""
-
-    def now(self) -> int:
-        """Return the present instant."""
-
-    def stamp(self) -> int:
-        """Return the present instant, later than all that were returned before."""
-
-    def call_at(self, instant: int, alarm: Callable[[int], None], /) -> None:
-        """Have a function called when an instant has come."""
 
 
 class Rules:
