@@ -2,7 +2,7 @@
 
 from .justification import Justifier
 from .occurrences import Occurrence, known_in
-from .owners import Fired
+from .owners import Fired, Remembered
 from .store import Store, solutions
 from .tracking import Tracker
 
@@ -11,6 +11,7 @@ __all__ = [
     "Justifier",
     "known_in",
     "Occurrence",
+    "Remembered",
     "solutions",
     "Store",
     "Tracker",

@@ -3,12 +3,13 @@
 from typing import Callable, Optional, Protocol, Sequence
 
 from ...foundation import Place, RetalisError
+from ...prolog.foreign import NamedFiles
 from ...prolog.logic import Logic
 from ...prolog.machine import Frame
 from ...prolog.terms import Term
 from ..dispatch import Dispatcher
 from ..language import RuleDefinition
-from ..matches import NetworkOptions
+from ..matches import Bounds
 
 
 class Fired(Protocol):
@@ -37,25 +38,6 @@ class Fired(Protocol):
         """Let those matches wait that were to wait when another event comes."""
 
 
-class Opens(Protocol):
-    """Opens files where that is allowed."""
-
-    @property
-    def output(self) -> str:
-        """The folder of what programs write without saying where."""
-
-    def append(self, path: str, text: str) -> None:
-        """Write a text at the end of a file."""
-
-
-class Filed(Protocol):
-    """The files of the program."""
-
-    @property
-    def door(self) -> Opens:
-        """Opens them."""
-
-
 class Switches(Protocol):
     """The flags of the program."""
 
@@ -63,8 +45,8 @@ class Switches(Protocol):
         """Tell whether a switch is on."""
 
 
-class Remembered(Protocol):
-    """The program."""
+class Remembered(Bounds, Protocol):
+    """All rules of a program, as what keeps their events sees them."""
 
     @property
     def on_warning(self) -> Callable[[RetalisError], None]:
@@ -79,15 +61,11 @@ class Remembered(Protocol):
         """Whose events they are."""
 
     @property
-    def mode(self) -> NetworkOptions:
-        """What the flags say about how the network runs."""
-
-    @property
     def flags(self) -> Switches:
         """Its flags."""
 
     @property
-    def files(self) -> Filed:
+    def files(self) -> NamedFiles:
         """Its files."""
 
     @property

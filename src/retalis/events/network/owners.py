@@ -3,11 +3,10 @@
 from typing import Any, Hashable, List, Optional, Protocol, Tuple
 
 from ...foundation import RetalisError, RuleError
-from ...prolog.logic import Logic
 from ...prolog.terms import Term
-from ..dispatch import Dispatcher, EventAction, Lane, Listener
-from ..history import Fired, Tracker
-from ..matches import Bounds, Match, MatchBuffer, Owner
+from ..dispatch import EventAction, Lane, Listener
+from ..history import Fired, Remembered, Tracker
+from ..matches import Match, MatchBuffer, Owner
 
 
 class Listening(Protocol):
@@ -45,16 +44,8 @@ class UnderWay:
     checked: Optional[Tuple[int, int]] = None
 
 
-class Network(Bounds, Protocol):
+class Network(Remembered, Protocol):
     """All rules of a program, as one of them sees the others."""
-
-    @property
-    def logic(self) -> Logic:
-        """Where goals are compiled."""
-
-    @property
-    def dispatcher(self) -> Dispatcher:
-        """Whose events the rules take, and which takes theirs."""
 
     @property
     def under_way(self) -> UnderWay:

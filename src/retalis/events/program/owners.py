@@ -1,17 +1,15 @@
 """What files are loaded into, as those who load or check them know it."""
 
-from typing import Callable, Dict, Hashable, List, Protocol
+from typing import Dict, Hashable, List, Protocol
 
-from ...foundation import RetalisError
-from ...prolog.logic import Logic
 from ...prolog.terms import Term
 from ..language import Property, RuleDefinition
-from ..network import Rule
+from ..network import Network, Rule
 from .files import Files
 
 
-class Loaded(Protocol):
-    """What a file is loaded into.
+class Loaded(Network, Protocol):
+    """All rules of a program, as what loads them sees them.
 
     Attributes:
         warn_singletons: whether variables that stand in a clause only once are worth a warning.
@@ -20,14 +18,6 @@ class Loaded(Protocol):
 
     warn_singletons: bool
     serial: int
-
-    @property
-    def on_warning(self) -> Callable[[RetalisError], None]:
-        """Called with each warning."""
-
-    @property
-    def logic(self) -> Logic:
-        """Where clauses are kept."""
 
     @property
     def files(self) -> Files:

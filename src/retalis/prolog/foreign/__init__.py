@@ -1,7 +1,7 @@
 """Foreign predicates: Python functions that a program calls as predicates."""
 
 from .functions import define_foreign, foreign
-from .modules import define_use_foreign
+from .modules import NamedFiles, define_use_foreign
 from .values import Compound, to_python, to_term
 
 __all__ = [
@@ -9,6 +9,7 @@ __all__ = [
     "define_foreign",
     "define_use_foreign",
     "foreign",
+    "NamedFiles",
     "to_python",
     "to_term",
 ]

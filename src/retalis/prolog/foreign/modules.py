@@ -13,17 +13,28 @@ from ..terms import Atom, String, Term, Var, deref
 from .functions import Caller, define_foreign
 
 
-class Loading(Protocol):
-    """What says whether the program's own files are being loaded."""
+class Opening(Protocol):
+    """What opens files where that is allowed, see `Door`.
+
+    Attributes:
+        is_loading: whether the program's own files are being loaded.
+    """
 
     is_loading: bool
+
+    @property
+    def output(self) -> str:
+        """The folder of what programs write without saying where."""
+
+    def append(self, path: str, text: str) -> None:
+        """Write a text at the end of a file."""
 
 
 class NamedFiles(Protocol):
     """The files that a program names, see `Files`."""
 
     @property
-    def door(self) -> Loading:
+    def door(self) -> Opening:
         """What opens them."""
 
     def resolve(self, name: str) -> Path:
