@@ -87,7 +87,10 @@ ENTRY = """    EventOperator(
 """
 AFTER = """    EventOperator("fnot","""
 PROGRAM = """
-from retalis import Engine
+import logging
+import sys
+
+from retalis import Engine, ProgramErrors
 from retalis.engine.explaining import explain, record_origins
 from retalis.engine.runtime import StreamClock
 from retalis.prolog.terms import SECOND, functor
@@ -110,6 +113,13 @@ engine.event("a(7)", 1, 2)
 engine.event("b(7)", 3, 4)
 lines = explain(engine, (functor("p", 1), 7)).lines
 print(*(line.strip() for one in lines for line in one.indented() if "straddles:" in line))
+
+logging.basicConfig(stream=sys.stdout, format="%(message)s")
+for rule in ("p <- a stradles b.", "p <- a besides b.", "straddles(X, Y) <- a(X, Y)."):
+    try:
+        engine.load(rules=rule)
+    except ProgramErrors as errors:
+        print(errors.errors[0].message)
 """
 PRINTED = """\
 recent o(2,3)@2-6 o(5,6)@0-5
@@ -118,12 +128,18 @@ chronological o(1,3)@1-6 o(5,6)@0-5
 chronological_2 o(1,3)@1-6 o(5,6)@0-5
 unrestricted o(1,3)@1-6 o(2,3)@2-6 o(5,3)@0-6 o(5,6)@0-5
 - straddles: none of the first overlaps one of the second
+expected an operator or a full stop before "stradles"; did you mean "straddles"?
+expected an operator or a full stop before "besides"; "besides" is not an operator; two patterns are joined with \
+"or", "par", "and", "straddles", "seq", "forall_seq", "equals", "meets", "during", "starts" or "finishes"
+text:1:1: no pattern can match this event: in patterns straddles is an operator
+straddles(X, Y) <- a(X, Y).
+^
 """
 
 
 @pytest.mark.slow
 def test_a_two_sided_operator_is_one_entry(tmp_path):
-    """Nothing else of the package changes, and it is read, joined and limited in time, under every policy."""
+    """Nothing else of the package changes: it is read, joined and limited in time, under every policy, and named."""
     copied = tmp_path / "retalis"
     shutil.copytree(str(SOURCE), str(copied), ignore=shutil.ignore_patterns("__pycache__"))
     path = copied / "prolog" / "syntax" / "eventoperators.py"

@@ -35,7 +35,7 @@ FAULTS = [
     ("t :- a && b.", 8, ['joined with ","']),
     ("u :- not foo(X).", 10, ["\\+"]),
     ("w <- a sequ b.", 8, ['did you mean "seq"?']),
-    ("w <- a b.", 8, ['"b" is not an operator', '"seq", "and"']),
+    ("w <- a b.", 8, ['"b" is not an operator', '"and", "seq"']),
     ("w <- a before b.", 8, ['write "seq"']),
     ("w :- a before b.", 8, ["is a comma missing?"]),
     ("x <- a seq .", 12, ['right argument of "seq"']),

@@ -22,11 +22,12 @@ from ...events.language import (
     Repeated,
     Star,
     Within,
+    names_of_kind,
 )
 from ...events.network import Rule
 from ...foundation import RetalisError, codegen
 from ...prolog.logic import Logic
-from ...prolog.syntax import EventOperator, write_term
+from ...prolog.syntax import EventOperator, OperatorKind, write_term
 from ...prolog.terms import Term, Trail, Var, copy, functor, timestamps, undo, unify, variables
 
 _MOST = 200
@@ -36,6 +37,13 @@ _WRITTEN_OUT = 50
 
 _VALUES = functor("values", 0)
 _EQUAL = functor("=", 2)
+_OR, *_ = names_of_kind(OperatorKind.ALTERNATIVES)
+_STAR, *_ = names_of_kind(OperatorKind.RUN)
+_WITHIN, *_ = names_of_kind(OperatorKind.LIMIT)
+_ABSENCE = " or ".join(names_of_kind(OperatorKind.ABSENCE))
+_BETWEEN = " or ".join(names_of_kind(OperatorKind.ABSENCE, between=True))
+_CONDITION = [names_of_kind(OperatorKind.CONDITION, timed=timed)[0] for timed in (False, True)]
+_ACTION = [names_of_kind(OperatorKind.ACTION, every=every)[0] for every in (False, True)]
 _T1, _T2 = functor("t1", 1), functor("t2", 1)
 
 
@@ -150,12 +158,12 @@ class Shortfall:
     def _either(self, pattern: Either) -> Part:
         parts = [self.of(branch) for branch in pattern.branches]
         found = [one for part in parts for one in part.found]
-        return Part(f"or: {self._seen(found, 'none of them')}", found, parts)
+        return Part(f"{_OR}: {self._seen(found, 'none of them')}", found, parts)
 
     def _absent(self, pattern: Absent) -> Part:
         part, negated = self.of(pattern.pattern), self.of(pattern.negated)
         found = [one for one in part.found if not any(self._blocks(no, one) for no in negated.found)]
-        name = "cnot" if pattern.inside else "cnot or fnot"
+        name = _BETWEEN if pattern.inside else _ABSENCE
         reason = "ruled out by what must not happen" if part.found else "nothing to rule out"
         held = found if negated.found else [_NOWHERE]
         noted = Part(f"must not happen: {negated.text}", held, [])
@@ -171,7 +179,7 @@ class Shortfall:
     def _star(self, pattern: Star) -> Part:
         first, repeated = self.of(pattern.first), self.of(pattern.repeated)
         found = first.found + self._later(first, repeated)
-        return Part(f"star_times: {self._seen(found, 'it did not start')}", found, [first, repeated])
+        return Part(f"{_STAR}: {self._seen(found, 'it did not start')}", found, [first, repeated])
 
     def _aggregate(self, pattern: Aggregate) -> Part:
         first, collected = self.of(pattern.first), self.of(pattern.collected)
@@ -203,7 +211,7 @@ class Shortfall:
             if values is not None:
                 found.append(one._replace(values=values))
         reason = f"false for all{problem}" if part.found else "not asked"
-        name = "check" if pattern.timed else "where"
+        name = _CONDITION[pattern.timed]
         return Part(f"{name} {self._show(pattern.goal)}: {self._seen(found, reason)}", found, [part])
 
     def _within(self, pattern: Within) -> Part:
@@ -211,12 +219,11 @@ class Shortfall:
         found = [one for one in part.found if one.end - one.start <= pattern.span]
         seconds = timestamps.to_seconds(pattern.span + 1)
         reason = "all took longer" if part.found else "not asked"
-        return Part(f"within {seconds:g}: {self._seen(found, reason)}", found, [part])
+        return Part(f"{_WITHIN} {seconds:g}: {self._seen(found, reason)}", found, [part])
 
     def _action(self, pattern: Action) -> Part:
         part = self.of(pattern.pattern)
-        name = "event_multiply" if pattern.every else "do"
-        return Part(f"{name} {self._show(pattern.goal)}", part.found, [part])
+        return Part(f"{_ACTION[pattern.every]} {self._show(pattern.goal)}", part.found, [part])
 
     # ---- values ----------------------------------------------------------------------------------------
 

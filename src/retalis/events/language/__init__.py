@@ -8,7 +8,7 @@ from .definition import RuleDefinition
 from .heads import SYNCHRONIZED, check_head
 from .labels import RULE, Property, is_rule, label_error, labelled
 from .occurrences import occurrences
-from .operators import ARROWS, NO_FACTS, OPERATORS, SPELLINGS
+from .operators import ARROWS, NO_FACTS, OPERATORS, SPELLINGS, names_of_kind
 from .pattern import (
     Absent,
     Action,
@@ -52,6 +52,7 @@ __all__ = [
     "is_rule",
     "label_error",
     "labelled",
+    "names_of_kind",
     "NO_FACTS",
     "occurrences",
     "Occurs",

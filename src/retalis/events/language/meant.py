@@ -3,8 +3,9 @@
 from difflib import SequenceMatcher
 from typing import Any, Dict, Optional
 
+from ...prolog.syntax import OperatorKind
 from ...prolog.terms import CONS, Atom, Term, deref, functor, list_items
-from .operators import ARROWS, NO_EVENTS
+from .operators import ARROWS, FORMS, NO_EVENTS, names_of_kind
 
 _COMPARISONS = [
     "=",
@@ -27,6 +28,8 @@ _COMPARISONS = [
 _BEHIND = "a condition is written after where"
 _CONDITION = f"this is an event; {_BEHIND}"
 _ALARM = "an alarm is a head; the event that follows it is its first argument"
+_ABSENCES = " or ".join(names_of_kind(OperatorKind.ABSENCE))
+_ABSENCE = f"the absence of an event is written with {_ABSENCES}; this is an event"
 
 _MEANT: Dict[Any, str] = {
     functor(
@@ -34,8 +37,8 @@ _MEANT: Dict[Any, str] = {
     ): "a comma between patterns makes them a single event; use and or seq (for a condition, where)",
     functor(";", 2): "a semicolon between patterns makes them a single event; use or",
     functor("->", 2): "an arrow between patterns makes them a single event; use seq",
-    functor("\\+", 1): "the absence of an event is written with cnot or fnot; this is an event",
-    functor("not", 1): "the absence of an event is written with cnot or fnot; this is an event",
+    functor("\\+", 1): _ABSENCE,
+    functor("not", 1): _ABSENCE,
     functor("exceptionAlarm", 2): _ALARM,
     functor("exceptionAlarmAbsoluteDatime", 2): _ALARM,
     **{functor(name, 2): _CONDITION for name in _COMPARISONS},
@@ -48,8 +51,6 @@ _ARITIES = {
     "exceptionAlarmAbsoluteDatime": 2,
 }
 """How many arguments what is not an event takes; with others it is one. Names that events may have are not here."""
-
-_FORMS = {"aggregate": "takes 3 arguments: aggregate(Kind, Pattern, Result)"}
 
 _SPECIAL = {
     "synchronized": (3, "synchronized(Event, Query, Memories)"),
@@ -92,7 +93,7 @@ def wrong_arity(term: Any) -> Optional[str]:
         takes = _SPECIAL[name][0]
     if takes is None or takes == count:
         return None
-    form = _FORMS.get(name, f"takes {takes} argument{'s' * (takes != 1)}")
+    form = FORMS.get(name, f"takes {takes} argument{'s' * (takes != 1)}")
     return f"this is an ordinary event; {name} {form}"
 
 

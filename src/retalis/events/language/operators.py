@@ -1,6 +1,6 @@
 """The operators of patterns, by the functors of the terms that they are read from."""
 
-from typing import Dict
+from typing import Dict, Tuple
 
 from ...prolog.syntax import EVENT_OPERATORS, EventOperator, OperatorKind
 from ...prolog.terms import Functor
@@ -10,17 +10,39 @@ OPERATORS: Dict[str, EventOperator] = {
 }
 """The operators between two patterns, by name."""
 
-_NOT_BETWEEN = (OperatorKind.RULE, OperatorKind.RUN, OperatorKind.AGGREGATE)
+_RUNS = (OperatorKind.RUN, OperatorKind.AGGREGATE)
 
 SPELLINGS: Dict[Functor, str] = {
-    key: one.name for one in EVENT_OPERATORS if one.kind not in _NOT_BETWEEN for key in one.keys
+    key: one.name
+    for one in EVENT_OPERATORS
+    if one.kind not in (OperatorKind.RULE, *_RUNS)
+    for key in one.keys
 }
 """Functor of a term -> the operator that it is in patterns, in whose form it is read."""
+
+RUNS: Dict[Functor, EventOperator] = {
+    key: one for one in EVENT_OPERATORS if one.kind in _RUNS for key in one.keys
+}
+"""Functor of a term -> the operator that it is as the right side of a sequence, and nowhere else."""
 
 ARROWS = frozenset(key for one in EVENT_OPERATORS if one.meant == "<-" for key in one.keys)
 
 NO_EVENTS = {one.name: len(one.patterns) for one in EVENT_OPERATORS if not one.names_events}
 """What has a name that events do not have, and how many arguments it takes; with others it is an event."""
 
+FORMS = {one.name: f"takes {len(one.patterns)} arguments: {one.form}" for one in EVENT_OPERATORS if one.form}
+"""What is written as functor and arguments only, and how."""
+
 NO_FACTS = frozenset(key for one in EVENT_OPERATORS if not one.names_facts for key in one.keys[:1])
 """Facts of these were meant as rules: they are the names of nothing else."""
+
+
+def names_of_kind(kind: OperatorKind, **facts: bool) -> Tuple[str, ...]:
+    """Return how the operators of a kind are called of which these facts hold, in the order of the table."""
+    return tuple(
+        [
+            one.name
+            for one in EVENT_OPERATORS
+            if one.kind is kind and all(getattr(one, fact) == known for fact, known in facts.items())
+        ]
+    )

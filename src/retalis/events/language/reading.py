@@ -3,12 +3,12 @@
 from typing import Callable, Dict, FrozenSet, List, Optional, Tuple
 
 from ...foundation import Place, RuleError
-from ...prolog.syntax import EVENT_OPERATOR, OperatorKind
+from ...prolog.syntax import EVENT_OPERATOR, EventOperator, OperatorKind
 from ...prolog.terms import Atom, CompoundTerm, String, Term, Var, deref, from_seconds, functor
 from .aggregates import AGGREGATES
 from .calls import Subgoal, asking_interval, calls
 from .meant import doubt
-from .operators import ARROWS, SPELLINGS
+from .operators import ARROWS, RUNS, SPELLINGS, names_of_kind
 from .pattern import (
     MOST_COMPOSED,
     MOST_TIMES,
@@ -31,12 +31,8 @@ from .pattern import (
 Spot = Callable[..., Optional[Place]]
 """Gives the place of a compound term: that of its functor, or with a number that of an argument."""
 _GOALS_AS_PATTERN = frozenset((functor("prolog", 1), functor("query", 1), functor("db", 1)))
-STAR_TIMES = functor("star_times", 1)
-AGGREGATE = functor("aggregate", 3)
-_NOT_INSIDE = (
-    "P cnot R where P is not a sequence means that no R ended before P started (write fnot); for no R between "
-    "two events write (P seq Q) cnot R"
-)
+_ABSENCES = " or ".join(names_of_kind(OperatorKind.ABSENCE))
+_BEFORE = " or ".join(names_of_kind(OperatorKind.ABSENCE, between=False))
 
 
 class PatternReader:
@@ -81,11 +77,11 @@ class PatternReader:
             return self._event(term, 1)
         name = SPELLINGS.get(head)
         if name is None:
-            if head is STAR_TIMES:
-                raise self._error("star_times can only be the right side of a seq", term)
-            if head is AGGREGATE:
-                raise self._error("an aggregate can only be the right side of a seq", term)
-            return self._event(parent, number)
+            run = RUNS.get(head)
+            if run is None:
+                return self._event(parent, number)
+            what = f"an {run.name}" if run.kind is OperatorKind.AGGREGATE else run.name
+            raise self._error(f"{what} can only be the right side of a {SEQ}", term)
         return self._forms[EVENT_OPERATOR[name].kind](self, name, term)
 
     def _pair(self, name: str, term: CompoundTerm) -> Pattern:
@@ -94,7 +90,7 @@ class PatternReader:
         return Pair(name, self._operand(term, 1, name), self._operand(term, 2, name))
 
     def _refused(self, name: str, term: CompoundTerm) -> Pattern:
-        raise self._error(f"there is no operator {name}; use cnot or fnot for the absence of an event", term)
+        raise self._error(f"there is no operator {name}; use {_ABSENCES} for the absence of an event", term)
 
     def _limited(self, name: str, term: CompoundTerm) -> Within:
         return Within(self._operand(term, 1, name), self._span(term) - 1)
@@ -135,10 +131,11 @@ class PatternReader:
         if left_goal is not None:
             return Condition(self.read(term, 2), left_goal, False)
         first = self.read(term, 1)
-        if right.__class__ is tuple and right[0] is STAR_TIMES:
-            return Star(first, self._operand(right, 1, "star_times"))
-        if right.__class__ is tuple and right[0] is AGGREGATE:
-            return self._aggregate(first, right)
+        if right.__class__ is tuple and right[0] in RUNS:
+            run = RUNS[right[0]]
+            if run.kind is OperatorKind.AGGREGATE:
+                return self._aggregate(first, right, run)
+            return Star(first, self._operand(right, 1, run.name))
         return Pair(SEQ, first, self.read(term, 2))
 
     def _called(self, term: Term) -> Optional[Term]:
@@ -146,7 +143,7 @@ class PatternReader:
             return self.goal(term, 1, term[0].name)
         return None
 
-    def _aggregate(self, first: Pattern, term: CompoundTerm) -> Aggregate:
+    def _aggregate(self, first: Pattern, term: CompoundTerm, operator: EventOperator) -> Aggregate:
         kind = deref(term[1])
         name = kind.name if kind.__class__ is Atom else kind[0].name if kind.__class__ is tuple else ""
         arity = len(kind) - 1 if kind.__class__ is tuple else 0
@@ -155,7 +152,7 @@ class PatternReader:
             raise self._error(
                 f"there is no such aggregate; the aggregates are {known}", kind if arity else term
             )
-        collected = self._operand(term, 2, "aggregate")
+        collected = self._operand(term, 2, operator.name)
         value = deref(kind[1]) if kind.__class__ is tuple else None
         found = Aggregate(first, name, value, collected, deref(term[3]))
         self.aggregates.append((found, term))
@@ -176,17 +173,22 @@ class PatternReader:
     def _absence(self, name: str, term: CompoundTerm) -> Absent:
         pattern = self._operand(term, 1, name)
         negated = self._operand(term, 2, name)
-        inside = name == "cnot" and _is_sequence(pattern)
-        if name == "cnot" and not inside:
-            self._warn(self._error(_NOT_INSIDE, term))
+        between = EVENT_OPERATOR[name].between
+        inside = between and _is_sequence(pattern)
+        if between and not inside:
+            message = (
+                f"P {name} R where P is not a sequence means that no R ended before P started (write {_BEFORE}); "
+                f"for no R between two events write (P {SEQ} Q) {name} R"
+            )
+            self._warn(self._error(message, term))
         return Absent(pattern, negated, inside)
 
     def _repetition(self, name: str, term: CompoundTerm) -> Pattern:
         times = deref(term[2])
         if times.__class__ is not int or times < 1:
-            raise self._error("ntimes needs a positive integer", term, 2)
+            raise self._error(f"{name} needs a positive integer", term, 2)
         if times > MOST_TIMES:
-            raise self._error(f"ntimes takes at most {MOST_TIMES} repetitions", term, 2)
+            raise self._error(f"{name} takes at most {MOST_TIMES} repetitions", term, 2)
         pattern = self._operand(term, 1, name)
         if times == 1:
             return pattern
@@ -196,7 +198,7 @@ class PatternReader:
         last = with_others(pattern, fresh) if fresh else pattern
         before = Repeated(pattern, times - 1, own)
         if times > MOST_COMPOSED and not before.is_of_single_events():
-            message = f"ntimes takes at most {MOST_COMPOSED} repetitions of a pattern of several events"
+            message = f"{name} takes at most {MOST_COMPOSED} repetitions of a pattern of several events"
             raise self._error(message, term, 2)
         return Pair(SEQ, pattern if times == 2 else before, last)
 

@@ -60,6 +60,10 @@ class EventOperator(NamedTuple):
         alone: whether one single event could be both sides if nothing forbade it.
         everything: whether a right side takes all left sides that fit, under every policy.
         wrong: what explanations say where no pair fits.
+        between: of an absence, whether it may be one between the two sides of a sequence.
+        form: how it is written, where that is as functor and arguments only.
+        taken_for: words that are no operators, and by which this one is often meant.
+        advice: what to write in place of these words.
         rows: of the table of patterns.
     """
 
@@ -82,6 +86,10 @@ class EventOperator(NamedTuple):
     alone: bool = True
     everything: bool = False
     wrong: str = "no pair fits"
+    between: bool = False
+    form: str = ""
+    taken_for: Tuple[str, ...] = ()
+    advice: str = ""
     rows: Tuple[Row, ...] = ()
 
     @property
@@ -191,6 +199,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         1031,
         names_events=False,
         names_facts=False,
+        between=True,
         rows=(
             Row("`(P seq Q) cnot R`", "P, then Q, and no R entirely between them", "[s1,e2]"),
             Row("`P cnot R`, `P fnot R`", "P, and no R ended before P started", "that of P"),
@@ -211,6 +220,8 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         either=False,
         alone=False,
         wrong="none of the first ended before one of the second started",
+        taken_for=("before", "after", "then", "followed_by"),
+        advice='to say that one event ends before another starts, write "seq", the earlier one first',
         rows=(Row("`P seq Q`", "P ended before Q started: e1 < s2", "[s1,e2]"),),
     ),
     EventOperator(
@@ -305,6 +316,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         patterns=(False, True, False),
         functors=("aggregate",),
         names_events=False,
+        form="aggregate(Kind, Pattern, Result)",
         rows=(
             Row(
                 "`P seq aggregate(K,Q,R)`",

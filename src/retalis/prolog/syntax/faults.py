@@ -4,12 +4,13 @@ from difflib import get_close_matches
 from typing import Any, List, Optional
 
 from ...foundation import SyntaxFault
+from .eventoperators import EVENT_OPERATORS, OperatorKind
 from .operators import CANONICAL, Operator
 from .state import ReadingState
 from .tokens import END, NAME, NUMBER, OPEN_CT, QUOTED, VARIABLE, AnyToken, shown
 
 CLOSER = {"(": ")", OPEN_CT: ")", "[": "]", "{": "}"}
-_NECKS = (":-", "<-", "-->", "rule:")
+_NECKS = frozenset((":-", "-->", *(one.meant for one in EVENT_OPERATORS if one.kind is OperatorKind.RULE)))
 _ELSEWHERE = {
     "<=": '"less or equal" is written =<',
     "=>": '"greater or equal" is written >=, a rule\'s arrow <-',
@@ -26,7 +27,10 @@ _ELSEWHERE = {
 }
 """Operators of other languages."""
 
-_SEQUENCE = frozenset(("before", "after", "then", "followed_by"))
+_ADVICE = {word: one.advice for one in EVENT_OPERATORS for word in one.taken_for}
+_JOINING = [
+    f'"{one.name}"' for one in EVENT_OPERATORS if one.kind in (OperatorKind.ALTERNATIVES, OperatorKind.PAIR)
+]
 
 
 def no_operand(parser: ReadingState, innermost: List[Any]) -> SyntaxFault:
@@ -119,9 +123,10 @@ def _unknown_operator(parser: ReadingState, name: str) -> str:
         return f'did you mean "{close[0]}"?'
     if parser.table is not parser.patterns:
         return f'"{name}" is not an operator here; is a comma missing?'
-    if name in _SEQUENCE:
-        return 'to say that one event ends before another starts, write "seq", the earlier one first'
-    return f'"{name}" is not an operator; two patterns are joined with "seq", "and", "or" or another'
+    if name in _ADVICE:
+        return _ADVICE[name]
+    known = f"{', '.join(_JOINING[:-1])} or {_JOINING[-1]}"
+    return f'"{name}" is not an operator; two patterns are joined with {known}'
 
 
 def unbalanced(parser: ReadingState, opened: Optional[int]) -> SyntaxFault:
