@@ -15,7 +15,7 @@ Passes = Callable[..., bool]
 
 
 class Gate:
-    """The gate for the events of one functor; made by `Dispatcher.gate`.
+    """The gate for the events of one functor; made by `Audience.gate`.
 
     Attributes:
         plan: what the dispatcher does with such events; None while that is not known.

@@ -18,7 +18,7 @@ class Completion(NamedTuple):
 
     Attributes:
         action: does it.
-        lane: does it for an event whose arguments are the values, see `Dispatcher.listen`.
+        lane: does it for an event whose arguments are the values, see `Audience.listen`.
         gate: that of the event that the action makes: where nobody wants it, the action has nothing to do.
     """
 

@@ -26,7 +26,7 @@ Step = Tuple[Matcher, EventAction]
 
 
 class Listener:
-    """One pattern with what to do for each event that matches it; made by `Dispatcher.listen`."""
+    """One pattern with what to do for each event that matches it; made by `Audience.listen`."""
 
     __slots__ = ("order", "pattern", "functor", "matcher", "action", "lane", "looks_on")
 

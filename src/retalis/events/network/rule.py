@@ -113,7 +113,7 @@ class Rule:
                 self._file(match, match.buffer.span)
 
     def listen(self, leaf: Listening, action: EventAction, lane: Optional[Lane] = None) -> None:
-        """Have a leaf's action called for its events; see `Dispatcher.listen`."""
+        """Have a leaf's action called for its events; see `Audience.listen`."""
         listen = self.network.dispatcher.listen
         self.listeners.append(listen(Stage.RULES, leaf.term, action, (self.serial, leaf.rank), lane))
 

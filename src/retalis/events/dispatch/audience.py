@@ -1,0 +1,174 @@
+"""Who listens to events: found by their functor and then by the constants in patterns.
+
+Both are dictionaries, so an event costs nothing for listeners whose constants differ.
+"""
+
+from itertools import count
+from typing import Collection, Dict, Hashable, List, Optional, Tuple
+from weakref import WeakValueDictionary
+
+from ...foundation import Cache, UsageError
+from ...prolog.terms import Atom, EventAction, Functor, Lazy, Term, Var, copy, term_key
+from .gates import Gate
+from .matching import Matcher, compile_matcher
+from .plans import Plan, make_plan
+from .serving import Lane, Listener, Stage
+
+_GATES = 1000
+"""Functors with gates from which on it is looked which gates are still used."""
+
+
+class Audience:
+    """Who listens to which events, and what is made of that: plans, gates and lanes.
+
+    Attributes:
+        lanes: for events of a functor that one listener only takes, all of them, what serves them faster.
+    """
+
+    def __init__(self) -> None:
+        self._listeners: Dict[Optional[Functor], Dict[Listener, None]] = {}
+        self._plans: Cache[Functor, Plan] = Cache(10_000, 16 << 20)
+        self.lanes: Dict[Functor, Lane] = {}
+        self._gates: Dict[Functor, WeakValueDictionary[Tuple[int, ...], Gate]] = {}
+        self._many_gates = _GATES
+        self._matchers: WeakValueDictionary[Hashable, Matcher] = WeakValueDictionary()
+        self._order = count()
+
+    def listen(
+        self,
+        stage: Stage,
+        pattern: Term,
+        action: EventAction,
+        rank: Tuple[int, ...] = (),
+        lane: Optional[Lane] = None,
+        looks_on: bool = False,
+    ) -> Listener:
+        """Have ``action`` called for every event that unifies with ``pattern``.
+
+        A listener added while an event is dispatched sees later events only.
+
+        Args:
+            stage: when it is served.
+            pattern: an atom, a compound term, or a variable for any event. It is copied.
+            action: does its part and returns the frame to go on with, ``next`` if there is nothing more to do.
+            rank: place within the stage; by default after all there are.
+            lane: does the same as ``action`` for an event without variables whose arguments are the
+                values, where nobody else listens; it may leave ``current`` to `event`.
+            looks_on: whether ``action`` always returns the next frame; where all do so, it may leave ``current``
+                to `event`.
+
+        Raises:
+            UsageError: for a pattern that no event can match (a number, a string).
+        """
+        pattern = copy(pattern)
+        functor = _functor_of(pattern)
+        key = term_key(pattern)
+        matcher = self._matchers.get(key)
+        if matcher is None:
+            matcher = self._matchers[key] = compile_matcher(pattern)
+        order = (int(stage), *(rank or (next(self._order),)), next(self._order))
+        listener = Listener(order, pattern, functor, matcher, action, lane, looks_on)
+        self._listeners.setdefault(functor, {})[listener] = None
+        self._changed(functor)
+        return listener
+
+    def remove(self, listener: Listener) -> None:
+        """Take a listener away; removing it twice is not an error."""
+        group = self._listeners.get(listener.functor, {})
+        if group.pop(listener, 0) is None:
+            if not group:
+                del self._listeners[listener.functor]
+            self._changed(listener.functor)
+
+    def keep_only(self, stage: Stage, chosen: Collection[Listener]) -> None:
+        """Take away all listeners of a stage but some."""
+        for group in list(self._listeners.values()):
+            for listener in list(group):
+                if listener.order[0] == stage and listener not in chosen:
+                    self.remove(listener)
+
+    def gate(self, functor: Functor, positions: Tuple[int, ...] = ()) -> Gate:
+        """Return what tells whether an event of a functor can concern anybody, see `Gate`.
+
+        Args:
+            functor: of the events.
+            positions: which of their arguments are looked at, counted from 1.
+        """
+        gates = self._gates.get(functor)
+        if gates is None:
+            if len(self._gates) >= self._many_gates:  # of rules and clauses that come and go
+                self._gates = {key: found for key, found in self._gates.items() if len(found)}
+                self._many_gates = 2 * len(self._gates) + _GATES
+            gates = self._gates[functor] = WeakValueDictionary()
+        gate = gates.get(positions)
+        if gate is None:
+            gate = gates[positions] = Gate(positions, self._plans.get(functor))
+        return gate
+
+    def one_listens(self, functor: Functor) -> bool:
+        """Tell whether just one listens to events of this functor, where there is any."""
+        return len(self._listeners[functor]) == 1 and None not in self._listeners
+
+    def _changed(self, functor: Optional[Functor]) -> None:
+        if functor is None:
+            self._plans.clear()
+            self.lanes.clear()
+        else:
+            self._plans.pop(functor, None)
+            self.lanes.pop(functor, None)
+        for gates in list(self._gates.values()) if functor is None else self._gates_of(functor):
+            for gate in list(gates.values()):
+                gate.set(None)
+
+    def _gates_of(self, functor: Functor) -> "List[WeakValueDictionary[Tuple[int, ...], Gate]]":
+        gates = self._gates.get(functor)
+        return [] if gates is None else [gates]
+
+    def _plan(self, functor: Functor) -> Plan:
+        listeners = [*self._listeners.get(functor, ()), *self._listeners.get(None, ())]
+        listeners.sort(key=lambda listener: listener.order)
+        plan = self._plans.keep(functor, make_plan(listeners), len(functor.name))
+        for gates in self._gates_of(functor):
+            for gate in list(gates.values()):
+                gate.set(plan)
+        if len(listeners) == 1 and listeners[0].lane is not None and _takes_all(listeners[0].pattern):
+            self.lanes[functor] = listeners[0].lane
+        return plan
+
+
+def _takes_all(pattern: Term) -> bool:
+    """Tell whether a pattern's arguments are variables, all different."""
+    if pattern.__class__ is not tuple:
+        return False
+    found = set(pattern[1:])
+    return len(found) == len(pattern) - 1 and all(item.__class__ is Var for item in found)
+
+
+def functor_of_event(term: Term) -> Functor:
+    """Return the functor of an event.
+
+    Raises:
+        UsageError: for what is none.
+    """
+    functor = _functor_of(term)
+    if functor is None:
+        raise UsageError("an event is an atom or a compound term, not a variable")
+    return functor
+
+
+def _functor_of(term: Term) -> Optional[Functor]:
+    """Return the functor of a pattern or event; None for a variable.
+
+    Raises:
+        UsageError: for a number or string.
+    """
+    if term.__class__ is tuple:
+        found: Functor = term[0]
+        return found
+    if term.__class__ is Atom:
+        return term.functor
+    if term.__class__ is Lazy:
+        return term.functor
+    if term.__class__ is Var:
+        return None
+    raise UsageError("an event is an atom or a compound term, not a number or a string")
