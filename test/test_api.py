@@ -40,7 +40,9 @@ METHODS = {
     f"{name}.{member}": getattr(one, member)
     for name, one in PUBLIC.items()
     if inspect.isclass(one)
-    for member, found in vars(one).items()
+    for part in inspect.getmro(one)
+    if part is one or part.__module__.startswith("retalis.engine.")
+    for member, found in vars(part).items()
     if not member.startswith("_") and (inspect.isroutine(found) or isinstance(found, (property, classmethod)))
 }
 """What users call, beside the names themselves."""

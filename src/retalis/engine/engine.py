@@ -12,14 +12,14 @@ from ..prolog.machine import Frame
 from ..prolog.syntax import Operators, read_term
 from ..prolog.terms import Functor, Term, Var, WholeSeconds, timestamps, variables
 from .callbacks import OnEvent, OnOutput
-from .core import EngineCore
+from .holdings import Holdings
 from .ownfiles import REQUEST
 
 Instant = Union[int, Term]
 Result = TypeVar("Result")
 
 
-class Engine(EngineCore):
+class Engine(Holdings):
     """A running program.
 
     Events go in (`event`, `post`), outputs come out (`on_output`), questions are answered (`query`). Calls may
@@ -286,34 +286,6 @@ class Engine(EngineCore):
         (True, True)
         """
         return self._logic.operators
-
-    def has_memory(self, name: Term) -> bool:
-        """Tell whether there is a memory with an id.
-
-        >>> engine = Engine()
-        >>> engine.load(goals="memorize(fire, [], _, fires, 10)")
-        >>> engine.has_memory(atom("fires"))
-        True
-        """
-        return self._knowledge.memories.find(name) is not None
-
-    def has_subscription(self, topic: Term, name: Term) -> bool:
-        """Tell whether there is a subscription with a topic and an id.
-
-        >>> engine = Engine()
-        >>> engine.load(goals="subscribe(fire, [], _, alarms, a)")
-        >>> engine.has_subscription(atom("alarms"), atom("a"))
-        True
-        """
-        return self._knowledge.subscriptions.has(topic, name)
-
-    def delete_subscription(self, topic: Term, name: Term) -> bool:
-        """Delete the subscription with a topic and an id; return whether there was one.
-
-        >>> Engine().delete_subscription(atom("alarms"), atom("a"))
-        False
-        """
-        return self.do(lambda: self._knowledge.subscriptions.delete(topic, name))
 
     def summary(self) -> str:
         """Say how many rules, memories and subscriptions there are.

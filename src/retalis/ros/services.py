@@ -1,6 +1,6 @@
 """The six services: texts in, ``ok`` or ``error: ...`` out."""
 
-from typing import Any, Callable, Dict, Iterable, List, Tuple
+from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Tuple
 
 import rospy
 
@@ -8,7 +8,7 @@ from ..engine import Engine
 from ..events.program import TOPICS
 from ..foundation import RetalisError, SyntaxFault, UsageError, beginning, printable
 from ..prolog.syntax import Operators, read_term
-from ..prolog.terms import COMMA, TRUE, Atom, Term, Var, atom, conjuncts, deref, functor, make_list, variables
+from ..prolog.terms import COMMA, TRUE, Atom, Term, Var, atom, conjuncts, deref, variables
 from .interface import OUTPUT, Interface, resolve
 
 OK = "ok"
@@ -30,6 +30,22 @@ def answer(work: Callable[[], None]) -> str:
         reason = beginning(error.brief(), LONGEST_ANSWER)
         return "error: " + " ".join(reason.splitlines())  # names may have line breaks in them
     return OK
+
+
+class _Fields(NamedTuple):
+    """What requests for a memory and for a subscription have in common.
+
+    Attributes:
+        event: the pattern of events.
+        conditions: goals.
+        form: what is made of an event; a variable for the event itself.
+        free: the names in the format to which nothing gives a value.
+    """
+
+    event: Term
+    conditions: List[Term]
+    form: Term
+    free: List[str]
 
 
 class EngineServices:
@@ -57,7 +73,9 @@ class EngineServices:
                 raise UsageError(
                     f"a subscription {shown(request.id)} of topic {shown(request.topic)} already exists"
                 )
-            self._add(request, "subscribe", topic, key)
+            fields = self._fields(request)
+            self._engine.add_subscription(fields.event, fields.conditions, fields.form, topic, key)
+            self._warn_of_free("subscribe", request.id, fields)
             self._warn_of_type(request.topic.strip())
 
         return answer(lambda: self._engine.do(work))
@@ -82,7 +100,9 @@ class EngineServices:
             key, size = name(request.id, "id"), self._size(request.size)
             if self._engine.has_memory(key):
                 raise UsageError(f"a memory {shown(request.id)} already exists")
-            self._add(request, "memorize", key, size)
+            fields = self._fields(request)
+            self._engine.add_memory(fields.event, fields.conditions, fields.form, key, size)
+            self._warn_of_free("memorize", request.id, fields)
 
         return answer(lambda: self._engine.do(work))
 
@@ -98,14 +118,12 @@ class EngineServices:
 
     def _delete_memory(self, request: Any) -> str:
         def work() -> None:
-            key = name(request.id, "id")
-            if not self._engine.has_memory(key):
+            if not self._engine.delete_memory(name(request.id, "id")):
                 raise UsageError(f"there is no memory {shown(request.id)}")
-            self._call((functor("delete_memory", 1), key))
 
-        return answer(lambda: self._engine.do(work))  # nobody deletes it in between
+        return answer(work)
 
-    def _add(self, request: Any, goal: str, fourth: Term, fifth: Term) -> None:
+    def _fields(self, request: Any) -> _Fields:
         fields = {"event": request.event, "conditions": request.conditions.strip() or "true"}
         (event, conditions, form), names = self._read_together({**fields, "format": request.format})
         goals = [] if conditions is TRUE else list(conjuncts(conditions))
@@ -113,15 +131,18 @@ class EngineServices:
         for one in goals:
             self._check("conditions", "goals: atoms or compound terms", one, (Atom, tuple))
         self._check("format", "an atom or a compound term, or _ for the event", form, (Atom, tuple, Var))
-        self._call((functor(goal, 5), event, make_list(goals), form, fourth, fifth))
         bound = variables((COMMA, event, conditions))
         free = [name for name, var in names.items() if var in variables(form) and var not in bound]
-        if free and not isinstance(form, Var):
+        return _Fields(event, goals, form, [] if isinstance(form, Var) else free)
+
+    def _warn_of_free(self, goal: str, text: str, fields: _Fields) -> None:
+        """Say where the format has variables that will never have a value."""
+        if fields.free:
             rospy.logwarn(
                 "%s %s: nothing in event or conditions gives %s in the format a value",
                 goal,
-                shown(request.id),
-                " and ".join(free),
+                shown(text),
+                " and ".join(fields.free),
             )
 
     def _check(self, field: str, expected: str, term: Term, kinds: Tuple[type, ...]) -> None:
@@ -154,10 +175,6 @@ class EngineServices:
         if size < 0:
             raise UsageError(f"size: expected a whole number of 0 or more, found {size}")
         return size
-
-    def _call(self, goal: Term) -> None:
-        if not self._engine.call(goal):
-            raise UsageError(f"{self._engine.brief(goal)} fails")
 
 
 class InterfaceServices:

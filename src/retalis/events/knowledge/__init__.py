@@ -4,8 +4,11 @@ Each is fed by the dispatcher (`retalis.events.dispatch`) and reached by goals (
 puts them together.
 """
 
-from .knowledge import Knowledge
+from .knowledge import DELETE_MEMORY, MEMORIZE, SUBSCRIBE, Knowledge
 
 __all__ = [
+    "DELETE_MEMORY",
     "Knowledge",
+    "MEMORIZE",
+    "SUBSCRIBE",
 ]

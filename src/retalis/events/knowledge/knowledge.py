@@ -16,6 +16,7 @@ from .waiting import WaitingQueries
 
 MEMORIZE = functor("memorize", 5)
 SUBSCRIBE = functor("subscribe", 5)
+DELETE_MEMORY = functor("delete_memory", 1)
 
 
 class Knowledge:
