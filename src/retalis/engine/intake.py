@@ -65,7 +65,7 @@ class Intake:
             if frame is not self._done:
                 self._logic.machine.run(frame)
         except BaseException:
-            dispatcher.restore((current, cause))
+            dispatcher.restore(current, cause)
             raise
 
     def take_message(self, term: Term) -> None:
@@ -77,7 +77,7 @@ class Intake:
                 if lane(term, stamp, stamp):
                     return
             except BaseException:
-                self._dispatcher.restore()
+                self._dispatcher.restore(None, None)
                 raise
         self.take(term, stamp, stamp, True)
 

@@ -40,7 +40,7 @@ class EngineRecovery(Recovery):
         go_back(self._logic.machine, machine)
         if mend_all:
             self._rules.files.restore(files)
-        dispatcher.restore(served)
+        dispatcher.restore(*served)
         self._logic.new_goals = goals
         if mend_all and state is None:
             mend(self._logic)

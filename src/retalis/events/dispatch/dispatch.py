@@ -48,7 +48,7 @@ class Dispatcher(Audience):
     def mend(self) -> None:
         """Make the plans anew and serve nothing, after an interrupt."""
         self._changed(None)
-        self.restore()
+        self.restore(None, None)
 
     def dispatch(  # noqa: C901  (each event takes it)
         self,
@@ -239,13 +239,15 @@ class Dispatcher(Audience):
         """Return what is being served and why, for `restore`."""
         return self.current, self.cause
 
-    def restore(self, state: Tuple[Any, Any] = (None, None)) -> None:
-        """Serve again what was being served, nothing without a state: what came in between is over, or has failed."""
-        self.current, self.cause = state
+    def restore(self, current: Any, cause: Any) -> None:
+        """Serve again what was being served, for the cause that it had: what came in between is over, or has failed.
 
-    def serve_again(self, current: Any) -> None:
-        """Serve again what was `current` before a goal that raised an error, maybe amid an event that it made."""
+        Args:
+            current: what was `current`; None for nothing.
+            cause: what was `cause`; that of now where nothing in between leaves another.
+        """
         self.current = current
+        self.cause = cause
 
     def caused_by(
         self, cause: Any, then: Callable[..., Frame], after: Frame
@@ -270,17 +272,17 @@ class Dispatcher(Audience):
         try:
             return work()
         except BaseException:
-            self.restore(state)
+            self.restore(*state)
             raise
 
     def apart(self, work: Callable[[], Result]) -> Result:
         """Return what work returns; what it dispatches follows from nothing that is being served."""
         state = self.state()
-        self.restore()
+        self.restore(None, None)
         try:
             return work()
         finally:
-            self.restore(state)
+            self.restore(*state)
 
     def event(self) -> Optional[Dispatch]:
         """Return the event that is being served, or None."""

@@ -96,7 +96,7 @@ def recording(
         try:
             solution = test(values) if ground else test_open(values)
         except PrologError as error:
-            dispatcher.serve_again(event)
+            dispatcher.restore(event, dispatcher.cause)
             if keep_back(error):
                 problem(f"{name}: event {logic.brief(term)}: {error}", name)
             return None

@@ -74,7 +74,7 @@ class RuleGoal:
                 return values + found if found else values
             return self._open().test(values)
         except PrologError as error:
-            self._dispatcher.serve_again(current)
+            self._dispatcher.restore(current, self._dispatcher.cause)
             self.failed(error)
             return None
         finally:
@@ -138,7 +138,7 @@ class RuleGoal:
             try:  # as `act`, in 13 % fewer instructions of an event that others listen to as well
                 found = check((code, *values, done), goal)
             except PrologError as error:
-                dispatcher.serve_again(event)
+                dispatcher.restore(event, dispatcher.cause)
                 self.failed(error)
                 return after
             return solved(term, values, start, end, after) if found else after
