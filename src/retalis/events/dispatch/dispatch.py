@@ -10,7 +10,7 @@ from ...prolog.machine import Budget, Frame, PrologError, keep_back
 from ...prolog.terms import Atom, EventAction, Functor, Term, Values, Var, copy, deref, is_ground, is_plain
 from .audience import Audience, functor_of_event
 from .plans import Choice, Onlookers
-from .serving import AT_ONCE, LEFT_OUT, RESTORE, Dispatch, Lane, event_of
+from .serving import AT_ONCE, CAUSE_AGAIN, LEFT_OUT, Dispatch, Lane, event_of
 
 Result = TypeVar("Result")
 
@@ -264,7 +264,7 @@ class Dispatcher(Audience):
             return then(*found)
 
         self.cause = cause
-        return over, (RESTORE, self, "cause", before, after)
+        return over, (CAUSE_AGAIN, self, before, after)
 
     def undisturbed(self, work: Callable[[], Result]) -> Result:
         """Return what work returns; where it raises, what was being served before is being served again."""

@@ -8,7 +8,7 @@ from ...prolog.terms import EventAction, Functor, Term, Values, are_ground, undo
 from .dispatch import Dispatcher
 from .gates import Gate
 from .plans import NOBODY
-from .serving import LEFT_OUT, RESTORE, Lane
+from .serving import LEFT_OUT, SERVE_AGAIN, Lane
 
 OPEN = Gate((), None)
 
@@ -111,7 +111,7 @@ def stand_in(
         if instead is None or not are_ground(values[known:] if dispatcher.ground() else values):
             return otherwise(term, values, start, end, after)
         dispatcher.current = instead
-        then = (RESTORE, dispatcher, "current", current, after)
+        then = (SERVE_AGAIN, dispatcher, current, after)
         frame = work(values, start, end, then)
         if frame is not then:
             return frame

@@ -125,15 +125,27 @@ LEFT_OUT = [event_of(_Nobody(), TRUE, 0, 0, depth) for depth in range(1, AT_ONCE
 """What is current in place of events that are not made, by the depth of what they follow from: at 0 of nothing."""
 
 
-class _RestoreEvent:
-    """Code of a frame that gives the dispatcher's ``current`` or ``cause`` back what it was before."""
+class _ServeAgain:
+    """Code of a frame by which the dispatcher serves again what it did before."""
 
     @staticmethod
     def run(frame: Frame) -> Frame:
         after: Frame
-        _, dispatcher, name, before, after = frame
-        setattr(dispatcher, name, before)
+        _, dispatcher, current, after = frame
+        dispatcher.restore(current, dispatcher.cause)
         return after
 
 
-RESTORE = _RestoreEvent()
+class _CauseAgain:
+    """Code of a frame from which on events have the cause again that they had before."""
+
+    @staticmethod
+    def run(frame: Frame) -> Frame:
+        after: Frame
+        _, dispatcher, cause, after = frame
+        dispatcher.restore(dispatcher.current, cause)
+        return after
+
+
+SERVE_AGAIN = _ServeAgain()
+CAUSE_AGAIN = _CauseAgain()
