@@ -1,7 +1,7 @@
 """What the dispatcher deals in: listeners, the stages in which they are served, and events that are being served."""
 
 from enum import IntEnum
-from typing import Any, Callable, Iterator, Optional, Protocol, Tuple
+from typing import Any, Callable, Iterator, Optional, Tuple
 
 from ...prolog.terms import TRUE, EventAction, Frame, Functor, Term
 from .matching import Matcher
@@ -53,26 +53,11 @@ AT_ONCE = 5
 """To this depth derived events are served inside the call that makes them; deeper ones by the machine's loop."""
 
 
-class Serving(Protocol):
-    """What serves events.
-
-    Attributes:
-        current: what is being served; see `Dispatcher`.
-    """
-
-    current: Any
-
-
-class _Nobody:
-    """What serves events that are not made."""
-
-    current: Any = None
-
-
 class Dispatch:
     """The dispatch of one event; as ``code`` of a frame it serves the listeners that are left.
 
     Attributes:
+        dispatcher: the `Dispatcher`, which is made of these; None where nobody is left to be served.
         token: what tells this event from all others, given by `Dispatcher.token`.
         depth: how many events it was derived through, itself included.
         cause: the rule and match whose goal made it, where that is tracked.
@@ -81,7 +66,7 @@ class Dispatch:
 
     __slots__ = ("dispatcher", "steps", "term", "start", "end", "parent", "depth", "token", "cause", "ground")
 
-    dispatcher: "Serving"
+    dispatcher: Any
     steps: Iterator[Step]
     term: Term
     start: int
@@ -109,7 +94,7 @@ class Dispatch:
         return frame[1]  # type: ignore[no-any-return]
 
 
-def event_of(dispatcher: "Serving", term: Term, start: int, end: int, depth: int) -> Dispatch:
+def event_of(dispatcher: Any, term: Term, start: int, end: int, depth: int) -> Dispatch:
     """Return an event without variables whose listeners have been served, or are by others."""
     event = Dispatch()
     event.dispatcher = dispatcher
@@ -121,7 +106,7 @@ def event_of(dispatcher: "Serving", term: Term, start: int, end: int, depth: int
     return event
 
 
-LEFT_OUT = [event_of(_Nobody(), TRUE, 0, 0, depth) for depth in range(1, AT_ONCE + 1)]
+LEFT_OUT = [event_of(None, TRUE, 0, 0, depth) for depth in range(1, AT_ONCE + 1)]
 """What is current in place of events that are not made, by the depth of what they follow from: at 0 of nothing."""
 
 
