@@ -72,6 +72,14 @@ class Space:
         everything = (*publications, *subscriptions, *services)
         return {node for _, nodes in everything for node in nodes}, {name for name, _ in services}
 
+    def pid(self, node):
+        """Return the process of a node, None where it does not answer."""
+        try:
+            uri = ServerProxy(self.env["ROS_MASTER_URI"]).lookupNode("/test", node)[2]
+            return ServerProxy(uri).getPid("/test")[2] if uri else None
+        except OSError:
+            return None
+
     def expect(self, condition, seconds=30):
         """Wait until the master's nodes and services fulfil the condition."""
         end = time.monotonic() + seconds

@@ -1,5 +1,7 @@
 """The package as users find it: sourced, launched, run, in devel and install space."""
 
+import os
+import signal
 from pathlib import Path
 
 SERVICES = {
@@ -43,6 +45,16 @@ def test_embedded_is_one_process_with_six_services(space):
     wanted = {"/" + name for name in SERVICES}
     space.expect(lambda found, services: "/retalis" in found and wanted <= services)
     assert "/retalis_ros_interface" not in space.state()[0]
+
+
+def test_nodes_that_end_are_started_again_where_that_is_wanted(space):
+    space.start("roslaunch", "-p", str(space.port), "retalis", "retalis.launch", "respawn:=true")
+    nodes = {"/retalis", "/retalis_ros_interface"}
+    space.expect(lambda found, services: nodes <= found)
+    before = {node: space.pid(node) for node in nodes}
+    for pid in before.values():
+        os.kill(pid, signal.SIGKILL)
+    space.expect(lambda found, services: all(space.pid(node) not in (None, before[node]) for node in nodes))
 
 
 def test_node_names_without_a_launch_file(space):
