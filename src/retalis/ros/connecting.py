@@ -17,7 +17,7 @@ def connect(interface: Interface, topics: Topics, direct: Iterable[TopicType] = 
     """Subscribe and advertise what ``pub_sub.xml`` names, but for what node retalis subscribes by itself."""
     apart = {rospy.resolve_name(topic) for topic, _ in direct}
     for topic, kind in topics.published:
-        _try(interface.advertise, topic, kind)
+        _try(interface.outputs.advertise, topic, kind)
     for topic, kind in topics.subscribed:
         if rospy.resolve_name(topic) not in apart:
             _try(interface.subscribe, topic, kind)

@@ -68,7 +68,7 @@ class Converter:
             self._reports.error(RetalisError(f"an output is not published: {error}"), OUTPUT)
             return
         topic = deref(event[2])
-        self._interface.publish(deref(event[1]), getattr(topic, "name", None) or to_text(topic))
+        self._interface.outputs.publish(deref(event[1]), getattr(topic, "name", None) or to_text(topic))
 
 
 def main() -> int:

@@ -1,19 +1,18 @@
 """Between ROS topics and events: messages become terms, terms become messages."""
 
 import threading
-from struct import Struct
 from typing import Any, Callable, ContextManager, Dict, Iterable, List, Optional, Set, Tuple
 
 import rospy
 
 from ..engine.runtime import Reports
 from ..events.program import TopicType, topic_type
-from ..foundation import Cache, MessageError, RetalisError, UsageError, beginning, printable, topic_fault
-from ..messages import Decoder, Definitions, Encoder
-from ..prolog.terms import Term
-from .raw import raw_bytes, raw_class
+from ..foundation import Cache, MessageError, RetalisError, UsageError, beginning, printable
+from ..messages import Decoder, Definitions
+from .names import resolve
+from .publishing import OutputTopics
+from .raw import raw_bytes
 from .receiving import read_by
-from .sending import Outlet
 from .texts import text_taker
 
 Take = Callable[[bytes], None]
@@ -39,9 +38,6 @@ HOLD = 0.0012
 """Seconds for which a message may wait for the next ones, where they come fast."""
 
 
-_SIZE = Struct("<I")
-
-
 def nothing() -> None:
     """Do nothing."""
 
@@ -56,6 +52,9 @@ class Interface:
         definitions: the message types that are known.
         done: called after messages that were received together.
         hold: seconds for which a message may wait for the next ones, where they come fast.
+
+    Attributes:
+        outputs: the topics that are published.
     """
 
     def __init__(
@@ -73,7 +72,7 @@ class Interface:
         self._queue = queue
         self._definitions = Definitions() if definitions is None else definitions
         self._inputs: Dict[str, InputTopic] = {}
-        self._outputs: Dict[str, Tuple[Outlet, Encoder]] = {}
+        self.outputs = OutputTopics(self._definitions, queue, reports)
         self._texts: List[InputTopic] = []
         self._elsewhere: Set[str] = set()
         self._reserved = {rospy.resolve_name(topic) for topic in (INPUT, OUTPUT)}
@@ -132,37 +131,6 @@ class Interface:
         if found is None:
             raise UsageError(f"topic {topic} is not subscribed")
         found.close()
-
-    def advertise(self, topic: str, kind: str) -> None:
-        """Make a topic to which terms of a message type can be published.
-
-        Raises:
-            RetalisError: where the type or the topic's name is wrong, or the topic has another type already.
-        """
-        name = resolve(topic)
-        definition = self._definitions.find(kind)
-        with self._lock:
-            known = self._outputs.get(name)
-            if known is not None:
-                if known[1].definition.name != kind:
-                    raise UsageError(f"topic {topic} already has the type {known[1].definition.name}")
-                return
-            outlet = Outlet(name, raw_class(definition), self._queue, self._reports)
-            self._outputs[name] = (outlet, self._definitions.encoder(definition))
-
-    def publish(self, term: Term, topic: str) -> None:
-        """Publish a term as a message; what does not fit the topic's type is logged and not published."""
-        try:
-            found = self._outputs.get(resolve(topic))
-            if found is None:
-                raise MessageError(
-                    f"nothing is published on {beginning(topic)}: pub_sub.xml has no <publish_to> that gives its type"
-                )
-            outlet, encoder = found
-            data = encoder.encode(term, topic)
-            outlet.send(_SIZE.pack(len(data)) + data)
-        except RetalisError as error:
-            self._reports.error(error, ("out", topic))
 
 
 class InputTopic:
@@ -276,18 +244,3 @@ class InputTopic:
                 printable(beginning(sent)),
             )
         return learned.decoder
-
-
-def resolve(topic: str) -> str:
-    """Return the full name of a topic, remapping and namespace applied.
-
-    Raises:
-        UsageError: where it is not a name.
-    """
-    fault = topic_fault(topic.strip())
-    if fault is not None or not topic.strip(" /"):
-        raise UsageError(fault or f'"{topic}" is not a topic name')
-    try:
-        return str(rospy.resolve_name(topic.strip()))
-    except (ValueError, rospy.ROSException) as error:
-        raise UsageError(f'"{topic}" is not a topic name: {error}') from error

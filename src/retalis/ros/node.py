@@ -86,7 +86,7 @@ class RetalisNode:
         direct = direct_topics(parameters.direct, topics)
         if parameters.embedded:
             connect(self._interface, topics, direct)
-            self.engine.on_output(lambda term, topic, name: self._interface.publish(term, topic))
+            self.engine.on_output(lambda term, topic, name: self._interface.outputs.publish(term, topic))
             InterfaceServices(self._interface)
         for topic, kind in direct:
             self._subscribe(topic, kind)

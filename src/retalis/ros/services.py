@@ -9,7 +9,8 @@ from ..events.program import TOPICS
 from ..foundation import RetalisError, SyntaxFault, UsageError, beginning, printable
 from ..prolog.syntax import Operators, read_term
 from ..prolog.terms import COMMA, TRUE, Atom, Term, Var, atom, conjuncts, deref, variables
-from .interface import OUTPUT, Interface, resolve
+from .interface import OUTPUT, Interface
+from .names import resolve
 
 OK = "ok"
 

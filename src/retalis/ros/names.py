@@ -1,0 +1,20 @@
+"""Names of topics, as programs and people write them."""
+
+import rospy
+
+from ..foundation import UsageError, topic_fault
+
+
+def resolve(topic: str) -> str:
+    """Return the full name of a topic, remapping and namespace applied.
+
+    Raises:
+        UsageError: where it is not a name.
+    """
+    fault = topic_fault(topic.strip())
+    if fault is not None or not topic.strip(" /"):
+        raise UsageError(fault or f'"{topic}" is not a topic name')
+    try:
+        return str(rospy.resolve_name(topic.strip()))
+    except (ValueError, rospy.ROSException) as error:
+        raise UsageError(f'"{topic}" is not a topic name: {error}') from error
