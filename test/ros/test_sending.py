@@ -71,11 +71,13 @@ def reports():
 def outlet(monkeypatch, link, reports):
     """Return a function that makes an outlet with the connection."""
 
-    def publisher(topic, kind, queue_size):
-        return SimpleNamespace(name=topic, impl=SimpleNamespace(connections=[link]))
+    def publisher(topic, kind, listener, latch, queue_size):
+        return SimpleNamespace(name=topic, impl=SimpleNamespace(connections=[link]), listener=listener)
 
     monkeypatch.setattr(rospy, "Publisher", publisher)
-    return lambda queue=1000, patient=False: Outlet("/topic", object, queue, reports, patient)
+    return lambda queue=1000, patient=False, latched=False: Outlet(
+        "/topic", object, queue, reports, patient, latched
+    )
 
 
 def test_what_a_connection_takes_is_written_at_once(outlet, link):
@@ -186,6 +188,35 @@ def test_connections_that_are_gone_are_forgotten(outlet, link):
     it.publisher.impl = None
     it.send(b"frame")
     assert list(it.links()) == []
+
+
+def come(it, new):
+    """Have a connection be made, as rospy does: among the topic's first, then told of."""
+    it.publisher.impl.connections = [*it.publisher.impl.connections, new]
+    return lambda: it.publisher.listener.peer_subscribe("/topic", print, print)
+
+
+def test_the_last_message_of_a_latched_topic_goes_once_to_who_comes_later(outlet, link):
+    it = outlet(latched=True)
+    for number in range(2):
+        it.send(numbered(number))
+    assert link.read(1) == [0, 1]
+    before, between, after = Link(), Link(), Link()
+    come(it, before)()
+    tell = come(it, between)
+    it.send(numbered(2))
+    tell()
+    tell()
+    come(it, after)()
+    it.send(numbered(3))
+    assert [one.read(3) for one in (link, before, between, after)] == [[2, 3], [1, 2, 3], [2, 3], [2, 3]]
+
+
+def test_a_latched_topic_without_a_message_sends_nothing_to_who_comes(outlet, link):
+    it = outlet(latched=True)
+    come(it, Link())()
+    it.send(numbered(0))
+    assert link.read(0) == [0]
 
 
 def test_texts_go_out_together_in_order(outlet, link, monkeypatch):

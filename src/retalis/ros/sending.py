@@ -9,7 +9,7 @@ import socket
 import threading
 import time
 from collections import deque
-from typing import Any, Deque, Dict, Tuple
+from typing import Any, Deque, Dict, List, Tuple
 
 import rospy
 from rospy.exceptions import TransportException
@@ -37,14 +37,25 @@ class Outlet:
         reports: takes a warning of each message that is dropped.
         patient: whether those who send are held up for a moment before anything is dropped, so that a burst
             loses nothing.
+        latched: whether the last message goes to each receiver that comes later.
     """
 
-    def __init__(self, topic: str, kind: Any, queue: int, reports: Reports, patient: bool = False):
-        self.publisher = rospy.Publisher(topic, kind, queue_size=queue)
+    def __init__(
+        self,
+        topic: str,
+        kind: Any,
+        queue: int,
+        reports: Reports,
+        patient: bool = False,
+        latched: bool = False,
+    ):
         self._queue = queue
         self._reports = reports
         self._patient = patient
         self._lines: Dict[Any, _Receiver] = {}
+        self._latch = _Latch(self) if latched else None
+        # rospy says by the header that the topic is latched; what it would send itself, it has not got
+        self.publisher = rospy.Publisher(topic, kind, self._latch, latch=latched, queue_size=queue)
 
     def links(self) -> Any:
         """Return rospy's connections to those who listen."""
@@ -52,10 +63,15 @@ class Outlet:
         return () if topic is None else topic.connections
 
     def send(self, frames: bytes, number: int = 1) -> None:
-        """Write messages, framed as on the wire, to all connections."""
-        links = self.links()
-        if len(self._lines) > len(links):
-            self._lines = {link: line for link, line in self._lines.items() if link in links}
+        """Write messages, framed as on the wire, to all connections; one at a time where the topic is latched."""
+        if self._latch is not None:
+            self._latch.send(frames)
+            return
+        self.write(self.links(), frames, number)
+
+    def write(self, links: Any, frames: bytes, number: int = 1) -> None:
+        """Write messages to some of the connections."""
+        self._forget()
         for link in links:
             line = self._lines.get(link)
             if line is None:
@@ -66,6 +82,42 @@ class Outlet:
             except (TransportException, OSError) as error:
                 rospy.logdebug("a connection of %s has ended: %s", self.publisher.name, error)
                 link.close()
+
+    def _forget(self) -> None:
+        """Forget the connections that are gone."""
+        links = self.links()
+        if len(self._lines) > len(links):
+            self._lines = {link: line for link, line in self._lines.items() if link in links}
+
+    def unserved(self) -> List[Any]:
+        """Return the connections to which nothing has been written."""
+        return [link for link in self.links() if link not in self._lines]
+
+
+class _Latch(rospy.SubscribeListener):  # type: ignore[misc]
+    """Keeps the last message of a topic for those who come later.
+
+    rospy tells of a connection when that stands among the topic's already, so a message may go to it just before:
+    that one is the last message then, and is not sent again.
+    """
+
+    def __init__(self, outlet: Outlet):
+        super().__init__()
+        self._outlet = outlet
+        self._last = b""
+        self._lock = threading.Lock()
+
+    def send(self, frame: bytes) -> None:
+        """Write a message to all connections, and keep it."""
+        with self._lock:
+            self._last = frame
+            self._outlet.write(self._outlet.links(), frame)
+
+    def peer_subscribe(self, topic: str, publish: object, publish_to_peer: object) -> None:
+        """Write the last message to those who have nothing yet."""
+        with self._lock:
+            if self._last:
+                self._outlet.write(self._outlet.unserved(), self._last)
 
 
 class _Receiver:

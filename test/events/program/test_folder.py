@@ -32,9 +32,23 @@ def test_elements_stand_at_any_depth_and_comments_count_for_nothing(tmp_path):
     assert topics.published == ()
 
 
+def test_topics_are_latched_where_that_is_said(tmp_path):
+    line = '<publish_to name="{}" msg_type="std_msgs/String" latch="{}"/>'
+    lines = [line.format("plain", "false"), line.format("kept", "true"), line.format("also", " true ")]
+    topics = read(tmp_path, f"<publish_subscribe>{''.join(lines)}</publish_subscribe>")
+    assert [topic.topic for topic in topics.published] == ["plain", "kept", "also"]
+    assert topics.latched == {"kept", "also"}
+
+
 @pytest.mark.parametrize(
     ("text", "message", "line", "column"),
     [
+        (
+            '<publish_subscribe><publish_to name="x" msg_type="a/B" latch="on"/></publish_subscribe>',
+            '<publish_to>: latch is "true" or "false", found "on"',
+            1,
+            20,
+        ),
         (
             "<publish_subscribe>\n  <group>\n",
             "not XML: no element found; <group> of line 2 is not closed",

@@ -1,7 +1,7 @@
 """The folder of a program: ``pub_sub.xml``, ``goalPredicates.txt`` and what these name."""
 
 from pathlib import Path
-from typing import Dict, List, NamedTuple, Tuple, Union
+from typing import Dict, FrozenSet, List, NamedTuple, Set, Tuple, Union
 from xml.parsers import expat
 
 from ...foundation import (
@@ -12,6 +12,7 @@ from ...foundation import (
     RuleError,
     SyntaxFault,
     UsageError,
+    beginning,
     place_in,
     topic_fault,
     type_fault,
@@ -52,10 +53,17 @@ def topic_type(topic: str, kind: str) -> TopicType:
 
 
 class Topics(NamedTuple):
-    """What ``pub_sub.xml`` says: topics that become events, and types of topics that are published."""
+    """What ``pub_sub.xml`` says.
+
+    Attributes:
+        subscribed: topics that become events.
+        published: topics that are published, with their types.
+        latched: names of those whose last message goes to every subscriber that comes later.
+    """
 
     subscribed: Tuple[TopicType, ...] = ()
     published: Tuple[TopicType, ...] = ()
+    latched: FrozenSet[str] = frozenset()
 
 
 def read_text(path: Union[str, Path]) -> str:
@@ -99,6 +107,7 @@ class _TopicReader:
         self.open: List[Tuple[str, int]] = []
         self.inside = False
         self.found: Dict[str, List[TopicType]] = {"subscribe_to": [], "publish_to": []}
+        self.latched: Set[str] = set()
         self.errors = Errors()
 
     def read(self) -> Topics:
@@ -115,7 +124,8 @@ class _TopicReader:
             self.errors.append(SyntaxFault(message, self.place(error.lineno, error.offset)))
         if self.errors:
             raise ProgramErrors(self.errors)
-        return Topics(tuple(self.found["subscribe_to"]), tuple(self.found["publish_to"]))
+        subscribed, published = (tuple(self.found[tag]) for tag in ("subscribe_to", "publish_to"))
+        return Topics(subscribed, published, frozenset(self.latched))
 
     def place(self, line: int, offset: int) -> Place:
         text = self.lines[line - 1] if line <= len(self.lines) else ""
@@ -149,9 +159,19 @@ class _TopicReader:
                 self.wrong(f'<{tag}> needs {name}="..."', place)
                 return
         try:
-            self.found[tag].append(topic_type(attributes["name"].strip(), attributes["msg_type"].strip()))
+            topic = topic_type(attributes["name"].strip(), attributes["msg_type"].strip())
         except UsageError as error:
             self.wrong(f"<{tag}>: {error.message}", place)
+            return
+        self.found[tag].append(topic)
+        if tag == "publish_to":
+            self.latch(topic.topic, attributes.get("latch", "false").strip(), place)
+
+    def latch(self, topic: str, wanted: str, place: Place) -> None:
+        if wanted == "true":
+            self.latched.add(topic)
+        elif wanted != "false":
+            self.wrong(f'<publish_to>: latch is "true" or "false", found "{beginning(wanted)}"', place)
 
     def wrong(self, message: str, place: Place) -> None:
         self.errors.append(RuleError(message, place))
