@@ -56,7 +56,9 @@ def run(options: argparse.Namespace) -> int:
         reader = stack.enter_context(BagReader(options.bag))
         settings = limited(allow_folders(Settings(), options), options)
         playback = Playback(options.program, report, _topics(options.topic), settings)
-        writer = _OutputWriter(stack.enter_context(BagWriter(options.output))) if options.output else None
+        writer = None
+        if options.output:
+            writer = _OutputWriter(stack.enter_context(BagWriter(options.output)), playback.is_latched)
         advance = stack.enter_context(progress("messages", reader.messages))
         relax()
         for output in playback.run(reader, advance):
@@ -83,8 +85,9 @@ def _topics(texts: List[str]) -> List[TopicType]:
 class _OutputWriter:
     """Writes outputs into a bag, a connection for each topic."""
 
-    def __init__(self, writer: BagWriter):
+    def __init__(self, writer: BagWriter, is_latched: Callable[[str], bool]):
         self._writer = writer
+        self._is_latched = is_latched
         self._connections: Dict[str, object] = {}
 
     def write(self, output: Output) -> None:
@@ -92,5 +95,5 @@ class _OutputWriter:
             return
         topic = output.topic if output.topic.startswith("/") else f"/{output.topic}"
         if topic not in self._connections:
-            self._connections[topic] = self._writer.add(topic, output.definition)
+            self._connections[topic] = self._writer.add(topic, output.definition, self._is_latched(topic))
         self._writer.write(self._connections[topic], output.time, output.data)

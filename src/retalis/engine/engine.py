@@ -287,6 +287,16 @@ class Engine(Holdings):
         """
         return self._logic.operators
 
+    def output_topics(self) -> List[str]:
+        """Return the topics to which subscriptions send, in the order of the alphabet.
+
+        >>> engine = Engine()
+        >>> engine.load(goals="subscribe(fire, [], _, alarms, a)")
+        >>> engine.output_topics()
+        ['alarms']
+        """
+        return sorted({topic for topic, _ in self._knowledge.subscriptions})
+
     def summary(self) -> str:
         """Say how many rules, memories and subscriptions there are.
 

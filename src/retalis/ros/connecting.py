@@ -5,7 +5,7 @@ from typing import Callable, Iterable
 import rospy
 
 from ..events.program import TOPICS, Topics, TopicType
-from ..foundation import RetalisError
+from ..foundation import MessageError, RetalisError
 from ..prolog.terms import functor
 from .interface import Interface
 
@@ -16,15 +16,21 @@ OUTPUT_EVENT = functor("event", 3)
 def connect(interface: Interface, topics: Topics, direct: Iterable[TopicType] = ()) -> None:
     """Subscribe and advertise what ``pub_sub.xml`` names, but for what node retalis subscribes by itself."""
     apart = {rospy.resolve_name(topic) for topic, _ in direct}
+    learning = any(not interface.outputs.knows(kind) for _, kind in topics.subscribed)
     for topic, kind in topics.published:
-        _try(interface.outputs.advertise, topic, kind)
+        latched = topic in topics.latched
+        _try(lambda: interface.outputs.advertise(topic, kind, latched), topic, learning)  # noqa: B023
     for topic, kind in topics.subscribed:
         if rospy.resolve_name(topic) not in apart:
-            _try(interface.subscribe, topic, kind)
+            _try(lambda: interface.subscribe(topic, kind), topic)  # noqa: B023
 
 
-def _try(work: Callable[[str, str], None], topic: str, kind: str) -> None:
+def _try(work: Callable[[], None], topic: str, may_come: bool = False) -> None:
+    """Do what a line of ``pub_sub.xml`` asks for; say why it cannot be done, or that its type has to come first."""
     try:
-        work(topic, kind)
+        work()
     except RetalisError as error:
-        rospy.logerr("%s: topic %s: %s", TOPICS, topic, error)
+        if may_come and isinstance(error, MessageError):
+            rospy.loginfo("%s: topic %s: %s; it may come with a message", TOPICS, topic, error)
+        else:
+            rospy.logerr("%s: topic %s: %s", TOPICS, topic, error)

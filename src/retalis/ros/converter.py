@@ -9,8 +9,9 @@ from ..messages import Decoder, Definitions, text_writer
 from ..prolog.syntax import EventReader, event_text, to_text
 from ..prolog.terms import deref
 from .connecting import OUTPUT_EVENT, connect
-from .interface import INPUT, OUTPUT, Interface, Take
+from .interface import Interface, Take
 from .log import shown
+from .names import INPUT, OUTPUT
 from .parameters import Parameters, direct_topics
 from .rostime import ros_now
 from .running import run_node

@@ -9,7 +9,7 @@ from ..engine.runtime import Reports
 from ..events.program import TopicType, topic_type
 from ..foundation import Cache, MessageError, RetalisError, UsageError, beginning, printable
 from ..messages import Decoder, Definitions
-from .names import resolve
+from .names import INPUT, OUTPUT, resolve
 from .publishing import OutputTopics
 from .raw import raw_bytes
 from .receiving import read_by
@@ -20,10 +20,6 @@ Take = Callable[[bytes], None]
 
 MessageTaker = Callable[[Decoder], Take]
 """Gives what takes the messages that a decoder reads."""
-
-INPUT = "retalisInputEvents"
-OUTPUT = "retalisOutputEvents"
-"""The topics on which events go between the nodes as text."""
 
 LINKS = 1000
 """Connections of a topic that are remembered."""
@@ -99,13 +95,18 @@ class Interface:
                 self._definitions,
                 name,
                 kind,
-                self._taker,
+                self._learned,
                 self._queue,
                 self._turn,
                 self._reports,
                 self._done,
                 self._hold,
             )
+
+    def _learned(self, decoder: Decoder) -> Take:
+        """Return what takes the messages of a connection that has just been made: it may have brought a type."""
+        self.outputs.learned()
+        return self._taker(decoder)
 
     def subscribe_texts(self, topic: str, take: Callable[[str], object]) -> None:
         """Have the texts of one of the topics between the nodes taken."""

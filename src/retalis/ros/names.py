@@ -1,8 +1,12 @@
-"""Names of topics, as programs and people write them."""
+"""Names of topics: those between the nodes, and as programs and people write them."""
 
 import rospy
 
 from ..foundation import UsageError, topic_fault
+
+INPUT = "retalisInputEvents"
+OUTPUT = "retalisOutputEvents"
+"""The topics on which events go between the nodes as text."""
 
 
 def resolve(topic: str) -> str:

@@ -13,13 +13,15 @@ from ..messages import Decoder, Definitions, Installed
 from ..prolog.syntax import to_text
 from ..prolog.terms import Term, atom
 from .connecting import OUTPUT_EVENT, connect
-from .interface import INPUT, OUTPUT, Interface, Take
+from .interface import Interface, Take
 from .log import shown
+from .names import INPUT, OUTPUT
 from .parameters import Parameters, direct_topics
 from .rostime import ros_now
 from .running import run_node
 from .sending import Outlet
 from .services import EngineServices, InterfaceServices
+from .textonly import TextOnly
 from .texts import text_frame
 
 
@@ -81,6 +83,9 @@ class RetalisNode:
         self._interface = Interface(
             self._poster, parameters.queue, self._reports, Definitions(bare=parameters.bare)
         )
+        self._text_only = TextOnly((topic for topic, _ in topics.published), self._reports)
+        for topic in self.engine.output_topics():
+            self._text_only.look(topic)
         self._lint(topics)
         self.engine.on_output(self._send_text)
         direct = direct_topics(parameters.direct, topics)
@@ -90,7 +95,7 @@ class RetalisNode:
             InterfaceServices(self._interface)
         for topic, kind in direct:
             self._subscribe(topic, kind)
-        EngineServices(self.engine, (topic for topic, _ in topics.published))
+        EngineServices(self.engine, self._text_only)
         self._interface.subscribe_texts(INPUT, self.engine.post_text)
         rospy.loginfo("%s: %s", parameters.program, self.engine.summary())
 
@@ -127,6 +132,7 @@ class RetalisNode:
         return lambda data: post(decode(data), stamp(data))
 
     def _send_text(self, term: Term, topic: str, name: Term) -> None:
+        self._text_only.look(topic)  # of a subscription that a rule has made
         if self._texts.links():
             self._texts.send(text_frame(to_text((OUTPUT_EVENT, term, atom(topic), name))))
 

@@ -2,21 +2,29 @@
 
 import threading
 from struct import Struct
-from typing import Dict, Tuple
+from typing import Dict, Optional, Set, Tuple
+
+import rospy
 
 from ..engine.runtime import Reports
-from ..foundation import MessageError, RetalisError, UsageError, beginning
+from ..events.program import TOPICS
+from ..foundation import MessageError, RetalisError, UsageError, beginning, printable
 from ..messages import Definitions, Encoder
 from ..prolog.terms import Term
-from .names import resolve
+from .names import OUTPUT, resolve
 from .raw import raw_class
 from .sending import Outlet
+
+MOST_TOLD = 100
+"""Topics without a type that are named."""
 
 _SIZE = Struct("<I")
 
 
 class OutputTopics:
     """Publishes terms.
+
+    A topic whose type is not installed is published once a publisher has brought the definition; see `learned`.
 
     Args:
         definitions: the message types that are known.
@@ -30,34 +38,90 @@ class OutputTopics:
         self._reports = reports
         self._lock = threading.Lock()
         self._typed: Dict[str, Tuple[Outlet, Encoder]] = {}
+        self._awaited: Dict[str, Tuple[str, bool]] = {}
+        """Types that are not known yet, and whether to latch, by topic."""
+        self._told: Set[str] = set()
 
-    def advertise(self, topic: str, kind: str) -> None:
+    def advertise(self, topic: str, kind: str, latched: bool = False) -> None:
         """Make a topic to which terms of a message type can be published.
 
+        Args:
+            topic: its name.
+            kind: the message type; where it is not known, the topic is made when it is.
+            latched: whether its last message goes to each subscriber that comes later.
+
         Raises:
-            RetalisError: where the type or the topic's name is wrong, or the topic has another type already.
+            MessageError: where the type is not known yet, or wrong.
+            UsageError: where the topic's name is wrong, or it has another type already.
         """
         name = resolve(topic)
-        definition = self._definitions.find(kind)
         with self._lock:
-            known = self._typed.get(name)
+            known = self._kind(name)
             if known is not None:
-                if known[1].definition.name != kind:
-                    raise UsageError(f"topic {topic} already has the type {known[1].definition.name}")
+                if known != kind:
+                    raise UsageError(f"topic {topic} already has the type {known}")
                 return
-            outlet = Outlet(name, raw_class(definition), self._queue, self._reports)
-            self._typed[name] = (outlet, self._definitions.encoder(definition))
+            try:
+                self._make(name, kind, latched)
+            except MessageError:
+                self._awaited[name] = (kind, latched)
+                raise
+
+    def knows(self, kind: str) -> bool:
+        """Tell whether a message type is known."""
+        return kind in self._definitions
+
+    def _kind(self, name: str) -> Optional[str]:
+        """Return the type that a topic has been given."""
+        if name in self._typed:
+            return self._typed[name][1].definition.name
+        return self._awaited[name][0] if name in self._awaited else None
+
+    def _make(self, name: str, kind: str, latched: bool) -> None:
+        definition = self._definitions.find(kind)
+        outlet = Outlet(name, raw_class(definition), self._queue, self._reports, latched=latched)
+        self._typed[name] = (outlet, self._definitions.encoder(definition))
+
+    def learned(self) -> None:
+        """Make the topics whose types have become known: a publisher of a subscribed topic has come."""
+        if not self._awaited:
+            return
+        with self._lock:
+            for name, (kind, latched) in list(self._awaited.items()):
+                if kind in self._definitions:
+                    self._make(name, kind, latched)
+                    del self._awaited[name]
+                    rospy.loginfo(
+                        "topic %s is published: its type %s was learned from a publisher", name, kind
+                    )
 
     def publish(self, term: Term, topic: str) -> None:
-        """Publish a term as a message; what does not fit the topic's type is logged and not published."""
+        """Publish a term as a message; what does not fit the topic's type is logged and not published.
+
+        A topic without a type is for those who listen to the outputs as text.
+        """
         try:
             found = self._typed.get(resolve(topic))
             if found is None:
-                raise MessageError(
-                    f"nothing is published on {beginning(topic)}: pub_sub.xml has no <publish_to> that gives its type"
-                )
+                self._leave(topic)
+                return
             outlet, encoder = found
             data = encoder.encode(term, topic)
             outlet.send(_SIZE.pack(len(data)) + data)
         except RetalisError as error:
             self._reports.error(error, ("out", topic))
+
+    def _leave(self, topic: str) -> None:
+        """Say that a topic's outputs stay text: once, where nothing was promised; each time counts where it was."""
+        awaited = self._awaited.get(resolve(topic))
+        if awaited is not None:
+            text = f"topic {topic}: {awaited[0]} is not known yet, and no publisher has brought it: a message is lost"
+            self._reports.warning(text, ("out", topic))
+        elif len(self._told) < MOST_TOLD and topic not in self._told:
+            self._told.add(topic)
+            rospy.loginfo(
+                "topic %s has no type in %s: its outputs are on %s only",
+                printable(beginning(topic)),
+                TOPICS,
+                OUTPUT,
+            )

@@ -1,16 +1,15 @@
 """The six services: texts in, ``ok`` or ``error: ...`` out."""
 
-from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Tuple
+from typing import Any, Callable, Dict, List, NamedTuple, Tuple
 
 import rospy
 
 from ..engine import Engine
-from ..events.program import TOPICS
 from ..foundation import RetalisError, SyntaxFault, UsageError, beginning, printable
 from ..prolog.syntax import Operators, read_term
 from ..prolog.terms import COMMA, TRUE, Atom, Term, Var, atom, conjuncts, deref, variables
-from .interface import OUTPUT, Interface
-from .names import resolve
+from .interface import Interface
+from .textonly import TextOnly
 
 OK = "ok"
 
@@ -54,14 +53,14 @@ class EngineServices:
 
     Args:
         engine: whose they are.
-        published: the topics that have a message type.
+        text_only: is told of the topics that are subscribed.
     """
 
-    def __init__(self, engine: Engine, published: Iterable[str] = ()):
+    def __init__(self, engine: Engine, text_only: TextOnly):
         from retalis import srv  # noqa: PLC0415 - generated: there only where the package was built
 
         self._engine = engine
-        self._published = {rospy.resolve_name(topic) for topic in published}
+        self._text_only = text_only
         rospy.Service("add_output_subscription", srv.AddOutputSubscription, self._add_subscription)
         rospy.Service("delete_output_subscription", srv.DeleteOutputSubscription, self._delete_subscription)
         rospy.Service("add_memory", srv.AddMemory, self._add_memory)
@@ -77,24 +76,9 @@ class EngineServices:
             fields = self._fields(request)
             self._engine.add_subscription(fields.event, fields.conditions, fields.form, topic, key)
             self._warn_of_free("subscribe", request.id, fields)
-            self._warn_of_type(request.topic.strip())
+            self._text_only.look(request.topic.strip())
 
         return answer(lambda: self._engine.do(work))
-
-    def _warn_of_type(self, topic: str) -> None:
-        """Say where a topic has no type, so that nothing but text will come of it."""
-        try:
-            typed = resolve(topic) in self._published
-        except UsageError:  # a name for other nodes only
-            typed = False
-        if not typed:
-            rospy.logwarn(
-                "topic %s has no type: %s has no <publish_to> of that name; "
-                "its events are published only as text on %s",
-                printable(beginning(topic)),
-                TOPICS,
-                OUTPUT,
-            )
 
     def _add_memory(self, request: Any) -> str:
         def work() -> None:

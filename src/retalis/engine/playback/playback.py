@@ -6,7 +6,15 @@ from pathlib import Path
 from typing import Callable, Dict, Iterable, List, NamedTuple, Optional, Union
 
 from ...events.program import TOPICS, TopicType, read_topics
-from ...foundation import MessageError, ProgramErrors, RetalisError, shortened, topic_fault, type_fault
+from ...foundation import (
+    MessageError,
+    ProgramErrors,
+    RetalisError,
+    beginning,
+    shortened,
+    topic_fault,
+    type_fault,
+)
 from ...messages import Decoder, Definition, Definitions
 from ...prolog.terms import Term
 from .. import Engine, Settings
@@ -81,6 +89,7 @@ class Playback:
         self._asked = (*named.subscribed, *topics)
         self._types = {_plain(topic): kind for topic, kind in self._asked}
         self._published = {_plain(topic): kind for topic, kind in named.published}
+        self._latched = {_plain(topic) for topic in named.latched}
         self.engine.on_output(self._collect)
         try:
             self.engine.load_program(folder)
@@ -120,6 +129,14 @@ class Playback:
         yield from outputs
         outputs.clear()
         self._reports.sum_up()
+
+    def is_latched(self, topic: str) -> bool:
+        """Tell whether ``pub_sub.xml`` has a topic's last message go to those who subscribe it later.
+
+        >>> Playback(folder, report=print).is_latched("echo")
+        False
+        """
+        return _plain(topic) in self._latched
 
     def _post(self, topic: Topic, decoder: Decoder, data: bytes) -> None:
         try:
@@ -170,9 +187,16 @@ class Playback:
         definition = data = None
         try:
             if kind is None:
-                raise MessageError(f"topic {topic} has no type: {TOPICS} has no <publish_to> of that name")
-            definition = self._published_type(kind, topic)
-            data = self.definitions.encoder(definition).encode(term, topic)
+                shown = beginning(topic)
+                self._reports.warning(
+                    f"topic {shown} has no type: its outputs are no messages; "
+                    f'<publish_to name="{shown}" msg_type="package/Type"/> in {TOPICS} would give it one',
+                    "topics without a type",
+                    texts=20,
+                )
+            else:
+                definition = self._published_type(kind, topic)
+                data = self.definitions.encoder(definition).encode(term, topic)
         except MessageError as error:
             self._reports.error(error, ("out", topic))
         self._outputs.append(Output(topic, term, self.clock.now(), definition, data))

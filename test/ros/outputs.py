@@ -1,0 +1,81 @@
+#!/usr/bin/env python3
+"""What is published: types that publishers bring, topics without a type, latched topics."""
+
+import sys
+import unittest
+from pathlib import Path
+
+import rospy
+import rostest
+from rosgraph_msgs.msg import Log
+from std_msgs.msg import String
+
+sys.path.append(str(Path(__file__).resolve().parent))
+from harness import DEFINITIONS, Collector, RawPublisher, wait_until  # noqa: E402
+
+from retalis.prolog.syntax import Operators, read_term  # noqa: E402
+
+THING = DEFINITIONS.add(
+    "nowhere_msgs/Thing", "float64 x\nPart part\n" + "=" * 80 + "\nMSG: nowhere_msgs/Part\nstring name"
+)
+PART = "nowhere_msgs__0__Part('\"arm\"')"
+
+
+class Outputs(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.log = Collector("/rosout", Log)
+        cls.events = rospy.Publisher("retalisInputEvents", String, queue_size=100)
+        cls.outputs = Collector("retalisOutputEvents", String)
+        wait_until(lambda: cls.events.get_num_connections() > 0 and cls.outputs.connected(), "node retalis")
+        wait_until(cls.log.connected, "the log")
+
+    def event(self, text):
+        """Have an event come out as text."""
+        self.events.publish(f"event({text})")
+        wanted = f"event({text},nowhere,n)"
+        self.outputs.wait_for(lambda messages: any(one.data == wanted for one in messages), wanted)
+
+    def test_a_type_that_a_publisher_brings_is_published(self):
+        thing = RawPublisher("things", THING)
+        wait_until(thing.connected, "the subscriber of the things")
+        term = read_term(f"nowhere_msgs__0__Thing(0.5,{PART})", Operators.prolog()).term
+        data = DEFINITIONS.encoder(THING).encode(term, "things")
+        thing.publish(data)  # what comes of it may be lost: who listens learns of the topics afterwards
+        copies, parts = (Collector(topic, rospy.AnyMsg) for topic in ("copies", "parts"))
+        wait_until(copies.connected, "the publisher of the copies")
+        wait_until(parts.connected, "the publisher of the parts")
+        self.assertEqual([one._buff for one in parts.wait_for(bool)], [data[8:]])
+        thing.publish(data)
+        self.assertEqual(copies.wait_for(bool)[-1]._buff, data)
+        parts.wait_for(lambda messages: len(messages) > 1)
+        header = copies.messages[0]._connection_header
+        self.assertEqual(
+            (header["type"], header["md5sum"], header["latching"]), (THING.name, THING.md5sum, "0")
+        )
+        self.assertEqual(parts.messages[0]._connection_header["latching"], "1")
+
+    def test_an_output_on_no_published_topic_is_no_error(self):
+        for number in range(20):
+            self.event(f"state('\"{number}\"')")
+        told = [one for one in self.log.messages if "topic nowhere has no type" in one.msg]
+        self.assertLessEqual(len([one for one in told if one.level >= Log.WARN]), 1)
+        self.assertEqual([one.msg for one in self.log.messages if one.level >= Log.ERROR], [])
+
+    def test_a_latched_topic_gives_its_last_message_once_to_who_comes_later(self):
+        state = Collector("state", String)
+        wait_until(state.connected, "the publisher of the state")
+        for number in range(100, 110):
+            self.event(f"state('\"{number}\"')")
+        state.wait_for(lambda messages: messages and messages[-1].data == "109")
+        state.close()
+        again = Collector("state", String)
+        again.wait_for(bool, "the latched message")
+        self.event("state('\"110\"')")
+        again.wait_for(lambda messages: messages and messages[-1].data == "110")
+        self.assertEqual([one.data for one in again.messages], ["109", "110"])
+
+
+if __name__ == "__main__":
+    rospy.init_node("outputs")
+    rostest.rosrun("retalis", "outputs", Outputs)
