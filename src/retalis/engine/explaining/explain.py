@@ -84,6 +84,17 @@ def record_origins(engine: Engine) -> None:
     parts_of(engine).rules.flags.set("etalis_justification", atom("on"))
 
 
+def records_origins(engine: Engine) -> bool:
+    """Tell whether an engine records what events come from (`record_origins`).
+
+    >>> engine = Engine()
+    >>> record_origins(engine)
+    >>> records_origins(engine)
+    True
+    """
+    return parts_of(engine).rules.flags.is_on("etalis_justification")
+
+
 def explain(engine: Engine, asked: Union[str, Term]) -> Explanation:
     """Say why an event happened, or what was missing.
 

@@ -8,6 +8,7 @@ from ...prolog.logic import Logic
 from ...prolog.machine import Frame, Machine, instantiation_error, type_error
 from ...prolog.terms import Atom, Term, Var, deref, functor
 from ..dispatch import Dispatcher
+from .conditions import Behind
 from .memories import Memories, define_read_access, enumerate_records
 from .recorder import Instance
 from .recording import Warn, key_of
@@ -59,6 +60,21 @@ class Knowledge:
         self.memories.mend()
         self.waiting.mend()
         self.subscriptions.mend()
+
+    def behind(self, names: Sequence[Term], instant: int) -> Behind:
+        """Return those of some memories that have taken no event that ends at an instant or later.
+
+        Raises:
+            UsageError: for an unknown memory.
+        """
+        found = {}
+        for name in names:
+            instance = self.memories.find(name)
+            if instance is None:
+                raise UsageError(f"there is no memory {self._logic.brief(name)}")
+            if not instance.has(instant):
+                found[instance] = instant
+        return list(found.items())
 
     def patterns(self) -> Iterator[Tuple[Term, str]]:
         """Yield the pattern of each memory and subscription, and what to call it."""

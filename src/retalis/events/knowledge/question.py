@@ -87,6 +87,30 @@ class Question:
         )
 
 
+class Bell(Question):
+    """What somebody outside waits for instead of a query: where it would be asked, somebody is told.
+
+    Args:
+        named: what it is called in reports.
+        tell: called once.
+    """
+
+    __slots__ = ("_named", "_tell")
+
+    def __init__(self, named: Term, tell: Callable[[], None]):
+        self._named = named
+        self._tell = tell
+        self.event = self._name
+        self.ask = self._ring
+
+    def _name(self, values: Values) -> Term:
+        return self._named
+
+    def _ring(self, values: Values, start: int, end: int, after: Frame) -> Frame:
+        self._tell()
+        return after
+
+
 def general_question(around: Surroundings) -> Question:
     """Return the question whose values are an event and a query, whatever they are."""
     event, query = Var(), Var()

@@ -1,7 +1,7 @@
 """Synchronized queries: goals that are called when the memories they read have the data."""
 
 from itertools import count
-from typing import Any, Dict, Iterator, List, Optional, Tuple
+from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple
 
 from ...foundation import UsageError
 from ...prolog.logic import Logic
@@ -11,7 +11,7 @@ from ..dispatch import Dispatcher, EventAction, Lane, Stage, stand_in
 from ..network import Rule
 from .conditions import Behind, behind, compile_conditions
 from .memories import Memories
-from .question import Question, Surroundings, compile_question, general_question, kind_of
+from .question import Bell, Question, Surroundings, compile_question, general_question, kind_of
 from .recorder import Instance
 from .recording import Warn
 
@@ -79,6 +79,25 @@ class WaitingQueries:
         for instance in self._memories:
             instance.forget_waiting()
 
+    def await_all(self, missing: Behind, named: Term, tell: Callable[[], None]) -> int:
+        """Tell somebody outside when memories that are behind have got there; return the order, for `waits`.
+
+        Args:
+            missing: the memories that have not got there, at least one.
+            named: what the one who waits is called in warnings.
+            tell: called once, in the midst of the event that was missing last.
+        """
+        return self._wait(Bell(named, tell), (), 0, 0, missing)
+
+    def waits(self, order: int) -> bool:
+        """Tell whether one who waits still does, and was neither told nor dropped."""
+        return order in self._all
+
+    def withdraw(self, order: int) -> None:
+        """Have one who waits do so no more, if he still does."""
+        if order in self._all:
+            self._forget(order)
+
     def _arrive(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
         event, query, conditions = values
         try:
@@ -119,13 +138,15 @@ class WaitingQueries:
     def _drop(self, event: Term, error: UsageError) -> None:
         self._warn(f"{self._logic.brief(event)} is dropped: {error}", ("dropped", kind_of(event)))
 
-    def _wait(self, asked: Question, values: Values, start: int, end: int, missing: Behind) -> None:
+    def _wait(self, asked: Question, values: Values, start: int, end: int, missing: Behind) -> int:
+        """Have a question wait; return its order."""
         if len(self._all) >= self.limit:
             self._drop_oldest()
         order = next(self._order)
         waiting = self._all[order] = (order, asked, values, start, end, missing)
         instance, instant = missing[-1]
         instance.wait(instant, order, waiting)
+        return order
 
     def _release(self, instance: Instance, end: int, after: Frame) -> Frame:
         """Return the frame that asks what has waited for this memory alone, in order of registration."""

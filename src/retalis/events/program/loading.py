@@ -6,7 +6,7 @@ from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tu
 
 from ...foundation import Errors, Place, ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
 from ...prolog.machine import PrologError
-from ...prolog.syntax import Operators, Program, read_program
+from ...prolog.syntax import Operators, Program, ReadTerm, read_program
 from ...prolog.terms import Atom, Term, conjuncts, copy, deref, functor, list_items
 from ..language import Property, RuleDefinition, Unknown, unknown_calls
 from ..network import Rule
@@ -111,6 +111,18 @@ class Loader:
             else:
                 self._include(included, place, reading)
         self._finish(lambda errors: self._checked(reading.checker, errors), reading.errors)
+
+    def load_read(self, read: ReadTerm) -> None:
+        """Load a term that was read, as if it stood alone in an event file.
+
+        Raises:
+            ProgramErrors: all errors; nothing is active then.
+        """
+        rules = self._rules
+        checker = FileChecker()
+        checker.read(read)
+        with rules.logic.preparing(lambda: [rule.definition.term for rule in rules.rules]):
+            self._finish(lambda errors: self._checked(checker, errors), Errors())
 
     def _load_file(self, path: Path) -> None:
         text = self._files.text(path)

@@ -1,6 +1,7 @@
 """Foreign predicates: Python functions that a program calls as predicates."""
 
 from .functions import define_foreign, foreign
+from .jsonvalues import to_json
 from .modules import NamedFiles, define_use_foreign
 from .values import Compound, to_python, to_term
 
@@ -10,6 +11,7 @@ __all__ = [
     "define_use_foreign",
     "foreign",
     "NamedFiles",
+    "to_json",
     "to_python",
     "to_term",
 ]
