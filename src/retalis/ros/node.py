@@ -6,17 +6,20 @@ import rospy
 from std_msgs.msg import String
 
 from ..engine import Engine
+from ..engine.explaining import record_origins
 from ..engine.runtime import Alarm, Clock, Reports
 from ..events.program import TOPICS, Topics, read_topics
 from ..foundation import RetalisError
 from ..messages import Decoder, Definitions, Installed
 from ..prolog.syntax import to_text
 from ..prolog.terms import Term, atom
+from .changes import RuleServices
 from .connecting import OUTPUT_EVENT, connect
 from .interface import Interface, Take
 from .log import shown
 from .names import INPUT, OUTPUT
 from .parameters import Parameters, direct_topics
+from .questions import Questions
 from .rostime import ros_now
 from .running import run_node
 from .sending import Outlet
@@ -77,6 +80,8 @@ class RetalisNode:
         self._reports = Reports()
         self.engine = clock.engine = Engine(clock, parameters.settings, self._reports)
         rospy.on_shutdown(self._reports.sum_up)
+        if parameters.explain:
+            record_origins(self.engine)
         self._load()
         topics = self._topics()
         self._texts = Outlet(OUTPUT, String, parameters.queue, self._reports)
@@ -96,6 +101,8 @@ class RetalisNode:
         for topic, kind in direct:
             self._subscribe(topic, kind)
         EngineServices(self.engine, self._text_only)
+        Questions(self.engine)
+        RuleServices(self.engine)
         self._interface.subscribe_texts(INPUT, self.engine.post_text)
         rospy.loginfo("%s: %s", parameters.program, self.engine.summary())
 

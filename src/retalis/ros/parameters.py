@@ -40,6 +40,7 @@ KNOWN = (
     "max_inferences",
     "max_megabytes",
     "watchdog",
+    "explain",
 )
 
 
@@ -59,6 +60,7 @@ class Parameters(NamedTuple):
         queue: the length of each queue.
         settings: of the engine.
         bare: how many elements without bytes a message may have.
+        explain: whether to record what events come from.
     """
 
     program: Path
@@ -67,6 +69,7 @@ class Parameters(NamedTuple):
     queue: int
     settings: Settings
     bare: int = BARE
+    explain: bool = False
 
 
 def read_parameters(arguments: Optional[List[str]] = None) -> Parameters:
@@ -101,7 +104,9 @@ def read_parameters(arguments: Optional[List[str]] = None) -> Parameters:
     if queue is not None:
         settings = settings._replace(queue=queue)
     bare = _number("~max_elements", int) or BARE
-    return Parameters(_program(argv), _direct(), _flag("~embedded"), settings.queue, settings, bare)
+    return Parameters(
+        _program(argv), _direct(), _flag("~embedded"), settings.queue, settings, bare, _flag("~explain")
+    )
 
 
 def _warn_of_unknown() -> None:

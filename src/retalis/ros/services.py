@@ -27,9 +27,15 @@ def answer(work: Callable[[], None]) -> str:
     try:
         work()
     except RetalisError as error:
-        reason = beginning(error.brief(), LONGEST_ANSWER)
-        return "error: " + " ".join(reason.splitlines())  # names may have line breaks in them
+        return reason(error)
     return OK
+
+
+def reason(error: RetalisError) -> str:
+    """Return an error as services answer it."""
+    return "error: " + " ".join(
+        beginning(error.brief(), LONGEST_ANSWER).splitlines()
+    )  # names may have line breaks
 
 
 class _Fields(NamedTuple):
