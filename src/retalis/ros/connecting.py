@@ -15,8 +15,9 @@ OUTPUT_EVENT = functor("event", 3)
 
 def connect(interface: Interface, topics: Topics, direct: Iterable[TopicType] = ()) -> None:
     """Subscribe and advertise what ``pub_sub.xml`` names, but for what node retalis subscribes by itself."""
+    direct = tuple(direct)
     apart = {rospy.resolve_name(topic) for topic, _ in direct}
-    learning = any(not interface.outputs.knows(kind) for _, kind in topics.subscribed)
+    learning = any(not interface.outputs.knows(kind) for _, kind in (*topics.subscribed, *direct))
     for topic, kind in topics.published:
         latched = topic in topics.latched
         _try(lambda: interface.outputs.advertise(topic, kind, latched), topic, learning)  # noqa: B023

@@ -47,6 +47,8 @@ class Converter:
         direct = direct_topics(parameters.direct, topics)
         self._interface.leave(direct)
         connect(self._interface, topics, direct)
+        for topic, kind in direct:
+            self._interface.learn(topic, kind)
         InterfaceServices(self._interface)
         self._interface.subscribe_texts(OUTPUT, self._receive)
 

@@ -121,6 +121,27 @@ class Interface:
         """Refuse topics that node retalis subscribes by itself, so that none enters twice."""
         self._elsewhere = {rospy.resolve_name(topic) for topic, _ in topics}
 
+    def learn(self, topic: str, kind: str) -> None:
+        """Learn a type that is not known from a topic that node retalis subscribes by itself; take no messages."""
+        if self.outputs.knows(kind):
+            return
+        known = threading.Event()
+
+        def taker(decoder: Decoder) -> Take:
+            self.outputs.learned()
+            known.set()
+            return lambda data: None
+
+        listening = InputTopic(
+            self._definitions, resolve(topic), kind, taker, self._queue, self._turn, self._reports
+        )
+
+        def close() -> None:
+            known.wait()
+            listening.close()
+
+        threading.Thread(target=close, daemon=True, name=f"learning {kind}").start()
+
     def unsubscribe(self, topic: str) -> None:
         """Stop a subscription.
 
