@@ -13,7 +13,7 @@ from .interface import Interface, Take
 from .log import shown
 from .names import INPUT, OUTPUT
 from .parameters import Parameters, direct_topics
-from .rostime import ros_now
+from .rostime import Receipts
 from .running import run_node
 from .services import InterfaceServices
 from .texts import TextPublisher
@@ -29,6 +29,7 @@ class Converter:
         self._reports = reports = Reports()
         rospy.on_shutdown(reports.sum_up)
         self._texts = TextPublisher(INPUT, parameters.queue, reports)
+        self._receipts = Receipts()
         self._reader = EventReader()
         self._interface = Interface(
             self._sender,
@@ -55,10 +56,11 @@ class Converter:
     def _sender(self, decoder: Decoder) -> Take:
         """Return what sends the messages of a type as text."""
         write, stamp, add = text_writer(decoder), decoder.stamp, self._texts.add
+        received = self._receipts.stamp
 
         def take(data: bytes) -> None:
-            instant = stamp(data)
-            add(event_text(write(data), ros_now() if instant is None else instant))
+            text, instant = write(data), stamp(data)
+            add(event_text(text, received() if instant is None else instant))
 
         return take
 

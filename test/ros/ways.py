@@ -1,0 +1,115 @@
+#!/usr/bin/env python3
+"""Ten bags through real nodes, each twice: what comes out is what the engine gives offline, in its order."""
+
+import sys
+import tempfile
+import time
+import unittest
+from pathlib import Path
+
+import rospy
+import rostest
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import Empty, String
+
+sys.path.append(str(Path(__file__).resolve().parent))
+from harness import Collector, RawPublisher, wait_until  # noqa: E402
+from waybags import BAGS, KINDS, write_bag  # noqa: E402
+
+from retalis.engine.playback import BagReader, Playback  # noqa: E402
+from retalis.prolog.syntax import to_text  # noqa: E402
+from retalis.prolog.terms import atom, datime, functor  # noqa: E402
+
+PROGRAM = Path(__file__).resolve().parent / "ways"
+OUTPUT = functor("event", 3)
+
+
+def second_of(instant):
+    """Return how datimes of the second of an instant begin."""
+    return to_text(datime(instant // 10**9 * 10**9))[: -len("0)")]
+
+
+class Ways(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.clock = rospy.Publisher("/clock", Clock, queue_size=100)
+        cls.events = rospy.Publisher("retalisInputEvents", String, queue_size=100)
+        cls.outputs = Collector("retalisOutputEvents", String)
+        cls.probes = rospy.Publisher("probes", Empty, queue_size=100)
+        cls.publishers = {topic: RawPublisher(topic, kind) for topic, kind in KINDS.items()}
+        wait_until(lambda: all(one.connected() for one in cls.publishers.values()), "the subscribers")
+        wait_until(lambda: cls.probes.get_num_connections() > 0, "the subscriber of the probes")
+        wait_until(lambda: cls.events.get_num_connections() > 0 and cls.outputs.connected(), "node retalis")
+        cls.copies = Collector("copies", rospy.AnyMsg)
+        wait_until(cls.copies.connected, "the publisher of the copies, whose type is learned")
+
+    def test_ten_bags(self):
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        offline = Playback(PROGRAM, report=self.fail)
+        texts = []
+        offline.engine.on_output(
+            lambda term, topic, name: texts.append(to_text((OUTPUT, term, atom(topic), name)))
+        )
+        for number, kind in enumerate(BAGS):
+            path = write_bag(Path(folder.name) / f"{number}.bag", number, kind)
+            for turn in range(2):
+                with BagReader(path) as bag, self.subTest(bag=kind.name, turn=turn):
+                    texts.clear()
+                    copies = [one.data for one in offline.run(bag) if one.topic == "copies"]
+                    found, copied = self.play(bag, f"{number}/{turn}")
+                    self.assertEqual(found, texts)
+                    self.assertEqual(copied, copies)
+                    self.assertGreater(len(texts), bag.messages)
+
+    def play(self, bag, name):
+        """Publish a bag's messages one after the other; return the outputs as texts, and the copies."""
+        self.set_clock(bag.start)
+        outputs, copies = len(self.outputs.messages), len(self.copies.messages)
+        now = bag.start
+        for number, record in enumerate(bag.records(), 1):
+            if record.time != now:
+                now = record.time
+                self.clock.publish(Clock(rospy.Time(*divmod(now, 10**9))))
+            self.publishers[record.topic.name.strip("/")].publish(record.data)
+            self.outputs.wait_for(
+                lambda all_, number=number: self.seen(all_[outputs:]) >= number, "an output"
+            )
+        self.events.publish(f"event(done('{name}'))")
+        done = f"event(done('{name}'),done,d)"
+        self.outputs.wait_for(lambda messages: messages[-1].data == done, done)
+        found = [one.data for one in self.outputs.messages[outputs:-1]]
+        wanted = sum(one.endswith(",copies,c)") for one in found)
+        self.copies.wait_for(lambda messages: len(messages) - copies >= wanted, "the copies")
+        return found, [one._buff for one in self.copies.messages[copies:]]
+
+    @staticmethod
+    def seen(messages):
+        return sum(",seen," in one.data[-12:] for one in messages)
+
+    def set_clock(self, instant):
+        """Set the time and wait until it has come to whoever stamps messages, and to the engine."""
+        self.clock.publish(Clock(rospy.Time(*divmod(instant, 10**9))))
+        begin = second_of(instant)
+        wanted = f"event(times({begin}"
+
+        def there():
+            count = len(self.outputs.messages)
+            self.probes.publish()
+            self.events.publish("event(tick)")
+            self.events.publish("event(ask)")
+            time.sleep(0.02)
+            return any(
+                one.data.startswith(wanted) and one.data.count(begin) == 2
+                for one in self.outputs.messages[count:]
+            )
+
+        wait_until(there, f"the time {begin}")
+        self.events.publish(f"event(done(clock{instant}))")
+        done = f"event(done(clock{instant}),done,d)"
+        self.outputs.wait_for(lambda messages: messages[-1].data == done, done)
+
+
+if __name__ == "__main__":
+    rospy.init_node("ways")
+    rostest.rosrun("retalis", "ways", Ways)
