@@ -143,6 +143,32 @@ def test_a_connection_that_has_ended_is_closed(outlet, link):
     assert link.closed
 
 
+@pytest.mark.parametrize("topic", [SimpleNamespace(closed=True), None])
+def test_a_connection_that_ends_while_rospy_takes_its_topic_down_is_left_to_it(outlet, link, topic):
+    def close():
+        it.publisher.impl = topic
+        raise TypeError("'NoneType' object is not iterable")
+
+    link.close = close
+    link.other.close()
+    it = outlet()
+    it.send(b"frame")
+    assert it.publisher.impl is topic
+    assert list(it.links()) == []
+
+
+def test_another_error_of_closing_is_not_hidden(outlet, link):
+    def close():
+        it.publisher.impl.closed = False
+        raise TypeError("something else")
+
+    link.close = close
+    link.other.close()
+    it = outlet()
+    with pytest.raises(TypeError, match="something else"):
+        it.send(b"frame")
+
+
 def test_a_connection_that_ends_while_it_is_slow_is_closed(outlet, link):
     it = outlet()
     for number in range(5):

@@ -9,7 +9,7 @@ import socket
 import threading
 import time
 from collections import deque
-from typing import Any, Deque, Dict, List, Tuple
+from typing import Any, Callable, Deque, Dict, List, Tuple
 
 import rospy
 from rospy.exceptions import TransportException
@@ -59,8 +59,9 @@ class Outlet:
 
     def links(self) -> Any:
         """Return rospy's connections to those who listen."""
-        topic = self.publisher.impl  # None once the publisher is taken away
-        return () if topic is None else topic.connections
+        # rospy's topic is None once the publisher is taken away, and its connections once it has ended.
+        topic = self.publisher.impl
+        return getattr(topic, "connections", None) or ()
 
     def send(self, frames: bytes, number: int = 1) -> None:
         """Write messages, framed as on the wire, to all connections; one at a time where the topic is latched."""
@@ -75,13 +76,24 @@ class Outlet:
         for link in links:
             line = self._lines.get(link)
             if line is None:
-                made = _Receiver(link, self.publisher.name, self._queue, self._reports, self._patient)
+                made = _Receiver(
+                    link, self._end, self.publisher.name, self._queue, self._reports, self._patient
+                )
                 line = self._lines.setdefault(link, made)
             try:
                 line.write(frames, number)
             except (TransportException, OSError) as error:
-                rospy.logdebug("a connection of %s has ended: %s", self.publisher.name, error)
-                link.close()
+                self._end(link, error)
+
+    def _end(self, link: Any, error: Exception) -> None:
+        """Close a connection that has ended."""
+        rospy.logdebug("a connection of %s has ended: %s", self.publisher.name, error)
+        try:
+            link.close()
+        except (AttributeError, TypeError):
+            if not getattr(self.publisher.impl, "closed", True):
+                raise
+            # else rospy is just taking the topic down, piece by piece, and closes the connection itself
 
     def _forget(self) -> None:
         """Forget the connections that are gone."""
@@ -123,8 +135,17 @@ class _Latch(rospy.SubscribeListener):  # type: ignore[misc]
 class _Receiver:
     """What goes to one receiver."""
 
-    def __init__(self, link: Any, topic: str, queue: int, reports: Reports, patient: bool):
+    def __init__(
+        self,
+        link: Any,
+        end: Callable[[Any, Exception], None],
+        topic: str,
+        queue: int,
+        reports: Reports,
+        patient: bool,
+    ):
         self._outer = link
+        self._end = end
         self._link = getattr(
             link, "_connection", link
         )  # of rospy's QueuedConnection, whose thread stays asleep
@@ -200,8 +221,7 @@ class _Receiver:
                 self._count(len(frames), number)
                 frames, number = self._next()
         except OSError as error:
-            rospy.logdebug("a connection of %s has ended: %s", self._topic, error)
-            self._outer.close()
+            self._end(self._outer, error)
 
     def _next(self) -> Tuple[bytes, int]:
         """Take what waits, and how many messages that is."""
