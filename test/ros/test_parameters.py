@@ -18,6 +18,8 @@ TF, MARKERS = DIRECT
 
 @pytest.fixture
 def read(monkeypatch):
+    monkeypatch.setattr(Path, "is_dir", lambda path: path.parts[1:2] != ("nowhere",))
+
     def read(*arguments, **values):
         monkeypatch.setattr(rospy, "get_param", lambda name, default: values.get(name.lstrip("~"), default))
         return read_parameters(["node", *(arguments or ("/some/package",)), "__name:=x"])
@@ -44,6 +46,28 @@ def test_limits_have_defaults_and_0_is_none(read):
 def test_the_first_argument_is_the_package_and_a_program_wins(read):
     assert read("/here").program == Path("/here/application_source")
     assert read("/here", program="/there").program == Path("/there")
+
+
+@pytest.mark.parametrize(
+    ("package", "program", "text"),
+    [
+        ("/nowhere", "", "the program's folder: /nowhere/application_source does not exist"),
+        ("/here", "/nowhere/it", "parameter ~program: /nowhere/it does not exist: give the absolute path"),
+    ],
+)
+def test_a_program_that_is_not_there_is_an_error_with_a_way_out(read, package, program, text):
+    with pytest.raises(UsageError, match=text):
+        read(package, program=program)
+
+
+def test_a_program_that_is_a_file_is_an_error(monkeypatch, tmp_path):
+    path = tmp_path / "rules.txt"
+    path.write_text("")
+    monkeypatch.setattr(
+        rospy, "get_param", lambda name, default: str(path) if name == "~program" else default
+    )
+    with pytest.raises(UsageError, match=r"rules.txt is no folder: give"):
+        read_parameters(["node"])
 
 
 def test_a_package_that_is_not_found_is_an_error_with_a_way_out(monkeypatch):
@@ -122,6 +146,7 @@ def test_an_unknown_parameter_is_warned_of(monkeypatch):
     warned = []
     monkeypatch.setattr(rospy, "get_param", lambda name, default: given.get(name, default))
     monkeypatch.setattr(rospy, "logwarn", lambda text, *values: warned.append(text % values))
+    monkeypatch.setattr(Path, "is_dir", lambda path: True)
     read_parameters(["node", "/some/package"])
     assert warned[0] == "there is no parameter ~max_second; did you mean ~max_seconds?"
     assert warned[1].startswith("there is no parameter ~quick; the parameters are ~program, ~direct, ")

@@ -134,8 +134,21 @@ def _program(argv: List[str]) -> Path:
     if not isinstance(folder, str):
         raise UsageError(f"parameter ~program: expected the path of a folder, found {folder!r}")
     if folder:
-        return Path(folder)
-    return Path(argv[1] if len(argv) > 1 else _package()) / "application_source"
+        return _existing(Path(folder), "parameter ~program")
+    if len(argv) > 1:
+        return _existing(Path(argv[1]) / "application_source", "the program's folder")
+    return _existing(Path(_package()) / "application_source", "the program's folder")
+
+
+def _existing(folder: Path, what: str) -> Path:
+    if folder.is_dir():
+        return folder
+    found = "is no folder" if folder.exists() else "does not exist"
+    shown = printable(beginning(str(folder)))
+    raise UsageError(
+        f"{what}: {shown} {found}: give the absolute path of the folder with goalPredicates.txt and pub_sub.xml, "
+        "as program:=/path of retalis.launch or as parameter ~program"
+    )
 
 
 def _package() -> str:
