@@ -1,6 +1,13 @@
 #!/usr/bin/env python3
 """Node `retalis_ros_converter`."""
 
-from retalis.ros.converter import main
+import signal
+
+for number in (signal.SIGINT, signal.SIGTERM):
+    signal.signal(
+        number, signal.SIG_DFL
+    )  # until all is imported: nothing is there yet that would have to be ended
+
+from retalis.ros.converter import main  # noqa: E402
 
 raise SystemExit(main())

@@ -102,12 +102,25 @@ class Space:
         return [process.returncode for process in self.started]
 
 
-@pytest.fixture(params=SPACES)
-def space(request, port, tmp_path):
-    """Each space in turn, where install.py built them."""
+def built(name, port, logs):
+    """Return a space where install.py built it."""
     workspace = os.environ.get("RETALIS_WORKSPACE")
     if not workspace or not shutil.which("roslaunch"):
         pytest.skip("./install.py test builds the spaces")
-    it = Space(Path(workspace) / request.param / "setup.bash", port, tmp_path)
+    return Space(Path(workspace) / name / "setup.bash", port, logs)
+
+
+@pytest.fixture(params=SPACES)
+def space(request, port, tmp_path):
+    """Each space in turn."""
+    it = built(request.param, port, tmp_path)
+    yield it
+    it.close()
+
+
+@pytest.fixture
+def devel(port, tmp_path):
+    """The space of the sources, for what is the same in both."""
+    it = built("devel", port, tmp_path)
     yield it
     it.close()

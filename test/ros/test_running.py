@@ -1,0 +1,155 @@
+"""One signal ends a node, whatever it is doing; its exit status says whether it could be set up."""
+
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+NODES = ("retalis_node", "retalis_ros_converter.py")
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+XML = '<publish_subscribe><publish_to name="out" msg_type="std_msgs/String"/></publish_subscribe>'
+SECONDS = 30
+"""Time for an end: most of it is for a machine that is busy."""
+
+
+@pytest.fixture
+def program(tmp_path):
+    """Return a function that makes a program of goals."""
+    folder = tmp_path / "program"
+    folder.mkdir()
+    (folder / "pub_sub.xml").write_text(XML)
+
+    def make(*goals, rules=""):
+        (folder / "goalPredicates.txt").write_text("".join(goal + "\n" for goal in goals))
+        (folder / "rules.txt").write_text(rules)
+        return f"_program:={folder}"
+
+    return make
+
+
+@pytest.fixture
+def node(devel):
+    """Return a function that starts a node."""
+    devel.env["PYTHONUNBUFFERED"] = "1"
+    return lambda name, *arguments: devel.start("rosrun", "retalis", name, *arguments)
+
+
+@pytest.fixture
+def master(devel):
+    process = devel.start("rosmaster", "--core", "-p", str(devel.port))
+    devel.expect(lambda found, services: answers(devel))
+    return process
+
+
+def answers(space):
+    with socket.socket() as probe:
+        return probe.connect_ex(("localhost", space.port)) == 0
+
+
+def said(space, text):
+    space.expect(lambda found, services: text in space.printed())
+
+
+def ended(process, number):
+    process.send_signal(number)
+    return process.wait(SECONDS)
+
+
+@pytest.mark.parametrize("name", NODES)
+@pytest.mark.parametrize("number", SIGNALS)
+def test_where_there_is_no_master(devel, node, program, name, number):
+    process = node(name, program())
+    said(devel, f"no master answers at http://localhost:{devel.port}")
+    assert ended(process, number) == 0
+    assert "Traceback" not in devel.printed()
+
+
+def test_a_master_that_comes_late_is_waited_for(devel, node, program):
+    process = node("retalis_node", program())
+    said(devel, "no master answers")
+    devel.start("rosmaster", "--core", "-p", str(devel.port))
+    devel.expect(lambda found, services: "/add_memory" in services)
+    assert ended(process, signal.SIGINT) == 0
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+def test_in_a_goal_without_end(devel, master, node, program, number):
+    process = node(
+        "retalis_node", program("writeln('it has begun'), flush_output, repeat, fail", "writeln('the next')")
+    )
+    said(devel, "it has begun")
+    assert ended(process, number) == 0
+    assert "the next" not in devel.printed()
+    assert devel.state() == (set(), set())
+
+
+@pytest.mark.parametrize("name", NODES)
+@pytest.mark.parametrize("number", SIGNALS)
+def test_idle(devel, master, node, program, name, number):
+    process = node(name, program())
+    service = "/add_memory" if name == "retalis_node" else "/add_input_subscription"
+    devel.expect(lambda found, services: service in services)
+    assert ended(process, number) == 0
+    assert devel.state() == (set(), set())
+    assert "Traceback" not in devel.printed()
+
+
+def test_while_an_event_is_at_work_that_never_ends(devel, master, node, program):
+    rules = "a <- begin do (writeln('it has begun'), flush_output, repeat, fail)."
+    process = node("retalis_node", program("compile_event_file('rules.txt')", rules=rules), "_max_seconds:=0")
+    devel.expect(lambda found, services: "/add_memory" in services)
+    command = ("rostopic", "pub", "-1", "/retalisInputEvents", "std_msgs/String", "data: 'event(begin)'")
+    devel.run(*command)
+    said(devel, "it has begun")
+    assert ended(process, signal.SIGINT) == 0
+    assert devel.state() == (set(), set())
+
+
+def test_where_the_master_hangs(devel, master, node, program):
+    process = node("retalis_node", program())
+    devel.expect(lambda found, services: "/add_memory" in services)
+    master.send_signal(signal.SIGSTOP)
+    try:
+        assert ended(process, signal.SIGINT) == 0
+    finally:
+        master.send_signal(signal.SIGCONT)
+
+
+@pytest.mark.parametrize("name", NODES)
+def test_a_program_that_is_not_there(devel, master, node, tmp_path, name):
+    process = node(name, f"_program:={tmp_path}/nowhere")
+    assert process.wait(SECONDS) == 1
+    assert f"{tmp_path}/nowhere does not exist: give the absolute path" in devel.printed()
+    assert devel.state() == (set(), set())
+
+
+@pytest.mark.parametrize("name", NODES)
+def test_during_the_imports(name):
+    script = Path(__file__).resolve().parents[2] / "nodes" / name
+    code = f"""
+import sys
+
+class Finder:
+    def find_spec(self, name, path=None, target=None):
+        if name == "retalis":
+            print("importing", flush=True)
+            sys.stdin.read()
+
+sys.meta_path.insert(0, Finder())
+exec(open({str(script)!r}).read())
+"""
+    command = [sys.executable, "-c", code]
+    for number in SIGNALS:
+        with subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        ) as it:
+            ready = threading.Thread(target=it.stdout.readline)
+            ready.start()
+            ready.join(SECONDS)
+            it.send_signal(number)
+            assert it.wait(SECONDS) == -number
+            assert it.stderr.read() == b""
