@@ -10,7 +10,7 @@ from ..engine.runtime import relax
 from ..foundation import RetalisError
 from .interrupts import PAUSE, Interrupts
 from .log import forward_log
-from .master import wait_for_master
+from .master import MasterWatch, wait_for_master
 from .parameters import Parameters, read_parameters
 
 SPIN = 0.5
@@ -47,6 +47,7 @@ def _live(name: str, build: Callable[[Parameters], object], interrupts: Interrup
     try:
         parameters = read_parameters()
         rospy.on_shutdown(interrupts.shut_down)
+        MasterWatch().start()
         node = build(parameters)
     except RetalisError as error:
         rospy.logfatal("%s", error)
