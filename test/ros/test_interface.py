@@ -7,7 +7,7 @@ import pytest
 
 rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 
-from retalis.engine.runtime import Reports  # noqa: E402
+from retalis.engine.runtime import Reports, Skew  # noqa: E402
 from retalis.foundation import MessageError  # noqa: E402
 from retalis.messages import Definitions  # noqa: E402
 from retalis.ros import interface  # noqa: E402
@@ -149,3 +149,27 @@ def test_a_connection_whose_messages_cannot_be_taken_is_refused_once_and_for_all
     shown = [record.getMessage() for record in caplog.records]
     assert "no such thing" in shown[0]
     assert shown[1] == "topic /heat: internal error: a message of somebody is dropped"
+
+
+def test_a_message_with_a_stamp_far_away_is_not_handed_on(monkeypatch):
+    callbacks, taken = [], []
+    monkeypatch.setattr(
+        rospy, "Subscriber", lambda name, kind, callback, **options: callbacks.append(callback)
+    )
+    definitions = Definitions()
+    kind = definitions.find("sensor_msgs/Temperature")
+    reports = Reports()
+    skew = Skew(reports, lambda: 0, lambda: 0, 60.0)
+
+    def taker(decoder):
+        return lambda data: taken.append(decoder.stamp(data))
+
+    InputTopic(definitions, "/heat", kind.name, taker, 5, threading.Lock(), reports, skew=skew)
+    header = {"type": kind.name, "md5sum": kind.md5sum, "callerid": "/thermometer"}
+    for second in (100, 3700, 101):
+        message = rospy.AnyMsg()
+        message._buff = struct.pack("<IIII", 0, second, 0, 0) + bytes(16)
+        message._connection_header = header
+        callbacks[-1](message)
+    assert taken == [100 * 10**9, 101 * 10**9]
+    assert (reports.errors, reports.warnings) == (0, 1)

@@ -43,6 +43,14 @@ def test_limits_have_defaults_and_0_is_none(read):
     assert (found.limits, found.watchdog) == (Limits(), None)
 
 
+def test_any_stamp_is_taken_where_no_limit_is_given(read):
+    assert read().max_skew is None
+    assert read(max_skew=0).max_skew is None
+    assert read(max_skew=2).max_skew == 2.0
+    with pytest.raises(UsageError, match="~max_skew"):
+        read(max_skew="much")
+
+
 def test_the_first_argument_is_the_package_and_a_program_wins(read):
     assert read("/here").program == Path("/here/application_source")
     assert read("/here", program="/there").program == Path("/there")

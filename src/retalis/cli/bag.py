@@ -13,7 +13,7 @@ from ..foundation import UsageError, shortened
 from ..prolog.syntax import to_text
 from ..prolog.terms import atom, functor
 from .folders import add_folders, allow_folders
-from .limits import add_limits, limited
+from .limits import add_limits, from_zero, limited
 from .progress import progress
 from .report import Report
 
@@ -43,6 +43,12 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         metavar="TOPIC=TYPE",
         help="a topic to turn into events, in addition to those in pub_sub.xml",
     )
+    parser.add_argument(
+        "--max-skew",
+        type=from_zero(float),
+        metavar="SECONDS",
+        help="leave out messages whose stamp is further away from those before on their topic and frame; 0: none",
+    )
     parser.add_argument("--quiet", action="store_true", help="print no outputs")
     add_limits(parser)
     add_folders(parser)
@@ -55,7 +61,8 @@ def run(options: argparse.Namespace) -> int:
     with ExitStack() as stack:
         reader = stack.enter_context(BagReader(options.bag))
         settings = limited(allow_folders(Settings(), options), options)
-        playback = Playback(options.program, report, _topics(options.topic), settings)
+        limit = options.max_skew or None
+        playback = Playback(options.program, report, _topics(options.topic), settings, limit)
         writer = None
         if options.output:
             writer = _OutputWriter(stack.enter_context(BagWriter(options.output)), playback.is_latched)

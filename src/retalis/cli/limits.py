@@ -35,7 +35,7 @@ def add_limits(parser: argparse.ArgumentParser) -> None:
         "Whatever exceeds a limit ends with a resource error, and the rest goes on; 0 means no limit.",
     )
     for name, kind, default, metavar, text in _OPTIONS:
-        group.add_argument(name, type=_from_zero(kind), default=default, metavar=metavar, help=text)
+        group.add_argument(name, type=from_zero(kind), default=default, metavar=metavar, help=text)
     group.add_argument(
         "--max-depth",
         type=_depth,
@@ -53,7 +53,9 @@ def limited(settings: Settings, options: argparse.Namespace) -> Settings:
     return settings._replace(limits=limits, watchdog=options.watchdog or None, max_depth=options.max_depth)
 
 
-def _from_zero(kind: Callable[[str], float]) -> Callable[[str], float]:
+def from_zero(kind: Callable[[str], float]) -> Callable[[str], float]:
+    """Return what reads an option's number of 0 or more."""
+
     def read(text: str) -> float:
         number = _number(kind, text)
         if number is None or not number >= 0:

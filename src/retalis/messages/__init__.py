@@ -11,6 +11,7 @@ from .eventtexts import text_writer
 from .installed import Installed
 from .layout import BARE
 from .registry import Definitions
+from .stamps import FrameStamp, frame_text, second_bytes, watched_stamp
 
 __all__ = [
     "BARE",
@@ -18,7 +19,11 @@ __all__ = [
     "Definition",
     "Definitions",
     "Encoder",
+    "FrameStamp",
+    "frame_text",
     "Installed",
+    "second_bytes",
     "text_writer",
     "type_name",
+    "watched_stamp",
 ]

@@ -1,5 +1,6 @@
 """Where the slots of a message lie in its bytes."""
 
+from struct import error as StructError
 from struct import unpack_from
 from typing import Optional
 
@@ -44,6 +45,18 @@ def check_bare(definition: Definition, data: bytes, most: int) -> None:
         )
 
 
+def element_end(data: bytes, slot: Field, at: int) -> int:
+    """Return where a slot ends that begins at a place.
+
+    Raises:
+        struct.error: where the bytes end before.
+    """
+    try:
+        return _Walk(data).end_of(slot, at, slot.name)
+    except _Truncated as cut:
+        raise StructError(cut.path) from None
+
+
 class _Truncated(Exception):
     def __init__(self, path: str):
         super().__init__(path)
@@ -60,18 +73,21 @@ class _Walk:
     def end(self, definition: Definition, at: int, prefix: str) -> int:
         """Return where a message that begins at a place ends."""
         for slot in definition.fields:
-            path = prefix + slot.name
-            number = 1 if slot.length is None else slot.length
-            if slot.length == VARIABLE:
-                at, number = at + 4, self.number(at, path)
-            one = measure_of(slot)
-            if one.fixed:
-                at += number * one.least
-                self.bare += number * (one.bare + (slot.length is not None and not one.least))
-                if at > len(self.data):
-                    raise _Truncated(path)
-            else:
-                at = self.elements(slot, number, at, path)
+            at = self.end_of(slot, at, prefix + slot.name)
+        return at
+
+    def end_of(self, slot: Field, at: int, path: str) -> int:
+        """Return where a slot that begins at a place ends."""
+        number = 1 if slot.length is None else slot.length
+        if slot.length == VARIABLE:
+            at, number = at + 4, self.number(at, path)
+        one = measure_of(slot)
+        if not one.fixed:
+            return self.elements(slot, number, at, path)
+        at += number * one.least
+        self.bare += number * (one.bare + (slot.length is not None and not one.least))
+        if at > len(self.data):
+            raise _Truncated(path)
         return at
 
     def elements(self, slot: Field, number: int, at: int, path: str) -> int:

@@ -2,7 +2,7 @@
 
 import rospy
 
-from ..engine.runtime import Reports
+from ..engine.runtime import Reports, Skew
 from ..events.program import TOPICS, Topics, read_topics
 from ..foundation import RetalisError, UsageError, beginning
 from ..messages import Decoder, Definitions, text_writer
@@ -13,7 +13,7 @@ from .interface import Interface, Take
 from .log import shown
 from .names import INPUT, OUTPUT
 from .parameters import Parameters, direct_topics
-from .rostime import Receipts
+from .rostime import Receipts, ros_now
 from .running import run_node
 from .services import InterfaceServices
 from .texts import TextPublisher
@@ -27,6 +27,8 @@ class Converter:
 
     def __init__(self, parameters: Parameters):
         self._reports = reports = Reports()
+        skew = Skew(reports, ros_now, most=parameters.max_skew)
+        rospy.on_shutdown(skew.sum_up)
         rospy.on_shutdown(reports.sum_up)
         self._texts = TextPublisher(INPUT, parameters.queue, reports)
         self._receipts = Receipts()
@@ -38,6 +40,7 @@ class Converter:
             Definitions(bare=parameters.bare),
             done=self._texts.flush,
             hold=HOLD,
+            skew=skew,
         )
         try:
             topics = read_topics(parameters.program / TOPICS)

@@ -5,7 +5,7 @@ from typing import Any, Callable, ContextManager, Dict, Iterable, List, Optional
 
 import rospy
 
-from ..engine.runtime import Reports
+from ..engine.runtime import Refused, Reports, Skew
 from ..events.program import TopicType, topic_type
 from ..foundation import Cache, MessageError, RetalisError, UsageError, beginning, printable
 from ..messages import Decoder, Definitions
@@ -48,6 +48,7 @@ class Interface:
         definitions: the message types that are known.
         done: called after messages that were received together.
         hold: seconds for which a message may wait for the next ones, where they come fast.
+        skew: looks at the stamps of messages.
 
     Attributes:
         outputs: the topics that are published.
@@ -61,10 +62,12 @@ class Interface:
         definitions: Optional[Definitions] = None,
         done: Callable[[], object] = nothing,
         hold: float = HOLD,
+        skew: Optional[Skew] = None,
     ):
         self._taker = taker
         self._done = done
         self._hold = hold
+        self._skew = skew
         self._queue = queue
         self._definitions = Definitions() if definitions is None else definitions
         self._inputs: Dict[str, InputTopic] = {}
@@ -101,6 +104,7 @@ class Interface:
                 self._reports,
                 self._done,
                 self._hold,
+                self._skew,
             )
 
     def _learned(self, decoder: Decoder) -> Take:
@@ -175,8 +179,10 @@ class InputTopic:
         reports: Reports,
         done: Callable[[], object] = nothing,
         hold: float = HOLD,
+        skew: Optional[Skew] = None,
     ):
         self.kind = kind
+        self._skew = skew
         self._reports = reports
         self._turn = turn
         self._done = done
@@ -216,6 +222,8 @@ class InputTopic:
                 for data in messages:
                     try:
                         take(data)
+                    except Refused:  # counted and reported where it was seen
+                        pass
                     except MessageError as error:
                         text = f"a message on {self._name} is dropped: {error}"
                         self._reports.error(RetalisError(text), ("in", self._name))
@@ -228,7 +236,10 @@ class InputTopic:
     def _connected(self, header: Dict[str, str]) -> _Link:
         """Note who takes the messages of a connection; its header is kept, so that its id stays its own."""
         try:
-            take = self._one_by_one(self._taker(self._learn(header)))
+            decoder = self._learn(header)
+            if self._skew is not None:
+                decoder = self._skew.watch(decoder, self._name, header.get("callerid", ""))
+            take = self._one_by_one(self._taker(decoder))
         except Exception as error:  # rospy would try again at once, and forever
             if not isinstance(error, MessageError):
                 self._reports.error(error)

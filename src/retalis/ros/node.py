@@ -7,7 +7,7 @@ from std_msgs.msg import String
 
 from ..engine import Engine
 from ..engine.explaining import record_origins
-from ..engine.runtime import Alarm, Clock, Reports
+from ..engine.runtime import Alarm, Clock, Reports, Skew
 from ..events.program import TOPICS, Topics, read_topics
 from ..foundation import RetalisError
 from ..messages import Decoder, Definitions, Installed
@@ -79,6 +79,8 @@ class RetalisNode:
         clock = RosClock()
         self._reports = Reports()
         self.engine = clock.engine = Engine(clock, parameters.settings, self._reports)
+        skew = Skew(self._reports, ros_now, most=parameters.max_skew)
+        rospy.on_shutdown(skew.sum_up)
         rospy.on_shutdown(self._reports.sum_up)
         if parameters.explain:
             record_origins(self.engine)
@@ -86,7 +88,7 @@ class RetalisNode:
         topics = self._topics()
         self._texts = Outlet(OUTPUT, String, parameters.queue, self._reports)
         self._interface = Interface(
-            self._poster, parameters.queue, self._reports, Definitions(bare=parameters.bare)
+            self._poster, parameters.queue, self._reports, Definitions(bare=parameters.bare), skew=skew
         )
         self._text_only = TextOnly((topic for topic, _ in topics.published), self._reports)
         for topic in self.engine.output_topics():

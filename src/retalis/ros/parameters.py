@@ -39,6 +39,7 @@ KNOWN = (
     "max_seconds",
     "max_inferences",
     "max_megabytes",
+    "max_skew",
     "watchdog",
     "explain",
 )
@@ -61,6 +62,7 @@ class Parameters(NamedTuple):
         settings: of the engine.
         bare: how many elements without bytes a message may have.
         explain: whether to record what events come from.
+        max_skew: how many seconds a stamp may be away from what its topic and frame had so far; None for any number.
     """
 
     program: Path
@@ -70,6 +72,7 @@ class Parameters(NamedTuple):
     settings: Settings
     bare: int = BARE
     explain: bool = False
+    max_skew: Optional[float] = None
 
 
 def read_parameters(arguments: Optional[List[str]] = None) -> Parameters:
@@ -104,9 +107,10 @@ def read_parameters(arguments: Optional[List[str]] = None) -> Parameters:
     if queue is not None:
         settings = settings._replace(queue=queue)
     bare = _number("~max_elements", int) or BARE
-    return Parameters(
+    parameters = Parameters(
         _program(argv), _direct(), _flag("~embedded"), settings.queue, settings, bare, _flag("~explain")
     )
+    return parameters._replace(max_skew=_limit("~max_skew", float, None))
 
 
 def _warn_of_unknown() -> None:

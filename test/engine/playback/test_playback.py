@@ -188,3 +188,24 @@ def test_alarms_go_by_the_time_of_the_bag(program, bag):
         "late(2.0)",
         "my_msgs__0__Point(9.0)",
     ]
+
+
+@pytest.mark.parametrize("limit, taken", [(None, 5), (100.0, 4)])
+def test_a_stamp_far_ahead(program, bag, limit, taken):
+    folder = program("", topics='<subscribe_to name="/s" msg_type="my_msgs/Stamped"/>')
+    stamps = [10, 11, 3612, 13, 14]
+    messages = [
+        (
+            (at + 1) * SECOND,
+            "/s",
+            "my_msgs/Stamped",
+            f"my_msgs__0__Stamped(std_msgs__0__Header(0,[{stamp},1],'\"map\"'),1.0)",
+        )
+        for at, stamp in enumerate(stamps)
+    ]
+    _, events, problems = run(folder, bag(*messages), max_skew=limit)
+    assert len(events) == taken
+    assert [problem for problem in problems if "no goal" not in problem] == [
+        "topic /s, frame map: a stamp is 3600 s ahead of the stamps before it"
+        + ("; such messages are not taken" if limit else "")
+    ]

@@ -18,7 +18,7 @@ from ...foundation import (
 from ...messages import Decoder, Definition, Definitions
 from ...prolog.terms import Term
 from .. import Engine, Settings
-from ..runtime import Reports, StreamClock
+from ..runtime import Refused, Reports, Skew, StreamClock
 from .bags import BagReader, Topic
 
 log = logging.getLogger("retalis")
@@ -64,6 +64,8 @@ class Playback:
             are logged with their number, as all that goes wrong while events flow.
         topics: topics that become events besides those in ``pub_sub.xml``.
         settings: of the engine.
+        max_skew: how many seconds a stamp may be away from what its topic and frame had so far, for the message to
+            be taken; by default any number.
 
     Raises:
         UsageError: where a file of the program cannot be read.
@@ -75,11 +77,13 @@ class Playback:
         report: OnError,
         topics: Iterable[TopicType] = (),
         settings: Optional[Settings] = None,
+        max_skew: Optional[float] = None,
     ):
         self._folder = folder = Path(program)
         self.clock = StreamClock()
         self._reports = Reports()
         self._reports.once = True
+        self._skew = Skew(self._reports, self.clock.now, self.clock.now, max_skew)
         self.engine = Engine(self.clock, settings, self._reports)
         self.definitions = Definitions()
         self._report = report
@@ -109,6 +113,7 @@ class Playback:
             progress: called with the number of messages read so far, after each.
         """
         clock, outputs = self.clock, self._outputs
+        self._skew.forget()
         self._learn_all(bag)
         kinds = {*self._types.values(), *self._published.values()}
         for warning in self.engine.warnings(self._folder, self.definitions, kinds):
@@ -128,6 +133,7 @@ class Playback:
         self.engine.advance()
         yield from outputs
         outputs.clear()
+        self._skew.sum_up()
         self._reports.sum_up()
 
     def is_latched(self, topic: str) -> bool:
@@ -141,6 +147,8 @@ class Playback:
     def _post(self, topic: Topic, decoder: Decoder, data: bytes) -> None:
         try:
             self.engine.post(decoder.decode(data), decoder.stamp(data))
+        except Refused:  # counted and reported where it was seen
+            pass
         except MessageError as error:
             message = f"a message on {topic.name} is dropped: {error.message}"
             self._reports.error(MessageError(message, error.place), ("in", topic.name))
@@ -179,7 +187,7 @@ class Playback:
                 kind,
                 topic.type,
             )
-        self._decoders[topic] = learned.decoder
+        self._decoders[topic] = self._skew.watch(learned.decoder, topic.name, topic.caller)
         return None
 
     def _collect(self, term: Term, topic: str, name: Term) -> None:

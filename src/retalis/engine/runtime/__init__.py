@@ -5,6 +5,7 @@ from .collector import relax
 from .recovery import EngineRecovery
 from .reports import Reports
 from .runner import Runner
+from .skew import Refused, Skew
 from .watchdog import Watchdog, watch
 
 __all__ = [
@@ -12,8 +13,10 @@ __all__ = [
     "Clock",
     "EngineRecovery",
     "relax",
+    "Refused",
     "Reports",
     "Runner",
+    "Skew",
     "StreamClock",
     "Watchdog",
     "watch",

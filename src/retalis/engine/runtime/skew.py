@@ -1,0 +1,245 @@
+"""Stamps that are far from what their topic and frame had so far."""
+
+import time
+from copy import copy
+from typing import Callable, Dict, Iterator, List, Optional
+
+from ...foundation import Cache, beginning, printable
+from ...messages import Decoder, FrameStamp, frame_text, second_bytes, watched_stamp
+from ...prolog.terms import SECOND
+from .reports import Reports
+
+FAR = 10 * SECOND
+"""How far a stamp may be from what is expected, without a word."""
+
+AGREEING = 10
+"""Stamps in a row that agree among themselves after which a clock counts as set."""
+
+PACE = 10.0
+"""How many times faster than time a bag may be played, where nothing else tells how far stamps should have got."""
+
+FRAMES = 5000
+"""Frames that are kept for a topic."""
+
+TOPICS = 1000
+
+_UNKNOWN = b""
+
+
+class Refused(Exception):
+    """A message whose stamp is further away than the program allows; counted and reported already."""
+
+
+class FrameTime:
+    """What is known of the stamps of one frame on one topic.
+
+    Attributes:
+        second: the second of the last stamp, by which most are known to fit; empty where each has to be looked at.
+        stamp: the last stamp.
+        now: the time of its receipt by the node's clock, which may be simulated.
+        wall: the same by a clock that nobody sets.
+        progress: how far the stamps of all topics had got then.
+        pace: the most by which stamps went faster than wall time; None where that is not known.
+        since: the stamp and the wall time from which the pace is measured.
+        other: the first of those in a row that are far from the last one and agree among themselves.
+        agreeing: how many these are.
+        told: whether somebody has been warned.
+    """
+
+    __slots__ = ("second", "stamp", "now", "wall", "progress", "pace", "since", "other", "agreeing", "told")
+
+    def __init__(self, stamp: int, now: int, wall: int, progress: int):
+        self.second = _UNKNOWN
+        self.stamp = stamp
+        self.now = now
+        self.wall = wall
+        self.progress = progress
+        self.pace: Optional[float] = None
+        self.since = stamp, wall
+        self.other: Optional[FrameTime] = None
+        self.agreeing = 0
+        self.told = False
+
+    def distance(self, stamp: int, now: int, wall: int, progress: int) -> int:
+        """Return how far a stamp is from the nearest one that could be expected, later ones as positive numbers.
+
+        It may be as the last one, or later by what has passed since by one of the clocks or on other topics. A bag
+        may be paused and need not be played at its own pace: all up to the time that has passed will do, as often as
+        the highest pace says that was seen, and ten times where a pause may have hidden the pace.
+        """
+        step, passed = stamp - self.stamp, wall - self.wall
+        if 0 <= step <= passed * (PACE if passed >= SECOND or self.pace is None else self.pace):
+            return 0
+        return min((step - one for one in (0, passed, now - self.now, progress - self.progress)), key=abs)
+
+    def move_to(self, stamp: int, now: int, wall: int, exact: bool) -> None:
+        """Note a stamp that fits."""
+        passed = wall - self.since[1]
+        if passed >= SECOND // 2:
+            self.pace = max(self.pace or 1.0, min((stamp - self.since[0]) / passed, PACE))
+            self.since = stamp, wall
+        self.progress += stamp - self.stamp
+        self.stamp, self.now, self.wall = stamp, now, wall
+        self.second = _UNKNOWN if exact else second_bytes(stamp // SECOND)
+        self.other, self.agreeing = None, 0
+
+    def agree(self, stamp: int, now: int, wall: int, progress: int, most: int) -> bool:
+        """Note a stamp that is far away; tell whether enough of them in a row agree."""
+        other = self.other
+        if other is not None and abs(other.distance(stamp, now, wall, progress)) <= most:
+            self.agreeing += 1
+            other.move_to(stamp, now, wall, True)
+        else:
+            self.other, self.agreeing = FrameTime(stamp, now, wall, progress), 1
+        self.second = _UNKNOWN
+        return self.agreeing >= AGREEING
+
+
+class TopicTimes(Cache[bytes, FrameTime]):
+    """What is known of the stamps of a topic, by the bytes of its frames.
+
+    Attributes:
+        name: the topic's.
+        far: how many messages had a stamp that was far away.
+        refused: how many of them were not taken.
+    """
+
+    __slots__ = ("name", "far", "refused")
+
+    def __init__(self, name: str):
+        super().__init__(FRAMES, 4 << 20, 1 << 12)
+        self.name = name
+        self.far = self.refused = 0
+
+
+class Skew:
+    """Looks at the stamps of messages: warns of those that are far from what their topic and frame had so far.
+
+    Neither the receipt nor other frames count: a bag is years old, and clocks of a robot differ. A frame's first
+    stamp says where it is.
+
+    Args:
+        reports: takes a warning for each topic and frame.
+        now: the present by the node's clock.
+        wall: the present by a clock that nobody sets.
+        most: seconds; a message whose stamp is further away is refused. None for no limit.
+    """
+
+    def __init__(
+        self,
+        reports: Reports,
+        now: Callable[[], int],
+        wall: Callable[[], int] = time.monotonic_ns,
+        most: Optional[float] = None,
+    ):
+        self._reports = reports
+        self._now = now
+        self._wall = wall
+        self._most = None if most is None else round(most * SECOND)
+        self._far = FAR if self._most is None else min(FAR, self._most)
+        self._exact = self._far < FAR
+        self._topics: Dict[str, TopicTimes] = {}
+        self._progress = 0
+
+    def __iter__(self) -> Iterator[TopicTimes]:
+        return iter(list(self._topics.values()))
+
+    def watch(self, decoder: Decoder, topic: str, publisher: str = "") -> Decoder:
+        """Return a decoder whose `Decoder.stamp` looks at all stamps of the message besides.
+
+        That raises `Refused` for a message that is not to be taken.
+
+        Args:
+            decoder: of the messages' type.
+            topic: where they come from.
+            publisher: who sends them.
+        """
+        times = self._topics.get(topic)
+        if times is None:
+            if len(self._topics) >= TOPICS:
+                self._topics.clear()
+            times = self._topics[topic] = TopicTimes(topic)
+        known = times
+        stamp = watched_stamp(decoder, known, lambda found: self._look(known, publisher, found))
+        watching = copy(decoder)
+        watching.stamp = stamp
+        return watching
+
+    def forget(self) -> None:
+        """Forget what was known: time went back."""
+        for times in self:
+            times.clear()
+
+    def sum_up(self) -> None:
+        """Say how many messages of each topic had such a stamp, where that was more than one."""
+        for times in self:
+            if times.far > 1:
+                refused = f", {times.refused} of them not taken" if times.refused else ""
+                self._reports.warning(
+                    f"topic {times.name}: {times.far} messages in all had a stamp far from those before{refused}"
+                )
+
+    def _look(self, times: TopicTimes, publisher: str, found: List[FrameStamp]) -> None:
+        """Compare the stamps of a message with those before.
+
+        Raises:
+            Refused: where one is further away than is allowed.
+        """
+        now, wall = self._now(), self._wall()
+        farthest = 0
+        for key, stamp in found:
+            known = times.get(key)
+            if known is None:
+                times.keep(key, FrameTime(stamp, now, wall, self._progress), 2 * len(key) + 400)
+                continue
+            distance = stamp - known.stamp
+            if abs(distance) > self._far:
+                distance = known.distance(stamp, now, wall, self._progress)
+            if abs(distance) > self._far:
+                if not known.agree(stamp, now, wall, self._progress, self._far):
+                    farthest = max(farthest, abs(distance))
+                    self._warn(times.name, known, key, distance, publisher)
+                    continue
+                self._tell_of_set_clock(times.name, key, stamp - known.stamp)
+                known.stamp, known.since = stamp, (stamp, wall)  # which is no progress
+            known.move_to(stamp, now, wall, self._exact)
+            if known.progress > self._progress:
+                self._progress = known.progress
+        if farthest:
+            times.far += 1
+            if self._most is not None and farthest > self._most:
+                times.refused += 1
+                raise Refused
+
+    def _warn(self, topic: str, known: FrameTime, key: bytes, distance: int, publisher: str) -> None:
+        if known.told:
+            return
+        known.told = True
+        where = f"topic {topic}, frame {_shown(key)}"
+        by = f" from {printable(beginning(publisher))}" if publisher else ""
+        taken = "" if self._most is None or abs(distance) <= self._most else "; such messages are not taken"
+        self._reports.warning(
+            f"{where}: a stamp{by} is {_seconds(distance)} the stamps before it{taken}",
+            ("skew", topic),
+            texts=TEXTS,
+        )
+
+    def _tell_of_set_clock(self, topic: str, key: bytes, step: int) -> None:
+        self._reports.warning(
+            f"topic {topic}, frame {_shown(key)}: the last {AGREEING} stamps agree and are {_seconds(step)} those "
+            "before them; they are taken as right from now on",
+            ("set clock", topic),
+            texts=TEXTS,
+        )
+
+
+TEXTS = 20
+"""Frames of a topic that are named."""
+
+
+def _shown(key: bytes) -> str:
+    return printable(beginning(frame_text(key))) or "without a name"
+
+
+def _seconds(distance: int) -> str:
+    return f"{abs(distance) / SECOND:.10g} s {'ahead of' if distance > 0 else 'behind'}"

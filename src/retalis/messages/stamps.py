@@ -1,0 +1,208 @@
+"""The stamps in the bytes of a message, each with the frame that it is of; cheap to look at for every message."""
+
+from struct import Struct
+from struct import error as StructError
+from typing import Any, Callable, List, Mapping, NamedTuple, Optional, Tuple
+
+from ..prolog.terms import SECOND
+from .decoding import Decoder
+from .definition import HEADER, Definition, Field
+from .layout import element_end
+from .slots import VARIABLE
+
+FrameStamp = Tuple[bytes, int]
+"""The bytes that stand for a frame, and an instant in nanoseconds."""
+
+ReadStamps = Callable[[bytes], List[FrameStamp]]
+
+ReadStamp = Callable[[bytes], Optional[int]]
+"""From the bytes of a message to the time of its own header, as `Decoder.stamp`."""
+
+Look = Callable[[List[FrameStamp]], object]
+"""Takes the stamps of a message of which one may be new."""
+
+_CHILD = "child_frame_id"
+
+_header = Struct("<4xIII").unpack_from
+_number = Struct("<I").unpack_from
+second_bytes = Struct("<I").pack
+"""A second as it lies in a message: comparing bytes is cheaper than reading numbers."""
+
+
+def stamp_reader(definition: Definition) -> Optional[ReadStamps]:
+    """Return what reads the stamps of messages of a type; None for a type that has none.
+
+    These are the stamps of its own header and of the elements of its arrays, with ``frame_id`` and, where it follows,
+    ``child_frame_id``. A stamp of zero says nothing and is left out, and so is what broken bytes do not hold.
+    """
+    slots = _stamped_slots(definition)
+    if not slots:
+        return None
+
+    def read(data: bytes) -> List[FrameStamp]:
+        found: List[FrameStamp] = []
+        try:
+            _walk(data, slots, found)
+        except StructError:  # who makes the term says what is wrong
+            pass
+        return found
+
+    return read
+
+
+def watched_stamp(decoder: Decoder, known: Mapping[bytes, Any], look: Look) -> ReadStamp:
+    """Return what reads the time of a message's header, and hands stamps on that are not of a known second.
+
+    Args:
+        decoder: of the messages' type.
+        known: has for the bytes of a frame what has the attribute ``second``: the second that is known,
+            as `second_bytes`.
+        look: takes all stamps of a message where one is of another second; what it raises comes out.
+    """
+    definition, stamp, get = decoder.definition, decoder.stamp, known.get
+    read = stamp_reader(definition)
+    if read is None:
+        return stamp
+    all_stamps: ReadStamps = read
+
+    def watched(data: bytes) -> Optional[int]:
+        found = all_stamps(data)
+        for key, instant in found:
+            seen = get(key)
+            if seen is None or seen.second != second_bytes(instant // SECOND):
+                look(found)
+                break
+        return stamp(data)
+
+    rest = _bytes_behind(definition)
+    if rest is None:
+        return (
+            watched if len(_stamped_slots(definition)) > 1 or _has_child(definition) else _own(get, watched)
+        )
+
+    def watched_single(data: bytes) -> Optional[int]:
+        """Look at a list of one transform, of which most are: the bytes between its numbers are its frames.
+
+        Of a longer list they are more than the frames that they begin with, and are not known.
+        """
+        seen = get(data[16:rest])
+        if seen is not None and seen.second == data[8:12]:
+            return None
+        return watched(data)
+
+    return watched_single
+
+
+def _own(get: Callable[[bytes], Any], watched: ReadStamp) -> ReadStamp:
+    """Return the short way for messages whose only stamp is that of their header."""
+
+    def watched_header(data: bytes) -> Optional[int]:
+        try:
+            second, nanosecond, size = _header(data)
+        except StructError:
+            return watched(data)
+        seen = get(data[12 : 16 + size])
+        if seen is not None and seen.second == data[4:8]:
+            return second * SECOND + nanosecond or None
+        return watched(data)
+
+    return watched_header
+
+
+def frame_text(key: bytes) -> str:
+    """Return the bytes that stand for a frame as people read them: the frame, or a frame and its child."""
+    names = []
+    at = 0
+    try:
+        while at + 4 <= len(key):  # a byte may follow that tells slots apart
+            (size,) = _number(key, at)
+            names.append(key[at + 4 : at + 4 + size].decode("utf-8", "replace"))
+            at += 4 + size
+    except StructError:
+        return repr(key)
+    return " > ".join(names)
+
+
+class _StampedSlot(NamedTuple):
+    """A slot that has stamps, or one that lies before such a slot and has to be passed over.
+
+    Attributes:
+        slot: the slot.
+        suffix: what tells its frames from those of other slots.
+        has_child: whether a child's frame follows the header; None where there is no stamp.
+        rest: the bytes that follow; None where elements differ in them.
+    """
+
+    slot: Field
+    suffix: bytes
+    has_child: Optional[bool]
+    rest: Optional[int]
+
+
+def _stamped_slots(definition: Definition) -> List[_StampedSlot]:
+    """Return the slots up to the last one with stamps."""
+    slots: List[_StampedSlot] = []
+    stamped = 0
+    for slot in definition.fields:
+        inner = slot.definition
+        if slot is definition.fields[0] and slot.length is None and _is_header(slot):
+            slots.append(_StampedSlot(slot, b"", _has_child(definition), 0))
+            stamped = 1
+        elif inner is not None and slot.length is not None and inner.fields and _is_header(inner.fields[0]):
+            suffix = b"%c" % len(slots) if stamped else b""
+            slots.append(_StampedSlot(slot, suffix, _has_child(inner), _fixed_rest(inner)))
+            stamped = len(slots)
+        else:
+            slots.append(_StampedSlot(slot, b"", None, None))
+        if len(slots) > 255:
+            break
+    return slots[:stamped]
+
+
+def _is_header(slot: Field) -> bool:
+    return slot.type == HEADER and slot.length is None and slot.name == "header"
+
+
+def _has_child(definition: Definition) -> bool:
+    second = definition.fields[1] if len(definition.fields) > 1 else None
+    return second is not None and second.name == _CHILD and second.type == "string" and second.length is None
+
+
+def _fixed_rest(definition: Definition) -> Optional[int]:
+    """Return how many bytes follow the frames; None where that differs."""
+    rest = Definition(definition.name, definition.fields[2 if _has_child(definition) else 1 :]).measure
+    return rest.least if rest.fixed else None
+
+
+def _bytes_behind(definition: Definition) -> Optional[int]:
+    """Return where the frames of the only element end, counted from the end; None for types of another form."""
+    slots = _stamped_slots(definition)
+    if len(definition.fields) != 1 or slots[0].slot.length != VARIABLE or not slots[0].rest:
+        return None
+    return -slots[0].rest
+
+
+def _walk(data: bytes, slots: List[_StampedSlot], found: List[FrameStamp]) -> None:
+    at = 0
+    for slot, suffix, has_child, rest in slots:
+        if has_child is None:
+            at = element_end(data, slot, at)
+            continue
+        number = 1 if slot.length is None else slot.length
+        if number == VARIABLE:
+            (number,) = _number(data, at)
+            at += 4
+        for _ in range(number):
+            second, nanosecond, size = _header(data, at)
+            end = at + 16 + size
+            following = end
+            if has_child:
+                end += 4 + _number(data, end)[0]
+            if second or nanosecond:
+                found.append((data[at + 12 : end] + suffix, second * SECOND + nanosecond))
+            if slot.length is None:  # the child's frame is the next slot
+                at = following
+            elif rest is not None:
+                at = end + rest
+            else:
+                at = element_end(data, slot._replace(length=None), at)
