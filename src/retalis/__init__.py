@@ -17,7 +17,20 @@ from pkgutil import extend_path
 from typing import TYPE_CHECKING, Any, List
 
 if TYPE_CHECKING:  # for type checkers; a program gets them by `__getattr__`
-    from .engine import Engine, OnEvent, OnOutput, Settings
+    from .engine import (
+        AwaitedMemory,
+        Engine,
+        LeftOut,
+        MemoryStatus,
+        OnEvent,
+        OnOutput,
+        RuleStatus,
+        Settings,
+        Status,
+        SubscriptionStatus,
+        WaitingStatus,
+        Work,
+    )
     from .engine.explaining import Explanation, ExplanationLine, explain, record_origins
     from .engine.playback import BagError, BagReader, BagWriter, Output, Playback, Record, Topic
     from .engine.runtime import Clock, Reports, StreamClock
@@ -43,6 +56,7 @@ __path__ = extend_path(__path__, __name__)
 __all__ = [
     "Atom",
     "atom",
+    "AwaitedMemory",
     "BagError",
     "BagReader",
     "BagWriter",
@@ -60,9 +74,11 @@ __all__ = [
     "foreign",
     "Functor",
     "functor",
+    "LeftOut",
     "Limits",
     "list_items",
     "make_list",
+    "MemoryStatus",
     "MessageError",
     "OnEvent",
     "OnOutput",
@@ -77,9 +93,12 @@ __all__ = [
     "Reports",
     "RetalisError",
     "RuleError",
+    "RuleStatus",
     "Settings",
+    "Status",
     "StreamClock",
     "String",
+    "SubscriptionStatus",
     "SyntaxFault",
     "Term",
     "to_python",
@@ -88,6 +107,8 @@ __all__ = [
     "TopicType",
     "UsageError",
     "Var",
+    "WaitingStatus",
+    "Work",
 ]
 
 _ROOMS = (

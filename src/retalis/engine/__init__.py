@@ -6,15 +6,33 @@ from .core import parts_of
 from .engine import Engine
 from .rulechanges import add_rule, delete_rule
 from .settings import Settings
+from .status import (
+    AwaitedMemory,
+    LeftOut,
+    MemoryStatus,
+    RuleStatus,
+    Status,
+    SubscriptionStatus,
+    WaitingStatus,
+    Work,
+)
 
 __all__ = [
     "add_rule",
     "ask",
     "await_memories",
     "delete_rule",
+    "AwaitedMemory",
     "Engine",
+    "LeftOut",
+    "MemoryStatus",
     "OnEvent",
     "OnOutput",
     "parts_of",
+    "RuleStatus",
     "Settings",
+    "Status",
+    "SubscriptionStatus",
+    "WaitingStatus",
+    "Work",
 ]

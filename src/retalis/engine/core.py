@@ -13,6 +13,7 @@ from ..prolog.syntax import read_term
 from ..prolog.terms import Term, Var, copy
 from .callbacks import OnOutput
 from .intake import Intake
+from .looking import Seen, StatusReader
 from .ownfiles import OwnFiles
 from .runtime import Clock, EngineRecovery, Reports, Runner, StreamClock, Watchdog, watch
 from .settings import Settings
@@ -73,6 +74,20 @@ class EngineCore:
         self._outputs: List[OnOutput] = []
         self._own_files = OwnFiles(
             self._logic, self._rules, self._runner, self._dispatcher, settings.limit_start, self._once
+        )
+        self._status = StatusReader(
+            Seen(
+                self._logic,
+                self._dispatcher,
+                self._rules,
+                self._knowledge,
+                self.clock,
+                reports,
+                self._runner,
+                self._watchdog,
+                lambda: self._intake.taken,
+                settings.queue,
+            )
         )
         define_new_event(self._logic, self._dispatcher)
         define_use_foreign(self._logic, self._runner, self._files, settings.allow_foreign)

@@ -14,6 +14,7 @@ from ..prolog.terms import Functor, Term, Var, WholeSeconds, timestamps, variabl
 from .callbacks import OnEvent, OnOutput
 from .holdings import Holdings
 from .ownfiles import REQUEST
+from .status import MOST, Status
 
 Instant = Union[int, Term]
 Result = TypeVar("Result")
@@ -324,6 +325,23 @@ class Engine(Holdings):
         yield from unread_rules(self._files, folder)
         yield from wrong_messages(self._rules, self._knowledge.patterns(), definitions, types)
         yield from unknown_memories(self._rules, [memory.id for memory in self._knowledge.memories])
+
+    def status(self, most: int = MOST) -> Status:
+        """Tell what the engine is doing and what it holds.
+
+        It does not wait for the engine: where that is busy, ``work`` says with what and for how long.
+
+        >>> engine = Engine()
+        >>> engine.load(rules="alarm <- fire.", goals="memorize(alarm, [], _, alarms, 10)")
+        >>> engine.event("fire", 1)
+        >>> status = engine.status()
+        >>> status.taken, status.rules[0].fired, status.memories[0].records, status.work
+        (1, 1, 1, None)
+
+        Args:
+            most: how many rules, memories, subscriptions and queries are listed; the others are counted.
+        """
+        return self._status.read(most)
 
     @property
     def dropped(self) -> int:

@@ -21,6 +21,9 @@ class Intake:
         clock: what time it is.
         followed: the same clock where stamped events move it; None for one that its owner moves.
         start_anew: called where time went back.
+
+    Attributes:
+        taken: how many events came in.
     """
 
     def __init__(
@@ -38,6 +41,7 @@ class Intake:
         self._start_anew = start_anew
         self._done = logic.machine.done
         self._lanes = dispatcher.lanes
+        self.taken = 0
 
     def take(
         self, term: Term, start: Optional[int], end: Optional[int], ground: Optional[bool] = None
@@ -55,6 +59,7 @@ class Intake:
                 self._followed.now()  # where somebody has put it back, that is seen first
                 self._followed.move_to(end)
             self._look_at_clock()
+        self.taken += 1
         dispatcher = self._dispatcher
         current, cause = dispatcher.current, dispatcher.cause
         try:  # as `Dispatcher.undisturbed`
@@ -75,6 +80,7 @@ class Intake:
         if lane is not None and stamp is not None:
             try:
                 if lane(term, stamp, stamp):
+                    self.taken += 1
                     return
             except BaseException:
                 self._dispatcher.restore(None, None)

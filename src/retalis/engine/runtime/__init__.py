@@ -6,10 +6,11 @@ from .recovery import EngineRecovery
 from .reports import Reports
 from .runner import Runner
 from .skew import Refused, Skew
-from .watchdog import Watchdog, watch
+from .watchdog import Watchdog, at_work, watch
 
 __all__ = [
     "Alarm",
+    "at_work",
     "Clock",
     "EngineRecovery",
     "relax",

@@ -53,6 +53,14 @@ class Clock:
             self.behind = True
         return instant
 
+    def present(self) -> int:
+        """Return the present instant and notice nothing: for those who look from another thread.
+
+        >>> Clock(lambda: 5_000_000_000).present()
+        5000000000
+        """
+        return self._source()
+
     def stamp(self, now: Optional[int] = None) -> int:
         """Return an instant for an event: now, but always after the last one given out.
 
@@ -103,7 +111,8 @@ class Clock:
         >>> clock.next_alarm()
         2000000000
         """
-        return self.alarms[0][0] if self.alarms else None
+        first = self.alarms[:1]  # in one step: another thread may be taking it
+        return first[0][0] if first else None
 
     def due(self, until: Optional[int] = None) -> Optional[Tuple[int, Alarm]]:
         """Take and return the next alarm that is due now (or at ``until``); None where there is none.

@@ -2,7 +2,7 @@
 
 import threading
 import time
-from typing import Callable, Optional, Tuple
+from typing import Callable, NamedTuple, Optional, Tuple
 from weakref import ref
 
 from ...events.dispatch import Dispatcher
@@ -20,6 +20,22 @@ _LOOKS = 5
 
 _SHORTEST = 0.005
 _LONGEST = 0.5
+
+
+class AtWork(NamedTuple):
+    """What is at work.
+
+    Attributes:
+        entry: what came in.
+        goal: the goal that runs, with its rule; empty for none.
+        event: the event that is being served; empty for none.
+        place: where the goal stands.
+    """
+
+    entry: str
+    goal: str
+    event: str
+    place: Optional[Place]
 
 
 class Watchdog:
@@ -60,6 +76,17 @@ class Watchdog:
         if self._next is not None and ran >= self._next:
             self._next *= 2
             self._warn(ran, entry)
+
+    def held(self, now: float) -> Optional[Tuple[object, float]]:
+        """Return what is at work, and for how many seconds by the looks so far; None where nothing is."""
+        entry = None if self._turn.thread is None else self._turn.entry
+        if entry is None:
+            return None
+        if entry is not self._entry:
+            self._entry = entry
+            self._since = now
+            self._next = self._patience
+        return entry, now - self._since
 
     def pause(self) -> float:
         """Return the seconds to the next look."""
@@ -108,18 +135,25 @@ def _held_up(
 
     Terms of events and questions are not shown but named: they may be large, and change in the other thread.
     """
+    found = at_work(logic, dispatcher, entry)
+    who = found.goal or "no goal"
+    event = f" at event {found.event}" if found.event else ""
+    text = f"{who} is running{event}; {found.entry} has taken {seconds:.1f} s so far"
+    return RuleError(text, found.place), ("held up", who)
+
+
+def at_work(logic: Logic, dispatcher: Dispatcher, entry: object) -> AtWork:
+    """Return what is at work in an engine, named by a thread that looks from outside."""
     goal, current = logic.machine.budget.goal, dispatcher.current
     place: Optional[Place] = getattr(entry, "place", None)
-    who = "no goal"
+    who = ""
     if isinstance(goal, CompiledGoal):
         place = goal.place
         who = f"{goal.name}: goal {beginning(logic.show(goal.term))}"
     elif goal is not None:
         who = f"goal {_name((goal,))}"
     term = current[0] if current.__class__ is tuple else getattr(current, "term", None)
-    event = "" if term is None else f" at event {_name((term,))}"
-    text = f"{who} is running{event}; {_name(entry)} has taken {seconds:.1f} s so far"
-    return RuleError(text, place), ("held up", who)
+    return AtWork(_name(entry), who, "" if term is None else _name((term,)), place)
 
 
 def _name(entry: object) -> str:

@@ -55,6 +55,9 @@ def made(term, start, end):
         left = action(term, ({values},), start, end, done)
         if left is not done:
             machine.run(left)
+    elif found:
+        firings.number += 1
+        firings.last = end
     dispatcher.current = None
     return True
 """
@@ -78,6 +81,7 @@ def goal_lane(call: Any, completion: Completion) -> Lane:
         "action": completion.action,
         "gate": completion.gate,
         "NOBODY": NOBODY,
+        "firings": call.rule.firings,
         "undo": undo,
     }
     values = ", ".join(f"a{at}" for at in range(len(call.known)))

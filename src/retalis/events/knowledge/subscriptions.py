@@ -1,6 +1,6 @@
 """Subscriptions: which events go out, in which form, to which topic."""
 
-from typing import Any, Callable, Dict, Hashable, Iterator, Tuple
+from typing import Any, Callable, Dict, Hashable, Iterator, List, NamedTuple, Tuple
 
 from ...prolog.logic import Logic
 from ...prolog.machine import Frame, permission_error
@@ -13,6 +13,23 @@ Deliver = Callable[[Term, str, Term], None]
 
 Key = Tuple[str, Hashable]
 """Topic and id."""
+
+
+class Tally:
+    """How many events a subscription has sent."""
+
+    __slots__ = ("sent",)
+
+    def __init__(self) -> None:
+        self.sent = 0
+
+
+class Subscription(NamedTuple):
+    """What listens for a subscription, its id as it was given, and what it has sent."""
+
+    listener: Listener
+    id: Term
+    tally: Tally
 
 
 class Subscriptions:
@@ -30,14 +47,18 @@ class Subscriptions:
         self._dispatcher = dispatcher
         self._deliver = deliver
         self._problem = problem
-        self._listeners: Dict[Key, Listener] = {}
+        self._all: Dict[Key, Subscription] = {}
 
     def __iter__(self) -> Iterator[Key]:
-        return iter(list(self._listeners))
+        return iter(list(self._all))
 
     def patterns(self) -> Iterator[Tuple[Term, Key]]:
         """Yield the pattern of each subscription with topic and id."""
-        return ((listener.pattern, key) for key, listener in list(self._listeners.items()))
+        return ((one.listener.pattern, key) for key, one in self.items())
+
+    def items(self) -> List[Tuple[Key, Subscription]]:
+        """Return all subscriptions, the oldest first."""
+        return list(self._all.items())
 
     def create(self, definition: Term) -> None:
         """Add a subscription of ``Pattern, Conditions, Format, Topic, Id``.
@@ -49,7 +70,7 @@ class Subscriptions:
         pattern, conditions, form, topic, name = (deref(part) for part in copied[1:])
         topic_text = self._topic(topic)
         key = (topic_text, key_of(name))
-        if key in self._listeners:
+        if key in self._all:
             raise permission_error("create", "subscription", (MINUS, topic, name), "one already exists")
         shape, _ = recording(
             self._logic,
@@ -60,37 +81,40 @@ class Subscriptions:
             f"subscription {self._logic.brief(name)}",
             self._problem,
         )
-        deliver = self._deliver
+        deliver, tally = self._deliver, Tally()
         ground = self._dispatcher.ground
 
         def send(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+            tally.sent += 1
             deliver(term, topic_text, name)
             return after
 
         def action(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
             shaped = shape(term, values, ground())
             if shaped is not None:
+                tally.sent += 1
                 deliver(shaped, topic_text, name)
             return after
 
-        self._listeners[key] = self._dispatcher.listen(
+        listener = self._dispatcher.listen(
             Stage.SUBSCRIPTIONS, pattern, send if shape is itself else action, looks_on=shape is itself
         )
+        self._all[key] = Subscription(listener, name, tally)
 
     def mend(self) -> None:
         """Have nothing delivered that no subscription asks for, which an interrupt may leave."""
-        self._dispatcher.keep_only(Stage.SUBSCRIPTIONS, set(self._listeners.values()))
+        self._dispatcher.keep_only(Stage.SUBSCRIPTIONS, {one.listener for one in self._all.values()})
 
     def has(self, topic: Term, name: Term) -> bool:
         """Tell whether there is a subscription of this topic and id."""
-        return (self._topic(topic), key_of(name)) in self._listeners
+        return (self._topic(topic), key_of(name)) in self._all
 
     def delete(self, topic: Term, name: Term) -> bool:
         """Delete a subscription; returns False where there is none of this topic and id."""
-        listener = self._listeners.pop((self._topic(topic), key_of(name)), None)
-        if listener is None:
+        found = self._all.pop((self._topic(topic), key_of(name)), None)
+        if found is None:
             return False
-        self._dispatcher.remove(listener)
+        self._dispatcher.remove(found.listener)
         return True
 
     def _topic(self, topic: Term) -> str:

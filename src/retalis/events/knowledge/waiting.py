@@ -73,6 +73,10 @@ class WaitingQueries:
         """Yield those that wait, the oldest first."""
         return iter(self._all.values())
 
+    def all(self) -> List[Waiting]:
+        """Return those that wait, the oldest first; also from a thread that is not at work here."""
+        return list(self._all.values())
+
     def clear(self) -> None:
         """Drop all that wait (the clock went back)."""
         self._all.clear()
@@ -114,13 +118,15 @@ class WaitingQueries:
         """Return what takes the values of a rule's match in place of its head; see `Dispatcher.shortcuts`."""
         head: Any = rule.definition.head  # it has the functor that this is the shortcut of
         key, event, query, conditions = head
-        names = rule.vars
+        names, firings = rule.vars, rule.firings
         find = compile_conditions(self._logic, self._memories, conditions, names)
         asked = compile_question(self._around, event, query, names, rule.place)
         if find is None or asked is None:
             return None
 
         def ask_or_wait(values: Values, start: int, end: int, after: Frame) -> Frame:
+            firings.number += 1
+            firings.last = end
             try:
                 missing = find(values)
             except UsageError as error:

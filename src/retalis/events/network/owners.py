@@ -44,6 +44,16 @@ class UnderWay:
     checked: Optional[Tuple[int, int]] = None
 
 
+class Counted(Protocol):
+    """What a rule counts.
+
+    Attributes:
+        errors: how many errors it had.
+    """
+
+    errors: int
+
+
 class Network(Remembered, Protocol):
     """All rules of a program, as one of them sees the others."""
 
@@ -100,6 +110,10 @@ class RuleOwner(Owner, Fired, Protocol):
     @property
     def network(self) -> Network:
         """All rules of the program."""
+
+    @property
+    def firings(self) -> "Counted":
+        """What it counts."""
 
     @property
     def active(self) -> bool:

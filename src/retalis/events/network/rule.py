@@ -17,6 +17,22 @@ from .owners import Listening, Network
 _SPARE = 1000
 
 
+class Firings:
+    """What a rule counts; apart from it, as most events that come in fire one.
+
+    Attributes:
+        number: how many whole matches it had, whether or not anybody wanted the event.
+        last: the end of the last one, None before the first.
+        errors: how many errors it had.
+    """
+
+    __slots__ = ("errors", "last", "number")
+
+    def __init__(self) -> None:
+        self.number = self.errors = 0
+        self.last: Optional[int] = None
+
+
 class Rule:
     """One event rule in the network.
 
@@ -27,6 +43,7 @@ class Rule:
         listeners: of its leaves.
         sound: whether it is connected for the mode it is to run in; not where that was interrupted.
         waiting: how many partial matches it has.
+        firings: how often it has fired, and when last.
         order: how many have begun to wait so far.
         timed: whether its clock has to be kept.
         clock: the newest end among the events that its patterns matched.
@@ -43,6 +60,7 @@ class Rule:
         self.sound = False
         self.waiting = 0
         self.dropped = 0
+        self.firings = Firings()
         self.alarms_dropped = 0
         self.alarms_past = 0
         self.timed = False
@@ -55,7 +73,6 @@ class Rule:
         self._garbage: Optional[Tuple[int, int]] = None
         self._by_end = Expiries()
         self.listeners: List[Listener] = []
-        self._bound = False
         self.later: List[Tuple[MatchBuffer, Match, Hashable]] = []
         self._later_event: object = None
         head = definition.head
@@ -243,15 +260,23 @@ class Rule:
         window = self.window
         if window is not None and end - start > window:
             return after
+        firings = self.firings
+        firings.number += 1
+        firings.last = end
         build: Any = self.builder  # there is one: `_completing` has looked
         return self.fire(build(values), start, end, after)
+
+    def _complete_nothing(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+        self.firings.number += 1
+        self.firings.last = end
+        return after
 
     def _completing(self) -> Completion:
         """Return what takes the values of a whole match; with nothing to test it fires at once."""
         build: Any = self.builder
         head = self.definition.head
         if build is None or head is None:
-            return Completion(lambda term, values, start, end, after: after)
+            return Completion(self._complete_nothing)
         key: Optional[Functor] = None
         if head.__class__ is Atom:
             key = head.functor
@@ -259,12 +284,15 @@ class Rule:
             key = head[0]
         if self.window is not None or key is None:
             return Completion(self._complete_values)
+        firings = self.firings
         dispatcher = self.network.dispatcher
         dispatch = dispatcher.dispatch
         gate = dispatcher.gate(key)
         constant = build(()) if is_ground(head) else None
 
         def complete(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+            firings.number += 1
+            firings.last = end
             if gate.plan is NOBODY:
                 return after
             try:
@@ -281,6 +309,8 @@ class Rule:
         window = self.window
         if window is not None and match.end - match.start > window:
             return after
+        self.firings.number += 1
+        self.firings.last = match.end
         if self.builder is None:
             return after
         return self.network.tracker.fire(self, match, self.builder(match.values), after)

@@ -63,6 +63,7 @@ class Rules:
         self.on_error: Callable[[RetalisError], None] = lambda error: log.error("%s", error)
         self.warn_singletons = False
         self.revs_of_nothing = 0
+        self._fired_before = 0
         self.on_warning: Callable[[RetalisError], None] = lambda error: log.warning("%s", error)
         self.under_way = UnderWay()
         self._rules: Dict[Rule, None] = {}
@@ -182,6 +183,7 @@ class Rules:
         rule.unlisten()
         rule.clear()
         if known:
+            self._fired_before += rule.firings.number
             _take_out(self._by_label, term_key(_label_of(rule)), rule)
             _take_out(self._by_key, rule.definition.key, rule)
 
@@ -312,6 +314,11 @@ class Rules:
         self.files.loaded.clear()
 
     @property
+    def fired(self) -> int:
+        """How many whole matches all rules had, those that were deleted included."""
+        return self._fired_before + sum(rule.firings.number for rule in self.rules)
+
+    @property
     def waiting(self) -> int:
         """How many partial matches there are."""
         return sum(rule.waiting for rule in self.rules)
@@ -359,6 +366,7 @@ class Rules:
 
     def rule_failed(self, rule: RuleOwner, error: RuleError) -> None:
         """Report what stopped a rule from firing."""
+        rule.firings.errors += 1
         event = self.dispatcher.event()
         met = "" if event is None else f", at event {self.logic.brief(event.term)}"
         self.on_error(RuleError(f"{rule.name}{met}: {error.message}", rule.place))
