@@ -1,4 +1,6 @@
-"""The command line: ``python3 -m retalis COMMAND``. Each command is a module with ``add_parser`` and ``run``."""
+"""The command line: ``python3 -m retalis COMMAND``. Each command is a module with ``add_parser`` and ``run``;
+those for a node that runs share one.
+"""
 
 import argparse
 import os
@@ -6,10 +8,20 @@ import sys
 from typing import List, Optional
 
 from ..foundation import RetalisError
-from . import bag, console, demo, events
+from . import bag, console, demo, events, live
+from .prompt import Lines, Terminal, read_clause
 from .report import NobodyReads, leave
+from .tables import report
 
-COMMANDS = (bag, console, demo, events)
+COMMANDS = (bag, console, demo, events, live)
+
+__all__ = [
+    "Lines",
+    "main",
+    "read_clause",
+    "report",
+    "Terminal",
+]
 
 
 def main(arguments: Optional[List[str]] = None) -> int:

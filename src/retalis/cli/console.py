@@ -18,6 +18,7 @@ from ..prolog.syntax import ReadTerm
 from ..prolog.terms import COMMA, Atom, String, Term, Var, deref, functor, list_items
 from .answers import bindings
 from .limits import add_limits, limited
+from .live import of_ros
 from .prompt import Lines, Terminal, read_clause
 from .report import Report, to_reader
 
@@ -51,12 +52,19 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
     )
     add("--goal", "-g", action="append", default=[], metavar="GOAL", help="ask this goal, then exit")
     add("--most", type=int, default=1000, help="solutions shown for a goal read from a pipe (1000)")
+    add(
+        "--node",
+        metavar="/NAME",
+        help="ask the node of this name, which runs, instead of an engine of its own",
+    )
     add_limits(parser)
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; from a pipe the status is 1 if there was an error."""
+    if options.node is not None:
+        return of_ros("liveconsole", options)
     report = Report().listen()
     console = Console(report, limited(FREE, options), options.most)
     for path in options.files:

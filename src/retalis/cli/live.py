@@ -1,0 +1,94 @@
+"""Commands for a node that runs: ``query``, ``list``, ``status``, ``explain``, ``watch`` and the like."""
+
+import argparse
+from importlib import import_module
+from typing import Any, Callable
+
+from ..foundation import UsageError
+
+AddCommand = Callable[..., argparse.ArgumentParser]
+
+DESCRIPTION = "The node is the only one that runs, or that of --node."
+
+
+def add_parser(add_command: AddCommand) -> None:
+    """Add the commands."""
+    _add_query(add_command)
+    explain = _command(add_command, "explain", "say why an event happened in a node, or why not")
+    explain.add_argument("event", metavar="EVENT", help="as far as it is known, as in fever(bob,_)")
+    _command(add_command, "list", "list the rules, memories, subscriptions and queries of a node")
+    status = _command(add_command, "status", "show what a node is doing, again and again")
+    status.add_argument("--every", type=float, default=1.0, metavar="SECONDS", help="how often (1)")
+    status.add_argument("--once", action="store_true", help="show it once; so it is where nobody looks on")
+    _add_watch(add_command)
+    complete = _command(add_command, "complete", None)
+    complete.add_argument("what", choices=("nodes", "memories"))
+
+
+def _add_query(add_command: AddCommand) -> None:
+    query = _command(add_command, "query", "ask a goal of a node; the status is 1 without a solution")
+    add = query.add_argument
+    add("goal", metavar="GOAL", help="as in 'access_mem(odom,P,[T1,T2])'")
+    add("--most", type=_whole, default=100, help="solutions at most (100)")
+    add("--seconds", type=float, default=0.0, help="limit for the goal, besides the node's own")
+    add("--inferences", type=_whole, default=0, help="the same in inferences")
+    add(
+        "--wait-for",
+        action="append",
+        default=[],
+        metavar="MEMORY",
+        help="wait until it has a record at --stamp or later",
+    )
+    add("--stamp", type=float, default=0.0, metavar="SECONDS", help="for --wait-for, since the epoch")
+    add("--timeout", type=float, default=10.0, metavar="SECONDS", help="how long to wait (10)")
+
+
+def _add_watch(add_command: AddCommand) -> None:
+    watch = _command(add_command, "watch", "print the outputs of a node as they come")
+    add = watch.add_argument
+    add(
+        "--event",
+        action="append",
+        default=[],
+        metavar="PATTERN",
+        help="these events too, by a subscription meanwhile",
+    )
+    add("--inputs", action="store_true", help="also what comes in as text")
+    add("--count", type=_whole, default=0, help="end after so many")
+
+
+def _command(add_command: AddCommand, name: str, says: Any) -> argparse.ArgumentParser:
+    shown = {} if says is None else {"help": says}
+    parser = add_command(name, description=f"{says or name}. {DESCRIPTION}".capitalize(), **shown)
+    parser.add_argument("--node", metavar="/NAME", help="the node, where several run")
+    parser.add_argument("--json", action="store_true", help="print JSON, one value a line")
+    parser.set_defaults(run=run)
+    return parser
+
+
+def _whole(text: str) -> int:
+    number = int(text)
+    if number < 0:
+        raise argparse.ArgumentTypeError(f"expected a number of 0 or more, found {number}")
+    return number
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run a command on a node."""
+    return of_ros("livecommands", options)
+
+
+def of_ros(module: str, options: argparse.Namespace) -> int:
+    """Run what a module of the room ``ros`` does, which no other imports: ROS need not be there.
+
+    Raises:
+        UsageError: where it is not.
+    """
+    try:
+        found = import_module(f"retalis.ros.{module}")
+    except ImportError as error:
+        raise UsageError(
+            f"this needs ROS ({error}): source its setup.bash, and that of the workspace"
+        ) from error
+    status: int = found.run(options)
+    return status

@@ -1,0 +1,134 @@
+"""A node that runs, as the command line reaches it: finding it, and calling its services."""
+
+import socket
+from typing import Any, Dict, List, Optional, Set, Tuple
+
+import genpy
+import rosgraph
+import rospy
+
+from ..foundation import UsageError
+
+MARK = "/add_memory"
+"""How a service's name ends that all of our nodes have, old and new."""
+
+PATIENCE = 5.0
+"""Seconds in which the master has to answer."""
+
+State = Tuple[Dict[str, Set[str]], Dict[str, Set[str]]]
+"""The nodes that publish each topic, and those that have each service."""
+
+
+def master_state() -> State:
+    """Return what the master knows.
+
+    Raises:
+        UsageError: where there is none.
+    """
+    master = rosgraph.Master("/retalis_command_line")
+    before = socket.getdefaulttimeout()
+    socket.setdefaulttimeout(PATIENCE)
+    try:
+        published, _, services = master.getSystemState()
+    except (OSError, rosgraph.MasterException) as error:
+        uri = rosgraph.get_master_uri()
+        raise UsageError(f"no master answers at {uri}: start one (roscore), or set ROS_MASTER_URI") from error
+    finally:
+        socket.setdefaulttimeout(before)
+    return _by_name(published), _by_name(services)
+
+
+def _by_name(found: List[Tuple[str, List[str]]]) -> Dict[str, Set[str]]:
+    return {name: set(nodes) for name, nodes in found}
+
+
+def nodes_of(services: Dict[str, Set[str]]) -> List[str]:
+    """Return the nodes of ours that run."""
+    return sorted({node for name, nodes in services.items() if name.endswith(MARK) for node in nodes})
+
+
+class LiveNode:
+    """A node ``retalis`` that runs.
+
+    Args:
+        wanted: its name; by default the only one that runs.
+
+    Attributes:
+        name: its name.
+        published: the topics that it publishes.
+
+    Raises:
+        UsageError: where there is no master, no such node, or more than one.
+    """
+
+    def __init__(self, wanted: Optional[str] = None):
+        topics, self._services = master_state()
+        found = nodes_of(self._services)
+        self.name = _chosen(found, wanted)
+        self.published = sorted(topic for topic, nodes in topics.items() if self.name in nodes)
+
+    def call(self, service: str, kind: Any, **fields: Any) -> Any:
+        """Call a service of the node; return the response.
+
+        Args:
+            service: its private name.
+            kind: its class.
+            fields: of the request.
+
+        Raises:
+            UsageError: where it has no such service, or does not answer.
+        """
+        name = f"{self.name}/{service}"
+        if self.name not in self._services.get(name, ()):
+            raise UsageError(f"node {self.name} has no service ~{service}: it is of an older version")
+        return self._call(name, kind, fields)
+
+    def call_shared(self, service: str, kind: Any, **fields: Any) -> Any:
+        """Call a service of the node whose name is relative: that with this ending which the node has."""
+        for name, nodes in self._services.items():
+            if name.endswith(f"/{service}") and self.name in nodes:
+                return self._call(name, kind, fields)
+        raise UsageError(f"node {self.name} has no service {service}")
+
+    def _call(self, name: str, kind: Any, fields: Dict[str, Any]) -> Any:
+        try:
+            return rospy.ServiceProxy(name, kind)(kind._request_class(**fields))  # noqa: SLF001
+        except (rospy.ServiceException, rospy.ROSException, genpy.SerializationError, OSError) as error:
+            raise UsageError(f"service {name} does not answer: {error}") from error
+
+
+def _chosen(found: List[str], wanted: Optional[str]) -> str:
+    if wanted is not None:
+        name = str(rosgraph.names.resolve_name(wanted, "/retalis_command_line"))
+        if name not in found:
+            raise UsageError(f"there is no node {name}; {_there(found)}")
+        return name
+    if len(found) != 1:
+        raise UsageError(f"which node? {_there(found)}; choose one by --node" if found else _there(found))
+    return found[0]
+
+
+def _there(found: List[str]) -> str:
+    return f"those that run are {', '.join(found)}" if found else "no node retalis runs"
+
+
+def plain(message: Any) -> Any:
+    """Return a message as dictionaries, lists and plain values; times as seconds."""
+    if isinstance(message, genpy.Message):
+        return {name: plain(getattr(message, name)) for name in message.__slots__}
+    if isinstance(message, (list, tuple)):
+        return [plain(one) for one in message]
+    if isinstance(message, genpy.TVal):
+        return message.to_sec()
+    return message
+
+
+def checked(response: Any) -> Any:
+    """Return a response whose result is good.
+
+    Raises:
+        UsageError: what its result says.
+    """
+    if response.result != "ok":
+        raise UsageError(response.result[len("error: ") :])
+    return response

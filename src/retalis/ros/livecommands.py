@@ -1,0 +1,206 @@
+"""What the commands for a node that runs do."""
+
+import argparse
+import json
+import os
+import shutil
+import sys
+from queue import Queue
+from typing import Any, Callable, Dict, Iterator, List, Tuple
+
+import genpy
+import rospy
+from std_msgs.msg import String
+
+from retalis import srv
+
+from ..cli import report
+from ..foundation import RetalisError, UsageError, printable
+from ..prolog.syntax import Operators, read_term, write_term, writeq
+from ..prolog.terms import deref
+from .client import LiveNode, checked, master_state, nodes_of, plain
+from .names import INPUT, OUTPUT
+
+_CLEAR = "\x1b[H\x1b[J"
+"""Has a terminal begin at its top, with nothing below."""
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run a command; return its exit status."""
+    try:
+        return _COMMANDS[options.command](options)
+    finally:
+        rospy.signal_shutdown("done")
+
+
+def solutions(found: Any) -> Iterator[Dict[str, Any]]:
+    """Yield the solutions of a response as plain values by the variables' names."""
+    for solution in found.solutions:
+        yield {one.name: json.loads(one.json) for one in solution.bindings}
+
+
+def lines_of(found: Any) -> Iterator[str]:
+    """Yield the solutions of a response as a top level shows them."""
+    for solution in found.solutions:
+        yield ", ".join(f"{one.name} = {one.text}" for one in solution.bindings) or "true"
+
+
+def _query(options: argparse.Namespace) -> int:
+    found = checked(
+        LiveNode(options.node).call(
+            "query",
+            srv.Query,
+            goal=options.goal,
+            max_solutions=options.most,
+            seconds=options.seconds,
+            inferences=options.inferences,
+            wait_for=options.wait_for,
+            stamp=_time(options.stamp),
+            timeout=options.timeout,
+        )
+    )
+    if options.json:
+        _print_all(map(json.dumps, solutions(found)))
+    else:
+        _print_all(map(printable, lines_of(found)))
+        if not found.solutions:
+            print("false")
+    if not found.complete:
+        print("there are more solutions (see --most)", file=sys.stderr)
+    return 0 if found.solutions else 1
+
+
+def _time(seconds: float) -> genpy.Time:
+    try:
+        return genpy.Time.from_sec(seconds)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise UsageError(f"--stamp: {error}") from error
+
+
+def _explain(options: argparse.Namespace) -> int:
+    found = checked(LiveNode(options.node).call("explain", srv.Explain, event=options.event))
+    if options.json:
+        print(json.dumps({"happened": found.happened, "lines": found.lines}))
+        return 0
+    print(f"{printable(options.event)} {'happened' if found.happened else 'did not happen'}")
+    _print_all(map(printable, found.lines))
+    return 0
+
+
+def _print_all(lines: Iterator[str]) -> None:
+    for line in lines:
+        print(line)
+
+
+def _listed(node: LiveNode) -> Dict[str, Any]:
+    """Return what a node says of itself."""
+    kind = getattr(srv, "List", None)
+    if kind is None:
+        raise UsageError("this package was built without service ~list")
+    found: Dict[str, Any] = plain(checked(node.call("list", kind)))
+    del found["result"]
+    return {"node": node.name, **found}
+
+
+def _list(options: argparse.Namespace) -> int:
+    found = _listed(LiveNode(options.node))
+    print(json.dumps(found) if options.json else "\n".join(map(printable, report(found))))
+    return 0
+
+
+def _status(options: argparse.Namespace) -> int:
+    node = LiveNode(options.node)
+    looks_on = sys.stdout.isatty() and not options.json
+    if options.once or not (looks_on or options.json):
+        return _list(options)
+    if not options.every > 0:
+        raise UsageError(f"--every: expected a number above 0, found {options.every:g}")
+    rospy.init_node("retalis_status", anonymous=True, disable_signals=True, disable_rosout=True)
+    while True:
+        found = _listed(node)
+        if options.json:
+            print(json.dumps(found), flush=True)
+        else:
+            print(_CLEAR + "\n".join(_page(found)), end="", flush=True)
+        rospy.rostime.wallsleep(options.every)
+
+
+def _page(found: Dict[str, Any]) -> List[str]:
+    """Return as many lines, as long, as the terminal shows."""
+    columns, height = shutil.get_terminal_size()
+    return [printable(line)[:columns] for line in report(found)][: height - 1]
+
+
+def _watch(options: argparse.Namespace) -> int:
+    node = LiveNode(options.node)
+    rospy.init_node("retalis_watch", anonymous=True, disable_signals=True, disable_rosout=True)
+    came: Queue[Tuple[str, str]] = Queue(maxsize=10_000)
+    outputs = next((topic for topic in node.published if topic.endswith(f"/{OUTPUT}")), None)
+    if outputs is None:
+        raise UsageError(f"node {node.name} publishes no {OUTPUT}")
+    topic = f"retalis_watch_{os.getpid()}"
+    rospy.Subscriber(outputs, String, lambda text: came.put(("output", text.data)))
+    if options.inputs:
+        place = outputs[: -len(OUTPUT)] + INPUT
+        rospy.Subscriber(place, String, lambda text: came.put(("input", text.data)))
+    added = []
+    try:
+        for number, pattern in enumerate(options.event):
+            fields = {"event": pattern, "conditions": "", "format": "_", "topic": topic, "id": str(number)}
+            checked(node.call_shared("add_output_subscription", srv.AddOutputSubscription, **fields))
+            added.append(str(number))
+        _print_what_comes(came, topic, options)
+    finally:
+        for name in added:
+            node.call_shared("delete_output_subscription", srv.DeleteOutputSubscription, topic=topic, id=name)
+    return 0
+
+
+def _print_what_comes(came: Any, own: str, options: argparse.Namespace) -> None:
+    shown = 0
+    while not options.count or shown < options.count:
+        kind, text = came.get()
+        topic = None
+        if kind == "output":
+            kind, topic, text = _taken_apart(text)
+            if topic == own:
+                kind, topic = "event", None
+            elif topic.startswith("retalis_watch_"):
+                continue
+        shown += 1
+        if options.json:
+            print(json.dumps({"kind": kind, "topic": topic, "term": text}), flush=True)
+        else:
+            print(f"{kind if topic is None else topic}: {printable(text)}", flush=True)
+
+
+def _taken_apart(text: str) -> Tuple[str, str, str]:
+    """Return kind, topic and term of a text ``event(TERM,TOPIC,ID)``."""
+    try:
+        term: Any = deref(read_term(text, Operators.prolog(), OUTPUT).term)
+        return "output", write_term(term[2]), writeq(term[1])
+    except (RetalisError, IndexError, TypeError):  # from others, who may write what they like
+        return "output", OUTPUT, text
+
+
+def _complete(options: argparse.Namespace) -> int:
+    """Print names for a shell to complete; nothing where there are none."""
+    try:
+        if options.what == "nodes":
+            _print_all(iter(nodes_of(master_state()[1])))
+            return 0
+        found = LiveNode(options.node).call("query", srv.Query, goal="memory_size(Id, _)", max_solutions=1000)
+    except UsageError:
+        return 1
+    _print_all(one.text for solution in found.solutions for one in solution.bindings)
+    return 0
+
+
+_COMMANDS: Dict[str, Callable[[argparse.Namespace], int]] = {
+    "query": _query,
+    "explain": _explain,
+    "list": _list,
+    "status": _status,
+    "watch": _watch,
+    "complete": _complete,
+}

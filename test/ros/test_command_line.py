@@ -1,0 +1,76 @@
+"""The command line on a node that runs."""
+
+import json
+import subprocess
+
+import pytest
+
+LIVE = ("rosrun", "retalis", "retalis")
+
+
+@pytest.fixture
+def node(space):
+    """Node retalis, on a master of its own."""
+    space.start("roscore", "-p", str(space.port))
+    space.expect(lambda found, services: "/rosout" in found)
+    space.start("rosrun", "retalis", "retalis_node", "_explain:=true")
+    space.expect(lambda found, services: "/retalis/delete_rule" in services)
+    return space
+
+
+def said(space, *words, wrong=False, text=None):
+    """Return what a command prints; where something is wrong, the error."""
+    command = space.command(*LIVE, *words)
+    done = subprocess.run(command, env=space.env, input=text, capture_output=True, text=True, timeout=60)
+    assert done.returncode == int(wrong), done.stderr
+    return done.stderr if wrong else done.stdout
+
+
+def test_without_a_master_or_a_node(space):
+    assert "no master answers at http://localhost" in said(space, "query", "true", wrong=True)
+    space.start("roscore", "-p", str(space.port))
+    space.expect(lambda found, services: "/rosout" in found)
+    assert said(space, "query", "true", wrong=True) == "retalis: no node retalis runs\n"
+
+
+def test_goals_are_asked(node):
+    assert said(node, "query", "member(X, [1, f(_)])") == "X = 1\nX = f(_1)\n"
+    found = said(node, "query", "member(X-Y, [a-1, b-[2]])", "--json", "--node", "/retalis")
+    assert [json.loads(line) for line in found.splitlines()] == [{"X": "a", "Y": 1}, {"X": "b", "Y": [2]}]
+    assert "column 4" in said(node, "query", "f(X", wrong=True)
+    assert "those that run are /retalis" in said(node, "query", "true", "--node", "other", wrong=True)
+    late = said(node, "query", "true", "--wait-for", "odom_base", "--timeout", "0.01", wrong=True)
+    assert "in memory odom_base (nothing yet) after 0.01 s" in late
+    assert said(node, "explain", "no_such(1)").startswith("no_such(1) did not happen\n")
+    answered = said(node, "console", "--node", "retalis", text="X = 1 ; X = 2.\nfail.\n")
+    assert answered == "X = 1 ;\nX = 2.\nfalse.\n"
+    assert said(node, "complete", "nodes") == "/retalis\n"
+    assert "odom_base" in said(node, "complete", "memories").splitlines()
+
+
+def test_outputs_and_events_are_watched(node):
+    watching = subprocess.Popen(
+        node.command(*LIVE, "watch", "--event", "fever_(_)", "--count", "1"),
+        env=node.env,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        node.start(
+            *("rostopic", "pub", "-r", "5", "/retalisInputEvents", "std_msgs/String", "event(fever_('A b'))")
+        )
+        assert watching.communicate(timeout=60)[0] == "event: fever_('A b')\n"
+    finally:
+        watching.kill()
+    assert watching.returncode == 0
+
+
+def test_names_are_completed_by_the_shell(node):
+    script = (
+        "COMP_WORDS=(retalis query x --wait-for odo); COMP_CWORD=4; _retalis_complete; echo ${COMPREPLY[@]};"
+        "COMP_WORDS=(retalis query --node /re); COMP_CWORD=3; _retalis_complete; echo ${COMPREPLY[@]};"
+        "COMP_WORDS=(retalis exp); COMP_CWORD=1; _retalis_complete; echo ${COMPREPLY[@]}"
+    )
+    words = ["bash", "-c", f'source "$0"; {script}', str(node.script)]
+    done = subprocess.run(words, env=node.env, stdout=subprocess.PIPE, text=True, timeout=60, check=True)
+    assert done.stdout == "odom_base\n/retalis\nexplain\n"
