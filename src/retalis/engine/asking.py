@@ -126,7 +126,8 @@ def await_memories(engine: Engine, names: Sequence[Term], instant: int, seconds:
     def begin() -> Optional[int]:
         missing = knowledge.behind(names, instant)
         named = WAITING(make_list(names))
-        return knowledge.waiting.await_all(missing, named, arrived.set) if missing else None
+        now = engine.clock.now()
+        return knowledge.waiting.await_all(missing, named, now, arrived.set) if missing else None
 
     order = engine.do(begin)
     if order is None:

@@ -83,15 +83,16 @@ class WaitingQueries:
         for instance in self._memories:
             instance.forget_waiting()
 
-    def await_all(self, missing: Behind, named: Term, tell: Callable[[], None]) -> int:
+    def await_all(self, missing: Behind, named: Term, now: int, tell: Callable[[], None]) -> int:
         """Tell somebody outside when memories that are behind have got there; return the order, for `waits`.
 
         Args:
             missing: the memories that have not got there, at least one.
             named: what the one who waits is called in warnings.
+            now: since when.
             tell: called once, in the midst of the event that was missing last.
         """
-        return self._wait(Bell(named, tell), (), 0, 0, missing)
+        return self._wait(Bell(named, tell), (), now, now, missing)
 
     def waits(self, order: int) -> bool:
         """Tell whether one who waits still does, and was neither told nor dropped."""

@@ -11,7 +11,7 @@ from ..terms import CONS, FALSE, NIL, TRUE, Atom, CompoundTerm, String, Term, Va
 _MASK = len(BULK) - 1
 
 
-class _Written(str):
+class _ReadyText(str):
     """On the stack of `to_json`: text that is written as it is."""
 
     __slots__ = ()
@@ -40,14 +40,14 @@ def to_json(term: Term, names: Dict[Var, str], most: int) -> str:
         UsageError: where it is longer.
     """
     written: List[str] = []
-    stack: List[Union[Term, _Written]] = [term]
+    stack: List[Union[Term, _ReadyText]] = [term]
     length = steps = 0
     while stack:
         steps += 1
         if not steps & _MASK:
             look()
         top = stack.pop()
-        if isinstance(top, _Written):
+        if isinstance(top, _ReadyText):
             text: str = top
         else:
             item = deref(top)
@@ -69,19 +69,19 @@ def _too_long(most: int) -> UsageError:
     return UsageError(f"a solution has more than {most} characters")
 
 
-def _parts(item: CompoundTerm, most: int) -> List[Union[Term, _Written]]:
+def _parts(item: CompoundTerm, most: int) -> List[Union[Term, _ReadyText]]:
     """Return what is to be written of a list or compound term, the last first."""
     items = list_items(item) if item[0] is CONS else None
     parts = list(item[1:]) if items is None else items
     if len(parts) > most:
         raise _too_long(most)
-    found: List[Union[Term, _Written]] = [_Written("]" if items is not None else "]}")]
+    found: List[Union[Term, _ReadyText]] = [_ReadyText("]" if items is not None else "]}")]
     for at, part in enumerate(reversed(parts)):
         if at:
-            found.append(_Written(", "))
+            found.append(_ReadyText(", "))
         found.append(part)
     functor = "" if items is not None else f'{{"functor": {json.dumps(item[0].name)}, "args": '
-    found.append(_Written(f"{functor}["))
+    found.append(_ReadyText(f"{functor}["))
     return found
 
 
