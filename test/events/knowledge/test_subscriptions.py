@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from retalis.engine import parts_of
+from retalis.engine import Engine, parts_of
+from retalis.events.knowledge import recording
 from retalis.prolog.machine import PrologError
 
 sys.path.append(str(Path(__file__).resolve().parents[2]))
@@ -91,3 +92,23 @@ def test_everything_may_be_subscribed():
     engine = Watched("b <- a.", "subscribe(E, [], _, t, all)")
     engine.event("a", 1)
     assert [term for term, _, _ in engine.outputs] == ["a", "b"]
+
+
+def test_variables_of_a_long_form_are_not_looked_up_one_by_one_in_a_list(monkeypatch):
+    searched = []
+    variables = recording.variables
+
+    class Listed(list):
+        def __contains__(self, one):
+            searched.append(one)
+            return super().__contains__(one)
+
+    monkeypatch.setattr(recording, "variables", lambda term: Listed(variables(term)))
+    slots = ",".join(f"X{at}" for at in range(100))
+    engine = Engine()
+    for goal in (
+        "subscribe(long({0}), [], form({0}), t, s)",
+        "memorize(long({0}), [Y = 1], form({0},Y), m, 10)",
+    ):
+        assert engine.call(goal.format(slots))
+    assert len(searched) < 10

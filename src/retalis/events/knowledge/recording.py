@@ -80,11 +80,13 @@ def recording(
     whole = is_whole(pattern, conditions, form)
     if not whole and form.__class__ not in (tuple, Atom, Var):
         raise type_error("callable", form)
-    found = [] if whole else [var for var in variables(form) if var not in inputs and var in variables(body)]
+    given = set(inputs)
+    made = set(variables(body)) - given
+    found = [] if whole else [var for var in variables(form) if var in made]
     keep: Recording = itself
     if not whole:
         keep = _same_or_built(compile_builder(form, inputs, "form"), compare(form, pattern) == 0)
-    closed = whole or set(variables(form)) <= set(inputs)
+    closed = whole or given.issuperset(variables(form))
     if body is TRUE:
         return keep, closed
     test = logic.compile_goal(body, inputs, found, name=name).test
