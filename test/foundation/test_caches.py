@@ -20,6 +20,87 @@ DECORATED = {
 }
 """Functions with a cache of their own, which counts entries and not bytes: why that is a bound of bytes."""
 
+HELD = {
+    ("ros/interface.py", "self._links"): (1000, 16 << 20),
+    ("engine/runtime/skew.py", "times"): (5000, 4 << 20),  # for each topic
+    ("ros/textonly.py", "self._seen"): (1000, 1 << 20),
+    ("events/rules/inputs.py", "self._seconds"): (64, 64 << 10),
+    ("events/dispatch/audience.py", "self._plans"): (10_000, 16 << 20),
+    ("prolog/syntax/eventreader.py", "self._builders"): (512, 8_192_000),
+    ("prolog/syntax/atoms.py", "atom_text"): (8192, 4 << 20),
+    ("foundation/codegen.py", "_makers"): (1000, 16 << 20),
+    ("messages/registry.py", "self._by_text"): (1000, 32 << 20),
+    ("messages/registry.py", "self._decoders"): (1000, 32 << 20),
+    ("messages/registry.py", "self._encoders"): (1000, 32 << 20),
+    ("messages/encoding.py", "_packed"): (2048, 1 << 20),
+    ("messages/textcache.py", "text_cache"): (2048, 1 << 20),  # one for all texts, and one for each type
+}
+"""The caches by file and name, with their bounds: entries and bytes. ``docs/security.md`` has them for users."""
+
+
+def caches():
+    """Yield file, name and bounds of each cache that is made in the package."""
+    for path, tree in TREES.items():
+        values = constants(tree)
+        for node in ast.walk(tree):
+            for part in ast.iter_child_nodes(node):
+                made = [one for one in ast.walk(part) if is_cache(one)]
+                if made and isinstance(part, (ast.Assign, ast.AnnAssign, ast.Return)):
+                    bounds = KINDS[made[0].func.id] or [bound(one, values) for one in made[0].args]
+                    yield path, name_of(part, node), bounds
+
+
+def constants(tree):
+    """Return the numbers that have a name in a module."""
+    values = {}
+    for node in tree.body:
+        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Constant):
+            values.update((target.id, node.value.value) for target in node.targets)
+    return values
+
+
+def own_bounds(kind, tree):
+    """Return the bounds that a kind of cache has for all of its kind; None where they are given with each."""
+    for node in ast.walk(kind):
+        if isinstance(node, ast.Call) and ast.dump(node.func).startswith(
+            "Attribute(value=Call(func=Name(id='super'"
+        ):
+            bounds = [bound(one, constants(tree)) for one in node.args]
+            return bounds if bounds and None not in bounds else None
+    return None
+
+
+def is_cache(node):
+    return isinstance(node, ast.Call) and getattr(node.func, "id", None) in KINDS
+
+
+def name_of(statement, around):
+    """Return what a cache is assigned to, or the function that returns it."""
+    if isinstance(statement, ast.Return):
+        return around.name
+    target = statement.target if isinstance(statement, ast.AnnAssign) else statement.targets[0]
+    return target.id if isinstance(target, ast.Name) else f"self.{target.attr}"
+
+
+def bound(argument, values):
+    """Return the number that an argument is, by the constants of its module; None where it is none."""
+    if isinstance(argument, ast.BinOp):
+        left, right = bound(argument.left, values), bound(argument.right, values)
+        return left << right if isinstance(argument.op, ast.LShift) else left * right
+    return argument.value if isinstance(argument, ast.Constant) else values.get(argument.id)
+
+
+KINDS = {
+    "Cache": None,
+    **{
+        node.name: own_bounds(node, tree)
+        for tree in TREES.values()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ClassDef) and any("Cache" in ast.dump(base) for base in node.bases)
+    },
+}
+"""The classes of caches, with the bounds of those that have their own."""
+
 
 def test_entries_are_bounded():
     cache = Cache(10, 1 << 20)
@@ -67,3 +148,12 @@ def test_each_cache_of_a_function_is_known_and_bounded():
         if isinstance(node, ast.FunctionDef) and any("cache" in ast.dump(one) for one in node.decorator_list)
     }
     assert found == set(DECORATED)
+
+
+def test_each_cache_is_known_with_its_bounds_of_entries_and_bytes():
+    found = {
+        (path, name): tuple(one for one in bounds if one is not None)[:2] for path, name, bounds in caches()
+    }
+    assert found == HELD
+    made = sum(is_cache(node) for tree in TREES.values() for node in ast.walk(tree))
+    assert made == len(HELD)
