@@ -5,9 +5,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from retalis.foundation import MessageError
-from retalis.messages import Definitions, Installed, text_writer
+from retalis.messages import Definitions, Installed, text_without, text_writer
 from retalis.prolog.syntax import EventReader, event_text, to_text
-from retalis.prolog.terms import datime, freeze
+from retalis.prolog.terms import atom, datime, freeze
 
 HEADER = "\n".join(["=" * 80, "MSG: std_msgs/Header", "uint32 seq", "time stamp", "string frame_id", ""])
 POSE = "Header header\nstring name\nfloat64 x\nfloat32 y\nint64 n\n" + HEADER
@@ -94,3 +94,27 @@ def test_an_event_has_its_instant_twice():
     instant = 1413748205_000000007
     stamp = to_text(datime(instant))
     assert event_text("e(1)", instant) == f"event(e(1),[{stamp},{stamp}])"
+
+
+def test_long_arrays_and_texts_that_nobody_reads_are_left_out():
+    one = decoder(
+        "Header header\nuint8[] data\nfloat64[] numbers\nstring[] names\nstring text\nint32 size\n" + HEADER
+    )
+    data = struct.pack("<III", 1, 2, 3) + packed(b"cam") + packed(b"x" * 5000)
+    data += struct.pack("<I100d", 100, *range(100)) + struct.pack("<I", 1) + packed(b"joint")
+    data += packed(b"y" * 5000) + struct.pack("<i", 7)
+    mark = atom("gone")
+    whole = text_writer(one)(data)
+    assert text_without(one, data, set(), mark) == whole
+    short = text_without(one, data, {1, 2, 3, 4, 5, 6}, mark)
+    assert short == "pkg__0__Type(std_msgs__0__Header(1,[2,3],'\"cam\"'),gone,gone,gone,gone,7)"
+    some = text_without(one, data, {2, 5}, mark)
+    assert "xxx" not in some and "yyy" not in some and "99.0" in some and "joint" in some
+
+
+def test_short_slots_stay_where_they_are_and_broken_messages_are_errors():
+    one = decoder("string a\nuint8[] b\nint32[] c\n")
+    data = packed(b"short") + packed(b"data") + struct.pack("<I", 0)
+    assert text_without(one, data, {1, 2, 3}, atom("gone")) == text_writer(one)(data)
+    with pytest.raises(MessageError):
+        text_without(one, data[:-1], {1, 2, 3}, atom("gone"))

@@ -7,7 +7,7 @@ for the forms of the slots, `Definitions` for where types come from.
 from .decoding import Decoder
 from .definition import Definition, type_name
 from .encoding import Encoder
-from .eventtexts import text_writer
+from .eventtexts import text_without, text_writer
 from .installed import Installed
 from .layout import BARE
 from .registry import Definitions
@@ -23,6 +23,7 @@ __all__ = [
     "frame_text",
     "Installed",
     "second_bytes",
+    "text_without",
     "text_writer",
     "type_name",
     "watched_stamp",

@@ -1,10 +1,10 @@
 """Message bytes to the text of their event terms, without making the terms where their form allows it."""
 
-from typing import Callable
+from typing import AbstractSet, Any, Callable
 
 from ..foundation import codegen
 from ..prolog.syntax import float_text, to_text
-from ..prolog.terms import Term, atom
+from ..prolog.terms import Lazy, Term, atom
 from .arrays import SMALL
 from .decoding import Decoder
 from .definition import Definition, Field
@@ -34,6 +34,32 @@ def text_writer(decoder: Decoder) -> Callable[[bytes], str]:
         lines, code.names, f"text of {decoder.definition.name}", "decode"
     )
     return made
+
+
+def text_without(decoder: Decoder, data: bytes, positions: AbstractSet[int], mark: Term) -> str:
+    """Return the text of a message with a mark in the place of long arrays and texts that nobody reads.
+
+    Args:
+        decoder: of its type.
+        data: its bytes.
+        positions: the slots that nobody reads, counted from 1.
+        mark: what stands there instead.
+
+    Raises:
+        MessageError: where the bytes are no such message.
+    """
+    term: Any = decoder.decode(data)
+    slots = decoder.definition.fields
+    parts = [
+        mark if at in positions and _is_long(slot, value) else value
+        for at, (slot, value) in enumerate(zip(slots, term[1:]), 1)
+    ]
+    return to_text((term[0], *parts))
+
+
+def _is_long(slot: Field, value: Term) -> bool:
+    """Tell whether a slot is an array or a text that is worth leaving out."""
+    return (slot.length is not None or slot.type == "string") and value.__class__ in (Lazy, tuple)
 
 
 class _TextSource(FrameSource):

@@ -3,9 +3,10 @@
 import rospy
 
 from ..engine.runtime import Reports, Skew
+from ..events.dispatch import NOT_READ
 from ..events.program import TOPICS, Topics, read_topics
 from ..foundation import RetalisError, UsageError, beginning
-from ..messages import Decoder, Definitions, text_writer
+from ..messages import Decoder, Definitions, text_without, text_writer
 from ..prolog.syntax import EventReader, event_text, to_text
 from ..prolog.terms import deref
 from .connecting import OUTPUT_EVENT, connect
@@ -17,9 +18,14 @@ from .rostime import Receipts, ros_now
 from .running import run_node
 from .services import InterfaceServices
 from .texts import TextPublisher
+from .unread import UnreadArguments
 
 HOLD = 0.002
 """Seconds for which a message may wait for the next ones, to be read and sent on together."""
+
+
+LONG = 1024
+"""Bytes of a message from which on it is looked whether some of it is read by nobody."""
 
 
 class Converter:
@@ -32,6 +38,7 @@ class Converter:
         rospy.on_shutdown(reports.sum_up)
         self._texts = TextPublisher(INPUT, parameters.queue, reports)
         self._receipts = Receipts()
+        self._unread = UnreadArguments(self._texts.links, reports)
         self._reader = EventReader()
         self._interface = Interface(
             self._sender,
@@ -62,7 +69,9 @@ class Converter:
         received = self._receipts.stamp
 
         def take(data: bytes) -> None:
-            text, instant = write(data), stamp(data)
+            instant = stamp(data)
+            unread = self._unread.of(decoder.functor) if len(data) > LONG else None
+            text = text_without(decoder, data, unread, NOT_READ) if unread else write(data)
             add(event_text(text, received() if instant is None else instant))
 
         return take

@@ -26,6 +26,7 @@ from .sending import Outlet
 from .services import EngineServices, InterfaceServices
 from .textonly import TextOnly
 from .texts import text_frame
+from .unread import UnreadTeller
 
 
 class RosClock(Clock):
@@ -100,6 +101,8 @@ class RetalisNode:
             connect(self._interface, topics, direct)
             self.engine.on_output(lambda term, topic, name: self._interface.outputs.publish(term, topic))
             InterfaceServices(self._interface)
+        else:
+            UnreadTeller(self.engine)
         for topic, kind in direct:
             self._subscribe(topic, kind)
         EngineServices(self.engine, self._text_only)

@@ -1,7 +1,7 @@
 """Events as text on the String topics between the nodes."""
 
 from struct import Struct
-from typing import Callable, List
+from typing import Any, Callable, List
 
 from std_msgs.msg import String
 
@@ -41,6 +41,10 @@ class TextPublisher:
         self._waiting.append(text_frame(text))
         if len(self._waiting) >= MOST:
             self.flush()
+
+    def links(self) -> Any:
+        """Return the connections to those who listen."""
+        return self._outlet.links()
 
     def flush(self) -> None:
         """Write the texts that were added."""

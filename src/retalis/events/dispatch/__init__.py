@@ -6,6 +6,7 @@ from .dispatch import Dispatcher
 from .lanes import Completion, goal_lane, stand_in
 from .plans import NOBODY
 from .serving import AT_ONCE, Dispatch, Lane, Listener, Stage
+from .unread import NOT_READ
 
 __all__ = [
     "EventAction",
@@ -18,6 +19,7 @@ __all__ = [
     "Lane",
     "Listener",
     "NOBODY",
+    "NOT_READ",
     "Stage",
     "stand_in",
 ]

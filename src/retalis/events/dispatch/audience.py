@@ -4,7 +4,7 @@ Both are dictionaries, so an event costs nothing for listeners whose constants d
 """
 
 from itertools import count
-from typing import Collection, Dict, Hashable, List, Optional, Tuple
+from typing import AbstractSet, Callable, Collection, Dict, Hashable, List, Optional, Tuple
 from weakref import WeakValueDictionary
 
 from ...foundation import Cache, UsageError
@@ -13,6 +13,12 @@ from .gates import Gate
 from .matching import Matcher, compile_matcher
 from .plans import Plan, make_plan
 from .serving import Lane, Listener, Stage
+from .unread import Unread, unread_positions
+
+
+def nothing() -> None:
+    """Do nothing."""
+
 
 _GATES = 1000
 """Functors with gates from which on it is looked which gates are still used."""
@@ -23,10 +29,14 @@ class Audience:
 
     Attributes:
         lanes: for events of a functor that one listener only takes, all of them, what serves them faster.
+        unread: which arguments of events nobody reads.
+        on_change: called when listeners have come or gone; it may not fail, nor take long.
     """
 
     def __init__(self) -> None:
         self._listeners: Dict[Optional[Functor], Dict[Listener, None]] = {}
+        self.unread = Unread(self._listeners)
+        self.on_change: Callable[[], object] = nothing
         self._plans: Cache[Functor, Plan] = Cache(10_000, 16 << 20)
         self.lanes: Dict[Functor, Lane] = {}
         self._gates: Dict[Functor, WeakValueDictionary[Tuple[int, ...], Gate]] = {}
@@ -42,6 +52,7 @@ class Audience:
         rank: Tuple[int, ...] = (),
         lane: Optional[Lane] = None,
         looks_on: bool = False,
+        unused: AbstractSet[Var] = frozenset(),
     ) -> Listener:
         """Have ``action`` called for every event that unifies with ``pattern``.
 
@@ -56,10 +67,12 @@ class Audience:
                 values, where nobody else listens; it may leave ``current`` to `event`.
             looks_on: whether ``action`` always returns the next frame; where all do so, it may leave ``current``
                 to `event`.
+            unused: variables of the pattern whose values nobody looks at, so that they may be `NOT_READ`.
 
         Raises:
             UsageError: for a pattern that no event can match (a number, a string).
         """
+        unread = unread_positions(pattern, unused)
         pattern = copy(pattern)
         functor = _functor_of(pattern)
         key = term_key(pattern)
@@ -67,8 +80,9 @@ class Audience:
         if matcher is None:
             matcher = self._matchers[key] = compile_matcher(pattern)
         order = (int(stage), *(rank or (next(self._order),)), next(self._order))
-        listener = Listener(order, pattern, functor, matcher, action, lane, looks_on)
+        listener = Listener(order, pattern, functor, matcher, action, lane, looks_on, unread)
         self._listeners.setdefault(functor, {})[listener] = None
+        self.unread.guard(listener)
         self._changed(functor)
         return listener
 
@@ -110,6 +124,7 @@ class Audience:
         return len(self._listeners[functor]) == 1 and None not in self._listeners
 
     def _changed(self, functor: Optional[Functor]) -> None:
+        self.on_change()
         if functor is None:
             self._plans.clear()
             self.lanes.clear()

@@ -1,7 +1,7 @@
 """What the dispatcher deals in: listeners, the stages in which they are served, and events that are being served."""
 
 from enum import IntEnum
-from typing import Any, Callable, Iterator, Optional, Tuple
+from typing import Any, Callable, FrozenSet, Iterator, Optional, Tuple
 
 from ...prolog.terms import TRUE, EventAction, Frame, Functor, Term
 from .matching import Matcher
@@ -26,9 +26,13 @@ Step = Tuple[Matcher, EventAction]
 
 
 class Listener:
-    """One pattern with what to do for each event that matches it; made by `Audience.listen`."""
+    """One pattern with what to do for each event that matches it; made by `Audience.listen`.
 
-    __slots__ = ("order", "pattern", "functor", "matcher", "action", "lane", "looks_on")
+    Attributes:
+        unread: the arguments of the event, counted from 1, that the action never looks at.
+    """
+
+    __slots__ = ("order", "pattern", "functor", "matcher", "action", "lane", "looks_on", "unread")
 
     def __init__(
         self,
@@ -39,6 +43,7 @@ class Listener:
         action: EventAction,
         lane: Optional[Lane],
         looks_on: bool,
+        unread: FrozenSet[int],
     ):
         self.order = order
         self.pattern = pattern
@@ -47,6 +52,7 @@ class Listener:
         self.action = action
         self.lane = lane
         self.looks_on = looks_on
+        self.unread = unread
 
 
 AT_ONCE = 5

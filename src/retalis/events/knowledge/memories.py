@@ -23,7 +23,7 @@ from ...prolog.terms import (
 )
 from ..dispatch import NOBODY, Dispatcher, Stage
 from .recorder import UPDATED, Follow, Instance, Recorder
-from .recording import Warn, is_whole, key_of, recording
+from .recording import Warn, is_whole, key_of, recording, unused_variables
 
 CREATED: Functor = functor("memory_created", 5)
 DELETED: Functor = functor("memory_deleted", 1)
@@ -153,7 +153,8 @@ class Memories:
             return last
         title = f"memory {self._logic.brief(name)}"
         take = recording(self._logic, self._dispatcher, pattern, conditions, form, title, self._problem)
-        self._newest = Recorder(self._dispatcher, pattern, take, self._follow, key)
+        unused = unused_variables(pattern, conditions, form)
+        self._newest = Recorder(self._dispatcher, pattern, take, self._follow, key, unused)
         return self._newest
 
     def _follow(self, instance: Instance, end: int, after: Frame) -> Frame:

@@ -1,7 +1,7 @@
 """Recording: from an event to the memories that take it."""
 
 from heapq import heapify, heappop, heappush
-from typing import Any, Callable, Dict, Hashable, Iterator, List, Tuple
+from typing import AbstractSet, Any, Callable, Dict, Hashable, Iterator, List, Tuple
 
 from ...prolog.machine import Frame
 from ...prolog.terms import Term, Values, Var, deref, functor, is_ground
@@ -110,6 +110,7 @@ class Recorder:
         take: what is kept of one, and whether that of a ground event is ground.
         follow: returns the frame for what a memory's update leads to: takes instance, end and next frame.
         key: equal for recorders that keep the same of the same events; None where that cannot be known.
+        unused: variables of the pattern whose values are neither kept nor looked at.
     """
 
     def __init__(
@@ -119,6 +120,7 @@ class Recorder:
         take: Tuple[Recording, bool],
         follow: Follow,
         key: Hashable,
+        unused: AbstractSet[Var],
     ):
         self.key = key
         self.instances: Tuple[Instance, ...] = ()
@@ -127,7 +129,7 @@ class Recorder:
         self._follow = follow
         self._updates = dispatcher.gate(UPDATED)
         self._everything = pattern.__class__ is Var
-        self.listener = dispatcher.listen(Stage.MEMORIES, pattern, self._arrive)
+        self.listener = dispatcher.listen(Stage.MEMORIES, pattern, self._arrive, unused=unused)
 
     @property
     def pattern(self) -> Term:

@@ -1,6 +1,6 @@
 """What memories and subscriptions share: from an event that matches to what is kept or sent of it."""
 
-from typing import Callable, Hashable, List, Optional, Tuple
+from typing import Callable, Hashable, List, Optional, Set, Tuple
 
 from ...prolog.logic import Logic
 from ...prolog.machine import PrologError, instantiation_error, keep_back, type_error
@@ -43,6 +43,13 @@ def key_of(name: Term) -> Hashable:
 def is_whole(pattern: Term, conditions: Term, form: Term) -> bool:
     """Tell whether a form is a variable of its own, which stands for the event."""
     return form.__class__ is Var and form not in variables((COMMA, pattern, conditions))
+
+
+def unused_variables(pattern: Term, conditions: Term, form: Term) -> Set[Var]:
+    """Return the variables of a pattern whose values go nowhere: none where the event itself is kept or sent."""
+    if form.__class__ is Var:
+        return set()
+    return set(variables(pattern)).difference(variables(conditions), variables(form))
 
 
 def recording(

@@ -6,7 +6,7 @@ from ...prolog.logic import Logic
 from ...prolog.machine import Frame, permission_error
 from ...prolog.terms import MINUS, Atom, Term, Values, copy, deref
 from ..dispatch import Dispatcher, Listener, Stage
-from .recording import Warn, itself, key_of, recording
+from .recording import Warn, itself, key_of, recording, unused_variables
 
 Deliver = Callable[[Term, str, Term], None]
 
@@ -97,7 +97,11 @@ class Subscriptions:
             return after
 
         listener = self._dispatcher.listen(
-            Stage.SUBSCRIPTIONS, pattern, send if shape is itself else action, looks_on=shape is itself
+            Stage.SUBSCRIPTIONS,
+            pattern,
+            send if shape is itself else action,
+            looks_on=shape is itself,
+            unused=unused_variables(pattern, conditions, form),
         )
         self._all[key] = Subscription(listener, name, tally)
 

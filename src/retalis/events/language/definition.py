@@ -1,11 +1,12 @@
 """What a rule says, read and checked."""
 
 from types import MappingProxyType
-from typing import Hashable, Mapping, NamedTuple, Optional
+from typing import FrozenSet, Hashable, Mapping, NamedTuple, Optional
 
 from ...foundation import Place
 from ...prolog.terms import Term, Var
-from .pattern import Pattern, same_rule_key
+from .occurrences import occurrences
+from .pattern import Aggregate, Pattern, Repeated, Star, same_rule_key, walk
 
 
 class RuleDefinition(NamedTuple):
@@ -31,3 +32,11 @@ class RuleDefinition(NamedTuple):
     def key(self) -> Hashable:
         """Equal for rules that are the same but for the names of variables, spellings and labels."""
         return same_rule_key(self.head, self.pattern)
+
+    @property
+    def unused(self) -> FrozenSet[Var]:
+        """The variables that stand in one place of the rule only, where each place is matched once."""
+        if any(isinstance(part, (Repeated, Star, Aggregate)) for part in walk(self.pattern, negated=True)):
+            return frozenset()
+        counts = occurrences([self.term], None)
+        return frozenset(var for var, number in counts.items() if number == 1)

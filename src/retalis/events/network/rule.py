@@ -75,6 +75,7 @@ class Rule:
         self.listeners: List[Listener] = []
         self.later: List[Tuple[MatchBuffer, Match, Hashable]] = []
         self._later_event: object = None
+        self._unused = definition.unused
         head = definition.head
         compiler = RuleCompiler(self, [] if head is None else [head], definition.pattern)
         self.root = compiler.build()
@@ -132,7 +133,8 @@ class Rule:
     def listen(self, leaf: Listening, action: EventAction, lane: Optional[Lane] = None) -> None:
         """Have a leaf's action called for its events; see `Audience.listen`."""
         listen = self.network.dispatcher.listen
-        self.listeners.append(listen(Stage.RULES, leaf.term, action, (self.serial, leaf.rank), lane))
+        rank = (self.serial, leaf.rank)
+        self.listeners.append(listen(Stage.RULES, leaf.term, action, rank, lane, unused=self._unused))
 
     @property
     def vars(self) -> List[Var]:
