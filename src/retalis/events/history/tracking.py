@@ -16,7 +16,9 @@ KEPT = 100_000
 """How many events are remembered."""
 
 REV = functor("rev", 1)
-_SYNCHRONIZED = frozenset((functor("syncronized", 3), functor("synchronized", 3)))
+_SYNCHRONIZED = frozenset(
+    functor(name, arity) for name in ("syncronized", "synchronized") for arity in (3, 4)
+)
 
 
 class _Extends(TriesAgain, Protocol):

@@ -13,6 +13,7 @@ from .memories import Memories, define_read_access, enumerate_records
 from .recorder import Instance
 from .recording import Warn, key_of
 from .subscriptions import Deliver, Subscriptions
+from .timeouts import AlarmClock
 from .waiting import WaitingQueries
 
 MEMORIZE = functor("memorize", 5)
@@ -29,7 +30,7 @@ class Knowledge:
     Args:
         logic: where the goals are defined.
         dispatcher: whose events are recorded and delivered.
-        stamp: returns the instant for an event of the clock.
+        clock: stamps events of the clock, and rings when queries have waited long enough.
         deliver: takes what a subscription lets through.
         warn: takes a warning as text.
     """
@@ -38,15 +39,15 @@ class Knowledge:
         self,
         logic: Logic,
         dispatcher: Dispatcher,
-        stamp: Callable[[], int],
+        clock: AlarmClock,
         deliver: Deliver,
         warn: Warn,
     ):
         self._logic = logic
         self._warn = warn
         self.on_conditions: Callable[[Term, str], None] = lambda conditions, who: None
-        self.memories = Memories(logic, dispatcher, stamp, warn)
-        self.waiting = WaitingQueries(logic, dispatcher, self.memories, warn)
+        self.memories = Memories(logic, dispatcher, clock.stamp, warn)
+        self.waiting = WaitingQueries(logic, dispatcher, self.memories, warn, clock)
         self.subscriptions = Subscriptions(logic, dispatcher, deliver, warn)
         self._define()
 

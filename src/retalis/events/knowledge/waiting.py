@@ -6,7 +6,7 @@ from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple
 from ...foundation import UsageError
 from ...prolog.logic import Logic
 from ...prolog.machine import Frame
-from ...prolog.terms import Term, Values, Var, functor
+from ...prolog.terms import Term, Values, Var, functor, make_list, timestamps
 from ..dispatch import Dispatcher, EventAction, Lane, Stage, stand_in
 from ..network import Rule
 from .conditions import Behind, behind, compile_conditions
@@ -14,6 +14,10 @@ from .memories import Memories
 from .question import Bell, Question, Surroundings, compile_question, general_question, kind_of
 from .recorder import Instance
 from .recording import Warn
+from .timeouts import AlarmClock, Timeouts, timeout_of
+
+GIVEN_UP = functor("query_given_up", 3)
+"""The event that tells of a query given up: its event, its goal, and what was missing, ``[[Id,Time],...]``."""
 
 LIMIT = 200_000
 """How many queries may wait at once; past that the oldest is dropped with a warning."""
@@ -33,6 +37,8 @@ class WaitingQueries:
     memory named has taken an event that ends at or after its time, and triggers Event with the interval of
     the synchronized event, once, for the first solution.
 
+    With ``[timeout(Seconds)]`` as a fourth argument it is given up after that time, and an event tells of it.
+
     A query waits for one memory at a time, in a heap by time, so an event costs one comparison however many wait.
     Where a rule makes the synchronized event and nobody else listens to it, the event itself is not made.
 
@@ -46,6 +52,7 @@ class WaitingQueries:
         dispatcher: Dispatcher,
         memories: Memories,
         warn: Warn,
+        clock: AlarmClock,
         limit: int = LIMIT,
     ):
         self._logic = logic
@@ -56,6 +63,7 @@ class WaitingQueries:
         self._order = count()
         self._all: Dict[int, Waiting] = {}
         self._oldest = 0
+        self.timeouts = Timeouts(clock, self._all, self._give_up)
         self._around = Surroundings(logic, dispatcher, warn)
         self._general = general_question(self._around)
         memories.on_update = self._release
@@ -65,6 +73,8 @@ class WaitingQueries:
             dispatcher.listen(Stage.QUERIES, key(Var(), Var(), Var()), self._arrive)
             # Without it `sync_now`, whose queries are due at once, takes 95 % more instructions.
             dispatcher.shortcuts[key] = self._shortcut
+            key = functor(name, 4)
+            dispatcher.listen(Stage.QUERIES, key(Var(), Var(), Var(), Var()), self._arrive_for_a_time)
 
     def __len__(self) -> int:
         return len(self._all)
@@ -80,6 +90,7 @@ class WaitingQueries:
     def clear(self) -> None:
         """Drop all that wait (the clock went back)."""
         self._all.clear()
+        self.timeouts.clear()
         for instance in self._memories:
             instance.forget_waiting()
 
@@ -114,6 +125,36 @@ class WaitingQueries:
             self._wait(self._general, (event, query), start, end, missing)
             return after
         return self._general.ask((event, query), start, end, after)
+
+    def _arrive_for_a_time(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+        """Take ``synchronized(Event, Query, Conditions, [timeout(Seconds)])``."""
+        event, query, conditions, options = values
+        try:
+            wait = timeout_of(options, self._logic.brief)
+            missing = behind(self._logic, self._memories, conditions)
+        except UsageError as error:
+            self._drop(event, error)
+            return after
+        if not missing:
+            return self._general.ask((event, query), start, end, after)
+        order = self._wait(self._general, (event, query), start, end, missing)
+        self.timeouts.add(order, end, wait)
+        return after
+
+    def _give_up(self, order: int, instant: int) -> None:
+        """Have a query wait no more, and an event tell of it."""
+        _, _, (event, query), _, _, missing = self._all[order]
+        pairs = [
+            make_list([instance.id, timestamps.to_term(wanted)])
+            for instance, wanted in missing
+            if not instance.has(wanted)
+        ]
+        self._forget(order)
+        machine = self._logic.machine
+        told = GIVEN_UP(event, query, make_list(pairs))
+        self._dispatcher.apart(
+            lambda: machine.run(self._dispatcher.dispatch(told, instant, instant, machine.done))
+        )
 
     def _shortcut(self, rule: Rule, otherwise: EventAction) -> Optional[Tuple[EventAction, Lane]]:
         """Return what takes the values of a rule's match in place of its head; see `Dispatcher.shortcuts`."""

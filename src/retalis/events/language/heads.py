@@ -10,7 +10,8 @@ from .meant import head_doubt, head_error
 from .operators import SPELLINGS
 from .reading import Spot
 
-SYNCHRONIZED = frozenset((functor("syncronized", 3), functor("synchronized", 3)))
+SYNCHRONIZED = frozenset(functor(name, arity) for name in ("syncronized", "synchronized") for arity in (3, 4))
+_TIMEOUT = functor("timeout", 1)
 _COLON = functor(":", 2)
 
 
@@ -59,8 +60,23 @@ def _check_query(head: Any, spot: Spot) -> None:
     items, rest = list_parts(head[3])
     if not (rest is NIL or rest.__class__ is Var) or not all(_may_be_pair(item) for item in items):
         raise RuleError(f"{head[0].name} takes a list of [Memory, Time]", spot(head, 3))
+    if len(head) > 4 and not _may_be_options(deref(head[4])):
+        raise RuleError(f"{head[0].name} takes [timeout(Seconds)] as its options", spot(head, 4))
 
 
 def _may_be_pair(term: Term) -> bool:
     items, rest = list_parts(term)
     return len(items) <= 2 if rest.__class__ is Var else rest is NIL and len(items) == 2
+
+
+def _may_be_options(term: Term) -> bool:
+    items, rest = list_parts(term)
+    if rest is not NIL or len(items) != 1:
+        return rest.__class__ is Var and not items
+    option: Any = deref(items[0])
+    if option.__class__ is not tuple:
+        return option.__class__ is Var
+    seconds = deref(option[1])
+    return option[0] is _TIMEOUT and (
+        seconds.__class__ is Var or (seconds.__class__ in (int, float) and seconds >= 0)
+    )

@@ -59,6 +59,9 @@ _SPECIAL = {
     "exceptionalarmabsolutedatime": (2, "exceptionAlarmAbsoluteDatime(Event, Datime)"),
 }
 _SPECIAL_NAMES = frozenset(("synchronized", "syncronized", "exceptionAlarm", "exceptionAlarmAbsoluteDatime"))
+_WITH_OPTIONS = frozenset(("synchronized", "syncronized"))
+"""What takes options after its other arguments."""
+
 _ALIKE = 0.9
 
 _ONE = "the head of a rule is one event"
@@ -91,7 +94,7 @@ def wrong_arity(term: Any) -> Optional[str]:
     takes = _ARITIES.get(name)
     if takes is None and name in _SPECIAL_NAMES:
         takes = _SPECIAL[name][0]
-    if takes is None or takes == count:
+    if takes is None or takes == count or (count == takes + 1 and name in _WITH_OPTIONS):
         return None
     form = FORMS.get(name, f"takes {takes} argument{'s' * (takes != 1)}")
     return f"this is an ordinary event; {name} {form}"

@@ -25,7 +25,7 @@ _READS = frozenset(
         ("memory_counter", 2),
     )
 )
-_WAITS = frozenset(functor(name, 3) for name in ("synchronized", "syncronized"))
+_WAITS = frozenset(functor(name, arity) for name in ("synchronized", "syncronized") for arity in (3, 4))
 _MAKES = frozenset((functor("memorize", 5), functor("memorize", 6), functor("memorize_diactive", 5)))
 
 
