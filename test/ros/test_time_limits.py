@@ -1,0 +1,68 @@
+"""What holds up the engine is named and ended, on a real node with the parameters that it has by default."""
+
+import pytest
+
+RULES = """
+loop :- loop.
+busy :- get_time(Now), End is Now + 2, repeat, get_time(Later), Later > End, !.
+null_event do loop <- endless.
+null_event do (busy, writeln('it was busy'), flush_output) <- long.
+null_event do (writeln('it goes on'), flush_output) <- short.
+"""
+STARTS = "compile_event_file('rules.txt')\nbusy\nwriteln('it has started')\nflush_output\n"
+NAMED = "has taken"
+ENDED = "Not enough resources: seconds"
+
+
+@pytest.fixture
+def start(devel, tmp_path):
+    """Return a function that starts a node with a program that is busy for two seconds at first."""
+    (tmp_path / "pub_sub.xml").write_text("<publish_subscribe/>")
+    (tmp_path / "rules.txt").write_text(RULES)
+    (tmp_path / "goalPredicates.txt").write_text(STARTS)
+    devel.env["PYTHONUNBUFFERED"] = "1"
+    devel.start("rosmaster", "--core", "-p", str(devel.port))
+
+    def start(*parameters):
+        devel.start("rosrun", "retalis", "retalis_node", f"_program:={tmp_path}", *parameters)
+        devel.expect(lambda found, services: "/add_memory" in services)
+
+    return start
+
+
+def send(space, event):
+    """Post an event as another node does."""
+    space.run("rostopic", "pub", "-1", "/retalisInputEvents", "std_msgs/String", f"data: 'event({event})'")
+
+
+def said(space, text):
+    space.expect(lambda found, services: text in space.printed())
+
+
+def test_an_event_is_named_after_a_second_and_ended_after_ten(devel, start):
+    start()
+    send(devel, "endless")
+    said(devel, "goal loop is running at event endless; event(endless) has taken")
+    assert ENDED not in devel.printed()
+    said(devel, ENDED)
+    send(devel, "short")
+    said(devel, "it goes on")
+
+
+def test_goals_at_the_start_are_exempt_and_events_are_not(devel, start):
+    start("_max_seconds:=0.5")
+    assert "it has started" in devel.printed()
+    assert ENDED not in devel.printed()
+    send(devel, "long")
+    said(devel, ENDED)
+    send(devel, "short")
+    said(devel, "it goes on")
+    assert "it was busy" not in devel.printed().splitlines()
+
+
+def test_zero_switches_both_off(devel, start):
+    start("_max_seconds:=0", "_watchdog:=0")
+    send(devel, "long")
+    said(devel, "it was busy")
+    assert ENDED not in devel.printed()
+    assert NAMED not in devel.printed()
