@@ -79,7 +79,10 @@ class UnreadArguments:
         self._subscriber = rospy.Subscriber(UNREAD, String, self._take, queue_size=10)
 
     def of(self, functor: Functor) -> FrozenSet[int]:
-        """Return the arguments of events, by number, that may be left out now."""
+        """Return the arguments of events, by number, that may be left out now.
+
+        That is for what is sent at once: a text that is kept, to be sent to who comes later, has to be whole.
+        """
         told = self._told
         positions = NONE if told is None else told.unread.get(str(functor), NONE)
         return positions if positions and told is not None and self._holds(told) else NONE
