@@ -50,7 +50,7 @@ USERS = (
 )
 """Programs and pages whose names are the user's."""
 
-TESTED_ELSEWHERE = ("bench", "examples", "oracle", "fuzz", "interrupts")
+TESTED_ELSEWHERE = ("bench", "examples", "oracle", "fuzz", "interrupts", "faults")
 """Folders of tests that are no rooms: of other folders, and programs that look for errors."""
 
 ROS = {"genpy", "rosgraph", "roslib", "rospy", "rostopic", "std_msgs"}

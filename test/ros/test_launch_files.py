@@ -1,4 +1,4 @@
-"""Each rostest of this folder, run against a master of its own."""
+"""Each rostest, run against a master of its own."""
 
 import shutil
 import signal
@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-TESTS = sorted(Path(__file__).resolve().parent.glob("*.test"))
+TEST = Path(__file__).resolve().parents[1]
+TESTS = sorted(path for folder in ("ros", "faults") for path in (TEST / folder).glob("*.test"))
 SECONDS = 300
 
 

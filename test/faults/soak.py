@@ -1,0 +1,307 @@
+#!/usr/bin/env python3
+"""Both nodes for a long time: the NAO's messages beside images, services at random, and restarts of all there is.
+
+    test/faults/soak.py [--minutes N] [--speed N] [--images RATE] [--size WIDTHxHEIGHT] [--restarts SECONDS]
+                        [--seed N] [--log FILE.csv] [--plot FILE.png]
+
+Needs ROS and the built package on the path (``source devel/setup.bash``), and matplotlib for the plot, which
+``soak_plot.py`` draws from the log as well. Starts a master of its own on a free port.
+
+The stream is a bag of the simulated NAO, played again and again with its stamps moved on, at ``--speed`` times its
+rate. Every ``--restarts`` seconds a node, or the master, is ended by SIGKILL or SIGTERM and started again. The log
+has a line each second: the memory of both nodes and what was sent, received and reported as dropped.
+
+The exit status is 0 where all of this holds:
+
+* Every pose that can be computed came, once, but for those near a restart of a node (the master's loses nothing), and
+  those that a node reported as dropped.
+* Every pose is exact: what the engine gives offline for the same messages, but for those near a restart of a node or
+  beside what was dropped. Whether anything is dropped is for the machine to say: without images nothing should be.
+* Every service call was answered while the nodes were up.
+* The memory of each node does not grow any more after minute 5 (a third of the time in shorter runs).
+"""
+
+import argparse
+import csv
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parents[1]
+sys.path[:0] = [str(HERE), str(HERE.parent / "ros"), str(ROOT / "bench"), str(ROOT / "examples" / "nao")]
+
+import rosgraph  # noqa: E402
+import rospy  # noqa: E402
+from processes import free_port, resident  # noqa: E402
+from soak_plot import draw  # noqa: E402
+from stream import Stream, reference  # noqa: E402
+from verdict import Restart, verdict  # noqa: E402
+
+from retalis import srv  # noqa: E402
+from retalis.ros.master import MasterWatch  # noqa: E402
+
+NODES = {"retalis": "retalis_node", "retalis_ros_interface": "retalis_ros_converter.py"}
+IMAGES = '<subscribe_to name="camera" msg_type="sensor_msgs/Image"/>'
+SEEN = "memorize(sensor_msgs__0__Image(H, _, _, _, _, _, _), [], seen(H), seen, 100)\n"
+PATIENCE = 60.0
+
+
+def program(folder):
+    """Make the example's program, with the camera as one more input."""
+    source = ROOT / "application_source"
+    for path in source.iterdir():
+        text = path.read_text()
+        if path.name == "pub_sub.xml":
+            text = text.replace("</publish_subscribe>", f"{IMAGES}</publish_subscribe>")
+        if path.name == "goalPredicates.txt":
+            text += "\n" + SEEN
+        (folder / path.name).write_text(text)
+    return folder
+
+
+class Processes:
+    """The master and both nodes."""
+
+    def __init__(self, folder, port):
+        self._program = program(folder)
+        self._port = port
+        self._output = (folder.parent / "nodes.log").open("ab")
+        self.log = folder.parent / "nodes.log"
+        self.running = {}
+        for name in ("master", *NODES):
+            self.start(name)
+
+    def start(self, name):
+        command = ["rosmaster", "--core", "-p", str(self._port)]
+        if name in NODES:
+            command = ["rosrun", "retalis", NODES[name], f"__name:={name}", f"_program:={self._program}"]
+        self.running[name] = subprocess.Popen(command, stdout=self._output, stderr=subprocess.STDOUT)
+        if name == "master":
+            self.wait_for_master()
+
+    def wait_for_master(self):
+        wait_until(rosgraph.is_master_online)
+
+    def restart(self, name, number):
+        process = self.running[name]
+        process.send_signal(number)
+        process.wait(PATIENCE)
+        self.start(name)
+
+    def memory(self):
+        """Return the memory of each node in MB, 0 where it is just starting."""
+        found = {}
+        for name in NODES:
+            try:
+                found[name] = resident(self.running[name].pid)
+            except (OSError, ValueError, IndexError):
+                found[name] = 0.0
+        return found
+
+    def dropped(self):
+        """Return how many messages the nodes have reported as dropped, in all their lives."""
+        total, times = 0, 0
+        for line in self.log.read_text(errors="replace").splitlines():
+            if line.startswith("(") and line.endswith("times so far)"):
+                total += int(line[1:].split()[0]) - times
+                times = int(line[1:].split()[0])
+            elif "dropped" in line and " times in all: " in line:
+                total += int(line.split(" times in all: ")[0].split()[-1]) - times
+                times = 0
+            elif "dropped" in line:
+                total, times = total + (not times), max(times, 1)
+        return total
+
+    def end(self):
+        for name in (*NODES, "master"):
+            process = self.running[name]
+            process.send_signal(signal.SIGINT)
+            try:
+                process.wait(20)
+            except subprocess.TimeoutExpired:
+                process.kill()
+        self._output.close()
+
+
+def wait_until(condition):
+    end = time.monotonic() + PATIENCE
+    while not condition():
+        if time.monotonic() > end:
+            raise TimeoutError("the nodes are not connected")
+        time.sleep(0.05)
+
+
+class Caller(threading.Thread):
+    """Calls services at random, and notes what was no answer."""
+
+    def __init__(self, seed):
+        super().__init__(daemon=True, name="services")
+        self._random = random.Random(seed)
+        self.paused = self.ended = False
+        self.calls = 0
+        self.failures = []
+
+    def run(self):
+        while not self.ended:
+            time.sleep(0.2)
+            name, fields = self._request()
+            if self.paused:
+                continue
+            try:
+                result = call(name, *fields)
+            except Exception as error:
+                if not self.paused:
+                    self.failures.append(f"{name}{fields}: {error}")
+                continue
+            self.calls += 1
+            if result != "ok" and not result.startswith("error: "):
+                self.failures.append(f"{name}{fields}: {result}")
+
+    def _request(self):
+        key = f"key{self._random.randrange(20)}"
+        return self._random.choice(
+            [
+                ("AddMemory", ("tf(A, B, V, Q)", "", "tf(V, Q)", key, "500")),
+                ("DeleteMemory", (key,)),
+                ("AddOutputSubscription", ("tf(A, B, V, Q)", "A == never", "_", "nowhere", key)),
+                ("DeleteOutputSubscription", ("nowhere", key)),
+                ("AddInputSubscription", (f"input_{key}", "std_msgs/String")),
+                ("DeleteInputSubscription", (f"input_{key}",)),
+                ("AddMemory", ("tf(", "", "_", key, "many")),
+            ]
+        )
+
+
+def call(name, *fields):
+    path = "".join("_" + c.lower() if c.isupper() else c for c in name).strip("_")
+    rospy.wait_for_service(path, 5)
+    return rospy.ServiceProxy(path, getattr(srv, name))(*fields).result
+
+
+class Soak:
+    """One run."""
+
+    def __init__(self, options, folder):
+        self.options = options
+        (folder / "program").mkdir()
+        self.processes = Processes(folder / "program", int(os.environ["ROS_MASTER_URI"].rsplit(":", 1)[1]))
+        rospy.init_node("soak", disable_signals=True)
+        MasterWatch().start()
+        self.stream = Stream(folder / "nao.bag", options.speed, options.images, options.size)
+        self.expected = reference(folder / "nao.bag", ROOT / "application_source")
+        self.caller = Caller(options.seed)
+        self.restarts = []
+        self.rows = []
+        self._random = random.Random(options.seed)
+
+    def run(self):
+        self.wait_for_nodes()
+        self.caller.start()
+        began = time.monotonic()
+        sending = threading.Thread(target=self.stream.run, daemon=True, name="stream")
+        sending.start()
+        end, restart_at = began + 60 * self.options.minutes, began + self.options.restarts
+        while time.monotonic() < end:
+            time.sleep(1)
+            self.note(time.monotonic() - began)
+            if self.options.restarts and restart_at < time.monotonic() < end - 10:
+                self.restart(began)
+                restart_at = time.monotonic() + self.options.restarts
+        self.caller.ended = self.stream.ended = True
+        sending.join(PATIENCE)
+        self.settle()
+        self.note(time.monotonic() - began)
+        self.processes.end()
+        self.rows[-1]["dropped"] = self.processes.dropped()
+
+    def settle(self):
+        """Wait until nothing more comes."""
+        last, since = -1, time.monotonic()
+        while time.monotonic() - since < 5:
+            time.sleep(0.1)
+            if self.stream.received != last:
+                last, since = self.stream.received, time.monotonic()
+
+    def wait_for_nodes(self):
+        wait_until(self.stream.connected)
+        for service in ("add_memory", "add_input_subscription"):
+            wait_until(lambda: offered(service))  # noqa: B023
+
+    def restart(self, began):
+        name = self._random.choice(("master", *NODES))
+        number = self._random.choice((signal.SIGKILL, signal.SIGTERM))
+        self.caller.paused = True
+        first = self.stream.stamp
+        self.processes.restart(name, number)
+        self.wait_for_nodes()
+        before = self.stream.received
+        wait_until(lambda: self.stream.received > before + 8)
+        self.caller.paused = False
+        self.restarts.append(Restart(time.monotonic() - began, name, number.name, first, self.stream.stamp))
+        print(f"{time.monotonic() - began:6.0f} s: {name} ended by {number.name}, started again", flush=True)
+
+    def note(self, seconds):
+        row = {
+            "seconds": round(seconds, 1),
+            **self.processes.memory(),
+            "sent": self.stream.sent,
+            "images": self.stream.images,
+            "poses": self.stream.received,
+            "calls": self.caller.calls,
+            "dropped": self.processes.dropped(),
+            "restarts": len(self.restarts),
+        }
+        self.rows.append(row)
+
+
+def offered(service):
+    """Tell whether a service answers: a master that was not told of an end still names the old one."""
+    try:
+        rospy.wait_for_service(service, 1)
+    except rospy.ROSException:
+        return False
+    return True
+
+
+def arguments():
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--minutes", type=float, default=30.0)
+    parser.add_argument("--speed", type=float, default=5.0, help="times the rate of a NAO")
+    parser.add_argument("--images", type=float, default=10.0, help="images a second")
+    parser.add_argument("--size", default="640x480", help="of an image")
+    parser.add_argument("--restarts", type=float, default=90.0, help="seconds between them; 0: none")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--log", type=Path, default=Path("soak.csv"))
+    parser.add_argument("--plot", type=Path)
+    return parser.parse_args()
+
+
+def main():
+    options = arguments()
+    os.environ["ROS_MASTER_URI"] = f"http://127.0.0.1:{free_port()}"
+    os.environ["ROS_HOSTNAME"] = "127.0.0.1"
+    with tempfile.TemporaryDirectory() as folder:
+        soak = Soak(options, Path(folder))
+        soak.run()
+    with options.log.open("w", newline="") as out:
+        writer = csv.DictWriter(out, list(soak.rows[0]))
+        writer.writeheader()
+        writer.writerows(soak.rows)
+    if options.plot:
+        draw(options.log, options.plot)
+    good, lines = verdict(soak)
+    print("\n".join(lines))
+    return 0 if good else 1
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
