@@ -28,7 +28,7 @@ _Told = TypeVar("_Told")
 _Text = Callable[[Term, Optional[Mapping[Var, str]]], str]
 """Gives the beginning of a term's text, by the names of its variables if they are known."""
 
-_Written = Dict[int, Tuple[Term, str]]
+_ShownTexts = Dict[int, Tuple[Term, str]]
 
 
 class Seen(NamedTuple):
@@ -59,12 +59,12 @@ class StatusReader:
 
     def __init__(self, seen: Seen):
         self._seen = seen
-        self._texts: _Written = {}
+        self._texts: _ShownTexts = {}
 
     def read(self, most: int) -> Status:
         """Return the status; at most so many of each kind are listed."""
         seen = self._seen
-        texts: _Written = {}
+        texts: _ShownTexts = {}
         text = self._writer(texts)
         show = seen.logic.brief
         rules, more_rules = _rules(seen.rules, text, show, most)
@@ -102,7 +102,7 @@ class StatusReader:
         place = "" if found.place is None else str(found.place)
         return Work(found.entry, round(seconds, 3), found.goal, found.event, place)
 
-    def _writer(self, texts: _Written) -> _Text:
+    def _writer(self, texts: _ShownTexts) -> _Text:
         """Return what gives texts, and notes in ``texts`` those that it has given."""
         known, show = self._texts, self._seen.logic.brief
 
