@@ -1,5 +1,7 @@
 """Node ``retalis_ros_interface``: between ROS topics and events as text."""
 
+from typing import List
+
 import rospy
 
 from ..engine.runtime import Reports, Skew
@@ -10,7 +12,11 @@ from ..messages import Decoder, Definitions, text_without, text_writer
 from ..prolog.syntax import EventReader, event_text, to_text
 from ..prolog.terms import deref
 from .connecting import OUTPUT_EVENT, connect
+from .counting import OutputStatus
+from .diagnostics import Diagnostics
+from .health import NodeHealth, program_health
 from .interface import Interface, Take
+from .listing import Listing
 from .log import shown
 from .names import INPUT, OUTPUT
 from .parameters import Parameters, direct_topics
@@ -49,10 +55,12 @@ class Converter:
             hold=HOLD,
             skew=skew,
         )
+        errors: List[str] = []
         try:
             topics = read_topics(parameters.program / TOPICS)
         except RetalisError as error:
-            for line in shown(error):
+            errors = shown(error)
+            for line in errors:
                 rospy.logerr("%s", line)
             topics = Topics()
         direct = direct_topics(parameters.direct, topics)
@@ -61,7 +69,16 @@ class Converter:
         for topic, kind in direct:
             self._interface.learn(topic, kind)
         InterfaceServices(self._interface)
+        Listing(self._interface.inputs)
         self._interface.subscribe_texts(OUTPUT, self._receive)
+        loaded = program_health(errors, [])
+        self._diagnostics = Diagnostics(
+            parameters.diagnostics,
+            NodeHealth(self._interface.inputs, self._outputs, lambda: [loaded]),
+        )
+
+    def _outputs(self) -> List[OutputStatus]:
+        return [self._texts.status(), *self._interface.outputs.status()]
 
     def _sender(self, decoder: Decoder) -> Take:
         """Return what sends the messages of a type as text."""

@@ -1,6 +1,7 @@
 """Between ROS topics and events: messages become terms, terms become messages."""
 
 import threading
+import time
 from typing import Any, Callable, ContextManager, Dict, Iterable, List, Optional, Set, Tuple
 
 import rospy
@@ -9,6 +10,7 @@ from ..engine.runtime import Refused, Reports, Skew
 from ..events.program import TopicType, topic_type
 from ..foundation import Cache, MessageError, RetalisError, UsageError, beginning, printable
 from ..messages import Decoder, Definitions
+from .counting import InputCounts, InputStatus
 from .names import INPUT, OUTPUT, resolve
 from .publishing import OutputTopics
 from .raw import raw_bytes
@@ -146,6 +148,10 @@ class Interface:
 
         threading.Thread(target=close, daemon=True, name=f"learning {kind}").start()
 
+    def inputs(self) -> List[InputStatus]:
+        """Return what has come on each subscribed topic."""
+        return [one.status() for one in [*self._inputs.values(), *self._texts]]
+
     def unsubscribe(self, topic: str) -> None:
         """Stop a subscription.
 
@@ -189,11 +195,28 @@ class InputTopic:
         self._definitions = definitions
         self._name = name
         self._taker = taker
+        self.counts = InputCounts()
         self._links: Cache[int, _Link] = Cache(LINKS, 16 << 20, 4 << 20)
         self._subscriber = rospy.Subscriber(
             name, rospy.AnyMsg, self._receive, queue_size=queue, tcp_nodelay=True
         )
         read_by(self._subscriber, self._taking, hold)
+
+    def status(self) -> InputStatus:
+        """Return what has come so far, and have the lag of the next message noted."""
+        counts = self.counts
+        counts.wanted = True
+        age = None if counts.last is None else time.monotonic() - counts.last
+        return InputStatus(
+            self._name,
+            self.kind,
+            self._subscriber.get_num_connections(),
+            counts.messages,
+            counts.dropped,
+            counts.refused,
+            age,
+            counts.lag,
+        )
 
     def close(self) -> None:
         """Stop receiving."""
@@ -213,21 +236,26 @@ class InputTopic:
             link = self._connected(header)
         return link[1]
 
-    def _one_by_one(self, take: Take) -> TakeAll:
+    def _one_by_one(self, take: Take, stamp: Callable[[bytes], Optional[int]]) -> TakeAll:
         """Return what takes messages that were received together, and reports those that cannot be taken."""
-        turn, done = self._turn, self._done
+        turn, done, counts = self._turn, self._done, self.counts
 
         def take_all(messages: List[bytes]) -> None:
+            counts.note(len(messages))
+            if counts.wanted:
+                counts.look(stamp, messages[-1])
             with turn:
                 for data in messages:
                     try:
                         take(data)
-                    except Refused:  # counted and reported where it was seen
-                        pass
+                    except Refused:  # reported where it was seen
+                        counts.refused += 1
                     except MessageError as error:
+                        counts.dropped += 1
                         text = f"a message on {self._name} is dropped: {error}"
                         self._reports.error(RetalisError(text), ("in", self._name))
                     except Exception as error:  # one message must not end the connection
+                        counts.dropped += 1
                         self._reports.error(error)
                 done()
 
@@ -237,9 +265,10 @@ class InputTopic:
         """Note who takes the messages of a connection; its header is kept, so that its id stays its own."""
         try:
             decoder = self._learn(header)
+            stamp = decoder.stamp
             if self._skew is not None:
                 decoder = self._skew.watch(decoder, self._name, header.get("callerid", ""))
-            take = self._one_by_one(self._taker(decoder))
+            take = self._one_by_one(self._taker(decoder), stamp)
         except Exception as error:  # rospy would try again at once, and forever
             if not isinstance(error, MessageError):
                 self._reports.error(error)
@@ -253,6 +282,8 @@ class InputTopic:
         """Return what drops messages, and reports and counts them."""
 
         def refuse(messages: List[bytes]) -> None:
+            self.counts.note(len(messages))
+            self.counts.refused += len(messages)
             for _ in messages:
                 self._reports.warning(reason)
 

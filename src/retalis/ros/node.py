@@ -1,6 +1,7 @@
 """Node ``retalis``: the engine behind its services and topics."""
 
-from typing import Optional, Tuple
+import time
+from typing import Callable, List, Optional, Tuple
 
 import rospy
 from std_msgs.msg import String
@@ -15,10 +16,14 @@ from ..prolog.syntax import to_text
 from ..prolog.terms import Term, atom
 from .changes import RuleServices
 from .connecting import OUTPUT_EVENT, connect
+from .counting import OutputStatus
+from .diagnostics import Diagnostics
+from .health import LATE, EngineHealth, Health, NodeHealth, program_health
 from .interface import Interface, Take
+from .listing import Listing
 from .log import shown
 from .names import INPUT, OUTPUT
-from .parameters import Parameters, direct_topics
+from .parameters import WATCHDOG, Parameters, direct_topics
 from .questions import Questions
 from .rostime import ros_now
 from .running import run_node
@@ -77,6 +82,8 @@ class RetalisNode:
 
     def __init__(self, parameters: Parameters):
         self._parameters = parameters
+        self._errors: List[str] = []
+        self._doubts: List[str] = []
         clock = RosClock()
         self._reports = Reports()
         self.engine = clock.engine = Engine(clock, parameters.settings, self._reports)
@@ -108,19 +115,34 @@ class RetalisNode:
         EngineServices(self.engine, self._text_only)
         Questions(self.engine)
         RuleServices(self.engine)
+        Listing(self._interface.inputs, self.engine.status)
         self._interface.subscribe_texts(INPUT, self.engine.post_text)
         rospy.loginfo("%s: %s", parameters.program, self.engine.summary())
+        self._diagnostics = Diagnostics(
+            parameters.diagnostics, NodeHealth(self._interface.inputs, self._outputs, self._engine_health())
+        )
+
+    def _engine_health(self) -> Callable[[], List[Health]]:
+        settings = self._parameters.settings
+        engine = EngineHealth(settings.watchdog or WATCHDOG, settings.limits.seconds or LATE)
+        loaded = program_health(self._errors, self._doubts)
+        return lambda: [*engine.of(time.monotonic(), self.engine.status()), loaded]
+
+    def _outputs(self) -> List[OutputStatus]:
+        return [self._texts.status("std_msgs/String"), *self._interface.outputs.status()]
 
     def _lint(self, topics: Topics) -> None:
         kinds = {kind for _, kind in (*topics.subscribed, *topics.published)}
         definitions = Definitions(Installed(rosbags=False))  # which the node has no other need of
         for warning in self.engine.warnings(self._parameters.program, definitions, kinds):
+            self._doubts.append(warning.brief())
             rospy.logwarn("%s", warning)
 
     def _load(self) -> None:
         try:
             self.engine.load_program(self._parameters.program)
         except RetalisError as error:
+            self._errors += shown(error)
             for line in shown(error):
                 rospy.logerr("%s", line)
 

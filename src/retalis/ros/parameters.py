@@ -41,6 +41,7 @@ KNOWN = (
     "max_megabytes",
     "max_skew",
     "watchdog",
+    "diagnostics",
     "explain",
 )
 
@@ -63,6 +64,7 @@ class Parameters(NamedTuple):
         bare: how many elements without bytes a message may have.
         explain: whether to record what events come from.
         max_skew: how many seconds a stamp may be away from what its topic and frame had so far; None for any number.
+        diagnostics: seconds from one message on ``/diagnostics`` to the next; None for none.
     """
 
     program: Path
@@ -73,6 +75,7 @@ class Parameters(NamedTuple):
     bare: int = BARE
     explain: bool = False
     max_skew: Optional[float] = None
+    diagnostics: Optional[float] = 1.0
 
 
 def read_parameters(arguments: Optional[List[str]] = None) -> Parameters:
@@ -110,7 +113,9 @@ def read_parameters(arguments: Optional[List[str]] = None) -> Parameters:
     parameters = Parameters(
         _program(argv), _direct(), _flag("~embedded"), settings.queue, settings, bare, _flag("~explain")
     )
-    return parameters._replace(max_skew=_limit("~max_skew", float, None))
+    return parameters._replace(
+        max_skew=_limit("~max_skew", float, None), diagnostics=_limit("~diagnostics", float, 1.0)
+    )
 
 
 def _warn_of_unknown() -> None:

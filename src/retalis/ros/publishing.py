@@ -2,7 +2,7 @@
 
 import threading
 from struct import Struct
-from typing import Dict, Optional, Set, Tuple
+from typing import Dict, List, Optional, Set, Tuple
 
 import rospy
 
@@ -11,6 +11,7 @@ from ..events.program import TOPICS
 from ..foundation import MessageError, RetalisError, UsageError, beginning, printable
 from ..messages import Definitions, Encoder
 from ..prolog.terms import Term
+from .counting import OutputStatus
 from .names import OUTPUT, resolve
 from .raw import raw_class
 from .sending import Outlet
@@ -66,6 +67,10 @@ class OutputTopics:
             except MessageError:
                 self._awaited[name] = (kind, latched)
                 raise
+
+    def status(self) -> List[OutputStatus]:
+        """Return what has gone out on each topic."""
+        return [outlet.status(encoder.definition.name) for outlet, encoder in list(self._typed.values())]
 
     def knows(self, kind: str) -> bool:
         """Tell whether a message type is known."""

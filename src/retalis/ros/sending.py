@@ -16,6 +16,7 @@ from rospy.exceptions import TransportException
 from rospy.rostime import wallsleep
 
 from ..engine.runtime import Reports
+from .counting import OutputCounts, OutputStatus
 
 PATIENCE = 1.0
 """Seconds to wait for a receiver that does not keep up, where that is wanted."""
@@ -53,6 +54,7 @@ class Outlet:
         self._reports = reports
         self._patient = patient
         self._lines: Dict[Any, _Receiver] = {}
+        self.counts = OutputCounts()
         self._latch = _Latch(self) if latched else None
         # rospy says by the header that the topic is latched; what it would send itself, it has not got
         self.publisher = rospy.Publisher(topic, kind, self._latch, latch=latched, queue_size=queue)
@@ -65,6 +67,7 @@ class Outlet:
 
     def send(self, frames: bytes, number: int = 1) -> None:
         """Write messages, framed as on the wire, to all connections; one at a time where the topic is latched."""
+        self.counts.sent += number
         if self._latch is not None:
             self._latch.send(frames)
             return
@@ -77,7 +80,13 @@ class Outlet:
             line = self._lines.get(link)
             if line is None:
                 made = _Receiver(
-                    link, self._end, self.publisher.name, self._queue, self._reports, self._patient
+                    link,
+                    self._end,
+                    self.publisher.name,
+                    self._queue,
+                    self._reports,
+                    self._patient,
+                    self.counts,
                 )
                 line = self._lines.setdefault(link, made)
             try:
@@ -100,6 +109,13 @@ class Outlet:
         links = self.links()
         if len(self._lines) > len(links):
             self._lines = {link: line for link, line in self._lines.items() if link in links}
+
+    def status(self, kind: str) -> OutputStatus:
+        """Return what has gone out so far, as messages of a type."""
+        counts = self.counts
+        return OutputStatus(
+            self.publisher.resolved_name, kind, len(self.links()), counts.sent, counts.dropped
+        )
 
     def unserved(self) -> List[Any]:
         """Return the connections to which nothing has been written."""
@@ -143,7 +159,9 @@ class _Receiver:
         queue: int,
         reports: Reports,
         patient: bool,
+        counts: OutputCounts,
     ):
+        self._counts = counts
         self._outer = link
         self._end = end
         self._link = getattr(
@@ -208,6 +226,7 @@ class _Receiver:
                 number = self._waiting.popleft()[1]
                 self._held -= number
                 dropped += number
+        self._counts.dropped += dropped
         for _ in range(dropped):
             self._reports.warning(
                 f"{self._link.endpoint_id} does not keep up with topic {self._topic}: a message is dropped for it"

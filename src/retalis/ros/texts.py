@@ -7,6 +7,7 @@ from std_msgs.msg import String
 
 from ..engine.runtime import Reports
 from ..foundation import MessageError
+from .counting import OutputStatus
 from .sending import Outlet
 
 MOST = 64
@@ -45,6 +46,10 @@ class TextPublisher:
     def links(self) -> Any:
         """Return the connections to those who listen."""
         return self._outlet.links()
+
+    def status(self) -> OutputStatus:
+        """Return what has gone out so far."""
+        return self._outlet.status("std_msgs/String")
 
     def flush(self) -> None:
         """Write the texts that were added."""

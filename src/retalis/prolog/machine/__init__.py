@@ -1,7 +1,7 @@
 """The machine: frames, choice points and budgets, and the errors that goals end with."""
 
 from ..terms import Frame, Runs, Step
-from .budget import Budget, BudgetState, Turn
+from .budget import Budget, BudgetState, Turn, resident_bytes
 from .codes import BAIL, DEAD, LAST, RESUME, CatchMark, Code, Guard, Takes
 from .describing import CONTEXT, ERROR, describe
 from .faults import (
@@ -55,6 +55,7 @@ __all__ = [
     "permission_error",
     "PrologError",
     "representation_error",
+    "resident_bytes",
     "resource_error",
     "RESUME",
     "BudgetState",

@@ -320,7 +320,7 @@ class Budget:
                 return "seconds"
         if limits.megabytes is not None and now > self._measured + _MEASURE_EVERY:
             self._measured = now
-            used = _resident_bytes()
+            used = resident_bytes()
             if self._memory is None:
                 self._memory = used + (limits.megabytes << 20)
             elif used > self._memory:
@@ -359,7 +359,8 @@ _OF_ENTRY = ("rounds", "refused", "closed", "used", "_entry", "_spent", "_deadli
 _PAGE = os.sysconf("SC_PAGE_SIZE") if hasattr(os, "sysconf") else 4096
 
 
-def _resident_bytes() -> int:
+def resident_bytes() -> int:
+    """Return the bytes of memory that the process has; 0 where the system does not tell."""
     try:
         with open("/proc/self/statm", "rb") as file:
             return int(file.read().split()[1]) * _PAGE

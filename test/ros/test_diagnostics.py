@@ -1,0 +1,78 @@
+"""``/diagnostics`` as it is published, or not."""
+
+import sys
+import threading
+
+import pytest
+import rospy
+
+from retalis.ros import diagnostics
+from retalis.ros.diagnostics import Diagnostics
+from retalis.ros.health import Health, Level, NodeHealth
+
+HEALTH = NodeHealth(list, list, lambda: [Health("queue", Level.WARN, "two\nlines", [("a", "\x1b[31m")])])
+
+
+@pytest.fixture
+def published(monkeypatch):
+    """Return what is published, and the publishers that were made."""
+    made, messages = [], []
+
+    class Publisher:
+        def __init__(self, topic, kind, queue_size):
+            made.append(topic)
+
+        def publish(self, message):
+            messages.append(message)
+            come.set()
+
+    come = threading.Event()
+    monkeypatch.setattr(rospy, "Publisher", Publisher)
+    monkeypatch.setattr(rospy, "on_shutdown", lambda work: made.append(work))
+    monkeypatch.setattr(rospy, "get_rostime", lambda: rospy.Time(1, 2))
+    monkeypatch.setattr(rospy, "get_name", lambda: "/ns/retalis")
+    return made, messages, come
+
+
+def test_each_thing_is_a_status_of_the_node(published):
+    made, messages, come = published
+    Diagnostics(0.001, HEALTH)
+    assert come.wait(30)
+    made[1]()  # as at shutdown
+    status = messages[0].status[0]
+    assert made[0] == "/diagnostics" and messages[0].header.stamp == rospy.Time(1, 2)
+    assert (status.name, status.level, status.message) == ("ns/retalis: queue", 1, "two lines")
+    assert [(one.key, one.value) for one in status.values] == [("a", "\\x1b[31m")]
+    assert [one.name for one in messages[0].status] == ["ns/retalis: queue", "ns/retalis: process memory"]
+
+
+def test_it_may_be_off(published):
+    Diagnostics(None, HEALTH)
+    assert published[0] == []
+
+
+def test_a_node_without_the_package_warns_once_and_goes_on(published, monkeypatch):
+    told = []
+    monkeypatch.setitem(sys.modules, "diagnostic_msgs", None)
+    monkeypatch.setattr(rospy, "logwarn", lambda text, *values: told.append(text % values))
+    Diagnostics(1.0, HEALTH)
+    assert told == ["/diagnostics is not published: the package diagnostic_msgs is not installed"]
+    assert published[0] == []
+
+
+def test_a_fault_of_one_look_does_not_end_it(published, monkeypatch):
+    _, _, come = published
+    looks, told = [], []
+
+    def look():
+        looks.append(1)
+        if len(looks) == 1:
+            raise RuntimeError("changed size during iteration")
+        return []
+
+    monkeypatch.setattr(rospy, "logerr_throttle", lambda period, text: told.append(text))
+    Diagnostics(0.001, NodeHealth(list, list, look))
+    assert come.wait(30)
+    published[0][1]()
+    assert "changed size" in told[0]
+    assert diagnostics.TOPIC == "/diagnostics"

@@ -1,0 +1,165 @@
+"""How a node is judged: levels that say whether somebody has to look."""
+
+import pytest
+
+from retalis.engine import Engine, Work
+from retalis.ros.counting import InputCounts, InputStatus, OutputStatus
+from retalis.ros.health import (
+    LISTED,
+    QUIET,
+    RECENT,
+    Changes,
+    EngineHealth,
+    InputHealth,
+    Level,
+    NodeHealth,
+    memory_health,
+    output_health,
+    program_health,
+)
+
+TOPIC = InputStatus("/tf", "tf/tfMessage", 1, 0, 0, 0, None, None)
+
+
+def engine_levels(engine, now=0.0, health=None, **changed):
+    found = (health or EngineHealth(1.0, 10.0)).of(now, engine.status()._replace(**changed))
+    return {one.name: one for one in found}
+
+
+def test_a_topic_has_its_rate():
+    changes = Changes()
+    health = InputHealth(changes)
+    for now, number in ((0.0, 0), (1.0, 50), (2.0, 150)):
+        found = health.of(now, TOPIC._replace(messages=number, age=0.0, lag=250_000_000))
+        changes.end()
+    assert (found.name, found.level, found.message) == ("input /tf", Level.OK, "100.0 messages/s")
+    assert dict(found.values)["lag (s)"] == "0.250"
+
+
+def test_a_topic_without_a_publisher_is_worth_a_warning_and_one_without_messages_is_not():
+    health = InputHealth(Changes())
+    assert health.of(0.0, TOPIC._replace(publishers=0)).level is Level.WARN
+    assert health.of(1.0, TOPIC).level is Level.OK
+
+
+@pytest.mark.parametrize(
+    "interval, quiet, level", [(0.1, 6, Level.STALE), (0.1, 4, Level.OK), (60, 300, Level.OK)]
+)
+def test_a_topic_is_stale_by_its_usual_interval(interval, quiet, level):
+    health = InputHealth(Changes())
+    for number in range(1, 20):
+        health.of(number * interval, TOPIC._replace(messages=number, age=0.0))
+    last = TOPIC._replace(messages=19, age=float(quiet))
+    assert health.of(19 * interval + quiet, last).level is level
+
+
+def test_a_latched_topic_does_not_become_stale():
+    health = InputHealth(Changes())
+    for now in range(0, 1000, 100):
+        assert health.of(now, TOPIC._replace(messages=1, age=float(now))).level is Level.OK
+    assert QUIET < 1000
+
+
+def test_a_loss_keeps_its_level_for_a_while():
+    health = InputHealth(Changes())
+    health.of(0.0, TOPIC)
+    assert health.of(1.0, TOPIC._replace(refused=1)).level is Level.ERROR
+    assert health.of(RECENT, TOPIC._replace(refused=1)).level is Level.ERROR
+    assert health.of(RECENT + 2, TOPIC._replace(refused=1)).level is Level.OK
+
+
+def test_an_output_whose_subscriber_is_slow():
+    changes, one = Changes(), OutputStatus("/pose", "geometry_msgs/PoseStamped", 1, 5, 0)
+    assert output_health(0.0, changes, one).level is Level.OK
+    changes.end()
+    assert output_health(1.0, changes, one._replace(dropped=3)).level is Level.WARN
+
+
+def test_an_idle_engine_is_well():
+    assert {one.level for one in engine_levels(Engine()).values()} == {Level.OK}
+
+
+def test_a_queue_that_fills_and_drops():
+    engine = Engine()
+    assert engine_levels(engine, queued=engine.settings.queue - 1)["queue"].level is Level.WARN
+    health = EngineHealth(1.0, 10.0)
+    engine_levels(engine, 0.0, health)
+    assert engine_levels(engine, 1.0, health, dropped=1)["queue"].level is Level.ERROR
+    assert engine_levels(engine, 20.0, health, dropped=1)["queue"].level is Level.OK
+
+
+@pytest.mark.parametrize("seconds, level", [(0.5, Level.OK), (2.0, Level.WARN), (11.0, Level.ERROR)])
+def test_a_goal_that_runs_too_long(seconds, level):
+    work = Work("fire", seconds, "rule alarm: goal endless", "fire", "mine:1:1")
+    found = engine_levels(Engine(), work=work)["work"]
+    assert found.level is level
+    assert dict(found.values)["goal"] == "rule alarm: goal endless"
+
+
+def test_rules_with_errors_are_named():
+    engine = Engine()
+    engine.load(rules="hot: a <- b(X) where X > 1.\nc <- b(_).", source="mine")
+    engine.event("b(many)", 1)
+    health = EngineHealth(1.0, 10.0)
+    found = engine_levels(engine, 0.0, health)["rules"]
+    assert (found.level, found.values) == (Level.ERROR, [("hot mine:1:1", "1 errors")])
+    assert engine_levels(engine, 2 * RECENT, health)["rules"].level is Level.WARN
+
+
+def test_a_query_that_waits_for_long_is_named_with_its_memories():
+    engine = Engine()
+    engine.load(goals="memorize(a, [], _, m, 3)", rules="synchronized(seen, true, [[m, 9]]) <- marker.")
+    engine.event("a", 2)
+    engine.event("marker", 5)
+    health = EngineHealth(1.0, 10.0)
+    assert engine_levels(engine, 0.0, health)["waiting queries"].level is Level.OK
+    found = engine_levels(engine, 11.0, health)["waiting queries"]
+    assert found.level is Level.WARN
+    assert found.values == [("seen", "since 5.000, for 11 s: waits for m (7.000 s behind)")]
+
+
+def test_what_is_listed_is_bounded():
+    engine = Engine()
+    engine.load(goals="memorize(a, [], _, m, 3)", rules="synchronized(seen(X), true, [[m, 9]]) <- marker(X).")
+    for number in range(500):
+        engine.event(f"marker({number})", 5)
+    found = engine_levels(engine)["waiting queries"]
+    assert found.message == "500 wait"
+    assert len(found.values) == LISTED + 1 and found.values[-1] == ("further queries", str(500 - LISTED))
+    program = program_health([], [str(number) for number in range(100)])
+    assert program.level is Level.WARN and program.values[-1] == ("further ones", str(100 - LISTED))
+
+
+def test_a_program_that_did_not_load():
+    assert program_health(["mine:1:1: expected a term"], []).level is Level.ERROR
+    assert program_health([], []).level is Level.OK
+
+
+def test_the_process_tells_its_memory():
+    values = dict(memory_health().values)
+    assert int(values["resident (MB)"]) > 1
+
+
+def test_a_node_tells_of_everything():
+    engine = Engine()
+    of_engine = EngineHealth(1.0, 10.0)
+    output = OutputStatus("/pose", "geometry_msgs/PoseStamped", 1, 5, 0)
+    node = NodeHealth(lambda: [TOPIC], lambda: [output], lambda: of_engine.of(0.0, engine.status()))
+    assert [one.name for one in node.look()] == [
+        "input /tf",
+        "output /pose",
+        "queue",
+        "work",
+        "rules",
+        "waiting queries",
+        "process memory",
+    ]
+
+
+def test_the_lag_is_that_of_a_message_with_a_stamp(monkeypatch):
+    monkeypatch.setattr("retalis.ros.counting.ros_now", lambda: 5_000)
+    counts = InputCounts()
+    counts.look(lambda data: 3_000, b"")
+    assert (counts.lag, counts.wanted) == (2_000, False)
+    counts.look(lambda data: None, b"")
+    assert counts.lag is None
