@@ -26,6 +26,9 @@ AT_ONCE = 50
 LONGEST_LINE = LONGEST_ANSWER
 """Characters of a line of an explanation."""
 
+EXPLAINING = 2.0
+"""Seconds in which an explanation has to be found: no event is taken meanwhile."""
+
 MOST_LINES = 1_000
 """Lines of an explanation."""
 
@@ -85,7 +88,7 @@ class Questions:
         if not records_origins(self._engine):
             return response(f"error: {NOT_RECORDED}", False, [])
         try:
-            found = explain(self._engine, request.event)
+            found = explain(self._engine, request.event, EXPLAINING)
         except RetalisError as error:
             return response(reason(error), False, [])
         lines: List[str] = []

@@ -1,11 +1,12 @@
 """Why an event happened, or what was missing for it: trees of rules and events, to be read by people."""
 
-from typing import Dict, Iterator, List, NamedTuple, Optional, Set, Tuple, Union
+from time import monotonic
+from typing import Callable, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple, Union
 
 from ...events.history import Fired, Occurrence
 from ...events.language import Aggregate, walk
 from ...events.network import Rule
-from ...foundation import UsageError
+from ...foundation import UsageError, watched_by
 from ...prolog.syntax import read_term, write_term
 from ...prolog.terms import (
     Atom,
@@ -95,7 +96,7 @@ def records_origins(engine: Engine) -> bool:
     return parts_of(engine).rules.flags.is_on("etalis_justification")
 
 
-def explain(engine: Engine, asked: Union[str, Term]) -> Explanation:
+def explain(engine: Engine, asked: Union[str, Term], seconds: Optional[float] = None) -> Explanation:
     """Say why an event happened, or what was missing.
 
     >>> engine = Engine()
@@ -116,13 +117,34 @@ def explain(engine: Engine, asked: Union[str, Term]) -> Explanation:
         engine: has run with its flag ``etalis_justification`` on (`record_origins`).
         asked: the event, as far as it is known, as a term or its text; or ``event(TERM,[T1,T2])`` to ask for an
             interval too.
+        seconds: after which to give up: nothing else goes on meanwhile.
 
     Raises:
-        UsageError: where it is not an event.
+        UsageError: where it is not an event, or the time is up.
         SyntaxFault: for a text that is not a term.
     """
     term = read_term(asked, engine.operators, "explain").term if isinstance(asked, str) else asked
-    return engine.do(lambda: _Explainer(engine).explain(term))
+
+    def work() -> Explanation:
+        if seconds is None:
+            return _Explainer(engine).explain(term)
+        before = watched_by(_until(monotonic() + seconds, seconds))
+        try:
+            return _Explainer(engine).explain(term)
+        finally:
+            watched_by(before)
+
+    return engine.do(work)
+
+
+def _until(end: float, seconds: float) -> Callable[[int], None]:
+    """Return what ends work, once in a while asked, when its time is up."""
+
+    def ask(work: int) -> None:
+        if monotonic() > end:
+            raise UsageError(f"there is too much to look through: no explanation within {seconds:g} s")
+
+    return ask
 
 
 class _Explainer:

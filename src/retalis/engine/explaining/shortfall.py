@@ -25,7 +25,7 @@ from ...events.language import (
     names_of_kind,
 )
 from ...events.network import Rule
-from ...foundation import RetalisError, codegen
+from ...foundation import RetalisError, codegen, look
 from ...prolog.logic import Logic
 from ...prolog.syntax import EventOperator, OperatorKind, write_term
 from ...prolog.terms import Term, Trail, Var, copy, functor, timestamps, undo, unify, variables
@@ -126,6 +126,7 @@ class Shortfall:
     def _occurs(self, pattern: Occurs) -> Part:
         found = []
         for one in self._kept:
+            look(1)
             trail: Trail = []
             if unify(pattern.term, copy(one.term), trail):
                 found.append(Candidate(copy(self._vars), one.start, one.end, one))
@@ -228,6 +229,7 @@ class Shortfall:
     # ---- values ----------------------------------------------------------------------------------------
 
     def _joined(self, one: Candidate, two: Candidate) -> Optional[Term]:
+        look(1)
         trail: Trail = []
         values = copy(one.values)
         result = copy(values) if unify(values, copy(two.values), trail) else None
