@@ -10,6 +10,7 @@ from .labels import RULE, Property, is_rule, label_error, labelled
 from .occurrences import occurrences
 from .operators import ARROWS, NO_FACTS, OPERATORS, SPELLINGS, names_of_kind
 from .pattern import (
+    SEQ,
     Absent,
     Action,
     Aggregate,
@@ -60,11 +61,11 @@ __all__ = [
     "own_terms",
     "Pair",
     "Pattern",
-    "Pattern",
     "Property",
     "PatternReader",
     "Repeated",
     "RULE",
+    "SEQ",
     "SPELLINGS",
     "Spot",
     "Star",

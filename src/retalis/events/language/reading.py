@@ -93,7 +93,7 @@ class PatternReader:
         raise self._error(f"there is no operator {name}; use {_ABSENCES} for the absence of an event", term)
 
     def _limited(self, name: str, term: CompoundTerm) -> Within:
-        return Within(self._operand(term, 1, name), self._span(term) - 1)
+        return Within(self._operand(term, 1, name), self._span(name, term) - 1)
 
     def _conditional(self, name: str, term: CompoundTerm) -> Condition:
         pattern = self._operand(term, 1, name)
@@ -106,7 +106,9 @@ class PatternReader:
     def _operand(self, parent: CompoundTerm, number: int, operator: str) -> Pattern:
         term = deref(parent[number])
         if term.__class__ is tuple and term[0] in _GOALS_AS_PATTERN:
-            raise self._error(f"{term[0].name}(Goal) can only stand beside seq, not beside {operator}", term)
+            raise self._error(
+                f"{term[0].name}(Goal) can only stand beside {SEQ}, not beside {operator}", term
+            )
         return self.read(parent, number)
 
     def _event(self, parent: CompoundTerm, number: int) -> Occurs:
@@ -202,10 +204,10 @@ class PatternReader:
             raise self._error(message, term, 2)
         return Pair(SEQ, pattern if times == 2 else before, last)
 
-    def _span(self, term: CompoundTerm) -> int:
+    def _span(self, name: str, term: CompoundTerm) -> int:
         span = deref(term[2])
         if span.__class__ not in (int, float) or not span > 0 or span == float("inf"):
-            raise self._error("within needs a positive number of seconds", term, 2)
+            raise self._error(f"{name} needs a positive number of seconds", term, 2)
         return from_seconds(span)
 
     def goal(self, parent: CompoundTerm, number: int, operator: str) -> Term:

@@ -22,7 +22,7 @@ from typing import (
 from ...prolog.machine import Frame
 from ...prolog.terms import Values, Var, positions
 from ..history import known_in
-from ..language import OPERATORS
+from ..language import OPERATORS, SEQ
 from ..matches import (
     Chain,
     Emit,
@@ -46,7 +46,7 @@ from .nodes import NetworkNode
 from .owners import Buffer, RuleOwner
 from .telling import Name
 
-_SEQ = OPERATORS["seq"]
+_SEQ = OPERATORS[SEQ]
 
 
 class _Relay(NetworkNode):
@@ -295,7 +295,7 @@ class Repeating(NetworkNode):
         return buffer
 
     def _set_up(self, buffer: MatchBuffer, number: int) -> None:
-        buffer.reach = reach_of("seq", self.span, False)
+        buffer.reach = reach_of(SEQ, self.span, False)
         # Those under one key have the same values, of which longer sequences need not be told apart.
         name = self._names[0] if number == 1 else identity
         buffer.identify(name if self._mode.policy.replacing else None)

@@ -5,6 +5,7 @@ from typing import AbstractSet, Any, Callable, Hashable, Iterable, List, Optiona
 from ...foundation import RuleError
 from ...prolog.machine import Frame
 from ...prolog.terms import Term, Values, Var, positions
+from ..language import SEQ
 from ..matches import (
     NO_ITEMS,
     Absence,
@@ -99,8 +100,8 @@ class Running(RunValues):
         self.waits_later = self.late and self.double and policy.replacing
         revised = mode.revised and not self.late
         self.keeps, self.ordered = revised and self.revived[0], revised and self.revived[1]
-        self.buffer.reach = reach_of("seq", self.span, False)
-        self.incoming.reach = reach_of("seq", self.span, True)
+        self.buffer.reach = reach_of(SEQ, self.span, False)
+        self.incoming.reach = reach_of(SEQ, self.span, True)
         self.buffer.identify((by_term if policy.replacing else by_occurrence)(self._first_name))
         self.incoming.identify(self._repeated_name if policy.replacing and not self.keeps else None)
         self._found = found_here(self.vars, self._same_at, self._keep)
