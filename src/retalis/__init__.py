@@ -124,7 +124,7 @@ _ROOMS = (
     "engine.explaining",
     "engine.playback",
 )
-"""Where the names stand, what is imported by others first.
+"""Where the names stand: a room comes after those that it imports.
 
 They are looked for when somebody asks, so that ``retalis.srv`` costs no engine, and an error no bag.
 """

@@ -64,10 +64,8 @@ class EngineCore:
         self._watchdog = watch(self._runner, self._logic, self._dispatcher, reports, settings.watchdog)
         call = self._call_undisturbed if settings.allow_goals else None
         self._intake = Intake(self._logic, self._dispatcher, self.clock, followed, self._start_anew)
-        self._take, self._message = (
-            self._intake.take,
-            self._intake.take_message,
-        )  # one step less for each event
+        self._take = self._intake.take  # bound once: one step less for each event
+        self._message = self._intake.take_message
         self._text_input = TextInput(self._logic.operators, self._take, call, reports)
         self._outputs: List[OnOutput] = []
         self._own_files = OwnFiles(

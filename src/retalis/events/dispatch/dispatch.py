@@ -23,7 +23,7 @@ class Dispatcher(Audience):
         max_depth: how many events may be derived one from the other; the first of all is none of them.
 
     Attributes:
-        current: what is being served, or None: an `Dispatch`, or what `event` makes one of where somebody asks:
+        current: what is being served, or None: a `Dispatch`, or what `event` makes one of where somebody asks:
             term, start and end of one, and what was being served before.
         mark: makes the token of an event; tracking replaces it.
         cause: the rule and match whose goal is running, where that is tracked.
@@ -225,7 +225,10 @@ class Dispatcher(Audience):
         end: int,
         after: Frame,
     ) -> Frame:
-        """Return the frame that calls a goal by steps of the machine; see `call`."""
+        """Return the frame that calls a goal by steps of the machine; see `call`.
+
+        Apart from `call`, whose own variables would be slower if functions inside of it used them.
+        """
 
         def failed(error: PrologError) -> None:
             self.current = event

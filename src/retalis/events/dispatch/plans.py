@@ -5,10 +5,10 @@ from itertools import chain
 from typing import Any, Dict, Hashable, List, Optional, Tuple, Union
 
 from ...prolog.terms import Atom, Lazy, String, Term, Var, deref, freeze
-from .serving import Listener, Step
+from .serving import Listener, ListenerStep
 
 Path = Tuple[int, ...]
-Steps = Tuple[Step, ...]
+Steps = Tuple[ListenerStep, ...]
 """What is left of a plan when all tests are made: pairs of matcher and action, in order."""
 
 NOBODY: Steps = ()

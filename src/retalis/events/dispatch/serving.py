@@ -21,7 +21,7 @@ class Stage(IntEnum):
     RULES = 4
 
 
-Step = Tuple[Matcher, EventAction]
+ListenerStep = Tuple[Matcher, EventAction]
 """What is done for a listener."""
 
 
@@ -73,7 +73,7 @@ class Dispatch:
     __slots__ = ("dispatcher", "steps", "term", "start", "end", "parent", "depth", "token", "cause", "ground")
 
     dispatcher: Any
-    steps: Iterator[Step]
+    steps: Iterator[ListenerStep]
     term: Term
     start: int
     end: int

@@ -18,7 +18,7 @@ from typing import (
 )
 
 from ...foundation import Place, beginning
-from .. import builtins  # noqa: F401  (it registers trace/1)
+from .. import builtins  # noqa: F401  (they register themselves)
 from ..compiler import CALL
 from ..database import COMPILE_AFTER, Clause, CompiledGoal, Predicate, check_body, functor_of, split_clause
 from ..machine import Frame, Limits, PrologError
