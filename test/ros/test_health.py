@@ -60,6 +60,26 @@ def test_a_latched_topic_does_not_become_stale():
     assert QUIET < 1000
 
 
+def test_a_topic_that_is_subscribed_anew_is_judged_anew():
+    health = InputHealth(Changes())
+    for number in range(100, 110):
+        health.of(float(number), TOPIC._replace(messages=number, age=0.0))
+    for number in range(1, 20):
+        health.of(200.0 + number, TOPIC._replace(messages=number, age=0.0))
+    assert health.of(300.0, TOPIC._replace(messages=19, age=81.0)).level is Level.STALE
+
+
+def test_topics_that_are_subscribed_no_more_are_forgotten():
+    health = InputHealth(Changes())
+    for number in range(1, 20):
+        health.of(float(number), TOPIC._replace(messages=number, age=0.0))
+    late = TOPIC._replace(messages=19, age=81.0)
+    health.forget_others({"/tf"})
+    assert health.of(100.0, late).level is Level.STALE
+    health.forget_others({"/other"})
+    assert health.of(100.0, late).level is Level.OK  # nothing is known of its interval
+
+
 def test_a_loss_keeps_its_level_for_a_while():
     health = InputHealth(Changes())
     health.of(0.0, TOPIC)

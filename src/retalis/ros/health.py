@@ -2,7 +2,7 @@
 
 import time
 from enum import IntEnum
-from typing import Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Callable, Collection, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 from ..engine import RuleStatus, Status
 from ..prolog.machine import resident_bytes
@@ -125,6 +125,10 @@ class InputHealth:
         level, message = self._judge(now, one, lost, rate)
         return Health(f"input {one.topic}", level, message, values)
 
+    def forget_others(self, topics: Collection[str]) -> None:
+        """Forget all topics but these, which are subscribed."""
+        self._intervals = {topic: known for topic, known in self._intervals.items() if topic in topics}
+
     def _judge(self, now: float, one: InputStatus, lost: Change, rate: float) -> Tuple[Level, str]:
         interval = self._interval(now, one)
         if lost.is_recent(now):
@@ -140,7 +144,10 @@ class InputHealth:
         if one.age is None:
             self._intervals.pop(one.topic, None)
             return None
-        first, since = self._intervals.setdefault(one.topic, (one.messages, now - one.age))
+        first, since = self._intervals.get(one.topic, (one.messages, now - one.age))
+        if one.messages < first:  # it has been subscribed anew
+            first, since = one.messages, now - one.age
+        self._intervals[one.topic] = first, since
         later = one.messages - first
         return (now - one.age - since) / later if later > 0 else None
 
@@ -331,7 +338,9 @@ class NodeHealth:
     def look(self) -> List[Health]:
         """Return how everything is."""
         now = time.monotonic()
-        found = [self._of_inputs.of(now, one) for one in self._inputs()[:MOST_TOPICS]]
+        inputs = self._inputs()[:MOST_TOPICS]
+        self._of_inputs.forget_others({one.topic for one in inputs})
+        found = [self._of_inputs.of(now, one) for one in inputs]
         found += [output_health(now, self._changes, one) for one in self._outputs()[:MOST_TOPICS]]
         self._changes.end()
         return [*found, *self._further(), memory_health()]
