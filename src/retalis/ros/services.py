@@ -122,8 +122,8 @@ class EngineServices:
         for one in goals:
             self._check("conditions", "goals: atoms or compound terms", one, (Atom, tuple))
         self._check("format", "an atom or a compound term, or _ for the event", form, (Atom, tuple, Var))
-        bound = variables((COMMA, event, conditions))
-        free = [name for name, var in names.items() if var in variables(form) and var not in bound]
+        unbound = set(variables(form)).difference(variables((COMMA, event, conditions)))
+        free = [name for name, var in names.items() if var in unbound]
         return _Fields(event, goals, form, [] if isinstance(form, Var) else free)
 
     def _warn_of_free(self, goal: str, text: str, fields: _Fields) -> None:
