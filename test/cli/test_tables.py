@@ -1,6 +1,6 @@
 """Records in columns."""
 
-from retalis.cli import report
+from retalis.cli import page, report
 
 
 def test_plain_values_and_tables():
@@ -23,3 +23,16 @@ def test_records_in_records():
 
 def test_nothing():
     assert report({}) == []
+
+
+def test_of_a_path_the_end_is_shown():
+    assert report({"a": "/x" * 100 + "/rules.txt:12:1"}) == [
+        "a  ..." + ("/x" * 100 + "/rules.txt:12:1")[-57:]
+    ]
+
+
+def test_a_page_is_no_larger_than_its_terminal():
+    found = {f"value{number}": number for number in range(50)}
+    lines = page({**found, "rows": [{"a": "x" * 50, "b": number} for number in range(100)]}, 40, 30)
+    assert len(lines) == 29 and max(map(len, lines)) <= 40
+    assert lines[0] == "value1 1  value2 2  value3 3  value4 4"

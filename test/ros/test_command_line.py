@@ -44,6 +44,10 @@ def test_goals_are_asked(node):
     assert said(node, "explain", "no_such(1)").startswith("no_such(1) did not happen\n")
     answered = said(node, "console", "--node", "retalis", text="X = 1 ; X = 2.\nfail.\n")
     assert answered == "X = 1 ;\nX = 2.\nfalse.\n"
+    listed = json.loads(said(node, "list", "--json"))
+    assert [memory["id"] for memory in listed["memories"]][:2] == ["odom_base", "base_torso"]
+    shown = said(node, "status")
+    assert shown.startswith("node  ") and "\nmemories\n  id " in shown
     assert said(node, "complete", "nodes") == "/retalis\n"
     assert "odom_base" in said(node, "complete", "memories").splitlines()
 

@@ -11,13 +11,14 @@ from ..foundation import RetalisError
 from . import bag, console, demo, events, live
 from .prompt import Lines, Terminal, read_clause
 from .report import NobodyReads, leave
-from .tables import report
+from .tables import page, report
 
 COMMANDS = (bag, console, demo, events, live)
 
 __all__ = [
     "Lines",
     "main",
+    "page",
     "read_clause",
     "report",
     "Terminal",

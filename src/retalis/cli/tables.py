@@ -1,5 +1,6 @@
 """Records as text in columns, for terminals."""
 
+from textwrap import wrap
 from typing import Any, Dict, List, Mapping, Sequence
 
 WIDEST = 60
@@ -25,6 +26,21 @@ def report(found: Mapping[str, Any]) -> List[str]:
     return lines
 
 
+def page(found: Mapping[str, Any], columns: int, height: int) -> List[str]:
+    """Return as much of a report as a terminal shows: single values that say something, then tables.
+
+    >>> page({"node": "/a", "work": "", "errors": 0, "events": 3, "memories": [{"id": "odom"}]}, 80, 5)
+    ['node /a  events 3', '', 'memories', '  id']
+    """
+    plain = [f"{name} {_shown(value)}" for name, value in found.items() if value and not _is_table(value)]
+    tables = report({name: value for name, value in found.items() if _is_table(value)})
+    lines = [  # names and values are kept together by blanks that do not break
+        line.replace("\xa0", " ")
+        for line in wrap("  ".join(one.replace(" ", "\xa0") for one in plain), columns)
+    ]
+    return [line[:columns] for line in [*lines, *tables]][: height - 1]
+
+
 def table(rows: Sequence[Mapping[str, Any]]) -> List[str]:
     """Return the lines of a table: the names of its columns, then its rows."""
     names: Dict[str, None] = {}
@@ -48,7 +64,10 @@ def _shown(value: Any) -> str:
     else:
         text = str(value)
     text = " ".join(text.split())
-    return text if len(text) <= WIDEST else text[: WIDEST - 3] + "..."
+    if len(text) <= WIDEST:
+        return text
+    is_path = text.startswith("/")  # whose end tells it from others
+    return "..." + text[3 - WIDEST :] if is_path else text[: WIDEST - 3] + "..."
 
 
 def _aligned(rows: Sequence[Sequence[str]]) -> List[str]:

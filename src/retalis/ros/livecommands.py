@@ -6,6 +6,7 @@ import os
 import shutil
 import sys
 from queue import Queue
+from time import monotonic
 from typing import Any, Callable, Dict, Iterator, List, Tuple
 
 import genpy
@@ -14,7 +15,7 @@ from std_msgs.msg import String
 
 from retalis import srv
 
-from ..cli import report
+from ..cli import page, report
 from ..foundation import RetalisError, UsageError, printable
 from ..prolog.syntax import Operators, read_term, write_term, writeq
 from ..prolog.terms import deref
@@ -94,10 +95,7 @@ def _print_all(lines: Iterator[str]) -> None:
 
 def _listed(node: LiveNode) -> Dict[str, Any]:
     """Return what a node says of itself."""
-    kind = getattr(srv, "List", None)
-    if kind is None:
-        raise UsageError("this package was built without service ~list")
-    found: Dict[str, Any] = plain(checked(node.call("list", kind)))
+    found: Dict[str, Any] = plain(checked(node.call("list", srv.List)))
     del found["result"]
     return {"node": node.name, **found}
 
@@ -116,19 +114,27 @@ def _status(options: argparse.Namespace) -> int:
     if not options.every > 0:
         raise UsageError(f"--every: expected a number above 0, found {options.every:g}")
     rospy.init_node("retalis_status", anonymous=True, disable_signals=True, disable_rosout=True)
+    before, looked = _listed(node), monotonic()
     while True:
-        found = _listed(node)
+        rospy.rostime.wallsleep(options.every)
+        found, now = _listed(node), monotonic()
+        before, looked, found = found, now, _rate(before, found, now - looked)
         if options.json:
             print(json.dumps(found), flush=True)
         else:
             print(_CLEAR + "\n".join(_page(found)), end="", flush=True)
-        rospy.rostime.wallsleep(options.every)
 
 
 def _page(found: Dict[str, Any]) -> List[str]:
     """Return as many lines, as long, as the terminal shows."""
     columns, height = shutil.get_terminal_size()
-    return [printable(line)[:columns] for line in report(found)][: height - 1]
+    return [printable(line)[:columns] for line in page(found, columns, height)]
+
+
+def _rate(before: Dict[str, Any], found: Dict[str, Any], seconds: float) -> Dict[str, Any]:
+    """Return what a node says of itself, with the events that it has taken a second."""
+    taken = found["taken"] - before["taken"]
+    return {"node": found["node"], "events_a_second": round(taken / seconds, 1), **found}
 
 
 def _watch(options: argparse.Namespace) -> int:
