@@ -52,7 +52,11 @@ class Collector:
 
         Of many that are made at once some have to be tried again, a second later.
         """
-        return any(link.header for link in self._subscriber.impl.connections)
+        return bool(self.publishers())
+
+    def publishers(self):
+        """Return the nodes that have answered."""
+        return [link.header["callerid"] for link in self._subscriber.impl.connections if link.header]
 
     def close(self):
         self._subscriber.unregister()
@@ -61,9 +65,9 @@ class Collector:
 class RawPublisher:
     """Publishes bytes as messages of a type, whether the type is installed or not."""
 
-    def __init__(self, topic, definition):
+    def __init__(self, topic, definition, latch=False):
         self.kind = raw_class(definition)
-        self.publisher = rospy.Publisher(topic, self.kind, queue_size=10_000)
+        self.publisher = rospy.Publisher(topic, self.kind, queue_size=10_000, latch=latch)
 
     def publish(self, data):
         message = self.kind()

@@ -13,7 +13,7 @@ from held import held  # noqa: E402
 from rospy.exceptions import TransportTerminated  # noqa: E402
 
 from retalis.engine.runtime import Reports  # noqa: E402
-from retalis.ros import sending, texts  # noqa: E402
+from retalis.ros import handover, sending, texts  # noqa: E402
 from retalis.ros.sending import Outlet  # noqa: E402
 from retalis.ros.texts import TextPublisher, text_frame  # noqa: E402
 
@@ -246,16 +246,21 @@ def test_a_latched_topic_without_a_message_sends_nothing_to_who_comes(outlet, li
 
 
 def test_texts_go_out_together_in_order(outlet, link, monkeypatch):
-    it = TextPublisher("/topic", 1000, Reports())
+    monkeypatch.setattr(handover, "offering", lambda service: {link.endpoint_id})
+    it, turn = TextPublisher("/topic", 1000, Reports(), lambda: 0), threading.Lock()
+    it.begin(turn, set)
     it.add("a")
     it.add("b\udcff")
     link.other.setblocking(False)
     with pytest.raises(BlockingIOError):
         link.other.recv(100)
-    it.flush()
+    link.other.settimeout(20)
+    with turn:
+        it.flush()
     assert link.other.recv(100) == text_frame("a") + pack("<II", 6, 2) + b"b\xff"
     assert link.stat_num_msg == 2
     monkeypatch.setattr(texts, "MOST", 2)
-    it.add("c")
-    it.add("d")
+    with turn:
+        it.add("c")
+        it.add("d")
     assert link.other.recv(100) == text_frame("c") + text_frame("d")

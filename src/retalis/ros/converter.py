@@ -15,7 +15,7 @@ from .connecting import OUTPUT_EVENT, connect
 from .counting import OutputStatus
 from .diagnostics import Diagnostics
 from .health import NodeHealth, program_health
-from .interface import Interface, Take
+from .interface import Interface, Publisher, Take
 from .listing import Listing
 from .log import shown
 from .names import INPUT, OUTPUT
@@ -42,8 +42,8 @@ class Converter:
         skew = Skew(reports, ros_now, most=parameters.max_skew)
         rospy.on_shutdown(skew.sum_up)
         rospy.on_shutdown(reports.sum_up)
-        self._texts = TextPublisher(INPUT, parameters.queue, reports)
         self._receipts = Receipts()
+        self._texts = TextPublisher(INPUT, parameters.queue, reports, self._receipts.runs)
         self._unread = UnreadArguments(self._texts.links, reports)
         self._reader = EventReader()
         self._interface = Interface(
@@ -54,7 +54,9 @@ class Converter:
             done=self._texts.flush,
             hold=HOLD,
             skew=skew,
+            latched=self._latched_sender,
         )
+        self._texts.begin(self._interface.turn, self._interface.publishers)
         errors: List[str] = []
         try:
             topics = read_topics(parameters.program / TOPICS)
@@ -90,6 +92,24 @@ class Converter:
             unread = self._unread.of(decoder.functor) if len(data) > LONG else None
             text = text_without(decoder, data, unread, NOT_READ) if unread else write(data)
             add(event_text(text, received() if instant is None else instant))
+
+        return take
+
+    def _latched_sender(self, decoder: Decoder, publisher: Publisher) -> Take:
+        """Return what sends the messages of a latched connection as text, and keeps the last one."""
+        write, stamp, receipts = text_writer(decoder), decoder.stamp, self._receipts
+
+        def take(data: bytes) -> None:
+            stamped = stamp(data)
+            instant = receipts.stamp() if stamped is None else stamped
+            run = receipts.runs()
+
+            def again() -> str:
+                """Return the text for a node that comes later, by the time of this run."""
+                same = stamped is not None or run == receipts.runs()
+                return event_text(write(data), instant if same else receipts.stamp())
+
+            self._texts.add_latched(event_text(write(data), instant), publisher, again, len(data))
 
         return take
 

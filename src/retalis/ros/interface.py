@@ -20,6 +20,12 @@ from .texts import text_taker
 Take = Callable[[bytes], None]
 """Takes a message."""
 
+Publisher = Tuple[str, str]
+"""A topic, and a node that publishes it."""
+
+LatchedTaker = Callable[[Decoder, Publisher], Take]
+"""Gives what takes the messages of a latched connection."""
+
 MessageTaker = Callable[[Decoder], Take]
 """Gives what takes the messages that a decoder reads."""
 
@@ -51,8 +57,10 @@ class Interface:
         done: called after messages that were received together.
         hold: seconds for which a message may wait for the next ones, where they come fast.
         skew: looks at the stamps of messages.
+        latched: gives what takes the messages of latched connections, where that is something else.
 
     Attributes:
+        turn: the lock under which messages are taken.
         outputs: the topics that are published.
     """
 
@@ -65,8 +73,10 @@ class Interface:
         done: Callable[[], object] = nothing,
         hold: float = HOLD,
         skew: Optional[Skew] = None,
+        latched: Optional[LatchedTaker] = None,
     ):
         self._taker = taker
+        self._latched = None if latched is None else self._learning(latched)
         self._done = done
         self._hold = hold
         self._skew = skew
@@ -78,7 +88,7 @@ class Interface:
         self._elsewhere: Set[str] = set()
         self._reserved = {rospy.resolve_name(topic) for topic in (INPUT, OUTPUT)}
         self._lock = threading.Lock()
-        self._turn = threading.Lock()
+        self.turn = threading.Lock()
         self._reports = reports
 
     def subscribe(self, topic: str, kind: str) -> None:
@@ -102,17 +112,33 @@ class Interface:
                 kind,
                 self._learned,
                 self._queue,
-                self._turn,
+                self.turn,
                 self._reports,
                 self._done,
                 self._hold,
                 self._skew,
+                self._latched,
             )
+
+    def publishers(self) -> Set[Publisher]:
+        """Return all from whom messages come."""
+        with self._lock:
+            topics = list(self._inputs.items())
+        return {(name, node) for name, topic in topics for node in topic.publishers()}
 
     def _learned(self, decoder: Decoder) -> Take:
         """Return what takes the messages of a connection that has just been made: it may have brought a type."""
         self.outputs.learned()
         return self._taker(decoder)
+
+    def _learning(self, latched: LatchedTaker) -> LatchedTaker:
+        """Return what does as `_learned` for latched connections."""
+
+        def taker(decoder: Decoder, publisher: Publisher) -> Take:
+            self.outputs.learned()
+            return latched(decoder, publisher)
+
+        return taker
 
     def subscribe_texts(self, topic: str, take: Callable[[str], object]) -> None:
         """Have the texts of one of the topics between the nodes taken."""
@@ -139,7 +165,7 @@ class Interface:
             return lambda data: None
 
         listening = InputTopic(
-            self._definitions, resolve(topic), kind, taker, self._queue, self._turn, self._reports
+            self._definitions, resolve(topic), kind, taker, self._queue, self.turn, self._reports
         )
 
         def close() -> None:
@@ -186,7 +212,9 @@ class InputTopic:
         done: Callable[[], object] = nothing,
         hold: float = HOLD,
         skew: Optional[Skew] = None,
+        latched: Optional[LatchedTaker] = None,
     ):
+        self._latched = latched
         self.kind = kind
         self._skew = skew
         self._reports = reports
@@ -221,6 +249,13 @@ class InputTopic:
     def close(self) -> None:
         """Stop receiving."""
         self._subscriber.unregister()
+
+    def publishers(self) -> List[str]:
+        """Return the nodes to which there is a connection."""
+        topic = getattr(self._subscriber, "impl", None)
+        links = getattr(topic, "connections", None) or ()
+        headers = [link.header for link in links if getattr(link, "socket", None) is not None]
+        return [header["callerid"] for header in headers if header and "callerid" in header]
 
     def _receive(self, message: Any) -> None:
         """Take a message that rospy has read."""
@@ -268,7 +303,7 @@ class InputTopic:
             stamp = decoder.stamp
             if self._skew is not None:
                 decoder = self._skew.watch(decoder, self._name, header.get("callerid", ""))
-            take = self._one_by_one(self._taker(decoder), stamp)
+            take = self._one_by_one(self._taker_of(header, decoder), stamp)
         except Exception as error:  # rospy would try again at once, and forever
             if not isinstance(error, MessageError):
                 self._reports.error(error)
@@ -277,6 +312,12 @@ class InputTopic:
             take = self._refuser(f"topic {self._name}: {reason}: a message of {publisher} is dropped")
         size = sum(map(len, header.values()))
         return self._links.keep(id(header), (header, take), 2 * size)
+
+    def _taker_of(self, header: Dict[str, str], decoder: Decoder) -> Take:
+        """Return what takes the messages of a connection."""
+        if self._latched is not None and header.get("latching") == "1":
+            return self._latched(decoder, (self._name, header.get("callerid", "")))
+        return self._taker(decoder)
 
     def _refuser(self, reason: str) -> TakeAll:
         """Return what drops messages, and reports and counts them."""

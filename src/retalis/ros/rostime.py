@@ -37,11 +37,18 @@ class Receipts:
 
     def __init__(self) -> None:
         self._clock = Clock(ros_now)
+        self._runs = 0
 
     def stamp(self) -> int:
         """Return the instant of what has come now."""
         instant = self._clock.stamp_at_once()
         if instant is None:  # time has gone back
-            self._clock.went_back()
+            self.runs()
             instant = self._clock.stamp()
         return instant
+
+    def runs(self) -> int:
+        """Return how often time has gone back so far."""
+        if self._clock.went_back():
+            self._runs += 1
+        return self._runs

@@ -9,7 +9,7 @@ import socket
 import threading
 import time
 from collections import deque
-from typing import Any, Callable, Deque, Dict, List, Tuple
+from typing import Any, Callable, Deque, Dict, List, Optional, Tuple
 
 import rospy
 from rospy.exceptions import TransportException
@@ -39,6 +39,7 @@ class Outlet:
         patient: whether those who send are held up for a moment before anything is dropped, so that a burst
             loses nothing.
         latched: whether the last message goes to each receiver that comes later.
+        listener: is told of receivers that come, where the topic is not latched.
     """
 
     def __init__(
@@ -49,6 +50,7 @@ class Outlet:
         reports: Reports,
         patient: bool = False,
         latched: bool = False,
+        listener: Optional[rospy.SubscribeListener] = None,
     ):
         self._queue = queue
         self._reports = reports
@@ -57,7 +59,9 @@ class Outlet:
         self.counts = OutputCounts()
         self._latch = _Latch(self) if latched else None
         # rospy says by the header that the topic is latched; what it would send itself, it has not got
-        self.publisher = rospy.Publisher(topic, kind, self._latch, latch=latched, queue_size=queue)
+        self.publisher = rospy.Publisher(
+            topic, kind, self._latch or listener, latch=latched, queue_size=queue
+        )
 
     def links(self) -> Any:
         """Return rospy's connections to those who listen."""

@@ -1,13 +1,14 @@
 """Events as text on the String topics between the nodes."""
 
 from struct import Struct
-from typing import Any, Callable, List
+from typing import Any, Callable, ContextManager, List, Tuple
 
 from std_msgs.msg import String
 
 from ..engine.runtime import Reports
 from ..foundation import MessageError
 from .counting import OutputStatus
+from .handover import Handover, Introducer, Publishers
 from .sending import Outlet
 
 MOST = 64
@@ -25,17 +26,29 @@ def text_frame(text: str) -> bytes:
 
 
 class TextPublisher:
-    """Publishes texts on a topic: those that are made together with one write. Not for use by two threads at once.
+    """Publishes texts for node retalis: those that are made together with one write. Not for two threads at once.
 
     Args:
         topic: its name.
         queue: how many texts may wait.
         reports: takes a warning of each text that is dropped.
+        runs: see `Handover`.
     """
 
-    def __init__(self, topic: str, queue: int, reports: Reports):
-        self._outlet = Outlet(topic, String, queue, reports, patient=True)
+    def __init__(self, topic: str, queue: int, reports: Reports, runs: Callable[[], int]):
+        self._introducer = Introducer()
+        self._outlet = Outlet(topic, String, queue, reports, patient=True, listener=self._introducer)
+        self._handover = Handover(self._outlet, queue, reports, runs)
         self._waiting: List[bytes] = []
+
+    def begin(self, turn: ContextManager[object], publishers: Publishers) -> None:
+        """Find out who listens from now on.
+
+        Args:
+            turn: the lock under which all else here is called.
+            publishers: gives topic and publisher of all connections from which messages come.
+        """
+        self._introducer.begin(self._handover, turn, publishers)
 
     def add(self, text: str) -> None:
         """Add a text to those that go out next."""
@@ -51,11 +64,25 @@ class TextPublisher:
         """Return what has gone out so far."""
         return self._outlet.status("std_msgs/String")
 
+    def add_latched(self, text: str, publisher: Tuple[str, str], again: Callable[[], str], size: int) -> None:
+        """Add the text of a message that each node retalis gets that is started later.
+
+        Args:
+            text: is sent now.
+            publisher: the message's topic and publisher; of each the newest message is kept.
+            again: gives the text for the next one.
+            size: the bytes that it takes to keep.
+        """
+        self.flush()
+        self._handover.latch(publisher, lambda: text_frame(again()), size)
+        self.add(text)
+        self.flush()
+
     def flush(self) -> None:
         """Write the texts that were added."""
         waiting = self._waiting
         if waiting:
-            self._outlet.send(b"".join(waiting), len(waiting))
+            self._handover.send(b"".join(waiting), len(waiting))
             waiting.clear()
 
 
