@@ -126,3 +126,14 @@ def test_launch_arguments_that_the_readme_names_exist():
     named = set(re.findall(r"`(\w+):=", text))
     assert named
     assert named <= arguments
+
+
+NAMED_TEST = re.compile(r"`(?:test/)?([\w/]+\.(?:py|test))[ `]")
+
+
+def test_the_tests_that_the_page_on_reliability_names_are_there():
+    named = set(NAMED_TEST.findall((ROOT / "docs" / "reliability.md").read_text(encoding="utf-8")))
+    there = {path.relative_to(ROOT / "test").as_posix() for path in (ROOT / "test").rglob("*.*")}
+    missing = {name for name in named if not any(f"/{path}".endswith(f"/{name}") for path in there)}
+    assert len(named) > 15
+    assert not missing
