@@ -67,12 +67,14 @@ class Audience:
                 values, where nobody else listens; it may leave ``current`` to `event`.
             looks_on: whether ``action`` always returns the next frame; where all do so, it may leave ``current``
                 to `event`.
-            unused: variables of the pattern whose values nobody looks at, so that they may be `NOT_READ`.
+            unused: variables of the pattern whose values nobody looks at, so that they may be `NOT_READ`. Where
+                the pattern is one of them, it gets events as they come, with `NOT_READ` in them.
 
         Raises:
             UsageError: for a pattern that no event can match (a number, a string).
         """
         unread = unread_positions(pattern, unused)
+        partial = pattern.__class__ is Var and pattern in unused
         pattern = copy(pattern)
         functor = _functor_of(pattern)
         key = term_key(pattern)
@@ -80,7 +82,7 @@ class Audience:
         if matcher is None:
             matcher = self._matchers[key] = compile_matcher(pattern)
         order = (int(stage), *(rank or (next(self._order),)), next(self._order))
-        listener = Listener(order, pattern, functor, matcher, action, lane, looks_on, unread)
+        listener = Listener(order, pattern, functor, matcher, action, lane, looks_on, unread, partial)
         self._listeners.setdefault(functor, {})[listener] = None
         self.unread.guard(listener)
         self._changed(functor)

@@ -30,9 +30,10 @@ class Listener:
 
     Attributes:
         unread: the arguments of the event, counted from 1, that the action never looks at.
+        partial: whether it takes events of all kinds, and those too in which something is missing that nobody reads.
     """
 
-    __slots__ = ("order", "pattern", "functor", "matcher", "action", "lane", "looks_on", "unread")
+    __slots__ = ("order", "pattern", "functor", "matcher", "action", "lane", "looks_on", "unread", "partial")
 
     def __init__(
         self,
@@ -44,6 +45,7 @@ class Listener:
         lane: Optional[Lane],
         looks_on: bool,
         unread: FrozenSet[int],
+        partial: bool,
     ):
         self.order = order
         self.pattern = pattern
@@ -53,6 +55,7 @@ class Listener:
         self.lane = lane
         self.looks_on = looks_on
         self.unread = unread
+        self.partial = partial
 
 
 AT_ONCE = 5

@@ -66,7 +66,7 @@ class Unread:
 
     def _found(self) -> Dict[Functor, Positions]:
         groups = list(self._listeners.items())
-        if any(functor is None and group for functor, group in groups):
+        if any(functor is None and not one.partial for functor, group in groups for one in list(group)):
             return {}  # somebody takes all events whole
         return {
             functor: frozenset.intersection(*(one.unread for one in group))
@@ -82,7 +82,7 @@ class Unread:
             if missing:
                 listener.matcher = _guarded(listener.matcher, sorted(missing))
                 listener.lane = None
-        elif self._told:
+        elif self._told and not listener.partial:
             listener.matcher = _guarded_all(listener.matcher)
 
 
