@@ -42,7 +42,7 @@ class Platform(NamedTuple):
 
 CERTIFICATES = "/etc/ssl/certs/ca-certificates.crt"
 
-_COMMON = "ca-certificates cmake g++ make python3-numpy python3-setuptools python3-venv"
+_COMMON = "ca-certificates cmake g++ make python3-numpy python3-setuptools python3-tornado python3-venv"
 
 _DEBIAN = """
     catkin librostest-dev libstd-msgs-dev python3-diagnostic-msgs python3-geometry-msgs python3-lark

@@ -5,7 +5,8 @@ from xml.etree import ElementTree
 
 from setuptools import find_packages, setup
 
-DATA = [path for kind in ("*.lark", "*.pl", "py.typed") for path in sorted(Path("src/retalis").rglob(kind))]
+KINDS = ("*.lark", "*.pl", "page/*.*", "py.typed")
+DATA = [path for kind in KINDS for path in sorted(Path("src/retalis").rglob(kind))]
 LAYOUT = {
     "packages": find_packages("src"),
     "package_dir": {"": "src"},

@@ -31,6 +31,7 @@ ORDER = (
     "engine.runtime",
     "engine",
     "engine.explaining",
+    "engine.dashboard",
     "engine.playback",
     "cli",
     "ros",

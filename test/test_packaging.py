@@ -59,6 +59,7 @@ def test_the_source_archive_has_what_it_is_built_from(copy, tmp_path):
         "src/retalis/prolog/syntax/tokens.lark",
         "src/retalis/prolog/library/lists.pl",
         "src/retalis/py.typed",
+        "src/retalis/engine/dashboard/page/dashboard.js",
         "install_apt.py",
     ):
         assert name in names
@@ -69,6 +70,7 @@ def test_the_source_archive_has_what_it_is_built_from(copy, tmp_path):
     setup(folder, "build")
     built = folder / "build" / "lib" / "retalis"
     assert (built / "prolog" / "syntax" / "tokens.lark").is_file()
+    assert (built / "engine" / "dashboard" / "page" / "index.html").is_file()
     assert (built / "py.typed").is_file()  # type checkers look into the package
 
 

@@ -12,6 +12,7 @@ SERVICES = {
     "delete_memory",
     "delete_output_subscription",
 }
+KINDS = ("*.py", "*.lark", "*.pl", "*.html", "*.css", "*.js", "*.svg")
 IMPORTS = "import retalis.srv, retalis.msg, rosbags, lark; print(retalis.srv.AddMemory, retalis.msg.Radar)"
 
 
@@ -24,11 +25,12 @@ def test_everything_in_the_sources_is_there(space):
         "import pkgutil, retalis, pathlib\n"
         "for place in retalis.__path__:\n"
         "    for path in sorted(pathlib.Path(place).rglob('*')):\n"
-        "        if path.suffix in ('.py', '.lark', '.pl') and path.parent.name not in ('srv', 'msg'):\n"
+        "        kinds = ('.py', '.lark', '.pl', '.html', '.css', '.js', '.svg')\n"
+        "        if path.suffix in kinds and path.parent.name not in ('srv', 'msg'):\n"
         "            print(path.relative_to(place))\n"
     )
     root = Path(__file__).resolve().parents[2] / "src" / "retalis"
-    wanted = {str(path.relative_to(root)) for kind in ("*.py", "*.lark", "*.pl") for path in root.rglob(kind)}
+    wanted = {str(path.relative_to(root)) for kind in KINDS for path in root.rglob(kind)}
     assert wanted <= set(space.run("/usr/bin/python3", "-c", code).split())
 
 

@@ -5,7 +5,7 @@ for the forms of the slots, `Definitions` for where types come from.
 """
 
 from .decoding import Decoder
-from .definition import Definition, type_name
+from .definition import Definition, functor_name, type_name
 from .encoding import Encoder
 from .eventtexts import text_without, text_writer
 from .installed import Installed
@@ -21,6 +21,7 @@ __all__ = [
     "Encoder",
     "FrameStamp",
     "frame_text",
+    "functor_name",
     "Installed",
     "second_bytes",
     "text_without",

@@ -17,6 +17,7 @@ from ..prolog.terms import Term, atom
 from .changes import RuleServices
 from .connecting import OUTPUT_EVENT, connect
 from .counting import OutputStatus
+from .dashboard import NodeDashboard
 from .diagnostics import Diagnostics
 from .health import LATE, EngineHealth, Health, NodeHealth, program_health
 from .interface import Interface, Take
@@ -120,6 +121,13 @@ class RetalisNode:
         rospy.loginfo("%s: %s", parameters.program, self.engine.summary())
         self._diagnostics = Diagnostics(
             parameters.diagnostics, NodeHealth(self._interface.inputs, self._outputs, self._engine_health())
+        )
+        self._dashboard = NodeDashboard(
+            parameters.dashboard,
+            parameters.dashboard_queries,
+            self.engine,
+            self._interface.inputs,
+            [*topics.subscribed, *direct],
         )
 
     def _engine_health(self) -> Callable[[], List[Health]]:

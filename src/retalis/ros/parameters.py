@@ -9,6 +9,7 @@ import rospkg
 import rospy
 
 from ..engine import Settings
+from ..engine.dashboard import DASHBOARD_PORT
 from ..events.program import Topics, TopicType, topic_type
 from ..foundation import UsageError, beginning, printable
 from ..messages import BARE
@@ -42,6 +43,8 @@ KNOWN = (
     "max_skew",
     "watchdog",
     "diagnostics",
+    "dashboard",
+    "dashboard_queries",
     "explain",
 )
 
@@ -65,6 +68,8 @@ class Parameters(NamedTuple):
         explain: whether to record what events come from.
         max_skew: how many seconds a stamp may be away from what its topic and frame had so far; None for any number.
         diagnostics: seconds from one message on ``/diagnostics`` to the next; None for none.
+        dashboard: the port of the page that shows the engine; None for no page.
+        dashboard_queries: whether those who have the page may ask.
     """
 
     program: Path
@@ -76,6 +81,8 @@ class Parameters(NamedTuple):
     explain: bool = False
     max_skew: Optional[float] = None
     diagnostics: Optional[float] = 1.0
+    dashboard: Optional[int] = None
+    dashboard_queries: bool = False
 
 
 def read_parameters(arguments: Optional[List[str]] = None) -> Parameters:
@@ -115,7 +122,7 @@ def read_parameters(arguments: Optional[List[str]] = None) -> Parameters:
     )
     return parameters._replace(
         max_skew=_limit("~max_skew", float, None), diagnostics=_limit("~diagnostics", float, 1.0)
-    )
+    )._replace(dashboard=_port("~dashboard"), dashboard_queries=_flag("~dashboard_queries"))
 
 
 def _warn_of_unknown() -> None:
@@ -202,6 +209,16 @@ def _flag(name: str) -> bool:
     value = rospy.get_param(name, False)
     if not isinstance(value, bool):
         raise UsageError(f"parameter {name}: expected true or false, found {value!r}")
+    return value
+
+
+def _port(name: str) -> Optional[int]:
+    """Return the port that a parameter asks for, None for none."""
+    value = rospy.get_param(name, False)
+    if isinstance(value, bool):
+        return DASHBOARD_PORT if value else None
+    if not isinstance(value, int) or not 0 < value < 1 << 16:
+        raise UsageError(f"parameter {name}: expected true, false or the number of a port, found {value!r}")
     return value
 
 

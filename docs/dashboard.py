@@ -1,0 +1,100 @@
+#!/usr/bin/env python3
+"""Make docs/dashboard.png: the page of the NAO example, as headless Chromium shows it.
+
+    docs/dashboard.py [--output FILE] [--width 1280] [--height 1000] [--dark] [--seconds 12]
+    docs/dashboard.py --serve [--port 8088]
+
+Needs Chromium, tornado and rosbags, and no ROS: a bag of the simulated NAO is played as fast as it was recorded.
+With ``--serve`` the page is served as long as the bag lasts, to be looked at with a browser.
+"""
+
+import argparse
+import os
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parent
+sys.path[:0] = [str(ROOT / folder) for folder in ("src", "test", "examples/nao")]
+
+from browser import Browser  # noqa: E402
+from make_bag import make_bag  # noqa: E402
+
+from retalis import BagReader, Playback  # noqa: E402
+from retalis.engine.dashboard import Dashboard, DashboardSource, TopicLook  # noqa: E402
+from retalis.engine.explaining import record_origins  # noqa: E402
+
+TOPICS = (
+    TopicLook("/tf", "tf/tfMessage"),
+    TopicLook("/ar_pose_marker", "ar_pose/ARMarkers"),
+    TopicLook("/face_recognition/feedback", "face_recognition/FaceRecognitionActionFeedback"),
+)
+
+
+def play(playback, bag):
+    """Play a bag as fast as it was recorded."""
+    first, begun = None, time.monotonic()
+    now = playback.clock.now
+
+    def pace(done):
+        nonlocal first
+        first = now() if first is None else first
+        time.sleep(max(0.0, (now() - first) / 1e9 - (time.monotonic() - begun)))
+
+    with BagReader(bag) as reader:
+        for _ in playback.run(reader, pace):
+            pass
+
+
+def main():
+    """Do what the command line says."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--output", type=Path, default=HERE / "dashboard.png")
+    parser.add_argument("--width", type=int, default=1280)
+    parser.add_argument("--height", type=int, help="as high as the page is, if not given")
+    parser.add_argument("--dark", action="store_true")
+    parser.add_argument("--seconds", type=float, default=12.0)
+    parser.add_argument("--serve", action="store_true")
+    parser.add_argument("--port", type=int, default=0)
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        bag = Path(folder) / "nao.bag"
+        make_bag(bag, options.seconds + 10, 1)
+        os.chdir(ROOT)  # the places of rules are shown as from there
+        playback = Playback("application_source", report=print)
+        record_origins(playback.engine)
+        page = Dashboard(
+            DashboardSource(playback.engine, "/retalis", lambda: TOPICS, queries=True), options.port
+        )
+        print(page.url, flush=True)
+        player = threading.Thread(target=play, args=(playback, bag), daemon=True)
+        player.start()
+        if options.serve:
+            player.join()
+        else:
+            options.output.write_bytes(picture(page.url, options))
+        page.close()
+
+
+def picture(url, options):
+    """Return the page as PNG, after it has been open for some seconds."""
+    browser = Browser(options.width, options.height or 1000, options.dark)
+    try:
+        browser.open(url)
+        browser.wait_for(f"Number(document.body?.dataset.looks) >= {options.seconds}")
+        button = "[...document.querySelectorAll('#events tr')].find(row => row.innerText.includes('face_by_marker('))"
+        browser.ask(f"({button} || document).querySelector('button').click()")
+        browser.wait_for("document.getElementById('why-text').textContent.length > 3")
+        browser.resize(options.width, options.height or browser.height())
+        browser.wait_for(f"Number(document.body?.dataset.looks) >= {options.seconds + 2}")
+        print(*browser.console, sep="\n")
+        return browser.picture(whole=options.height is None)
+    finally:
+        browser.close()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,249 @@
+"""A program as a graph: which topics become which events, which rules take them, and where they go."""
+
+from typing import Any, Dict, Hashable, Iterable, Iterator, List, NamedTuple, Optional, Set, Tuple
+
+from ...events.language import SYNCHRONIZED, Occurs, own_terms, walk
+from ...foundation import beginning
+from ...prolog.terms import Atom, Functor, Term, atom, deref, functor, list_items
+from .. import Engine, parts_of
+
+MOST_NODES = 150
+"""Nodes of a graph: nobody can read a larger one."""
+
+MOST_TERMS = 100_000
+"""Terms that are looked at for what goals make and read, in all rules together."""
+
+LONGEST = 200
+"""Characters of a text in a graph."""
+
+_MAKES = frozenset(functor("new_event", arity) for arity in (2, 3, 5))
+_READS = frozenset(
+    functor(name, arity)
+    for name, arity in (
+        *(("prev", 5), ("prev_binary", 5), ("next", 6), ("next_binary", 6), ("next_inf", 5)),
+        *(("access_mem", 3), ("memory_size", 2), ("memory_counter", 2)),
+    )
+)
+
+ANY = "any event"
+
+_NO_EVENT = atom("null_event")
+"""The head of rules that are there for what they do."""
+
+
+class GraphNode(NamedTuple):
+    """Something that events come from, pass or go to.
+
+    Attributes:
+        id: its own.
+        kind: ``topic``, ``event``, ``rule``, ``query``, ``memory`` or ``output``.
+        label: what to call it in short.
+        text: the same at length.
+    """
+
+    id: str
+    kind: str
+    label: str
+    text: str
+
+
+class GraphEdge(NamedTuple):
+    """A way that events take, or what is read on it.
+
+    Attributes:
+        source: the id of a node.
+        target: the same.
+        rate: the name of the counter that says how often it is taken; empty where none does.
+        kind: ``flow``, ``absent`` for an event that must not happen, or ``reads`` for a memory that is asked.
+    """
+
+    source: str
+    target: str
+    rate: str
+    kind: str
+
+
+class Graph(NamedTuple):
+    """A program as a graph; ``left_out`` counts the nodes of the program that have no place in it."""
+
+    nodes: List[GraphNode]
+    edges: List[GraphEdge]
+    left_out: int
+
+
+class GraphTopic(NamedTuple):
+    """A topic that becomes events: its name, and the functor's name of these."""
+
+    name: str
+    event: str
+
+
+def graph_key(engine: Engine, topics: Iterable[GraphTopic]) -> Hashable:
+    """Return a key that is another one when the graph of a program has changed."""
+    parts = parts_of(engine)
+    return (
+        tuple([rule.serial for rule in parts.rules.rules]),
+        tuple([id(one) for one in list(parts.knowledge.memories)]),
+        tuple([id(one) for _, one in parts.knowledge.subscriptions.items()]),
+        tuple(topics),
+    )
+
+
+def program_graph(engine: Engine, topics: Iterable[GraphTopic] = ()) -> Graph:
+    """Return the graph of the program that an engine runs.
+
+    Like `Engine.status` it looks without the engine's lock.
+    """
+    return _GraphBuilder(engine).build(list(topics))
+
+
+class _GraphBuilder:
+    def __init__(self, engine: Engine):
+        self._parts = parts_of(engine)
+        self._nodes: Dict[str, GraphNode] = {}
+        self._edges: Dict[Tuple[str, str, str], GraphEdge] = {}
+        self._left_out: Set[str] = set()
+        self._terms = MOST_TERMS
+
+    def build(self, topics: List[GraphTopic]) -> Graph:
+        for at, rule in enumerate(self._parts.rules.rules):
+            self._rule(at, rule)
+        for instance in list(self._parts.knowledge.memories):
+            self._memory(instance)
+        for (topic, _), one in self._parts.knowledge.subscriptions.items():
+            output = self._node("output", topic, topic)
+            self._edge(self._event(one.listener.pattern), output, f"output:{beginning(topic)}")
+        self._topics(topics)
+        return Graph(list(self._nodes.values()), list(self._edges.values()), len(self._left_out))
+
+    def _topics(self, topics: List[GraphTopic]) -> None:
+        """Add the topics, and the way to their events for each arity that the program takes."""
+        for topic in topics:
+            there = [
+                node
+                for node in self._nodes.values()
+                if node.kind == "event" and node.label.rpartition("/")[0] == topic.event
+            ]
+            source = self._node("topic", topic.name, f"{topic.name} ({topic.event})")
+            for node in there:
+                self._edge(source, node.id, f"topic:{topic.name}")
+
+    def _rule(self, at: int, rule: Any) -> None:
+        definition = rule.definition
+        brief = self._parts.logic.brief
+        text = brief(definition.term, definition.names)
+        label = "" if definition.label is None else brief(definition.label)
+        place = definition.place
+        short = label or (f"{_file(place.source)}:{place.line}" if place is not None else f"rule {at + 1}")
+        node = self._node("rule", f"{at}", text, short)
+        wanted = {id(part) for part in walk(definition.pattern)}
+        goals: List[Term] = []
+        for part in walk(definition.pattern, negated=True):
+            if isinstance(part, Occurs):
+                kind = "flow" if id(part) in wanted else "absent"
+                event = self._event(part.term)
+                self._edge(event, node, event if kind == "flow" else "", kind)
+            else:
+                goals += own_terms(part)
+        self._goals(node, goals)
+        if definition.head is not None:
+            self._head(node, at, deref(definition.head))
+
+    def _head(self, node: str, at: int, head: Term) -> None:
+        """Add the way from a rule to what it fires."""
+        if head is _NO_EVENT:
+            return
+        if head.__class__ is not tuple or head[0] not in SYNCHRONIZED:
+            self._edge(node, self._event(head), f"rule:{at}")
+            return
+        asked = self._parts.logic.brief(deref(head[2]))
+        query = self._node(
+            "query", f"{at}", f"waits for its memories, then asks {asked}", _name(deref(head[2]))
+        )
+        self._edge(node, query, f"rule:{at}")
+        self._edge(query, self._event(deref(head[1])), "")
+        for pair in list_items(head[3]) or ():
+            of_memory = list_items(pair)
+            name = deref(of_memory[0]) if of_memory else None
+            if isinstance(name, Atom):
+                self._edge(_id("memory", name.name), query, "", "reads")
+        self._goals(query, [head[2]])
+
+    def _memory(self, instance: Any) -> None:
+        name = self._parts.logic.brief(instance.id)
+        plain = getattr(instance.id, "name", name)
+        memory = self._node("memory", plain, f"memory {name}", name)
+        self._edge(self._event(instance.recorder.pattern), memory, f"memory:{name}")
+
+    def _goals(self, node: str, goals: List[Term]) -> None:
+        """Add the events that goals make and the memories that they read, and so those of the clauses they call."""
+        for term in self._called(goals):
+            if term[0] in _MAKES:
+                event = self._event(deref(term[1]))
+                self._edge(node, event, event)
+            elif term[0] in _READS:
+                name = deref(term[1])
+                if isinstance(name, Atom):
+                    self._edge(_id("memory", name.name), node, "", "reads")
+
+    def _called(self, goals: List[Term]) -> Iterator[Any]:
+        """Yield all compound terms in goals and in the program's clauses that they name."""
+        predicates = self._parts.logic.database.predicates
+        seen: Set[Functor] = set()
+        left = list(goals)
+        while left and self._terms > 0:
+            self._terms -= 1
+            term = deref(left.pop())
+            key = _functor(term)
+            if key is None:
+                continue
+            if key not in seen:
+                seen.add(key)
+                predicate = predicates.get(key)
+                if predicate is not None and not predicate.library:
+                    left += [clause.body for clause in predicate.live() if not clause.fact]
+            if term.__class__ is tuple:
+                yield term
+                left += term[1:]
+
+    def _event(self, pattern: Term) -> str:
+        """Return the node of the events of a pattern."""
+        key = _functor(deref(pattern))
+        if key is None:
+            return self._node("event", ANY, "events of all kinds")
+        return self._node("event", str(key), str(key))
+
+    def _node(self, kind: str, name: str, text: str, label: str = "") -> str:
+        """Return the id of a node, which is made where it is not there; the id of none where there are too many."""
+        found = _id(kind, name)
+        if found not in self._nodes:
+            if len(self._nodes) >= MOST_NODES:
+                self._left_out.add(found)
+            else:
+                self._nodes[found] = GraphNode(
+                    found, kind, beginning(label or name), beginning(text, LONGEST)
+                )
+        return found
+
+    def _edge(self, source: str, target: str, rate: str, kind: str = "flow") -> None:
+        self._edges.setdefault((source, target, kind), GraphEdge(source, target, rate, kind))
+
+
+def _id(kind: str, name: str) -> str:
+    return f"{kind}:{beginning(name)}"
+
+
+def _functor(term: Term) -> Optional[Functor]:
+    """Return the functor of an atom or a compound term."""
+    found: Optional[Functor] = term[0] if term.__class__ is tuple else getattr(term, "functor", None)
+    return found
+
+
+def _name(goal: Term) -> str:
+    """Return what a goal calls."""
+    key = _functor(goal)
+    return "query" if key is None else key.name
+
+
+def _file(source: Optional[str]) -> str:
+    return (source or "").rpartition("/")[2]

@@ -1,0 +1,111 @@
+"""The page of node retalis: a dashboard of its engine, with what the nodes tell of their topics."""
+
+from typing import Any, Callable, Dict, List, Optional, Sequence
+
+import rospy
+
+from ..engine import Engine
+from ..engine.dashboard import Dashboard, DashboardSource, TopicLook
+from ..events.program import TopicType
+from ..foundation import UsageError
+from ..prolog.terms import SECOND
+from .counting import InputStatus
+from .diagnostics import HARDWARE, TOPIC
+from .names import INPUT, OUTPUT
+
+_MARK = ": input "
+"""What stands between the names of node and topic in what a node tells of a topic on ``/diagnostics``."""
+
+MOST_TOLD = 200
+"""Topics of other nodes that are remembered."""
+
+
+class NodeDashboard:
+    """Serves the page as long as the node runs; where that cannot be, a warning says why, and the node goes on.
+
+    Args:
+        port: where, on the loopback address; None for no page.
+        queries: whether those who have the page may ask.
+        engine: is shown.
+        inputs: gives what has come on the topics that the node subscribes itself.
+        named: the topics that the program names, whoever subscribes them.
+    """
+
+    def __init__(
+        self,
+        port: Optional[int],
+        queries: bool,
+        engine: Engine,
+        inputs: Callable[[], Sequence[InputStatus]],
+        named: Sequence[TopicType],
+    ):
+        self._inputs = inputs
+        self._named = [TopicLook(rospy.resolve_name(one.topic), one.type) for one in named]
+        self._told: Dict[str, TopicLook] = {}
+        if port is None:
+            return
+        source = DashboardSource(engine, rospy.get_name(), self.topics, queries)
+        try:
+            page = Dashboard(source, port)
+        except UsageError as error:
+            rospy.logwarn("%s; the node goes on without it", error)
+            return
+        self._listen()
+        rospy.on_shutdown(page.close)
+        rospy.loginfo("the dashboard is at %s", page.url)
+
+    def topics(self) -> List[TopicLook]:
+        """Return all topics that become events, with what is known of each."""
+        found = {one.name: one for one in self._named}
+        found.update(self._told)
+        found.update({one.topic: _look(one) for one in self._inputs()})
+        between = {rospy.resolve_name(name) for name in (INPUT, OUTPUT)}
+        return [one for name, one in found.items() if name not in between]
+
+    def _listen(self) -> None:
+        """Take what the ROS interface tells of its topics, where it is another node."""
+        try:
+            from diagnostic_msgs import msg  # noqa: PLC0415 - a node runs without it
+        except ImportError:
+            return
+        self._subscriber = rospy.Subscriber(TOPIC, msg.DiagnosticArray, self._take, queue_size=10)
+
+    def _take(self, message: Any) -> None:
+        """Note what is told of topics by nodes of this package in the same namespace."""
+        own = rospy.get_name().strip("/")
+        space = own.rpartition("/")[0]
+        for status in message.status:
+            node, mark, topic = status.name.partition(_MARK)
+            if mark and status.hardware_id == HARDWARE and node != own and node.rpartition("/")[0] == space:
+                values = {value.key: value.value for value in status.values}
+                if topic in self._told or len(self._told) < MOST_TOLD:
+                    self._told[topic] = _told_look(topic, values)
+
+
+def _look(one: InputStatus) -> TopicLook:
+    lag = None if one.lag is None else one.lag / SECOND
+    lost = one.dropped + one.refused
+    return TopicLook(one.topic, one.type, one.messages, one.publishers, lost, one.age, lag)
+
+
+def _told_look(topic: str, values: Dict[str, str]) -> TopicLook:
+    """Return what another node tells of a topic; see `InputHealth.of`."""
+    messages, publishers = _number(values, "messages"), _number(values, "publishers")
+    return TopicLook(
+        topic,
+        values.get("type", ""),
+        None if messages is None else int(messages),
+        None if publishers is None else int(publishers),
+        int((_number(values, "dropped") or 0) + (_number(values, "refused") or 0)),
+        _number(values, "last message (s ago)"),
+        _number(values, "lag (s)"),
+    )
+
+
+def _number(values: Dict[str, str], key: str) -> Optional[float]:
+    """Return a finite number that is told; None where there is none."""
+    try:
+        found = float(values.get(key, ""))
+    except ValueError:
+        return None
+    return found if abs(found) < float("inf") else None
