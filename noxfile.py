@@ -22,7 +22,11 @@ def _install(session: nox.Session) -> None:
     """Install what the tests need; on Python 3.8 the oldest versions that are promised."""
     oldest = session.python == "3.8"
     session.install(
-        "-r", "requirements-oldest.txt" if oldest else "requirements.txt", "pytest>=7", "hypothesis"
+        "-r",
+        "requirements-oldest.txt" if oldest else "requirements.txt",
+        "pytest>=7",
+        "hypothesis",
+        "tornado>=6",
     )
     session.env["PYTHONPATH"] = ""  # the packages of a sourced ROS are for another Python
 
@@ -56,7 +60,7 @@ def everything(session: nox.Session) -> None:
 @nox.session
 def style(session: nox.Session) -> None:
     """Ruff and mypy, without ROS."""
-    session.install("-r", "requirements.txt", "ruff", "mypy", "types-PyYAML")
+    session.install("-r", "requirements.txt", "ruff", "mypy", "types-PyYAML", "tornado>=6")
     session.run("ruff", "check", ".")
     session.run("ruff", "format", "--check", ".")
     session.run("mypy", *(LENIENT if sys.version_info < (3, 9) else ()))

@@ -8,6 +8,7 @@ import rospkg
 rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 
 from retalis.engine import Settings  # noqa: E402
+from retalis.engine.dashboard import DASHBOARD_PORT  # noqa: E402
 from retalis.events.program import Topics, TopicType  # noqa: E402
 from retalis.foundation import UsageError  # noqa: E402
 from retalis.prolog.machine import Limits  # noqa: E402
@@ -159,3 +160,15 @@ def test_an_unknown_parameter_is_warned_of(monkeypatch):
     assert warned[0] == "there is no parameter ~max_second; did you mean ~max_seconds?"
     assert warned[1].startswith("there is no parameter ~quick; the parameters are ~program, ~direct, ")
     assert len(warned) == 2
+
+
+def test_the_page_is_off_by_default_and_has_a_port(read):
+    assert (read().dashboard, read().dashboard_queries) == (None, False)
+    assert read(dashboard=True).dashboard == DASHBOARD_PORT
+    assert read(dashboard=9000).dashboard == 9000
+    assert read(dashboard_queries=True).dashboard_queries
+    for wrong in (0, -1, 1 << 16, "yes", 80.5):
+        with pytest.raises(
+            UsageError, match="parameter ~dashboard: expected true, false or the number of a port"
+        ):
+            read(dashboard=wrong)

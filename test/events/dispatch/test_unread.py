@@ -5,9 +5,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from retalis.engine import Engine, parts_of
-from retalis.events.dispatch import NOT_READ
+from retalis.events.dispatch import NOT_READ, Stage
 from retalis.events.dispatch import unread as room
-from retalis.prolog.terms import atom, functor
+from retalis.prolog.terms import Var, atom, functor
 
 IMAGE = functor("image", 3)
 SEEN = "subscribe(seen(_,_), [], _, t, seen)"
@@ -167,3 +167,20 @@ def test_nobody_can_tell(parts, goals, events):
         records = [engine.query(f"access_mem({name}, R, I)") for name in ("m", "m2", "m3")]
         seen.append((engine.outputs, [[engine.show(one["R"]) for one in found] for found in records]))
     assert seen[0] == seen[1]
+
+
+def test_one_who_takes_events_as_they_come_has_nothing_made_for_it():
+    engine = made("seen(H, 1) <- image(H, _, _).")
+    assert told(engine) == {2, 3}
+    event, found = Var(), []
+
+    def see(term, values, start, end, after):
+        found.append(term)
+        return after
+
+    parts_of(engine).dispatcher.listen(Stage.TRACE, event, see, looks_on=True, unused={event})
+    assert told(engine) == {2, 3}
+    engine.event_at(IMAGE(atom("a"), NOT_READ, NOT_READ), 1, 1)
+    assert found[0] == IMAGE(atom("a"), NOT_READ, NOT_READ)
+    engine.on_event(lambda term, start, end: None)
+    assert told(engine) == set()
