@@ -86,7 +86,7 @@ class Answers:
         """Say why one of the last events happened; it is named by its number, so that no text is read."""
         if not records_origins(self._engine):
             return {"error": NOT_RECORDED}
-        serial = asked.get("serial")
+        serial: Any = asked.get("serial")
         event = self._events.find(serial) if serial.__class__ is int else None
         if event is None:
             return {"error": GONE}
