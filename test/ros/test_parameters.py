@@ -52,6 +52,14 @@ def test_any_stamp_is_taken_where_no_limit_is_given(read):
         read(max_skew="much")
 
 
+def test_any_gap_may_be_interpolated_over_where_no_limit_is_given(read):
+    assert read().settings.max_gap is None
+    assert read(max_gap=0).settings.max_gap is None
+    assert read(max_gap=0.5).settings.max_gap == 0.5
+    with pytest.raises(UsageError, match="~max_gap"):
+        read(max_gap=-1)
+
+
 def test_the_first_argument_is_the_package_and_a_program_wins(read):
     assert read("/here").program == Path("/here/application_source")
     assert read("/here", program="/there").program == Path("/there")

@@ -49,6 +49,12 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         metavar="SECONDS",
         help="leave out messages whose stamp is further away from those before on their topic and frame; 0: none",
     )
+    parser.add_argument(
+        "--max-gap",
+        type=from_zero(float),
+        metavar="SECONDS",
+        help="interpolate over no gap that is wider than that; 0: any",
+    )
     parser.add_argument("--quiet", action="store_true", help="print no outputs")
     add_limits(parser)
     add_folders(parser)
@@ -61,6 +67,7 @@ def run(options: argparse.Namespace) -> int:
     with ExitStack() as stack:
         reader = stack.enter_context(BagReader(options.bag))
         settings = limited(allow_folders(Settings(), options), options)
+        settings = settings._replace(max_gap=options.max_gap or None)
         limit = options.max_skew or None
         playback = Playback(options.program, report, _topics(options.topic), settings, limit)
         writer = None

@@ -27,6 +27,8 @@ class Settings(NamedTuple):
         patience: how many seconds a call from another thread waits for one callback, see `Engine`.
         write_folders: where goals may write files, and read them; None means anywhere. Files whose place nobody
             names, as that of persistent events, are written in the first of them.
+        max_gap: the value of flag ``max_gap`` as long as the program sets no other: how many seconds apart two
+            instants may be for ``datime_interpolate/4``.
         max_file_megabytes: how large a file may be that a program reads or writes.
     """
 
@@ -41,3 +43,4 @@ class Settings(NamedTuple):
     patience: float = 10.0
     write_folders: Optional[Tuple[str, ...]] = ()
     max_file_megabytes: int = 100
+    max_gap: Optional[float] = None

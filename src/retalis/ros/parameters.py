@@ -41,6 +41,7 @@ KNOWN = (
     "max_inferences",
     "max_megabytes",
     "max_skew",
+    "max_gap",
     "watchdog",
     "diagnostics",
     "dashboard",
@@ -108,6 +109,7 @@ def read_parameters(arguments: Optional[List[str]] = None) -> Parameters:
         allow_foreign=_flag("~allow_foreign"),
         folders=_folders("~folders"),
         write_folders=_folders("~write_folders"),
+        max_gap=_limit("~max_gap", float, None),
     )
     file_size = _number("~max_file_megabytes", int)
     if file_size is not None:

@@ -53,10 +53,11 @@ class Reports:
         trace = "".join(traceback.format_exception(type(error), error, error.__traceback__))
         self._log(logging.ERROR, kind or repr(error), f"internal error\n{trace}")
 
-    def warning(self, problem: object, kind: object = None, texts: int = 1) -> None:
+    def warning(self, problem: object, kind: object = None, texts: int = 1, once: bool = False) -> None:
         """Log a warning; those of one ``kind`` (its place or text by default) count together.
 
-        So many ``texts`` of a kind that read differently are logged in any case.
+        So many ``texts`` of a kind that read differently are logged in any case. Of what is to be said ``once`` the
+        first is logged, and `sum_up` tells the rest.
 
         >>> reports = Reports()
         >>> reports.warning("the battery is low")
@@ -65,7 +66,7 @@ class Reports:
         """
         self.warnings += 1
         key = kind or getattr(problem, "place", None) or str(problem)
-        self._log(logging.WARNING, key, str(problem), texts)
+        self._log(logging.WARNING, key, str(problem), texts, once)
 
     def sum_up(self) -> None:
         """Say of all that came more often than was logged how often it came.
@@ -83,7 +84,7 @@ class Reports:
             log.warning("%d more problems were not shown", self._others)
             self._others = 0
 
-    def _log(self, level: int, key: object, text: str, texts: int = 1) -> None:
+    def _log(self, level: int, key: object, text: str, texts: int = 1, once: bool = False) -> None:
         key = hash(key)
         text = printable(beginning(text, LONGEST))
         kind = self._kinds.get(key)
@@ -96,7 +97,7 @@ class Reports:
         is_new = len(kind.texts) < texts and hash(text) not in kind.texts
         if is_new:
             kind.texts.add(hash(text))
-        elif times & (times - 1) or self.once:
+        elif times & (times - 1) or once or self.once:
             return
         kind.told = times
         log.log(level, "%s", text if is_new else f"{text}\n({times} times so far)")

@@ -9,6 +9,7 @@ from ...prolog.machine import Frame, Machine, instantiation_error, type_error
 from ...prolog.terms import Atom, Term, Var, deref, functor
 from ..dispatch import Dispatcher
 from .conditions import Behind
+from .gaps import Gaps
 from .memories import Memories, define_read_access, enumerate_records
 from .recorder import Instance
 from .recording import Warn, key_of
@@ -26,6 +27,7 @@ class Knowledge:
 
     Attributes:
         on_conditions: called with the conditions of each memory and subscription that is made, and its name.
+        gaps: decides over what distance in time may be interpolated.
 
     Args:
         logic: where the goals are defined.
@@ -47,6 +49,8 @@ class Knowledge:
         self._warn = warn
         self.on_conditions: Callable[[Term, str], None] = lambda conditions, who: None
         self.memories = Memories(logic, dispatcher, clock.stamp, warn)
+        self.gaps = Gaps(logic.brief, warn)
+        self.memories.on_create = self.gaps.watch
         self.waiting = WaitingQueries(logic, dispatcher, self.memories, warn, clock)
         self.subscriptions = Subscriptions(logic, dispatcher, deliver, warn)
         self._define()
@@ -54,6 +58,7 @@ class Knowledge:
     def clear(self) -> None:
         """Forget records and waiting queries (the clock went back); instances and subscriptions stay."""
         self.memories.clear()
+        self.gaps.clear()
         self.waiting.clear()
 
     def mend(self) -> None:
@@ -87,6 +92,7 @@ class Knowledge:
     def _define(self) -> None:
         logic = self._logic
         define_read_access(logic, self.memories)
+        self.gaps.define(logic, self.memories)
         logic.define_nondeterministic("access_mem", 3, enumerate_records(self.memories))
         self._define_size("memory_size", attrgetter("memory.size"))
         self._define_size("memory_counter", attrgetter("memory.added"))

@@ -46,6 +46,7 @@ class Memories:
         on_update: called with an instance whose next waiting query is due, the end of the event that was
             recorded, and the next frame; returns the frame to go on with.
         on_delete: called with an instance that is deleted.
+        on_create: called with an instance that is made.
     """
 
     def __init__(
@@ -64,6 +65,7 @@ class Memories:
         self._updates = dispatcher.gate(UPDATED)
         self.on_update: Follow = lambda instance, end, after: after
         self.on_delete: Callable[[Instance], None] = lambda instance: None
+        self.on_create: Callable[[Instance], None] = lambda instance: None
 
     def __iter__(self) -> Iterator[Instance]:
         return iter(list(self.instances.values()))
@@ -99,6 +101,7 @@ class Memories:
         if size < 0:
             raise domain_error("not_less_than_zero", size)
         instance = Instance(name, size, active)
+        self.on_create(instance)
         recorder = self._recorder(pattern, conditions, form, name)
         self.instances[key] = instance
         recorder.add(instance)

@@ -1,9 +1,12 @@
 """One memory instance: the newest N records of a kind of event, in order of their end times."""
 
 from bisect import bisect_left, bisect_right
-from typing import Iterator, List, Optional, Tuple
+from typing import Callable, Iterator, List, Optional, Tuple
 
 from ...prolog.terms import Term
+
+WIDE = 10
+"""By which factor a step between two records is wider than the others for it to be told of."""
 
 MemoryRecord = Tuple[Term, int, int]
 """What a memory keeps of an event: the record and the event's interval, start and end as instants."""
@@ -24,9 +27,10 @@ class Memory:
         ends: the ends of the records, as plain integers, which compare faster than other forms of instants;
             read-only outside of this package.
         records: the records, at the same places.
+        on_wide: called with the two ends where a look-up falls between records that may be unusually far apart.
     """
 
-    __slots__ = ("size", "room", "late", "ends", "records", "_gone", "_next")
+    __slots__ = ("size", "room", "late", "ends", "records", "on_wide", "_gone", "_next")
 
     def __init__(self, size: int):
         self.size = size
@@ -37,6 +41,7 @@ class Memory:
         """What it is becoming, where that takes several steps: an interrupt may come between them."""
         self.ends: List[int] = []
         self.records: List[MemoryRecord] = []
+        self.on_wide: Callable[[int, int], object] = lambda start, end: None
 
     def clear(self) -> None:
         """Forget all records; the counts stay."""
@@ -107,7 +112,12 @@ class Memory:
         held = len(ends)
         first = held - self.size
         at = bisect_left(ends, instant) if first <= 0 else bisect_left(ends, instant, first)
-        return self.records[at] if at < held else None
+        if at >= held:
+            return None
+        start, end = ends[at - 1], ends[at]  # the last one before the first: no gap then
+        if (end - start) * (held + WIDE - 2) >= WIDE * (ends[-1] - ends[0]) and start < end:
+            self.on_wide(start, end)  # at least ten times the mean of the other steps
+        return self.records[at]
 
     def newest_first(self) -> Iterator[MemoryRecord]:
         """Yield the records there are at this moment, newest first."""

@@ -23,6 +23,7 @@ _READS = frozenset(
         ("access_mem", 3),
         ("memory_size", 2),
         ("memory_counter", 2),
+        ("memory_gap", 3),
     )
 )
 _WAITS = frozenset(functor(name, arity) for name in ("synchronized", "syncronized") for arity in (3, 4))

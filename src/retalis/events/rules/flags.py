@@ -30,6 +30,7 @@ FLAGS: Dict[str, Flag] = {
     "garbage_control": Flag(atom("off"), ("off", "general", "pattern")),
     "garbage_window": Flag(-1, ()),
     "garbage_window_step": Flag(-1, ()),
+    "max_gap": Flag(-1, ()),
     "logging": _switch(),
     "logging_to_file": _switch(),
     "store_fired_events": _switch(),
@@ -48,11 +49,16 @@ class Flags:
 
     Args:
         changed: called with the name of a flag that was given another value.
+
+    Attributes:
+        followers: called with the value of a flag that is a number, by its name, when that has changed.
     """
 
     def __init__(self, changed: Callable[[str], None]):
         self._changed = changed
-        self._values: Dict[str, Term] = {name: flag.default for name, flag in FLAGS.items()}
+        self._defaults: Dict[str, Term] = {name: flag.default for name, flag in FLAGS.items()}
+        self._values = dict(self._defaults)
+        self.followers: Dict[str, Callable[[float], None]] = {}
         self._changing: Optional[str] = None
 
     def get(self, name: str) -> Optional[Term]:
@@ -81,19 +87,29 @@ class Flags:
         if value != self._values[name]:
             self._changing = name
             self._values[name] = value
-            self._changed(name)
+            self._tell(name)
             self._changing = None
+
+    def set_default(self, name: str, value: Term) -> None:
+        """Set a flag, also to come back to when all are reset."""
+        self.set(name, value)
+        self._defaults[name] = value
+
+    def _tell(self, name: str) -> None:
+        self._changed(name)
+        if name in self.followers:
+            self.followers[name](self.number(name))
 
     def mend(self) -> None:
         """Have what follows from a flag be done that was being set when an interrupt came."""
         if self._changing is not None:
-            self._changed(self._changing)
+            self._tell(self._changing)
             self._changing = None
 
     def reset(self) -> None:
         """Set all flags to their defaults."""
-        for name, flag in FLAGS.items():
-            self.set(name, flag.default)
+        for name, value in self._defaults.items():
+            self.set(name, value)
 
     def is_on(self, name: str) -> bool:
         """Tell whether a switch is on."""

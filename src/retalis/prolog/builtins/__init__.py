@@ -28,7 +28,7 @@ from . import (  # noqa: F401  (imported for what they register)
     timing,
 )
 from .arguments import callable_of, integer
-from .datimes import instant_of
+from .datimes import instant_of, weight_of_first
 from .dcg import translate_rule
 from .portraying import OutputCapture
 from .registry import ENTRIES, control
@@ -41,6 +41,7 @@ __all__ = [
     "default_flags",
     "ENTRIES",
     "instant_of",
+    "weight_of_first",
     "integer",
     "translate_rule",
 ]

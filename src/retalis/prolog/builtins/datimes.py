@@ -68,7 +68,11 @@ def convert_to_datime(time: Term) -> Term:
 @function("datime_interpolate/4")
 def datime_interpolate(first: Term, second: Term, at: Term) -> Term:
     """Give the weight of the first of two stamps at an instant: 1 at the first, 0 at the second."""
-    start, end, middle = instant_of(first), instant_of(second), instant_of(at)
+    return weight_of_first(instant_of(first), instant_of(second), instant_of(at))
+
+
+def weight_of_first(start: int, end: int, middle: int) -> Number:
+    """Return the weight of the first of two instants."""
     return 1 if start == end else (int(end) - int(middle)) / (int(end) - int(start))
 
 
