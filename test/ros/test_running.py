@@ -127,8 +127,10 @@ def test_a_program_that_is_not_there(devel, master, node, tmp_path, name):
     assert devel.state() == (set(), set())
 
 
-@pytest.mark.parametrize("name", NODES)
-def test_during_the_imports(name):
+@pytest.mark.parametrize(
+    "name, numbers", [*((name, SIGNALS) for name in NODES), ("retalis", [signal.SIGINT])]
+)
+def test_during_the_imports(name, numbers):
     script = Path(__file__).resolve().parents[2] / "nodes" / name
     code = f"""
 import sys
@@ -143,7 +145,7 @@ sys.meta_path.insert(0, Finder())
 exec(open({str(script)!r}).read())
 """
     command = [sys.executable, "-c", code]
-    for number in SIGNALS:
+    for number in numbers:
         with subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
         ) as it:
