@@ -6,6 +6,7 @@ from retalis.engine import Engine, Work
 from retalis.ros.counting import InputCounts, InputStatus, OutputStatus
 from retalis.ros.health import (
     LISTED,
+    MOST_TOPICS,
     QUIET,
     RECENT,
     Changes,
@@ -148,6 +149,25 @@ def test_what_is_listed_is_bounded():
     assert len(found.values) == LISTED + 1 and found.values[-1] == ("further queries", str(500 - LISTED))
     program = program_health([], [str(number) for number in range(100)])
     assert program.level is Level.WARN and program.values[-1] == ("further ones", str(100 - LISTED))
+
+
+def test_of_many_topics_those_that_somebody_has_to_look_at_are_told_of():
+    wrong = TOPIC._replace(topic="/wrong", dropped=1)
+    topics = [*(TOPIC._replace(topic=f"/t{at}") for at in range(300)), TOPIC._replace(publishers=0), wrong]
+    found = NodeHealth(lambda: topics, list, list).look()
+    assert [one.name for one in found[:2]] == ["input /wrong", "input /tf"]
+    assert len(found) == MOST_TOPICS + 2
+    assert found[-2].name == "further inputs" and found[-2].message.startswith("102 ")
+
+
+def test_more_rules_with_errors_than_are_looked_at():
+    engine = Engine()
+    engine.load(rules="\n".join(f"a{at} <- b({at}) where 1 < X." for at in range(150)))
+    for at in range(150):
+        engine.event(f"b({at})", 1)
+    engine.event("b(149)", 2)
+    found = engine_levels(engine)["rules"]
+    assert found.message == "101 errors in 100 rules or more"
 
 
 def test_a_program_that_did_not_load():

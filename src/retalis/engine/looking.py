@@ -134,10 +134,10 @@ def _letters(term: Term) -> Dict[Var, str]:
 def _rules(
     rules: Rules, text: _Text, show: Callable[[Term], str], most: int
 ) -> Tuple[Tuple[RuleStatus, ...], int]:
-    """Return what is to be told of rules, and how many are left out: those without errors first."""
+    """Return what is to be told of rules, and how many are left out: those with the fewest errors first."""
     found = rules.rules
     if len(found) > most:
-        chosen = set(sorted(found, key=lambda rule: rule.firings.errors == 0)[: max(0, most)])
+        chosen = set(sorted(found, key=lambda rule: -rule.firings.errors)[: max(0, most)])
         found = [rule for rule in found if rule in chosen]
 
     def told(rule: Any) -> RuleStatus:

@@ -207,7 +207,7 @@ class Status(NamedTuple):
         alarms: how many alarms are set.
         next_alarm: the instant of the next one; None where there is none.
         work: what the engine is busy with; None while it is idle.
-        rules: the rules, the oldest first; where not all are listed, those that had errors are.
+        rules: the rules, the oldest first; where not all are listed, those that had most errors are.
         memories: the memories, the oldest first.
         subscriptions: the subscriptions, the oldest first.
         waiting: the queries that wait, the oldest first.

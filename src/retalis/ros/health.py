@@ -239,10 +239,11 @@ class EngineHealth:
         values = [(_name_of(rule), f"{rule.errors} errors") for rule in wrong[:LISTED]]
         if len(wrong) > LISTED:
             values.append(("further rules", str(len(wrong) - LISTED)))
+        total = len(status.rules) + status.left_out.rules
         if not wrong:
-            total = len(status.rules) + status.left_out.rules
             return Health("rules", Level.OK, f"{total} rules without errors", values)
-        text = f"{number} errors in {len(wrong)} rules"
+        more = " or more" if len(wrong) == len(status.rules) < total else ""
+        text = f"{number} errors in {len(wrong)} rules{more}"
         return Health("rules", Level.ERROR if recent else Level.WARN, text, values)
 
     def _queries(self, now: float, status: Status) -> Health:
@@ -338,9 +339,18 @@ class NodeHealth:
     def look(self) -> List[Health]:
         """Return how everything is."""
         now = time.monotonic()
-        inputs = self._inputs()[:MOST_TOPICS]
+        inputs = self._inputs()
         self._of_inputs.forget_others({one.topic for one in inputs})
-        found = [self._of_inputs.of(now, one) for one in inputs]
-        found += [output_health(now, self._changes, one) for one in self._outputs()[:MOST_TOPICS]]
+        taken = [self._of_inputs.of(now, one) for one in inputs]
+        sent = [output_health(now, self._changes, one) for one in self._outputs()]
         self._changes.end()
-        return [*found, *self._further(), memory_health()]
+        return [*_worst(taken, "inputs"), *_worst(sent, "outputs"), *self._further(), memory_health()]
+
+
+def _worst(found: List[Health], what: str) -> List[Health]:
+    """Return those that somebody has to look at first, and how many are left out."""
+    if len(found) <= MOST_TOPICS:
+        return found
+    chosen = sorted(found, key=lambda one: (one.level is not Level.ERROR, -one.level))[:MOST_TOPICS]
+    left = f"{len(found) - MOST_TOPICS} are not told of, none of them worse than those"
+    return [*chosen, Health(f"further {what}", Level.OK, left, [])]
