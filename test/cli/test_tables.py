@@ -7,7 +7,7 @@ def test_plain_values_and_tables():
     found = report(
         {"node": "/a", "memories": [{"id": "m", "size": 10}, {"id": "long", "size": 2}], "none": []}
     )
-    assert found == ["node  /a", "none", "", "memories", "  id    size", "  m     10", "  long  2"]
+    assert found == ["node  /a", "none  -", "", "memories", "  id    size", "  m     10", "  long  2"]
 
 
 def test_what_is_long_or_has_lines_is_shown_in_one_short_line():
@@ -18,6 +18,15 @@ def test_records_in_records():
     assert report({"work": {"what": "a", "seconds": 1.5}, "x": [1, 2]}) == [
         "work  what a, seconds 1.5",
         "x     1; 2",
+    ]
+
+
+def test_instants_are_shown_to_the_microsecond_and_none_as_a_dash():
+    assert report({"now": 1795367020.25, "lag": 0.000012, "at": 7.0, "oldest": None}) == [
+        "now     1795367020.25",
+        "lag     0.000012",
+        "at      7",
+        "oldest  -",
     ]
 
 

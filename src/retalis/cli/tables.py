@@ -55,12 +55,14 @@ def _is_table(value: Any) -> bool:
 
 def _shown(value: Any) -> str:
     """Return a value in one line that is not too long."""
-    if isinstance(value, Mapping):
+    if value is None or value == []:
+        text = "-"
+    elif isinstance(value, Mapping):
         text = ", ".join(f"{name} {_shown(part)}" for name, part in value.items())
     elif isinstance(value, list):
         text = "; ".join(map(_shown, value))
     elif isinstance(value, float):
-        text = f"{value:.10g}"
+        text = f"{value:.6f}".rstrip("0").rstrip(".")
     else:
         text = str(value)
     text = " ".join(text.split())
