@@ -1,6 +1,7 @@
 """The command line on a node that runs."""
 
 import json
+import signal
 import subprocess
 
 import pytest
@@ -46,10 +47,42 @@ def test_goals_are_asked(node):
     assert answered == "X = 1 ;\nX = 2.\nfalse.\n"
     listed = json.loads(said(node, "list", "--json"))
     assert [memory["id"] for memory in listed["memories"]][:2] == ["odom_base", "base_torso"]
+    assert listed["memories"][0]["oldest"] is None and listed["inputs"][0]["age"] is None
     shown = said(node, "status")
     assert shown.startswith("node  ") and "\nmemories\n  id " in shown
     assert said(node, "complete", "nodes") == "/retalis\n"
     assert "odom_base" in said(node, "complete", "memories").splitlines()
+
+
+def test_numbers_that_cannot_be_are_told_in_a_line(node):
+    for stamp in ("1e12", "-1", "nan"):
+        told = said(node, "query", "true", "--stamp", stamp, wrong=True)
+        assert told.startswith("retalis: --stamp: expected seconds since the epoch") and told.count("\n") == 1
+    for every in ("0", "nan", "inf"):
+        told = said(node, "status", "--every", every, wrong=True)
+        assert told.startswith("retalis: --every: expected a number above 0") and told.count("\n") == 1
+
+
+def test_the_interface_is_listed_too(node):
+    node.start("rosrun", "retalis", "retalis_ros_converter.py", "__name:=retalis_ros_interface")
+    node.expect(lambda found, services: "/retalis_ros_interface/list" in services)
+    listed = json.loads(said(node, "list", "--json", "--node", "/retalis_ros_interface"))
+    assert "/retalisOutputEvents" in [topic["topic"] for topic in listed["inputs"]]
+    told = said(node, "query", "true", "--node", "/retalis_ros_interface", wrong=True)
+    assert "has no service ~query: it is a ROS interface, or of an older version" in told
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_one_who_watches_and_is_ended_leaves_no_subscription(node, number):
+    watching = subprocess.Popen(node.command(*LIVE, "watch", "--event", "fever_(_)"), env=node.env)
+    try:
+        assert any("fever_" in said(node, "list") for _ in range(30))
+        watching.send_signal(number)
+        assert watching.wait(timeout=60) == 128 + number
+    finally:
+        watching.kill()
+    assert "fever_" not in said(node, "list")
+    assert "has no type" not in node.printed()
 
 
 def test_outputs_and_events_are_watched(node):

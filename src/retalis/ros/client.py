@@ -1,13 +1,14 @@
 """A node that runs, as the command line reaches it: finding it, and calling its services."""
 
 import socket
-from typing import Any, Dict, List, Optional, Set, Tuple
+from typing import Any, Container, Dict, List, Optional, Set, Tuple
 
 import genpy
 import rosgraph
 import rospy
 
 from ..foundation import UsageError
+from .listing import NEVER
 
 MARK = "/add_memory"
 """How a service's name ends that all of our nodes have, old and new."""
@@ -64,7 +65,7 @@ class LiveNode:
     def __init__(self, wanted: Optional[str] = None):
         topics, self._services = master_state()
         found = nodes_of(self._services)
-        self.name = _chosen(found, wanted)
+        self.name = _chosen(found, wanted, self._services)
         self.published = sorted(topic for topic, nodes in topics.items() if self.name in nodes)
 
     def call(self, service: str, kind: Any, **fields: Any) -> Any:
@@ -80,7 +81,9 @@ class LiveNode:
         """
         name = f"{self.name}/{service}"
         if self.name not in self._services.get(name, ()):
-            raise UsageError(f"node {self.name} has no service ~{service}: it is of an older version")
+            raise UsageError(
+                f"node {self.name} has no service ~{service}: it is a ROS interface, or of an older version"
+            )
         return self._call(name, kind, fields)
 
     def call_shared(self, service: str, kind: Any, **fields: Any) -> Any:
@@ -97,10 +100,10 @@ class LiveNode:
             raise UsageError(f"service {name} does not answer: {error}") from error
 
 
-def _chosen(found: List[str], wanted: Optional[str]) -> str:
+def _chosen(found: List[str], wanted: Optional[str], services: Container[str]) -> str:
     if wanted is not None:
         name = str(rosgraph.names.resolve_name(wanted, "/retalis_command_line"))
-        if name not in found:
+        if name not in found and f"{name}/list" not in services:  # which the ROS interface has too
             raise UsageError(f"there is no node {name}; {_there(found)}")
         return name
     if len(found) != 1:
@@ -113,13 +116,15 @@ def _there(found: List[str]) -> str:
 
 
 def plain(message: Any) -> Any:
-    """Return a message as dictionaries, lists and plain values; times as seconds."""
+    """Return a message as dictionaries, lists and plain values; times as seconds, None where there is none."""
     if isinstance(message, genpy.Message):
         return {name: plain(getattr(message, name)) for name in message.__slots__}
     if isinstance(message, (list, tuple)):
         return [plain(one) for one in message]
     if isinstance(message, genpy.TVal):
-        return message.to_sec()
+        nanoseconds = message.to_nsec()
+        none = nanoseconds == NEVER if isinstance(message, genpy.Duration) else not nanoseconds
+        return None if none else message.to_sec()
     return message
 
 

@@ -4,6 +4,7 @@ import argparse
 import json
 import os
 import shutil
+import signal
 import sys
 from queue import Queue
 from time import monotonic
@@ -20,10 +21,17 @@ from ..foundation import RetalisError, UsageError, printable
 from ..prolog.syntax import Operators, read_term, write_term, writeq
 from ..prolog.terms import deref
 from .client import LiveNode, checked, master_state, nodes_of, plain
-from .names import INPUT, OUTPUT
+from .names import INPUT, OUTPUT, WATCH
 
 _CLEAR = "\x1b[H\x1b[J"
 """Has a terminal begin at its top, with nothing below."""
+
+
+_SELDOM = 86_400
+"""Seconds from one look at a node's status to the next, at most."""
+
+_LAST = 1 << 32
+"""Seconds after the last that a message of ROS can tell."""
 
 
 def run(options: argparse.Namespace) -> int:
@@ -67,15 +75,15 @@ def _query(options: argparse.Namespace) -> int:
         if not found.solutions:
             print("false")
     if not found.complete:
-        print("there are more solutions (see --most)", file=sys.stderr)
+        told = "one answer holds no more" if len(found.solutions) < options.most else "see --most"
+        print(f"there are more solutions ({told})", file=sys.stderr)
     return 0 if found.solutions else 1
 
 
 def _time(seconds: float) -> genpy.Time:
-    try:
-        return genpy.Time.from_sec(seconds)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise UsageError(f"--stamp: {error}") from error
+    if not 0 <= seconds < _LAST:
+        raise UsageError(f"--stamp: expected seconds since the epoch, below {_LAST}, found {seconds:g}")
+    return genpy.Time.from_sec(seconds)
 
 
 def _explain(options: argparse.Namespace) -> int:
@@ -107,12 +115,12 @@ def _list(options: argparse.Namespace) -> int:
 
 
 def _status(options: argparse.Namespace) -> int:
+    if not 0 < options.every <= _SELDOM:
+        raise UsageError(f"--every: expected a number above 0, up to {_SELDOM}, found {options.every:g}")
     node = LiveNode(options.node)
     looks_on = sys.stdout.isatty() and not options.json
     if options.once or not (looks_on or options.json):
         return _list(options)
-    if not options.every > 0:
-        raise UsageError(f"--every: expected a number above 0, found {options.every:g}")
     rospy.init_node("retalis_status", anonymous=True, disable_signals=True, disable_rosout=True)
     before, looked = _listed(node), monotonic()
     while True:
@@ -144,11 +152,14 @@ def _watch(options: argparse.Namespace) -> int:
     outputs = next((topic for topic in node.published if topic.endswith(f"/{OUTPUT}")), None)
     if outputs is None:
         raise UsageError(f"node {node.name} publishes no {OUTPUT}")
-    topic = f"retalis_watch_{os.getpid()}"
+    topic = f"{WATCH}{os.getpid()}"
     rospy.Subscriber(outputs, String, lambda text: came.put(("output", text.data)))
     if options.inputs:
         place = outputs[: -len(OUTPUT)] + INPUT
         rospy.Subscriber(place, String, lambda text: came.put(("input", text.data)))
+    for end in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(end) is not signal.SIG_IGN:  # as under nohup
+            signal.signal(end, _leave)
     added = []
     try:
         for number, pattern in enumerate(options.event):
@@ -162,6 +173,11 @@ def _watch(options: argparse.Namespace) -> int:
     return 0
 
 
+def _leave(number: int, frame: Any) -> None:
+    """End by a signal, with the subscriptions deleted."""
+    raise SystemExit(128 + number)
+
+
 def _print_what_comes(came: Any, own: str, options: argparse.Namespace) -> None:
     shown = 0
     while not options.count or shown < options.count:
@@ -171,7 +187,7 @@ def _print_what_comes(came: Any, own: str, options: argparse.Namespace) -> None:
             kind, topic, text = _taken_apart(text)
             if topic == own:
                 kind, topic = "event", None
-            elif topic.startswith("retalis_watch_"):
+            elif topic.startswith(WATCH):
                 continue
         shown += 1
         if options.json:

@@ -8,6 +8,9 @@ INPUT = "retalisInputEvents"
 OUTPUT = "retalisOutputEvents"
 """The topics on which events go between the nodes as text."""
 
+WATCH = "retalis_watch_"
+"""How a topic is called whose outputs somebody watches as text, and wants no other way."""
+
 
 def resolve(topic: str) -> str:
     """Return the full name of a topic, remapping and namespace applied.

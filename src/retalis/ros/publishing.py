@@ -12,7 +12,7 @@ from ..foundation import MessageError, RetalisError, UsageError, beginning, prin
 from ..messages import Definitions, Encoder
 from ..prolog.terms import Term
 from .counting import OutputStatus
-from .names import OUTPUT, resolve
+from .names import OUTPUT, WATCH, resolve
 from .raw import raw_class
 from .sending import Outlet
 
@@ -122,7 +122,7 @@ class OutputTopics:
         if awaited is not None:
             text = f"topic {topic}: {awaited[0]} is not known yet, and no publisher has brought it: a message is lost"
             self._reports.warning(text, ("out", topic))
-        elif len(self._told) < MOST_TOLD and topic not in self._told:
+        elif len(self._told) < MOST_TOLD and topic not in self._told and not topic.startswith(WATCH):
             self._told.add(topic)
             rospy.loginfo(
                 "topic %s has no type in %s: its outputs are on %s only",

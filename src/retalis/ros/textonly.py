@@ -7,7 +7,7 @@ import rospy
 from ..engine.runtime import Reports
 from ..events.program import TOPICS
 from ..foundation import Cache, UsageError, beginning
-from .names import OUTPUT, resolve
+from .names import OUTPUT, WATCH, resolve
 
 
 class TextOnly:
@@ -25,7 +25,7 @@ class TextOnly:
 
     def look(self, topic: str) -> None:
         """Look at a topic to which something is sent, or will be."""
-        if topic not in self._seen:
+        if topic not in self._seen and not topic.startswith(WATCH):
             self._seen.keep(topic, True, len(topic))
             if not self._has_type(topic):
                 name = beginning(topic)
