@@ -85,6 +85,30 @@ def test_one_who_watches_and_is_ended_leaves_no_subscription(node, number):
     assert "has no type" not in node.printed()
 
 
+def test_a_status_and_what_is_watched_go_on_with_a_new_master(node):
+    words = {"env": node.env, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    status = subprocess.Popen(node.command(*LIVE, "status", "--json", "--every", "0.1"), **words)
+    watch = subprocess.Popen(node.command(*LIVE, "watch", "--inputs", "--count", "1"), **words)
+    try:
+        status.stdout.readline()
+        node.expect(lambda found, services: any(name.startswith("/retalis_watch") for name in found))
+        master = node.started[0]
+        master.send_signal(signal.SIGINT)
+        master.wait(timeout=60)
+        assert "unable to contact master" in status.stderr.readline()
+        node.start("roscore", "-p", str(node.port))
+        status.stdout.readline()
+        node.expect(lambda found, services: any(name.startswith("/retalis_watch") for name in found))
+        node.start("rostopic", "pub", "-r", "5", "/retalisInputEvents", "std_msgs/String", "event(fever_(1))")
+        assert watch.communicate(timeout=60)[0] == "input: event(fever_(1))\n"
+        status.send_signal(signal.SIGINT)
+        status.communicate(timeout=60)
+        assert status.returncode == 130
+    finally:
+        status.kill()
+        watch.kill()
+
+
 def test_outputs_and_events_are_watched(node):
     watching = subprocess.Popen(
         node.command(*LIVE, "watch", "--event", "fever_(_)", "--count", "1"),

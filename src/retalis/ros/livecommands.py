@@ -21,6 +21,7 @@ from ..foundation import RetalisError, UsageError, printable
 from ..prolog.syntax import Operators, read_term, write_term, writeq
 from ..prolog.terms import deref
 from .client import LiveNode, checked, master_state, nodes_of, plain
+from .master import MasterWatch
 from .names import INPUT, OUTPUT, WATCH
 
 _CLEAR = "\x1b[H\x1b[J"
@@ -122,10 +123,17 @@ def _status(options: argparse.Namespace) -> int:
     if options.once or not (looks_on or options.json):
         return _list(options)
     rospy.init_node("retalis_status", anonymous=True, disable_signals=True, disable_rosout=True)
-    before, looked = _listed(node), monotonic()
+    before, looked, told = _listed(node), monotonic(), ""
     while True:
         rospy.rostime.wallsleep(options.every)
-        found, now = _listed(node), monotonic()
+        try:
+            found, now = _listed(node), monotonic()
+        except UsageError as error:  # node or master may come back
+            if str(error) != told:
+                print(f"retalis: {error}", file=sys.stderr, flush=True)
+            told = str(error)
+            continue
+        told = ""
         before, looked, found = found, now, _rate(before, found, now - looked)
         if options.json:
             print(json.dumps(found), flush=True)
@@ -141,13 +149,14 @@ def _page(found: Dict[str, Any]) -> List[str]:
 
 def _rate(before: Dict[str, Any], found: Dict[str, Any], seconds: float) -> Dict[str, Any]:
     """Return what a node says of itself, with the events that it has taken a second."""
-    taken = found["taken"] - before["taken"]
+    taken = max(0, found["taken"] - before["taken"])  # a node that was started anew counts anew
     return {"node": found["node"], "events_a_second": round(taken / seconds, 1), **found}
 
 
 def _watch(options: argparse.Namespace) -> int:
     node = LiveNode(options.node)
     rospy.init_node("retalis_watch", anonymous=True, disable_signals=True, disable_rosout=True)
+    MasterWatch().start()
     came: Queue[Tuple[str, str]] = Queue(maxsize=10_000)
     outputs = next((topic for topic in node.published if topic.endswith(f"/{OUTPUT}")), None)
     if outputs is None:
