@@ -58,6 +58,47 @@ def test_while_one_works_others_return_and_the_oldest_is_dropped(monkeypatch):
     assert runner.dropped == 2
 
 
+def test_nothing_is_dropped_while_a_full_queue_is_worked_off_however_long_that_takes(monkeypatch):
+    started, posting, began, end = (threading.Event() for _ in range(4))
+    done = []
+
+    class Lock:
+        """A lock for which the one who posts waits in vain, while one piece of work is done and the next begins."""
+
+        def __init__(self):
+            self._lock = threading.Lock()
+            self.release = self._lock.release
+
+        def acquire(self, blocking=True, timeout=-1):
+            if timeout == -1:
+                return self._lock.acquire(blocking)
+            posting.set()
+            assert began.wait(10)
+            return False
+
+    def first():
+        started.set()
+        assert posting.wait(10)
+
+    def second():
+        began.set()
+        assert end.wait(10)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(threading, "RLock", Lock)
+        runner, drops, _ = make(size=2)
+    worker = threading.Thread(target=runner.post, args=(first,))
+    worker.start()
+    assert started.wait(10)
+    runner.post(second)
+    runner.post(done.append, 1)
+    runner.post(done.append, 2)
+    end.set()
+    worker.join(10)
+    assert drops == []
+    assert done == [1, 2]
+
+
 def test_a_full_queue_holds_up_those_who_post_and_nothing_is_lost():
     runner, drops, _ = make(size=10)
     done = []

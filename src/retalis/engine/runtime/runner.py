@@ -22,7 +22,7 @@ _this_thread = threading.get_ident
 
 
 PATIENCE = 1.0
-"""Seconds that one who posts waits for room in a full queue."""
+"""Seconds that one who posts to a full queue waits for a piece of work to be done."""
 
 
 class Request:
@@ -284,17 +284,31 @@ class Runner:
         self._queue.append((work, arguments))
 
     def _make_room(self) -> None:
-        """Wait until the queue is worked off, or help with it; drop the oldest where that takes too long.
+        """Wait until the queue is worked off, or help with it; drop the oldest where nothing is done for too long.
 
         Whoever posts faster than events are worked off is held up, and so are those who send to it: a
         connection that is not read fills up and holds its publisher up in turn. So a burst loses nothing.
         """
         if self._patient and self._running != _this_thread():
-            self._patient = self._lock.acquire(timeout=PATIENCE)
-            if self._patient:
-                self._work_off()
+            while len(self._queue) >= self._size:
+                oldest = self._oldest()
+                if self._lock.acquire(timeout=PATIENCE):
+                    self._work_off()
+                    return
+                # On a busy machine all of a queue may take longer; not so one piece of work.
+                self._patient = self._oldest() is not oldest
+                if not self._patient:
+                    break
+            else:
                 return
         self._drop()
+
+    def _oldest(self) -> object:
+        """Return the piece of work that comes next; None where nothing waits."""
+        try:
+            return self._queue[0]
+        except IndexError:
+            return None
 
     def _drop(self) -> None:
         try:
