@@ -120,6 +120,17 @@ def test_a_receiver_that_turns_out_to_be_node_retalis_gets_the_rest_once(outlet,
     assert it.unknown() == []
 
 
+def test_who_only_looks_on_is_known_once_it_was_looked_up(outlet, make):
+    it = make()
+    engine, other = outlet.come(), outlet.come()
+    assert it.unknown() == [engine, other]
+    assert not it.is_other(other)
+    it.settle(engine, True)
+    it.settle(other, False)
+    assert it.is_other(other)
+    assert not it.is_other(engine)
+
+
 def test_a_receiver_is_looked_up_only_so_often(outlet, make):
     it = make()
     other = outlet.come()

@@ -50,6 +50,10 @@ class Link:
         return numbers
 
 
+def anybody(link):
+    return True
+
+
 def numbered(number):
     return pack("<II", len(BODY) + 4, number) + BODY
 
@@ -75,7 +79,7 @@ def outlet(monkeypatch, link, reports):
         return SimpleNamespace(name=topic, impl=SimpleNamespace(connections=[link]), listener=listener)
 
     monkeypatch.setattr(rospy, "Publisher", publisher)
-    return lambda queue=1000, patient=False, latched=False: Outlet(
+    return lambda queue=1000, patient=sending.never, latched=False: Outlet(
         "/topic", object, queue, reports, patient, latched
     )
 
@@ -113,7 +117,7 @@ def test_for_a_receiver_that_does_not_keep_up_the_oldest_are_dropped_and_no_mess
 
 
 def test_who_sends_patiently_loses_nothing(outlet, link, reports):
-    it = outlet(queue=5, patient=True)
+    it = outlet(queue=5, patient=anybody)
     numbers = []
     receiving = threading.Thread(target=lambda: numbers.extend(link.read(99)))
     receiving.start()
@@ -124,11 +128,33 @@ def test_who_sends_patiently_loses_nothing(outlet, link, reports):
     assert reports.warnings == 0
 
 
+def test_there_is_room_again_before_much_of_what_waits_is_read(outlet, link, reports, monkeypatch):
+    it = outlet(queue=40, patient=anybody)
+    read = []
+    monkeypatch.setattr(sending, "wallsleep", lambda seconds: read.append(len(link.other.recv(1000))))
+    for number in range(100):
+        read.clear()
+        it.send(numbered(number))
+        assert sum(read) <= sending.ENOUGH + 4 * len(numbered(0))
+    assert reports.warnings == 0
+
+
+def test_nobody_is_held_up_for_one_who_only_looks_on(outlet, link, reports, monkeypatch):
+    def wait(seconds):
+        raise AssertionError
+
+    monkeypatch.setattr(sending, "wallsleep", wait)
+    it = outlet(queue=5, patient=lambda found: found is not link)
+    for number in range(100):
+        it.send(numbered(number))
+    assert reports.warnings > 0
+
+
 def test_patience_is_tried_once(outlet, link, reports, monkeypatch):
     monkeypatch.setattr(sending, "PATIENCE", 0.01)
     waits = []
     monkeypatch.setattr(sending, "wallsleep", lambda seconds: waits.append(seconds))
-    it = outlet(queue=5, patient=True)
+    it = outlet(queue=5, patient=anybody)
     while not reports.warnings:
         it.send(numbered(0))
     count = len(waits)

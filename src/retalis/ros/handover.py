@@ -154,6 +154,10 @@ class Handover:
             return list(self._new)
         return [*self._new, *(link for link, other in self._others.items() if other.looks < LOOKS)]
 
+    def is_other(self, link: Any) -> bool:
+        """Tell whether a receiver is known not to be node retalis."""
+        return link in self._others
+
     def settle(self, link: Any, is_engine: bool) -> None:
         """Take note of who a receiver is, and give it what it has missed."""
         known = self._others.pop(link, None)

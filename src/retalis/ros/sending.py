@@ -27,6 +27,18 @@ PAUSE = 0.002
 MOST = 64
 """Writes that the thread of a slow connection puts together."""
 
+ENOUGH = 1 << 15
+"""Bytes after which it puts no more together: there is room again once they are written, so a wait for room that is
+in vain shows a receiver that takes less in that time."""
+
+Patient = Callable[[Any], bool]
+"""Tells whether those who send are held up for a receiver, by its connection."""
+
+
+def never(link: Any) -> bool:
+    """Hold up those who send for nobody."""
+    return False
+
 
 class Outlet:
     """A published topic.
@@ -36,8 +48,8 @@ class Outlet:
         kind: the class of its messages.
         queue: how many messages may wait for one receiver; past that the oldest are dropped for it alone.
         reports: takes a warning of each message that is dropped.
-        patient: whether those who send are held up for a moment before anything is dropped, so that a burst
-            loses nothing.
+        patient: tells for whom those who send are held up before anything is dropped, so that a burst loses nothing:
+            as long as it goes on taking what is sent.
         latched: whether the last message goes to each receiver that comes later.
         listener: is told of receivers that come, where the topic is not latched.
     """
@@ -48,7 +60,7 @@ class Outlet:
         kind: Any,
         queue: int,
         reports: Reports,
-        patient: bool = False,
+        patient: Patient = never,
         latched: bool = False,
         listener: Optional[rospy.SubscribeListener] = None,
     ):
@@ -162,7 +174,7 @@ class _Receiver:
         topic: str,
         queue: int,
         reports: Reports,
-        patient: bool,
+        patient: Patient,
         counts: OutputCounts,
     ):
         self._counts = counts
@@ -219,7 +231,7 @@ class _Receiver:
 
     def _make_room(self) -> None:
         """Wait for the receiver where that is wanted, but not again for one that is slow; then drop the oldest."""
-        if self._patient and not self._slow:
+        if not self._slow and self._patient(self._outer):
             deadline = time.monotonic() + PATIENCE
             while self._held >= self._queue and time.monotonic() < deadline and not rospy.is_shutdown():
                 wallsleep(PAUSE)
@@ -249,7 +261,11 @@ class _Receiver:
     def _next(self) -> Tuple[bytes, int]:
         """Take what waits, and how many messages that is."""
         with self._lock:
-            taken = [self._waiting.popleft() for _ in range(min(MOST, len(self._waiting)))]
+            taken: List[Tuple[bytes, int]] = []
+            size = 0
+            while self._waiting and len(taken) < MOST and size < ENOUGH:
+                taken.append(self._waiting.popleft())
+                size += len(taken[-1][0])
             number = sum(one[1] for one in taken)
             self._held -= number
             self._busy = bool(taken)

@@ -37,7 +37,7 @@ class TextPublisher:
 
     def __init__(self, topic: str, queue: int, reports: Reports, runs: Callable[[], int]):
         self._introducer = Introducer()
-        self._outlet = Outlet(topic, String, queue, reports, patient=True, listener=self._introducer)
+        self._outlet = Outlet(topic, String, queue, reports, self._is_patient, listener=self._introducer)
         self._handover = Handover(self._outlet, queue, reports, runs)
         self._waiting: List[bytes] = []
 
@@ -49,6 +49,10 @@ class TextPublisher:
             publishers: gives topic and publisher of all connections from which messages come.
         """
         self._introducer.begin(self._handover, turn, publishers)
+
+    def _is_patient(self, link: Any) -> bool:
+        """Tell whether those who send are held up for a receiver: not for one that only looks on, slowly maybe."""
+        return not self._handover.is_other(link)
 
     def add(self, text: str) -> None:
         """Add a text to those that go out next."""
