@@ -15,10 +15,10 @@ from retalis.engine.playback import BagReader, Playback
 SECONDS = 20
 """Length of the bag."""
 
-STEP = SECONDS + 2
-"""Seconds by which the stamps move on each time."""
-
 TICK = 0.002
+
+HELD = 15.0
+"""Seconds that messages wait in queues and connections at most; what is dropped later has no excuse."""
 
 RECONNECT = 0.2
 """Seconds from one look to the next who is connected."""
@@ -28,10 +28,15 @@ class Stream:
     """What is sent, and the poses that come back.
 
     Attributes:
+        step: seconds by which the stamps move on each time the bag is sent.
         stamp: seconds since the beginning, in the stamps of what is sent now.
-        unsent: the stamps at which a connection had ended.
+        through: the newest stamp of a pose that came, but at most `HELD` seconds' worth before what is sent now.
+        late: by how many seconds it was sent too late at most: a node that does not keep up holds up who sends to it.
+        turns: how often the bag has been sent.
         poses: how often each came, by marker and stamp (of the whole stream), and what it was.
     """
+
+    step = SECONDS + 2
 
     def __init__(self, path, speed, rate, size):
         self.truth = make_bag(path, seconds=SECONDS, seed=1)
@@ -39,7 +44,8 @@ class Stream:
         self.sent = self.images = self.received = 0
         self.stamp = 0.0
         self.ended = False
-        self.unsent = []
+        self.late = self._newest = 0.0
+        self.turns = 0
         self.poses = {}
         self.times = Counter()
         self._lock = threading.Lock()
@@ -71,29 +77,29 @@ class Stream:
 
     def run(self):
         """Send until ``ended`` is set."""
-        began, turn, connected = time.monotonic(), 0, 0.0
+        began, connected = time.monotonic(), 0.0
         while not self.ended:
             for topic, at, frame, places in self._records:
                 if time.monotonic() > connected + RECONNECT:
                     connected = time.monotonic()
                     self._connect()
-                self.stamp = turn * STEP + at
+                self.stamp = self.turns * self.step + at
                 while (wait := began + self.stamp / self._speed - time.monotonic()) > 0:
                     time.sleep(max(wait, TICK))
-                self._send(topic, _moved(frame, places, turn * STEP))
+                self.late = max(self.late, -wait)
+                self._send(topic, _moved(frame, places, self.turns * self.step))
                 self.sent += 1
                 if self.images < (time.monotonic() - began) * self._rate:
                     self.images += 1
                     self._send("camera", self._image)
-            turn += 1
-        self.turns = turn
+            self.turns += 1
 
     def _send(self, topic, frame):
         for link in self._links[topic]:
             try:
                 link.sendall(frame)
-            except (OSError, AttributeError):  # the node has just been ended
-                self.unsent.append(self.stamp)
+            except (OSError, AttributeError):  # the node has just been ended; the verdict knows when
+                pass
 
     def _take(self, message):
         stamp = message.header.stamp.to_nsec()
@@ -101,6 +107,16 @@ class Stream:
         self.poses[key] = numbers(message.pose)
         self.times[key] += 1
         self.received += 1
+        self._newest = max(self._newest, (stamp - self.truth.start) / 1e9)
+
+    @property
+    def behind(self):
+        """By how many seconds the newest pose is behind what is sent."""
+        return max(0.0, self.stamp - self._newest) / self._speed
+
+    @property
+    def through(self):
+        return max(self._newest, self.stamp - HELD * self._speed)
 
 
 def reference(path, program):

@@ -1,20 +1,28 @@
 """Whether a soak has gone as it should."""
 
-from typing import NamedTuple
+from typing import List, NamedTuple, Tuple
 
-from stream import STEP
+NEED = 0.5
+"""Seconds of the stream before and after a picture from which its poses may need messages."""
 
-NEAR = 15.0
-"""Seconds of the stream before and after a restart in which poses may be missing, or computed over the gap."""
+SLACK = 1.0
+"""Seconds before a node is ended, and after it is up again, in which messages are under way or not yet sent to it."""
 
 MEMORY = 1.1, 10.0
 """By which factor, and how many MB, the highest memory may be above what it was before."""
 
 CLOSE = 1e-9
 
+NODES = "retalis", "retalis_ros_interface"
+
 
 class Restart(NamedTuple):
-    """When a process was ended, how, and the stream's stamps (in seconds) of then and of when all was up again."""
+    """When a process was ended, and how.
+
+    Attributes:
+        first: the stream's stamp, in seconds, up to which poses had come by then.
+        last: what was sent when all was up again.
+    """
 
     seconds: float
     name: str
@@ -23,65 +31,111 @@ class Restart(NamedTuple):
     last: float
 
 
+class Poses:
+    """What became of the poses: lists of a marker and its stamp in seconds of the stream.
+
+    Attributes:
+        came: how many came.
+        near: those that are missing or wrong near a restart of a node.
+        dropped: those that are missing or wrong where a node has counted a drop.
+        lost: all others that are missing.
+        wrong: all others that are not what they have to be.
+        twice: those that came more than once.
+    """
+
+    def __init__(self) -> None:
+        self.came = 0
+        self.near: List[Tuple[str, float]] = []
+        self.dropped: List[Tuple[str, float]] = []
+        self.lost: List[Tuple[str, float]] = []
+        self.wrong: List[Tuple[str, float]] = []
+        self.twice: List[Tuple[str, float]] = []
+
+
 def verdict(soak):
     """Return whether all is well, and lines that tell."""
-    lost, wrong, twice, near, came = _poses(soak)
-    dropped = soak.rows[-1]["dropped"]
+    stream, drops = soak.stream, soak.drops
+    poses = judge(stream, soak.expected, soak.restarts, drops.found, soak.options.speed)
+    silent = [node for node in NODES if not drops.looks.get(node)]
     checks = [
+        (poses.came > 0, f"{poses.came} poses came"),
+        (not poses.lost, f"{len(poses.lost)} poses are lost without a reason{_where(poses.lost)}"),
         (
-            len(lost) <= dropped,
-            f"{came} poses came, {near} near a restart are missing; {len(lost)} others are lost",
+            not poses.wrong,
+            f"{len(poses.wrong)} poses are not what the engine gives offline, without a reason"
+            f"{_where(poses.wrong)}",
         ),
-        # What is computed beside a transform that was dropped goes over the gap.
-        (
-            not wrong or len(wrong) + len(lost) <= dropped,
-            f"{len(wrong)} poses are not what the engine gives offline",
-        ),
-        (not twice, f"{len(twice)} poses came twice {twice[:3]}"),
+        (not poses.twice, f"{len(poses.twice)} poses came twice{_where(poses.twice)}"),
+        (not silent, f"both nodes counted what they dropped{': not ' if silent else ''}{', '.join(silent)}"),
         (
             not soak.caller.failures,
-            f"{soak.caller.calls} calls of services, {soak.caller.failures[:3]} failed",
+            f"{soak.caller.calls} calls of services, {len(soak.caller.failures)} failed {soak.caller.failures[:3]}",
         ),
         *_memory(soak.rows, 60 * soak.options.minutes),
     ]
     kinds = ", ".join(f"{one.name} by {one.signal} at {one.seconds:.0f} s" for one in soak.restarts)
-    lines = [f"{'good' if good else 'BAD '} {text}" for good, text in checks]
-    stamps = sorted(round((key[1] - soak.stream.truth.start) / 1e9, 1) for key, _, _ in wrong)
-    if stamps or soak.stream.unsent:
-        lines.append(f"     wrong at {stamps[:30]}, not sent at {soak.stream.unsent[:5]}")
-    first = f"{soak.stream.sent} messages and {soak.stream.images} images sent, {dropped} reported as dropped"
-    return all(good for good, _ in checks), [first, f"restarts: {kinds or 'none'}", *lines]
+    lines = [
+        f"{stream.sent} messages and {stream.images} images sent, at most {stream.late:.1f} s late; "
+        f"poses at most {max((row['behind'] for row in soak.rows), default=0.0):.1f} s behind; "
+        f"{drops.total} counted as dropped",
+        f"restarts: {kinds or 'none'}",
+        f"missing or wrong with a reason: {len(poses.near)} poses near a restart of a node, "
+        f"{len(poses.dropped)} where a drop was counted",
+        *(f"{'good' if good else 'BAD '} {text}" for good, text in checks),
+    ]
+    lines += [
+        f"     dropped: {one.number} at {one.what}, sent from {one.first:.1f} to {one.last:.1f}"
+        for one in drops.found[:20]
+    ]
+    return all(good for good, _ in checks), lines
 
 
-def _poses(soak):
-    gaps = [(one.first - NEAR, one.last + NEAR) for one in soak.restarts if one.name != "master"]
-    lost, wrong, twice, near, came = [], [], [], 0, 0
-    complete = [(one.marker, one.stamp) for one in soak.stream.truth.complete]
-    for turn in range(soak.stream.turns):
-        for marker, stamp in complete:
-            seconds = turn * STEP + (stamp - soak.stream.truth.start) / 1e9
-            key = marker, stamp + turn * STEP * 10**9
-            found = soak.stream.poses.get(key)
-            disturbed = any(first <= seconds <= last for first, last in gaps)
-            came += found is not None
-            if found is None:
-                near += disturbed
-                if not disturbed:
-                    lost.append(key)
+def judge(stream, expected, restarts, drops, speed):
+    """Return what became of the poses.
+
+    A pose is excused only where what it needs was under way to a node that was ended, or sent while it was down; or
+    where it was under way while a node counted drops. A restart of the master excuses nothing.
+    """
+    slack = SLACK * speed
+    down = [(one.first - slack, one.last + slack) for one in restarts if one.name != "master"]
+    lossy = [(one.first, one.last) for one in drops]
+    found = Poses()
+    for turn in range(stream.turns):
+        for one in stream.truth.complete:
+            key = one.marker, one.stamp + turn * stream.step * 10**9
+            seconds = turn * stream.step + (one.stamp - stream.truth.start) / 1e9
+            pose = stream.poses.get(key)
+            found.came += pose is not None
+            name = one.marker, round(seconds, 2)
+            if stream.times[key] > 1:
+                found.twice.append(name)
+            exact = expected[one.marker, one.stamp]
+            if pose is not None and max(abs(a - b) for a, b in zip(pose, exact)) <= CLOSE:
                 continue
-            if soak.stream.times[key] > 1:
-                twice.append(key)
-            exact = soak.expected[marker, stamp]
-            if not disturbed and max(abs(a - b) for a, b in zip(found, exact)) > CLOSE:
-                wrong.append((key, found, exact))
-    return lost, wrong, twice, near, came
+            if _within(seconds, down):
+                found.near.append(name)
+            elif _within(seconds, lossy):
+                found.dropped.append(name)
+            elif pose is None:
+                found.lost.append(name)
+            else:
+                found.wrong.append(name)
+    return found
+
+
+def _within(seconds, spans):
+    return any(first - NEED <= seconds <= last + NEED for first, last in spans)
+
+
+def _where(poses):
+    return f": {', '.join(f'{marker} at {seconds}' for marker, seconds in poses[:10])}" if poses else ""
 
 
 def _memory(rows, seconds):
     """Compare the highest memory in the two halves of the time after minute 5."""
     settled = min(300.0, seconds / 3)
     middle = (settled + seconds) / 2
-    for name in ("retalis", "retalis_ros_interface"):
+    for name in NODES:
         before = [row[name] for row in rows if settled <= row["seconds"] < middle]
         after = [row[name] for row in rows if row["seconds"] >= middle]
         most, more = max(before, default=0.0), max(after, default=0.0)
