@@ -139,6 +139,38 @@ def test_there_is_room_again_before_much_of_what_waits_is_read(outlet, link, rep
     assert reports.warnings == 0
 
 
+def test_who_sends_waits_as_long_as_anything_is_taken(outlet, link, reports, monkeypatch):
+    now = 0.0
+
+    def read_some(seconds):
+        nonlocal now
+        now += 0.6 * sending.PATIENCE
+        assert link.other.recv(8000)
+
+    monkeypatch.setattr(sending, "wallsleep", read_some)
+    monkeypatch.setattr(sending, "time", SimpleNamespace(monotonic=lambda: now))
+    it = outlet(queue=5, patient=anybody)
+    for number in range(30):
+        it.send(numbered(number))
+    assert now > 10 * sending.PATIENCE
+    assert reports.warnings == 0
+
+
+def test_nobody_waits_for_one_who_has_gone(outlet, link, monkeypatch):
+    waits, sock = [], link.socket
+
+    def go(seconds):
+        waits.append(seconds)
+        link.socket = None
+
+    monkeypatch.setattr(sending, "wallsleep", go)
+    it = outlet(queue=5, patient=anybody)
+    while not waits:
+        it.send(numbered(0))
+    link.socket = sock
+    assert len(waits) == 1
+
+
 def test_nobody_is_held_up_for_one_who_only_looks_on(outlet, link, reports, monkeypatch):
     def wait(seconds):
         raise AssertionError

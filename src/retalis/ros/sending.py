@@ -9,6 +9,8 @@ import socket
 import threading
 import time
 from collections import deque
+from fcntl import ioctl
+from termios import TIOCOUTQ
 from typing import Any, Callable, Deque, Dict, List, Optional, Tuple
 
 import rospy
@@ -18,8 +20,12 @@ from rospy.rostime import wallsleep
 from ..engine.runtime import Reports
 from .counting import OutputCounts, OutputStatus
 
-PATIENCE = 1.0
-"""Seconds to wait for a receiver that does not keep up, where that is wanted."""
+PATIENCE = 5.0
+"""Seconds to wait for a receiver that takes nothing, where that is wanted.
+
+The system tells of what is read from a large buffer only once a part of it is free again: on a busy machine, a second
+later than it was read, or more.
+"""
 
 PAUSE = 0.002
 """Seconds between two looks at it."""
@@ -232,9 +238,7 @@ class _Receiver:
     def _make_room(self) -> None:
         """Wait for the receiver where that is wanted, but not again for one that is slow; then drop the oldest."""
         if not self._slow and self._patient(self._outer):
-            deadline = time.monotonic() + PATIENCE
-            while self._held >= self._queue and time.monotonic() < deadline and not rospy.is_shutdown():
-                wallsleep(PAUSE)
+            self._wait_for_room()
             self._slow = self._held >= self._queue
         dropped = 0
         with self._lock:
@@ -247,6 +251,26 @@ class _Receiver:
             self._reports.warning(
                 f"{self._link.endpoint_id} does not keep up with topic {self._topic}: a message is dropped for it"
             )
+
+    def _wait_for_room(self) -> None:
+        """Wait until there is room, or the receiver has taken nothing for too long."""
+        unread, deadline = self._unread(), time.monotonic() + PATIENCE
+        while self._held >= self._queue and time.monotonic() < deadline and not rospy.is_shutdown():
+            if self._link.socket is None:  # it has ended
+                return
+            wallsleep(PAUSE)
+            before, unread = unread, self._unread()
+            if unread != before:
+                deadline = time.monotonic() + PATIENCE
+
+    def _unread(self) -> object:
+        """Return what changes when the receiver takes something: what was written, and what it has left."""
+        unread = bytearray(4)
+        try:
+            ioctl(self._link.socket, TIOCOUTQ, unread)
+        except (OSError, TypeError, ValueError):  # closed meanwhile, or a system that does not tell
+            pass
+        return self._link.stat_bytes, bytes(unread)
 
     def _run(self, sock: socket.socket, frames: bytes, number: int) -> None:
         """Write, and then what waits, until nothing does."""
