@@ -100,7 +100,7 @@ def test_links_lead_somewhere(page):
 def test_commands_of_the_readme_are_commands():
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     commands = [shlex.split(line, comments=True) for line in re.findall(r"^    (\S.*)$", text, re.MULTILINE)]
-    known = {"./install.py", "source", "roslaunch", "rosservice", "PYTHONPATH=src"}
+    known = {"./install.py", "source", "roslaunch", "rosservice", "rosrun", "PYTHONPATH=src"}
     assert {command[0] for command in commands} <= known
     for command in commands:
         if command[0] == "./install.py":
@@ -108,9 +108,10 @@ def test_commands_of_the_readme_are_commands():
                 [sys.executable, str(ROOT / "install.py"), "--help"], capture_output=True, text=True
             )
             assert command[1] in shown.stdout
-        elif command[0] == "PYTHONPATH=src":
+        elif command[0] in ("PYTHONPATH=src", "rosrun"):
+            words = command[2:] if command[0] == "PYTHONPATH=src" else ["-m", "retalis", command[3]]
             module = subprocess.run(
-                [sys.executable, *command[2:], "--help"],
+                [sys.executable, *words, "--help"],
                 cwd=ROOT,
                 env={"PYTHONPATH": "src"},
                 capture_output=True,
