@@ -17,11 +17,11 @@ from ..network import Rule, RuleOwner, UnderWay
 from ..program import FileChecker, Files, Loader, nowhere
 from .flags import Flags
 from .predicates import define_predicates
+from .ruletable import RuleTable, label_of
 from .timing import Timing
 
 log = logging.getLogger("retalis")
 
-_UNLABELED = atom("unlabeled")
 _CONFIGURING = frozenset(
     ("event_consumption_policy", "out_of_order", "revision_flag", "etalis_justification", "garbage_control")
     + ("garbage_window", "garbage_window_step")
@@ -66,9 +66,7 @@ class Rules:
         self._fired_before = 0
         self.on_warning: Callable[[RetalisError], None] = lambda error: log.warning("%s", error)
         self.under_way = UnderWay()
-        self._rules: Dict[Rule, None] = {}
-        self._by_label: Dict[Hashable, Dict[Rule, None]] = {}
-        self._by_key: Dict[Hashable, Dict[Rule, None]] = {}
+        self._table = RuleTable()
         self.flags = Flags(self._flag_changed)
         self.mode: NetworkOptions = self.flags.mode()
         self.tracker = Tracker(self)
@@ -116,7 +114,7 @@ class Rules:
     @property
     def rules(self) -> List[Rule]:
         """The rules that take events, oldest first."""
-        return list(self._rules)
+        return list(self._table)
 
     def add(self, definition: RuleDefinition) -> Rule:
         """Add a rule after all others; it sees later events only."""
@@ -135,9 +133,7 @@ class Rules:
 
     def activate(self, rule: Rule) -> None:
         """Have a rule take events."""
-        self._rules[rule] = None
-        self._by_label.setdefault(term_key(_label_of(rule)), {})[rule] = None
-        self._by_key.setdefault(rule.definition.key, {})[rule] = None
+        self._table.add(rule)
         self._configure(rule)
 
     def insert(self, term: Term) -> bool:
@@ -160,7 +156,7 @@ class Rules:
         if is_rule(term):
             found = self._same_rules(term)[:1]
         else:
-            found = self._labelled(term)
+            found = self._table.labelled(term)
         for rule in found:
             self.remove(rule)
         return bool(found)
@@ -179,19 +175,17 @@ class Rules:
 
     def remove(self, rule: Rule) -> None:
         """Take a rule out, with its partial matches."""
-        known = self._rules.pop(rule, 0) is None
+        known = self._table.take_out(rule)
         rule.unlisten()
         rule.clear()
         if known:
             self._fired_before += rule.firings.number
-            _take_out(self._by_label, term_key(_label_of(rule)), rule)
-            _take_out(self._by_key, rule.definition.key, rule)
 
     def mend(self) -> None:
         """Put right what an interrupt may have left half done: a rule is there and listens, or neither."""
-        self._file()
+        self._table.mend()
         self.loader.mend()
-        self._file()
+        self._table.mend()
         self.flags.mend()
         chosen = set(self.tracker.listeners)
         for rule in self.rules:
@@ -202,23 +196,14 @@ class Rules:
         self.dispatcher.keep_only(Stage.RULES, chosen)
         self.tracker.mend()
 
-    def _file(self) -> None:
-        self._by_label, self._by_key = {}, {}
-        for rule in self._rules:
-            self._by_label.setdefault(term_key(_label_of(rule)), {})[rule] = None
-            self._by_key.setdefault(rule.definition.key, {})[rule] = None
-
-    def _labelled(self, label: Term) -> List[Rule]:
-        return list(self._by_label.get(term_key(label), ()))
-
     def _same_rules(self, term: Term) -> List[Rule]:
         checker = FileChecker()
         checker.term(copy(term), nowhere, None)
         if not checker.rules:
             return []
         wanted = checker.rules[0]
-        found = self._by_key.get(wanted.key, ())
-        return [rule for rule in found if wanted.label is None or _label_of(rule) is wanted.label]
+        found = self._table.alike(wanted.key)
+        return [rule for rule in found if wanted.label is None or label_of(rule) is wanted.label]
 
     def note_conditions(self, conditions: Term, caller: str) -> None:
         """Warn of predicates that the conditions of a memory or subscription call and that are not there."""
@@ -248,7 +233,7 @@ class Rules:
         known = self._properties.setdefault(term_key(one.label), [])
         if one not in known:
             known.append(one)
-        for rule in self._labelled(one.label):
+        for rule in self._table.labelled(one.label):
             self._configure(rule)
 
     def all_properties(self) -> Dict[Hashable, List[Property]]:
@@ -268,7 +253,7 @@ class Rules:
 
     def _configure(self, rule: Rule) -> None:
         found: Dict[str, List[int]] = {}
-        for one in self.properties(_label_of(rule)):
+        for one in self.properties(label_of(rule)):
             found.setdefault(one.name, []).append(from_seconds(one.number))
         windows = found.get("window", []) + found.get("event_rule_window", [])
         rule.configure(self.mode, min(windows) if windows else None, self._garbage_control(found))
@@ -386,14 +371,3 @@ class Rules:
         """Report what has happened to a rule a number of times; at 1, 2, 4, 8 ... of them."""
         if number & (number - 1) == 0:
             self.on_warning(RuleError(f"{rule.name}{text}", rule.place))
-
-
-def _take_out(table: Dict[Hashable, Dict[Rule, None]], key: Hashable, rule: Rule) -> None:
-    """Take a rule out from among those of a key."""
-    del table[key][rule]
-    if not table[key]:
-        del table[key]
-
-
-def _label_of(rule: Rule) -> Term:
-    return _UNLABELED if rule.label is None else rule.label
