@@ -61,6 +61,11 @@ def test_recursion_ends(logic, goal, value):
     assert found == (value or "['1','1+1*(1+1)','(1)*1']")
 
 
+def test_what_is_declared_twice_is_tabled_once():
+    logic = prolog(":- table p/1.\np(1).\n:- table p/1.\np(2).")
+    assert answers(logic, "p(X)") == [{"X": "1"}, {"X": "2"}]
+
+
 def test_a_cut_leaves_no_half_table(logic):
     assert first(logic, "once(path(a, X))") == "b"
     assert len(answers(logic, "path(a, X)")) == 4

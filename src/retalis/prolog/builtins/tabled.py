@@ -28,9 +28,9 @@ def table_declaration(machine: Machine, which: Term) -> bool:
 def declare(machine: Machine, key: Functor, modes: Dict[int, Mode]) -> None:
     """Make a predicate tabled: its clauses go to a hidden predicate that the tables call."""
     database = machine.logic.database
-    predicate = database.writable(key, "modify")
-    if predicate.tabled is not None:
+    if database.predicate(key).tabled is not None:
         return
+    predicate = database.writable(key, "modify")
     hidden = database.predicate(functor(f"{key.name} tabled", key.arity))
     for clause in list(predicate.live()):
         hidden.add(clause)

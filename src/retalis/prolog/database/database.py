@@ -126,6 +126,15 @@ class Database:
             self.library.kept.pop(key, None)
             self.forget()
 
+    def take_back(self, own: Predicate) -> None:
+        """Have one of the program's own take the place of the library's again, where that was given back."""
+        key = own.functor
+        other = self.predicates.get(key)
+        if other is not None and other.library:
+            self.library.kept[key] = other
+            self.predicates[key] = own
+            self.forget()
+
     def writable(self, key: Functor, action: str) -> Predicate:
         """Return a predicate whose clauses the program may change.
 
