@@ -1,7 +1,7 @@
 """What stands behind an engine: its parts, put together, and what they call."""
 
 from contextlib import closing
-from typing import Callable, Dict, List, NamedTuple, Optional, Union
+from typing import Callable, Dict, List, NamedTuple, Optional, Tuple, Union
 
 from ..events.dispatch import Dispatcher
 from ..events.knowledge import Knowledge
@@ -17,6 +17,7 @@ from .looking import Seen, StatusReader
 from .ownfiles import OwnFiles
 from .runtime import Clock, EngineRecovery, Reports, Runner, StreamClock, Watchdog, watch
 from .settings import Settings
+from .standing import Standing
 from .textinput import TextInput
 
 
@@ -30,6 +31,8 @@ class EngineParts(NamedTuple):
     reports: Reports
     runner: Runner
     watchdog: Watchdog
+    own_files: OwnFiles
+    programs: Dict[str, Standing]
 
 
 class EngineCore:
@@ -71,6 +74,9 @@ class EngineCore:
         self._message = self._intake.take_message
         self._text_input = TextInput(self._logic.operators, self._take, call, reports)
         self._outputs: List[OnOutput] = []
+        self._foreign: List[Tuple[object, ...]] = []
+        self._programs: Dict[str, Standing] = {}
+        """What the folder of a program has made, by its real path."""
         self._own_files = OwnFiles(
             self._logic, self._rules, self._runner, self._dispatcher, settings.limit_start, self._once
         )
@@ -152,4 +158,6 @@ def parts_of(engine: EngineCore) -> EngineParts:
         engine._reports,  # noqa: SLF001
         engine._runner,  # noqa: SLF001
         engine._watchdog,  # noqa: SLF001
+        engine._own_files,  # noqa: SLF001
+        engine._programs,  # noqa: SLF001
     )

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Callable, Collection, Dict, Iterator, List, Optional, Tuple, TypeVar, Union
 
 from ..events.dispatch import Stage
-from ..events.program import GOALS, read_text, unknown_memories, unread_rules, wrong_messages
+from ..events.program import unknown_memories, unread_rules, wrong_messages
 from ..foundation import RuleError
 from ..messages import Definitions
 from ..prolog.foreign import define_foreign
@@ -14,6 +14,7 @@ from ..prolog.terms import Functor, Term, Var, WholeSeconds, timestamps, variabl
 from .callbacks import OnEvent, OnOutput
 from .holdings import Holdings
 from .ownfiles import REQUEST
+from .reloading import NoReports, clock_at, load_folder, reload_folder, trial_settings
 from .status import MOST, Status
 
 Instant = Union[int, Term]
@@ -93,8 +94,34 @@ class Engine(Holdings):
             ProgramErrors: the goals that did not read, failed or raised; the others have been called.
             UsageError: where the file cannot be read.
         """
-        path = Path(folder) / GOALS
-        self.call_goals(read_text(path), str(path), path.parent)
+        load_folder(self, Path(folder))
+
+    def reload(self, folder: Union[str, Path]) -> List[str]:
+        """Read a program's folder again, all or nothing: what `load_program` has made of it goes, and what it says
+        now comes; return what has changed, a line each.
+
+        Memories keep their records where their definition is the same, rules that say the same what waits in them.
+        What was added since by others or at run time stays. The folder is loaded twice: first into another engine
+        with these settings, so that errors leave this one untouched. So its goals are called twice, and what they do
+        outside of an engine is done twice. The limits of a request hold for each time.
+
+        >>> engine = Engine()
+        >>> engine.load_program(folder)
+        >>> engine.reload(folder)[0].partition(",")[0]
+        'rules: 0 new'
+
+        Raises:
+            ProgramErrors: what is wrong; the program is what it was.
+            UsageError: where a file cannot be read, or a goal or callback of this engine calls it.
+        """
+        return reload_folder(self, Path(folder), self._trial)
+
+    def _trial(self) -> "Engine":
+        """Return another engine with these settings, for which it is as late."""
+        trial = Engine(clock_at(self.clock.now()), trial_settings(self.settings), NoReports())
+        for sources in self._foreign:
+            trial.add_foreign(*sources)
+        return trial
 
     def call_goals(self, text: str, source: str, folder: Optional[Path] = None) -> None:
         """Call the goals of a goal file one after the other; see `load`.
@@ -122,7 +149,9 @@ class Engine(Holdings):
             UsageError: for a function without the decorator, or a module in which none has it.
             PrologError: where a predicate of the system has that name.
         """
-        return self._runner.call(lambda: define_foreign(self._logic, self._runner, *sources))
+        found = self._runner.call(lambda: define_foreign(self._logic, self._runner, *sources))
+        self._foreign.append(sources)
+        return found
 
     # ---- events --------------------------------------------------------------------------------------
 

@@ -5,10 +5,16 @@ puts them together.
 """
 
 from .knowledge import DELETE_MEMORY, MEMORIZE, SUBSCRIBE, Knowledge
+from .recorder import Instance
+from .subscriptions import Key as SubscriptionKey
+from .subscriptions import Subscription
 
 __all__ = [
     "DELETE_MEMORY",
+    "Instance",
     "Knowledge",
     "MEMORIZE",
     "SUBSCRIBE",
+    "Subscription",
+    "SubscriptionKey",
 ]

@@ -1,6 +1,6 @@
 """Memory instances by name: made and deleted by goals and services, fed by events, read by goals."""
 
-from typing import Any, Callable, Dict, Hashable, Iterator, Optional, Tuple
+from typing import Any, Callable, Dict, Hashable, Iterable, Iterator, List, Optional, Sequence, Tuple
 
 from ...foundation import UsageError
 from ...prolog.builtins import instant_of
@@ -62,6 +62,7 @@ class Memories:
         self._problem = problem
         self.instances: Dict[Hashable, Instance] = {}
         self._newest: Optional[Recorder] = None
+        self._aside: Dict[Hashable, Instance] = {}
         self._updates = dispatcher.gate(UPDATED)
         self.on_update: Follow = lambda instance, end, after: after
         self.on_delete: Callable[[Instance], None] = lambda instance: None
@@ -100,12 +101,16 @@ class Memories:
             raise type_error("integer", size)
         if size < 0:
             raise domain_error("not_less_than_zero", size)
-        instance = Instance(name, size, active)
-        self.on_create(instance)
+        instance = Instance(name, size, active, copied)
+        before = self._aside.get(key)
+        if before is not None and before.key == instance.key:
+            instance = self._aside.pop(key)
+        else:
+            self.on_create(instance)
         recorder = self._recorder(pattern, conditions, form, name)
         self.instances[key] = instance
         recorder.add(instance)
-        if not active:
+        if not active or instance is before:
             return after
         kept = pattern if is_whole(pattern, conditions, form) else form
         instant = self._stamp()
@@ -125,10 +130,41 @@ class Memories:
         del self.instances[key_of(instance.id)]
         instance.recorder.remove(instance)
         self.on_delete(instance)
+        return self.tell_deleted(instance, after)
+
+    def tell_deleted(self, instance: Instance, after: Frame) -> Frame:
+        """Return the frame that tells that a memory has been deleted."""
         if not instance.active:
             return after
         instant = self._stamp()
         return self._dispatcher.dispatch((DELETED, instance.id), instant, instant, after)
+
+    def set_aside(self, instances: Iterable[Instance]) -> None:
+        """Take memories out with their records, for `create` to put those back that are made again as they were."""
+        for instance in instances:
+            key = key_of(instance.id)
+            del self.instances[key]
+            instance.recorder.remove(instance)
+            self._aside[key] = instance
+
+    def forget_aside(self) -> List[Instance]:
+        """Delete the memories that were set aside and not put back, with their waiting queries; return them."""
+        gone = list(self._aside.values())
+        self._aside.clear()
+        for instance in gone:
+            self.on_delete(instance)
+        return gone
+
+    def restore(self, instances: Sequence[Instance]) -> None:
+        """Have these memories, which have been set aside meanwhile or not, and no others."""
+        self.set_aside(list(self.instances.values()))
+        kept = set(instances)
+        self._aside = {key: instance for key, instance in self._aside.items() if instance not in kept}
+        self.forget_aside()
+        self._aside = {key_of(instance.id): instance for instance in instances}
+        done = self._logic.machine.done
+        for instance in instances:
+            self.create(instance.definition, instance.active, done)
 
     def mend(self) -> None:
         """Put right what an interrupt may have left half done: a memory has a name and records, or neither."""

@@ -4,7 +4,7 @@ from heapq import heapify, heappop, heappush
 from typing import AbstractSet, Any, Callable, Dict, Hashable, Iterator, List, Tuple
 
 from ...prolog.machine import Frame
-from ...prolog.terms import Term, Values, Var, deref, functor, is_ground
+from ...prolog.terms import Term, Values, Var, deref, functor, is_ground, term_key
 from ..dispatch import NOBODY, Dispatcher, Stage
 from .memory import Memory, MemoryRecord
 from .recording import Recording
@@ -27,24 +27,31 @@ class Instance:
     """A memory with its name, its recorder, and the queries that wait for it.
 
     Attributes:
+        definition: what it was made of: ``(Functor, Pattern, Conditions, Record, Id, Size)``.
         due: the least instant that a query waits for.
         open: whether a record may have variables, so that a reader needs a copy.
         times: a heap of the instants waited for; some may have no query any more.
         waiting: the queries that wait for it, by instant and order.
     """
 
-    __slots__ = ("id", "active", "memory", "recorder", "open", "due", "times", "waiting")
+    __slots__ = ("id", "active", "definition", "memory", "recorder", "open", "due", "times", "waiting")
 
     recorder: "Recorder"
 
-    def __init__(self, name: Term, size: int, active: bool):
+    def __init__(self, name: Term, size: int, active: bool, definition: Term):
         self.id = name
+        self.definition = definition
         self.memory = Memory(size)
         self.active = active
         self.open = False
         self.due = NEVER
         self.times: List[int] = []
         self.waiting: Dict[int, Dict[int, Waiting]] = {}
+
+    @property
+    def key(self) -> Hashable:
+        """Equal for memories that keep the same of the same events, under the same name."""
+        return self.active, term_key(self.definition)
 
     def has(self, instant: int) -> bool:
         """Tell whether it has taken an event that ends at an instant or later."""

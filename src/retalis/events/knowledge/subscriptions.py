@@ -1,10 +1,10 @@
 """Subscriptions: which events go out, in which form, to which topic."""
 
-from typing import Any, Callable, Dict, Hashable, Iterator, List, NamedTuple, Tuple
+from typing import Any, Callable, Dict, Hashable, Iterable, Iterator, List, NamedTuple, Sequence, Tuple
 
 from ...prolog.logic import Logic
 from ...prolog.machine import Frame, permission_error
-from ...prolog.terms import MINUS, Atom, Term, Values, copy, deref
+from ...prolog.terms import MINUS, Atom, Term, Values, copy, deref, term_key
 from ..dispatch import Dispatcher, Listener, Stage
 from .recording import Warn, itself, key_of, recording, unused_variables
 
@@ -25,11 +25,17 @@ class Tally:
 
 
 class Subscription(NamedTuple):
-    """What listens for a subscription, its id as it was given, and what it has sent."""
+    """What listens for a subscription, its id as it was given, what it has sent, and what it was made of."""
 
     listener: Listener
     id: Term
     tally: Tally
+    definition: Term
+
+    @property
+    def key(self) -> Hashable:
+        """Equal for subscriptions that send the same of the same events, with the same topic and id."""
+        return term_key(self.definition)
 
 
 class Subscriptions:
@@ -48,6 +54,7 @@ class Subscriptions:
         self._deliver = deliver
         self._problem = problem
         self._all: Dict[Key, Subscription] = {}
+        self._aside: Dict[Key, Subscription] = {}
 
     def __iter__(self) -> Iterator[Key]:
         return iter(list(self._all))
@@ -81,7 +88,9 @@ class Subscriptions:
             f"subscription {self._logic.brief(name)}",
             self._problem,
         )
-        deliver, tally = self._deliver, Tally()
+        before = self._aside.get(key)
+        tally = before.tally if before is not None and before.key == term_key(copied) else Tally()
+        deliver = self._deliver
         ground = self._dispatcher.ground
 
         def send(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
@@ -103,7 +112,25 @@ class Subscriptions:
             looks_on=shape is itself,
             unused=unused_variables(pattern, conditions, form),
         )
-        self._all[key] = Subscription(listener, name, tally)
+        self._all[key] = Subscription(listener, name, tally, copied)
+
+    def set_aside(self, keys: Iterable[Key]) -> None:
+        """Take subscriptions out; those that are made again as they were go on counting what they have sent."""
+        for key in keys:
+            found = self._aside[key] = self._all.pop(key)
+            self._dispatcher.remove(found.listener)
+
+    def forget_aside(self) -> None:
+        """Forget what was set aside."""
+        self._aside.clear()
+
+    def restore(self, before: Sequence[Tuple[Key, Subscription]]) -> None:
+        """Have these subscriptions, which have been set aside meanwhile or not, and no others."""
+        self.set_aside(list(self._all))
+        self._aside = dict(before)
+        for _, one in before:
+            self.create(one.definition)
+        self.forget_aside()
 
     def mend(self) -> None:
         """Have nothing delivered that no subscription asks for, which an interrupt may leave."""

@@ -181,6 +181,31 @@ class Rules:
         if known:
             self._fired_before += rule.firings.number
 
+    def set_aside(self, rule: Rule) -> None:
+        """Have a rule take no events for now; what waits in it stays."""
+        self._table.take_out(rule)
+        rule.unlisten()
+
+    def arrange(self, rules: Sequence[Rule], gone: Sequence[Rule] = ()) -> None:
+        """Have these rules take events, in this order, and no others; what waits in them stays.
+
+        Args:
+            rules: new ones, those that take events, and those that were set aside.
+            gone: what was set aside for good.
+        """
+        for rule in gone:
+            self._table.add(rule)
+        kept = set(rules)
+        for rule in self.rules:
+            if rule in kept:
+                self._table.take_out(rule)
+            else:
+                self.remove(rule)
+        for rule in rules:
+            self.serial += 1
+            rule.serial = self.serial
+            self.activate(rule)
+
     def mend(self) -> None:
         """Put right what an interrupt may have left half done: a rule is there and listens, or neither."""
         self._table.mend()

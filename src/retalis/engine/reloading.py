@@ -1,0 +1,328 @@
+"""A program's folder read again while the program runs: all of it, or nothing.
+
+The folder is first loaded into an engine of its own, which takes no events. What is wrong with it shows there, and
+the running program is not touched. Then, while nothing else is done, what the folder had made is set aside, the
+folder is loaded, and what is the same as before is put back with what it holds. Where something goes wrong even
+then, the old program is put back.
+"""
+
+import os
+from pathlib import Path
+from threading import get_ident
+from typing import Callable, Dict, Hashable, List, Sequence
+
+from ..events.knowledge import Instance
+from ..events.network import Rule
+from ..events.program import GOALS, read_text
+from ..foundation import Errors, ProgramErrors, RuleError, UsageError
+from ..prolog.database import Clause, Predicate
+from ..prolog.terms import atom, term_key
+from .changes import changes
+from .core import EngineCore, parts_of
+from .ownfiles import REQUEST
+from .runtime import Clock, Reports, StreamClock
+from .settings import Settings
+from .standing import NOTHING, Clauses, Standing, clause_key, paired, standing
+
+_UNDOING = atom("putting the old program back")
+_FORGET_TABLES = atom("abolish_all_tables")
+_LOADING = atom("the program's folder")
+
+
+class NoReports(Reports):
+    """Keeps to itself what is said again when the program is loaded in earnest."""
+
+    def _log(self, level: int, key: object, text: str, texts: int = 1, once: bool = False) -> None:
+        """Say nothing."""
+
+
+def standing_of(engine: EngineCore) -> Standing:
+    """Return what there is of an engine's program now."""
+    parts = parts_of(engine)
+    return standing(parts.logic, parts.rules, parts.knowledge)
+
+
+def clock_at(instant: int) -> Clock:
+    """Return a clock that stands at an instant until somebody moves it."""
+    clock = StreamClock()
+    clock.move_to(instant)
+    return clock
+
+
+def trial_settings(settings: Settings) -> Settings:
+    """Return the settings of an engine in which the program of another is tried."""
+    return settings._replace(limit_start=True, watchdog=None)
+
+
+def load_folder(engine: EngineCore, folder: Path) -> None:
+    """Load a program's folder, and note what that makes; see `Engine.load_program`."""
+    programs, key = parts_of(engine).programs, os.path.realpath(folder)
+    before = standing_of(engine)
+    try:
+        _load(engine, folder)
+    finally:
+        programs[key] = programs.get(key, NOTHING).and_then(standing_of(engine).since(before))
+
+
+def _load(engine: EngineCore, folder: Path) -> None:
+    path = folder / GOALS
+    parts_of(engine).own_files.call_goals(read_text(path), str(path), folder)
+
+
+def reload_folder(engine: EngineCore, folder: Path, new_engine: Callable[[], EngineCore]) -> List[str]:
+    """Read a program's folder again; see `Engine.reload`."""
+    parts, key = parts_of(engine), os.path.realpath(folder)
+    if parts.runner.thread == get_ident():
+        raise UsageError("a goal or callback of an engine cannot have it read its program again")
+    tried = try_program(engine, new_engine(), parts.programs.get(key, NOTHING), folder)
+
+    def work() -> List[str]:
+        exchange = Exchange(engine, parts.programs.get(key, NOTHING), tried)
+        try:
+            return exchange.run(lambda: _load(engine, folder))
+        finally:
+            parts.programs[key] = exchange.made
+
+    return parts.runner.call(lambda: parts.dispatcher.undisturbed(work), (REQUEST,))
+
+
+def try_program(engine: EngineCore, trial: EngineCore, made: Standing, folder: Path) -> Standing:
+    """Load a program into an engine of its own; return what it has made there.
+
+    Args:
+        engine: the one that runs.
+        trial: the other.
+        made: what the program has made in the one that runs.
+        folder: the program's.
+
+    Raises:
+        ProgramErrors: what is wrong, and what the program makes that services have added to the one that runs.
+    """
+    logic = parts_of(trial).logic
+    logic.output = logic.error_output = lambda text: None
+    parts_of(trial).runner.call(lambda: _load(trial, folder), (_LOADING,))
+    found = standing_of(trial)
+    now = parts_of(engine).runner.call(lambda: standing_of(engine))
+    taken = Errors()
+    show = parts_of(engine).logic.brief
+    for key, one in found.memories.items():
+        if key in now.memories and key not in made.memories:
+            taken.append(
+                RuleError(f"memory {show(one.id)} of the program has been added meanwhile by others")
+            )
+    for place, subscription in found.subscriptions.items():
+        if place in now.subscriptions and place not in made.subscriptions:
+            name = show(subscription.id)
+            text = (
+                f"subscription {name} of topic {place[0]} of the program has been added meanwhile by others"
+            )
+            taken.append(RuleError(text))
+    if taken:
+        raise ProgramErrors(taken)
+    return found
+
+
+class Exchange:
+    """Exchanges what a folder has made in an engine for what it makes now.
+
+    Args:
+        engine: nothing else is done in it meanwhile.
+        made: what the folder has made.
+        trial: what it makes elsewhere.
+    """
+
+    def __init__(self, engine: EngineCore, made: Standing, trial: Standing):
+        self._engine = engine
+        self._parts = parts_of(engine)
+        self._before = standing_of(engine)
+        self._old = self._still_there(made)
+        self._made = made
+        self._trial = trial
+        self.made = made
+        """What the folder has made now."""
+
+    def run(self, load: Callable[[], None]) -> List[str]:
+        """Do it; return what has changed, a line each.
+
+        Raises:
+            RetalisError: what went wrong; the old program is at work again.
+        """
+        budget = self._parts.logic.machine.budget
+        try:
+            self._set_aside()
+            rest = standing_of(self._engine)
+            budget.apart((_LOADING,), load)
+            self._parts.logic.once(_FORGET_TABLES)
+            self.made = standing_of(self._engine).since(rest)
+            told = changes(self._parts.logic, self._old, self.made, self._kept_rules(), self._made.clauses)
+            self._put_back(rest)
+        except BaseException as error:
+            self._undo_after(error)
+            raise
+        self._forget()
+        return told
+
+    def _still_there(self, made: Standing) -> Standing:
+        """Return of what was made what nobody has deleted or replaced since."""
+        now = self._before
+        rules, memories, subscriptions = set(now.rules), now.memories, now.subscriptions
+        clauses: Clauses = {}
+        for predicate, found in made.clauses.items():
+            live = set(now.clauses.get(predicate, ()))
+            clauses[predicate] = [clause for clause in found if clause in live]
+        return made._replace(
+            rules=[rule for rule in made.rules if rule in rules],
+            clauses=clauses,
+            memories={key: one for key, one in made.memories.items() if memories.get(key) is one},
+            subscriptions={k: one for k, one in made.subscriptions.items() if subscriptions.get(k) is one},
+        )
+
+    # ---- taking out ----------------------------------------------------------------------------------
+
+    def _set_aside(self) -> None:
+        rules, knowledge, old = self._parts.rules, self._parts.knowledge, self._old
+        for rule in old.rules:
+            rules.set_aside(rule)
+        for predicate, clauses in old.clauses.items():
+            self._take_out(predicate, clauses)
+        knowledge.memories.set_aside(old.memories.values())
+        knowledge.subscriptions.set_aside(old.subscriptions)
+        properties = {
+            key: [one for one in found if one not in old.properties.get(key, ())]
+            for key, found in rules.all_properties().items()
+        }
+        rules.restore_properties({key: found for key, found in properties.items() if found})
+        rules.files.loaded -= old.files
+        for name, value in old.flags.items():
+            wanted = self._trial.flags[name]
+            if wanted is not None and rules.flags.get(name) == value:
+                rules.flags.set(name, wanted)
+
+    def _take_out(self, predicate: Predicate, clauses: Sequence[Clause]) -> None:
+        for clause in clauses:
+            predicate.remove(clause)
+        if len(predicate):
+            return
+        predicate.compile_after = self._parts.logic.database.compile_after
+        if predicate in self._old.dynamic:
+            predicate.dynamic = False
+        key = predicate.functor
+        library = self._parts.logic.database.library.kept.get(key)
+        if key in self._old.replaced and library is not None:
+            self._parts.logic.database.give_back(library)
+        elif not predicate.dynamic:
+            predicate.kind = "undefined"
+
+    # ---- putting back --------------------------------------------------------------------------------
+
+    def _kept_rules(self) -> Dict[Rule, Rule]:
+        """Return for new rules the old ones that go on in their places, with what waits in them.
+
+        Where the program has begun or ceased to have a predicate of the library of its own, what was compiled calls
+        the one that was there: no rule goes on then.
+        """
+        if self.made.replaced != self._old.replaced:
+            return {}
+        return paired(self._old.rules, self.made.rules, _rule_key)
+
+    def _put_back(self, rest: Standing) -> None:
+        rules = self._parts.rules
+        kept = self._kept_rules()
+        mine = []
+        for rule in self.made.rules:
+            old = kept.get(rule)
+            if old is not None:
+                old.place = rule.place
+            mine.append(old or rule)
+        made = set(self.made.rules)
+        others = [rule for rule in rules.rules if rule not in made]
+        staying = set(mine)
+        rules.arrange([*mine, *others], [rule for rule in self._old.rules if rule not in staying])
+        self.made = self.made._replace(rules=mine)
+        for predicate, clauses in self.made.clauses.items():
+            self._leave_retracted(predicate, clauses, rest.clauses.get(predicate, []))
+
+    def _leave_retracted(self, predicate: Predicate, clauses: List[Clause], others: List[Clause]) -> None:
+        """Take out of a dynamic predicate what the program had made before and has retracted since.
+
+        Not where it was changed by the load itself: then it begins as the program says.
+        """
+        live = set(predicate.live())
+        if not predicate.dynamic or not live.issuperset(others):
+            return
+        there = set(self._old.clauses.get(predicate, ()))
+        gone = [clause_key(one) for one in self._made.clauses.get(predicate, ()) if one not in there]
+        for clause in clauses:
+            key = clause_key(clause)
+            if key in gone:
+                gone.remove(key)
+                predicate.remove(clause)
+
+    def _forget(self) -> None:
+        """Let go of what is not there any more, and tell of it."""
+        knowledge = self._parts.knowledge
+        knowledge.subscriptions.forget_aside()
+        for instance in knowledge.memories.forget_aside():
+            self._tell(instance)
+
+    def _tell(self, instance: Instance) -> None:
+        knowledge, machine = self._parts.knowledge, self._parts.logic.machine
+        if knowledge.memories.find(instance.id) is None:
+            tell = knowledge.memories.tell_deleted
+            self._parts.dispatcher.apart(lambda: machine.run(tell(instance, machine.done)))
+
+    # ---- where it went wrong -------------------------------------------------------------------------
+
+    def _undo_after(self, error: BaseException) -> None:
+        """Have the program be what it was.
+
+        Raises:
+            UsageError: where not even that can be done.
+        """
+        try:
+            self._parts.logic.machine.budget.apart((_UNDOING,), self._undo)
+        except Exception as second:
+            raise UsageError(
+                f"the program does not load ({error}), and the old one is not put back whole ({second}): restart it"
+            ) from error
+
+    def _undo(self) -> None:
+        """Have the program be what it was."""
+        rules, knowledge, before = self._parts.rules, self._parts.knowledge, self._before
+        for name, value in before.flags.items():
+            if value is not None:
+                rules.flags.set(name, value)
+        rules.restore_properties(before.properties)
+        rules.arrange(before.rules)
+        rules.files.loaded = before.files
+        knowledge.memories.restore(list(before.memories.values()))
+        knowledge.subscriptions.restore(list(before.subscriptions.items()))
+        self._undo_clauses()
+        self._parts.logic.once(_FORGET_TABLES)
+
+    def _undo_clauses(self) -> None:
+        """Have each predicate have the clauses that it had; those that were taken out cannot be put in again."""
+        database = self._parts.logic.database
+        for predicate, clauses in standing_of(self._engine).clauses.items():
+            if predicate not in self._before.clauses:
+                self._take_out(predicate, clauses)
+        again: Dict[Clause, Clause] = {}
+        for predicate, clauses in self._before.clauses.items():
+            if list(predicate.live()) == clauses:
+                continue
+            predicate.clear()
+            database.take_back(predicate)
+            predicate.dynamic = predicate in self._before.dynamic
+            for clause in clauses:
+                new = again[clause] = Clause(predicate, clause.head, clause.body, clause.place)
+                predicate.add(new)
+        made = {
+            one: [again.get(clause, clause) for clause in found] for one, found in self._made.clauses.items()
+        }
+        again_there = dict(self._parts.knowledge.subscriptions.items())
+        subscriptions = {key: again_there[key] for key in self._old.subscriptions}
+        self.made = self._made._replace(clauses=made, subscriptions=subscriptions)
+
+
+def _rule_key(rule: Rule) -> Hashable:
+    return rule.definition.key, None if rule.label is None else term_key(rule.label)
