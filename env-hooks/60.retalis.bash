@@ -13,7 +13,7 @@ _retalis_complete() {
   case "$before" in
     --node) words="$(retalis complete nodes 2>/dev/null)" ;;
     --wait-for) words="$(retalis complete memories ${node:+--node "$node"} 2>/dev/null)" ;;
-    retalis) words="query list status explain watch console bag demo events" ;;
+    retalis) words="query list status explain watch reload console bag demo events" ;;
     *) words="--node --json --help"
        [ "${COMP_WORDS[1]}" = query ] && words="$words --most --seconds --inferences --wait-for --stamp --timeout"
        [ "${COMP_WORDS[1]}" = watch ] && words="$words --event --inputs --count"

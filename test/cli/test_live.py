@@ -17,7 +17,15 @@ def no_ros(monkeypatch):
 
 @pytest.mark.parametrize(
     "words",
-    [["query", "true"], ["list"], ["status"], ["explain", "a"], ["watch"], ["console", "--node", "/x"]],
+    [
+        ["query", "true"],
+        ["list"],
+        ["status"],
+        ["explain", "a"],
+        ["watch"],
+        ["reload"],
+        ["console", "--node", "/x"],
+    ],
 )
 def test_without_ros_they_say_what_is_missing(no_ros, capsys, words):
     assert main(words) == 1

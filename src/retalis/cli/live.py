@@ -21,6 +21,7 @@ def add_parser(add_command: AddCommand) -> None:
     status.add_argument("--every", type=float, default=1.0, metavar="SECONDS", help="how often (1)")
     status.add_argument("--once", action="store_true", help="show it once; so it is where nobody looks on")
     _add_watch(add_command)
+    _command(add_command, "reload", "have a node read its program again, all or nothing")
     complete = _command(add_command, "complete", None)
     complete.add_argument("what", choices=("nodes", "memories"))
 

@@ -102,6 +102,15 @@ def _print_all(lines: Iterator[str]) -> None:
         print(line)
 
 
+def _reload(options: argparse.Namespace) -> int:
+    found = checked(LiveNode(options.node).call("reload", srv.Reload))
+    if options.json:
+        print(json.dumps(found.changes))
+    else:
+        _print_all(map(printable, found.changes))
+    return 0
+
+
 def _listed(node: LiveNode) -> Dict[str, Any]:
     """Return what a node says of itself."""
     found: Dict[str, Any] = plain(checked(node.call("list", srv.List)))
@@ -230,6 +239,7 @@ def _complete(options: argparse.Namespace) -> int:
 _COMMANDS: Dict[str, Callable[[argparse.Namespace], int]] = {
     "query": _query,
     "explain": _explain,
+    "reload": _reload,
     "list": _list,
     "status": _status,
     "watch": _watch,

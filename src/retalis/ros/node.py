@@ -26,6 +26,7 @@ from .log import shown
 from .names import INPUT, OUTPUT
 from .parameters import WATCHDOG, Parameters, direct_topics
 from .questions import Questions
+from .reloading import ReloadService
 from .rostime import ros_now
 from .running import run_node
 from .sending import Outlet
@@ -100,9 +101,7 @@ class RetalisNode:
             self._poster, parameters.queue, self._reports, Definitions(bare=parameters.bare), skew=skew
         )
         self._text_only = TextOnly((topic for topic, _ in topics.published), self._reports)
-        for topic in self.engine.output_topics():
-            self._text_only.look(topic)
-        self._lint(topics)
+        self._look_through(topics)
         self.engine.on_output(self._send_text)
         direct = direct_topics(parameters.direct, topics)
         if parameters.embedded:
@@ -116,6 +115,9 @@ class RetalisNode:
         EngineServices(self.engine, self._text_only)
         Questions(self.engine)
         RuleServices(self.engine)
+        ReloadService(
+            self.engine, parameters.program, parameters.settings.write_folders, topics, self._reloaded
+        )
         Listing(self._interface.inputs, self.engine.status)
         self._interface.subscribe_texts(INPUT, self.engine.post_text)
         rospy.loginfo("%s: %s", parameters.program, self.engine.summary())
@@ -133,11 +135,24 @@ class RetalisNode:
     def _engine_health(self) -> Callable[[], List[Health]]:
         settings = self._parameters.settings
         engine = EngineHealth(settings.watchdog or WATCHDOG, settings.limits.seconds or LATE)
-        loaded = program_health(self._errors, self._doubts)
-        return lambda: [*engine.of(time.monotonic(), self.engine.status()), loaded]
+        return lambda: [
+            *engine.of(time.monotonic(), self.engine.status()),
+            program_health(list(self._errors), list(self._doubts)),
+        ]
 
     def _outputs(self) -> List[OutputStatus]:
         return [self._texts.status("std_msgs/String"), *self._interface.outputs.status()]
+
+    def _reloaded(self, topics: Topics) -> None:
+        self._errors.clear()
+        self._doubts.clear()
+        self._look_through(topics)
+
+    def _look_through(self, topics: Topics) -> None:
+        """Say what is probably not meant in the program that has been loaded."""
+        for topic in self.engine.output_topics():
+            self._text_only.look(topic)
+        self._lint(topics)
 
     def _lint(self, topics: Topics) -> None:
         kinds = {kind for _, kind in (*topics.subscribed, *topics.published)}

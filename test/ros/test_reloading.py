@@ -1,0 +1,71 @@
+"""A program that is read again in a node that runs."""
+
+import json
+import subprocess
+
+import pytest
+
+LIVE = ("rosrun", "retalis", "retalis")
+RULES = "alarm(X) <- smoke(X) seq heat(X).\n"
+
+
+@pytest.fixture
+def folder(tmp_path):
+    found = tmp_path / "program"
+    found.mkdir()
+    (found / "pub_sub.xml").write_text("<publish_subscribe/>\n")
+    (found / "goalPredicates.txt").write_text(
+        "compile_event_file('rules.txt')\nmemorize(alarm(_), [], _, alarms, 5)\n"
+    )
+    (found / "rules.txt").write_text(RULES)
+    return found
+
+
+def start(space, folder, *words):
+    """Start node retalis with a program, on a master of its own."""
+    space.start("roscore", "-p", str(space.port))
+    space.expect(lambda found, services: "/rosout" in found)
+    space.start("rosrun", "retalis", "retalis_node", f"_program:={folder}", *words)
+    space.expect(lambda found, services: "/retalis/reload" in services)
+
+
+def said(space, *words, wrong=False):
+    """Return what a command prints; where something is wrong, the error."""
+    command = space.command(*LIVE, *words)
+    done = subprocess.run(command, env=space.env, capture_output=True, text=True, timeout=60)
+    assert done.returncode == int(wrong), done.stderr
+    return done.stderr if wrong else done.stdout
+
+
+def happen(space, *events):
+    """Have events happen, each at a second."""
+    said(space, "query", ", ".join(f"new_event({event}, {second}, 0)" for event, second in events))
+
+
+def test_a_program_is_read_again(space, folder):
+    start(space, folder)
+    happen(space, ("smoke(hall)", 1), ("heat(hall)", 2), ("smoke(attic)", 3))
+    assert "rules: 0 new, 0 gone, 1 kept, with 1 partial matches\n" in said(space, "reload")
+    (folder / "rules.txt").write_text(RULES + "fire <- smoke.\nwrong <- a seq.\n")
+    error = said(space, "reload", wrong=True)
+    assert f"{folder}/rules.txt:3:" in error
+    assert "\nwrong <- a seq.\n" in error
+    assert "^" in error
+    (folder / "rules.txt").write_text(RULES + "more(X) <- alarm(X).\n")
+    (folder / "pub_sub.xml").write_text(
+        '<publish_subscribe><subscribe_to name="a" msg_type="std_msgs/String"/></publish_subscribe>\n'
+    )
+    told = json.loads(said(space, "reload", "--json"))
+    assert told[0] == "rules: 1 new, 0 gone, 1 kept, with 1 partial matches"
+    assert "memories: 0 new, 0 gone, 1 kept, with 1 records" in told
+    assert told[-1].startswith("topics: pub_sub.xml has changed")
+    happen(space, ("heat(attic)", 4))
+    assert said(space, "query", "memory_counter(alarms, N)") == "N = 2\n"
+    (folder / "pub_sub.xml").write_text("<publish_subscribe>\n")
+    assert "is not closed" in said(space, "reload", wrong=True)
+
+
+def test_a_program_that_goals_could_write_is_not_read_again(space, folder):
+    start(space, folder, f"_write_folders:=[{folder.parent}]")
+    assert "of ~write_folders" in said(space, "reload", wrong=True)
+    assert said(space, "query", "memory_counter(alarms, N)") == "N = 0\n"
