@@ -30,7 +30,7 @@ KEPT = {
 """Cases where something stays: why."""
 
 SEEN_TO_AT = {
-    "retalis.events.dispatch.dispatch._GATES": 10,
+    "retalis.events.dispatch.audience._GATES": 10,
     "retalis.events.network.rule._SPARE": 10,
     "retalis.engine.runtime.reports._KINDS": 10,
 }
