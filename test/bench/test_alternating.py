@@ -24,8 +24,6 @@ print("case", sys.argv[1], "us_per_event", {figures}["{case}"][len(before) % 2])
 def alternating(monkeypatch):
     """The module."""
     monkeypatch.setattr(sys, "path", [str(ROOT / "bench"), str(ROOT / "examples" / "nao"), *sys.path])
-    for name in MODULES:  # of other tests that were imported before, a folder `engine` among them
-        monkeypatch.delitem(sys.modules, name, raising=False)
     yield importlib.import_module("alternating")
     for name in MODULES:
         sys.modules.pop(name, None)

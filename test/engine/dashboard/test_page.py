@@ -5,7 +5,7 @@ import pytest
 pytest.importorskip("tornado", reason="tornado is not installed")
 
 from browser import Browser, chromium  # noqa: E402
-from engine.dashboard.serving import engine, serving  # noqa: E402
+from pageserver import engine, serving  # noqa: E402
 
 from retalis.engine.dashboard import TopicLook  # noqa: E402
 

@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("tornado", reason="tornado is not installed")
 
-from engine.dashboard.serving import PATIENCE, Visitor, engine, serving  # noqa: E402
+from pageserver import PATIENCE, Visitor, engine, serving  # noqa: E402
 
 from retalis.engine import parts_of  # noqa: E402
 from retalis.engine.dashboard import Dashboard, DashboardSource, TopicLook  # noqa: E402
