@@ -1,4 +1,4 @@
-"""The soak, for two minutes; by itself it takes as long as it is told."""
+"""The soak, for half a minute; by itself it takes as long as it is told."""
 
 import subprocess
 import sys
@@ -11,7 +11,7 @@ SOAK = Path(__file__).with_name("soak.py")
 
 @pytest.mark.slow
 def test_nothing_is_lost_but_what_is_counted(devel, tmp_path):
-    command = [sys.executable, str(SOAK), "--minutes", "2", "--speed", "2", "--restarts", "20"]
+    command = [sys.executable, str(SOAK), "--minutes", "0.5", "--speed", "2", "--restarts", "12"]
     log = tmp_path / "soak.csv"
     done = subprocess.run(
         devel.command(*command, "--size", "160x120", "--log", str(log)),
@@ -22,4 +22,4 @@ def test_nothing_is_lost_but_what_is_counted(devel, tmp_path):
         timeout=600,
     )
     assert done.returncode == 0, done.stdout
-    assert len(log.read_text().splitlines()) > 60
+    assert len(log.read_text().splitlines()) > 20

@@ -65,6 +65,12 @@ class Outputs(unittest.TestCase):
     def test_a_latched_topic_gives_its_last_message_once_to_who_comes_later(self):
         state = Collector("state", String)
         wait_until(state.connected, "the publisher of the state")
+
+        def arrives():
+            self.event("state('\"0\"')")
+            return state.messages
+
+        wait_until(arrives, "the way from node retalis to the topic")  # outputs before it is there are lost
         for number in range(100, 110):
             self.event(f"state('\"{number}\"')")
         state.wait_for(lambda messages: messages and messages[-1].data == "109")
