@@ -46,8 +46,13 @@ class Outputs(unittest.TestCase):
         wait_until(copies.connected, "the publisher of the copies")
         wait_until(parts.connected, "the publisher of the parts")
         self.assertEqual([one._buff for one in parts.wait_for(bool)], [data[8:]])
-        thing.publish(data)
-        self.assertEqual(copies.wait_for(bool)[-1]._buff, data)
+
+        def copied():
+            thing.publish(data)
+            return copies.messages
+
+        wait_until(copied, "a copy")  # who listens has the connection a moment before who publishes
+        self.assertEqual(copies.messages[-1]._buff, data)
         parts.wait_for(lambda messages: len(messages) > 1)
         header = copies.messages[0]._connection_header
         self.assertEqual(
