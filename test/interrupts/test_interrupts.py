@@ -43,6 +43,7 @@ def interrupted(engine, work, prepare=lambda: None):
         yield injected.where
 
 
+@pytest.mark.slow
 def test_an_event_that_is_interrupted_anywhere_is_recorded_whole_or_not_at_all():
     engine = Engine()
     engine.load(goals="memorize(a(_), [], _, m, 2)")
@@ -55,6 +56,7 @@ def test_an_event_that_is_interrupted_anywhere_is_recorded_whole_or_not_at_all()
     assert {new - old for old, new in zip(counts, counts[1:])} == {0, 1}
 
 
+@pytest.mark.slow
 def test_a_post_that_is_interrupted_anywhere_leaves_the_engine_to_others():
     engine = Engine()
     engine.load(rules="b(X) <- a(X).")

@@ -152,6 +152,7 @@ EVENTS = st.lists(
 
 
 @given(st.sets(st.sampled_from(range(8))), st.sets(st.sampled_from(range(5))), EVENTS)
+@pytest.mark.slow
 def test_nobody_can_tell(parts, goals, events):
     rules = "\n".join(PARTS[at] for at in sorted(parts))
     asked = "\n".join(GOALS[at] for at in sorted(goals | {0}))
