@@ -17,7 +17,7 @@ from .diagnostics import Diagnostics
 from .health import NodeHealth, program_health
 from .interface import Interface, Publisher, Take
 from .listing import Listing
-from .log import shown
+from .log import log_error
 from .names import INPUT, OUTPUT
 from .parameters import Parameters, direct_topics
 from .rostime import Receipts, ros_now
@@ -61,9 +61,7 @@ class Converter:
         try:
             topics = read_topics(parameters.program / TOPICS)
         except RetalisError as error:
-            errors = shown(error)
-            for line in errors:
-                rospy.logerr("%s", line)
+            errors = log_error(error)
             topics = Topics()
         direct = direct_topics(parameters.direct, topics)
         self._interface.leave(direct)

@@ -26,6 +26,9 @@ def forward_log(logger: logging.Logger) -> None:
     logger.propagate = False
 
 
-def shown(error: RetalisError) -> List[str]:
-    """Return the texts of an error: one for each where it is several."""
-    return [str(one) for one in error.errors] if isinstance(error, ProgramErrors) else [str(error)]
+def log_error(error: RetalisError) -> List[str]:
+    """Log an error, each by itself where it is several; return their texts."""
+    texts = [str(one) for one in (error.errors if isinstance(error, ProgramErrors) else [error])]
+    for text in texts:
+        rospy.logerr("%s", text)
+    return texts

@@ -22,7 +22,7 @@ from .diagnostics import Diagnostics
 from .health import LATE, EngineHealth, Health, NodeHealth, program_health
 from .interface import Interface, Take
 from .listing import Listing
-from .log import shown
+from .log import log_error
 from .names import INPUT, OUTPUT
 from .parameters import WATCHDOG, Parameters, direct_topics
 from .questions import Questions
@@ -165,9 +165,7 @@ class RetalisNode:
         try:
             self.engine.load_program(self._parameters.program)
         except RetalisError as error:
-            self._errors += shown(error)
-            for line in shown(error):
-                rospy.logerr("%s", line)
+            self._errors += log_error(error)
 
     def _topics(self) -> Topics:
         try:
