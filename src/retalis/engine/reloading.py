@@ -56,12 +56,19 @@ def trial_settings(settings: Settings) -> Settings:
 
 def load_folder(engine: EngineCore, folder: Path) -> None:
     """Load a program's folder, and note what that makes; see `Engine.load_program`."""
-    programs, key = parts_of(engine).programs, os.path.realpath(folder)
+    programs, key = parts_of(engine).programs, _real(folder)
     before = standing_of(engine)
     try:
         _load(engine, folder)
     finally:
         programs[key] = programs.get(key, NOTHING).and_then(standing_of(engine).since(before))
+
+
+def _real(folder: Path) -> str:
+    try:
+        return os.path.realpath(folder)
+    except ValueError as error:  # what no folder is called: a NUL, surrogates
+        raise UsageError(f"cannot read {str(folder)!r}: {error}") from error
 
 
 def _load(engine: EngineCore, folder: Path) -> None:
@@ -71,7 +78,7 @@ def _load(engine: EngineCore, folder: Path) -> None:
 
 def reload_folder(engine: EngineCore, folder: Path, new_engine: Callable[[], EngineCore]) -> List[str]:
     """Read a program's folder again; see `Engine.reload`."""
-    parts, key = parts_of(engine), os.path.realpath(folder)
+    parts, key = parts_of(engine), _real(folder)
     if parts.runner.thread == get_ident():
         raise UsageError("a goal or callback of an engine cannot have it read its program again")
     tried = try_program(engine, new_engine(), parts.programs.get(key, NOTHING), folder)
