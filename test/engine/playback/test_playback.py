@@ -190,6 +190,22 @@ def test_alarms_go_by_the_time_of_the_bag(program, bag):
     ]
 
 
+def test_an_alarm_rings_at_its_own_time_and_not_at_the_next_message(program, bag):
+    path = bag(*((at * SECOND, "/in", "my_msgs/Point", f"my_msgs__0__Point({at}.0)") for at in (1, 9)))
+    rules = (
+        "exceptionAlarm(late(X), 3) <- my_msgs__0__Point(X).\n"
+        "null do event(seen(X)) <- late(X).\n"
+        "exceptionAlarm(later(X), 2) <- seen(X).\n"
+        "null do event(my_msgs__0__Point(X)) <- later(X) where X < 5."
+    )
+    goals = "subscribe(seen(X), [], my_msgs__0__Point(X), out, 1)"
+    outputs, events, problems = run(program(rules, goals, IN + OUT), path)
+    assert problems == []
+    assert [output.time for output in outputs] == [4 * SECOND, 9 * SECOND]
+    assert ("seen(1.0)", 4 * SECOND, 4 * SECOND) in events
+    assert ("my_msgs__0__Point(1.0)", 6 * SECOND, 6 * SECOND) in events
+
+
 @pytest.mark.parametrize("limit, taken", [(None, 5), (100.0, 4)])
 def test_a_stamp_far_ahead(program, bag, limit, taken):
     folder = program("", topics='<subscribe_to name="/s" msg_type="my_msgs/Stamped"/>')

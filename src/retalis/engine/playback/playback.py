@@ -121,6 +121,8 @@ class Playback:
         wanted = {topic.name for topic in bag.topics if _plain(topic.name) in self._types}
         decoders = {id(topic): self._decoders.get(topic) for topic in bag.topics}
         for done, (topic, instant, data) in enumerate(bag.records(wanted), 1):
+            if clock.alarms:
+                self._ring_until(instant)
             clock.move_to(instant, back=True)
             decoder = decoders[id(topic)]
             if decoder is not None:
@@ -129,6 +131,7 @@ class Playback:
             if outputs:
                 yield from outputs
                 outputs.clear()
+        self._ring_until(bag.end)
         clock.move_to(bag.end)
         self.engine.advance()
         yield from outputs
@@ -143,6 +146,15 @@ class Playback:
         False
         """
         return _plain(topic) in self._latched
+
+    def _ring_until(self, instant: int) -> None:
+        """Let each alarm ring at its own time, as it does on a robot, and not when the next message comes."""
+        clock = self.clock
+        due = clock.next_alarm()
+        while due is not None and due <= instant:
+            clock.move_to(due)
+            self.engine.advance()
+            due = clock.next_alarm()
 
     def _post(self, topic: Topic, decoder: Decoder, data: bytes) -> None:
         try:
