@@ -25,6 +25,7 @@ def _install(session: nox.Session) -> None:
         "-r",
         "requirements-oldest.txt" if oldest else "requirements.txt",
         "pytest>=7",
+        "pytest-xdist",
         "hypothesis",
         "tornado>=6",
     )

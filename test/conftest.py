@@ -2,7 +2,17 @@
 takes its time: a machine may be busy.
 
 The commands for long runs (``test/oracle``, ``test/fuzz``) take seeds and try others.
+
+The fast tests are shared between processes where pytest-xdist is installed. The slow ones are not, unless ``-n`` says
+so: some of them measure memory, and those on ROS are many processes by themselves.
 """
+
+import os
+
+import pytest
+
+FAST = "not slow"
+MOST = 8
 
 try:
     from hypothesis import settings
@@ -11,3 +21,12 @@ except ImportError:  # the tests that need it are skipped, or say so themselves
 else:
     settings.register_profile("repeatable", derandomize=True, deadline=None)
     settings.load_profile("repeatable")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_cmdline_main(config):
+    option = config.option
+    if "PYTEST_XDIST_WORKER" in os.environ:  # one of those processes, or below one: it starts no others
+        return
+    if option.markexpr == FAST and getattr(option, "numprocesses", 0) is None and not option.usepdb:
+        option.numprocesses = min(MOST, os.cpu_count() or 1)

@@ -17,6 +17,8 @@ sys.path += [str(NAO), str(HERE)]
 import nao_truth  # noqa: E402
 from make_bag import make_bag  # noqa: E402
 
+pytestmark = pytest.mark.slow
+
 
 def play(program, path):
     problems = []

@@ -34,6 +34,7 @@ def test_every_cell_gives_figures(events, tmp_path, capsys):
     assert len(table) == 1 + len({events.event_tables.keys(row) for row in rows})
 
 
+@pytest.mark.slow
 def test_figures_of_several_runs_make_one_table(events, tmp_path, capsys):
     files = []
     for name, policy in (("seq", "unrestricted"), ("seq", "recent"), ("and", "recent")):

@@ -253,6 +253,7 @@ def test_an_ending_that_is_added_leads_nowhere_else(place, goal):
             check(engine, None, loaded, name)
 
 
+@pytest.mark.slow
 def test_files_of_files_that_goals_load_are_as_restricted(place):
     program = place / "program"
     for number, text in enumerate(
@@ -308,6 +309,7 @@ def test_a_program_without_a_folder_reads_nothing_later(place, monkeypatch):
         assert "No permission to open source_sink" in told(lambda: engine.call(goal))  # noqa: B023
 
 
+@pytest.mark.slow
 def test_settings_allow_folders(place):
     outside = f"'{place}/outside/secret.pl'"
     for settings in (

@@ -21,6 +21,8 @@ from retalis.engine.playback import BagReader  # noqa: E402
 from retalis.messages import Definitions, Installed  # noqa: E402
 from retalis.prolog.terms import deref, list_items  # noqa: E402
 
+pytestmark = pytest.mark.slow
+
 SECONDS = 12
 
 

@@ -18,6 +18,8 @@ sys.path.append(str(ROOT / "examples" / "nao"))
 import make_bag  # noqa: E402
 import nao_messages  # noqa: E402
 
+pytestmark = pytest.mark.slow
+
 SECOND = 10**9
 BEGINS, ENDS = (make_bag.START + 4) * SECOND, (make_bag.START + 6) * SECOND
 FRAMES = b"base_link", b"torso"

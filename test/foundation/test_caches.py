@@ -2,6 +2,7 @@
 
 import ast
 
+import pytest
 from source import TREES
 
 from retalis.foundation import Cache, Texts
@@ -140,6 +141,7 @@ def test_texts_are_made_once_where_they_are_short():
     assert made == ["a", "b" * 1000, "b" * 1000]
 
 
+@pytest.mark.slow
 def test_each_cache_of_a_function_is_known_and_bounded():
     found = {
         (path, node.name)
@@ -150,6 +152,7 @@ def test_each_cache_of_a_function_is_known_and_bounded():
     assert found == set(DECORATED)
 
 
+@pytest.mark.slow
 def test_each_cache_is_known_with_its_bounds_of_entries_and_bytes():
     found = {
         (path, name): tuple(one for one in bounds if one is not None)[:2] for path, name, bounds in caches()

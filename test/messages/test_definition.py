@@ -193,6 +193,7 @@ def test_types_of_one_another_among_the_installed_ones_end(tmp_path):
             known.find("pkg/A")
 
 
+@pytest.mark.slow
 def test_the_largest_types_compile_and_are_read():
     known = registry()
     wide = known.add("pkg/Wide", "".join(f"int8 x{n}\n" for n in range(10_000)))

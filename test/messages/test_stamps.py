@@ -101,6 +101,7 @@ class Seen:
         self.second = second_bytes(second)
 
 
+@pytest.mark.slow
 @given(
     st.sampled_from(["t/Own", "t/Odometry", "t/Frames"]),
     st.lists(

@@ -154,6 +154,7 @@ def test_a_limit_is_caught_inside_a_long_step(logic):
     assert logic.once(read_term(goal, logic.operators).term)
 
 
+@pytest.mark.slow
 def test_an_error_names_the_goal_that_took_long(logic):
     logic.limits = Limits(inferences=LIMIT)
     with pytest.raises(PrologError) as caught:

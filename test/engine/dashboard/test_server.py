@@ -182,6 +182,7 @@ def test_so_many_pages_may_be_open(visitor):
     until(again)
 
 
+@pytest.mark.slow
 def test_so_many_connections_may_be_open(page, visitor):
     links = [
         socket.create_connection(("127.0.0.1", page.port), timeout=PATIENCE) for _ in range(MOST_CONNECTIONS)
@@ -204,6 +205,7 @@ def closed_at_once(port):
             return True
 
 
+@pytest.mark.slow
 def test_one_who_does_not_read_gets_the_newest_and_holds_up_nobody(program, visitor):
     program.load(rules="".join(f"a{number} <- b{number}(_). " for number in range(100)))
     with visitor.stream() as slow, visitor.stream() as stream:

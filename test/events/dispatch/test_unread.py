@@ -58,6 +58,7 @@ def test_what_is_read(rules, goals, unread):
     assert told(made(rules, goals)) == unread
 
 
+@pytest.mark.slow
 def test_nested_and_long_patterns_are_looked_at_once():
     deep = "f(" * 20_000 + "x" + ")" * 20_000
     assert told(made(goals=f"subscribe(image(H, _, {deep}), [], seen(H), t, s)")) == {2}

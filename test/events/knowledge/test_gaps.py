@@ -131,6 +131,7 @@ def test_nobody_is_told_of_a_gap_that_is_only_looked_up():
     assert parts_of(engine).reports.warnings == 0
 
 
+@pytest.mark.slow
 def test_what_is_noted_is_bounded():
     engine = engine_with(size=10_000)
     for start in range(NOTED * 3):
@@ -145,6 +146,7 @@ def test_what_is_noted_is_bounded():
     assert noted == {}
 
 
+@pytest.mark.slow
 @given(st.lists(st.integers(0, 40), max_size=20), st.integers(0, 40))
 def test_memory_gap_is_the_distance_of_its_neighbours(stamps, at):
     engine = engine_with(*stamps)

@@ -43,6 +43,7 @@ def test_terms(text, wanted):
     assert found == wanted
 
 
+@pytest.mark.slow
 @given(VALUES)
 def test_what_python_has_comes_back(value):
     assert json.loads(to_json(to_term(value), {}, 1_000_000)) == value
@@ -56,6 +57,7 @@ def test_an_integer_of_any_size():
     assert to_json(10**5000, {}, 10_000) == "1" + "0" * 5000
 
 
+@pytest.mark.slow
 def test_depth_is_no_problem():
     term = Var()
     for _ in range(100_000):

@@ -52,6 +52,7 @@ def test_no_term():
             to_term(value)
 
 
+@pytest.mark.slow
 def test_numpy():
     numpy = pytest.importorskip("numpy")
     assert to_term(numpy.float64(1.5)) == 1.5

@@ -158,6 +158,7 @@ def test_memory_is_bounded():
     assert max(map(len, held(reader, Cache))) <= 512
 
 
+@pytest.mark.slow
 def test_deep_nesting():
     text = "f(" * 50_000 + "1" + ")" * 50_000
     reader = EventReader()
