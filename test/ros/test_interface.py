@@ -26,7 +26,7 @@ def receive(monkeypatch):
     )
     monkeypatch.setattr(rospy, "logwarn", lambda text, *values: warnings.append(text % values))
 
-    def receive(wanted, sent, times=1, data=WARM):
+    def receive(wanted, sent, times=1, data=WARM, event=""):
         definitions = Definitions()
         taken = []
         InputTopic(
@@ -37,6 +37,7 @@ def receive(monkeypatch):
             5,
             threading.Lock(),
             reports,
+            event=event,
         )
         md5sum = Definitions().add(sent, TEXT).md5sum
         message = rospy.AnyMsg()
@@ -63,6 +64,13 @@ def taken_by(monkeypatch):
     monkeypatch.setattr(rospy, "Subscriber", lambda *arguments, **options: None)
     monkeypatch.setattr(interface, "read_by", lambda subscriber, taker, hold: takers.append(taker))
     return takers
+
+
+def test_events_are_called_as_it_is_said(receive):
+    for event, name in (("warm", "warm"), ("", "lab__0__Temperature")):
+        taken, warnings = receive("lab/Temperature", "lab/Temperature", event=event)
+        assert [(term[0].name, term[1]) for term in taken] == [(name, 36.5)]
+        assert warnings == []
 
 
 def test_a_misspelt_type_is_named_when_a_publisher_comes(receive):

@@ -1,7 +1,7 @@
 """ROS 1 message definitions: their slots, how large they are, and the checksum of all that."""
 
 import hashlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from struct import calcsize
 from typing import Dict, Iterable, List, NamedTuple, Optional, Tuple, Union
 
@@ -128,6 +128,7 @@ class Definition:
         fields: the slots in order.
         constants: the constants in order.
         text: the definition's own text.
+        event: what its event terms are called, where that is not ``pkg__0__Type``.
         md5sum: the checksum by which ROS tells versions of a type apart.
         measure: how large its messages are.
 
@@ -139,6 +140,7 @@ class Definition:
     fields: Tuple[Field, ...]
     constants: Tuple[Constant, ...] = ()
     text: str = ""
+    event: str = ""
     md5sum: str = field(init=False, default="")
     measure: Measure = field(init=False, default=Measure())
 
@@ -156,7 +158,7 @@ class Definition:
         >>> Definitions().find("std_msgs/String").functor_name
         'std_msgs__0__String'
         """
-        return functor_name(self.name)
+        return self.event or functor_name(self.name)
 
     @property
     def full_text(self) -> str:
@@ -191,6 +193,14 @@ class Definition:
         'my_robot__0__Text'
         """
         return Definition(name, self.fields, self.constants, self.text)
+
+    def as_event(self, event: str) -> "Definition":
+        """Return the same definition with event terms of another name; "" is that of the type.
+
+        >>> Definitions().find("std_msgs/Bool").as_event("bumper_left").functor_name
+        'bumper_left'
+        """
+        return self if event == self.event else replace(self, event=event)
 
     def __repr__(self) -> str:
         return f"Definition({self.name!r}, md5sum={self.md5sum!r})"

@@ -19,6 +19,9 @@ _COMMON = {"tf2_msgs/TFMessage": "geometry_msgs/TransformStamped[] transforms\n"
 
 _Key = Tuple[str, str]
 
+_CodeKey = Tuple[str, str, str]
+"""Type, checksum, and what its events are called."""
+
 LONGEST_TEXT = 1 << 20
 """Characters that a definition may have, with those of the types in it."""
 
@@ -60,7 +63,7 @@ class Definitions:
         self._nested: Dict[str, Definition] = {}
         self._found: Dict[str, Definition] = {}
         self._by_text: Cache[_Key, Definition] = Cache(1000, 32 << 20, 32 << 20)
-        self._decoders: Cache[_Key, Decoder] = Cache(1000, 32 << 20, 32 << 20)
+        self._decoders: Cache[_CodeKey, Decoder] = Cache(1000, 32 << 20, 32 << 20)
         self._encoders: Cache[_Key, Encoder] = Cache(1000, 32 << 20, 32 << 20)
 
     def add(self, name: str, text: str, md5sum: str = "") -> Definition:
@@ -116,8 +119,8 @@ class Definitions:
         for nested in definition.dependencies():
             self._nested.setdefault(nested.name, nested)
 
-    def learn(self, name: str, sent: str, text: str, md5sum: str) -> Learned:
-        """Return what reads the messages of a publisher as a type; see `received`.
+    def learn(self, name: str, sent: str, text: str, md5sum: str, event: str = "") -> Learned:
+        """Return what reads the messages of a publisher as a type, as events of a name; see `received`.
 
         >>> definitions = Definitions()
         >>> learned = definitions.learn("my_robot/Bumper", "my_robot/Bumper", "bool left", "*")
@@ -129,7 +132,7 @@ class Definitions:
         """
         unknown = name not in self
         definition = self.received(name, sent, text, md5sum)
-        return Learned(self.decoder(definition), unknown and sent != name)
+        return Learned(self.decoder(definition.as_event(event)), unknown and sent != name)
 
     def received(self, name: str, sent: str, text: str, md5sum: str) -> Definition:
         """Return the definition by which to read messages as a type: the known one, or what came with them.
@@ -184,7 +187,7 @@ class Definitions:
     def decoder(self, definition: Union[Definition, str]) -> Decoder:
         """Return the decoder of a type, compiled once."""
         definition = self.find(definition) if isinstance(definition, str) else definition
-        key = (definition.name, definition.md5sum)
+        key = (definition.name, definition.md5sum, definition.event)
         found = self._decoders.get(key)
         if found is None:
             found = self._decoders.keep(

@@ -23,7 +23,7 @@ def connect(interface: Interface, topics: Topics, direct: Iterable[TopicType] = 
         _try(lambda: interface.outputs.advertise(topic, kind, latched), topic, learning)  # noqa: B023
     for topic, kind in topics.subscribed:
         if rospy.resolve_name(topic) not in apart:
-            _try(lambda: interface.subscribe(topic, kind), topic)  # noqa: B023
+            _try(lambda: interface.subscribe(topic, kind, topics.event_of(topic)), topic)  # noqa: B023
 
 
 def _try(work: Callable[[], None], topic: str, may_come: bool = False) -> None:

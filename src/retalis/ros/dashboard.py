@@ -6,7 +6,7 @@ import rospy
 
 from ..engine import Engine
 from ..engine.dashboard import Dashboard, DashboardSource, TopicLook
-from ..events.program import TopicType
+from ..events.program import TopicEvent, TopicType
 from ..foundation import UsageError
 from ..prolog.terms import SECOND
 from .counting import InputStatus
@@ -29,6 +29,7 @@ class NodeDashboard:
         engine: is shown.
         inputs: gives what has come on the topics that the node subscribes itself.
         named: the topics that the program names, whoever subscribes them.
+        events: what the events of some of them are called.
     """
 
     def __init__(
@@ -38,9 +39,11 @@ class NodeDashboard:
         engine: Engine,
         inputs: Callable[[], Sequence[InputStatus]],
         named: Sequence[TopicType],
+        events: Sequence[TopicEvent] = (),
     ):
         self._inputs = inputs
         self._named = [TopicLook(rospy.resolve_name(one.topic), one.type) for one in named]
+        self._events = {rospy.resolve_name(topic): event for topic, event in events}
         self._told: Dict[str, TopicLook] = {}
         if port is None:
             return
@@ -60,7 +63,11 @@ class NodeDashboard:
         found.update(self._told)
         found.update({one.topic: _look(one) for one in self._inputs()})
         between = {rospy.resolve_name(name) for name in (INPUT, OUTPUT)}
-        return [one for name, one in found.items() if name not in between]
+        return [
+            one._replace(event=self._events.get(name, ""))
+            for name, one in found.items()
+            if name not in between
+        ]
 
     def _listen(self) -> None:
         """Take what the ROS interface tells of its topics, where it is another node."""

@@ -91,8 +91,8 @@ class Interface:
         self.turn = threading.Lock()
         self._reports = reports
 
-    def subscribe(self, topic: str, kind: str) -> None:
-        """Have the messages of a topic become events.
+    def subscribe(self, topic: str, kind: str, event: str = "") -> None:
+        """Have the messages of a topic become events, called by their type or as it is said.
 
         Raises:
             UsageError: for a topic that is subscribed already, or names that are none.
@@ -118,6 +118,7 @@ class Interface:
                 self._hold,
                 self._skew,
                 self._latched,
+                event,
             )
 
     def publishers(self) -> Set[Publisher]:
@@ -194,7 +195,8 @@ class Interface:
 class InputTopic:
     """One subscribed topic: its messages are read by the type it was given.
 
-    A type that is not installed is learned from the publisher's connection header.
+    A type that is not installed is learned from the publisher's connection header. ``event`` is what the events are
+    called, where that is not what their type says.
 
     rospy has a thread for each publisher. ``turn`` lets one of them at a time hand on what it has: the others wait,
     and those who send to them, instead of piling up messages before the engine.
@@ -213,8 +215,10 @@ class InputTopic:
         hold: float = HOLD,
         skew: Optional[Skew] = None,
         latched: Optional[LatchedTaker] = None,
+        event: str = "",
     ):
         self._latched = latched
+        self._event = event
         self.kind = kind
         self._skew = skew
         self._reports = reports
@@ -338,7 +342,7 @@ class InputTopic:
         """
         sent = header.get("type", "*")
         learned = self._definitions.learn(
-            self.kind, sent, header.get("message_definition", ""), header.get("md5sum", "")
+            self.kind, sent, header.get("message_definition", ""), header.get("md5sum", ""), self._event
         )
         if learned.instead:
             rospy.logwarn(

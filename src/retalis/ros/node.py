@@ -111,7 +111,7 @@ class RetalisNode:
         else:
             UnreadTeller(self.engine)
         for topic, kind in direct:
-            self._subscribe(topic, kind)
+            self._subscribe(topic, kind, topics.event_of(topic, rospy.resolve_name))
         EngineServices(self.engine, self._text_only)
         Questions(self.engine)
         RuleServices(self.engine)
@@ -130,6 +130,7 @@ class RetalisNode:
             self.engine,
             self._interface.inputs,
             [*topics.subscribed, *direct],
+            topics.events,
         )
 
     def _engine_health(self) -> Callable[[], List[Health]]:
@@ -175,9 +176,9 @@ class RetalisNode:
                 rospy.logerr("%s", error)
             return Topics()
 
-    def _subscribe(self, topic: str, kind: str) -> None:
+    def _subscribe(self, topic: str, kind: str, event: str) -> None:
         try:
-            self._interface.subscribe(topic, kind)
+            self._interface.subscribe(topic, kind, event)
         except RetalisError as error:
             rospy.logerr("parameter ~direct: %s", error)
 

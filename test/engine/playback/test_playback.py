@@ -225,3 +225,31 @@ def test_a_stamp_far_ahead(program, bag, limit, taken):
         "topic /s, frame map: a stamp is 3600 s ahead of the stamps before it"
         + ("; such messages are not taken" if limit else "")
     ]
+
+
+def test_events_of_a_topic_are_called_as_it_says(program, bag):
+    line = '<subscribe_to name="{}" msg_type="my_msgs/Point" {}/>'
+    topics = line.format("left", 'event="bumper_left"') + line.format("/right", 'event=" bumper_right "')
+    folder = program(
+        "hit(X) <- bumper_left(X) seq bumper_right(X).\n"
+        "both(X) <- bumper_left(X) where access_mem(rights, bumper_right(X), _).",
+        "memorize(bumper_right(_), [], _, rights, 5)",
+        topics + line.format("middle", ""),
+    )
+    messages = [("/left", 1.0), ("right", 1.0), ("middle", 1.0), ("left", 1.0)]
+    path = bag(
+        *(
+            (at * SECOND, topic, "my_msgs/Point", f"my_msgs__0__Point({x})")
+            for at, (topic, x) in enumerate(messages, 1)
+        )
+    )
+    _, events, problems = run(folder, path)
+    assert [text for text, _, _ in events if not text.startswith("memory_")] == [
+        "bumper_left(1.0)",
+        "bumper_right(1.0)",
+        "hit(1.0)",
+        "my_msgs__0__Point(1.0)",
+        "bumper_left(1.0)",
+        "both(1.0)",
+    ]
+    assert problems == []

@@ -40,6 +40,45 @@ def test_topics_are_latched_where_that_is_said(tmp_path):
     assert topics.latched == {"kept", "also"}
 
 
+def test_events_of_a_topic_have_the_name_that_is_said(tmp_path):
+    line = '<subscribe_to name="{}" msg_type="std_msgs/Bool" {}/>'
+    lines = [
+        line.format("left", 'event="bumper_left"'),
+        line.format("/right", 'event=" bumper_right "'),
+        line.format("other", ""),
+        line.format("other", 'event="second"'),  # refused where it is subscribed: the topic is already
+    ]
+    topics = read(tmp_path, f"<publish_subscribe>{''.join(lines)}</publish_subscribe>")
+    assert [topics.event_of(topic) for topic in ("left", "/right", "right", "other", "nowhere")] == [
+        "bumper_left",
+        "bumper_right",
+        "",
+        "",
+        "",
+    ]
+    assert topics.event_of("right", lambda topic: topic.lstrip("/")) == "bumper_right"
+
+
+@pytest.mark.parametrize(
+    ("event", "message"),
+    [
+        ("", "expected a name of ASCII letters"),
+        ("Bumper", "the name of an event begins with a small letter, found Bumper"),
+        ("bumper left", "expected a name of ASCII letters"),
+        ("std_msgs__0__Bool", "choose a name without __0__"),
+        ("seq", "seq means something else in rules"),
+        ("rev", "rev means something else in rules"),
+    ],
+)
+def test_what_events_of_a_topic_cannot_be_called(tmp_path, event, message):
+    line = f'<subscribe_to name="left" msg_type="std_msgs/Bool" event="{event}"/>'
+    with pytest.raises(ProgramErrors) as caught:
+        read(tmp_path, f"<publish_subscribe>{line}</publish_subscribe>")
+    (error,) = caught.value.errors
+    assert message in error.message
+    assert error.place.line == 1
+
+
 @pytest.mark.parametrize(
     ("text", "message", "line", "column"),
     [

@@ -33,6 +33,7 @@ class TopicLook(NamedTuple):
         dropped: how many messages were not taken; None where that is not known.
         age: how many seconds ago the last one came; None where there was none.
         lag: by how many seconds it came later than its stamp says; None where that is not known.
+        event: what its events are called, where that is not the type's.
     """
 
     name: str
@@ -42,6 +43,12 @@ class TopicLook(NamedTuple):
     dropped: Optional[int] = None
     age: Optional[float] = None
     lag: Optional[float] = None
+    event: str = ""
+
+    @property
+    def event_name(self) -> str:
+        """The name of its events."""
+        return self.event or functor_name(self.kind)
 
 
 class DashboardSource(NamedTuple):
@@ -95,7 +102,7 @@ class Snapshots:
             numbers[name] = numbers.get(name, 0) + one.sent
         numbers.update({f"event:{key}": one.number for key, one in counts.items()})
         rows = [self._topic(one, counts, status.now, numbers) for one in topics]
-        self._draw([GraphTopic(one.name, functor_name(one.kind)) for one in topics])
+        self._draw([GraphTopic(one.name, one.event_name) for one in topics])
         return {
             "title": self._source.title,
             "queries": self._source.queries,
@@ -114,7 +121,7 @@ class Snapshots:
     def _topic(self, one: TopicLook, counts: Any, now: int, numbers: Dict[str, int]) -> Json:
         """Return what is shown of a topic: where whoever receives it tells nothing, what its events tell."""
         row = one._asdict()
-        name = functor_name(one.kind)
+        name = one.event_name
         found = [count for key, count in counts.items() if key.rpartition("/")[0] == name]
         number = one.messages
         if number is None and found:

@@ -2,6 +2,7 @@
 
 import logging
 from collections import Counter
+from functools import partial
 from pathlib import Path
 from typing import Callable, Dict, Iterable, List, NamedTuple, Optional, Union
 
@@ -93,6 +94,7 @@ class Playback:
         self._asked = (*named.subscribed, *topics)
         self._types = {_plain(topic): kind for topic, kind in self._asked}
         self._published = {_plain(topic): kind for topic, kind in named.published}
+        self._event_of = partial(named.event_of, plain=_plain)
         self._latched = {_plain(topic) for topic in named.latched}
         self.engine.on_output(self._collect)
         try:
@@ -188,7 +190,9 @@ class Playback:
         """Note the decoder for a connection, under the type that the program gives the topic, or return why not."""
         kind = self._types[_plain(topic.name)]
         try:
-            learned = self.definitions.learn(kind, topic.type, topic.definition, topic.md5sum)
+            learned = self.definitions.learn(
+                kind, topic.type, topic.definition, topic.md5sum, self._event_of(topic.name)
+            )
         except MessageError as error:
             self._decoders[topic] = None
             return error

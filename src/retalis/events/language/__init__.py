@@ -5,6 +5,7 @@ from .alarms import ALARMS, alarm_of, is_absolute
 from .calls import Subgoal, Unknown, called_by, calls, unknown_calls
 from .collecting import check_aggregate
 from .definition import RuleDefinition
+from .eventnames import event_fault
 from .heads import SYNCHRONIZED, check_head
 from .labels import RULE, Property, is_rule, label_error, labelled
 from .occurrences import occurrences
@@ -49,6 +50,7 @@ __all__ = [
     "Condition",
     "RuleDefinition",
     "Either",
+    "event_fault",
     "is_absolute",
     "is_rule",
     "label_error",

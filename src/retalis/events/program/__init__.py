@@ -3,7 +3,7 @@
 from .clauses import FileChecker, nowhere
 from .door import MEGABYTE
 from .files import Files
-from .folder import GOALS, TOPICS, Topics, TopicType, read_text, read_topics, topic_type
+from .folder import GOALS, TOPICS, TopicEvent, Topics, TopicType, read_text, read_topics, topic_type
 from .goals import FileGoal, errors_in, goal_of, goals_of, read_goals
 from .lint import unknown_memories, unread_rules, wrong_messages
 from .loading import Loader
@@ -24,6 +24,7 @@ __all__ = [
     "read_topics",
     "topic_type",
     "TOPICS",
+    "TopicEvent",
     "Topics",
     "TopicType",
     "unknown_memories",

@@ -1,7 +1,7 @@
 """The folder of a program: ``pub_sub.xml``, ``goalPredicates.txt`` and what these name."""
 
 from pathlib import Path
-from typing import Dict, FrozenSet, List, NamedTuple, Set, Tuple, Union
+from typing import Callable, Dict, FrozenSet, List, NamedTuple, Optional, Set, Tuple, Union
 from xml.parsers import expat
 
 from ...foundation import (
@@ -18,6 +18,7 @@ from ...foundation import (
     type_fault,
     undecodable,
 )
+from ..language import event_fault
 
 GOALS = "goalPredicates.txt"
 TOPICS = "pub_sub.xml"
@@ -52,6 +53,13 @@ def topic_type(topic: str, kind: str) -> TopicType:
     return TopicType(topic, kind)
 
 
+class TopicEvent(NamedTuple):
+    """A topic's name, as written, and what its events are called."""
+
+    topic: str
+    event: str
+
+
 class Topics(NamedTuple):
     """What ``pub_sub.xml`` says.
 
@@ -59,11 +67,23 @@ class Topics(NamedTuple):
         subscribed: topics that become events.
         published: topics that are published, with their types.
         latched: names of those whose last message goes to every subscriber that comes later.
+        events: subscribed topics whose events have a name of their own, each with that.
     """
 
     subscribed: Tuple[TopicType, ...] = ()
     published: Tuple[TopicType, ...] = ()
     latched: FrozenSet[str] = frozenset()
+    events: Tuple[TopicEvent, ...] = ()
+
+    def event_of(self, topic: str, plain: Callable[[str], str] = str) -> str:
+        """Return what the events of a topic are called, "" where they are called by its type.
+
+        Args:
+            topic: its name.
+            plain: gives the form of a name by which two are compared.
+        """
+        wanted = plain(topic)
+        return next((event for named, event in self.events if plain(named) == wanted), "")
 
 
 def read_text(path: Union[str, Path]) -> str:
@@ -108,6 +128,7 @@ class _TopicReader:
         self.inside = False
         self.found: Dict[str, List[TopicType]] = {"subscribe_to": [], "publish_to": []}
         self.latched: Set[str] = set()
+        self.events: List[TopicEvent] = []
         self.errors = Errors()
 
     def read(self) -> Topics:
@@ -125,7 +146,7 @@ class _TopicReader:
         if self.errors:
             raise ProgramErrors(self.errors)
         subscribed, published = (tuple(self.found[tag]) for tag in ("subscribe_to", "publish_to"))
-        return Topics(subscribed, published, frozenset(self.latched))
+        return Topics(subscribed, published, frozenset(self.latched), tuple(self.events))
 
     def place(self, line: int, offset: int) -> Place:
         text = self.lines[line - 1] if line <= len(self.lines) else ""
@@ -163,9 +184,20 @@ class _TopicReader:
         except UsageError as error:
             self.wrong(f"<{tag}>: {error.message}", place)
             return
-        self.found[tag].append(topic)
         if tag == "publish_to":
             self.latch(topic.topic, attributes.get("latch", "false").strip(), place)
+        else:
+            self.name(topic.topic, attributes.get("event"), place)
+        self.found[tag].append(topic)
+
+    def name(self, topic: str, event: Optional[str], place: Place) -> None:
+        if event is None or any(one.topic == topic for one in self.found["subscribe_to"]):
+            return  # of a topic that stands there twice the first counts
+        fault = event_fault(event.strip())
+        if fault is None:
+            self.events.append(TopicEvent(topic, event.strip()))
+        else:
+            self.wrong(f"<subscribe_to>: {fault}", place)
 
     def latch(self, topic: str, wanted: str, place: Place) -> None:
         if wanted == "true":
