@@ -7,6 +7,7 @@ then, the old program is put back.
 """
 
 import os
+from collections import Counter
 from pathlib import Path
 from threading import get_ident
 from typing import Callable, Dict, Hashable, List, Sequence
@@ -258,11 +259,12 @@ class Exchange:
         if not predicate.dynamic or not live.issuperset(others):
             return
         there = set(self._old.clauses.get(predicate, ()))
-        gone = [clause_key(one) for one in self._made.clauses.get(predicate, ()) if one not in there]
+        made = self._made.clauses.get(predicate, ())
+        gone = Counter(clause_key(one) for one in made if one not in there)
         for clause in clauses:
             key = clause_key(clause)
-            if key in gone:
-                gone.remove(key)
+            if gone[key] > 0:
+                gone[key] -= 1
                 predicate.remove(clause)
 
     def _forget(self) -> None:
