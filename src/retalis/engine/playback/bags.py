@@ -96,7 +96,12 @@ class BagReader:
         self.start: int = self._reader.start_time if self.messages else 0
         self.end: int = self._reader.end_time - 1 if self.messages else 0
 
-    def records(self, topics: Optional[Collection[str]] = None) -> Iterator[Record]:
+    def records(
+        self,
+        topics: Optional[Collection[str]] = None,
+        start: Optional[int] = None,
+        stop: Optional[int] = None,
+    ) -> Iterator[Record]:
         """Yield the messages in the order of their receipt.
 
         >>> with BagReader(folder / "talk.bag") as bag:
@@ -105,6 +110,8 @@ class BagReader:
 
         Args:
             topics: names of the topics wanted, with or without leading ``/``; all by default.
+            start: leave out what came before this instant, in nanoseconds.
+            stop: leave out what came then or later.
 
         Raises:
             BagError: where the bag turns out to be broken.
@@ -116,11 +123,13 @@ class BagReader:
         if not connections:
             return
         try:
-            yield from self._messages(connections)
+            yield from self._messages(connections, start, stop)
         except Exception as error:  # broken bags raise whatever their bytes lead to
-            raise BagError(f"{self.path}: the bag is broken: {_reason(error)}") from error
+            raise BagError(f"{self.path}: the bag is broken: {reason(error)}") from error
 
-    def _messages(self, connections: List[Any]) -> Iterator[Record]:
+    def _messages(
+        self, connections: List[Any], start: Optional[int], stop: Optional[int]
+    ) -> Iterator[Record]:
         """Yield the messages of connections by the index that ``rosbags`` has read.
 
         Its own way to the messages reads every field of their headers from a file object, in three times the time.
@@ -130,6 +139,7 @@ class BagReader:
             (entry.time, entry.chunk_pos, entry.offset, self._topics[connection.id])
             for connection in connections
             for entry in reader.indexes[connection.id]
+            if (start is None or start <= entry.time) and (stop is None or entry.time < stop)
         ]
         entries.sort(key=itemgetter(0))
         size_at = _SIZE.unpack_from
@@ -177,20 +187,26 @@ class BagWriter:
     ...     print(bag.messages)
     1
 
+    Args:
+        path: the file.
+        overwrite: whether a file that is there already may be replaced.
+
     Raises:
         BagError: where the file exists already or cannot be written.
     """
 
-    def __init__(self, path: PathLike):
+    def __init__(self, path: PathLike, overwrite: bool = False):
         self.path = Path(path)
         writer = _rosbag1().Writer
-        if self.path.exists():
+        if self.path.exists() and not (overwrite and self.path.is_file()):
             raise BagError(f"{self.path} already exists")
         try:
+            if self.path.exists():
+                self.path.unlink()
             self._writer = writer(self.path)
             self._writer.open()
         except OSError as error:
-            raise BagError(f"{self.path} cannot be written: {_reason(error)}") from error
+            raise BagError(f"{self.path} cannot be written: {reason(error)}") from error
 
     def add(self, topic: str, definition: Definition, latched: bool = False, caller: str = "") -> object:
         """Add a connection; return what `write` takes for it."""
@@ -250,7 +266,7 @@ def _open(path: Path) -> Any:
         reader = rosbag1.Reader(path)
         reader.open()
     except Exception as error:  # broken bags raise whatever their bytes lead to
-        raise BagError(f"{path} is not a complete ROS 1 bag: {_reason(error)}") from error
+        raise BagError(f"{path} is not a complete ROS 1 bag: {reason(error)}") from error
     return reader
 
 
@@ -268,5 +284,6 @@ def _topic(connection: Any) -> Topic:
     )
 
 
-def _reason(error: BaseException) -> str:
+def reason(error: BaseException) -> str:
+    """Return what went wrong, without a full stop at its end."""
     return str(error).rstrip(".") or type(error).__name__

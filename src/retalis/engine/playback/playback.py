@@ -20,7 +20,8 @@ from ...messages import Decoder, Definition, Definitions
 from ...prolog.terms import Term
 from .. import Engine, Settings
 from ..runtime import Refused, Reports, Skew, StreamClock
-from .bags import BagReader, Topic
+from .bags import Topic
+from .series import Bag
 
 log = logging.getLogger("retalis")
 
@@ -41,6 +42,7 @@ class Output(NamedTuple):
         time: the bag's time at which it was published, in nanoseconds.
         definition: its type; None where ``pub_sub.xml`` gives the topic none.
         data: the message; None where the term does not fit the type.
+        id: of the subscription.
     """
 
     topic: str
@@ -48,6 +50,7 @@ class Output(NamedTuple):
     time: int
     definition: Optional[Definition]
     data: Optional[bytes]
+    id: Optional[Term] = None
 
 
 class Playback:
@@ -103,7 +106,7 @@ class Playback:
             for error in errors.errors:
                 report(error)
 
-    def run(self, bag: BagReader, progress: Callable[[int], object] = lambda done: None) -> Iterable[Output]:
+    def run(self, bag: Bag, progress: Callable[[int], object] = lambda done: None) -> Iterable[Output]:
         """Feed a bag and yield what the program publishes, as it does.
 
         >>> with BagReader(folder / "talk.bag") as bag:
@@ -111,7 +114,7 @@ class Playback:
         1
 
         Args:
-            bag: the messages, in the order of their receipt.
+            bag: the messages, in the order of their receipt: a `BagReader`, or several bags as one.
             progress: called with the number of messages read so far, after each.
         """
         clock, outputs = self.clock, self._outputs
@@ -167,7 +170,7 @@ class Playback:
             message = f"a message on {topic.name} is dropped: {error.message}"
             self._reports.error(MessageError(message, error.place), ("in", topic.name))
 
-    def _learn_all(self, bag: BagReader) -> None:
+    def _learn_all(self, bag: Bag) -> None:
         """Note the decoders for a bag's connections; say what cannot become events, and what it has not got."""
         there = {_plain(topic.name) for topic in bag.topics}
         missing = [topic for topic, _ in self._asked if _plain(topic) not in there]
@@ -223,7 +226,7 @@ class Playback:
                 data = self.definitions.encoder(definition).encode(term, topic)
         except MessageError as error:
             self._reports.error(error, ("out", topic))
-        self._outputs.append(Output(topic, term, self.clock.now(), definition, data))
+        self._outputs.append(Output(topic, term, self.clock.now(), definition, data, name))
 
     def _published_type(self, kind: str, topic: str) -> Definition:
         try:
