@@ -1,6 +1,9 @@
 """``python3 -m retalis bag``: a program over a bag."""
 
+import json
+import re
 import sys
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -98,3 +101,56 @@ def test_a_bag_that_is_none_is_an_error(tmp_path, capsys):
     assert main(["bag", str(wrong), "--program", PROGRAM]) == 1
     assert main(["bag", str(tmp_path / "no.bag"), "--program", PROGRAM]) == 1
     assert "no.bag" in capsys.readouterr().err
+
+
+def test_outputs_have_the_time_of_the_bag_where_it_is_asked_for(bag, capsys):
+    assert main(["bag", str(bag), "--program", PROGRAM, "--times", "--start", "1", "--duration", "1"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines
+    times = [re.search(r",datime\(2014,10,19,19,50,([67]),\d+\)\)\.$", line) for line in lines]
+    assert all(times)
+
+
+def test_a_part_of_a_bag_as_json_with_events_waits_and_memories(bag, capsys):
+    asked = ["--json", "--events", "--start", "1", "--duration", "1"]
+    explained = ["--explain", "face_by_marker(_,_,_)", "--explain", "never"]
+    assert main(["bag", str(bag), "--program", PROGRAM, *asked, *explained]) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    kinds = Counter(next(iter(line)) for line in lines)
+    assert set(kinds) == {"event", "output", "wait", "memory", "explain"}
+    assert kinds["memory"] == 5
+    assert [line["happened"] for line in lines if "explain" in line] == [True, False]
+    first = 1413748206 * 10**9
+    for line in lines:
+        for name in ("start", "end", "time"):
+            assert first - 10**9 < line.get(name, first) < first + 2 * 10**9
+    assert all(line["start"] <= line["end"] for line in lines if "wait" in line)
+
+
+def test_events_are_printed_beside_outputs(bag, capsys):
+    assert main(["bag", str(bag), "--program", PROGRAM, "--events", "--duration", "0.5"]) == 0
+    kinds = {line.partition("(")[0] for line in capsys.readouterr().out.splitlines()}
+    assert kinds == {"event", "output"}
+
+
+def test_a_bag_is_replaced_only_where_that_is_asked_for(bag, tmp_path, capsys):
+    written = tmp_path / "out.bag"
+    arguments = ["bag", str(bag), "--program", PROGRAM, "--quiet", "--duration", "1"]
+    assert main([*arguments, "--output", str(written)]) == 0
+    assert main([*arguments, "--output", str(written)]) == 1
+    assert f"{written} already exists; --overwrite replaces it" in capsys.readouterr().err
+    before = written.stat().st_ino, written.stat().st_mtime_ns
+    assert main([*arguments, "--output", str(written), "--overwrite"]) == 0
+    assert (written.stat().st_ino, written.stat().st_mtime_ns) != before
+    assert main([*arguments, "--output", str(bag), "--overwrite"]) == 1
+    assert "this is the bag that is read" in capsys.readouterr().err
+    assert bag.stat().st_size > 0
+
+
+def test_defaults_of_limits_are_in_the_help(capsys):
+    for command in ("bag", "events", "console"):
+        with pytest.raises(SystemExit):
+            main([command, "--help"])
+        shown = " ".join(capsys.readouterr().out.split())
+        for option in re.findall(r"(--max-\w+|--watchdog) [A-Z]+ (.*?\))", shown):
+            assert re.search(r"\((\d+|0: [\w ]+)\)$", option[1]), option

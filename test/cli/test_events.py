@@ -247,21 +247,23 @@ def test_json_has_one_object_a_line(run, tmp_path):
         "--explain",
         "a(_)",
         goals=goals,
-        stream="event(a('X y'),[1,2]).",
+        stream="event(a('X y'),[1,2]). event(b,[datime(1970,1,1,0,0,2,5),2.5]).",
         queries="access_mem(m,X,_)\n",
         outputs=None,
     )
     assert status == 0
     objects = [json.loads(line) for line in lines]
-    assert objects[1] == {"event": "a('X y')", "start": "1", "end": "2"}
+    assert objects[1] == {"event": "a('X y')", "start": 1_000_000_000, "end": 2_000_000_000}
     assert objects[2]["memory_event"] == "memory_updated(m,2)"
-    assert objects[3] == {"query": "access_mem(m,A,B)", "solutions": ["access_mem(m,'X y',[1,2])"]}
-    assert objects[4] == {
+    assert objects[3] == {"event": "b", "start": 2_000_000_005, "end": 2_500_000_000}
+    assert objects[4] == {"query": "access_mem(m,A,B)", "solutions": ["access_mem(m,'X y',[1,2])"]}
+    assert objects[5] == {
         "explain": "a(A)",
         "happened": True,
         "because": [{"text": "a('X y') [1,2] came from outside", "below": []}],
     }
-    assert json.loads((tmp_path / "outputs.out").read_text()) == {"output": "'X y'", "topic": "t", "id": "i"}
+    told = {"output": "'X y'", "topic": "t", "id": "i", "time": 2_000_000_000}
+    assert json.loads((tmp_path / "outputs.out").read_text()) == told
 
 
 # ---- explanations ---------------------------------------------------------------------------------------

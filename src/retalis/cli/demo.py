@@ -7,9 +7,10 @@ import tempfile
 from pathlib import Path
 from typing import Any, Callable, Dict, Tuple
 
-from ..engine.playback import BagReader, Playback
+from ..engine.playback import BagSeries, Playback
 from ..foundation import UsageError
 from ..prolog.terms import resolve
+from .bag import share_of
 from .progress import progress
 from .report import Report
 
@@ -51,6 +52,9 @@ def run(options: argparse.Namespace) -> int:
         bag = options.bag
         if bag is None:
             bag = Path(temporary) / "nao.bag"
+            print(
+                f"a bag of a simulated NAO, {options.seconds:g} s long, is made, then played ...", flush=True
+            )
             importlib.import_module("make_bag").make_bag(bag, options.seconds, options.seed)
         elif not bag.exists():
             raise UsageError(f"{bag}: there is no such file")
@@ -69,13 +73,18 @@ def run(options: argparse.Namespace) -> int:
 def locate(bag: Path, program: Path, report: Report) -> Dict[str, Tuple[float, float, float]]:
     """Run the NAO program over a bag; return the last position of each marker by its name."""
     located: Dict[str, Tuple[float, float, float]] = {}
-    with BagReader(bag) as reader, progress("messages", reader.messages) as advance:
-        for output in Playback(program, report).run(reader, advance):
+    playback = Playback(program, report)
+    with BagSeries([bag]) as bags, progress("messages", share_of(playback, bags)) as bar:
+        for output in playback.run(bags, bar or _nothing):
             if output.topic.startswith("marker"):
                 term: Any = resolve(output.term)  # a geometry_msgs/PoseStamped
                 header, pose = term[1:]
                 located[header[3].name.strip('"')] = pose[1][1:]
     return located
+
+
+def _nothing(done: int) -> None:
+    """Show no progress."""
 
 
 def example_folder() -> Path:

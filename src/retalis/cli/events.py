@@ -1,32 +1,25 @@
 """``events``: run a program over a stream of events."""
 
 import argparse
-import json
 import sys
 from contextlib import ExitStack
 from pathlib import Path
-from typing import IO, Callable, Dict, Iterable, List, Optional, Sequence, Union
+from typing import IO, Callable, Iterable, List, Optional, Sequence, Union
 
 from ..engine import Engine, Settings, parts_of
-from ..engine.explaining import Explanation, ExplanationLine, explain, record_origins
+from ..engine.explaining import explain, record_origins
 from ..engine.runtime import Reports, StreamClock, relax
 from ..events.program import goal_of, read_goals, read_text
 from ..events.rules import event_of
 from ..foundation import ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
 from ..prolog.machine import Frame, Machine
-from ..prolog.syntax import Operators, ReadTerm, read_term, write_term
-from ..prolog.terms import Term, Var, atom, deref, functor, rebuild, timestamps, variables
+from ..prolog.syntax import Operators, ReadTerm, read_term
+from ..prolog.terms import Term, deref, rebuild, timestamps, variables
 from .folders import add_folders, allow_folders
 from .limits import add_limits, limited
+from .printing import JSON, Printer
 from .report import Report, to_reader
 from .stream import Read, ReadLine, is_left_unread, read_stream
-
-EVENT = functor("event", 2)
-MEMORY_EVENT = functor("memory_event", 2)
-OUTPUT = functor("output", 3)
-MEMORY_EVENTS = frozenset(
-    (functor("memory_created", 5), functor("memory_updated", 2), functor("memory_deleted", 1))
-)
 
 DESCRIPTION = """\
 Call the goals, load the rules, feed the stream, and print each event in the order in which it happened, as
@@ -34,11 +27,10 @@ event(TERM,[T1,T2]). The stream is Prolog terms: event(TERM,[T1,T2])., event(TER
 stream's: event stamps and the goal sleep(Seconds) move it, and alarms follow it. Errors go to standard
 error with their place; the exit status is 1 if there was one.
 """
-JSON = """\
-with --json each line is one object; terms are strings that read back:
+LINES = """\
   {"event": TERM, "start": T1, "end": T2}           an event
   {"memory_event": TERM, "start": T1, "end": T2}    with --memory-events
-  {"output": TERM, "topic": TOPIC, "id": ID}        with --outputs, into that file
+  {"output": TERM, "topic": TOPIC, "id": ID, "time": T}    with --outputs, into that file
   {"query": GOAL, "solutions": [GOAL, ...]}         for each goal of --queries
   {"explain": TERM, "happened": true or false, "because": [{"text": LINE, "below": [...]}, ...]}
 """
@@ -50,7 +42,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         "events",
         help="run a program over a stream of events",
         description=DESCRIPTION,
-        epilog=JSON,
+        epilog=JSON + LINES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
@@ -112,59 +104,6 @@ def _opened(name: Optional[str], stack: ExitStack) -> Optional[IO[str]]:
         raise UsageError(f"cannot write {name}: {error.strerror}") from error
 
 
-class Printer:
-    """Prints events, outputs and solutions: as terms that read back, or as JSON."""
-
-    def __init__(self, as_json: bool, memory_events: bool, outputs: Optional[IO[str]]):
-        self._json = as_json
-        self._memory_events = memory_events
-        self._outputs = outputs
-
-    def event(self, term: Term, start: int, end: int) -> None:
-        """Print an event."""
-        memory = term.__class__ is tuple and term[0] in MEMORY_EVENTS
-        if memory and not self._memory_events:
-            return
-        first, last = timestamps.to_term(start), timestamps.to_term(end)
-        if self._json:
-            kind = "memory_event" if memory else "event"
-            self._line({kind: text(term), "start": text(first), "end": text(last)})
-        else:
-            interval = timestamps.interval_term(start, end)
-            print(f"{text((MEMORY_EVENT if memory else EVENT, term, interval))}.", flush=True)
-
-    def output(self, term: Term, topic: str, name: Term) -> None:
-        """Print what a subscriber gets."""
-        if self._outputs is None:
-            return
-        if self._json:
-            self._line({"output": text(term), "topic": topic, "id": text(name)}, self._outputs)
-        else:
-            print(f"{text((OUTPUT, term, atom(topic), name))}.", file=self._outputs, flush=True)
-
-    def solutions(self, goal: Term, found: List[Term]) -> None:
-        """Print the solutions of a query, each as the goal with its values."""
-        if self._json:
-            self._line({"query": text(goal), "solutions": [text(solution) for solution in found]})
-            return
-        for solution in found:
-            print(f"{text(solution)}.", flush=True)
-
-    def explanation(self, asked: Term, answer: Explanation) -> None:
-        """Print why an event happened, or what was missing."""
-        if self._json:
-            because = [_as_json(line) for line in answer.lines]
-            self._line({"explain": text(asked), "happened": answer.happened, "because": because})
-            return
-        print(f"% {text(asked)} {'happened' if answer.happened else 'did not happen'}")
-        for line in answer.lines:
-            for part in line.indented(1):
-                print(f"% {part}")
-
-    def _line(self, content: Dict[str, object], file: Optional[IO[str]] = None) -> None:
-        print(json.dumps(content, ensure_ascii=False), file=file or sys.stdout, flush=True)
-
-
 class Session:
     """One run: the engine and what it was asked to do."""
 
@@ -176,7 +115,7 @@ class Session:
         self.reports = Reports()
         self.engine = Engine(self._clock, limited(allow_folders(Settings(), options), options), self.reports)
         self.engine.on_event(to_reader(printer.event))
-        self.engine.on_output(to_reader(printer.output))
+        self.engine.on_output(to_reader(self._output))
         parts_of(self.engine).logic.define_control("sleep", 1, self._sleep)
         if options.explain:
             record_origins(self.engine)
@@ -186,6 +125,9 @@ class Session:
                 self._clock.pin(timestamps.from_term(stamp))
             except UsageError as error:
                 raise UsageError(f"--clock {options.clock}: {error.message}") from error
+
+    def _output(self, term: Term, topic: str, name: Term) -> None:
+        self._printer.output(term, topic, name, self._clock.now())
 
     def load(self) -> None:
         """Call the goals and load the rules; of a file with an error nothing is active, all else goes on."""
@@ -285,15 +227,3 @@ class Session:
                 self._report(error)
         except RetalisError as error:
             self._report(error)
-
-
-def _as_json(line: ExplanationLine) -> Dict[str, object]:
-    return {"text": line.text, "below": [_as_json(one) for one in line.below]}
-
-
-def text(term: Term) -> str:
-    """Return a term as it stands in recorded streams: quoted, operators ignored, variables A, B, ..."""
-    names: Dict[Var, str] = {}
-    for number, var in enumerate(variables(term)):
-        names[var] = f"{chr(65 + number % 26)}{number // 26 or ''}"
-    return write_term(term, quoted=True, ignore_ops=True, variable_names=names)

@@ -14,16 +14,16 @@ _OPTIONS: Tuple[Tuple[str, Callable[[str], float], Optional[int], str, str], ...
         float,
         None,
         "N",
-        "seconds that an event, goal or query may take, with everything that it starts",
+        "seconds that an event, goal or query may take, with everything that it starts (0)",
     ),
-    ("--max-inferences", int, None, "N", "inferences that it may take"),
+    ("--max-inferences", int, None, "N", "inferences that it may take (0)"),
     ("--max-megabytes", int, _MEGABYTES, "N", f"memory that it may take, in megabytes ({_MEGABYTES})"),
     (
         "--watchdog",
         float,
         None,
         "N",
-        "warn about anything that takes longer than this many seconds, naming rule, goal and event",
+        "warn about anything that takes longer than this many seconds, naming rule, goal and event (0)",
     ),
 )
 
@@ -32,7 +32,8 @@ def add_limits(parser: argparse.ArgumentParser) -> None:
     """Add the options to the parser of a command."""
     group = parser.add_argument_group(
         "limits",
-        "Whatever exceeds a limit ends with a resource error, and the rest goes on; 0 means no limit.",
+        "Whatever exceeds a limit ends with a resource error, and the rest goes on; 0 means no limit. "
+        "Defaults are in brackets.",
     )
     for name, kind, default, metavar, text in _OPTIONS:
         group.add_argument(name, type=from_zero(kind), default=default, metavar=metavar, help=text)
