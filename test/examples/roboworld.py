@@ -70,7 +70,15 @@ class Time(Duration):
     """An instant; `RobotWorld` gives the class that knows what time it is."""
 
 
+CLASSES = {}
+
+
 def message_class(definition):
+    """Return the class for a message, always the same one."""
+    return CLASSES.get(definition.name) or CLASSES.setdefault(definition.name, new_class(definition))
+
+
+def new_class(definition):
     """Return a class for a message: slots by name or in order, zero where they are not given."""
     slots = {field.name: field for field in definition.fields}
 
