@@ -28,6 +28,8 @@ def _install(session: nox.Session) -> None:
         "pytest-xdist",
         "hypothesis",
         "tornado>=6",
+        "setuptools",
+        "wheel",
     )
     session.env["PYTHONPATH"] = ""  # the packages of a sourced ROS are for another Python
 

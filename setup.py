@@ -1,11 +1,12 @@
-"""Tell catkin, or pip where there is no ROS, what to install; name and version stand in package.xml."""
+"""Tell catkin, or pip, what to install; name, version and authors stand in package.xml."""
 
+import os
 from pathlib import Path
 from xml.etree import ElementTree
 
 from setuptools import find_packages, setup
 
-KINDS = ("*.lark", "*.pl", "page/*.*", "py.typed")
+KINDS = ("*.lark", "*.pl", "*.bash", "page/*.*", "py.typed")
 DATA = [path for kind in KINDS for path in sorted(Path("src/retalis").rglob(kind))]
 LAYOUT = {
     "packages": find_packages("src"),
@@ -13,9 +14,14 @@ LAYOUT = {
     "package_data": {"retalis": [str(path.relative_to("src/retalis")) for path in DATA]},
 }
 
-
 SHARED = ("application_source", "examples/nao")
 """Folders that the command ``demo`` needs; catkin installs them by itself."""
+
+EXTRAS = {
+    "dashboard": ["tornado>=6"],
+    "plot": ["matplotlib"],
+    "dask": ["distributed"],
+}
 
 
 def shared() -> list:
@@ -24,7 +30,7 @@ def shared() -> list:
     kept = [path for path in files if "__pycache__" not in path.parts]
     folders = sorted({path.parent for path in kept})
     return [
-        (f"share/retalis/{folder}", [str(path) for path in kept if path.parent == folder])
+        (f"share/retalis/{folder.as_posix()}", [path.as_posix() for path in kept if path.parent == folder])
         for folder in folders
     ]
 
@@ -35,17 +41,35 @@ def described() -> dict:
     return {
         "name": manifest.findtext("name"),
         "version": manifest.findtext("version"),
+        "author": manifest.findtext("author"),
+        "maintainer": manifest.findtext("maintainer"),
+        "url": manifest.findtext("url"),
         "license": manifest.findtext("license"),
         "description": " ".join(str(manifest.findtext("description")).split()),
+        "long_description": Path("README.md").read_text(encoding="utf-8"),
+        "long_description_content_type": "text/markdown",
         "python_requires": ">=3.8",
-        "install_requires": Path("requirements.txt").read_text().split(),
-        "data_files": shared(),
+        "install_requires": Path("requirements.txt").read_text(encoding="utf-8").split(),
+        "extras_require": EXTRAS,
+        "entry_points": {"console_scripts": ["retalis = retalis.__main__:main"]},
+        "data_files": [
+            *shared(),
+            ("share/bash-completion/completions", ["src/retalis/cli/retalis.bash"]),
+        ],
     }
 
 
-try:
+def is_for_catkin() -> bool:
+    """Tell whether catkin asks: it has a ``setup`` of its own while it configures, and says so while it installs.
+
+    Its Python package may be there without it asking: pip can build on a machine that has ROS.
+    """
+    return setup.__module__ != "setuptools" or "CATKIN_BINARY_DIR" in os.environ
+
+
+if is_for_catkin():
     from catkin_pkg.python_setup import generate_distutils_setup
-except ImportError:
-    setup(**described(), **LAYOUT)
-else:
+
     setup(**generate_distutils_setup(**LAYOUT))
+else:
+    setup(**described(), **LAYOUT)

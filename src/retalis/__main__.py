@@ -1,10 +1,22 @@
-"""``python3 -m retalis``."""
+"""``python3 -m retalis``, and the command ``retalis`` of an installation."""
 
-try:
-    from .cli import main
-except ModuleNotFoundError as missing:
-    if missing.name != "lark":
-        raise
-    raise SystemExit("retalis: the Python package lark is missing: pip install lark") from None
+import signal
 
-raise SystemExit(main())
+
+def main() -> int:
+    """Run a command; return its exit status."""
+    default = signal.signal(
+        signal.SIGINT, signal.SIG_DFL
+    )  # while it imports there is nothing to be ended well
+    try:
+        from .cli import main as command_line  # noqa: PLC0415
+    except ModuleNotFoundError as missing:
+        if missing.name != "lark":
+            raise
+        raise SystemExit("retalis: the Python package lark is missing: pip install lark") from None
+    signal.signal(signal.SIGINT, default)
+    return command_line()
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

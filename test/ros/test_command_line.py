@@ -50,8 +50,6 @@ def test_goals_are_asked(node):
     assert listed["memories"][0]["oldest"] is None and listed["inputs"][0]["age"] is None
     shown = said(node, "status")
     assert shown.startswith("node  ") and "\nmemories\n  id " in shown
-    assert said(node, "complete", "nodes") == "/retalis\n"
-    assert "odom_base" in said(node, "complete", "memories").splitlines()
 
 
 def test_numbers_that_cannot_be_are_told_in_a_line(node):
@@ -130,8 +128,9 @@ def test_names_are_completed_by_the_shell(node):
     script = (
         "COMP_WORDS=(retalis query x --wait-for odo); COMP_CWORD=4; _retalis_complete; echo ${COMPREPLY[@]};"
         "COMP_WORDS=(retalis query --node /re); COMP_CWORD=3; _retalis_complete; echo ${COMPREPLY[@]};"
-        "COMP_WORDS=(retalis exp); COMP_CWORD=1; _retalis_complete; echo ${COMPREPLY[@]}"
+        "COMP_WORDS=(retalis exp); COMP_CWORD=1; _retalis_complete; echo ${COMPREPLY[@]};"
+        "COMP_WORDS=(retalis watch --in); COMP_CWORD=2; _retalis_complete; echo ${COMPREPLY[@]}"
     )
     words = ["bash", "-c", f'source "$0"; {script}', str(node.script)]
     done = subprocess.run(words, env=node.env, stdout=subprocess.PIPE, text=True, timeout=60, check=True)
-    assert done.stdout == "odom_base\n/retalis\nexplain\n"
+    assert done.stdout == "odom_base\n/retalis\nexplain\n--inputs\n"

@@ -1,4 +1,4 @@
-"""The command line: ``python3 -m retalis COMMAND``. Each command is a module with ``add_parser`` and ``run``;
+"""The command line: ``retalis COMMAND``. Each command is a module with ``add_parser`` and ``run``;
 those for a node that runs share one.
 """
 
@@ -8,12 +8,13 @@ import sys
 from typing import List, Optional
 
 from ..foundation import RetalisError
-from . import bag, console, demo, events, live
+from . import bag, completion, console, demo, events, live
 from .prompt import Lines, Terminal, read_clause
 from .report import NobodyReads, leave
 from .tables import page, report
+from .version import ShowVersion
 
-COMMANDS = (bag, console, demo, events, live)
+COMMANDS = (bag, console, demo, events, live, completion)
 
 __all__ = [
     "Lines",
@@ -30,6 +31,8 @@ def main(arguments: Optional[List[str]] = None) -> int:
     parser = argparse.ArgumentParser(
         prog="retalis", description="Event rules and a knowledge base for robots."
     )
+    parser.add_argument("--version", action=ShowVersion, help="print the version and exit")
+    parser.set_defaults(whole=parser)
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for command in COMMANDS:
         command.add_parser(commands.add_parser)

@@ -22,8 +22,6 @@ def add_parser(add_command: AddCommand) -> None:
     status.add_argument("--once", action="store_true", help="show it once; so it is where nobody looks on")
     _add_watch(add_command)
     _command(add_command, "reload", "have a node read its program again, all or nothing")
-    complete = _command(add_command, "complete", None)
-    complete.add_argument("what", choices=("nodes", "memories"))
 
 
 def _add_query(add_command: AddCommand) -> None:
@@ -58,9 +56,8 @@ def _add_watch(add_command: AddCommand) -> None:
     add("--count", type=_whole, default=0, help="end after so many")
 
 
-def _command(add_command: AddCommand, name: str, says: Any) -> argparse.ArgumentParser:
-    shown = {} if says is None else {"help": says}
-    parser = add_command(name, description=f"{says or name}. {DESCRIPTION}".capitalize(), **shown)
+def _command(add_command: AddCommand, name: str, says: str) -> argparse.ArgumentParser:
+    parser = add_command(name, help=says, description=f"{says[0].upper()}{says[1:]}. {DESCRIPTION}")
     parser.add_argument("--node", metavar="/NAME", help="the node, where several run")
     parser.add_argument("--json", action="store_true", help="print JSON, one value a line")
     parser.set_defaults(run=run)
@@ -80,16 +77,24 @@ def run(options: argparse.Namespace) -> int:
 
 
 def of_ros(module: str, options: argparse.Namespace) -> int:
-    """Run what a module of the room ``ros`` does, which no other imports: ROS need not be there.
+    """Run what a module of the room ``ros`` does.
+
+    Raises:
+        UsageError: where there is no ROS.
+    """
+    status: int = ros_module(module).run(options)
+    return status
+
+
+def ros_module(name: str) -> Any:
+    """Return a module of the room ``ros``, which no other imports: ROS need not be there.
 
     Raises:
         UsageError: where it is not.
     """
     try:
-        found = import_module(f"retalis.ros.{module}")
+        return import_module(f"retalis.ros.{name}")
     except ImportError as error:
         raise UsageError(
             f"this needs ROS ({error}): source its setup.bash, and that of the workspace"
         ) from error
-    status: int = found.run(options)
-    return status

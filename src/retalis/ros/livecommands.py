@@ -8,7 +8,7 @@ import signal
 import sys
 from queue import Queue
 from time import monotonic
-from typing import Any, Callable, Dict, Iterator, List, Tuple
+from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple
 
 import genpy
 import rospy
@@ -223,17 +223,19 @@ def _taken_apart(text: str) -> Tuple[str, str, str]:
         return "output", OUTPUT, text
 
 
-def _complete(options: argparse.Namespace) -> int:
-    """Print names for a shell to complete; nothing where there are none."""
+def names(kind: str, node: Optional[str]) -> List[str]:
+    """Return the names of the nodes that run, or the ids of the memories of one, for a shell to complete.
+
+    Raises:
+        UsageError: where no master answers, or no node.
+    """
     try:
-        if options.what == "nodes":
-            _print_all(iter(nodes_of(master_state()[1])))
-            return 0
-        found = LiveNode(options.node).call("query", srv.Query, goal="memory_size(Id, _)", max_solutions=1000)
-    except UsageError:
-        return 1
-    _print_all(one.text for solution in found.solutions for one in solution.bindings)
-    return 0
+        if kind == "nodes":
+            return list(nodes_of(master_state()[1]))
+        found = LiveNode(node).call("query", srv.Query, goal="memory_size(Id, _)", max_solutions=1000)
+    finally:
+        rospy.signal_shutdown("done")
+    return [one.text for solution in found.solutions for one in solution.bindings]
 
 
 _COMMANDS: Dict[str, Callable[[argparse.Namespace], int]] = {
@@ -243,5 +245,4 @@ _COMMANDS: Dict[str, Callable[[argparse.Namespace], int]] = {
     "list": _list,
     "status": _status,
     "watch": _watch,
-    "complete": _complete,
 }
