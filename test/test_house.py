@@ -31,6 +31,7 @@ ORDER = (
     "engine.runtime",
     "engine",
     "engine.explaining",
+    "engine.drawing",
     "engine.dashboard",
     "engine.playback",
     "cli",

@@ -9,8 +9,8 @@ from ...messages import functor_name
 from ...prolog.machine import resident_bytes
 from ...prolog.terms import SECOND
 from .. import Engine, Status
+from ..drawing import Graph, GraphTopic, graph_key, program_graph
 from ..explaining import records_origins
-from .graph import Graph, GraphTopic, graph_key, program_graph
 from .recent import RecentEvents
 
 LOOKS = 5

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from retalis import Engine
-from retalis.engine.dashboard.graph import MOST_NODES, GraphEdge, GraphTopic, graph_key, program_graph
+from retalis.engine.drawing.graph import MOST_NODES, GraphEdge, GraphTopic, graph_key, program_graph
 
 NAO = Path(__file__).resolve().parents[3] / "application_source"
 
