@@ -56,6 +56,12 @@ ESCAPES = (
 BLANKS = (" ", "\t", "\n", " \n")
 
 CASES: Dict[str, Case] = {
+    # engine/drawing/dot.py
+    r"\b\w+?__0__": Case(
+        "search", "one run of word characters: it begins at none inside", ("",), ("a", "_", "a ")
+    ),
+    r"\b_G\d+\b": Case("search", "one run of digits", ("",), ("_G1", "_G", "1", "_")),
+    r"(,|\)(?=\w))": Case("search", "two characters", ("",), (",", ")", "a")),
     # prolog/syntax/eventreader.py
     r"([(,\[|] *)"
     r"(-?(?:[0-9]{1,200}(?:\.[0-9]{1,200}(?:[eE](?:-[0-9]{1,3}|\+?[0-9]{1,2}))?)?|inf|nan))"

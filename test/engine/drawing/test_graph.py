@@ -44,6 +44,14 @@ def test_events_that_goals_make_and_memories_that_they_read_are_found_in_clauses
     }
 
 
+def test_alarms_and_events_of_goals_are_what_they_fire():
+    found = edges("exceptionAlarm(waited(S), 5) <- down(S). null_event do event(held(S)) <- waited(S).")
+    assert {edge for edge in found if edge[0].startswith("rule")} == {
+        ("rule:0", "event:waited/1", "flow"),
+        ("rule:1", "event:held/1", "flow"),
+    }
+
+
 def test_memories_subscriptions_and_topics_have_their_places():
     found = edges(
         goals="memorize(_, [], _, all, 10)\nsubscribe(std_msgs__0__String(_), [], _, echo, e)",

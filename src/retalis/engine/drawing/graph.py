@@ -2,7 +2,7 @@
 
 from typing import Any, Dict, Hashable, Iterable, Iterator, List, NamedTuple, Optional, Set, Tuple
 
-from ...events.language import SYNCHRONIZED, Occurs, own_terms, walk
+from ...events.language import ALARMS, SYNCHRONIZED, Occurs, own_terms, walk
 from ...foundation import beginning
 from ...prolog.terms import Atom, Functor, Term, atom, deref, functor, list_items
 from .. import Engine, parts_of
@@ -16,7 +16,9 @@ MOST_TERMS = 100_000
 LONGEST = 200
 """Characters of a text in a graph."""
 
-_MAKES = frozenset(functor("new_event", arity) for arity in (2, 3, 5))
+_MAKES = frozenset(
+    (*(functor("new_event", arity) for arity in (2, 3, 5)), functor("event", 1), functor("event", 2))
+)
 _READS = frozenset(
     functor(name, arity)
     for name, arity in (
@@ -153,6 +155,8 @@ class _GraphBuilder:
         """Add the way from a rule to what it fires."""
         if head is _NO_EVENT:
             return
+        if head.__class__ is tuple and head[0] in ALARMS:
+            head = deref(head[1])
         if head.__class__ is not tuple or head[0] not in SYNCHRONIZED:
             self._edge(node, self._event(head), f"rule:{at}")
             return
