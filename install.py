@@ -8,6 +8,7 @@ import argparse
 import hashlib
 import os
 import shlex
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -90,7 +91,7 @@ def choose_platform(release: Dict[str, str]) -> Platform:
     if key not in PLATFORMS:
         raise Problem(
             "this is {}; ROS 1 is available on Debian 12 and Ubuntu 20.04. Without ROS: "
-            "pip install -r requirements.txt, then python3 -m retalis".format(
+            "python3 -m venv ~/retalis; ~/retalis/bin/pip install .; ~/retalis/bin/retalis demo".format(
                 release.get("PRETTY_NAME", "an unknown system")
             )
         )
@@ -232,9 +233,9 @@ def bash(lines: Sequence[str], command: Sequence[str]) -> List[str]:
     return ["bash", "-c", " && ".join(lines), "bash", *command]
 
 
-def arguments(argv: Sequence[str]) -> argparse.Namespace:
-    """Read the command line."""
-    parser = argparse.ArgumentParser(prog="install.py", description=__doc__)
+def own_options() -> argparse.ArgumentParser:
+    """Return what reads the options that are not those of the example or of pytest."""
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     add = parser.add_argument
     add(
         "--workspace",
@@ -245,18 +246,23 @@ def arguments(argv: Sequence[str]) -> argparse.Namespace:
     add("--no-system", action="store_true", help="install no system packages; stop where some are missing")
     add("--install", action="store_true", help="also build the install space (catkin_make install)")
     add("--dry-run", action="store_true", help="print what would be done and do nothing")
+    return parser
+
+
+def arguments(argv: Sequence[str]) -> argparse.Namespace:
+    """Read the command line; options may stand before the command or behind it."""
+    parser = argparse.ArgumentParser(prog="install.py", description=__doc__, parents=[own_options()])
     commands = parser.add_subparsers(dest="command", metavar="COMMAND")
     commands.add_parser("build", help="install what is needed and build (the default)")
     commands.add_parser("demo", help="... and run the NAO example (see demo --help)", add_help=False)
     commands.add_parser("test", help="... and run every test; options go to pytest", add_help=False)
     commands.add_parser("where", help="print the setup.bash of the workspace that was built")
     commands.add_parser("lint", help="... and check the style: ruff, mypy, catkin_lint")
-    options, rest = parser.parse_known_args(argv)
-    options.rest = rest
-    for misplaced in {"--workspace", "--no-system", "--install", "--dry-run"} & {
-        one.split("=")[0] for one in rest
-    }:
-        parser.error(f"{misplaced} must come before the command")
+    commands.add_parser("uninstall", help="remove what was built; say what is left")
+    options, behind = parser.parse_known_args(argv)
+    given, options.rest = own_options().parse_known_args(behind)
+    for name, value in vars(given).items():
+        setattr(options, name, value or getattr(options, name))
     if options.rest and options.command not in ("demo", "test"):
         parser.error("unknown argument: " + options.rest[0])
     options.command = options.command or "build"
@@ -282,6 +288,60 @@ def lint(installation: Installation) -> int:
     return failed
 
 
+BUILT = ("build", "devel", "install", ".catkin_workspace", "src/CMakeLists.txt")
+"""What catkin_make puts into a workspace for all of its packages."""
+
+
+def uninstall(workspace: Path, dry: bool) -> None:
+    """Remove what `Installation` has put into a workspace, and the workspace where it holds nothing else.
+
+    Raises:
+        Problem: It was built from another copy of the sources, or not by this program.
+    """
+    link = workspace / "src" / "retalis"
+    if not workspace.exists():
+        raise Problem(f"nothing is installed in {workspace}; give the --workspace that it was built in")
+    begun = not os.path.lexists(link) and workspace == default_workspace(HERE, os.environ).resolve()
+    if not begun and not (link.is_symlink() and link.resolve() == HERE):
+        raise Problem(f"{link} does not lead to this copy of retalis: {workspace} was not built from it")
+    others = sorted({one.name for one in link.parent.glob("*")} - {"retalis", "CMakeLists.txt"})
+    logs = [one for one in (workspace / "log").glob("*") if one.is_file()]
+    made = [link, workspace / "venv", *logs, *([] if others else [workspace / name for name in BUILT])]
+    for path in filter(os.path.lexists, made):
+        print(f"{'would remove' if dry else 'Removing'} {path}", flush=True)
+        if not dry:
+            remove(path)
+    for folder in (workspace / "log", workspace / "src", workspace, workspace.parent):
+        is_own = folder != workspace.parent or folder.name == "retalis"
+        if not dry and is_own and folder.is_dir() and not any(folder.iterdir()):
+            folder.rmdir()
+    if others:
+        print(
+            f"{workspace} holds {', '.join(others)} too: build, devel and install are left; build them again"
+        )
+    elif workspace.exists() and not dry:
+        print(
+            f"{workspace} is left: it holds {', '.join(sorted(one.name for one in workspace.iterdir()))} too"
+        )
+    tell_what_is_left()
+
+
+def tell_what_is_left() -> None:
+    """Name what was installed outside of the workspace, or may have been."""
+    print("System packages are left, since others may need them, and so is this clone.")
+    for path in (SOURCE_FILE, KEY_FILE):
+        if Path(path).exists():
+            print(f"So is {path}, for apt.")
+
+
+def remove(path: Path) -> None:
+    """Remove a file, a link or a folder with all that is in it."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink()
+
+
 def main(argv: Sequence[str]) -> int:
     """Do what the command line says and return the exit status."""
     options = arguments(argv)
@@ -296,6 +356,9 @@ def main(argv: Sequence[str]) -> int:
                 "run ./install.py, or give the --workspace that it was run with"
             )
         print(setup)
+        return 0
+    if options.command == "uninstall":
+        uninstall(options.workspace, options.dry_run)
         return 0
     shell = Shell(options.workspace / "log", options.dry_run)
     platform = choose_platform(parse_os_release(Path("/etc/os-release").read_text()))

@@ -43,7 +43,7 @@ def test_known_platforms(install, release, name):
 
 
 def test_unknown_platform_names_itself_and_the_way_without_ros(install):
-    with pytest.raises(install.Problem, match=r"this is Arch Linux; .* python3 -m retalis") as raised:
+    with pytest.raises(install.Problem, match=r"this is Arch Linux; .*/bin/retalis demo") as raised:
         install.choose_platform({"ID": "arch", "PRETTY_NAME": "Arch Linux"})
     assert "\n" not in str(raised.value)
 
@@ -276,10 +276,76 @@ def test_lint_checks_types_on_every_python(install, noetic, monkeypatch, version
     assert types[types.index("mypy") + 1 :] == options
 
 
-def test_an_option_behind_the_command_is_refused_before_anything_is_done(install, capsys):
-    with pytest.raises(SystemExit):
-        install.arguments(["demo", "--workspace=/somewhere"])
-    assert "--workspace must come before the command" in capsys.readouterr().err
+@pytest.mark.parametrize("command", ["demo", "test", "lint", "uninstall"])
+@pytest.mark.parametrize("place", [["--workspace", "/some/where"], ["--workspace=/some/where"]])
+def test_options_may_stand_before_the_command_and_behind_it(install, command, place):
+    before = install.arguments([*place, "--dry-run", command])
+    assert before.workspace == Path("/some/where").resolve() and before.dry_run and not before.no_system
+    assert vars(install.arguments([command, *place, "--dry-run"])) == vars(before)
+    assert vars(install.arguments(["--dry-run", command, *place])) == vars(before)
+
+
+def test_what_is_not_for_the_installation_goes_on(install):
+    options = install.arguments(["test", "-k", "a or b", "--dry-run", "--no-summary", "--inst"])
+    assert (options.dry_run, options.no_system, options.install) == (True, False, False)
+    assert options.rest == ["-k", "a or b", "--no-summary", "--inst"]
+
+
+@pytest.fixture
+def workspace(install, tmp_path):
+    """A workspace as a build leaves it."""
+    there = tmp_path / "retalis" / "clone-1"
+    for name in (
+        "log/catkin_make.log",
+        "venv/bin/python3",
+        "build/x",
+        "devel/setup.bash",
+        ".catkin_workspace",
+    ):
+        (there / name).parent.mkdir(parents=True, exist_ok=True)
+        (there / name).touch()
+    (there / "src").mkdir()
+    (there / "src" / "retalis").symlink_to(install.HERE)
+    (there / "src" / "CMakeLists.txt").symlink_to("/nowhere")
+    return there
+
+
+def test_uninstall_removes_what_was_made_and_says_what_is_left(install, workspace, capsys):
+    before = sorted(workspace.rglob("*"))
+    assert install.main(["uninstall", "--workspace", str(workspace), "--dry-run"]) == 0
+    assert f"would remove {workspace}/devel\n" in capsys.readouterr().out
+    assert sorted(workspace.rglob("*")) == before
+    assert install.main(["uninstall", "--workspace", str(workspace)]) == 0
+    assert "System packages are left" in capsys.readouterr().out
+    assert not workspace.parent.exists() and workspace.parent.parent.exists() and install.HERE.exists()
+    with pytest.raises(install.Problem, match="nothing is installed in"):
+        install.main(["uninstall", "--workspace", str(workspace)])
+
+
+def test_uninstall_leaves_what_is_of_others(install, workspace, capsys):
+    (workspace / "notes.txt").touch()
+    (workspace / "src" / "other").mkdir()
+    assert install.main(["uninstall", "--workspace", str(workspace)]) == 0
+    assert f"{workspace} holds other too: build, devel and install are left" in capsys.readouterr().out
+    kept = {path.relative_to(workspace).as_posix() for path in workspace.rglob("*") if not path.is_dir()}
+    assert kept == {"notes.txt", "build/x", "devel/setup.bash", ".catkin_workspace", "src/CMakeLists.txt"}
+
+
+def test_uninstall_removes_what_was_only_begun(install, monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    workspace = install.default_workspace(install.HERE, os.environ)
+    (workspace / "venv").mkdir(parents=True)
+    assert install.main(["uninstall"]) == 0
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_uninstall_keeps_off_workspaces_of_other_copies(install, workspace, tmp_path):
+    (workspace / "src" / "retalis").unlink()
+    for make in (lambda: None, lambda: (workspace / "src" / "retalis").symlink_to(tmp_path)):
+        make()
+        with pytest.raises(install.Problem, match="was not built from it"):
+            install.main(["uninstall", "--workspace", str(workspace)])
+    assert (workspace / "venv").exists()
 
 
 def test_where_prints_the_script_to_source_and_nothing_else(install, tmp_path, capsys):
