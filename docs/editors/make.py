@@ -1,0 +1,205 @@
+#!/usr/bin/env python3
+"""Write the files that colour rules and goals in vim and VS Code, from the tables of operators.
+
+    PYTHONPATH=src docs/editors/make.py    # writes docs/editors/vim and docs/editors/vscode
+
+What is a word, a number, a quoted text or a comment is as in ``src/retalis/prolog/syntax/tokens.lark``.
+"""
+
+import json
+import re
+from pathlib import Path
+from typing import Dict, List
+
+from retalis.prolog.syntax import Operators
+from retalis.prolog.syntax.eventoperators import EVENT_OPERATORS, OperatorKind
+
+HERE = Path(__file__).resolve().parent
+
+FILES = ("eventRules.txt", "goalPredicates.txt")
+ENDINGS = ("event", "retalis")
+"""What a program's files are called, and files that hold rules."""
+
+ARROWS = ("<-", ":-", "?-", "-->")
+BY = "docs/editors/make.py made this from the tables of operators."
+
+
+def words_of_events() -> List[str]:
+    """Return how the operators of the event language are spelled that are words."""
+    found = [
+        spelling
+        for one in EVENT_OPERATORS
+        if one.kind is not OperatorKind.REFUSED
+        for spelling in one.spellings
+        if re.fullmatch(r"\w+", spelling)
+    ]
+    return list(dict.fromkeys(found))
+
+
+def words_of_prolog() -> List[str]:
+    """Return Prolog's operators that are words."""
+    table = Operators.prolog()
+    known = {*words_of_events(), *(one.name for one in EVENT_OPERATORS)}
+    names = {*table.prefix, *table.infix, *table.postfix}
+    return sorted(name for name in names if re.fullmatch(r"[a-z]\w*", name) and name.lower() not in known)
+
+
+def vim_syntax() -> str:
+    """Return the file that says what is coloured, for vim."""
+    arrows = "\\|".join(re.sub(r"([*.~\[\]^$\\/])", r"\\\1", arrow) for arrow in ARROWS)
+    return f"""\
+" Vim syntax file
+" Language: retalis, event rules and goals
+" {BY}
+if exists("b:current_syntax")
+  finish
+endif
+
+syn case match
+syn match retalisVariable "\\<[A-Z_]\\w*\\>"
+syn match retalisSymbol "[-+*/\\\\^<>=~:.?@#&$]\\+"
+syn match retalisArrow "\\%([-+*/\\\\^<>=~:.?@#&$]\\)\\@1<!\\%({arrows}\\)\\%([-+*/\\\\^<>=~:.?@#&$]\\)\\@!"
+syn match retalisEnd "\\.\\ze\\%(\\s\\|%\\|$\\)"
+syn match retalisNumber "\\<\\d[0-9_]*\\%(\\.\\d\\+\\)\\=\\%([eE][-+]\\=\\d\\+\\)\\=\\>"
+syn match retalisNumber "\\<0x\\x\\+\\>\\|\\<0o\\o\\+\\>\\|\\<0b[01]\\+\\>"
+syn match retalisNumber "\\<0'\\%(\\\\.\\|''\\|[^\\\\]\\)"
+syn keyword retalisOperator {" ".join(words_of_events())}
+syn keyword retalisProlog {" ".join(words_of_prolog())}
+syn region retalisAtom start=+'+ skip=+\\\\.\\|''+ end=+'+
+syn region retalisString start=+"+ skip=+\\\\.\\|""+ end=+"+
+syn region retalisString start=+`+ skip=+\\\\.\\|``+ end=+`+
+syn keyword retalisTodo contained TODO FIXME XXX
+syn match retalisComment "%.*$" contains=retalisTodo,@Spell
+syn region retalisComment start="/\\*" end="\\*/" contains=retalisTodo,@Spell
+
+hi def link retalisVariable Identifier
+hi def link retalisSymbol Operator
+hi def link retalisArrow Statement
+hi def link retalisEnd Delimiter
+hi def link retalisNumber Number
+hi def link retalisOperator Keyword
+hi def link retalisProlog Operator
+hi def link retalisAtom Constant
+hi def link retalisString String
+hi def link retalisTodo Todo
+hi def link retalisComment Comment
+
+let b:current_syntax = "retalis"
+"""
+
+
+def vim_detection() -> str:
+    """Return the file that says which files are meant, for vim."""
+    names = ",".join((*FILES, *(f"*.{ending}" for ending in ENDINGS)))
+    return f"""\
+" {BY}
+autocmd BufNewFile,BufRead {names} set filetype=retalis
+autocmd FileType retalis setlocal commentstring=%\\ %s comments=:%
+"""
+
+
+def grammar() -> Dict[str, object]:
+    """Return what is coloured, as VS Code wants it."""
+
+    def rule(name: str, match: str) -> Dict[str, object]:
+        return {"name": f"{name}.retalis", "match": match}
+
+    def region(name: str, mark: str, inner: str = "") -> Dict[str, object]:
+        quoted = {"match": inner, "name": "constant.character.escape.retalis"}
+        return {
+            "name": f"{name}.retalis",
+            "begin": mark,
+            "end": f"{mark}(?!{mark})",
+            "patterns": [quoted],
+        }
+
+    signs = r"[-+*/\\^<>=~:.?@#&$]"
+    arrows = "|".join(map(re.escape, ARROWS))
+    escape = r"\\(?:x[0-9a-fA-F]+\\?|[0-7]+\\?|u[0-9a-fA-F]{4}|U[0-9a-fA-F]{8}|.|$)"
+    number = r"0'(?:\\.|''|[^\\])|\b(?:0x[0-9a-fA-F]+|0o[0-7]+|0b[01]+|[0-9][0-9_]*(?:\.[0-9]+)?(?:[eE][+-]?[0-9]+)?)\b"
+    return {
+        "$schema": "https://raw.githubusercontent.com/martinring/tmlanguage/master/tmlanguage.json",
+        "comment": BY,
+        "name": "retalis",
+        "scopeName": "source.retalis",
+        "patterns": [
+            rule("comment.line.percentage", "%.*$"),
+            {"name": "comment.block.retalis", "begin": r"/\*", "end": r"\*/"},
+            region("string.quoted.single", "'", f"{escape}|''"),
+            region("string.quoted.double", '"', f'{escape}|""'),
+            region("string.quoted.other", "`", f"{escape}|``"),
+            rule("constant.numeric", number),
+            rule("keyword.control.event", rf"\b(?:{'|'.join(words_of_events())})\b"),
+            rule("keyword.operator.word", rf"\b(?:{'|'.join(words_of_prolog())})\b"),
+            rule("keyword.control.arrow", rf"(?<!{signs})(?:{arrows})(?!{signs})"),
+            rule("variable.other", r"\b[A-Z_]\w*\b"),
+            rule("entity.name.function", r"\b[a-z]\w*(?=\()"),
+            rule("punctuation.terminator", r"(?<!\S)\.(?=\s|%|$)|(?<=[\w)\]}'\"])\.(?=\s|%|$)"),
+            rule("keyword.operator", rf"{signs}+|[!;]"),
+        ],
+    }
+
+
+def extension() -> Dict[str, object]:
+    """Return what VS Code has to know of the folder."""
+    return {
+        "name": "retalis",
+        "displayName": "retalis",
+        "description": "Colours event rules and goals of retalis.",
+        "version": "1.0.0",
+        "publisher": "retalis",
+        "license": "GPL-3.0-or-later",
+        "engines": {"vscode": "^1.40.0"},
+        "categories": ["Programming Languages"],
+        "contributes": {
+            "languages": [
+                {
+                    "id": "retalis",
+                    "aliases": ["retalis"],
+                    "extensions": [f".{ending}" for ending in ENDINGS],
+                    "filenames": list(FILES),
+                    "configuration": "./language-configuration.json",
+                }
+            ],
+            "grammars": [
+                {
+                    "language": "retalis",
+                    "scopeName": "source.retalis",
+                    "path": "./syntaxes/retalis.tmLanguage.json",
+                }
+            ],
+        },
+    }
+
+
+def configuration() -> Dict[str, object]:
+    """Return how VS Code comments out, and which brackets belong together."""
+    pairs = [["(", ")"], ["[", "]"], ["{", "}"]]
+    quotes = [[mark, mark] for mark in "'\"`"]
+    return {
+        "comments": {"lineComment": "%", "blockComment": ["/*", "*/"]},
+        "brackets": pairs,
+        "autoClosingPairs": [*pairs, ['"', '"']],
+        "surroundingPairs": [*pairs, *quotes],
+    }
+
+
+def texts() -> Dict[Path, str]:
+    """Return each file and what it holds."""
+
+    def pretty(value: object) -> str:
+        return json.dumps(value, indent=2) + "\n"
+
+    return {
+        HERE / "vim" / "syntax" / "retalis.vim": vim_syntax(),
+        HERE / "vim" / "ftdetect" / "retalis.vim": vim_detection(),
+        HERE / "vscode" / "package.json": pretty(extension()),
+        HERE / "vscode" / "language-configuration.json": pretty(configuration()),
+        HERE / "vscode" / "syntaxes" / "retalis.tmLanguage.json": pretty(grammar()),
+    }
+
+
+if __name__ == "__main__":
+    for path, text in texts().items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
