@@ -26,6 +26,13 @@ def snippets(page):
     return list(SNIPPET.finditer(page.read_text(encoding="utf-8")))
 
 
+def test_the_readme_names_its_files_where_a_reader_sees_them():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    named = [found["name"] for found in snippets(ROOT / "README.md") if found["name"]]
+    assert "fever.py" in named
+    assert [name for name in named if name.endswith((".txt", ".py")) and f"`{name}`" not in text] == []
+
+
 def test_the_example_of_the_readme_prints_what_it_says(tmp_path):
     files = {}
     for found in snippets(ROOT / "README.md"):
@@ -100,7 +107,7 @@ def test_links_lead_somewhere(page):
 def test_commands_of_the_readme_are_commands():
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     commands = [shlex.split(line, comments=True) for line in re.findall(r"^    (\S.*)$", text, re.MULTILINE)]
-    known = {"./install.py", "source", "roslaunch", "rosservice", "rosrun", "PYTHONPATH=src"}
+    known = {"./install.py", "source", "roslaunch", "rosservice", "rosrun", "python3", "pip", "retalis"}
     assert {command[0] for command in commands} <= known
     for command in commands:
         if command[0] == "./install.py":
@@ -108,10 +115,10 @@ def test_commands_of_the_readme_are_commands():
                 [sys.executable, str(ROOT / "install.py"), "--help"], capture_output=True, text=True
             )
             assert command[1] in shown.stdout
-        elif command[0] in ("PYTHONPATH=src", "rosrun"):
-            words = command[2:] if command[0] == "PYTHONPATH=src" else ["-m", "retalis", command[3]]
+        elif command[0] in ("retalis", "rosrun"):
+            words = command[1:] if command[0] == "retalis" else command[3:]
             module = subprocess.run(
-                [sys.executable, *words, "--help"],
+                [sys.executable, "-m", "retalis", *words, "--help"],
                 cwd=ROOT,
                 env={"PYTHONPATH": "src"},
                 capture_output=True,
