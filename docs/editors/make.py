@@ -116,7 +116,9 @@ def grammar() -> Dict[str, object]:
     signs = r"[-+*/\\^<>=~:.?@#&$]"
     arrows = "|".join(map(re.escape, ARROWS))
     escape = r"\\(?:x[0-9a-fA-F]+\\?|[0-7]+\\?|u[0-9a-fA-F]{4}|U[0-9a-fA-F]{8}|.|$)"
-    number = r"0'(?:\\.|''|[^\\])|\b(?:0x[0-9a-fA-F]+|0o[0-7]+|0b[01]+|[0-9][0-9_]*(?:\.[0-9]+)?(?:[eE][+-]?[0-9]+)?)\b"
+    radix = "0x[0-9a-fA-F]+|0o[0-7]+|0b[01]+"
+    decimal = r"[0-9][0-9_]*(?:\.[0-9]+)?(?:[eE][+-]?[0-9]+)?"
+    number = rf"0'(?:\\.|''|[^\\])|\b(?:{radix}|{decimal})\b"
     return {
         "$schema": "https://raw.githubusercontent.com/martinring/tmlanguage/master/tmlanguage.json",
         "comment": BY,
