@@ -72,8 +72,12 @@ def draw_growth(rows: Sequence[Dict[str, Any]], title: str, file: str) -> None:
     handles, labels = flat[0].get_legend_handles_labels()
     height = 1.9 * lines + 0.9
     figure.suptitle(title, fontsize=11, y=1 - 0.12 / height)
-    figure.supxlabel("N: partial matches that wait", fontsize=9, y=0.1 / height)
-    figure.supylabel("\u00b5s of CPU for each result", fontsize=9)
+    figure.supxlabel(
+        "N: partial matches that wait (both axes logarithmic; a flat line does not grow)",
+        fontsize=9,
+        y=0.1 / height,
+    )
+    figure.supylabel("\u00b5s of CPU for each result (less is better)", fontsize=9)
     place: Dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, 1 - 0.3 / height)}
     figure.legend(handles, labels, ncol=5, fontsize=8, frameon=False, **place)
     figure.tight_layout(rect=(0.01, 0.12 / height, 1.0, 1 - 0.5 / height), h_pad=0.8)
@@ -118,7 +122,7 @@ def draw_memory(memory: Dict[str, Any], file: str) -> None:
             events, more, line, color=colour, label=f"{name}: {more[-1]:.0f} MB at the end", linewidth=1.6
         )
     axis.set_xlabel("half matches so far", fontsize=9)
-    axis.set_ylabel("MB more than at the start", fontsize=9)
+    axis.set_ylabel("MB more than at the start (less is better)", fontsize=9)
     axis.set_title("memory with nothing ever completed", fontsize=10)
     axis.xaxis.set_major_formatter(lambda value, at: f"{value:,.0f}")
     axis.grid(True, linewidth=0.4, color="#dddddd")
