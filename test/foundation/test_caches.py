@@ -33,6 +33,7 @@ HELD = {
     ("messages/registry.py", "self._by_text"): (1000, 32 << 20),
     ("messages/registry.py", "self._decoders"): (1000, 32 << 20),
     ("messages/registry.py", "self._encoders"): (1000, 32 << 20),
+    ("messages/slotnames.py", "self.forms"): (1000, 1 << 20),
     ("messages/encoding.py", "_packed"): (2048, 1 << 20),
     ("messages/textcache.py", "text_cache"): (2048, 1 << 20),  # one for all texts, and one for each type
 }

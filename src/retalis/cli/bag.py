@@ -116,7 +116,7 @@ def run(options: argparse.Namespace) -> int:
     report = Report().listen()
     with ExitStack() as stack:
         bags = stack.enter_context(BagSeries(options.bags, options.start, options.duration))
-        playback = playback_of(options, report)
+        playback = playback_of(options, report, bags)
         if options.explain:
             record_origins(playback.engine)
         writer = _writer(options, playback, stack)
@@ -131,11 +131,12 @@ def run(options: argparse.Namespace) -> int:
     return 1 if report.errors else 0
 
 
-def playback_of(options: argparse.Namespace, report: Report) -> Playback:
-    """Return the program that the options name, loaded."""
+def playback_of(options: argparse.Namespace, report: Report, bag: Optional[BagSeries] = None) -> Playback:
+    """Return the program that the options name, loaded; it may name slots of the types of a bag."""
     settings = limited(allow_folders(Settings(), options), options)
     settings = settings._replace(max_gap=options.max_gap or None)
-    return Playback(options.program, report, _topics(options.topic), settings, options.max_skew or None)
+    limit = options.max_skew or None
+    return Playback(options.program, report, _topics(options.topic), settings, limit, bag)
 
 
 def share_of(playback: Playback, bags: BagSeries) -> Callable[[], float]:

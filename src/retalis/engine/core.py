@@ -7,9 +7,10 @@ from ..events.dispatch import Dispatcher
 from ..events.knowledge import Knowledge
 from ..events.program import MEGABYTE
 from ..events.rules import Rules, define_new_event
+from ..messages import Definitions, SlotNames
 from ..prolog.foreign import define_use_foreign
 from ..prolog.logic import Logic
-from ..prolog.syntax import read_term
+from ..prolog.syntax import ReadFlags, read_term
 from ..prolog.terms import Term, Var, copy
 from .callbacks import OnOutput
 from .intake import Intake
@@ -19,6 +20,10 @@ from .runtime import Clock, EngineRecovery, Reports, Runner, StreamClock, Watchd
 from .settings import Settings
 from .standing import Standing
 from .textinput import TextInput
+
+READ = ReadFlags()
+MADE = ReadFlags(made=True)
+"""How a text is read that is a goal or pattern, and one that is an event."""
 
 
 class EngineParts(NamedTuple):
@@ -32,6 +37,7 @@ class EngineParts(NamedTuple):
     runner: Runner
     watchdog: Watchdog
     own_files: OwnFiles
+    slots: SlotNames
     programs: Dict[str, Standing]
 
 
@@ -43,11 +49,13 @@ class EngineCore:
         clock: Optional[Clock] = None,
         settings: Optional[Settings] = None,
         reports: Optional[Reports] = None,
+        definitions: Optional[Definitions] = None,
     ):
         followed = StreamClock() if clock is None else None  # somebody's own clock is moved by its owner
         self.clock: Clock = clock or followed  # type: ignore[assignment]
         self.settings = settings = Settings() if settings is None else settings
         self._logic = Logic()
+        self._slots = self._logic.operators.slots = SlotNames(definitions)
         self._budget = budget = self._logic.machine.budget
         self._logic.limits = settings.limits
         self._logic.now = self.clock.now
@@ -97,8 +105,8 @@ class EngineCore:
         define_new_event(self._logic, self._dispatcher)
         define_use_foreign(self._logic, self._runner, self._files, settings.allow_foreign)
 
-    def _read(self, term: Union[str, Term]) -> Term:
-        return read_term(term, self._logic.operators, "text").term if isinstance(term, str) else term
+    def _read(self, term: Union[str, Term], flags: ReadFlags = READ) -> Term:
+        return read_term(term, self._logic.operators, "text", flags).term if isinstance(term, str) else term
 
     def _once(self, goal: Term) -> bool:
         """Call a goal once; where nothing else is under way nobody will undo its bindings: no trail of them stays."""
@@ -159,5 +167,6 @@ def parts_of(engine: EngineCore) -> EngineParts:
         engine._runner,  # noqa: SLF001
         engine._watchdog,  # noqa: SLF001
         engine._own_files,  # noqa: SLF001
+        engine._slots,  # noqa: SLF001
         engine._programs,  # noqa: SLF001
     )

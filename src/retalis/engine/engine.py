@@ -12,6 +12,7 @@ from ..prolog.machine import Frame
 from ..prolog.syntax import Operators, read_term
 from ..prolog.terms import Functor, Term, Var, WholeSeconds, timestamps, variables
 from .callbacks import OnEvent, OnOutput
+from .core import MADE
 from .holdings import Holdings
 from .ownfiles import REQUEST
 from .reloading import NoReports, clock_at, load_folder, reload_folder, trial_settings
@@ -47,6 +48,7 @@ class Engine(Holdings):
         clock: what time it is; by default a clock that follows the stamps of events and never goes back.
         settings: limits and sizes.
         reports: takes what goes wrong while events flow; by default it is logged.
+        definitions: the message types whose slots a program may name; by default those that are installed.
     """
 
     # ---- loading -------------------------------------------------------------------------------------
@@ -118,7 +120,9 @@ class Engine(Holdings):
 
     def _trial(self) -> "Engine":
         """Return another engine with these settings, for which it is as late."""
-        trial = Engine(clock_at(self.clock.now()), trial_settings(self.settings), NoReports())
+        trial = Engine(
+            clock_at(self.clock.now()), trial_settings(self.settings), NoReports(), self._slots.definitions
+        )
         for sources in self._foreign:
             trial.add_foreign(*sources)
         return trial
@@ -175,7 +179,7 @@ class Engine(Holdings):
         """
         first = None if start is None else timestamps.from_any(start)
         last = first if end is None else timestamps.from_any(end)
-        self.event_at(self._read(term), first, last)
+        self.event_at(self._read(term, MADE), first, last)
 
     def event_at(self, term: Term, start: Optional[int], end: Optional[int]) -> None:
         """Take an event whose interval is given as instants in nanoseconds; see `event`.
@@ -352,7 +356,9 @@ class Engine(Holdings):
             types: those that the program's topics have.
         """
         yield from unread_rules(self._files, folder)
-        yield from wrong_messages(self._rules, self._knowledge.patterns(), definitions, types)
+        yield from wrong_messages(
+            self._rules, self._knowledge.patterns(), definitions, types, self._slots.events
+        )
         yield from unknown_memories(self._rules, [memory.id for memory in self._knowledge.memories])
 
     def status(self, most: int = MOST) -> Status:

@@ -14,7 +14,7 @@ from typing import Callable, Dict, Hashable, List, Sequence
 
 from ..events.knowledge import Instance
 from ..events.network import Rule
-from ..events.program import GOALS, read_text
+from ..events.program import GOALS, event_types, read_text
 from ..foundation import Errors, ProgramErrors, RuleError, UsageError
 from ..prolog.database import Clause, Predicate
 from ..prolog.terms import atom, term_key
@@ -74,6 +74,7 @@ def _real(folder: Path) -> str:
 
 def _load(engine: EngineCore, folder: Path) -> None:
     path = folder / GOALS
+    parts_of(engine).slots.events = event_types(folder)
     parts_of(engine).own_files.call_goals(read_text(path), str(path), folder)
 
 

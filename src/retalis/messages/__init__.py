@@ -11,6 +11,7 @@ from .eventtexts import text_without, text_writer
 from .installed import Installed
 from .layout import BARE
 from .registry import Definitions
+from .slotnames import SlotNames
 from .stamps import FrameStamp, frame_text, second_bytes, watched_stamp
 
 __all__ = [
@@ -24,6 +25,7 @@ __all__ = [
     "functor_name",
     "Installed",
     "second_bytes",
+    "SlotNames",
     "text_without",
     "text_writer",
     "type_name",

@@ -87,8 +87,9 @@ class RetalisNode:
         self._errors: List[str] = []
         self._doubts: List[str] = []
         clock = RosClock()
+        definitions = Definitions(bare=parameters.bare)
         self._reports = Reports()
-        self.engine = clock.engine = Engine(clock, parameters.settings, self._reports)
+        self.engine = clock.engine = Engine(clock, parameters.settings, self._reports, definitions)
         skew = Skew(self._reports, ros_now, most=parameters.max_skew)
         rospy.on_shutdown(skew.sum_up)
         rospy.on_shutdown(self._reports.sum_up)
@@ -97,9 +98,7 @@ class RetalisNode:
         self._load()
         topics = self._topics()
         self._texts = Outlet(OUTPUT, String, parameters.queue, self._reports)
-        self._interface = Interface(
-            self._poster, parameters.queue, self._reports, Definitions(bare=parameters.bare), skew=skew
-        )
+        self._interface = Interface(self._poster, parameters.queue, self._reports, definitions, skew=skew)
         self._text_only = TextOnly((topic for topic, _ in topics.published), self._reports)
         self._look_through(topics)
         self.engine.on_output(self._send_text)

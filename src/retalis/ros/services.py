@@ -6,7 +6,7 @@ import rospy
 
 from ..engine import Engine
 from ..foundation import RetalisError, SyntaxFault, UsageError, beginning, printable
-from ..prolog.syntax import Operators, read_term
+from ..prolog.syntax import Operators, ReadFlags, read_term
 from ..prolog.terms import COMMA, TRUE, Atom, Term, Var, atom, conjuncts, deref, variables
 from .interface import Interface
 from .textonly import TextOnly
@@ -148,7 +148,8 @@ class EngineServices:
             if not text.strip():
                 raise UsageError(f"{field} is empty")
             try:
-                read = read_term(text, self._engine.operators, field)
+                flags = ReadFlags(made=field == "format")
+                read = read_term(text, self._engine.operators, field, flags)
             except SyntaxFault as fault:
                 raise UsageError(f"{field}: {fault.brief()}") from fault
             for name, var in read.names.items():

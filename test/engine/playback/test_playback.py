@@ -253,3 +253,20 @@ def test_events_of_a_topic_are_called_as_it_says(program, bag):
         "both(1.0)",
     ]
     assert problems == []
+
+
+def test_a_program_may_name_the_slots_of_types_that_only_the_bag_has(program, bag):
+    path = bag(
+        (SECOND, "/in", "my_msgs/Stamped", "my_msgs__0__Stamped(std_msgs__0__Header(1,[3,4],'\"f\"'),1.0)")
+    )
+    topics = '<subscribe_to name="in" msg_type="my_msgs/Stamped" event="fix"/>'
+    folder = program("at(F, X) <- fix{x: X, header: {frame_id: F}}.", "", topics + OUT)
+    problems, outputs = [], []
+    with BagReader(path) as reader:
+        playback = Playback(folder, problems.append, bag=reader)
+        playback.engine.on_event(lambda event, start, end: outputs.append(to_text(event)))
+        assert list(playback.run(reader)) == []
+    assert problems == []
+    assert outputs[1:] == ["at('\"f\"',1.0)"]
+    Playback(folder, problems.append)
+    assert "the slots of my_msgs/Stamped are not known when this is read" in str(problems)

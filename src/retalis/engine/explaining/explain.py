@@ -1,13 +1,13 @@
 """Why an event happened, or what was missing for it: trees of rules and events, to be read by people."""
 
 from time import monotonic
-from typing import Callable, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple, Union
+from typing import Callable, Collection, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple, Union
 
 from ...events.history import Fired, Occurrence
 from ...events.language import Aggregate, walk
 from ...events.network import Rule
 from ...foundation import UsageError, watched_by
-from ...prolog.syntax import read_term, write_term
+from ...prolog.syntax import by_name, read_term, write_term
 from ...prolog.terms import (
     Atom,
     Term,
@@ -240,16 +240,17 @@ class _Explainer:
     def _rule(self, rule: Fired) -> str:
         place = "" if rule.place is None else f" ({rule.place.source}:{rule.place.line})"
         label = "" if rule.label is None else f"{self._show(rule.label)}: "
-        return f"rule {label}{self._show(rule.definition.term)}{place}"
+        return f"rule {label}{self._show(rule.definition.term, rule.definition.names)}{place}"
 
     def _event(self, one: Occurrence) -> str:
         interval = timestamps.interval_term(one.start, one.end)
         return f"{self._show(one.term)} {self._show(interval)}"
 
-    def _show(self, term: Term) -> str:
-        """Return a term as text with variables A, B, ..."""
-        operators = self._parts.logic.operators
-        return write_term(term, operators, quoted=True, wide=True, variable_names=names_of(term))
+    def _show(self, term: Term, named: Collection[Var] = ()) -> str:
+        """Return a term as text with variables A, B, ...; some of them were named."""
+        operators, names = self._parts.logic.operators, names_of(term)
+        portray = by_name(term, operators, named, quoted=True, variable_names=names)
+        return write_term(term, operators, quoted=True, wide=True, variable_names=names, portray=portray)
 
 
 def _asked(asked: Term) -> Tuple[Term, Optional[Tuple[int, int]]]:

@@ -27,7 +27,7 @@ from ...events.language import (
 from ...events.network import Rule
 from ...foundation import RetalisError, codegen, look
 from ...prolog.logic import Logic
-from ...prolog.syntax import EventOperator, OperatorKind, write_term
+from ...prolog.syntax import EventOperator, OperatorKind, by_name, write_term
 from ...prolog.terms import Term, Trail, Var, copy, functor, timestamps, undo, unify, variables
 
 _MOST = 200
@@ -104,6 +104,7 @@ class Shortfall:
         ]
         self._vars = (_VALUES, *dict.fromkeys(own))
         self._names = names_of(self._vars)
+        self._named = rule.definition.names
         self._look: Dict[type, Callable[[Any], Part]] = {
             Occurs: self._occurs,
             Pair: self._pair,
@@ -261,7 +262,10 @@ class Shortfall:
 
     def _show(self, term: Term) -> str:
         names = {**names_of(term), **self._names}
-        return write_term(term, self._logic.operators, quoted=True, wide=True, variable_names=names)
+        portray = by_name(term, self._logic.operators, self._named, quoted=True, variable_names=names)
+        return write_term(
+            term, self._logic.operators, quoted=True, wide=True, variable_names=names, portray=portray
+        )
 
 
 @lru_cache(maxsize=len(OPERATORS))

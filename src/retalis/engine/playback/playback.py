@@ -70,6 +70,7 @@ class Playback:
         settings: of the engine.
         max_skew: how many seconds a stamp may be away from what its topic and frame had so far, for the message to
             be taken; by default any number.
+        bag: whose types the program may name slots of, besides those that are installed.
 
     Raises:
         UsageError: where a file of the program cannot be read.
@@ -82,14 +83,15 @@ class Playback:
         topics: Iterable[TopicType] = (),
         settings: Optional[Settings] = None,
         max_skew: Optional[float] = None,
+        bag: Optional[Bag] = None,
     ):
         self._folder = folder = Path(program)
         self.clock = StreamClock()
         self._reports = Reports()
         self._reports.once = True
         self._skew = Skew(self._reports, self.clock.now, self.clock.now, max_skew)
-        self.engine = Engine(self.clock, settings, self._reports)
         self.definitions = Definitions()
+        self.engine = Engine(self.clock, settings, self._reports, self.definitions)
         self._report = report
         self._decoders: Dict[Topic, Optional[Decoder]] = {}
         self._outputs: List[Output] = []
@@ -100,6 +102,7 @@ class Playback:
         self._event_of = partial(named.event_of, plain=_plain)
         self._latched = {_plain(topic) for topic in named.latched}
         self.engine.on_output(self._collect)
+        self._learn_types(bag.topics if bag is not None else ())
         try:
             self.engine.load_program(folder)
         except ProgramErrors as errors:
@@ -169,6 +172,14 @@ class Playback:
         except MessageError as error:
             message = f"a message on {topic.name} is dropped: {error.message}"
             self._reports.error(MessageError(message, error.place), ("in", topic.name))
+
+    def _learn_types(self, topics: Iterable[Topic]) -> None:
+        """Learn the types of a bag that are not known; what is wrong with them is said when it is played."""
+        for topic in topics:
+            try:
+                self.definitions.received(topic.type, topic.type, topic.definition, topic.md5sum)
+            except MessageError as error:
+                log.debug("%s", error)
 
     def _learn_all(self, bag: Bag) -> None:
         """Note the decoders for a bag's connections; say what cannot become events, and what it has not got."""

@@ -3,12 +3,23 @@
 from .clauses import FileChecker, nowhere
 from .door import MEGABYTE
 from .files import Files
-from .folder import GOALS, TOPICS, TopicEvent, Topics, TopicType, read_text, read_topics, topic_type
+from .folder import (
+    GOALS,
+    TOPICS,
+    TopicEvent,
+    Topics,
+    TopicType,
+    event_types,
+    read_text,
+    read_topics,
+    topic_type,
+)
 from .goals import FileGoal, errors_in, goal_of, goals_of, read_goals
 from .lint import unknown_memories, unread_rules, wrong_messages
 from .loading import Loader
 
 __all__ = [
+    "event_types",
     "FileChecker",
     "errors_in",
     "Files",

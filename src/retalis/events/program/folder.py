@@ -9,6 +9,7 @@ from ...foundation import (
     Errors,
     Place,
     ProgramErrors,
+    RetalisError,
     RuleError,
     SyntaxFault,
     UsageError,
@@ -111,6 +112,19 @@ def read_topics(path: Union[str, Path]) -> Topics:
     """
     reader = _TopicReader(str(path), read_text(path))
     return reader.read()
+
+
+def event_types(folder: Path) -> Dict[str, str]:
+    """Return the message types of the events of a program's topics that have names of their own.
+
+    None where ``pub_sub.xml`` is wrong or not there, which those say who subscribe its topics.
+    """
+    try:
+        topics = read_topics(folder / TOPICS)
+    except RetalisError:
+        return {}
+    types = dict(reversed(topics.subscribed))
+    return {event: types[topic] for topic, event in reversed(topics.events)}
 
 
 class _TopicReader:

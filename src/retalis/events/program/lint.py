@@ -2,7 +2,7 @@
 
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Collection, Iterable, Iterator, List, NamedTuple, Optional, Set, Tuple, Union
+from typing import Collection, Iterable, Iterator, List, Mapping, NamedTuple, Optional, Set, Tuple, Union
 
 from ...foundation import Place, RuleError, UsageError
 from ...messages import Definitions, type_name
@@ -30,6 +30,9 @@ _WAITS = frozenset(functor(name, arity) for name in ("synchronized", "syncronize
 _MAKES = frozenset((functor("memorize", 5), functor("memorize", 6), functor("memorize_diactive", 5)))
 
 
+NO_EVENTS: Mapping[str, str] = {}
+
+
 class _NamedTerm(NamedTuple):
     """A term of the program, what to call it, and its place."""
 
@@ -39,7 +42,11 @@ class _NamedTerm(NamedTuple):
 
 
 def wrong_messages(
-    rules: Loaded, patterns: Iterable[Tuple[Term, str]], definitions: Definitions, types: Collection[str]
+    rules: Loaded,
+    patterns: Iterable[Tuple[Term, str]],
+    definitions: Definitions,
+    types: Collection[str],
+    events: Mapping[str, str] = NO_EVENTS,
 ) -> Iterator[RuleError]:
     """Yield a warning for each kind of term in rules and patterns that is not a message of a type that is known.
 
@@ -48,6 +55,7 @@ def wrong_messages(
         patterns: of its memories and subscriptions, each with what to call it.
         definitions: the message types that are known.
         types: those that the program's topics have.
+        events: the types of events that have names of their own.
     """
     known = [definitions.find(kind) for kind in types if kind in definitions]
     near = sorted(
@@ -58,11 +66,11 @@ def wrong_messages(
     }  # learned from their publishers
     seen: Set[Functor] = set()
     outside = [_NamedTerm(pattern, f"{who}: ", None) for pattern, who in patterns]
-    yield from _bare_texts([*_events(rules), *outside], definitions)
+    yield from _bare_texts([*_events(rules), *outside], definitions, events)
     for text in [*_rules(rules), *outside]:
         for part in _parts(text.term):
             key: Functor = part.functor if isinstance(part, Atom) else part[0]
-            kind = None if key in seen else type_name(key.name)
+            kind = None if key in seen else events.get(key.name) or type_name(key.name)
             seen.add(key)
             if kind is None or kind.partition("/")[0] in later:
                 continue
@@ -124,13 +132,15 @@ def _events(rules: Loaded) -> Iterator[_NamedTerm]:
                 yield _NamedTerm(node.term, "", rule.place)
 
 
-def _bare_texts(texts: Iterable[_NamedTerm], definitions: Definitions) -> Iterator[RuleError]:
+def _bare_texts(
+    texts: Iterable[_NamedTerm], definitions: Definitions, events: Mapping[str, str]
+) -> Iterator[RuleError]:
     """Yield a warning for each text in a pattern that stands there without its quotes."""
     for text in texts:
         for part in _parts(text.term):
             if isinstance(part, Atom):
                 continue
-            kind = type_name(part[0].name)
+            kind = events.get(part[0].name) or type_name(part[0].name)
             if kind is None or kind not in definitions:
                 continue
             for slot, value in zip(definitions.find(kind).fields, map(deref, part[1:])):

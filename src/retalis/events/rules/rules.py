@@ -247,7 +247,7 @@ class Rules:
             definition.head is not None
         ):  # a rule made at run time has no names; its own would be ever new ones
             unnamed = dict.fromkeys(variables(definition.head), "_")
-            head = show(definition.head, names={**unnamed, **definition.names})
+            head = show(definition.head, {**unnamed, **definition.names}, made=True)
         label = "" if definition.label is None else f"{show(definition.label)}: "
         return f"rule {label}{head}"
 

@@ -1,11 +1,11 @@
 """Messages, assertions, and the listing of clauses."""
 
-from typing import Dict, Iterator, List
+from typing import Any, Callable, Dict, Iterator, List, Optional
 
 from ..compiler import ARROW, NOT, SEMICOLON, SOFT_ARROW
 from ..database import Predicate
 from ..machine import ERROR, LAST, describe, indicator
-from ..syntax import Operators, write_term
+from ..syntax import Operators, by_name, write_term
 from ..terms import COMMA, SLASH, TRUE, Atom, String, Term, Var, atom, copy, deref, functor, list_items
 from .arguments import atom_of, indicator_of
 from .output import formatted, letter_names, write_to
@@ -14,6 +14,8 @@ from .registry import deterministic, nondeterministic
 
 _NECK, _DIRECTIVE = functor(":-", 2), functor(":-", 1)
 _FORMAT = functor("format", 2)
+_LINE: Dict[str, Any] = {"quoted": True, "numbervars": True, "spacing": True}
+"""How a line of a clause is written."""
 
 # Messages
 
@@ -80,7 +82,9 @@ def clause_text(machine: Machine, term: Term) -> str:
     term = copy(term)
     names = letter_names(term)
     term = deref(term)
-    layout = _BodyLayout(machine.logic.operators, names)
+    operators = machine.logic.operators
+    portray = by_name(term, operators, **_LINE, variable_names=names)
+    layout = _BodyLayout(operators, names, portray)
     if term.__class__ is tuple and term[0] is _NECK and deref(term[2]) is not TRUE:
         layout.put(f"{layout.text(term[1], 1199)} :-\n    ")
         layout.body(term[2], 1, 1199)
@@ -97,7 +101,13 @@ def clause_text(machine: Machine, term: Term) -> str:
 class _BodyLayout:
     """Bodies with a goal a line and control constructs as columns."""
 
-    def __init__(self, operators: Operators, names: Dict[Var, str]):
+    def __init__(
+        self,
+        operators: Operators,
+        names: Dict[Var, str],
+        portray: Optional[Callable[[Term], Optional[str]]] = None,
+    ):
+        self._portray = portray
         self._operators = operators
         self._names = names
         self._out: List[str] = []
@@ -115,11 +125,10 @@ class _BodyLayout:
         return write_term(
             term,
             self._operators,
-            quoted=True,
-            numbervars=True,
-            spacing=True,
+            **_LINE,
             priority=priority,
             variable_names=self._names,
+            portray=self._portray,
         )
 
     def body(self, goal: Term, depth: int, priority: int) -> None:

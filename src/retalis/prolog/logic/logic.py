@@ -22,7 +22,7 @@ from .. import builtins  # noqa: F401  (they register themselves)
 from ..compiler import CALL
 from ..database import COMPILE_AFTER, Clause, CompiledGoal, Predicate, check_body, functor_of, split_clause
 from ..machine import Frame, Limits, PrologError
-from ..syntax import Operators, write_term
+from ..syntax import Operators, by_name, write_term
 from ..terms import Functor, Term, Var, copy, deref, functor
 from . import ports  # noqa: F401  (it registers trace/1)
 from .predicates import Predicates
@@ -209,13 +209,29 @@ class Logic(Predicates):
     def _to_error_output(self, kind: str, text: str) -> None:
         self.error_output(text)
 
-    def show(self, term: Term, quoted: bool = True, names: Optional[Mapping[Var, str]] = None) -> str:
-        """Return a term as text that reads back with the program's operators; names are those of variables."""
-        return write_term(term, self.operators, quoted=quoted, numbervars=True, variable_names=names)
+    def show(
+        self,
+        term: Term,
+        quoted: bool = True,
+        names: Optional[Mapping[Var, str]] = None,
+        made: bool = False,
+    ) -> str:
+        """Return a term as text that reads back with the program's operators.
 
-    def brief(self, term: Term, names: Optional[Mapping[Var, str]] = None) -> str:
+        Args:
+            term: any term.
+            quoted: whether atoms and strings are quoted where they have to be.
+            names: of variables.
+            made: whether the term is made and not matched, see `ReadFlags`.
+        """
+        options = {"quoted": quoted, "numbervars": True, "variable_names": names}
+        named = [var for var, name in (names or {}).items() if name != "_"]
+        portray = by_name(term, self.operators, named, made, **options) if quoted else None
+        return write_term(term, self.operators, portray=portray, **options)
+
+    def brief(self, term: Term, names: Optional[Mapping[Var, str]] = None, made: bool = False) -> str:
         """Return the beginning of a term's text, as reports show it."""
-        return beginning(self.show(term, names=names))
+        return beginning(self.show(term, names=names, made=made))
 
     # Internals
 

@@ -28,10 +28,13 @@ from .eventreader import EventReader
 from .eventtext import event_text, float_text, to_text
 from .operators import Operators
 from .reader import Program, ReadTerm, read_program, read_term
+from .shownslots import by_name
+from .slots import MessageSlot, NamedForm
 from .tokens import ReadFlags
 from .writer import write_term, writeq
 
 __all__ = [
+    "by_name",
     "EVENT_OPERATOR",
     "EVENT_OPERATORS",
     "event_text",
@@ -39,6 +42,8 @@ __all__ = [
     "EventReader",
     "float_text",
     "OperatorKind",
+    "MessageSlot",
+    "NamedForm",
     "Operators",
     "Program",
     "read_program",

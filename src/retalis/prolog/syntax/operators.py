@@ -6,6 +6,7 @@ from typing import Dict, Iterator, List, NamedTuple, Optional, Tuple
 from ...foundation import UsageError
 from ..terms import Functor, functor
 from .eventoperators import EVENT_OPERATORS
+from .slots import Slots
 
 
 class Operator(NamedTuple):
@@ -74,6 +75,9 @@ class Operators:
     `prolog` makes the usual one; programs change their own copy by `add`. A name may be a prefix operator
     and, at the same time, an infix or postfix one.
 
+    Attributes:
+        slots: where those who read with this table find the slots of messages by name; None where there are none.
+
     >>> engine = Engine()
     >>> engine.call("op(700, xfx, near)")
     True
@@ -81,12 +85,13 @@ class Operators:
     True
     """
 
-    __slots__ = ("prefix", "infix", "postfix", "_patterns")
+    __slots__ = ("prefix", "infix", "postfix", "slots", "_patterns")
 
     def __init__(self) -> None:
         self.prefix: Dict[str, Operator] = {}
         self.infix: Dict[str, Operator] = {}
         self.postfix: Dict[str, Operator] = {}
+        self.slots: Optional[Slots] = None
         self._patterns: Optional[Dict[str, Operator]] = None
 
     @classmethod
@@ -119,6 +124,7 @@ class Operators:
         table.prefix = dict(self.prefix)
         table.infix = dict(self.infix)
         table.postfix = dict(self.postfix)
+        table.slots = self.slots
         return table
 
     def add(self, priority: int, kind: str, name: str) -> None:

@@ -8,16 +8,18 @@ from typing import Optional, Tuple
 
 from ..terms import FALSE, TRUE, Term, Var, atom, functor
 from . import faults
-from .opened import LABEL, Open
+from .byname import ByName
+from .opened import LABEL
 from .operators import CANONICAL_IN_PATTERNS
 from .rules import PATTERN_ARGUMENTS
+from .slots import complete
 from .state import ARGUMENTS, LIST
 from .tokens import END, NAME, NUMBER, OPEN_CT, QUOTED, TEXT, VARIABLE, AnyToken
 
 _ENDS = frozenset((")", "]", "}", ",", "|", END, "eof"))
 
 
-class Parser(Open):
+class Parser(ByName):
     """Reads one clause from its tokens; make a new one for each clause."""
 
     def read(self) -> Term:
@@ -32,6 +34,8 @@ class Parser(Open):
                 self._operand()
             else:
                 self._operator()
+        if self.expanded and self.operators.slots is not None:
+            complete(self.left, self.expanded, self.operators.slots, self.flags.made)
         return self.left
 
     def _operand(self) -> None:
@@ -72,8 +76,9 @@ class Parser(Open):
             self.at = at + 2
             self._atom(kind + closer, start)
         elif kind == "{":
-            self.at = at + 1
-            self._push_group(at, start)
+            if not self._open_inner(at, start):
+                self.at = at + 1
+                self._push_group(at, start)
         else:
             self.at = at + 1
             self._push_bracket([self.argument_limit, LIST, at, self.table, [], [], False])
@@ -108,6 +113,8 @@ class Parser(Open):
         following = self.tokens[self.at]
         if following[0] == OPEN_CT:
             self._open_arguments(name, start)
+            return
+        if following[0] == "{" and self._open_slots(name, start):
             return
         if name == "-" and (self.flags.iso or (kind == NAME and following[2] == start + 1)):
             number = self._signed(following)

@@ -5,9 +5,10 @@ from typing import Any, Dict, List, Optional, Sequence, Tuple
 from ..terms import NIL, Term, Var
 from .operators import Operator, Operators
 from .rules import NO_RULES, Layout
+from .slots import Expanded
 from .tokens import AnyToken, ReadFlags, Source
 
-INFIX, PREFIX, GROUP, ARGUMENTS, LIST = range(5)  # the operators come first
+INFIX, PREFIX, GROUP, ARGUMENTS, LIST, SLOTS = range(6)  # the operators come first
 
 OperatorTable = Dict[str, Operator]
 
@@ -21,6 +22,7 @@ class ReadingState:
         names: name -> variable, in order of appearance, without ``_``.
         counts: name -> how often it stands in the clause.
         spots: ``id`` of a compound term -> offsets of its functor and of its arguments.
+        expanded: the messages whose slots were named.
     """
 
     INFIX, PREFIX, GROUP = INFIX, PREFIX, GROUP
@@ -42,6 +44,7 @@ class ReadingState:
         self.spots = spots
         self.names: Dict[str, Var] = {}
         self.counts: Dict[str, int] = {}
+        self.expanded: List[Expanded] = []
         self.at = 0
         self.stack: List[Any] = []
         self.brackets: List[List[Any]] = []

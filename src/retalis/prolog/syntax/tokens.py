@@ -32,12 +32,14 @@ class ReadFlags(NamedTuple):
         event_text: text as events are written on the String topics: ``inf``, ``nan`` and ``-inf`` are
             floats wherever they stand as arguments, ``"text"`` is the atom ``'"text"'``, and ``True`` and
             ``False`` are ``true`` and ``false``.
+        made: the term is made and matches nothing: slots of messages that are not named are zero or empty.
     """
 
     double_quotes: str = "string"
     back_quotes: str = "codes"
     iso: bool = False
     event_text: bool = False
+    made: bool = False
 
 
 class Source:

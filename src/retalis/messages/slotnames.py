@@ -1,0 +1,68 @@
+"""The slots of messages by name, for those who read programs."""
+
+from typing import Dict, List, Optional
+
+from ..foundation import Cache, MessageError, UsageError
+from ..prolog.syntax import MessageSlot, NamedForm
+from ..prolog.terms import copy
+from .definition import Definition, Field, functor_name, type_name
+from .registry import Definitions
+
+LARGEST_ZERO = 1 << 20
+"""Bytes that a message may have at least for its slots to be given by name: zeros are made of all of them."""
+
+
+class SlotNames:
+    """Slots of messages by the names of their terms.
+
+    Args:
+        definitions: the message types that are known; by default those that are installed.
+
+    Attributes:
+        events: the types of events that a program calls by names of their own.
+        forms: how messages were written.
+    """
+
+    def __init__(self, definitions: Optional[Definitions] = None):
+        self._definitions = definitions
+        self.events: Dict[str, str] = {}
+        self.forms: Cache[NamedForm, bool] = Cache(1000, 1 << 20)
+
+    @property
+    def definitions(self) -> Definitions:
+        """The message types that are known; looked for where they are first asked for."""
+        if self._definitions is None:
+            self._definitions = Definitions()
+        return self._definitions
+
+    def find(self, name: str) -> Optional[List[MessageSlot]]:
+        """Return the slots of the messages that are called so; None where no messages are.
+
+        Raises:
+            UsageError: where they are not known.
+        """
+        kind = self.events.get(name) or type_name(name)
+        if kind is None:
+            return None
+        try:
+            definition = self.definitions.find(kind)
+        except MessageError as error:
+            raise UsageError(
+                f"the slots of {kind} are not known when this is read: {error.message}; install its package, "
+                "put its folder on ROS_PACKAGE_PATH, or write all slots in their order: what only publishers "
+                "bring comes too late"
+            ) from error
+        if definition.measure.least > LARGEST_ZERO:
+            raise UsageError(
+                f"messages of {kind} have {definition.measure.least} bytes at least: write all slots in their order"
+            )
+        return self._slots(definition)
+
+    def _slots(self, definition: Definition) -> List[MessageSlot]:
+        zero = copy(self.definitions.decoder(definition).decode(bytes(definition.measure.least)))
+        return [_slot(slot, zero[at]) for at, slot in enumerate(definition.fields, 1)]  # type: ignore[index]
+
+
+def _slot(slot: Field, zero: object) -> MessageSlot:
+    message = "" if slot.definition is None else functor_name(slot.type)
+    return MessageSlot(slot.name, slot.describe(), message, slot.length is not None, zero)  # type: ignore[arg-type]

@@ -1,0 +1,164 @@
+"""Messages with slots by name, read: ``sensor_msgs__0__BatteryState{percentage: P, header: {stamp: S}}``."""
+
+from difflib import get_close_matches
+from typing import Any, Dict, List, Sequence, Tuple
+
+from ...foundation import RetalisError
+from ..terms import Term, Var, atom, functor
+from . import faults
+from .opened import Open
+from .slots import Expanded, MessageSlot
+from .state import LIST, SLOTS
+from .tokens import NAME, QUOTED, shown
+
+_MARK = "__0__"
+"""What names of message types have in them as terms."""
+
+# The bracket of a message on the stack, after priority, kind, token and table: the values by slot number with their
+# offsets, what the term is called, where it begins, its slots, and the number of the one that is being read.
+_VALUES, _TERM, _START, _SLOTS, _NUMBER = range(4, 9)
+
+
+class ByName(Open):
+    """What is open while a clause is read, messages with named slots included."""
+
+    def _open_slots(self, name: str, start: int) -> bool:
+        """Open a message whose name has just been read, if it is one; tell whether so."""
+        at = self.at
+        if self.tokens[at][2] != self.tokens[at - 1][3] or self.flags.event_text:
+            return False
+        if name in self.operators.prefix or name in self.table:
+            return False
+        known = self.operators.slots
+        if known is None:
+            if _MARK in name:
+                raise self.source.fault(f"slots by name are not read here: write all slots of {name}", start)
+            return False
+        try:
+            slots = known.find(name)
+        except RetalisError as error:
+            raise self.source.fault(error.message, start) from error
+        if slots is None:
+            return False
+        self._open_message(name, start, slots)
+        return True
+
+    def _open_inner(self, at: int, start: int) -> bool:
+        """Open a message that is the value of a slot, whose type says its name; tell whether it is one."""
+        around = self.brackets[-1]
+        if self.stack[-1] is not around:
+            return False
+        if around[1] == SLOTS:
+            slot = around[_SLOTS][around[_NUMBER] - 1]
+            if slot.array:
+                raise self.source.fault(f"{slot.name} is {slot.type}: expected a list of its elements", start)
+        elif around[1] == LIST and len(self.brackets) > 1 and self.brackets[-2][1] == SLOTS:
+            slot = self.brackets[-2][_SLOTS][self.brackets[-2][_NUMBER] - 1]
+            if not slot.array or around[6]:
+                return False
+        else:
+            return False
+        if not slot.message:
+            raise self.source.fault(f"{slot.name} is {slot.type}, which has no slots", start)
+        slots = self.operators.slots and self.operators.slots.find(slot.message)
+        self._open_message(slot.message, start, slots or ())
+        return True
+
+    def _open_message(self, name: str, start: int, slots: Sequence[MessageSlot]) -> None:
+        """Open a message at its bracket."""
+        opened = self.at
+        self.at = opened + 1
+        self._push_bracket([self.argument_limit, SLOTS, opened, self.table, {}, name, start, slots, 0])
+        if self.tokens[self.at][0] == "}":
+            self._close_slots()
+        else:
+            self._begin_slot()
+
+    def _begin_slot(self) -> None:
+        """Read the name of a slot and its colon."""
+        bracket = self.brackets[-1]
+        token, following = self.tokens[self.at], self.tokens[self.at + 1]
+        if token[0] not in (NAME, QUOTED) or following[0] != NAME or following[1] != ":":
+            raise self._no_slot()
+        name, slots = token[1], bracket[_SLOTS]
+        names = [slot.name for slot in slots]
+        if name not in names:
+            raise self.source.fault(_unknown(bracket[_TERM], name, slots), token[2])
+        number = bracket[_NUMBER] = names.index(name) + 1
+        if number in bracket[_VALUES]:
+            raise self.source.fault(f"slot {name} has a value already", token[2])
+        self.at += 2
+        self._begin_segment(self.at, self.operators.infix)
+
+    def _no_slot(self) -> RetalisError:
+        token, following = self.tokens[self.at : self.at + 2]
+        what = shown(token, self.source.text)
+        if token[0] in (NAME, QUOTED) and following[0] == NAME:
+            if following[1].startswith(":"):
+                return self.source.fault("expected a blank between : and the sign that follows", following[2])
+            if following[1] == ".":
+                message = f"slots of a message in a slot are written in brackets: {token[1]}: {{slot: Value}}"
+                return self.source.fault(message, following[2])
+        if token[0] in (NAME, QUOTED):
+            message = f"expected a colon and a value after {what}"
+            return self.source.fault(message, following[2])
+        return self.source.fault(f"expected the name of a slot before {what}", token[2])
+
+    def _comma(self, start: int) -> None:
+        if self.brackets[-1][1] != SLOTS:
+            super()._comma(start)
+            return
+        self._have_slot()
+        self.at += 1
+        self._begin_slot()
+
+    def _have_slot(self) -> None:
+        """Take the value of a slot that has just been read."""
+        bracket = self._innermost()
+        bracket[_VALUES][bracket[_NUMBER]] = (self.left, self.left_at)
+
+    def _close(self, kind: str) -> None:
+        if self.brackets[-1][1] != SLOTS:
+            super()._close(kind)
+            return
+        self._have_slot()
+        if kind != "}":
+            raise faults.unbalanced(self, self.brackets[-1][2])
+        self._close_slots()
+
+    def _close_slots(self) -> None:
+        """Build the message."""
+        bracket = self.brackets.pop()
+        self.stack.pop()
+        self.at += 1
+        self.table = bracket[3]
+        name, start, slots = bracket[_TERM], bracket[_START], bracket[_SLOTS]
+        values: Dict[int, Tuple[Term, int]] = bracket[_VALUES]
+        zeros: Dict[Var, Term] = {}
+        arguments: List[Any] = []
+        offsets = []
+        for number, slot in enumerate(slots, 1):
+            value, offset = values.get(number, (None, start))
+            if value is None:
+                value = Var()
+                zeros[value] = slot.zero
+            arguments.append(value)
+            offsets.append(offset)
+        if arguments:
+            term = (functor(name, len(slots)), *arguments)
+            self._build(term, start, tuple(offsets))
+            self.expanded.append(Expanded(term, tuple(values), zeros))
+        else:
+            self.left = atom(name)
+        self.left_at = start
+        self.left_priority = 0
+        self.wants_operand = False
+
+
+def _unknown(term: str, name: str, slots: Sequence[MessageSlot]) -> str:
+    """Return what is wrong with the name of a slot that there is not."""
+    names = [slot.name for slot in slots]
+    near = get_close_matches(name, names, 1)
+    if near:
+        return f"{term} has no slot {name}; did you mean {near[0]}?"
+    return f"{term} has no slot {name}; it has {', '.join(names) or 'none'}"

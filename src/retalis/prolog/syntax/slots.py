@@ -1,0 +1,154 @@
+"""Slots by name: ``std_msgs__0__Header{frame_id: F}`` is that message with a variable for each slot not named.
+
+Where the term is made and not matched, slots that are not named are zero or empty: in heads of rules, formats, and
+events that a goal makes.
+"""
+
+from typing import Dict, Iterator, List, NamedTuple, Optional, Protocol, Sequence, Set, Tuple
+
+from ...foundation import Cache
+from ..terms import CompoundTerm, Functor, Term, Var, deref, functor
+
+_ARROW = functor("<-", 2)
+_DO = functor("do", 2)
+_HEADS = {
+    functor(name, arity): 1
+    for name, arity in (
+        ("exceptionAlarm", 2),
+        ("exceptionAlarmAbsoluteDatime", 2),
+        ("synchronized", 3),
+        ("synchronized", 4),
+        ("syncronized", 3),
+        ("syncronized", 4),
+    )
+}
+"""Heads around an event, and which argument that is; the others are no part of what is made."""
+
+_REV = functor("rev", 1)
+
+_MADE: Dict[Functor, int] = {
+    functor(name, arity): number
+    for name, arity, number in (
+        ("subscribe", 5, 3),
+        ("memorize", 5, 3),
+        ("memorize", 6, 3),
+        ("memorize_diactive", 5, 3),
+        ("event", 1, 1),
+        ("event", 2, 1),
+        ("new_event", 2, 1),
+        ("new_event", 3, 1),
+        ("new_event", 5, 1),
+    )
+}
+"""Goals that make something, and of which argument."""
+
+_ASKING = frozenset((functor("stored_event", 1), functor("fired_event", 2), functor("justify_event", 3)))
+"""Goals in which ``event/2`` makes nothing."""
+
+
+class MessageSlot(NamedTuple):
+    """A slot of a message.
+
+    Attributes:
+        name: its name.
+        type: its type, as errors show it.
+        message: what terms of its messages are called, "" where it has none.
+        array: whether it is an array.
+        zero: its value where nobody gives it one.
+    """
+
+    name: str
+    type: str
+    message: str
+    array: bool
+    zero: Term
+
+
+class NamedForm(NamedTuple):
+    """A way of writing messages: the slots that are named, by their numbers, and whether the others are zero."""
+
+    functor: Functor
+    named: Tuple[int, ...]
+    made: bool
+
+
+class Slots(Protocol):
+    """Gives the slots of messages, and remembers how they were written."""
+
+    forms: "Cache[NamedForm, bool]"
+
+    def find(self, name: str) -> Optional[Sequence[MessageSlot]]:
+        """Return the slots of the messages that are called so; None where no messages are.
+
+        Raises:
+            RetalisError: where they are not known.
+        """
+
+
+class Expanded(NamedTuple):
+    """A message as it was read: its term, the slots that were named, and the values of the others if it is made."""
+
+    term: CompoundTerm
+    named: Tuple[int, ...]
+    zeros: Dict[Var, Term]
+
+
+def made_in(term: Term) -> Iterator[Term]:
+    """Yield the parts of a clause or goal that are made, each with all that is in it."""
+    stack: List[Term] = [term]
+    while stack:
+        part = deref(stack.pop())
+        if part.__class__ is not tuple or part[0] in _ASKING:
+            continue
+        if part[0] is _ARROW:
+            yield from _made_by_head(part[1])
+            stack.append(part[2])
+            continue
+        number = _MADE.get(part[0], 0)
+        if number:
+            yield part[number]
+        stack += [one for at, one in enumerate(part) if at and at != number]
+
+
+def _made_by_head(head: Term) -> Iterator[Term]:
+    head = deref(head)
+    if head.__class__ is tuple and head[0] is _DO:
+        yield from made_in(head[2])
+        head = deref(head[1])
+    if head.__class__ is tuple and head[0] in _HEADS:
+        head = head[_HEADS[head[0]]]
+    elif head.__class__ is tuple and head[0] is _REV:
+        return
+    yield head
+
+
+def parts_in(term: Term) -> Iterator[CompoundTerm]:
+    """Yield the compound terms in a term, itself included."""
+    stack: List[Term] = [term]
+    while stack:
+        part = deref(stack.pop())
+        if part.__class__ is tuple:
+            yield part
+            stack += part[:0:-1]
+
+
+def complete(term: Term, expanded: Sequence[Expanded], slots: Slots, made: bool) -> None:
+    """Give slots that were not named their values, in the parts of a term that are made, and note how it was written.
+
+    Args:
+        term: what was read.
+        expanded: the messages in it whose slots were named.
+        slots: where it is noted.
+        made: whether all of the term is made.
+    """
+    found: Set[int] = set()
+    for part in [term] if made else made_in(term):
+        found.update(map(id, parts_in(part)))
+    for one in expanded:
+        is_made = id(one.term) in found
+        if is_made:
+            for var, zero in one.zeros.items():
+                var.ref = zero
+        form = NamedForm(one.term[0], one.named, is_made)
+        if form not in slots.forms:
+            slots.forms.keep(form, True, 8 * len(one.named))

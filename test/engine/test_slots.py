@@ -1,0 +1,131 @@
+"""Rules, goals and questions with slots by name, and what is said of them."""
+
+import logging
+
+import pytest
+
+from retalis.engine import Engine
+from retalis.engine.explaining import explain, record_origins
+from retalis.foundation import ProgramErrors
+from retalis.messages import Definitions, Installed
+
+POINT = "my_msgs__0__Point"
+RULES = f"""
+right(X) <- {POINT}{{x: X}} where X > 0.
+{POINT}{{y: X}} <- right(X).
+seen(X) :- prev(points, {POINT}{{x: X}}, _, _, now).
+"""
+GOALS = f"""
+memorize({POINT}{{x: X}}, [X > 0], _, points, 5)
+subscribe({POINT}{{y: Y}}, [Y > 0], my_msgs__0__Named{{point: {{x: Y}}}}, out, o)
+subscribe({POINT}{{z: Y}}, [], _, out, p)
+subscribe(others__0__Thing{{z: Y}}, [], _, out, q)
+"""
+
+
+@pytest.fixture
+def definitions():
+    known = Definitions(Installed(packages=[], modules=[], rosbags=False))
+    known.add("my_msgs/Point", "float64 x\nfloat64 y\n")
+    known.add("my_msgs/Named", "string name\nPoint point\n")
+    return known
+
+
+@pytest.fixture
+def engine(definitions):
+    return Engine(definitions=definitions)
+
+
+def test_rules_memories_and_outputs_take_slots_by_name(engine):
+    outputs = []
+    engine.on_output(lambda term, topic, name: outputs.append(engine.show(term)))
+    engine.load(rules=RULES)
+    with pytest.raises(ProgramErrors) as caught:
+        engine.call_goals(GOALS, "goals")
+    assert [str(error).split(";")[0] for error in caught.value.errors] == [
+        f"goals:4:29: {POINT} has no slot z",
+        "goals:5:11: the slots of others/Thing are not known when this is read: no definition of the message type "
+        "others/Thing is installed or has been received",
+    ]
+    engine.event(f"{POINT}{{x: 2}}", 1)
+    engine.event(f"{POINT}(-2, 3)", 2)
+    assert outputs == [
+        f"my_msgs__0__Named('\"\"',{POINT}(2,0.0))",
+        f"my_msgs__0__Named('\"\"',{POINT}(3,0.0))",
+    ]
+    assert engine.query("access_mem(points, P, _)") == engine.query(f"P = {POINT}(2, 0.0)")
+    assert [str(found["X"]) for found in engine.query(f"access_mem(points, {POINT}{{x: X}}, _)")] == ["2"]
+
+
+def test_what_was_written_by_name_is_shown_so(engine, capsys):
+    record_origins(engine)
+    engine.load(rules=RULES, goals=f"memorize({POINT}{{x: X}}, [X > 0], _, points, 5)")
+    engine.event(f"{POINT}(2, 1)", 1)
+    engine.call("listing(seen/1)")
+    assert capsys.readouterr().out == f"seen(A) :-\n    prev(points, {POINT}{{x: A}}, _, _, now).\n\n"
+    status = engine.status()
+    assert [rule.text for rule in status.rules] == [
+        f"right(X)<-{POINT}{{x: X}}where X>0",
+        f"{POINT}{{y: X}}<-right(X)",
+    ]
+    assert [memory.event for memory in status.memories] == [f"{POINT}{{x: _}}"]
+    happened, lines = explain(engine, f"{POINT}(0.0, 2)")
+    assert happened
+    assert lines[0].text == f"{POINT}(0.0,2) [1,1] by rule {POINT}{{y: A}} <- right(A) (text:3)"
+    assert f"right(A) <- {POINT}{{x: A}} where A > 0" in lines[0].below[0].text
+    happened, lines = explain(engine, "right(3)")
+    assert lines[0].below[0].below[0].text == f"- {POINT}{{x: 3}}: did not happen"
+
+
+def test_warnings_and_errors_show_it_so(engine, caplog):
+    engine.load(rules=f"{POINT}{{x: X}} <- a(X) where undefined_goal({POINT}{{y: X}}).")
+    with caplog.at_level(logging.ERROR, "retalis"):
+        engine.event("a(1)", 1)
+    assert f"rule {POINT}{{x: X}}, at event a(1): goal undefined_goal({POINT}{{y: X}})" in caplog.text
+
+
+def test_a_rule_with_a_slot_that_there_is_not_is_refused_at_its_place(engine):
+    with pytest.raises(ProgramErrors) as caught:
+        engine.load(
+            rules=f"a <- b.\nc <- {POINT}{{xx: 1}}.\nd <- my_msgs__0__Named{{point: {{yy: 1}}}}.",
+            source="rules",
+        )
+    assert [str(error).split("\n")[0] for error in caught.value.errors] == [
+        f"rules:2:24: {POINT} has no slot xx; did you mean x?",
+        f"rules:3:32: {POINT} has no slot yy; did you mean y?",
+    ]
+    assert engine.status().rules == ()
+
+
+TOPICS = """<publish_subscribe>
+  <subscribe_to name="left" msg_type="my_msgs/Point" event="left_point"/>
+  <subscribe_to name="right" msg_type="my_msgs/Point" event="right_point"/>
+</publish_subscribe>"""
+
+
+def test_events_with_names_of_their_own_have_slots_by_name_and_are_known_to_warnings(
+    engine, definitions, tmp_path
+):
+    rules = """a(X) <- left_point{x: X}.
+b <- left_point(_).
+c <- right_point{y: 1}.
+"""
+    (tmp_path / "pub_sub.xml").write_text(TOPICS)
+    (tmp_path / "goalPredicates.txt").write_text("compile_event_file('rules.txt')")
+    (tmp_path / "rules.txt").write_text(rules)
+    for _ in range(2):
+        warnings = list(engine.warnings(tmp_path, definitions, ["my_msgs/Point"]))
+        if not warnings:
+            engine.load_program(tmp_path)
+    (warning,) = warnings
+    assert warning.message == "left_point/1 does not match its type: my_msgs/Point has 2 slots: x, y"
+    assert warning.place.line == 2
+    seen = []
+    engine.on_event(lambda term, start, end: seen.append(engine.show(term)))
+    engine.event("left_point{x: 5}", 1)
+    assert seen == ["left_point(5,0.0)", "a(5)"]
+    (tmp_path / "rules.txt").write_text(rules.replace("left_point(_)", "left_point{}"))
+    assert engine.reload(tmp_path)[0] == "rules: 1 new, 1 gone, 2 kept"
+    (tmp_path / "rules.txt").write_text(rules.replace("y: 1", "z: 1"))
+    with pytest.raises(ProgramErrors, match="right_point has no slot z"):
+        engine.reload(tmp_path)

@@ -1,0 +1,208 @@
+"""Messages written with slots by name: what they read as, what is wrong with them, and how they are shown again."""
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from retalis.foundation import SyntaxFault
+from retalis.messages import Definitions, Installed, SlotNames
+from retalis.prolog.logic import Logic
+from retalis.prolog.syntax import Operators, ReadFlags, read_term, to_text
+from retalis.prolog.terms import term_key
+
+DEFINITIONS = Definitions(Installed(packages=[], modules=[]))
+DEFINITIONS.add("my_msgs/Point", "float64 x\nfloat64 y\n")
+DEFINITIONS.add("my_msgs/Empty", "")
+DEFINITIONS.add(
+    "my_msgs/All",
+    "bool on\nstring text\ntime stamp\nfloat32[] many\nint8[2] two\nuint8[] data\n"
+    "Point point\nPoint[] points\nEmpty no\n",
+)
+DEFINITIONS.add("my_msgs/Huge", "uint8[2000000] data\n")
+
+POINT, ALL = "my_msgs__0__Point", "my_msgs__0__All"
+ZERO = f"{POINT}(0.0,0.0)"
+
+
+def slots():
+    known = SlotNames(DEFINITIONS)
+    known.events["spot"] = "my_msgs/Point"
+    return known
+
+
+PROGRAM = Logic()
+KNOWING = PROGRAM.operators
+KNOWING.slots = slots()
+
+
+def read(text, made=False, operators=KNOWING):
+    return read_term(text, operators, flags=ReadFlags(made=made)).term
+
+
+READS = {
+    f"{POINT}{{x: X}}": f"{POINT}(X, _)",
+    f"{POINT}{{}}": f"{POINT}(_, _)",
+    f"{POINT}{{y: 1, x: X}}": f"{POINT}(X, 1)",
+    "spot{y: Y}": "spot(_, Y)",
+    "my_msgs__0__Empty{}": "my_msgs__0__Empty",
+    f"{ALL}{{point: {{y: Y}}}}": f"{ALL}(_,_,_,_,_,_,{POINT}(_,Y),_,_)",
+    f"{ALL}{{point: {POINT}{{y: Y}}}}": f"{ALL}(_,_,_,_,_,_,{POINT}(_,Y),_,_)",
+    f"{ALL}{{points: [{{x: 1}}, P | R]}}": f"{ALL}(_,_,_,_,_,_,_,[{POINT}(1,_), P | R],_)",
+    f"{ALL}{{no: {{}}}}": f"{ALL}(_,_,_,_,_,_,_,_,{{}})",
+    f"{ALL}{{stamp: [S, _], on: true}}": f"{ALL}(true,_,[S,_],_,_,_,_,_,_)",
+    f"{POINT}{{x: - 1 + 2 * X}}": f"{POINT}(- 1 + 2 * X, _)",
+    f"a <- {POINT}{{x: X}} seq {POINT}{{x: X}}": f"a <- {POINT}(X, _) seq {POINT}(X, _)",
+    f"{POINT}{{x: X}} <- a(X)": f"{POINT}(X, 0.0) <- a(X)",
+    f"l : {POINT}{{x: X}} do event({POINT}{{y: 1}}) <- a(X)": f"l : {POINT}(X,0.0) do event({POINT}(0.0,1)) <- a(X)",
+    f"exceptionAlarm({POINT}{{}}, 5) <- a": f"exceptionAlarm({ZERO}, 5) <- a",
+    f"rev({POINT}{{}}) <- a": f"rev({POINT}(_, _)) <- a",
+    f"synchronized({POINT}{{}}, p({POINT}{{}}), []) <- a": f"synchronized({ZERO}, p({POINT}(_, _)), []) <- a",
+    f"a <- b where ({POINT}{{}} = X)": f"a <- b where ({POINT}(_, _) = X)",
+    f"subscribe({POINT}{{}}, [], {POINT}{{x: 2}}, t, i)": f"subscribe({POINT}(_,_), [], {POINT}(2, 0.0), t, i)",
+    f"memorize({POINT}{{x: X}}, [], f({POINT}{{x: X}}), i, 5)": (
+        f"memorize({POINT}(X,_), [], f({POINT}(X,0.0)), i, 5)"
+    ),
+    f"new_event({POINT}{{}}, 1, 2)": f"new_event({ZERO}, 1, 2)",
+    f"p :- stored_event(event({POINT}{{}}, T))": f"p :- stored_event(event({POINT}(_, _), T))",
+    f"p({POINT}{{}}) :- event({ALL}{{}})": (
+        f"p({POINT}(_, _)) :- event({ALL}(false,'\"\"',[0,0],[],[0,0],'\"\"',{ZERO},[],my_msgs__0__Empty))"
+    ),
+}
+
+
+def test_what_messages_with_named_slots_read_as():
+    for text, same in READS.items():
+        assert term_key(read(text)) == term_key(read(same)), text
+    assert to_text(read(f"{POINT}{{x: 3}}", made=True)) == f"{POINT}(3,0.0)"
+
+
+WRONG = {
+    f"a <- {POINT}{{z: X}}": (24, f"{POINT} has no slot z; it has x, y"),
+    f"{ALL}{{pont: X}}": (17, f"{ALL} has no slot pont; did you mean point?"),
+    f"{ALL}{{point: {{xx: X}}}}": (25, f"{POINT} has no slot xx; did you mean x?"),
+    f"{POINT}{{x: 1, x: 2}}": (25, "slot x has a value already"),
+    f"{POINT}{{x:-1}}": (20, "expected a blank between : and the sign that follows"),
+    f"{POINT}{{x}}": (20, 'expected a colon and a value after "x"'),
+    f"{POINT}{{X: 1}}": (19, 'expected the name of a slot before "X"'),
+    f"{POINT}{{x: 1,}}": (24, 'expected the name of a slot before "}"'),
+    f"{POINT}{{x: }}": (22, 'expected a term before "}"'),
+    f"{POINT}{{x: 1": (23, 'expected "}" for the "{" in line 1, column 18'),
+    f"{ALL}{{point.x: 1}}": (
+        22,
+        "slots of a message in a slot are written in brackets: point: {slot: Value}",
+    ),
+    f"{ALL}{{text: {{x: 1}}}}": (23, "text is string, which has no slots"),
+    f"{ALL}{{points: {{x: 1}}}}": (25, "points is my_msgs/Point[]: expected a list of its elements"),
+    "b :- my_msgs__0__Other{a: 1}": (6, "the slots of my_msgs/Other are not known when this is read"),
+    "my_msgs__0__Huge{}": (1, "messages of my_msgs/Huge have 2000000 bytes at least"),
+}
+
+
+def test_what_is_wrong_is_said_at_its_place():
+    for text, (column, message) in WRONG.items():
+        with pytest.raises(SyntaxFault) as caught:
+            read(text)
+        assert message in caught.value.message, text
+        assert (text, caught.value.place.column) == (text, column)
+
+
+def test_nothing_that_has_read_otherwise_reads_otherwise():
+    plain, knowing = Operators.prolog(), KNOWING.copy()
+    for text in (
+        "{}",
+        "{a}",
+        "{a: b, c}",
+        "f({x: 1})",
+        "- {x: 1}",
+        "\\+ {x}",
+        f"{POINT}(X, _)",
+        "'{}'(a)",
+        "[{x: 1}]",
+    ):
+        assert term_key(read(text)) == term_key(read(text, operators=plain)), text
+    for text in ("a{b}", "a{b: c}", f"{POINT} {{x: 1}}", "X{a: 1}", "f(x){a: 1}", "0__0__a{x: 1}"):
+        messages = []
+        for operators in (plain, knowing):
+            with pytest.raises(SyntaxFault) as caught:
+                read(text, operators=operators)
+            messages.append(str(caught.value))
+        assert messages[0] == messages[1], text
+    knowing.add(200, "fy", POINT)  # a program's own prefix operator
+    plain.add(200, "fy", POINT)
+    assert term_key(read(f"{POINT}{{x}}", operators=knowing)) == term_key(
+        read(f"{POINT}{{x}}", operators=plain)
+    )
+
+
+def test_who_knows_no_messages_reads_none_by_name():
+    with pytest.raises(SyntaxFault, match="slots by name are not read here"):
+        read(f"{POINT}{{x: 1}}", operators=Operators.prolog())
+    with pytest.raises(SyntaxFault):  # nor does what comes from other nodes
+        read_term(f"{POINT}{{x: 1}}", KNOWING, flags=ReadFlags(event_text=True))
+
+
+SHOWN = (
+    f"a<-{POINT}{{x: X}}where X>1",
+    f"{POINT}{{x: X}}<-a(X)",
+    f"a(X)<-{ALL}{{text: '\"t\"', point: {{y: X}}}}",
+    f"a(X)<-{ALL}{{point: {{y: X}}, text: '\"t\"'}}",
+    f"a(X)<-{ALL}{{points: [{POINT}{{x: X}},P|R]}}seq b(P,R)",
+    f"subscribe(spot{{x: X}},[],{POINT}{{x: X}},t,i)",
+    f"p({POINT}(0.0,0.0)):-event({POINT}{{}})",
+)
+
+
+def test_terms_are_shown_as_they_were_written():
+    for text in SHOWN:
+        KNOWING.slots.forms.clear()
+        found = read_term(text, KNOWING)
+        shown = PROGRAM.show(found.term, names={var: name for name, var in found.names.items()})
+        assert shown == text
+        assert term_key(read(shown)) == term_key(found.term)
+
+
+def test_a_head_alone_is_shown_as_what_is_made():
+    rule = read(f"{POINT}{{x: 1}} <- {POINT}{{y: 1}}")
+    assert PROGRAM.show(rule[1], made=True) == f"{POINT}{{x: 1}}"
+    assert PROGRAM.show(rule[1]) == f"{POINT}(1,0.0)"  # as a pattern it would match more
+    assert PROGRAM.show(rule) == f"{POINT}{{x: 1}}<-{POINT}{{y: 1}}"
+
+
+values = st.sampled_from(["X", "Y", "1", "2.5", "'\"t\"'", "[A,B]"])
+points = st.dictionaries(st.sampled_from(["x", "y"]), values, max_size=2)
+
+
+@st.composite
+def messages(draw):
+    """Return a message with some of its slots by name, and the same with all slots in their order."""
+    names = [slot.name for slot in DEFINITIONS.find("my_msgs/All").fields]
+    chosen = draw(st.lists(st.sampled_from(names), unique=True))
+    named, plain = [], {}
+    for name in chosen:
+        if name == "point":
+            inner = draw(points)
+            text = "{" + ", ".join(f"{slot}: {value}" for slot, value in inner.items()) + "}"
+            plain[name] = f"{POINT}({inner.get('x', '_')},{inner.get('y', '_')})"
+            if not inner:
+                text = plain[name] = "P"
+        else:
+            text = plain[name] = draw(values)
+        named.append(f"{name}: {text}")
+    ordered = ",".join(plain.get(name, "_") for name in names)
+    return f"{ALL}{{{', '.join(named)}}}", f"{ALL}({ordered})"
+
+
+FRAMES = ("{}", "a(X) <- {}", "a <- {} seq b(X)", "p(Y) :- q({}, {}), r(X)", "p :- stored_event({})")
+
+
+@pytest.mark.slow
+@settings(max_examples=100, deadline=None)
+@given(st.lists(messages(), min_size=2, max_size=2), st.sampled_from(FRAMES))
+def test_named_slots_read_as_those_in_order_and_are_shown_so_that_they_read_back(found, frame):
+    text = frame.format(*(named for named, _ in found))
+    term = read_term(text, KNOWING)
+    same = read(frame.format(*(plain for _, plain in found)))
+    assert term_key(term.term) == term_key(same)
+    for names in ({}, {var: name for name, var in term.names.items()}):
+        again = read(PROGRAM.show(term.term, names=names))
+        assert term_key(again) == term_key(same)
