@@ -56,6 +56,10 @@ ESCAPES = (
 BLANKS = (" ", "\t", "\n", " \n")
 
 CASES: Dict[str, Case] = {
+    # engine/drawing/timeline.py
+    r"'(?:[^'\\]|\\.|'')*'|[^(]*": Case(
+        "match", "a quote that is never closed: all once more", ("", "'"), ("a", "''", "\\'")
+    ),
     # engine/drawing/dot.py
     r"\b\w+?__0__": Case(
         "search", "one run of word characters: it begins at none inside", ("",), ("a", "_", "a ")
