@@ -1,14 +1,15 @@
 #!/usr/bin/env python3
-"""Draw the pictures of what programs do: docs/nao-map.png, docs/timeline.png and docs/door.png.
+"""Draw the pictures of programs and of what they do: nao-program.svg, nao-map.png, timeline.png and door.png.
 
     docs/pictures.py [--folder docs]
 
-Needs matplotlib and rosbags, and no ROS. The programs are run; nothing in the pictures is written by hand but the
-names of the lanes.
+Needs matplotlib, Graphviz and rosbags, and no ROS. The programs are run; nothing in the pictures is written by hand
+but the names of the lanes.
 """
 
 import argparse
 import importlib.util
+import os
 import re
 import sys
 import tempfile
@@ -23,6 +24,7 @@ import matplotlib  # noqa: E402
 from nao_robot import Robot  # noqa: E402
 
 from retalis import BagReader, Engine, Playback, list_items  # noqa: E402
+from retalis.cli import main as retalis  # noqa: E402
 from retalis.prolog.terms import resolve  # noqa: E402
 
 matplotlib.use("Agg")
@@ -211,9 +213,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--folder", type=Path, default=HERE, help="where to write them")
     options = parser.parse_args()
-    nao_map(options.folder / "nao-map.png")
-    fever(options.folder / "timeline.png")
-    door(options.folder / "door.png")
+    folder = options.folder.resolve()
+    os.chdir(str(ROOT))  # the program is called as it is from there
+    retalis(["graph", "application_source", "--output", str(folder / "nao-program.svg")])
+    nao_map(folder / "nao-map.png")
+    fever(folder / "timeline.png")
+    door(folder / "door.png")
 
 
 if __name__ == "__main__":
