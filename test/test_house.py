@@ -28,6 +28,7 @@ ORDER = (
     "events.program",
     "events.rules",
     "events.knowledge",
+    "events.checks",
     "engine.runtime",
     "engine",
     "engine.explaining",

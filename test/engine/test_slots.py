@@ -6,6 +6,7 @@ import pytest
 
 from retalis.engine import Engine
 from retalis.engine.explaining import explain, record_origins
+from retalis.events.program import read_topics
 from retalis.foundation import ProgramErrors
 from retalis.messages import Definitions, Installed
 
@@ -113,11 +114,9 @@ c <- right_point{y: 1}.
     (tmp_path / "pub_sub.xml").write_text(TOPICS)
     (tmp_path / "goalPredicates.txt").write_text("compile_event_file('rules.txt')")
     (tmp_path / "rules.txt").write_text(rules)
-    for _ in range(2):
-        warnings = list(engine.warnings(tmp_path, definitions, ["my_msgs/Point"]))
-        if not warnings:
-            engine.load_program(tmp_path)
-    (warning,) = warnings
+    engine.load_program(tmp_path)
+    warnings = engine.warnings(tmp_path, definitions, read_topics(tmp_path / "pub_sub.xml"))
+    (warning,) = [one for one in warnings if "its type" in one.message]
     assert warning.message == "left_point/1 does not match its type: my_msgs/Point has 2 slots: x, y"
     assert warning.place.line == 2
     seen = []

@@ -2,6 +2,7 @@
 
 from .asking import ask, await_memories
 from .callbacks import OnEvent, OnOutput
+from .checking import check_program
 from .core import parts_of
 from .engine import Engine
 from .rulechanges import add_rule, delete_rule
@@ -21,6 +22,7 @@ __all__ = [
     "add_rule",
     "ask",
     "await_memories",
+    "check_program",
     "delete_rule",
     "AwaitedMemory",
     "Engine",

@@ -82,6 +82,7 @@ class EngineCore:
         self._message = self._intake.take_message
         self._text_input = TextInput(self._logic.operators, self._take, call, reports)
         self._outputs: List[OnOutput] = []
+        self._observed = False
         self._foreign: List[Tuple[object, ...]] = []
         self._programs: Dict[str, Standing] = {}
         """What the folder of a program has made, by its real path."""

@@ -1,11 +1,12 @@
 """The engine: a program, the events that it takes, and what its subscribers get."""
 
 from pathlib import Path
-from typing import Callable, Collection, Dict, Iterator, List, Optional, Tuple, TypeVar, Union
+from typing import Callable, Dict, Iterable, Iterator, List, Optional, Tuple, TypeVar, Union
 
+from ..events.checks import Overview, look_through
 from ..events.dispatch import Stage
-from ..events.program import unknown_memories, unread_rules, wrong_messages
-from ..foundation import RuleError
+from ..events.program import Topics, TopicType
+from ..foundation import RetalisError
 from ..messages import Definitions
 from ..prolog.foreign import define_foreign
 from ..prolog.machine import Frame
@@ -292,6 +293,7 @@ class Engine(Holdings):
             return after
 
         self._dispatcher.listen(Stage.TRACE, Var(), observe)
+        self._observed = True
 
     def show(self, term: Term) -> str:
         """Return a term as text that reads back.
@@ -342,24 +344,31 @@ class Engine(Holdings):
             f"{len(list(self._knowledge.subscriptions))} subscriptions"
         )
 
-    def warnings(self, folder: Path, definitions: Definitions, types: Collection[str]) -> Iterator[RuleError]:
+    def warnings(
+        self,
+        folder: Path,
+        definitions: Definitions,
+        topics: Optional[Topics] = None,
+        direct: Iterable[TopicType] = (),
+    ) -> Iterator[RetalisError]:
         """Yield a warning for each thing in the program that reads well and is probably not meant.
 
         >>> engine = Engine()
-        >>> engine.load(rules="alarm <- fire where prev(fires, _, 1, 2, _).")
-        >>> [warning.message for warning in engine.warnings(folder, Definitions(), [])]
-        ['there is no memory fires yet']
+        >>> engine.load(rules="alarm <- fire where prev(fires, _, 1, 2, _). fire <- fire.")
+        >>> [warning.message.partition(":")[0] for warning in engine.warnings(folder, Definitions())][-1]
+        'fire/0 fires itself, at once and without end'
 
         Args:
             folder: the program's own.
             definitions: the message types that are known.
-            types: those that the program's topics have.
+            topics: the program's; by default none.
+            direct: further topics that become events.
         """
-        yield from unread_rules(self._files, folder)
-        yield from wrong_messages(
-            self._rules, self._knowledge.patterns(), definitions, types, self._slots.events
+        topics = Topics() if topics is None else topics
+        program = Overview(
+            self._rules, self._knowledge, definitions, topics, tuple(direct), folder, self._observed
         )
-        yield from unknown_memories(self._rules, [memory.id for memory in self._knowledge.memories])
+        return (finding.problem for finding in look_through(program))
 
     def status(self, most: int = MOST) -> Status:
         """Tell what the engine is doing and what it holds.

@@ -5,11 +5,12 @@ for the forms of the slots, `Definitions` for where types come from.
 """
 
 from .decoding import Decoder
-from .definition import Definition, functor_name, type_name
+from .definition import Definition, Field, functor_name, type_name
 from .encoding import Encoder
 from .eventtexts import text_without, text_writer
 from .installed import Installed
 from .layout import BARE
+from .open import fault_of
 from .registry import Definitions
 from .slotnames import SlotNames
 from .stamps import FrameStamp, frame_text, second_bytes, watched_stamp
@@ -20,6 +21,8 @@ __all__ = [
     "Definition",
     "Definitions",
     "Encoder",
+    "fault_of",
+    "Field",
     "FrameStamp",
     "frame_text",
     "functor_name",

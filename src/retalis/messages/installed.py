@@ -4,7 +4,7 @@ import ast
 import os
 import sys
 from pathlib import Path
-from typing import Dict, Iterator, List, Optional, Sequence, Tuple
+from typing import Any, Dict, Iterator, List, Optional, Sequence, Tuple
 
 from ..foundation import type_fault
 
@@ -25,6 +25,7 @@ class Installed:
         packages: folders that contain packages, instead of the usual ones.
         modules: folders of Python modules, instead of the module path.
         rosbags: whether to ask ``rosbags``.
+        further: folders that are looked at before these; a package's own, or one that contains packages.
     """
 
     def __init__(
@@ -32,11 +33,29 @@ class Installed:
         packages: Optional[Sequence[str]] = None,
         modules: Optional[Sequence[str]] = None,
         rosbags: bool = True,
+        further: Sequence[str] = (),
     ):
-        self._packages = list(dict.fromkeys(_package_folders() if packages is None else packages))
+        usual = _package_folders() if packages is None else packages
+        self._packages = list(dict.fromkeys([*further, *usual]))
         self._modules = list(dict.fromkeys([*sys.path, *_MODULES] if modules is None else modules))
         self._rosbags = rosbags
         self._sources: Optional[Dict[str, str]] = None
+
+    def types(self, package: str) -> List[str]:
+        """Return the names of the types of a package, in the order of the alphabet; none where there is no such."""
+        folders = [os.path.join(folder, package, "msg") for folder in (*self._packages, *self._modules)]
+        nested = self._source_packages().get(package)
+        found = {name for folder in folders for name in _type_names(folder)}
+        if nested is not None:
+            found.update(_type_names(os.path.join(nested, "msg")))
+        return sorted(found.union(_rosbags_types().get(package, ())) if self._rosbags else found)
+
+    def packages(self) -> List[str]:
+        """Return the names of the packages that have messages, in the order of the alphabet."""
+        found = set(self._source_packages())
+        for folder in self._packages:
+            found.update(_with_messages(folder))
+        return sorted(found.union(_rosbags_types()) if self._rosbags else found)
 
     def text(self, name: str) -> Optional[Tuple[str, str]]:
         """Return the text of a type and where it was read, or None where it is not installed."""
@@ -74,6 +93,44 @@ class Installed:
                 if text is not None:
                     return text, path
         return None
+
+
+def _type_names(folder: str) -> Iterator[str]:
+    """Yield the types whose definitions lie in a folder: ``Type.msg`` or ``_Type.py``."""
+    for name in _names_in(folder):
+        if name.endswith(".msg"):
+            yield name[:-4]
+        elif name.startswith("_") and name.endswith(".py") and not name.startswith("__"):
+            yield name[1:-3]
+
+
+def _with_messages(folder: str) -> Iterator[str]:
+    """Yield the packages in a folder that have messages."""
+    for name in _names_in(folder):
+        if os.path.isdir(os.path.join(folder, name, "msg")):
+            yield name
+
+
+def _names_in(folder: str) -> List[str]:
+    try:
+        return os.listdir(folder)
+    except OSError:  # a folder of the path that is not there or not ours to read
+        return []
+
+
+def _rosbags_types() -> Dict[str, List[str]]:
+    """Return the types that ``rosbags`` brings, by package."""
+    found: Dict[str, List[str]] = {}
+    try:
+        from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 - slow, and an optional package
+    except ImportError:
+        return found
+    store = get_typestore(Stores.ROS1_NOETIC)
+    names: Any = getattr(store, "fielddefs", None) or getattr(store, "FIELDDEFS", ())  # by its version
+    for name in names:
+        package, _, kind = name.partition("/msg/")
+        found.setdefault(package, []).append(kind)
+    return found
 
 
 def _package_folders() -> List[str]:

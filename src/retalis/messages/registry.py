@@ -1,5 +1,6 @@
 """The message types that are known: from texts, and from what is installed. No part of ROS is needed."""
 
+from difflib import get_close_matches
 from typing import Dict, List, NamedTuple, Optional, Sequence, Set, Tuple, Union
 
 from ..foundation import Cache, MessageError, beginning, type_fault
@@ -218,6 +219,21 @@ class Definitions:
         ['string', 'data']
         """
         return self._installed.text(name)
+
+    def misspelt(self, name: str) -> str:
+        """Return the type that was probably meant by one that is not known; "" where none is like it.
+
+        >>> Definitions().misspelt("std_msgs/Strng")
+        'std_msgs/String'
+        """
+        if name in self:
+            return ""
+        package, _, kind = name.partition("/")
+        for one in dict.fromkeys([package, *get_close_matches(package, self._installed.packages(), 3, 0.8)]):
+            close = get_close_matches(kind, self._installed.types(one), 1, 0.7)
+            if close and (one == package or close[0] == kind):
+                return f"{one}/{close[0]}"
+        return ""
 
     def known(self, name: str) -> Optional[Definition]:
         """Return an added or nested type without looking at what is installed.

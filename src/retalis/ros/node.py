@@ -150,14 +150,10 @@ class RetalisNode:
 
     def _look_through(self, topics: Topics) -> None:
         """Say what is probably not meant in the program that has been loaded."""
-        for topic in self.engine.output_topics():
-            self._text_only.look(topic)
-        self._lint(topics)
-
-    def _lint(self, topics: Topics) -> None:
-        kinds = {kind for _, kind in (*topics.subscribed, *topics.published)}
+        self._text_only.told(self.engine.output_topics())
         definitions = Definitions(Installed(rosbags=False))  # which the node has no other need of
-        for warning in self.engine.warnings(self._parameters.program, definitions, kinds):
+        direct = direct_topics(self._parameters.direct, topics)
+        for warning in self.engine.warnings(self._parameters.program, definitions, topics, direct):
             self._doubts.append(warning.brief())
             rospy.logwarn("%s", warning)
 

@@ -10,13 +10,10 @@ import rospy
 
 from ..engine import Settings
 from ..engine.dashboard import DASHBOARD_PORT
-from ..events.program import Topics, TopicType, topic_type
+from ..events.program import DIRECT, Topics, TopicType, topic_type
 from ..foundation import UsageError, beginning, printable
 from ..messages import BARE
 from ..prolog.machine import Limits
-
-DIRECT = (TopicType("tf", "tf/tfMessage"), TopicType("ar_pose_marker", "ar_pose/ARMarkers"))
-"""The topics that node retalis subscribes by itself by default, as the original did."""
 
 LIMITS = Limits(seconds=10.0, megabytes=500)
 """What an event, a service or a query may use with all that it starts, by default."""

@@ -36,6 +36,11 @@ class TextOnly:
                     texts=20,
                 )
 
+    def told(self, topics: Iterable[str]) -> None:
+        """Note that of these topics it was said already."""
+        for topic in topics:
+            self._seen.keep(topic, True, len(topic))
+
     def _has_type(self, topic: str) -> bool:
         try:
             return resolve(topic) in self._published

@@ -4,7 +4,7 @@ import logging
 from collections import Counter
 from functools import partial
 from pathlib import Path
-from typing import Callable, Dict, Iterable, List, NamedTuple, Optional, Union
+from typing import Callable, Dict, Iterable, List, NamedTuple, Optional, Set, Union
 
 from ...events.program import TOPICS, TopicType, read_topics
 from ...foundation import (
@@ -95,8 +95,10 @@ class Playback:
         self._report = report
         self._decoders: Dict[Topic, Optional[Decoder]] = {}
         self._outputs: List[Output] = []
+        self._told: Set[str] = set()
         named = read_topics(folder / TOPICS)
         self._asked = (*named.subscribed, *topics)
+        self._topics = named._replace(subscribed=self._asked)
         self._types = {_plain(topic): kind for topic, kind in self._asked}
         self._published = {_plain(topic): kind for topic, kind in named.published}
         self._event_of = partial(named.event_of, plain=_plain)
@@ -123,9 +125,9 @@ class Playback:
         clock, outputs = self.clock, self._outputs
         self._skew.forget()
         self._learn_all(bag)
-        kinds = {*self._types.values(), *self._published.values()}
-        for warning in self.engine.warnings(self._folder, self.definitions, kinds):
+        for warning in self.engine.warnings(self._folder, self.definitions, self._topics):
             log.warning("%s", warning)
+        self._told.update(self.engine.output_topics())  # of those without a type it was said
         wanted = {topic.name for topic in bag.topics if _plain(topic.name) in self._types}
         decoders = {id(topic): self._decoders.get(topic) for topic in bag.topics}
         for done, (topic, instant, data) in enumerate(bag.records(wanted), 1):
@@ -224,7 +226,7 @@ class Playback:
         kind = self._published.get(_plain(topic))
         definition = data = None
         try:
-            if kind is None:
+            if kind is None and topic not in self._told:
                 shown = beginning(topic)
                 self._reports.warning(
                     f"topic {shown} has no type: its outputs are no messages; "
@@ -232,7 +234,7 @@ class Playback:
                     "topics without a type",
                     texts=20,
                 )
-            else:
+            elif kind is not None:
                 definition = self._published_type(kind, topic)
                 data = self.definitions.encoder(definition).encode(term, topic)
         except MessageError as error:

@@ -4,7 +4,10 @@ from .clauses import FileChecker, nowhere
 from .door import MEGABYTE
 from .files import Files
 from .folder import (
+    ATTRIBUTES,
+    DIRECT,
     GOALS,
+    RULES,
     TOPICS,
     TopicEvent,
     Topics,
@@ -15,10 +18,11 @@ from .folder import (
     topic_type,
 )
 from .goals import FileGoal, errors_in, goal_of, goals_of, read_goals
-from .lint import unknown_memories, unread_rules, wrong_messages
 from .loading import Loader
 
 __all__ = [
+    "ATTRIBUTES",
+    "DIRECT",
     "event_types",
     "FileChecker",
     "errors_in",
@@ -33,12 +37,10 @@ __all__ = [
     "read_goals",
     "read_text",
     "read_topics",
+    "RULES",
     "topic_type",
     "TOPICS",
     "TopicEvent",
     "Topics",
     "TopicType",
-    "unknown_memories",
-    "unread_rules",
-    "wrong_messages",
 ]

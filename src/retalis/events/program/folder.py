@@ -25,6 +25,9 @@ GOALS = "goalPredicates.txt"
 TOPICS = "pub_sub.xml"
 RULES = "eventRules.txt"
 
+ATTRIBUTES = {"subscribe_to": ("name", "msg_type", "event"), "publish_to": ("name", "msg_type", "latch")}
+"""The elements of ``pub_sub.xml`` that say something, and what they may say."""
+
 LARGEST = 4 << 20
 """Characters that ``pub_sub.xml`` may have."""
 
@@ -40,6 +43,10 @@ class TopicType(NamedTuple):
 
     topic: str
     type: str
+
+
+DIRECT = (TopicType("tf", "tf/tfMessage"), TopicType("ar_pose_marker", "ar_pose/ARMarkers"))
+"""The topics that node retalis subscribes by itself by default, as the original did."""
 
 
 def topic_type(topic: str, kind: str) -> TopicType:

@@ -1,0 +1,99 @@
+"""A program checked without running it: it is loaded into an engine of its own, and looked through."""
+
+import os
+import time
+from pathlib import Path
+from typing import Dict, Iterable, List, Optional, Tuple
+
+from ..events.checks import ERROR, WARNING, Finding, Overview, look_through
+from ..events.program import TOPICS, Topics, TopicType, read_topics
+from ..foundation import Place, ProgramErrors, RetalisError, RuleError
+from ..messages import Definitions
+from .core import parts_of
+from .engine import Engine
+from .runtime import Clock, Reports
+from .settings import Settings
+
+
+class Problems(Reports):
+    """Keeps what is reported while a program is loaded."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.found: List[Finding] = []
+
+    def error(self, error: Exception, kind: object = None) -> None:
+        """Keep an error."""
+        self.errors += 1
+        self._keep(ERROR, error)
+
+    def warning(self, problem: object, kind: object = None, texts: int = 1, once: bool = False) -> None:
+        """Keep a warning."""
+        self.warnings += 1
+        self._keep(WARNING, problem)
+
+    def _keep(self, severity: str, problem: object) -> None:
+        one = problem if isinstance(problem, RetalisError) else RuleError(str(problem))
+        self.found.append(Finding(severity, "load", one))
+
+    def all_of(self, error: RetalisError) -> None:
+        """Keep all errors of a program."""
+        for one in error.errors if isinstance(error, ProgramErrors) else [error]:
+            self._keep(ERROR, one)
+
+
+def check_program(
+    folder: Path,
+    definitions: Definitions,
+    direct: Iterable[TopicType] = (),
+    settings: Optional[Settings] = None,
+) -> List[Finding]:
+    """Return all that is wrong with a program, or hardly meant, in the order of its files.
+
+    Its goals are called, as a node calls them when it starts.
+
+    Args:
+        folder: the program's.
+        definitions: the message types that are known.
+        direct: topics that become events besides those in ``pub_sub.xml``.
+        settings: of the engine.
+    """
+    problems = Problems()
+    topics = Topics()
+    try:
+        topics = read_topics(folder / TOPICS)
+    except RetalisError as error:
+        problems.all_of(error)
+    engine = Engine(Clock(time.time_ns), settings, problems, definitions)
+    parts = parts_of(engine)
+    parts.logic.output = parts.logic.error_output = lambda text: None
+    try:
+        engine.load_program(folder)
+    except RetalisError as error:
+        problems.all_of(error)
+    program = Overview(parts.rules, parts.knowledge, definitions, topics, tuple(direct), folder)
+    sound = not any(one.severity == ERROR for one in problems.found)
+    said = {one.problem.place for one in problems.found if one.problem.place is not None}
+    new = [one for one in look_through(program, sound) if one.problem.place not in said]
+    return _in_order([*problems.found, *new])
+
+
+def _in_order(found: List[Finding]) -> List[Finding]:
+    """Order findings by file, in the order in which the files came up, and there by line and column."""
+    files: Dict[Optional[str], int] = {}
+    for one in found:
+        files.setdefault(_source(one.problem.place), len(files))
+
+    def where(one: Finding) -> Tuple[int, int, int]:
+        place = one.problem.place
+        return (
+            (files[_source(place)], 0, 0)
+            if place is None
+            else (files[_source(place)], place.line, place.column)
+        )
+
+    return sorted(found, key=where)
+
+
+def _source(place: Optional[Place]) -> Optional[str]:
+    return None if place is None else os.path.normpath(place.source)

@@ -1,0 +1,16 @@
+"""What a program says that was probably not meant: found when it has been loaded, before anything happens.
+
+Each check looks at an `Overview` of the program, and yields what is wrong, each thing with its place; `CHECKS` in
+`findings.py` lists them.
+"""
+
+from .findings import ERROR, WARNING, Finding, look_through
+from .overview import Overview
+
+__all__ = [
+    "ERROR",
+    "Finding",
+    "look_through",
+    "Overview",
+    "WARNING",
+]

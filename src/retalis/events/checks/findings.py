@@ -1,0 +1,87 @@
+"""All checks: each with its name, how bad what it finds is, and whether it needs a program without errors."""
+
+from typing import Callable, Iterator, NamedTuple, Optional, Set, Tuple
+
+from ...foundation import Place, RetalisError, RuleError
+from .files import unread_rules
+from .kinds import kinds
+from .made import never_made, never_taken
+from .memories import unknown_memories
+from .messages import values, wrong_messages
+from .outputs import outputs, unpublished
+from .overview import Overview
+from .predicates import retracted, slipped_arrows, undefined
+from .style import labels, singletons
+from .timing import cycles, never_meet, waits_for_ever, windows
+from .topicfile import topics
+
+ERROR, WARNING = "error", "warning"
+
+
+class Check(NamedTuple):
+    """One check.
+
+    Attributes:
+        name: by which the answer of the command is told apart by programs.
+        find: yields what is wrong.
+        whole: whether it can be told only of a program that has been loaded without errors.
+    """
+
+    name: str
+    find: Callable[[Overview], Iterator[RuleError]]
+    whole: bool = False
+
+
+CHECKS: Tuple[Check, ...] = (
+    Check("topics", topics),
+    Check("unread-rules", unread_rules, whole=True),
+    Check("messages", wrong_messages),
+    Check("values", values),
+    Check("kinds", kinds),
+    Check("outputs", outputs),
+    Check("unpublished", unpublished, whole=True),
+    Check("never-made", never_made, whole=True),
+    Check("never-taken", never_taken, whole=True),
+    Check("memories", unknown_memories, whole=True),
+    Check("slipped-arrow", slipped_arrows),
+    Check("undefined", undefined, whole=True),
+    Check("retracted", retracted, whole=True),
+    Check("cycle", cycles),
+    Check("never-meets", never_meet, whole=True),
+    Check("window", windows),
+    Check("waits-for-ever", waits_for_ever),
+    Check("label", labels),
+    Check("singleton", singletons),
+)
+
+
+class Finding(NamedTuple):
+    """Something that is wrong with a program, or hardly meant.
+
+    Attributes:
+        severity: `ERROR` or `WARNING`.
+        check: which check found it, or ``load``.
+        problem: what and where.
+    """
+
+    severity: str
+    check: str
+    problem: RetalisError
+
+
+def look_through(program: Overview, sound: bool = True) -> Iterator[Finding]:
+    """Yield what the checks find, each thing once.
+
+    Args:
+        program: the program.
+        sound: whether it was loaded without errors.
+    """
+    said: Set[Tuple[str, Optional[Place]]] = set()
+    for check in CHECKS:
+        if check.whole and not sound:
+            continue
+        for problem in check.find(program):
+            key = (problem.message, problem.place)
+            if key not in said:
+                said.add(key)
+                yield Finding(WARNING, check.name, problem)

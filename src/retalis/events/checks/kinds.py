@@ -1,0 +1,156 @@
+"""Kinds of values as far as message slots tell them: numbers, texts, stamps, truth values, lists."""
+
+from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Set
+
+from ...foundation import RuleError
+from ...messages import Field
+from ...prolog.terms import Atom, CompoundTerm, String, Term, Var, deref, functor
+from ..language import Spot
+from .overview import Overview
+from .written import NECK, Inner, held, inners
+
+_COMPARED = frozenset(functor(name, 2) for name in ("<", ">", "=<", ">=", "=:=", "=\\="))
+_IS = functor("is", 2)
+_SAME = frozenset(functor(name, 2) for name in ("==", "\\==", "=", "\\="))
+_ARITHMETIC = frozenset(functor(name, 2) for name in ("+", "-", "*", "/", "//", "mod", "min", "max", "**"))
+_SIGNS = frozenset(
+    functor(name, 1) for name in ("-", "+", "abs", "sqrt", "round", "truncate", "float", "integer")
+)
+_ONE_OF = frozenset((functor("or", 2), functor("\\/", 2), functor(";", 2), functor("->", 2)))
+
+
+class SlotKind(NamedTuple):
+    """What a variable is, by the slot in which it stands."""
+
+    what: str
+    slot: str
+
+
+def slot_kind(slot: Field) -> Optional[str]:
+    """Return the kind of the values of a slot; None where they are messages."""
+    if slot.length is not None and not slot.is_bytes:
+        return "a list"
+    if slot.type == "string" or slot.is_bytes:
+        return "a text"
+    if slot.definition is not None:
+        return None
+    if slot.type in ("time", "duration"):
+        return "a stamp [Sec,NSec]"
+    return "true or false" if slot.type == "bool" else "a number"
+
+
+def kinds(program: Overview) -> Iterator[RuleError]:
+    """Yield where a value is used as what it is not."""
+    for rule in program.rules:
+        parent = held(rule.definition.term)
+        yield from _in_clause(program, parent, rule.spot, rule.definition.names)
+    for clause in program.clauses:
+        names: Dict[Var, str] = {}
+        whole = clause.parent if clause.parent[0] is NECK else held(clause.head or clause.parent)
+        yield from _in_clause(program, held(whole), clause.spot, names)
+    for kept in (*program.memories, *program.subscriptions):
+        for error in _in_clause(program, held(kept.term), kept.spot, {}):
+            yield RuleError(f"{kept.who}{error.message}", error.place)
+
+
+def _in_clause(program: Overview, parent: CompoundTerm, spot: Spot, names: Any) -> Iterator[RuleError]:
+    """Yield what is wrong in one rule or clause, whose variables are its own."""
+    found = list(inners(parent, 1, spot))
+    known: Dict[Var, SlotKind] = {}
+    branches = any(inner.key in _ONE_OF for inner in found)
+    for inner in found:
+        definition = program.message_of(inner.term)
+        if definition is None:
+            continue
+        for at, slot in enumerate(definition.fields, 1):
+            value, what = deref(inner.term[at]), slot_kind(slot)
+            if value.__class__ is not Var or what is None:
+                continue
+            before = known.setdefault(value, SlotKind(what, f"{slot.name} of {definition.name}"))
+            if before.what != what and not branches:
+                yield RuleError(
+                    f"{_name(value, names)} is {before.what} ({before.slot}) and, here, {what} "
+                    f"({slot.name} of {definition.name}): these are never the same",
+                    spot(inner.term, at),
+                )
+                known.pop(value)
+    if known:
+        yield from _in_goals(found, known, names)
+
+
+def _in_goals(found: List[Inner], known: Dict[Var, SlotKind], names: Any) -> Iterator[RuleError]:
+    said: Set[Var] = set()
+    for inner in found:
+        key = inner.key
+        if key in _COMPARED:
+            operands = [(inner.term, 1), (inner.term, 2)]
+        elif key is _IS:
+            operands = [(inner.term, 2)]
+        else:
+            if key in _SAME:
+                yield from _compared(inner, known, names)
+            continue
+        while operands:
+            parent, at = operands.pop(0)
+            term: Any = deref(parent[at])
+            if term.__class__ is tuple and (term[0] in _ARITHMETIC or term[0] in _SIGNS):
+                operands += [(term, number) for number in range(1, len(term))]
+            kind = known.get(term) if term.__class__ is Var else None
+            if kind is not None and kind.what != "a number" and term not in said:
+                said.add(term)
+                yield RuleError(
+                    f"{_name(term, names)} is {kind.what} ({kind.slot}), not a number: {_ADVICE[kind.what]}",
+                    inner.spot(parent, at),
+                )
+
+
+_ADVICE = {
+    "a text": "compare texts with == or \\==",
+    "true or false": "write == true or == false",
+    "a stamp [Sec,NSec]": "take it apart, as in [Sec,NSec], or convert_to_datime/2",
+    "a list": "take it apart, as with nth0/3 or sum_list/2",
+}
+
+
+def _compared(inner: Inner, known: Dict[Var, SlotKind], names: Any) -> Iterator[RuleError]:
+    """Yield why two terms that are compared as they are will never be the same."""
+    for at, other in ((1, 2), (2, 1)):
+        value: Any = deref(inner.term[at])
+        constant = deref(inner.term[other])
+        kind = known.get(value) if value.__class__ is Var else None
+        wrong = None if kind is None else _never(kind.what, constant)
+        if kind is not None and wrong is not None:
+            yield RuleError(
+                f"{_name(value, names)} is {kind.what} ({kind.slot}): {wrong}", inner.spot(inner.term, other)
+            )
+
+
+def _never(what: str, constant: Term) -> Optional[str]:
+    """Return why a value of a kind is never the same as a constant; None where it may be."""
+    if what == "a text":
+        if isinstance(constant, Atom) and constant.name[:1] != '"' and constant.name != "[]":
+            return f"it keeps its quotes in events, write '\"{constant.name}\"'"
+        if isinstance(constant, String):
+            return f"it keeps its quotes in events, write '\"{constant.text}\"'"
+        if isinstance(constant, (int, float)):
+            return f"it is never the number {constant}"
+    elif what == "a number":
+        if isinstance(constant, String) or (isinstance(constant, Atom) and constant.name not in _NUMBERS):
+            text = constant.text if isinstance(constant, String) else constant.name
+            return f"it is never {text}"
+    elif what == "true or false" and not _may_be_true_or_false(constant):
+        return "compare it with true or false"
+    return None
+
+
+def _may_be_true_or_false(constant: Term) -> bool:
+    if isinstance(constant, Atom):
+        return constant.name in ("true", "false")
+    return not isinstance(constant, (int, float, String))
+
+
+_NUMBERS = frozenset(("nan", "inf", "infinite"))
+
+
+def _name(var: Var, names: Any) -> str:
+    return str(names.get(var, "this variable"))

@@ -1,0 +1,202 @@
+"""Which events a program makes, and which it takes."""
+
+from typing import Any, Dict, FrozenSet, Iterator, Optional, Set
+
+from ...foundation import Place, RuleError
+from ...messages import functor_name
+from ...prolog.terms import SLASH, Atom, Functor, Term, deref, functor
+from ..language import ALARMS, SYNCHRONIZED
+from ..program import TOPICS
+from .near import near_functor
+from .overview import Overview, is_open
+from .written import key_of
+
+_NEW = frozenset(
+    (*(functor("new_event", arity) for arity in (2, 3, 5)), functor("event", 1), functor("event", 2))
+)
+_OF_SYSTEM = frozenset(
+    (functor("memory_created", 5), functor("memory_updated", 2), functor("memory_deleted", 1))
+)
+_OUTSIDE = functor("input_event", 1)
+_SHOWN = frozenset(
+    functor(name, 1)
+    for name in ("external_trigger", "print_trigger", "spy_event", "persistent_event", "persistent_rule")
+)
+_NO_EVENT = functor("null_event", 0)
+_REV = functor("rev", 1)
+
+
+class MadeEvents:
+    """The events that a program makes or gets: of topics, heads, goals and other programs.
+
+    Attributes:
+        keys: their functors, each with the place where one is made (None for those of topics).
+        names: of message types whose number of slots is not known.
+        anything: whether events are made that cannot be seen.
+    """
+
+    def __init__(self, program: Overview):
+        self.keys: Dict[Functor, Optional[Place]] = dict.fromkeys(_OF_SYSTEM)
+        self.names: Set[str] = set()
+        self.anything = False
+        self._topics(program)
+        for rule in program.rules:
+            head = made_by(rule.definition.head)
+            if head is not None:
+                self._note(head, rule.definition.place)
+        self._goals(program)
+        for clause in program.clauses:
+            if key_of(clause.head) is _OUTSIDE:
+                self.keys.update(dict.fromkeys(_named(clause.head)))
+
+    def __contains__(self, key: object) -> bool:
+        return self.anything or key in self.keys or getattr(key, "name", "") in self.names
+
+    def _topics(self, program: Overview) -> None:
+        for topic, kind in (*program.topics.subscribed, *program.direct):
+            name = program.event_of(topic) or functor_name(kind)
+            definition = program.definition(kind)
+            if definition is None:
+                self.names.add(name)
+            else:
+                self.keys[functor(name, len(definition.fields))] = None
+
+    def _goals(self, program: Overview) -> None:
+        hidden = False
+        others: Set[Functor] = set()
+        for inner in program.calls():
+            term = inner.term
+            if inner.key is not None:
+                others.add(inner.key)
+            if term.__class__ is tuple and term[0] in _NEW:
+                made: Any = deref(term[1])
+                hidden = hidden or is_open(made)
+                self._note(made, inner.place)
+        if hidden:  # a goal makes what it is given: whatever the program names may be that
+            self.keys.update({key: None for key in others if key not in self.keys})
+
+    def _note(self, term: Term, place: Optional[Place]) -> None:
+        key = key_of(term)
+        if key is None:
+            self.anything = self.anything or is_open(term)
+        elif key is not _NO_EVENT:
+            self.keys.setdefault(key, place)
+
+
+def made_by(head: Optional[Term]) -> Optional[Term]:
+    """Return the event that a rule with some head fires, now or later."""
+    if head is None:
+        return None
+    term: Any = deref(head)
+    while term.__class__ is tuple and (term[0] in ALARMS or term[0] in SYNCHRONIZED):
+        term = deref(term[1])
+    made: Term = term
+    return made
+
+
+def _named(head: Any) -> Iterator[Functor]:
+    """Yield what a fact names: ``Name/Arity`` or a pattern of events."""
+    term: Any = deref(head[1])
+    if term.__class__ is tuple and term[0] is SLASH:
+        name, arity = deref(term[1]), deref(term[2])
+        if isinstance(name, Atom) and isinstance(arity, int):
+            yield functor(name.name, arity)
+        return
+    key = key_of(term)
+    if key is not None:
+        yield key
+
+
+def never_made(program: Overview) -> Iterator[RuleError]:
+    """Yield what is waited for and never comes."""
+    made = MadeEvents(program)
+    from_outside = not (program.topics.subscribed or program.topics.published)
+    seen: Set[Functor] = set()
+    for inner, who in program.patterns():
+        key = inner.key
+        if key is None or key in made or key in seen or key is _NO_EVENT:
+            continue
+        if key is _REV and key_of(inner.term[1]) in made:
+            continue
+        kind = program.type_of(key.name)
+        if kind is not None and (program.definition(kind) is None or _wrong_slots(program, kind, key)):
+            continue  # said by the check of messages
+        seen.add(key)
+        nearest = near_functor(key, made.keys)
+        if kind is not None:
+            yield RuleError(f"{who}{_no_topic(program, key, kind)}", inner.place)
+        elif nearest or not from_outside:
+            yield RuleError(f"{who}{_nothing(key, nearest)}", inner.place)
+
+
+def _wrong_slots(program: Overview, kind: str, key: Functor) -> bool:
+    definition = program.definition(kind)
+    return definition is not None and len(definition.fields) != key.arity
+
+
+def _no_topic(program: Overview, key: Functor, kind: str) -> str:
+    renamed = [topic for topic, one in program.topics.subscribed if one == kind]
+    if renamed:
+        return (
+            f"nothing makes {key}: the events of topic {renamed[0]} are called {program.event_of(renamed[0])}"
+        )
+    element = f'<subscribe_to name="..." msg_type="{kind}"/>'
+    return f"nothing makes {key}: no topic of that type is subscribed; {element} in {TOPICS} subscribes one"
+
+
+def _nothing(key: Functor, nearest: str) -> str:
+    hint = f"; did you mean {nearest}?" if nearest else ""
+    return (
+        f"nothing makes {key}: no topic, rule or goal{hint or '; if other programs send it, say so'}"
+        f"{'' if hint else f' with the fact input_event({key}).'}"
+    )
+
+
+def never_taken(program: Overview) -> Iterator[RuleError]:
+    """Yield what is made and goes nowhere."""
+    taken = None if program.observed else _taken(program)
+    if taken is None:
+        return
+    seen: Set[Functor] = set()
+    for rule in program.rules:
+        head = made_by(rule.definition.head)
+        key = None if head is None else key_of(head)
+        if head is None or key is None or key in taken or key in seen or key is _NO_EVENT or key is _REV:
+            continue
+        seen.add(key)
+        place = rule.spot(head) if deref(head).__class__ is tuple else rule.definition.place
+        yield RuleError(_nobody(key, taken), place)
+    for inner in program.calls():
+        term = inner.term
+        if term.__class__ is tuple and term[0] in _NEW and term[0].name == "new_event":
+            key = key_of(term[1])
+            if key is not None and key not in taken and key not in seen:
+                seen.add(key)
+                yield RuleError(_nobody(key, taken), inner.place)
+
+
+def _nobody(key: Functor, taken: FrozenSet[Functor]) -> str:
+    nearest = near_functor(key, taken)
+    hint = f"; did you mean {nearest}?" if nearest else ": no rule, memory or subscription"
+    return f"nothing takes {key}{hint}"
+
+
+def _taken(program: Overview) -> Optional[FrozenSet[Functor]]:
+    """Return the functors of all events that somebody takes; None where somebody takes all."""
+    found: Set[Functor] = set()
+    for inner, _ in program.patterns():
+        if inner.key is None:
+            return None
+        found.add(inner.key)
+        if inner.key is _REV:
+            found.update(filter(None, [key_of(inner.term[1])]))
+    for clause in program.clauses:
+        if key_of(clause.head) in _SHOWN:
+            named = list(_named(clause.head))
+            if not named:
+                return None
+            found.update(named)
+    flags = program.loaded.flags
+    if any(flags.is_on(name) for name in ("store_fired_events", "logging")):
+        return None
+    return frozenset(found)

@@ -1,0 +1,146 @@
+"""Messages that do not fit their types: wrong names, wrong numbers of slots, values that no slot has."""
+
+from typing import Any, Iterator, List, Set, Tuple
+
+from ...foundation import RuleError
+from ...messages import Definition, Field
+from ...prolog.terms import FALSE, NIL, TRUE, Atom, Functor, String, Term, Var, deref, list_items
+from .near import near
+from .overview import Overview
+from .written import Inner, held, inners
+
+_NUMBERS = frozenset(("nan", "inf", "infinite"))
+_TIMES = frozenset(("time", "duration"))
+
+
+def wrong_messages(program: Overview) -> Iterator[RuleError]:
+    """Yield the terms that are no messages of a type that is known."""
+    known = [program.definition(kind) for kind in _types(program)]
+    names = sorted({name for one in known if one for name in (one.name, *_nested(one))})
+    later = {kind.partition("/")[0] for kind in _types(program) if _comes_later(program, kind)}
+    seen: Set[Functor] = set()
+    for inner, who in _all(program):
+        key = inner.key
+        kind = None if key is None or key in seen else program.type_of(key.name)
+        if key is None or kind is None:
+            continue
+        seen.add(key)
+        wrong = _wrong(program, key, kind, names, later)
+        if wrong:
+            yield RuleError(f"{who}{wrong}", inner.place)
+
+
+def _types(program: Overview) -> List[str]:
+    topics = program.topics
+    return [kind for _, kind in (*topics.subscribed, *topics.published, *program.direct)]
+
+
+def _comes_later(program: Overview, kind: str) -> bool:
+    """Tell whether a type may be learned from its publishers: it is not known, and not a misspelt one that is."""
+    return program.definition(kind) is None and not program.definitions.misspelt(kind)
+
+
+def _nested(definition: Definition) -> List[str]:
+    return [nested.name for nested in definition.dependencies()]
+
+
+def _all(program: Overview) -> Iterator[Tuple[Inner, str]]:
+    for rule in program.rules:
+        for inner in inners(held(rule.definition.term), 1, rule.spot):
+            yield inner, ""
+    for kept in (*program.memories, *program.subscriptions):
+        for number in (1, 3):
+            for inner in inners(kept.term, number, kept.spot):
+                yield inner, kept.who
+    for clause in program.clauses:
+        for inner in inners(clause.parent, clause.number, clause.spot):
+            yield inner, ""
+
+
+def _wrong(program: Overview, key: Functor, kind: str, names: List[str], later: Set[str]) -> str:
+    definition = program.definition(kind)
+    if definition is None:
+        if kind.partition("/")[0] in later:
+            return ""
+        found = near(kind, names, 0.8) or program.definitions.misspelt(kind)
+        return f"there is no message type {kind} here; did you mean {found}?" if found else ""
+    slots = [slot.name for slot in definition.fields]
+    if len(slots) == key.arity:
+        return ""
+    named = f": {', '.join(slots)}" if slots else ""
+    return f"{key} does not match its type: {kind} has {len(slots)} slots{named}"
+
+
+def values(program: Overview) -> Iterator[RuleError]:
+    """Yield the values in patterns that no message has in their slots."""
+    for event, who in program.patterns():
+        for inner in inners(event.parent, event.number, event.spot):
+            definition = program.message_of(inner.term)
+            if definition is None:
+                continue
+            for at, slot in enumerate(definition.fields, 1):
+                wrong = _misfit(slot, deref(inner.term[at]))
+                if wrong:
+                    message = f"{slot.name} of {definition.name} {wrong}"
+                    yield RuleError(f"{who}{message}", inner.spot(inner.term, at))
+
+
+def _misfit(slot: Field, value: Any) -> str:
+    """Return why a value in a pattern is never in a slot, "" where it may be."""
+    if value.__class__ is Var:
+        return ""
+    if slot.length is not None and not slot.is_bytes:
+        is_list = value is NIL or list_items(value) is not None or _is_open_list(value)
+        return "" if is_list else "is a list in events: write [...]"
+    if slot.type == "string" or slot.is_bytes:
+        return _no_text(value)
+    if slot.definition is not None:
+        return _no_message(slot.definition, value)
+    if slot.type in _TIMES:
+        items = list_items(value)
+        return "" if items is not None and len(items) == 2 else "is a stamp in events: write [Sec,NSec]"
+    if slot.type == "bool":
+        return "" if value is TRUE or value is FALSE else "is true or false in events"
+    return _no_number(value)
+
+
+def _no_text(value: Any) -> str:
+    if isinstance(value, (Atom, String)):
+        text = value.name if isinstance(value, Atom) else value.text
+        if not text.startswith('"'):
+            return f"is a string, which keeps its quotes in events: write '\"{text}\"'"
+        return ""
+    return (
+        f"is a string in events: write '\"{value}\"'"
+        if isinstance(value, (int, float))
+        else "is a string in events"
+    )
+
+
+def _no_number(value: Any) -> str:
+    if isinstance(value, (int, float)) or (isinstance(value, Atom) and value.name in _NUMBERS):
+        return ""
+    if value.__class__ is tuple and value[0].name == "-":
+        return ""
+    plain = getattr(value, "name", getattr(value, "text", "")).strip('"')
+    return f"is a number in events: write {plain}" if _reads(plain) else "is a number in events"
+
+
+def _reads(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _no_message(definition: Definition, value: Any) -> str:
+    name = value[0].name if value.__class__ is tuple else getattr(value, "name", "")
+    if name == definition.functor_name:
+        return ""
+    slots = ", ".join(slot.name for slot in definition.fields)
+    return f"is a message in events: write {definition.functor_name}({slots})" if slots else ""
+
+
+def _is_open_list(value: Term) -> bool:
+    return value.__class__ is tuple and value[0].name in ("[|]", ".")

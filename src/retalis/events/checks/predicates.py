@@ -1,0 +1,135 @@
+"""Predicates that are called, read or retracted and that nothing defines, and arrows that slipped."""
+
+from typing import Any, Dict, Iterator, List, Optional, Set
+
+from ...foundation import RuleError
+from ...prolog.terms import COMMA, CONS, SLASH, Atom, Functor, Term, Var, deref, functor
+from ..language import SPELLINGS, calls
+from .near import near_functor
+from .overview import Overview
+from .written import NECK, Inner, WrittenTerm, key_of
+
+_ADDS = frozenset(
+    functor(name, arity)
+    for name, arity in (
+        *((name, 1) for name in ("assert", "asserta", "assertz", "db")),
+        *((name, 2) for name in ("assert", "asserta", "assertz")),
+    )
+)
+_DECLARES = frozenset(
+    functor(name, 1) for name in ("dynamic", "discontiguous", "multifile", "table", "use_foreign")
+)
+_RETRACTS = frozenset(functor(name, 1) for name in ("retract", "retractall"))
+_CUT = functor("!", 0)
+_FOREIGN = functor("use_foreign", 1)
+_HOOKS = frozenset((functor("t1", 1), functor("t2", 1)))
+
+
+class _Defined:
+    """The predicates that a program has or may get."""
+
+    def __init__(self, program: Overview):
+        self._logic = program.logic
+        self.keys: Set[Functor] = {key for key in (key_of(one.head) for one in program.clauses) if key}
+        self.anything = False
+        for inner in program.calls():
+            term = inner.term
+            if term.__class__ is tuple and (term[0] in _ADDS or term[0] in _DECLARES):
+                self.anything = self.anything or term[0] is _FOREIGN
+                self._add(term[1])
+
+    def __contains__(self, key: Functor) -> bool:
+        return self.anything or key in self.keys or self._logic.defines(key)
+
+    def _add(self, term: Term) -> None:
+        stack: List[Any] = [deref(term)]
+        while stack:
+            item = stack.pop()
+            key = key_of(item)
+            if key is None:
+                self.anything = self.anything or item.__class__ is Var
+            elif key is COMMA or key is CONS:
+                stack += [deref(item[1]), deref(item[2])]
+            elif key is NECK:
+                stack.append(deref(item[1]))
+            elif key is SLASH:
+                name, arity = deref(item[1]), deref(item[2])
+                if isinstance(name, Atom) and isinstance(arity, int):
+                    self.keys.add(functor(name.name, arity))
+                else:
+                    self.anything = True
+            else:
+                self.keys.add(key)
+
+
+def slipped_arrows(program: Overview) -> Iterator[RuleError]:
+    """Yield the operators of patterns in the bodies of clauses: a rule was meant."""
+    for clause in program.clauses:
+        if clause.parent[0] is not NECK:
+            continue
+        for inner in _goals(clause):
+            name = SPELLINGS.get(inner.term[0]) if inner.term.__class__ is tuple else None
+            if name is not None and inner.term[0].name.isidentifier():
+                yield RuleError(
+                    f"{name} stands in the body of a clause; the arrow of an event rule is <-", inner.place
+                )
+                break
+
+
+def _goals(one: WrittenTerm) -> Iterator[Inner]:
+    for call in calls(one.parent, one.number):
+        yield Inner(call.term, call.parent, call.number, one.spot)
+
+
+def undefined(program: Overview) -> Iterator[RuleError]:
+    """Yield what clauses call and nothing defines."""
+    defined = _Defined(program)
+    said: Dict[Functor, None] = {}
+    for clause in program.clauses:
+        for inner in _goals(clause):
+            key = inner.key
+            if (
+                key is None
+                or key in said
+                or key is _CUT
+                or key in _HOOKS
+                or key in SPELLINGS
+                or key in defined
+            ):
+                continue
+            said[key] = None
+            known = program.logic.similar(key)
+            hint = f"; did you mean {' or '.join(known)}?" if known else ""
+            yield RuleError(
+                f"there is no predicate {key}{hint or ': define it, or assert facts of it'}", inner.place
+            )
+
+
+def retracted(program: Overview) -> Iterator[RuleError]:
+    """Yield what is retracted, and read, but never asserted."""
+    defined = _Defined(program)
+    said: Set[Functor] = set()
+    for inner in program.calls():
+        term = inner.term
+        key = _of_clause(term[1]) if term.__class__ is tuple and term[0] in _RETRACTS else None
+        if key is None or key in said or key in defined.keys or defined.anything:
+            continue
+        if program.logic.defines(key) and not _is_empty(program, key):
+            continue
+        said.add(key)
+        nearest = near_functor(key, defined.keys)
+        hint = f"; did you mean {nearest}?" if nearest else ""
+        yield RuleError(f"nothing asserts {key}, so there is never one to retract{hint}", inner.place)
+
+
+def _is_empty(program: Overview, key: Functor) -> bool:
+    """Tell whether a predicate has no clauses: what has been retracted before is dynamic, and has none."""
+    predicate = program.logic.database.predicates.get(key)
+    return predicate is None or (predicate.kind != "builtin" and not predicate.library and not len(predicate))
+
+
+def _of_clause(term: Any) -> Optional[Functor]:
+    term = deref(term)
+    if term.__class__ is tuple and term[0] is NECK:
+        term = deref(term[1])
+    return key_of(term)

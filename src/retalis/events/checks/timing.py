@@ -1,0 +1,299 @@
+"""What is wrong with the times of rules: events that fire themselves, sides that never meet, windows."""
+
+from itertools import combinations_with_replacement
+from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Set
+
+from ...foundation import Place, RuleError
+from ...prolog.terms import Functor, Term, Trail, atom, copy, deref, functor, term_key, undo, unify
+from ..language import (
+    ALARMS,
+    OPERATORS,
+    SPELLINGS,
+    Action,
+    Aggregate,
+    Condition,
+    Either,
+    Occurs,
+    Pair,
+    Pattern,
+    Repeated,
+    Star,
+    Within,
+    children,
+)
+from .made import made_by
+from .overview import Overview
+from .written import WrittenRule, held, inners, key_of
+
+DAY = 86_400
+_UNITS = "spans are in seconds"
+_NEW = functor("new_event", 3)
+_UNRESTRICTED, _OFF = atom("unrestricted"), atom("off")
+
+
+class _Trigger(NamedTuple):
+    """A rule that an event fires by itself, as soon as it happens."""
+
+    rule: WrittenRule
+    head: Term
+    event: Term
+
+
+def cycles(program: Overview) -> Iterator[RuleError]:
+    """Yield the rules by which an event fires itself, at once and without end."""
+    steps = [step for rule in program.rules for step in _steps(rule)]
+    said: Set[int] = set()
+    for at, step in enumerate(steps):
+        way = _way_back(steps, at)
+        if way is None or any(one in said for one in way):
+            continue
+        said.update(way)
+        names = " <- ".join(str(key_of(steps[one].head)) for one in reversed([*way, way[0]]))
+        what = (
+            f"{key_of(step.head)} fires itself"
+            if len(way) == 1
+            else f"these events fire each other ({names})"
+        )
+        yield RuleError(
+            f"{what}, at once and without end: give the rule a condition (where) or another head",
+            step.rule.definition.place,
+        )
+
+
+def _steps(rule: WrittenRule) -> Iterator[_Trigger]:
+    head = rule.definition.head
+    if head is None or key_of(head) in ALARMS or made_by(head) is not deref(head):
+        return
+    for event in _alone(rule.definition.pattern):
+        if key_of(event) is not None and key_of(head) is not None:
+            yield _Trigger(rule, head, event)
+
+
+def _alone(pattern: Pattern) -> Iterator[Term]:
+    """Yield the events that match a pattern by themselves, under no condition."""
+    if isinstance(pattern, Occurs):
+        yield pattern.term
+    elif isinstance(pattern, Either):
+        for branch in pattern.branches:
+            yield from _alone(branch)
+    elif isinstance(pattern, Within) or (isinstance(pattern, Action) and not pattern.every):
+        yield from _alone(pattern.pattern)
+
+
+def _way_back(steps: List[_Trigger], start: int) -> Optional[List[int]]:
+    """Return the steps by which the event of a step leads to itself again, the shortest way; None for no way."""
+    before: Dict[int, int] = {}
+    level = [start]
+    while level:
+        following = []
+        for at in level:
+            for other, step in enumerate(steps):
+                if other == start and _leads(steps[at], step):
+                    way = [at]
+                    while way[-1] != start:
+                        way.append(before[way[-1]])
+                    return way[::-1]
+                if other not in before and other != start and _leads(steps[at], step):
+                    before[other] = at
+                    following.append(other)
+        level = following
+    return None
+
+
+def _leads(one: _Trigger, other: _Trigger) -> bool:
+    if key_of(one.head) is not key_of(other.event):
+        return False
+    trail: Trail = []
+    fits = unify(copy(one.head), copy(other.event), trail)
+    undo(trail, 0)
+    return bool(fits)
+
+
+# ---- sides that never meet -----------------------------------------------------------------------------
+
+
+_INSTANTS = [(at, at) for at in range(3)]
+_INTERVALS = list(combinations_with_replacement(range(5), 2))
+
+
+def never_meet(program: Overview) -> Iterator[RuleError]:
+    """Yield the pairs whose intervals can never lie as their operator asks: one side is always an instant."""
+    instants = _Instants(program)
+    for rule in program.rules:
+        for node in _nodes(rule.definition.pattern):
+            if isinstance(node, Pair) and node.operator in OPERATORS:
+                left, right = instants.holds(node.left), instants.holds(node.right)
+                if (left or right) and not _fits(node.operator, left, right):
+                    which = (
+                        "both sides are instants"
+                        if left and right
+                        else f"the {'left' if left else 'right'} side is an instant"
+                    )
+                    yield RuleError(
+                        f"{node.operator} never matches here: {which}, and "
+                        f"{OPERATORS[node.operator].name} {_ASKS.get(node.operator, 'asks for intervals')}",
+                        _operator_place(rule, node.operator),
+                    )
+
+
+_ASKS = {
+    "par": "asks for two that overlap by more than an instant: write and, or seq",
+    "starts": "asks for two that start together and end one after the other",
+    "finishes": "asks for two that end together and started one after the other",
+}
+
+
+def _fits(operator: str, left: bool, right: bool) -> bool:
+    """Tell whether the comparisons of an operator hold for any two intervals of these kinds."""
+    comparisons = OPERATORS[operator].comparisons
+    for s1, e1 in _INSTANTS if left else _INTERVALS:
+        for s2, e2 in _INSTANTS if right else _INTERVALS:
+            values = {"s1": s1, "e1": e1, "s2": s2, "e2": e2}
+            if all(_holds(comparison, values) for comparison in comparisons):
+                return True
+    return False
+
+
+def _holds(comparison: str, values: Dict[str, int]) -> bool:
+    left, sign, right = comparison.split()
+    one, other = values[left], values[right]
+    return {"<": one < other, "<=": one <= other, "==": one == other}[sign]
+
+
+class _Instants:
+    """Which events are instants, whatever happens: messages, alarms, and rules that have one such event."""
+
+    def __init__(self, program: Overview):
+        self._program = program
+        self._open: Set[Functor] = set()
+        self._rules: Dict[Functor, List[WrittenRule]] = {}
+        self._goals: Set[Functor] = set()
+        for rule in program.rules:
+            key = None if rule.definition.head is None else key_of(made_by(rule.definition.head))
+            if key is not None:
+                self._rules.setdefault(key, []).append(rule)
+        for inner in program.calls():
+            term = inner.term
+            if (
+                term.__class__ is tuple
+                and term[0].name in ("new_event", "event", "input_event")
+                and len(term) > 1
+            ):
+                key = key_of(term[1])
+                if key is not None and term[0] is not _NEW:
+                    self._goals.add(key)
+                elif key is None:
+                    self._goals.add(_ANY)
+
+    def holds(self, pattern: Pattern) -> bool:
+        """Tell whether each match of a pattern is an instant."""
+        if isinstance(pattern, Occurs):
+            key = key_of(pattern.term)
+            return key is not None and self._event(key)
+        if isinstance(pattern, Either):
+            return all(self.holds(branch) for branch in pattern.branches)
+        if isinstance(pattern, (Condition, Within, Action)):
+            return self.holds(pattern.pattern)
+        return False
+
+    def _event(self, key: Functor) -> bool:
+        kind = self._program.type_of(key.name)
+        if kind is not None and key not in self._rules:
+            topics = (*self._program.topics.subscribed, *self._program.direct)
+            return any(one == kind for _, one in topics)
+        rules = self._rules.get(key, [])
+        if not rules or key in self._goals or _ANY in self._goals or key in self._open:
+            return False
+        self._open.add(key)
+        try:
+            return all(self._fired(rule) for rule in rules)
+        finally:
+            self._open.discard(key)
+
+    def _fired(self, rule: WrittenRule) -> bool:
+        head: Any = rule.definition.head
+        return made_by(head) is deref(head) and self.holds(rule.definition.pattern)
+
+
+_ANY = functor("$any", 0)
+
+
+# ---- windows -------------------------------------------------------------------------------------------
+
+
+def windows(program: Overview) -> Iterator[RuleError]:
+    """Yield the spans that are hardly meant: zero, or beyond a day."""
+    for rule in program.rules:
+        for inner in inners(held(rule.definition.term), 1, rule.spot):
+            term = inner.term
+            if term.__class__ is tuple and SPELLINGS.get(term[0]) == "within" and len(term) == 3:
+                wrong = _long(deref(term[2]))
+                if wrong:
+                    yield RuleError(f"within {wrong}", rule.spot(term, 2))
+    labels = {
+        term_key(rule.definition.label): rule for rule in program.rules if rule.definition.label is not None
+    }
+    for key, properties in program.loaded.all_properties().items():
+        for one in properties:
+            wrong = ""
+            if one.known and "step" not in one.name:
+                wrong = "0: nothing but instants is ever matched" if one.number == 0 else _long(one.number)
+            if wrong:
+                at = labels.get(key)
+                yield RuleError(f"{one.name} {wrong}", None if at is None else at.definition.place)
+
+
+def _long(span: Any) -> str:
+    if span.__class__ not in (int, float) or not span > DAY:
+        return ""
+    return f"{span} is {span / DAY:.3g} days: {_UNITS}"
+
+
+def waits_for_ever(program: Overview) -> Iterator[RuleError]:
+    """Yield the rules whose partial matches are never dropped: the policy takes none of them away, nor does time."""
+    flags = program.loaded.flags
+    if flags.get("event_consumption_policy") is not _UNRESTRICTED or flags.get("garbage_control") is not _OFF:
+        return
+    properties = program.loaded.all_properties()
+    for rule in program.rules:
+        label = rule.definition.label
+        if label is not None and any("window" in one.name for one in properties.get(term_key(label), ())):
+            continue
+        node = _unbounded(rule.definition.pattern)
+        if node is not None:
+            operator = node.operator if isinstance(node, Pair) else "seq"
+            yield RuleError(
+                "what waits here is kept for ever: the policy is unrestricted, and no window ends it; "
+                "write (...) within SECONDS, or turn on garbage_control",
+                _operator_place(rule, operator),
+            )
+
+
+def _unbounded(pattern: Pattern) -> Optional[Pattern]:
+    """Return the first part of a pattern that joins events and is not within a span."""
+    stack: List[Any] = [pattern]
+    while stack:
+        part = stack.pop()
+        if isinstance(part, Within):
+            continue
+        if isinstance(part, (Pair, Star, Aggregate, Repeated)):
+            found: Pattern = part
+            return found
+        stack += reversed(children(part, False))
+    return None
+
+
+def _nodes(pattern: Pattern) -> Iterator[Pattern]:
+    stack: List[Any] = [pattern]
+    while stack:
+        part = stack.pop()
+        yield part
+        stack += reversed(children(part))
+
+
+def _operator_place(rule: WrittenRule, operator: str) -> Optional[Place]:
+    """Return where an operator stands first in a rule."""
+    for inner in inners(held(rule.definition.term), 1, rule.spot):
+        if inner.term.__class__ is tuple and SPELLINGS.get(inner.term[0]) == operator:
+            return inner.place
+    return rule.definition.place

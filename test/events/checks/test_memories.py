@@ -1,0 +1,42 @@
+"""Memories that are read and are not there."""
+
+import pytest
+
+from retalis.engine import Engine
+from retalis.messages import Definitions
+
+
+def warnings(folder, rules):
+    engine = Engine()
+    engine.load(rules=rules, goals="memorize(t(X), [], _, odom_base, 5)")
+    return [
+        one.message for one in engine.warnings(folder, Definitions()) if "there is no memory" in one.message
+    ]
+
+
+@pytest.mark.parametrize(
+    ("rules", "found"),
+    [
+        (
+            "a <- b where prev(odom_bas, _, 1, 2, 3).",
+            "there is no memory odom_bas yet; did you mean odom_base?",
+        ),
+        ("synchronized(a(T), true, [[odom_base, T], [heap, T]]) <- b(T).", "there is no memory heap yet"),
+        ("a <- b where seen(_). seen(X) :- access_mem(haed, X, _).", "there is no memory haed yet"),
+    ],
+)
+def test_memories_that_are_read_and_not_there(tmp_path, rules, found):
+    assert warnings(tmp_path, rules) == [found]
+
+
+@pytest.mark.parametrize(
+    "rules",
+    [
+        "a(X) <- b(X) where prev(X, _, 1, 2, 3).",
+        "a <- b where (memorize(t(X), [], _, here, 5), access_mem(here, _, _)).",
+        "a <- b where access_mem(odom_base, _, _). c :- next_inf(odom_base, _, 1, 2, 3).",
+        "a(N) <- b(N) do memorize(t(X), [], _, N, 5). c <- d where access_mem(there, _, _).",
+    ],
+)
+def test_memories_that_are_there_or_may_come_are_left_alone(tmp_path, rules):
+    assert warnings(tmp_path, rules) == []

@@ -1,0 +1,91 @@
+"""Messages in rules, memories and subscriptions that are none of their types."""
+
+import pytest
+
+from retalis.engine import Engine
+from retalis.events.program import Topics, topic_type
+from retalis.messages import Definitions
+
+HEADER = "uint32 seq\ntime stamp\nstring frame_id\n"
+WARM = f"Header header\nfloat64 warmth\n{'=' * 80}\nMSG: std_msgs/Header\n{HEADER}"
+
+
+@pytest.fixture
+def definitions():
+    known = Definitions()
+    known.add("my_msgs/Warm", WARM)
+    known.add("my_msgs/Empty", "")
+    return known
+
+
+def warnings(definitions, folder, rules="", goals="", types=("my_msgs/Warm", "my_msgs/Empty")):
+    """Return what is said of messages in a program."""
+    engine = Engine()
+    engine.on_event(lambda term, start, end: None)
+    engine.load(rules=rules, goals=goals)
+    topics = Topics(tuple([topic_type(f"t{at}", kind) for at, kind in enumerate(types)]))
+    found = [str(one) for one in engine.warnings(folder, definitions, topics)]
+    return [
+        one
+        for one in found
+        if "__0__" in one and "nothing makes" not in one and "stands here only" not in one
+    ]
+
+
+@pytest.mark.parametrize(
+    ("rules", "warning"),
+    [
+        (
+            "a <- b where X = my_msgs__0__Warm(std_msgs__0__Header(_, _), 1), X == X.",
+            "std_msgs__0__Header/2 does not match its type: std_msgs/Header has 3 slots: seq, stamp, frame_id",
+        ),
+        (
+            "a <- my_msgs__0__Empty(_).",
+            "my_msgs__0__Empty/1 does not match its type: my_msgs/Empty has 0 slots",
+        ),
+        (
+            "a <- my_msgs__0__Warn(_, _).",
+            "there is no message type my_msgs/Warn here; did you mean my_msgs/Warm?",
+        ),
+    ],
+)
+def test_rules_with_wrong_messages(definitions, tmp_path, rules, warning):
+    (found,) = warnings(definitions, tmp_path, rules)
+    assert found.startswith(f"text:1:1: {warning}\n")
+
+
+def test_memories_and_subscriptions_that_stand_in_no_file_are_named(definitions, tmp_path):
+    goals = "memorize(my_msgs__0__Warm(_), [], _, m, 5)\nsubscribe(my_msgs__0__Warm(_, _, _), [], _, out, s)"
+    assert warnings(definitions, tmp_path, goals=goals)[:2] == [
+        "memory m: my_msgs__0__Warm/1 does not match its type: my_msgs/Warm has 2 slots: header, warmth",
+    ] + [
+        one
+        for one in warnings(definitions, tmp_path, goals=goals)
+        if one.startswith("a subscription of topic out: my_msgs__0__Warm/3")
+    ]
+
+
+def test_right_and_foreign_terms_are_left_alone(definitions, tmp_path):
+    rules = "a(X) <- my_msgs__0__Warm(std_msgs__0__Header(_, _, _), X). b <- other__0__Thing(_)."
+    assert warnings(definitions, tmp_path, rules) == []
+
+
+def test_texts_with_their_quotes_and_in_heads_and_goals_are_left_alone(definitions, tmp_path):
+    header = "std_msgs__0__Header(0, [0,0], {})".format
+    right = header("""'"ann"'""")
+    rules = f"my_msgs__0__Warm({header('ann')}, 1) <- my_msgs__0__Warm({right}, X) where X = {header('b')}."
+    assert warnings(definitions, tmp_path, rules) == []
+
+
+def test_types_that_are_learned_later_are_left_alone(definitions, tmp_path):
+    rules = "a(X) <- far_msgs__0__WarmFeedback(far_msgs__0__Warm(X), my_msgs__0__Warm(_, _))."
+    assert warnings(definitions, tmp_path, rules, types=["my_msgs/Warm", "far_msgs/WarmFeedback"]) == []
+
+
+def test_a_misspelt_type_silences_nothing_about_the_others_of_its_package(tmp_path):
+    rules = "a <- std_msgs__0__Strin(_). b <- std_msgs__0__Bool(_, _)."
+    found = warnings(Definitions(), tmp_path, rules, types=["std_msgs/Strng", "std_msgs/Bool"])
+    assert [one.split("\n")[0].partition(": ")[2] for one in found] == [
+        "there is no message type std_msgs/Strin here; did you mean std_msgs/String?",
+        "std_msgs__0__Bool/2 does not match its type: std_msgs/Bool has 1 slots: data",
+    ]
