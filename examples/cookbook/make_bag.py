@@ -5,7 +5,7 @@
 
 ``messages.py`` has ``TOPICS``, the type of each topic, and ``messages()``, which yields for each message its time in
 seconds, its topic and its slots by name. Slots that are not named are zero, empty or false; a header gets the time
-of its message. The same recipe gives the same bag.
+of its message. Times count from the beginning of the bag. The same recipe gives the same bag.
 """
 
 import argparse
@@ -87,13 +87,19 @@ def _slot(field: Any, value: Any, time: int) -> Term:
     if field.definition is not None:
         return to_term(field.definition, {} if value is None else value, time)
     if field.type in ("time", "duration"):
-        nanoseconds = (time if field.name == "stamp" else 0) if value is None else round(value * SECOND)
-        return make_list(divmod(nanoseconds, SECOND))
+        return make_list(divmod(_nanoseconds(field, value, time), SECOND))
     if field.type == "string":
         return atom(f'"{value or ""}"')
     if field.type == "bool":
         return atom("true" if value else "false")
     return 0 if value is None else value
+
+
+def _nanoseconds(field: Any, value: Any, time: int) -> int:
+    """Return a time or duration; times that are given count from the beginning of the bag, as those of messages."""
+    if value is None:
+        return time if field.name == "stamp" else 0
+    return round(value * SECOND) + (START * SECOND if field.type == "time" else 0)
 
 
 def main() -> int:

@@ -7,6 +7,8 @@ from itertools import count
 from types import ModuleType, SimpleNamespace
 
 SECOND = 10**9
+BEGAN = 1_700_000_000 * SECOND
+"""When the bags begin: times among slots count from there."""
 
 
 class Duration:
@@ -113,7 +115,7 @@ def from_slots(kind, slots, time):
         elif field.definition is not None:
             setattr(message, field.name, [from_slots(field.definition, one, time) for one in value or []])
         elif field.type == "time":
-            setattr(message, field.name, Time.of(time) if value is None else Time(value))
+            setattr(message, field.name, Time.of(time if value is None else BEGAN + round(value * SECOND)))
         elif value is not None:
             setattr(message, field.name, value)
     return message
@@ -122,7 +124,7 @@ def from_slots(kind, slots, time):
 def to_slots(value):
     """Return a message as slots by name, nested ones likewise."""
     if isinstance(value, Duration):
-        return value.ns / SECOND
+        return (value.ns - (BEGAN if isinstance(value, Time) else 0)) / SECOND
     if isinstance(value, (list, tuple)):
         return [to_slots(one) for one in value]
     if hasattr(value, "kind"):

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from examples.roboworld import RobotWorld, to_slots
+from examples.roboworld import BEGAN, SECOND, RobotWorld, to_slots
 
 from retalis import BagReader, Definitions, Playback
 
@@ -66,6 +66,7 @@ def played(folder, recipes, definitions, path, caplog):
 
 def said(folder, recipes, definitions):
     """Return what a recipe's node publishes when it gets the recipe's messages: time, topic and bytes."""
+    assert recipes.START * SECOND == BEGAN
     recipe = recipes.Recipe(folder)
     kinds = {topic: definitions.find(name) for topic, name in recipe.topics.items()}
     messages = [(time, topic, kinds[topic], slots) for time, topic, slots in recipe.messages()]

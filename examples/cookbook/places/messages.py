@@ -28,9 +28,9 @@ def messages():
 
 
 def transform(parent, child, x, y, stamp, rotation):
-    """Return the slots of a transform; the bag begins at second 1700000000."""
+    """Return the slots of a transform."""
     return {
-        "header": {"frame_id": parent, "stamp": 1_700_000_000 + stamp},
+        "header": {"frame_id": parent, "stamp": stamp},
         "child_frame_id": child,
         "transform": {"translation": {"x": x, "y": y}, "rotation": rotation},
     }
