@@ -32,7 +32,7 @@ def test_each_step_does_what_the_page_says(tmp_path, monkeypatch):
             command, _, wanted = block["text"].partition("\n")
             assert printed(shlex.split(command)) == ("$", wanted), command
             commands += 1
-    assert commands == 10
+    assert commands == 11
 
 
 def printed(words):

@@ -11,6 +11,7 @@ import pytest
 from examples.roboworld import BEGAN, SECOND, RobotWorld, to_slots
 
 from retalis import BagReader, Definitions, Playback
+from retalis.cli import main
 
 FOLDER = Path(__file__).resolve().parents[2] / "examples" / "cookbook"
 RECIPES = sorted(path.parent for path in FOLDER.glob("*/eventRules.txt"))
@@ -48,6 +49,7 @@ def test_a_recipe_gives_what_it_says_and_its_node_the_same(folder, recipes, defi
     outputs = played(folder, recipes, definitions, tmp_path / "recipe.bag", caplog)
     lines = [f"output({text},{topic}).\n" for _, topic, text, _ in outputs]
     assert "".join(lines) == (folder / "expected.txt").read_text(encoding="utf-8")
+    assert main(["check", "--strict", str(folder)]) == 0
     if folder.name not in WITHOUT_STAND_IN:
         wanted = [(round(time, -3), topic, data) for time, topic, _, data in outputs]  # stamps rise by 1 ns
         assert said(folder, recipes, definitions) == wanted
