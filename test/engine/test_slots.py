@@ -1,11 +1,10 @@
 """Rules, goals and questions with slots by name, and what is said of them."""
 
-import logging
-
 import pytest
 
 from retalis.engine import Engine
 from retalis.engine.explaining import explain, record_origins
+from retalis.engine.runtime import Reports
 from retalis.events.program import read_topics
 from retalis.foundation import ProgramErrors
 from retalis.messages import Definitions, Installed
@@ -78,11 +77,24 @@ def test_what_was_written_by_name_is_shown_so(engine, capsys):
     assert lines[0].below[0].below[0].text == f"- {POINT}{{x: 3}}: did not happen"
 
 
-def test_warnings_and_errors_show_it_so(engine, caplog):
-    engine.load(rules=f"{POINT}{{x: X}} <- a(X) where undefined_goal({POINT}{{y: X}}).")
-    with caplog.at_level(logging.ERROR, "retalis"):
-        engine.event("a(1)", 1)
-    assert f"rule {POINT}{{x: X}}, at event a(1): goal undefined_goal({POINT}{{y: X}})" in caplog.text
+class Kept(Reports):
+    """Keeps the errors."""
+
+    def __init__(self):
+        super().__init__()
+        self.errors = []
+
+    def error(self, error, key=None):
+        self.errors.append(str(error))
+
+
+def test_errors_show_it_so(definitions):
+    kept = Kept()
+    engine = Engine(reports=kept, definitions=definitions)
+    engine.load(rules=f"{POINT}{{x: X}} <- a(X) where atom_length({POINT}{{y: X}}, 5).")
+    engine.event("a(1)", 1)
+    (error,) = kept.errors
+    assert f"rule {POINT}{{x: X}}, at event a(1): goal atom_length({POINT}{{y: X}},5)" in error
 
 
 def test_a_rule_with_a_slot_that_there_is_not_is_refused_at_its_place(engine):
