@@ -8,13 +8,13 @@ import sys
 from typing import List, Optional
 
 from ..foundation import RetalisError
-from . import bag, check, completion, console, demo, events, graph, live, plot
+from . import bag, check, completion, console, demo, events, graph, live, msg, plot
 from .prompt import Lines, Terminal, read_clause
 from .report import NobodyReads, leave
 from .tables import page, report
 from .version import ShowVersion
 
-COMMANDS = (bag, check, console, demo, events, graph, live, plot, completion)
+COMMANDS = (bag, check, console, demo, events, graph, live, msg, plot, completion)
 
 __all__ = [
     "Lines",

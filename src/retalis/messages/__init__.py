@@ -14,9 +14,11 @@ from .open import fault_of
 from .registry import Definitions
 from .slotnames import SlotNames
 from .stamps import FrameStamp, frame_text, second_bytes, watched_stamp
+from .templates import by_names, positional, zero
 
 __all__ = [
     "BARE",
+    "by_names",
     "Decoder",
     "Definition",
     "Definitions",
@@ -27,10 +29,12 @@ __all__ = [
     "frame_text",
     "functor_name",
     "Installed",
+    "positional",
     "second_bytes",
     "SlotNames",
     "text_without",
     "text_writer",
     "type_name",
     "watched_stamp",
+    "zero",
 ]

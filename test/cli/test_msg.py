@@ -1,0 +1,41 @@
+"""``msg`` prints types of the installation and of bags."""
+
+import pytest
+
+from retalis.cli import main
+from retalis.engine.playback import BagWriter
+from retalis.messages import Definitions
+
+
+@pytest.fixture
+def bag(tmp_path):
+    definitions = Definitions()
+    name, path = "only_in_bags/Point", tmp_path / "some.bag"
+    with BagWriter(path) as writer:
+        connection = writer.add("/points", definitions.add(name, "float64 x\nfloat64 y\n"))
+        writer.write(connection, 1, bytes(16))
+    return path
+
+
+PRINTED = {
+    "term": "only_in_bags__0__Point(\n    X,  % x: float64\n    Y   % y: float64\n)\n",
+    "names": "only_in_bags__0__Point{\n    x: X,  % float64\n    y: Y   % float64\n}\n",
+    "zero": "only_in_bags__0__Point(0.0,0.0)\n",
+}
+
+
+def test_a_type_of_a_bag_is_printed_in_each_format(bag, capsys):
+    for name, text in PRINTED.items():
+        assert main(["msg", "only_in_bags/Point", "--bag", str(bag), "--format", name]) == 0
+        assert capsys.readouterr().out == text
+    assert main(["msg", "std_msgs__0__String"]) == 0
+    assert capsys.readouterr().out == "std_msgs__0__String(\n    Data  % data: string\n)\n"
+
+
+def test_a_type_that_there_is_not_is_an_error_in_one_line(bag, capsys):
+    assert main(["msg", "only_in_bags/Point"]) == 1
+    assert "retalis: no definition of the message type only_in_bags/Point" in capsys.readouterr().err
+    assert main(["msg", "only_in_bags/Other", "--bag", str(bag)]) == 1
+    assert capsys.readouterr().err.endswith("is installed or has been received\n")
+    assert main(["msg", "Point"]) == 1
+    assert 'expected a message type "package/Type"' in capsys.readouterr().err
