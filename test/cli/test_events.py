@@ -449,7 +449,7 @@ def test_with_nothing_to_do_it_says_what_is_missing(capsys):
     with pytest.raises(SystemExit) as caught:
         main(["events", "--json"])
     assert caught.value.code == 2
-    assert "nothing to do: give --rules, --goals, --stream or --queries" in capsys.readouterr().err
+    assert "nothing to do: give --rules, --goals, --stream, --queries or --explain" in capsys.readouterr().err
 
 
 def test_goals_of_a_stream_open_files_of_the_program_and_of_folders_that_are_named(

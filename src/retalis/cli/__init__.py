@@ -29,7 +29,10 @@ __all__ = [
 def main(arguments: Optional[List[str]] = None) -> int:
     """Run a command; return its exit status: 0 done, 1 with errors, 2 wrongly called."""
     parser = argparse.ArgumentParser(
-        prog="retalis", description="Event rules and a knowledge base for robots."
+        prog="retalis",
+        description="Event rules and a knowledge base for robots.",
+        epilog="retalis COMMAND --help says what a command takes. The exit status is 0 where all went well, 1 with "
+        "errors, 2 where a command is called wrongly, 130 after ctrl-C.",
     )
     parser.add_argument("--version", action=ShowVersion, help="print the version and exit")
     parser.set_defaults(whole=parser)

@@ -15,7 +15,8 @@ from ..foundation import UsageError, shortened
 from ..prolog.syntax import read_term, to_text
 from ..prolog.terms import atom, functor, timestamps
 from .folders import add_folders, allow_folders
-from .limits import add_limits, from_zero, limited
+from .limits import add_limits, limited
+from .numbers import from_zero
 from .printing import JSON, Printer
 from .progress import Bar, progress
 from .report import Report, to_reader

@@ -26,9 +26,14 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         "For this shell: source <(retalis complete bash). For all to come, write that line into ~/.bashrc.",
     )
     parser.add_argument(
-        "shell", nargs="?", choices=("bash", "words"), default="bash", help="bash (the default)"
+        "shell",
+        nargs="?",
+        choices=("bash", "words"),
+        default="bash",
+        metavar="bash",
+        help="the only one so far",
     )
-    parser.add_argument("words", nargs=argparse.REMAINDER, help=argparse.SUPPRESS)
+    parser.add_argument("words", nargs=argparse.REMAINDER, metavar="WORD", help=argparse.SUPPRESS)
     parser.set_defaults(run=run)
 
 

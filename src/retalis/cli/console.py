@@ -19,6 +19,7 @@ from ..prolog.terms import COMMA, Atom, String, Term, Var, deref, functor, list_
 from .answers import bindings
 from .limits import add_limits, limited
 from .live import of_ros
+from .numbers import from_zero
 from .prompt import Lines, Terminal, read_clause
 from .report import Report, to_reader
 
@@ -51,7 +52,13 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         help="files of rules and clauses, or a program's folder",
     )
     add("--goal", "-g", action="append", default=[], metavar="GOAL", help="ask this goal, then exit")
-    add("--most", type=int, default=1000, help="solutions shown for a goal read from a pipe (1000)")
+    add(
+        "--most",
+        type=from_zero(int),
+        default=1000,
+        metavar="N",
+        help="solutions shown for a goal read from a pipe (1000)",
+    )
     add(
         "--node",
         metavar="/NAME",

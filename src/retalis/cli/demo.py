@@ -11,6 +11,7 @@ from ..engine.playback import BagSeries, Playback
 from ..foundation import UsageError
 from ..prolog.terms import resolve
 from .bag import share_of
+from .numbers import seconds, whole
 from .progress import progress
 from .report import Report
 
@@ -23,23 +24,20 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         description="Make a bag of a simulated NAO, run the NAO program over it, and print where each marker "
         "was located last, beside its true position. Exit status 0 when all markers were located.",
     )
-    parser.add_argument("--bag", type=Path, help="play this bag instead (made by examples/nao/make_bag.py)")
     parser.add_argument(
-        "--seconds", type=_positive, default=20.0, help="length of the simulated bag in seconds (20)"
+        "--bag", type=Path, metavar="BAG", help="play this bag instead (made by examples/nao/make_bag.py)"
     )
-    parser.add_argument("--seed", type=int, default=1, help="random seed of the simulated bag (1)")
+    parser.add_argument(
+        "--seconds",
+        type=seconds,
+        default=20.0,
+        metavar="N",
+        help="length of the simulated bag in seconds (20)",
+    )
+    parser.add_argument(
+        "--seed", type=whole, default=1, metavar="N", help="random seed of the simulated bag (1)"
+    )
     parser.set_defaults(run=run)
-
-
-def _positive(text: str) -> float:
-    """Return a number of seconds above zero."""
-    try:
-        seconds = float(text)
-    except ValueError:
-        seconds = 0.0
-    if not 0 < seconds < float("inf"):
-        raise argparse.ArgumentTypeError(f"expected a positive number of seconds, found {text}")
-    return seconds
 
 
 def run(options: argparse.Namespace) -> int:

@@ -77,7 +77,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command; the status is 1 if there was an error."""
     if not (options.rules or options.goals or options.stream or options.queries or options.explain):
-        options.wrong("nothing to do: give --rules, --goals, --stream or --queries")
+        options.wrong("nothing to do: give --rules, --goals, --stream, --queries or --explain")
     report = Report().listen()
     with ExitStack() as stack:
         printer = Printer(options.json, options.memory_events, _opened(options.outputs, stack))

@@ -5,6 +5,7 @@ from typing import Callable, Optional, Tuple
 
 from ..engine import Settings
 from ..prolog.machine import Limits
+from .numbers import from_one, from_zero
 
 _MEGABYTES = 2000
 
@@ -39,7 +40,7 @@ def add_limits(parser: argparse.ArgumentParser) -> None:
         group.add_argument(name, type=from_zero(kind), default=default, metavar=metavar, help=text)
     group.add_argument(
         "--max-depth",
-        type=_depth,
+        type=from_one,
         default=Settings().max_depth,
         metavar="N",
         help=f"longest chain of events derived one from another ({Settings().max_depth})",
@@ -52,29 +53,3 @@ def limited(settings: Settings, options: argparse.Namespace) -> Settings:
         options.max_seconds or None, options.max_inferences or None, options.max_megabytes or None
     )
     return settings._replace(limits=limits, watchdog=options.watchdog or None, max_depth=options.max_depth)
-
-
-def from_zero(kind: Callable[[str], float]) -> Callable[[str], float]:
-    """Return what reads an option's number of 0 or more."""
-
-    def read(text: str) -> float:
-        number = _number(kind, text)
-        if number is None or not number >= 0:
-            raise argparse.ArgumentTypeError(f"expected a number of 0 or more, found {text}")
-        return number
-
-    return read
-
-
-def _depth(text: str) -> int:
-    number = _number(int, text)
-    if number is None or number < 1:
-        raise argparse.ArgumentTypeError(f"expected a whole number of 1 or more, found {text}")
-    return int(number)
-
-
-def _number(kind: Callable[[str], float], text: str) -> Optional[float]:
-    try:
-        return kind(text)
-    except ValueError:
-        return None

@@ -5,10 +5,13 @@ from importlib import import_module
 from typing import Any, Callable
 
 from ..foundation import UsageError
+from .numbers import any_number, from_zero
 
 AddCommand = Callable[..., argparse.ArgumentParser]
 
 DESCRIPTION = "The node is the only one that runs, or that of --node."
+
+STATUS = "The exit status is 0 with a solution, 1 without one or with an error."
 
 
 def add_parser(add_command: AddCommand) -> None:
@@ -18,19 +21,32 @@ def add_parser(add_command: AddCommand) -> None:
     explain.add_argument("event", metavar="EVENT", help="as far as it is known, as in fever(bob,_)")
     _command(add_command, "list", "list the rules, memories, subscriptions and queries of a node")
     status = _command(add_command, "status", "show what a node is doing, again and again")
-    status.add_argument("--every", type=float, default=1.0, metavar="SECONDS", help="how often (1)")
+    status.add_argument("--every", type=any_number, default=1.0, metavar="SECONDS", help="how often (1)")
     status.add_argument("--once", action="store_true", help="show it once; so it is where nobody looks on")
     _add_watch(add_command)
     _command(add_command, "reload", "have a node read its program again, all or nothing")
 
 
 def _add_query(add_command: AddCommand) -> None:
-    query = _command(add_command, "query", "ask a goal of a node; the status is 1 without a solution")
+    query = _command(add_command, "query", "ask a goal of a node")
+    query.description = f"{query.description} {STATUS}"
     add = query.add_argument
     add("goal", metavar="GOAL", help="as in 'access_mem(odom,P,[T1,T2])'")
-    add("--most", type=_whole, default=100, help="solutions at most (100)")
-    add("--seconds", type=float, default=0.0, help="limit for the goal, besides the node's own")
-    add("--inferences", type=_whole, default=0, help="the same in inferences")
+    add("--most", type=from_zero(int), metavar="N", default=100, help="solutions at most (100)")
+    add(
+        "--seconds",
+        type=from_zero(float),
+        default=0.0,
+        metavar="N",
+        help="limit for the goal, besides the node's own",
+    )
+    add(
+        "--inferences",
+        type=from_zero(int),
+        metavar="N",
+        default=0,
+        help="the same in inferences; 0 is no limit, for both (0)",
+    )
     add(
         "--wait-for",
         action="append",
@@ -38,8 +54,8 @@ def _add_query(add_command: AddCommand) -> None:
         metavar="MEMORY",
         help="wait until it has a record at --stamp or later",
     )
-    add("--stamp", type=float, default=0.0, metavar="SECONDS", help="for --wait-for, since the epoch")
-    add("--timeout", type=float, default=10.0, metavar="SECONDS", help="how long to wait (10)")
+    add("--stamp", type=any_number, default=0.0, metavar="SECONDS", help="for --wait-for, since the epoch")
+    add("--timeout", type=from_zero(float), default=10.0, metavar="SECONDS", help="how long to wait (10)")
 
 
 def _add_watch(add_command: AddCommand) -> None:
@@ -53,7 +69,7 @@ def _add_watch(add_command: AddCommand) -> None:
         help="these events too, by a subscription meanwhile",
     )
     add("--inputs", action="store_true", help="also what comes in as text")
-    add("--count", type=_whole, default=0, help="end after so many")
+    add("--count", type=from_zero(int), metavar="N", default=0, help="end after so many; 0: never (0)")
 
 
 def _command(add_command: AddCommand, name: str, says: str) -> argparse.ArgumentParser:
@@ -62,13 +78,6 @@ def _command(add_command: AddCommand, name: str, says: str) -> argparse.Argument
     parser.add_argument("--json", action="store_true", help="print JSON, one value a line")
     parser.set_defaults(run=run)
     return parser
-
-
-def _whole(text: str) -> int:
-    number = int(text)
-    if number < 0:
-        raise argparse.ArgumentTypeError(f"expected a number of 0 or more, found {number}")
-    return number
 
 
 def run(options: argparse.Namespace) -> int:

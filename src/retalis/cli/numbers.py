@@ -1,0 +1,35 @@
+"""How options read numbers, and what they say of what is none."""
+
+import argparse
+from typing import Callable, Optional
+
+Reader = Callable[[str], float]
+
+
+def from_zero(kind: Callable[[str], float]) -> Reader:
+    """Return what reads an option's number of 0 or more, an ``int`` or a ``float``."""
+    name = "a whole number" if kind is int else "a number"
+    return _reader(kind, lambda number: number >= 0, f"{name} of 0 or more")
+
+
+def _reader(kind: Callable[[str], float], fits: Callable[[float], bool], wanted: str) -> Reader:
+    def read(text: str) -> float:
+        number = _number(kind, text)
+        if number is None or not fits(number):
+            raise argparse.ArgumentTypeError(f"expected {wanted}, found {text}")
+        return number
+
+    return read
+
+
+def _number(kind: Callable[[str], float], text: str) -> Optional[float]:
+    try:
+        return kind(text)
+    except ValueError:
+        return None
+
+
+from_one = _reader(int, lambda number: number >= 1, "a whole number of 1 or more")
+whole = _reader(int, lambda number: True, "a whole number")
+any_number = _reader(float, lambda number: True, "a number")
+seconds = _reader(float, lambda number: 0 < number < float("inf"), "a positive number of seconds")
