@@ -114,7 +114,7 @@ def add_source(parser: argparse.ArgumentParser, bags: str = "+", required: bool 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    report = Report().listen()
+    report = Report().listen(events=True)
     with ExitStack() as stack:
         bags = stack.enter_context(BagSeries(options.bags, options.start, options.duration))
         playback = playback_of(options, report, bags)

@@ -72,7 +72,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command; from a pipe the status is 1 if there was an error."""
     if options.node is not None:
         return of_ros("liveconsole", options)
-    report = Report().listen()
+    report = Report().listen(events=True)
     console = Console(report, limited(FREE, options), options.most)
     for path in options.files:
         console.load(path)

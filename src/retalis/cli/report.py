@@ -7,6 +7,8 @@ from typing import Callable
 from ..foundation import RetalisError
 
 _log = logging.getLogger("retalis")
+_shown = logging.getLogger("retalis.events")
+"""Has the events that facts of a program want to be shown."""
 
 
 class NobodyReads(BaseException):
@@ -33,7 +35,7 @@ class Report(logging.Handler):
     """
 
     def __init__(self) -> None:
-        super().__init__(logging.WARNING)
+        super().__init__()
         self.errors = 0
 
     def __call__(self, error: RetalisError) -> None:
@@ -43,12 +45,19 @@ class Report(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Report what was logged."""
+        if record.name == _shown.name:
+            print(self.format(record), file=sys.stderr)
+            return
+        if record.levelno < logging.WARNING:
+            return
         if record.levelno >= logging.ERROR:
             self.errors += 1
         print(f"{record.levelname.lower()}: {self.format(record)}", file=sys.stderr)
 
-    def listen(self) -> "Report":
-        """Report what the package logs from now on, until `leave`."""
+    def listen(self, events: bool = False) -> "Report":
+        """Report what the package logs from now on, until `leave`; on request also events that a program shows."""
+        if events:
+            _shown.setLevel(logging.INFO)
         _log.addHandler(self)
         _log.propagate = False
         return self
@@ -58,4 +67,5 @@ def leave() -> None:
     """End all reports: what the package logs goes where it went before."""
     for handler in [one for one in _log.handlers if isinstance(one, Report)]:
         _log.removeHandler(handler)
+    _shown.setLevel(logging.NOTSET)
     _log.propagate = True

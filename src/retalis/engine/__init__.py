@@ -2,7 +2,7 @@
 
 from .asking import ask, await_memories
 from .callbacks import OnEvent, OnOutput
-from .checking import check_program
+from .checking import check_program, never_comes
 from .core import parts_of
 from .engine import Engine
 from .rulechanges import add_rule, delete_rule
@@ -30,6 +30,7 @@ __all__ = [
     "MemoryStatus",
     "OnEvent",
     "OnOutput",
+    "never_comes",
     "parts_of",
     "RuleStatus",
     "Settings",

@@ -5,10 +5,11 @@ import time
 from pathlib import Path
 from typing import Dict, Iterable, List, Optional, Tuple
 
-from ..events.checks import ERROR, WARNING, Finding, Overview, look_through
+from ..events.checks import ERROR, WARNING, Finding, Overview, look_through, without_maker
 from ..events.program import TOPICS, Topics, TopicType, read_topics
 from ..foundation import Place, ProgramErrors, RetalisError, RuleError
 from ..messages import Definitions
+from ..prolog.terms import Term
 from .core import parts_of
 from .engine import Engine
 from .runtime import Clock, Reports
@@ -76,6 +77,18 @@ def check_program(
     said = {one.problem.place for one in problems.found if one.problem.place is not None}
     new = [one for one in look_through(program, sound) if one.problem.place not in said]
     return _in_order([*problems.found, *new])
+
+
+def never_comes(
+    engine: Engine, pattern: Term, definitions: Definitions, topics: Topics, direct: Iterable[TopicType]
+) -> str:
+    """Return why events of a pattern will hardly come, "" where they may.
+
+    Messages may come of topics that are subscribed later.
+    """
+    parts = parts_of(engine)
+    program = Overview(parts.rules, parts.knowledge, definitions, topics, tuple(direct))
+    return without_maker(program, pattern)
 
 
 def _in_order(found: List[Finding]) -> List[Finding]:

@@ -15,6 +15,7 @@ from .connecting import OUTPUT_EVENT, connect
 from .counting import OutputStatus
 from .diagnostics import Diagnostics
 from .health import NodeHealth, program_health
+from .hints import StartHints
 from .interface import Interface, Publisher, Take
 from .listing import Listing
 from .log import log_error
@@ -72,6 +73,7 @@ class Converter:
         Listing(self._interface.inputs)
         self._interface.subscribe_texts(OUTPUT, self._receive)
         loaded = program_health(errors, [])
+        StartHints(self._interface.inputs, [topic for topic, _ in topics.subscribed])
         self._diagnostics = Diagnostics(
             parameters.diagnostics,
             NodeHealth(self._interface.inputs, self._outputs, lambda: [loaded]),

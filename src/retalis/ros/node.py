@@ -1,15 +1,15 @@
 """Node ``retalis``: the engine behind its services and topics."""
 
 import time
-from typing import Callable, List, Optional, Tuple
+from typing import Callable, Iterable, List, Optional, Tuple
 
 import rospy
 from std_msgs.msg import String
 
-from ..engine import Engine
+from ..engine import Engine, never_comes
 from ..engine.explaining import record_origins
 from ..engine.runtime import Alarm, Clock, Reports, Skew
-from ..events.program import TOPICS, Topics, read_topics
+from ..events.program import TOPICS, Topics, TopicType, read_topics
 from ..foundation import RetalisError
 from ..messages import Decoder, Definitions, Installed
 from ..prolog.syntax import to_text
@@ -20,6 +20,7 @@ from .counting import OutputStatus
 from .dashboard import NodeDashboard
 from .diagnostics import Diagnostics
 from .health import LATE, EngineHealth, Health, NodeHealth, program_health
+from .hints import StartHints
 from .interface import Interface, Take
 from .listing import Listing
 from .log import log_error
@@ -111,7 +112,7 @@ class RetalisNode:
             UnreadTeller(self.engine)
         for topic, kind in direct:
             self._subscribe(topic, kind, topics.event_of(topic, rospy.resolve_name))
-        EngineServices(self.engine, self._text_only)
+        EngineServices(self.engine, self._text_only, lambda pattern: self._doubt(pattern, topics, direct))
         Questions(self.engine)
         RuleServices(self.engine)
         ReloadService(
@@ -120,6 +121,7 @@ class RetalisNode:
         Listing(self._interface.inputs, self.engine.status)
         self._interface.subscribe_texts(INPUT, self.engine.post_text)
         rospy.loginfo("%s: %s", parameters.program, self.engine.summary())
+        StartHints(self._interface.inputs, self._named(topics), clock=True)
         self._diagnostics = Diagnostics(
             parameters.diagnostics, NodeHealth(self._interface.inputs, self._outputs, self._engine_health())
         )
@@ -156,6 +158,18 @@ class RetalisNode:
         for warning in self.engine.warnings(self._parameters.program, definitions, topics, direct):
             self._doubts.append(warning.brief())
             rospy.logwarn("%s", warning)
+
+    def _named(self, topics: Topics) -> List[str]:
+        """Return the topics of this node that somebody has named; not those that it subscribes by default."""
+        direct = self._parameters.direct
+        own = [*(topics.subscribed if self._parameters.embedded else ())]
+        own += direct if isinstance(direct, tuple) else ()
+        return [topic for topic, _ in own]
+
+    def _doubt(self, pattern: Term, topics: Topics, direct: Iterable[TopicType]) -> str:
+        """Return why events of a pattern will hardly come, "" where they may."""
+        definitions = Definitions(Installed(rosbags=False))
+        return never_comes(self.engine, pattern, definitions, topics, direct)
 
     def _load(self) -> None:
         try:

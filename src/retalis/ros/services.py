@@ -6,6 +6,7 @@ import rospy
 
 from ..engine import Engine
 from ..foundation import RetalisError, SyntaxFault, UsageError, beginning, printable
+from ..messages import Definitions, Installed
 from ..prolog.syntax import Operators, ReadFlags, read_term
 from ..prolog.terms import COMMA, TRUE, Atom, Term, Var, atom, conjuncts, deref, variables
 from .interface import Interface
@@ -60,13 +61,15 @@ class EngineServices:
     Args:
         engine: whose they are.
         text_only: is told of the topics that are subscribed.
+        doubt: says why events of a pattern will hardly come, "" where they may.
     """
 
-    def __init__(self, engine: Engine, text_only: TextOnly):
+    def __init__(self, engine: Engine, text_only: TextOnly, doubt: Callable[[Term], str]):
         from retalis import srv  # noqa: PLC0415 - generated: there only where the package was built
 
         self._engine = engine
         self._text_only = text_only
+        self._doubt = doubt
         rospy.Service("add_output_subscription", srv.AddOutputSubscription, self._add_subscription)
         rospy.Service("delete_output_subscription", srv.DeleteOutputSubscription, self._delete_subscription)
         rospy.Service("add_memory", srv.AddMemory, self._add_memory)
@@ -82,6 +85,7 @@ class EngineServices:
             fields = self._fields(request)
             self._engine.add_subscription(fields.event, fields.conditions, fields.form, topic, key)
             self._warn_of_free("subscribe", request.id, fields)
+            self._warn_of_silence("subscribe", request.id, fields)
             self._text_only.look(request.topic.strip())
 
         return answer(lambda: self._engine.do(work))
@@ -94,6 +98,7 @@ class EngineServices:
             fields = self._fields(request)
             self._engine.add_memory(fields.event, fields.conditions, fields.form, key, size)
             self._warn_of_free("memorize", request.id, fields)
+            self._warn_of_silence("memorize", request.id, fields)
 
         return answer(lambda: self._engine.do(work))
 
@@ -135,6 +140,12 @@ class EngineServices:
                 shown(text),
                 " and ".join(fields.free),
             )
+
+    def _warn_of_silence(self, goal: str, text: str, fields: _Fields) -> None:
+        """Say where nothing makes the events that are waited for."""
+        doubt = self._doubt(fields.event)
+        if doubt:
+            rospy.logwarn("%s %s: %s", goal, shown(text), printable(doubt))
 
     def _check(self, field: str, expected: str, term: Term, kinds: Tuple[type, ...]) -> None:
         if not isinstance(deref(term), kinds):
@@ -180,7 +191,20 @@ class InterfaceServices:
         rospy.Service("delete_input_subscription", srv.DeleteInputSubscription, self._delete)
 
     def _add(self, request: Any) -> str:
-        return answer(lambda: self._interface.subscribe(request.topic.strip(), request.message_type.strip()))
+        topic, kind = request.topic.strip(), request.message_type.strip()
+
+        def work() -> None:
+            self._interface.subscribe(topic, kind)
+            if not self._interface.outputs.knows(kind):
+                meant = Definitions(Installed(rosbags=False)).misspelt(kind)
+                rospy.logwarn(
+                    "topic %s is subscribed as %s, which is not known here: it is learned from a publisher%s",
+                    shown(topic),
+                    kind,
+                    f"; did you mean {meant}?" if meant else "",
+                )
+
+        return answer(work)
 
     def _delete(self, request: Any) -> str:
         return answer(lambda: self._interface.unsubscribe(request.topic.strip()))

@@ -5,6 +5,7 @@ Each check looks at an `Overview` of the program, and yields what is wrong, each
 """
 
 from .findings import ERROR, WARNING, Finding, look_through
+from .made import without_maker
 from .overview import Overview
 
 __all__ = [
@@ -13,4 +14,5 @@ __all__ = [
     "look_through",
     "Overview",
     "WARNING",
+    "without_maker",
 ]

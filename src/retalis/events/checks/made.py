@@ -152,6 +152,15 @@ def _nothing(key: Functor, nearest: str) -> str:
     )
 
 
+def without_maker(program: Overview, pattern: Term) -> str:
+    """Return that nothing makes the events of a pattern, "" where something does or they are messages."""
+    key = key_of(pattern)
+    if key is None or key is _NO_EVENT or key is _REV or program.type_of(key.name) is not None:
+        return ""
+    made = MadeEvents(program)
+    return "" if key in made else _nothing(key, near_functor(key, made.keys))
+
+
 def never_taken(program: Overview) -> Iterator[RuleError]:
     """Yield what is made and goes nowhere."""
     taken = None if program.observed else _taken(program)

@@ -1,0 +1,51 @@
+"""Patterns whose events hardly come, told of while the program runs."""
+
+import pytest
+
+from retalis.engine import Engine, check_program, never_comes
+from retalis.events.program import Topics, topic_type
+from retalis.messages import Definitions
+
+TOPICS = Topics((topic_type("said", "std_msgs/String"),))
+
+
+@pytest.fixture(scope="module")
+def definitions():
+    return Definitions()
+
+
+@pytest.mark.parametrize(
+    ("pattern", "said"),
+    [
+        ("alram(_)", "nothing makes alram/1: no topic, rule or goal; did you mean alarm/1?"),
+        (
+            "crash",
+            "nothing makes crash/0: no topic, rule or goal; if other programs send it, say so with the fact "
+            "input_event(crash/0).",
+        ),
+        ("alarm(_)", ""),
+        ("button(_)", ""),
+        ("_", ""),
+        ("sensor_msgs__0__Range(_, _, _, _, _, _)", ""),
+    ],
+)
+def test_a_pattern_of_what_nothing_makes(definitions, pattern, said):
+    engine = Engine()
+    engine.load(rules="alarm(T) <- std_msgs__0__String(T). input_event(button/1).")
+    term = engine.query(f"X = ({pattern})")[0]["X"]
+    assert never_comes(engine, term, definitions, TOPICS, ()) == said
+
+
+def test_findings_are_in_the_order_of_the_files(tmp_path, definitions):
+    (tmp_path / "pub_sub.xml").write_text(
+        '<publish_subscribe><subscribe_to name="s" msg_type="a/B" x="1"/></publish_subscribe>'
+    )
+    (tmp_path / "goalPredicates.txt").write_text(
+        "compile_event_file('rules.txt')\nmemorize(d, [], _, m, 5)\nfial\n"
+    )
+    (tmp_path / "rules.txt").write_text("a <- b within 1000000.\na <- a.\n")
+    found = [
+        (one.problem.place.source.rpartition("/")[2], one.problem.place.line)
+        for one in check_program(tmp_path, definitions)
+    ]
+    assert found == [("goalPredicates.txt", 3), ("pub_sub.xml", 1), ("rules.txt", 1), ("rules.txt", 2)]
