@@ -48,7 +48,8 @@ READS = {
     f"{ALL}{{point: {{y: Y}}}}": f"{ALL}(_,_,_,_,_,_,{POINT}(_,Y),_,_)",
     f"{ALL}{{point: {POINT}{{y: Y}}}}": f"{ALL}(_,_,_,_,_,_,{POINT}(_,Y),_,_)",
     f"{ALL}{{points: [{{x: 1}}, P | R]}}": f"{ALL}(_,_,_,_,_,_,_,[{POINT}(1,_), P | R],_)",
-    f"{ALL}{{no: {{}}}}": f"{ALL}(_,_,_,_,_,_,_,_,{{}})",
+    f"{ALL}{{no: {{}}}}": f"{ALL}(_,_,_,_,_,_,_,_,my_msgs__0__Empty)",
+    f"{ALL}{{point: {{}}, points: [{{}}]}}": f"{ALL}(_,_,_,_,_,_,{POINT}(_,_),[{POINT}(_,_)],_)",
     f"{ALL}{{stamp: [S, _], on: true}}": f"{ALL}(true,_,[S,_],_,_,_,_,_,_)",
     f"{POINT}{{x: - 1 + 2 * X}}": f"{POINT}(- 1 + 2 * X, _)",
     f"a <- {POINT}{{x: X}} seq {POINT}{{x: X}}": f"a <- {POINT}(X, _) seq {POINT}(X, _)",
@@ -183,8 +184,6 @@ def messages(draw):
             inner = draw(points)
             text = "{" + ", ".join(f"{slot}: {value}" for slot, value in inner.items()) + "}"
             plain[name] = f"{POINT}({inner.get('x', '_')},{inner.get('y', '_')})"
-            if not inner:
-                text = plain[name] = "P"
         else:
             text = plain[name] = draw(values)
         named.append(f"{name}: {text}")

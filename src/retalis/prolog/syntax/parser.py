@@ -72,13 +72,14 @@ class Parser(ByName):
 
     def _open_bracket(self, kind: str, at: int, start: int) -> None:
         closer = faults.CLOSER[kind]
+        if kind == "{" and self._open_inner(at, start):
+            return
         if self.tokens[at + 1][0] == closer:
             self.at = at + 2
             self._atom(kind + closer, start)
         elif kind == "{":
-            if not self._open_inner(at, start):
-                self.at = at + 1
-                self._push_group(at, start)
+            self.at = at + 1
+            self._push_group(at, start)
         else:
             self.at = at + 1
             self._push_bracket([self.argument_limit, LIST, at, self.table, [], [], False])
