@@ -56,7 +56,7 @@ USERS = (
 TESTED_ELSEWHERE = ("bench", "examples", "oracle", "fuzz", "interrupts", "faults")
 """Folders of tests that are no rooms: of other folders, and programs that look for errors."""
 
-ROS = {"genpy", "rosgraph", "roslib", "rospy", "rostopic", "std_msgs"}
+ROS = {"genpy", "rosgraph", "rosgraph_msgs", "roslib", "rospy", "rostopic", "std_msgs"}
 
 
 def test_rooms_are_those_of_the_order():

@@ -12,7 +12,7 @@ from retalis.engine import Engine, Settings, parts_of
 from retalis.engine.runtime import StreamClock
 from retalis.foundation import ProgramErrors, RetalisError, SyntaxFault, UsageError
 from retalis.prolog.machine import Limits, PrologError
-from retalis.prolog.terms import atom, deref, functor, timestamps
+from retalis.prolog.terms import SECOND, atom, deref, functor, make_list, timestamps
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 from watched import Watched  # noqa: E402
@@ -233,6 +233,27 @@ def test_time_that_goes_back_clears_what_was_remembered(caplog):
     assert [event for event, _, _ in engine.events if not event.startswith("memory_")] == ["a", "b"]
     assert engine.query("access_mem(m, _, _)") == []
     assert sum("time went back" in record.message for record in caplog.records) == 1
+
+
+def test_a_clock_that_is_moved_between_events_that_wait_parts_them():
+    clock = StreamClock(5 * SECOND)
+    engine = Engine(clock)
+    engine.load(rules="ab(X, Y) <- a(X) seq b(Y).", goals="memorize(a(X), [], X, seen, 10)")
+    happened = []
+    engine.on_event(lambda term, start, end: happened.append(engine.show(term)))
+
+    def busy(term, topic, name):
+        """Have events wait, and the clock go back between them."""
+        engine.post(functor("a", 1)(1), 6 * SECOND)
+        engine.advance(lambda: clock.move_to(SECOND, back=True))
+        engine.post(functor("a", 1)(2), 2 * SECOND)
+        engine.post(functor("b", 1)(2), 3 * SECOND)
+
+    engine.load(goals="subscribe(go, [], _, out, o)")
+    engine.on_output(busy)
+    engine.event("go", 5)
+    assert [one for one in happened if "memory" not in one] == ["go", "a(1)", "a(2)", "b(2)", "ab(2,2)"]
+    assert engine.query("findall(X, access_mem(seen, X, _), Xs)")[0]["Xs"] == make_list([2])
 
 
 def test_an_alarm_rings_when_its_time_has_come():

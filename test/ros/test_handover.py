@@ -222,3 +222,16 @@ def test_a_connection_that_has_ended_is_noticed_before_something_is_written_to_i
     assert handover.has_ended(link)
     assert handover.has_ended(SimpleNamespace(socket=None, done=True))
     assert not handover.has_ended(SimpleNamespace())
+
+
+def test_node_retalis_gets_first_what_it_has_to_know_of_all(outlet, reports):
+    it = Handover(outlet, 100, reports, lambda: 0, lambda: b"run ")
+    it.send(b"before", 1)
+    node, other = outlet.come(), outlet.come()
+    it.unknown()
+    it.settle(node, True)
+    it.settle(other, False)
+    it.send(b"after", 1)
+    assert node.got == [b"run before", b"after"]
+    assert other.got[-1] == b"after"
+    assert b"run " not in b"".join(other.got)

@@ -1,12 +1,14 @@
 """ROS time. Needs rospy, no master."""
 
+import threading
 import time
 
 import pytest
 
 rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 
-from retalis.ros import rostime  # noqa: E402
+from retalis.engine.runtime import Reports  # noqa: E402
+from retalis.ros import node, rostime  # noqa: E402
 
 
 @pytest.fixture
@@ -51,3 +53,54 @@ def test_receipts_are_all_different_and_start_anew_where_time_goes_back(monkeypa
         *(2 * second + more for more in (0, 1)),
         9 * second,
     ]
+
+
+def test_time_that_is_not_simulated_has_no_runs(monkeypatch):
+    monkeypatch.setattr(rostime, "is_wallclock", lambda: True)
+    simulated = rostime.SimulatedTime(Reports())
+    simulated.begin([], lambda end: None)
+    assert (simulated.runs, simulated.may_wait()) == (None, False)
+    assert abs(simulated.now() - time.time_ns()) < 10**9
+
+
+@pytest.fixture
+def clock(warnings, monkeypatch):
+    """Return simulated time, of which each run begins at once, with what sets it and notes where runs ended."""
+    ended, callbacks, begun = [], [], threading.Semaphore(0)
+    monkeypatch.setattr(rospy, "get_rostime", rospy.Time)
+    monkeypatch.setattr(rospy, "is_shutdown", lambda: False)
+    monkeypatch.setattr(rospy, "Subscriber", lambda topic, kind, callback: callbacks.append(callback))
+    simulated = rostime.SimulatedTime(Reports())
+
+    def note(end):
+        ended.append(end)
+        begun.release()
+
+    def move(seconds, back=False):
+        callbacks[0](rostime.ClockMessage(rospy.Time(seconds)))
+        assert not back or begun.acquire(timeout=10)
+
+    simulated.begin([threading.Lock()], note)
+    simulated.move, simulated.ended = move, ended
+    return simulated
+
+
+def test_a_run_begins_when_the_clock_goes_back(clock):
+    for seconds in (8, 9):
+        clock.move(seconds)
+    clock.move(2, back=True)
+    assert clock.ended == [9 * 10**9]
+    assert clock.now() == 2 * 10**9
+
+
+def test_the_time_of_an_engine_goes_back_when_it_is_told(clock, monkeypatch):
+    its = node.RosClock(clock.runs)
+    clock.move(9)
+    clock.move(2, back=True)
+    assert its.now() == 9 * 10**9
+    its.begin_run(clock.runs.run)
+    assert (its.now(), its.went_back()) == (2 * 10**9, True)
+    clock.move(0, back=True)
+    assert its.now() == 2 * 10**9
+    monkeypatch.setattr(node, "LONGEST_TURN", -1.0)  # nobody tells it
+    assert its.now() == 0

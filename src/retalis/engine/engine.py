@@ -213,14 +213,17 @@ class Engine(Holdings):
         """
         self._runner.post(self._text_input.take, text)
 
-    def advance(self) -> None:
+    def advance(self, move: Optional[Callable[[], object]] = None) -> None:
         """Do what has come due by the clock: alarms, and starting anew where it went back.
 
         >>> engine = Engine(StreamClock())
         >>> engine.clock.move_to(1_000_000_000)
         >>> engine.advance()
+
+        Args:
+            move: moves the clock first, when all that was posted before has been taken.
         """
-        self._runner.post(self._intake.watch_clock)
+        self._runner.post(self._intake.watch_clock, move)
 
     def call(self, goal: Union[str, Term]) -> bool:
         """Call a goal once; returns whether it has a solution.

@@ -95,8 +95,10 @@ class Intake:
             self.watch_clock()
         return now
 
-    def watch_clock(self) -> None:
-        """Start anew where time went back, and let alarms ring that are due."""
+    def watch_clock(self, move: Optional[Callable[[], object]] = None) -> None:
+        """Start anew where time went back, and let alarms ring that are due; ``move`` moves the clock first."""
+        if move is not None:
+            move()
         clock = self._clock
         if clock.went_back():
             log.warning("time went back: memories, waiting queries and partial matches are cleared")

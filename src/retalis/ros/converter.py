@@ -21,7 +21,7 @@ from .listing import Listing
 from .log import log_error
 from .names import INPUT, OUTPUT
 from .parameters import Parameters, direct_topics
-from .rostime import Receipts, ros_now
+from .rostime import Receipts, SimulatedTime
 from .running import run_node
 from .services import InterfaceServices
 from .texts import TextPublisher
@@ -40,11 +40,12 @@ class Converter:
 
     def __init__(self, parameters: Parameters):
         self._reports = reports = Reports()
-        skew = Skew(reports, ros_now, most=parameters.max_skew)
+        self._time = SimulatedTime(reports)
+        skew = Skew(reports, self._time.now, most=parameters.max_skew, may_wait=self._time.may_wait)
         rospy.on_shutdown(skew.sum_up)
         rospy.on_shutdown(reports.sum_up)
-        self._receipts = Receipts()
-        self._texts = TextPublisher(INPUT, parameters.queue, reports, self._receipts.runs)
+        self._receipts = Receipts(self._time.now)
+        self._texts = TextPublisher(INPUT, parameters.queue, reports, self._receipts.runs, self._time.runs)
         self._unread = UnreadArguments(self._texts.links, reports)
         self._reader = EventReader()
         self._interface = Interface(
@@ -56,8 +57,10 @@ class Converter:
             hold=HOLD,
             skew=skew,
             latched=self._latched_sender,
+            runs=self._time.runs,
         )
         self._texts.begin(self._interface.turn, self._interface.publishers)
+        self._time.begin([self._interface.turn], skew.begin_run, self._texts.begin_run)
         errors: List[str] = []
         try:
             topics = read_topics(parameters.program / TOPICS)

@@ -82,9 +82,18 @@ class Handover:
         queue: how many texts are held at most while node retalis is not there.
         reports: takes a warning of each text that is dropped.
         runs: tells how often time has gone back; what is held belongs to one run.
+        first: gives what node retalis gets first, framed as on the wire; nothing by default.
     """
 
-    def __init__(self, outlet: Outlet, queue: int, reports: Reports, runs: Callable[[], int]):
+    def __init__(
+        self,
+        outlet: Outlet,
+        queue: int,
+        reports: Reports,
+        runs: Callable[[], int],
+        first: Callable[[], bytes] = bytes,
+    ):
+        self._first = first
         self._outlet = outlet
         self._queue = queue
         self._reports = reports
@@ -171,9 +180,10 @@ class Handover:
             missed = [one for one in self._held if one.order > before]
         if known is not None:  # it has got what came since
             missed = [one for one in missed if is_engine and one.order <= before]
-        if missed:
+        first = self._first() if is_engine else b""
+        if missed or first:
             self._outlet.write(
-                [link], b"".join([one.frames for one in missed]), sum(one.number for one in missed)
+                [link], first + b"".join([one.frames for one in missed]), sum(one.number for one in missed)
             )
         if self._engines and not self._new:
             self._drop_held()

@@ -6,7 +6,7 @@ from typing import Any, Callable, ContextManager, Dict, Iterable, List, Optional
 
 import rospy
 
-from ..engine.runtime import Refused, Reports, Skew
+from ..engine.runtime import ClockRuns, Early, Refused, Reports, Skew
 from ..events.program import TopicType, topic_type
 from ..foundation import Cache, MessageError, RetalisError, UsageError, beginning, printable
 from ..messages import Decoder, Definitions
@@ -58,6 +58,7 @@ class Interface:
         hold: seconds for which a message may wait for the next ones, where they come fast.
         skew: looks at the stamps of messages.
         latched: gives what takes the messages of latched connections, where that is something else.
+        runs: holds messages of a run that has not begun.
 
     Attributes:
         turn: the lock under which messages are taken.
@@ -74,7 +75,9 @@ class Interface:
         hold: float = HOLD,
         skew: Optional[Skew] = None,
         latched: Optional[LatchedTaker] = None,
+        runs: Optional[ClockRuns] = None,
     ):
+        self._runs = runs
         self._taker = taker
         self._latched = None if latched is None else self._learning(latched)
         self._done = done
@@ -119,6 +122,7 @@ class Interface:
                 self._skew,
                 self._latched,
                 event,
+                self._runs,
             )
 
     def publishers(self) -> Set[Publisher]:
@@ -141,14 +145,23 @@ class Interface:
 
         return taker
 
-    def subscribe_texts(self, topic: str, take: Callable[[str], object]) -> None:
-        """Have the texts of one of the topics between the nodes taken."""
+    def subscribe_texts(
+        self, topic: str, take: Callable[[str], object], runs: Optional[ClockRuns] = None
+    ) -> ContextManager[object]:
+        """Have the texts of one of the topics between the nodes taken; return the lock under which they are.
+
+        Args:
+            topic: its name.
+            take: takes a text.
+            runs: holds the texts of a run that has not begun.
+        """
         name = rospy.resolve_name(topic)
-        taker = text_taker(take)
+        taker = text_taker(take, runs)
         turn = threading.Lock()
         self._texts.append(
             InputTopic(self._definitions, name, "std_msgs/String", taker, self._queue, turn, self._reports)
         )
+        return turn
 
     def leave(self, topics: Iterable[TopicType]) -> None:
         """Refuse topics that node retalis subscribes by itself, so that none enters twice."""
@@ -216,9 +229,11 @@ class InputTopic:
         skew: Optional[Skew] = None,
         latched: Optional[LatchedTaker] = None,
         event: str = "",
+        runs: Optional[ClockRuns] = None,
     ):
         self._latched = latched
         self._event = event
+        self._runs = runs
         self.kind = kind
         self._skew = skew
         self._reports = reports
@@ -275,30 +290,47 @@ class InputTopic:
             link = self._connected(header)
         return link[1]
 
-    def _one_by_one(self, take: Take, stamp: Callable[[bytes], Optional[int]]) -> TakeAll:
-        """Return what takes messages that were received together, and reports those that cannot be taken."""
-        turn, done, counts = self._turn, self._done, self.counts
+    def _one_by_one(self, take: Take, stamp: Callable[[bytes], Optional[int]], publisher: str) -> TakeAll:
+        """Return what takes messages that were received together, or has them held."""
+        turn, counts, runs = self._turn, self.counts, self._runs
+        take_them = self._reporting(take, publisher)
 
         def take_all(messages: List[bytes]) -> None:
             counts.note(len(messages))
             if counts.wanted:
                 counts.look(stamp, messages[-1])
             with turn:
-                for data in messages:
-                    try:
-                        take(data)
-                    except Refused:  # reported where it was seen
-                        counts.refused += 1
-                    except MessageError as error:
-                        counts.dropped += 1
-                        text = f"a message on {self._name} is dropped: {error}"
-                        self._reports.error(RetalisError(text), ("in", self._name))
-                    except Exception as error:  # one message must not end the connection
-                        counts.dropped += 1
-                        self._reports.error(error)
-                done()
+                if runs is not None and runs.holding and runs.holds(publisher):
+                    runs.keep(take_them, messages)
+                else:
+                    take_them(messages)
 
         return take_all
+
+    def _reporting(self, take: Take, publisher: str) -> TakeAll:
+        """Return what takes messages, and reports those that cannot be taken."""
+        done, counts = self._done, self.counts
+
+        def take_them(messages: List[bytes]) -> None:
+            for at, data in enumerate(messages):
+                try:
+                    take(data)
+                except Refused:  # reported where it was seen
+                    counts.refused += 1
+                except Early:
+                    if self._runs is not None:
+                        self._runs.keep_early(publisher, take_them, messages[at:])
+                        break
+                except MessageError as error:
+                    counts.dropped += 1
+                    text = f"a message on {self._name} is dropped: {error}"
+                    self._reports.error(RetalisError(text), ("in", self._name))
+                except Exception as error:  # one message must not end the connection
+                    counts.dropped += 1
+                    self._reports.error(error)
+            done()
+
+        return take_them
 
     def _connected(self, header: Dict[str, str]) -> _Link:
         """Note who takes the messages of a connection; its header is kept, so that its id stays its own."""
@@ -307,7 +339,7 @@ class InputTopic:
             stamp = decoder.stamp
             if self._skew is not None:
                 decoder = self._skew.watch(decoder, self._name, header.get("callerid", ""))
-            take = self._one_by_one(self._taker_of(header, decoder), stamp)
+            take = self._one_by_one(self._taker_of(header, decoder), stamp, header.get("callerid", ""))
         except Exception as error:  # rospy would try again at once, and forever
             if not isinstance(error, MessageError):
                 self._reports.error(error)

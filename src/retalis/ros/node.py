@@ -1,6 +1,7 @@
 """Node ``retalis``: the engine behind its services and topics."""
 
 import time
+from functools import partial
 from typing import Callable, Iterable, List, Optional, Tuple
 
 import rospy
@@ -8,7 +9,7 @@ from std_msgs.msg import String
 
 from ..engine import Engine, never_comes
 from ..engine.explaining import record_origins
-from ..engine.runtime import Alarm, Clock, Reports, Skew
+from ..engine.runtime import Alarm, Clock, ClockRuns, Reports, Skew
 from ..events.program import TOPICS, Topics, TopicType, read_topics
 from ..foundation import RetalisError
 from ..messages import Decoder, Definitions, Installed
@@ -28,7 +29,7 @@ from .names import INPUT, OUTPUT
 from .parameters import WATCHDOG, Parameters, direct_topics
 from .questions import Questions
 from .reloading import ReloadService
-from .rostime import ros_now
+from .rostime import SimulatedTime, ros_now
 from .running import run_node
 from .sending import Outlet
 from .services import EngineServices, InterfaceServices
@@ -36,15 +37,29 @@ from .textonly import TextOnly
 from .texts import text_frame
 from .unread import UnreadTeller
 
+LONGEST_TURN = 10.0
+"""Seconds after which an engine is in a run at the latest: a full queue may have dropped what would have told it."""
+
 
 class RosClock(Clock):
     """ROS time, simulated or not; wakes the engine when an alarm is due."""
 
-    def __init__(self) -> None:
-        super().__init__(ros_now)
+    def __init__(self, runs: Optional[ClockRuns] = None) -> None:
+        super().__init__(ros_now if runs is None else lambda: self._time_of_run(runs))
+        self._run = 0
         self.engine: Optional[Engine] = None
         self._timer: Optional[rospy.Timer] = None
         self._timer_for: Optional[int] = None
+
+    def _time_of_run(self, runs: ClockRuns) -> int:
+        """Return the time of the run that the engine is in: it may still have messages of the one before."""
+        if self._run != runs.run and time.monotonic() - runs.since > LONGEST_TURN:
+            self._run = runs.run
+        return runs.now(self._run)
+
+    def begin_run(self, run: int) -> None:
+        """Have the engine go on to another run."""
+        self._run = run
 
     def call_at(self, instant: int, alarm: Alarm) -> None:
         """Have ``alarm`` called when ROS time reaches an instant."""
@@ -87,11 +102,12 @@ class RetalisNode:
         self._parameters = parameters
         self._errors: List[str] = []
         self._doubts: List[str] = []
-        clock = RosClock()
-        definitions = Definitions(bare=parameters.bare)
         self._reports = Reports()
+        self._time = SimulatedTime(self._reports)
+        clock = RosClock(self._time.runs)
+        definitions = Definitions(bare=parameters.bare)
         self.engine = clock.engine = Engine(clock, parameters.settings, self._reports, definitions)
-        skew = Skew(self._reports, ros_now, most=parameters.max_skew)
+        skew = Skew(self._reports, self._time.now, most=parameters.max_skew, may_wait=self._time.may_wait)
         rospy.on_shutdown(skew.sum_up)
         rospy.on_shutdown(self._reports.sum_up)
         if parameters.explain:
@@ -99,7 +115,14 @@ class RetalisNode:
         self._load()
         topics = self._topics()
         self._texts = Outlet(OUTPUT, String, parameters.queue, self._reports)
-        self._interface = Interface(self._poster, parameters.queue, self._reports, definitions, skew=skew)
+        self._interface = Interface(
+            self._poster,
+            parameters.queue,
+            self._reports,
+            definitions,
+            skew=skew,
+            runs=self._time.runs,
+        )
         self._text_only = TextOnly((topic for topic, _ in topics.published), self._reports)
         self._look_through(topics)
         self.engine.on_output(self._send_text)
@@ -119,7 +142,8 @@ class RetalisNode:
             self.engine, parameters.program, parameters.settings.write_folders, topics, self._reloaded
         )
         Listing(self._interface.inputs, self.engine.status)
-        self._interface.subscribe_texts(INPUT, self.engine.post_text)
+        texts = self._interface.subscribe_texts(INPUT, self.engine.post_text, self._time.runs)
+        self._time.begin([self._interface.turn, texts], skew.begin_run, lambda end: self._begin_run(clock))
         rospy.loginfo("%s: %s", parameters.program, self.engine.summary())
         StartHints(self._interface.inputs, self._named(topics), clock=True)
         self._diagnostics = Diagnostics(
@@ -133,6 +157,11 @@ class RetalisNode:
             [*topics.subscribed, *direct],
             topics.events,
         )
+
+    def _begin_run(self, clock: RosClock) -> None:
+        """Have the engine start anew when it has taken what was posted so far."""
+        if self._time.runs is not None:
+            self.engine.advance(partial(clock.begin_run, self._time.runs.run))
 
     def _engine_health(self) -> Callable[[], List[Health]]:
         settings = self._parameters.settings

@@ -1,11 +1,14 @@
 """ROS time as integer nanoseconds."""
 
+import threading
 import time
+from typing import Callable, ContextManager, Optional, Sequence
 
 import rospy
+from rosgraph_msgs.msg import Clock as ClockMessage
 from rospy.rostime import is_wallclock
 
-from ..engine.runtime import Clock
+from ..engine.runtime import Clock, ClockRuns, Reports
 
 PATIENCE = 5.0
 """Seconds after which a clock that nobody has set is worth a warning."""
@@ -29,14 +32,62 @@ def ros_now() -> int:
     return now
 
 
+class SimulatedTime:
+    """ROS time, where it is simulated: all in the node see it go back at once, when a run begins (`ClockRuns`).
+
+    Attributes:
+        runs: the runs; None where time is not simulated.
+    """
+
+    def __init__(self, reports: Reports):
+        self._reports = reports
+        self._woken = threading.Event()
+        self._clock: Optional[rospy.Subscriber] = None
+        self.runs = None if is_wallclock() else ClockRuns(reports, ros_now, self._woken.set)
+
+    def now(self) -> int:
+        """Return the time of the run at hand."""
+        return ros_now() if self.runs is None else self.runs.now()
+
+    def may_wait(self) -> bool:
+        """Tell whether messages may wait for a run to begin."""
+        return self.runs is not None and self.runs.may_wait()
+
+    def begin(self, turns: Sequence[ContextManager[object]], *began: Callable[[int], object]) -> None:
+        """Follow ``/clock`` from now on; see `ClockRuns.begin`."""
+        runs = self.runs
+        if runs is None:
+            return
+        runs.begin(turns, *began)
+
+        def work() -> None:
+            wait: Optional[float] = None
+            while not rospy.is_shutdown():
+                self._woken.wait(wait)
+                self._woken.clear()
+                try:
+                    wait = runs.step()
+                except Exception as error:  # the next step does what this one has left
+                    self._reports.error(error)
+
+        threading.Thread(target=work, daemon=True, name="runs of /clock").start()
+        # rospy has subscribed it, too: this is called after it has set its time, in the same thread.
+        self._clock = rospy.Subscriber(
+            "/clock", ClockMessage, lambda message: runs.clock_at(message.clock.to_nsec())
+        )
+
+
 class Receipts:
     """Stamps what comes without a stamp as the engine does: no two alike, never going back but with time itself.
 
     Two messages that come while ``/clock`` stands still are one after the other then, whichever node stamps them.
+
+    Args:
+        now: the present; by default ROS time.
     """
 
-    def __init__(self) -> None:
-        self._clock = Clock(ros_now)
+    def __init__(self, now: Callable[[], int] = ros_now) -> None:
+        self._clock = Clock(now)
         self._runs = 0
 
     def stamp(self) -> int:

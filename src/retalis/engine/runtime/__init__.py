@@ -5,18 +5,21 @@ from .collector import relax
 from .recovery import EngineRecovery
 from .reports import Reports
 from .runner import Runner
-from .skew import Refused, Skew
+from .runs import ClockRuns
+from .skew import Early, Refused, Skew
 from .watchdog import Watchdog, at_work, watch
 
 __all__ = [
     "Alarm",
     "at_work",
     "Clock",
+    "Early",
     "EngineRecovery",
     "relax",
     "Refused",
     "Reports",
     "Runner",
+    "ClockRuns",
     "Skew",
     "StreamClock",
     "Watchdog",

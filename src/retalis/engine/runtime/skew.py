@@ -7,6 +7,7 @@ from typing import Callable, Dict, Iterator, List, Optional
 from ...foundation import Cache, beginning, printable
 from ...messages import Decoder, FrameStamp, frame_text, second_bytes, watched_stamp
 from ...prolog.terms import SECOND
+from .clock import JUMP
 from .reports import Reports
 
 FAR = 10 * SECOND
@@ -30,6 +31,10 @@ class Refused(Exception):
     """A message whose stamp is further away than the program allows; counted and reported already."""
 
 
+class Early(Exception):
+    """A message that may be of a run that the clock has not begun; see `ClockRuns`."""
+
+
 class FrameTime:
     """What is known of the stamps of one frame on one topic.
 
@@ -44,9 +49,26 @@ class FrameTime:
         other: the first of those in a row that are far from the last one and agree among themselves.
         agreeing: how many these are.
         told: whether somebody has been warned.
+        begun: the node's time of the first receipt.
+        least: the least by which stamps were ahead of it at their receipt; less than 0 where they were behind it.
+        most: the most by which they were.
     """
 
-    __slots__ = ("second", "stamp", "now", "wall", "progress", "pace", "since", "other", "agreeing", "told")
+    __slots__ = (
+        "second",
+        "stamp",
+        "now",
+        "wall",
+        "progress",
+        "pace",
+        "since",
+        "other",
+        "agreeing",
+        "told",
+        "begun",
+        "least",
+        "most",
+    )
 
     def __init__(self, stamp: int, now: int, wall: int, progress: int):
         self.second = _UNKNOWN
@@ -59,6 +81,8 @@ class FrameTime:
         self.other: Optional[FrameTime] = None
         self.agreeing = 0
         self.told = False
+        self.begun = now
+        self.least = self.most = stamp - now
 
     def distance(self, stamp: int, now: int, wall: int, progress: int) -> int:
         """Return how far a stamp is from the nearest one that could be expected, later ones as positive numbers.
@@ -82,6 +106,26 @@ class FrameTime:
         self.stamp, self.now, self.wall = stamp, now, wall
         self.second = _UNKNOWN if exact else second_bytes(stamp // SECOND)
         self.other, self.agreeing = None, 0
+        ahead = stamp - now
+        if ahead < self.least:
+            self.least = ahead
+        elif ahead > self.most:
+            self.most = ahead
+
+    def follows(self) -> bool:
+        """Tell whether the stamps went on as the node's time did, for as long as it takes to say so."""
+        passed = self.now - self.begun
+        return passed >= JUMP and self.most - self.least <= passed / 4
+
+    def is_early(self, stamp: int, now: int) -> bool:
+        """Tell whether a stamp goes back to where it fits an earlier time only."""
+        slack = JUMP + self.most - self.least
+        return stamp < self.stamp - JUMP and stamp - now < self.least - slack and self.follows()
+
+    def is_left_over(self, stamp: int, end: int, now: int) -> bool:
+        """Tell whether a stamp goes on where this run ended, at an instant, and is ahead of the present one."""
+        slack = JUMP + self.most - self.least
+        return stamp >= self.stamp and stamp - end <= self.most + slack < stamp - now and self.follows()
 
     def agree(self, stamp: int, now: int, wall: int, progress: int, most: int) -> bool:
         """Note a stamp that is far away; tell whether enough of them in a row agree."""
@@ -100,15 +144,17 @@ class TopicTimes(Cache[bytes, FrameTime]):
 
     Attributes:
         name: the topic's.
+        before: what was known of the run before, until a frame has begun again.
         far: how many messages had a stamp that was far away.
         refused: how many of them were not taken.
     """
 
-    __slots__ = ("name", "far", "refused")
+    __slots__ = ("name", "before", "far", "refused")
 
     def __init__(self, name: str):
         super().__init__(FRAMES, 4 << 20, 1 << 12)
         self.name = name
+        self.before: Dict[bytes, FrameTime] = {}
         self.far = self.refused = 0
 
 
@@ -123,6 +169,7 @@ class Skew:
         now: the present by the node's clock.
         wall: the present by a clock that nobody sets.
         most: seconds; a message whose stamp is further away is refused. None for no limit.
+        may_wait: tells whether messages may be `Early`.
     """
 
     def __init__(
@@ -131,6 +178,7 @@ class Skew:
         now: Callable[[], int],
         wall: Callable[[], int] = time.monotonic_ns,
         most: Optional[float] = None,
+        may_wait: Callable[[], bool] = lambda: False,
     ):
         self._reports = reports
         self._now = now
@@ -140,6 +188,8 @@ class Skew:
         self._exact = self._far < FAR
         self._topics: Dict[str, TopicTimes] = {}
         self._progress = 0
+        self._may_wait = may_wait
+        self._ended = 0
 
     def __iter__(self) -> Iterator[TopicTimes]:
         return iter(list(self._topics.values()))
@@ -147,7 +197,7 @@ class Skew:
     def watch(self, decoder: Decoder, topic: str, publisher: str = "") -> Decoder:
         """Return a decoder whose `Decoder.stamp` looks at all stamps of the message besides.
 
-        That raises `Refused` for a message that is not to be taken.
+        That raises `Refused` for a message that is not to be taken, and `Early` for one that is to wait.
 
         Args:
             decoder: of the messages' type.
@@ -166,8 +216,16 @@ class Skew:
         return watching
 
     def forget(self) -> None:
-        """Forget what was known: time went back."""
+        """Forget what was known: another stream begins."""
         for times in self:
+            times.before = {}
+            times.clear()
+
+    def begin_run(self, ended: int) -> None:
+        """Begin anew: time went back. What is left over of the run before, which ended at an instant, is refused."""
+        self._ended = ended
+        for times in self:
+            times.before = dict(times)
             times.clear()
 
     def sum_up(self) -> None:
@@ -183,14 +241,16 @@ class Skew:
         """Compare the stamps of a message with those before.
 
         Raises:
-            Refused: where one is further away than is allowed.
+            Refused: where one is further away than is allowed, or is of the run before.
+            Early: where one may be of the next run.
         """
         now, wall = self._now(), self._wall()
         farthest = 0
+        self._look_at_runs(times, found, now)
         for key, stamp in found:
             known = times.get(key)
             if known is None:
-                times.keep(key, FrameTime(stamp, now, wall, self._progress), 2 * len(key) + 400)
+                times.keep(key, FrameTime(stamp, now, wall, self._progress), 2 * len(key) + 500)
                 continue
             distance = stamp - known.stamp
             if abs(distance) > self._far:
@@ -210,6 +270,29 @@ class Skew:
             if self._most is not None and farthest > self._most:
                 times.refused += 1
                 raise Refused
+
+    def _look_at_runs(self, times: TopicTimes, found: List[FrameStamp], now: int) -> None:
+        """See whether a message is of another run than the one at hand.
+
+        Raises:
+            Refused: where it is of the run before.
+            Early: where it may be of the next one.
+        """
+        before = times.before
+        for key, stamp in found:
+            known = times.get(key)
+            if known is not None and known.is_early(stamp, now) and self._may_wait():
+                raise Early
+            last = before.get(key) if before else None
+            if last is None:
+                continue
+            if last.is_left_over(stamp, self._ended, now):
+                self._reports.warning(
+                    f"a message on {times.name} is dropped: it is of the time before the clock went back",
+                    ("left over", times.name),
+                )
+                raise Refused
+            del before[key]  # it has begun again
 
     def _warn(self, topic: str, known: FrameTime, key: bytes, distance: int, publisher: str) -> None:
         if known.told:

@@ -1,0 +1,105 @@
+#!/usr/bin/env python3
+"""Bags of the same seconds, while ``/clock`` and messages overtake each other: the poses of each are its own."""
+
+import sys
+import tempfile
+import time
+import unittest
+from pathlib import Path
+
+import rospy
+import rostest
+from rosgraph_msgs.msg import Clock
+
+sys.path.append(str(Path(__file__).resolve().parent))
+sys.path.append(str(Path(__file__).resolve().parents[2] / "examples" / "nao"))
+from harness import DEFINITIONS, Collector, RawPublisher, open_the_way, wait_until  # noqa: E402
+from make_bag import make_bag  # noqa: E402
+
+from retalis.engine.playback import BagReader, Playback  # noqa: E402
+
+PROGRAM = Path(__file__).resolve().parents[2] / "application_source"
+MARKERS = [f"marker{number}" for number in range(1, 9)]
+SECONDS = 4.0
+SPEED = 2.0
+LATE = 0.4
+"""Seconds of a bag that are sent before the clock goes back to its start."""
+
+LEFT_OVER = 40
+"""Messages of the run before that come after it."""
+
+
+class LateClock(unittest.TestCase):
+    def setUp(self):
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        self.bags = []
+        for seed in (3, 4):
+            path = Path(folder.name) / f"{seed}.bag"
+            make_bag(path, seconds=SECONDS, seed=seed)
+            with BagReader(path) as bag:
+                kinds = {topic.name: (topic.type, topic.definition) for topic in bag.topics}
+                records = [(one.time, one.topic.name, one.data) for one in bag.records()]
+                wanted = [(one.topic, one.data) for one in Playback(PROGRAM, report=self.fail).run(bag)]
+                self.bags.append((records, sorted(one for one in wanted if one[0] in MARKERS)))
+        self.clock = rospy.Publisher("/clock", Clock, queue_size=10)
+        self.markers = {name: Collector(name, rospy.AnyMsg) for name in MARKERS}
+        self.publishers = {name: RawPublisher(name, DEFINITIONS.add(*kind)) for name, kind in kinds.items()}
+        wait_until(lambda: all(one.connected() for one in self.publishers.values()), "the subscribers")
+        wait_until(
+            lambda: all(one.connected() for one in self.markers.values()), "the publishers of the markers"
+        )
+        open_the_way()
+
+    def test_poses_are_those_of_each_run(self):
+        (first, first_poses), (second, second_poses) = self.bags
+        self.assertNotEqual(first_poses, second_poses)
+        self.tick(first[0][0])
+        self.play(first)
+        self.expect(first_poses)
+        early = self.until(second, LATE)  # the clock comes late
+        self.play(second[:early], ticks=False)
+        self.play(second[early:])
+        self.expect(second_poses)
+        self.tick(first[0][0])  # the messages come late
+        time.sleep(0.1)
+        for _, topic, data in second[-LEFT_OVER:]:
+            self.publishers[topic].publish(data)
+        self.play(first)
+        self.expect(first_poses)
+
+    def tick(self, instant):
+        self.now = instant
+        self.clock.publish(Clock(rospy.Time(*divmod(instant, 10**9))))
+
+    @staticmethod
+    def until(records, seconds):
+        """Return how many messages a bag has up to a time."""
+        return sum(one[0] < records[0][0] + seconds * 1e9 for one in records)
+
+    def play(self, records, ticks=True):
+        """Publish messages at their times, as ``rosbag play --clock`` does."""
+        began = time.monotonic()
+        for instant, topic, data in records:
+            wait = (instant - records[0][0]) / 1e9 / SPEED - (time.monotonic() - began)
+            if wait > 0:
+                time.sleep(wait)
+            if ticks and abs(instant - self.now) > 10_000_000:
+                self.tick(instant)
+            self.publishers[topic].publish(data)
+
+    def expect(self, poses):
+        """Wait for poses, and see that these are all."""
+
+        def found():
+            return sorted((name, one._buff) for name, all_ in self.markers.items() for one in all_.messages)
+
+        wait_until(lambda: len(found()) >= len(poses), f"{len(poses)} poses")
+        self.assertEqual(found(), poses)
+        for one in self.markers.values():
+            one.messages.clear()
+
+
+if __name__ == "__main__":
+    rospy.init_node("late_clock", disable_rostime=True)
+    rostest.rosrun("retalis", "late_clock", LateClock)
