@@ -44,7 +44,17 @@ def built(tmp_path_factory):
     """
     there = tmp_path_factory.mktemp("built")
     sources = there / "sources"
-    for folder in ("src", "application_source", "examples", "launch", "msg", "srv", "nodes", "env-hooks"):
+    for folder in (
+        "src",
+        "application_source",
+        "docs",
+        "examples",
+        "launch",
+        "msg",
+        "srv",
+        "nodes",
+        "env-hooks",
+    ):
         shutil.copytree(
             ROOT / folder, sources / folder, ignore=shutil.ignore_patterns("__pycache__", "*.egg-info")
         )
@@ -113,6 +123,7 @@ def test_an_installation_is_a_command_with_the_example_and_completion(installed,
     command = installed / "bin" / "retalis"
     assert run(command, "--version", cwd=tmp_path) == "retalis 1.0.0\n"
     assert "4x4_1" in run(command, "demo", "--seconds", "3", cwd=tmp_path)
+    assert "lists one after the other" in run(command, "console", "--goal", "help(append)", cwd=tmp_path)
     script = (
         "source <(retalis complete bash);"
         'COMP_WORDS=(retalis ev); COMP_CWORD=1; _retalis_complete; echo "${COMPREPLY[@]}";'

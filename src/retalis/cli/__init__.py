@@ -9,7 +9,7 @@ from typing import List, Optional
 
 from ..foundation import RetalisError
 from . import bag, check, completion, console, demo, events, graph, live, msg, plot
-from .prompt import Lines, Terminal, read_clause
+from .prompt import LEAVE, Lines, Terminal, read_clause
 from .report import NobodyReads, leave
 from .tables import page, report
 from .version import ShowVersion
@@ -17,6 +17,7 @@ from .version import ShowVersion
 COMMANDS = (bag, check, console, demo, events, graph, live, msg, plot, completion)
 
 __all__ = [
+    "LEAVE",
     "Lines",
     "main",
     "page",

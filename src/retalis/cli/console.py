@@ -10,23 +10,28 @@ from typing import Callable, Dict, List, Optional, Union, cast
 
 from ..engine import Engine, Settings, parts_of
 from ..engine.runtime import Clock, Reports, relax
-from ..events.program import read_text
 from ..events.rules import event_of
 from ..foundation import ProgramErrors, RetalisError, RuleError, SyntaxFault
 from ..prolog.logic import Tracer
 from ..prolog.syntax import ReadTerm
 from ..prolog.terms import COMMA, Atom, String, Term, Var, deref, functor, list_items
 from .answers import bindings
+from .helping import CONSOLE, described, mentioned
 from .limits import add_limits, limited
 from .live import of_ros
+from .loadedfiles import LoadedFiles
 from .numbers import from_zero
-from .prompt import Lines, Terminal, read_clause
+from .prompt import LEAVE, Lines, Terminal, read_clause
 from .report import Report, to_reader
 
 _QUERY = frozenset((functor("?-", 1), functor(":-", 1)))
 _TRACE = functor("trace", 1)
 _CONSULT = functor("consult", 1)
-_LEAVE = ("halt", "end_of_file")
+_HELP = functor("help", 1)
+_APROPOS = functor("apropos", 1)
+
+MOST = 10
+"""Solutions shown where nobody is there to ask for more."""
 
 FREE = Settings(folders=None, write_folders=None)
 """Goals that are typed open files wherever their user could."""
@@ -34,9 +39,10 @@ FREE = Settings(folders=None, write_folders=None)
 DESCRIPTION = """\
 Load files and ask goals. Files hold event rules, clauses and directives; a folder is a program with
 goalPredicates.txt. A goal ends with a full stop; ";" asks for another solution, return for none. [FILE]. loads
-a file, [user]. reads clauses that are typed, trace(GOAL). (or trace, GOAL.) shows a goal's ports, ctrl-C ends a
-goal, halt. or ctrl-D the console. From a pipe, goals are read one after the other and all their solutions are
-printed.
+a file, or loads it again in place of what it said before; make. does so with all files that have changed.
+[user]. reads clauses that are typed, trace(GOAL). (or trace, GOAL.) shows a goal's ports, help. says more, ctrl-C
+ends a goal, quit. or ctrl-D the console. From a pipe, goals are read one after the other and the first of their
+solutions are printed.
 """
 
 
@@ -55,9 +61,9 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
     add(
         "--most",
         type=from_zero(int),
-        default=1000,
+        default=MOST,
         metavar="N",
-        help="solutions shown for a goal read from a pipe (1000)",
+        help=f"solutions shown for a goal read from a pipe ({MOST})",
     )
     add(
         "--node",
@@ -103,11 +109,12 @@ class Console:
         most: solutions shown where nobody is there to ask for more.
     """
 
-    def __init__(self, report: Report, settings: Optional[Settings] = None, most: int = 1000):
+    def __init__(self, report: Report, settings: Optional[Settings] = None, most: int = MOST):
         self.reports = Reports()
         self.engine = Engine(Clock(time.time_ns), FREE if settings is None else settings, self.reports)
         self._rules = parts_of(self.engine).rules
         self._rules.warn_singletons = True
+        self._files = LoadedFiles(self.engine)
         self.engine.on_output(to_reader(self._output))
         self.logic = parts_of(self.engine).logic
         self.logic.output = _show
@@ -121,12 +128,13 @@ class Console:
         return [key.name for key in self.logic.names()]
 
     def load(self, path: Path) -> bool:
-        """Load a file, or the program in a folder; report what is wrong. Return whether it was loaded."""
+        """Load a file, or the program in a folder; report what is wrong. Return whether it was loaded.
+
+        What was loaded before is taken back first, so that it is not there twice.
+        """
         try:
-            if path.is_dir():
-                self.engine.load_program(path)
-            else:
-                self.engine.load_rules(read_text(_found(path)), str(path), path.parent)
+            for line in self._files.load(_found(path)):
+                print(f"% {line}", flush=True)
         except ProgramErrors as errors:
             for error in errors.errors:
                 self._report(error)
@@ -157,7 +165,7 @@ class Console:
         goal = deref(read.term)
         if goal.__class__ is tuple and goal[0] in _QUERY:
             goal = deref(goal[1])
-        if goal.__class__ is Atom and goal.name in _LEAVE:
+        if goal.__class__ is Atom and goal.name in LEAVE and not self._defines(goal):
             return False
         self.engine.advance()
         if self._is_command(goal) or self._is_event(goal):
@@ -171,7 +179,9 @@ class Console:
         return True
 
     def _is_command(self, goal: Term) -> bool:
-        """Do what is for the console itself: lists of files, consult, trace and notrace."""
+        """Do what is for the console itself: help, make, lists of files, consult, trace and notrace."""
+        if self._is_own_command(goal):
+            return True
         if goal.__class__ is Atom and goal.name in ("trace", "notrace", "nodebug"):
             self._tracing = goal.name == "trace"
             print("true.")
@@ -187,6 +197,36 @@ class Console:
         loaded = [self._user() if name == "user" else self.load(Path(cast(str, name))) for name in names]
         print("true." if all(loaded) else "false.")
         return True
+
+    def _is_own_command(self, goal: Term) -> bool:
+        """Do what no Prolog has as a predicate, where the program has none of that name."""
+        if self._defines(goal):
+            return False
+        name = goal.name if goal.__class__ is Atom else ""
+        if name == "make":
+            print("true." if self._make() else "false.")
+            return True
+        asked = goal if goal.__class__ is tuple and goal[0] in (_HELP, _APROPOS) else None
+        word = None if asked is None else _text(asked[1])
+        if name == "help":
+            lines = [CONSOLE]
+        elif asked is None or word is None:
+            return False
+        else:
+            lines = (described if asked[0] is _HELP else mentioned)(word, map(str, self.logic.names()))
+        print("\n".join(lines or [f"% nothing is known of {word}"]))
+        return True
+
+    def _make(self) -> bool:
+        """Load again what has changed; tell whether all of it could be."""
+        loaded = [self.load(path) for path in self._files.changed()]
+        return all(loaded)
+
+    def _defines(self, goal: Term) -> bool:
+        """Tell whether the program defines the predicate that a goal calls."""
+        key = goal[0] if goal.__class__ is tuple else getattr(goal, "functor", None)
+        predicate = None if key is None else self.logic.database.predicates.get(key)
+        return predicate is not None and predicate.kind == "user" and not predicate.library
 
     def _is_event(self, goal: Term) -> bool:
         """Take ``event(E)`` and ``event(E,[T1,T2])`` as nodes do."""

@@ -13,6 +13,9 @@ from ..prolog.terms import Atom, Term
 
 HISTORY = Path.home() / ".retalis_history"
 
+LEAVE = ("halt", "quit", "exit", "end_of_file")
+"""What ends a top level."""
+
 _WORD = re.compile(r"[a-z]\w*\Z")
 
 Read = Union[ReadTerm, SyntaxFault]

@@ -90,6 +90,8 @@ class Engine(Holdings):
     def load_program(self, folder: Union[str, Path]) -> None:
         """Call the goals of ``goalPredicates.txt`` in a program's folder; they name the rule files.
 
+        Given a file in place of a folder, load that event file.
+
         >>> engine = Engine()
         >>> engine.load_program(folder)
 
@@ -106,7 +108,8 @@ class Engine(Holdings):
         Memories keep their records where their definition is the same, rules that say the same what waits in them.
         What was added since by others or at run time stays. The folder is loaded twice: first into another engine
         with these settings, so that errors leave this one untouched. So its goals are called twice, and what they do
-        outside of an engine is done twice. The limits of a request hold for each time.
+        outside of an engine is done twice. The limits of a request hold for each time. An event file in place of a
+        folder is loaded once, into this engine.
 
         >>> engine = Engine()
         >>> engine.load_program(folder)

@@ -56,7 +56,7 @@ def trial_settings(settings: Settings) -> Settings:
 
 
 def load_folder(engine: EngineCore, folder: Path) -> None:
-    """Load a program's folder, and note what that makes; see `Engine.load_program`."""
+    """Load a program's folder, or one event file, and note what that makes; see `Engine.load_program`."""
     programs, key = parts_of(engine).programs, _real(folder)
     before = standing_of(engine)
     try:
@@ -73,9 +73,13 @@ def _real(folder: Path) -> str:
 
 
 def _load(engine: EngineCore, folder: Path) -> None:
+    own_files = parts_of(engine).own_files
+    if folder.is_file():
+        own_files.load_rules(read_text(folder), str(folder), folder.parent)
+        return
     path = folder / GOALS
     parts_of(engine).slots.events = event_types(folder)
-    parts_of(engine).own_files.call_goals(read_text(path), str(path), folder)
+    own_files.call_goals(read_text(path), str(path), folder)
 
 
 def reload_folder(engine: EngineCore, folder: Path, new_engine: Callable[[], EngineCore]) -> List[str]:
@@ -83,7 +87,10 @@ def reload_folder(engine: EngineCore, folder: Path, new_engine: Callable[[], Eng
     parts, key = parts_of(engine), _real(folder)
     if parts.runner.thread == get_ident():
         raise UsageError("a goal or callback of an engine cannot have it read its program again")
-    tried = try_program(engine, new_engine(), parts.programs.get(key, NOTHING), folder)
+    if folder.is_file():  # it may need what other files say, so it is not tried alone
+        tried = standing_of(new_engine())
+    else:
+        tried = try_program(engine, new_engine(), parts.programs.get(key, NOTHING), folder)
 
     def work() -> List[str]:
         exchange = Exchange(engine, parts.programs.get(key, NOTHING), tried)

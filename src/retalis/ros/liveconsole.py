@@ -7,7 +7,7 @@ from typing import Union
 
 from retalis import srv
 
-from ..cli import Lines, Terminal, read_clause
+from ..cli import LEAVE, Lines, Terminal, read_clause
 from ..foundation import SyntaxFault, UsageError, printable
 from ..prolog.logic import Logic
 from ..prolog.syntax import ReadTerm, write_term
@@ -15,7 +15,6 @@ from ..prolog.terms import Atom, deref
 from .client import LiveNode, checked
 from .livecommands import lines_of
 
-_LEAVE = ("halt", "end_of_file")
 _MOST_AT_A_TERMINAL = 100
 
 
@@ -28,7 +27,7 @@ def run(options: argparse.Namespace) -> int:
         for goal in options.goal:
             console.goals(Lines(StringIO(goal if goal.rstrip().endswith(".") else f"{goal} .\n")))
     elif sys.stdin.isatty():
-        print(f"% {console.node.name}: goals end with a full stop; halt. or ctrl-D ends the console")
+        print(f"% {console.node.name}: goals end with a full stop; quit. or ctrl-D ends the console")
         console.goals(Terminal(list))
         return 0
     else:
@@ -64,7 +63,7 @@ class LiveConsole:
                     self._say(str(read))
                     continue
                 goal = deref(read.term)
-                if isinstance(goal, Atom) and goal.name in _LEAVE:
+                if isinstance(goal, Atom) and goal.name in LEAVE:
                     return
                 self._ask(read, lines)
             except UsageError as error:

@@ -1,0 +1,111 @@
+"""What the console has besides goals: files loaded again, make, help, apropos, and its ends."""
+
+import io
+import os
+
+import pytest
+
+from retalis.cli import main
+from retalis.cli.console import MOST, Console
+from retalis.cli.helping import CONSOLE, described, mentioned
+from retalis.cli.prompt import Lines
+from retalis.cli.report import Report
+
+
+@pytest.fixture
+def ask(capsys):
+    """Return a function that asks one console, time and again."""
+    console = Console(Report())
+
+    def ask(text):
+        console.goals(Lines(io.StringIO(text)))
+        return capsys.readouterr()
+
+    return ask
+
+
+def write(path, text, second):
+    """Write a file, with a time of its own: two changes may come within what the clock of files tells apart."""
+    path.write_text(text)
+    os.utime(path, (second, second))
+
+
+def test_a_file_that_is_loaded_again_replaces_what_it_said(tmp_path, ask):
+    path = tmp_path / "a.pl"
+    write(path, "p(1). p(2).\nout(X) <- in(X).\n:- memorize(out(_), [], _, m, 5).\n", 1)
+    assert ask(f"['{path}'].\nevent(in(7)).\n").out == "true.\ntrue.\n"
+    write(path, "p(3).\nout(X) <- in(X).\nother(X) <- in(X).\n:- memorize(out(_), [], _, m, 5).\n", 2)
+    found = ask(f"consult('{path}').\np(X).\nmemory_counter(m, N).\nevent(in(8)).\nmemory_counter(m, N).\n")
+    assert found.err == ""
+    assert f"% {path} again\n%   rules: 1 new, 0 gone, 1 kept\n" in found.out
+    assert found.out.endswith("true.\nX = 3.\nN = 1.\ntrue.\nN = 2.\n")
+
+
+def test_what_is_wrong_leaves_the_old_file_at_work(tmp_path, ask):
+    path = tmp_path / "a.pl"
+    write(path, "p(1).\n", 1)
+    ask(f"['{path}'].\n")
+    write(path, "p(2).\nq(.\n", 2)
+    found = ask("make.\np(X).\n")
+    assert found.out == "false.\nX = 1.\n"
+    assert f"{path}:2:3" in found.err
+    write(path, "p(3).\n", 3)
+    assert ask("make.\np(X).\n").out.endswith("true.\nX = 3.\n")
+
+
+def test_a_file_may_need_another_when_it_is_loaded_again(tmp_path, ask):
+    needed, needing = tmp_path / "a.pl", tmp_path / "b.pl"
+    write(needed, "p(1).\n", 1)
+    write(needing, ":- p(X), assertz(q(X)).\n", 1)
+    ask(f"['{needed}', '{needing}'].\n")
+    write(needing, ":- p(X), Y is X + 1, assertz(q(Y)).\n", 2)
+    found = ask("make.\nq(X).\nmake.\n")
+    assert found.err == "" and found.out.endswith("true.\nX = 2.\ntrue.\n")
+
+
+def test_make_sees_the_files_of_a_program(tmp_path, ask):
+    write(tmp_path / "goalPredicates.txt", "compile_event_file('rules.txt')\n", 1)
+    write(tmp_path / "rules.txt", "p(1).\n", 1)
+    assert ask(f"['{tmp_path}'].\np(X).\n").out == "true.\nX = 1.\n"
+    write(tmp_path / "rules.txt", "p(2).\n", 2)
+    assert ask("make.\np(X).\n").out.endswith("true.\nX = 2.\n")
+
+
+def test_what_the_program_defines_is_not_the_console_s(ask):
+    found = ask(
+        "[user].\nmake :- write(made).\nquit.\nhelp(X) :- X = mine.\nend_of_file.\nmake.\nhelp(X).\nquit.\n"
+    )
+    assert found.out == "true.\nmade\ntrue.\nX = mine.\ntrue.\n"
+
+
+@pytest.mark.parametrize("end", ["quit", "exit", "halt", "end_of_file"])
+def test_ends(ask, end):
+    assert ask(f"{end}.\nX = 1.\n").out == ""
+
+
+def test_a_pipe_gets_the_first_solutions_only(capsys, monkeypatch):
+    monkeypatch.setattr("sys.stdin", io.StringIO("between(1, inf, X).\n"))
+    assert main(["console"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == MOST + 1
+    assert lines[-2:] == [f"X = {MOST} .", "% there may be more (see --most)"]
+
+
+def test_help_says_what_there_is(ask):
+    assert ask("help.\n").out == CONSOLE + "\n"
+    assert ask("help(append).\n").out.splitlines()[:2] == [
+        "append(?Left, ?Right, ?Whole)",
+        "    lists one after the other",
+    ]
+    assert ask("help('append/2').\n").out.startswith("append(+Lists, ?Whole)\n")
+    assert ask("assertz(mine(1)).\nhelp(mine).\n").out == "true.\nmine/1\n"
+    assert ask("help(nothing_at_all).\n").out == "% nothing is known of nothing_at_all\n"
+
+
+def test_apropos_finds_names_and_descriptions(ask):
+    found = ask("assertz(my_quaternion(1)).\napropos(quaternion).\n").out.splitlines()
+    assert "mul_quaternion/5: product of two poses" in found
+    assert found[-1] == "my_quaternion/1"
+    assert described("|/2", []) == [":Goal ; :Goal\n    either"]
+    many = mentioned("a", [])
+    assert many[-1].startswith("% and ")
