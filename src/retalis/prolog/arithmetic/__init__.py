@@ -1,6 +1,6 @@
 """Arithmetic: the evaluable functions, and the evaluation of expressions."""
 
-from . import bits, functions  # noqa: F401  (they register evaluable functions)
+from . import bits, functions, rounding  # noqa: F401  (they register evaluable functions)
 from .evaluation import EVALUABLE, LARGEST, LEAST, Number, add, bounded, checked, evaluate, multiply, subtract
 
 __all__ = [
