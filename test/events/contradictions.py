@@ -35,6 +35,7 @@ KEPT = "`unrestricted` | all that fit, oldest first | nothing is used up, by any
 CLOCK = "remove partial matches older than the window by the rule's clock"
 STARTS = "`P starts Q` | s1 = s2 and e1 < e2; `P finishes Q` | e1 = e2 and s2 < s1"
 DATIME = "Month lengths, leap years, midnight and UTC are right in every datime predicate"
+SAME = "forms never matter: addition and subtraction take every form of a stamp, as comparisons do"
 
 TEN = "datime(2001,1,1,0,0,10.0,0)"
 TWENTY = "datime(2001,1,1,0,0,20.0,0)"
@@ -71,8 +72,16 @@ CONTRADICTED = {
     "dt_minus_sec": Contradiction(
         DATIME, answers={4: ["datime_minus_sec(datime(2001,3,1,0,0,0),1,datime(2001,2,28,23,59,59))"]}
     ),
+    "dt_minus_datime": Contradiction(
+        SAME,
+        answers={6: ["datime_minus_datime(datime(2001,1,1,0,0,10),datime(2001,1,1,0,0,4,0),6.0)"]},
+    ),
     "dt_plus_sec": Contradiction(
-        DATIME, answers={9: ["datime_plus_sec(datime(2001,1,1,0,0,10),-15,datime(2000,12,31,23,59,55))"]}
+        f"{DATIME}; {SAME}",
+        answers={
+            9: ["datime_plus_sec(datime(2001,1,1,0,0,10),-15,datime(2000,12,31,23,59,55))"],
+            10: ["datime_plus_sec(datime(2001,1,1,0,0,10,0),5,datime(2001,1,1,0,0,15,0))"],
+        },
     ),
     "during_numeric": Contradiction(
         "`P during Q` | s2 ≤ s1 and e1 ≤ e2",

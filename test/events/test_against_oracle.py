@@ -3,8 +3,10 @@
 The oracle (``test/oracle``) is an evaluator of its own; its README has the command for long runs.
 """
 
+import re
 from collections import Counter
 from dataclasses import replace
+from itertools import cycle
 from unittest.mock import patch
 
 import pytest
@@ -17,7 +19,8 @@ from oracle.strategies import cases, drawn_cases
 from oracle.text import stream, write_rule
 
 from retalis.events.matches import places, timeindex
-from retalis.prolog.terms import atom, functor
+from retalis.prolog.terms import SECOND, atom, functor
+from retalis.prolog.terms.timestamps import datime, datime6, to_term
 
 quick = settings(max_examples=60, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))
 
@@ -121,6 +124,30 @@ def test_shifted_in_time(case, seconds):
     shifted = of_engine(case, events=later)
     by = seconds * 10**9
     assert [(term, start - by, end - by) for term, start, end in shifted] == of_engine(case)
+
+
+def in_forms(stream):
+    """Return a stream with its stamps in one form after the other."""
+    forms = cycle((datime, to_term, datime6))
+    return [(term, *(next(forms)(round(stamp * SECOND)) for stamp in interval)) for term, *interval in stream]
+
+
+def as_numbers(fired):
+    """Return events with the stamps in their terms as numbers of seconds."""
+    stamp = re.compile(r"datime\(1970,1,1,0,(\d+),([\d.]+)(?:,0)?\)")
+    return [
+        (stamp.sub(lambda found: str(int(found[1]) * 60 + int(float(found[2]))), term), *interval)
+        for term, *interval in fired
+    ]
+
+
+@pytest.mark.slow
+@settings(quick, max_examples=25)
+@given(cases())
+def test_stamps_in_all_forms(case):
+    """What check does with t1 and t2 is the same for numbers and datimes."""
+    fired = of_engine(case, events=in_forms(case.stream))
+    assert as_numbers(fired) == [(term, *interval) for term, *interval in of_engine(case)]
 
 
 @pytest.mark.slow

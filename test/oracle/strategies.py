@@ -320,7 +320,10 @@ class Generator:
         """Draw a goal about t1 and t2."""
         start, end = Var(), Var()
         both = functor(",", 2)
-        test = functor(self.choice(["<", ">="]), 2)(functor("-", 2)(end, start), self.choice([1, 2, 4]))
+        if self.chance(25):
+            test = functor(self.choice(["<", "=:=", ">="]), 2)(*self.choice([(start, end), (end, start)]))
+        else:
+            test = functor(self.choice(["<", ">="]), 2)(functor("-", 2)(end, start), self.choice([1, 2, 4]))
         return both(functor("t1", 1)(start), both(functor("t2", 1)(end), test))
 
     # Rules, streams, cases.

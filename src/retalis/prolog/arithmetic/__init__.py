@@ -1,7 +1,20 @@
 """Arithmetic: the evaluable functions, and the evaluation of expressions."""
 
 from . import bits, functions, rounding  # noqa: F401  (they register evaluable functions)
-from .evaluation import EVALUABLE, LARGEST, LEAST, Number, add, bounded, checked, evaluate, multiply, subtract
+from .evaluation import (
+    EVALUABLE,
+    LARGEST,
+    LEAST,
+    Number,
+    add,
+    bounded,
+    checked,
+    evaluate,
+    measure,
+    multiply,
+    subtract,
+)
+from .instants import plain
 
 __all__ = [
     "add",
@@ -11,7 +24,9 @@ __all__ = [
     "evaluate",
     "LARGEST",
     "LEAST",
+    "measure",
     "multiply",
     "Number",
+    "plain",
     "subtract",
 ]

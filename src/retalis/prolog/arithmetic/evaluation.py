@@ -16,7 +16,23 @@ from ..machine import (
     resource_error,
     type_error,
 )
-from ..terms import CONS, MOST, NIL, Atom, CompoundTerm, Functor, Lazy, String, Term, Var, deref, functor
+from ..terms import (
+    CONS,
+    MOST,
+    NIL,
+    SECOND,
+    Atom,
+    CompoundTerm,
+    Functor,
+    Lazy,
+    String,
+    Term,
+    Var,
+    deref,
+    functor,
+    timestamps,
+)
+from .instants import WholeInstant, is_instant_number, of_instant, plain
 
 Number = Union[int, float]
 F = TypeVar("F", bound=Callable[..., Number])
@@ -45,7 +61,17 @@ def evaluable(name: str, arity: int) -> Callable[[F], F]:
 
 
 def evaluate(term: Any) -> Number:
-    """Return the value of an arithmetic expression.
+    """Return the value of an arithmetic expression, as a program sees it.
+
+    Raises:
+        PrologError: instantiation, type or evaluation errors.
+    """
+    value = measure(term)
+    return value if value.__class__ is int or value.__class__ is float else plain(value)
+
+
+def measure(term: Any) -> Number:
+    """Return the value of an arithmetic expression for subtraction or comparison: a stamp remembers its instant.
 
     Raises:
         PrologError: instantiation, type or evaluation errors.
@@ -94,7 +120,7 @@ def _evaluate_deep(term: Term) -> Number:
             values.append(item)
         elif kind is tuple:
             if item[0] is CONS:
-                values.append(_character(item))
+                values.append(_listed(item))
                 continue
             stack.append(_Apply(item[0]))
             if len(stack) > MOST:
@@ -122,16 +148,20 @@ class _Apply:
         return function(*operands)
 
 
-def _character(item: CompoundTerm) -> int:
-    """Return the code that a list of one character, or of its code, is."""
-    first = deref(item[1])
+def _listed(item: CompoundTerm) -> Number:
+    """Return the code that a list of one character, or of its code, is; a ROS time ``[Sec,NSec]`` is a stamp."""
+    first, rest = deref(item[1]), deref(item[2])
+    if first.__class__ is int and rest.__class__ is tuple and rest[0] is CONS and deref(rest[2]) is NIL:
+        part = deref(rest[1])
+        if part.__class__ is int and 0 <= part < SECOND:
+            return of_instant(timestamps.from_parts(first, part))
     if first.__class__ is Var:
         raise instantiation_error()
     code = first if first.__class__ is int and first >= 0 else None
     text = first.name if first.__class__ is Atom and first is not NIL else ""
     if len(text) != 1 and code is None:
         raise type_error("character", first)
-    if deref(item[2]) is not NIL:
+    if rest is not NIL:
         raise type_error("[]", item)
     return ord(text) if code is None else code
 
@@ -151,7 +181,9 @@ def _constant(item: Term) -> Number:
             return ord(item.text)
         raise type_error("[]", item)
     if item.__class__ is Lazy:
-        return evaluate(item.term())
+        return measure(item.term())
+    if is_instant_number(item):
+        return item  # type: ignore[return-value]
     raise type_error("evaluable", item)
 
 
@@ -167,7 +199,9 @@ def checked(value: Number) -> Number:
 def integer(value: Any) -> int:
     """Return an operand that has to be an integer."""
     if value.__class__ is not int:
-        raise type_error("integer", checked(value))
+        if value.__class__ is WholeInstant:
+            return int(value)
+        raise type_error("integer", plain(checked(value)))
     return value
 
 
@@ -206,21 +240,21 @@ def _to_float(value: Number) -> float:
 
 def add(left: Term, right: Term) -> Number:
     """Evaluate both sides and return their sum."""
-    left, right = evaluate(left), evaluate(right)
+    left, right = measure(left), measure(right)
     value = left + right
     return value if value - value == 0 else checked(value)
 
 
 def subtract(left: Term, right: Term) -> Number:
     """Evaluate both sides and return their difference."""
-    left, right = evaluate(left), evaluate(right)
+    left, right = measure(left), measure(right)
     value = left - right
     return value if value - value == 0 else checked(value)
 
 
 def multiply(left: Term, right: Term) -> Number:
     """Evaluate both sides and return their product."""
-    left, right = evaluate(left), evaluate(right)
+    left, right = measure(left), measure(right)
     value = left * right
     return value if LEAST < value < LARGEST else checked(value)
 

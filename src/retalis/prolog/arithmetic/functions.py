@@ -11,6 +11,7 @@ from ...foundation import UsageError
 from ..machine import domain_error, evaluation_error, resource_error
 from ..terms import Functor, functor, timestamps
 from .evaluation import EVALUABLE, HUGE, SLOW, Number, _to_float, checked, evaluable, integer, not_less
+from .instants import of_instant
 
 
 def _real(name: str, function: Callable[[float], float]) -> None:
@@ -197,11 +198,9 @@ def _seconds(key: Functor) -> Callable[..., Number]:
     def seconds(*fields: Number) -> Number:
         """Return the seconds since the epoch of a stamp, which is as good a number as the others that stamps are."""
         try:
-            instant = int(timestamps.from_term((key, *fields)))
+            return of_instant(timestamps.from_term((key, *fields)))
         except UsageError:
             raise domain_error("datime", (key, *fields)) from None
-        whole, rest = divmod(instant, timestamps.SECOND)
-        return timestamps.to_seconds(instant) if rest else whole
 
     return seconds
 

@@ -3,7 +3,7 @@
 from typing import Any, Callable, Dict
 
 from ...foundation import TermTooLarge, codegen, look
-from ..arithmetic import evaluate
+from ..arithmetic import measure, plain
 from ..compiler import COMPARISONS, ORDERS
 from ..machine import domain_error, instantiation_error, type_error
 from ..terms import (
@@ -102,8 +102,8 @@ def _order(test: str) -> Callable[[Machine, Term, Term], bool]:
 
 
 def _arithmetic(operator: str) -> Callable[[Machine, Term, Term], bool]:
-    lines = ["def made(machine, left, right):", f"    return evaluate(left) {operator} evaluate(right)"]
-    names = {"evaluate": evaluate}
+    lines = ["def made(machine, left, right):", f"    return measure(left) {operator} measure(right)"]
+    names = {"measure": measure}
     made: Callable[[Machine, Term, Term], bool] = codegen.function(lines, names, f"comparison {operator}")
     return made
 
@@ -117,7 +117,10 @@ for _key, _test in COMPARISONS.items():
 @deterministic("is/2")
 def is_value(machine: Machine, result: Term, expression: Term) -> bool:
     """Evaluate."""
-    return unify(result, evaluate(expression), machine.trail)
+    value = measure(expression)
+    if value.__class__ is not int and value.__class__ is not float:
+        value = plain(value)
+    return unify(result, value, machine.trail)
 
 
 @deterministic("succ/2")

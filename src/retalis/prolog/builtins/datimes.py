@@ -1,24 +1,24 @@
-"""Time stamps in programs: ``datime/7``, ``datime/6`` and numbers of seconds.
+"""Time stamps in programs: ``datime/7``, ``datime/6``, numbers of seconds, and ROS times ``[Sec,NSec]``.
 
 Comparisons are by the instant that a stamp names, whatever its form.
 """
 
-from typing import Callable, Optional
+from typing import Any, Callable, Tuple
 
 from ...foundation import UsageError
-from ..arithmetic import Number
-from ..machine import domain_error, instantiation_error, type_error
+from ..arithmetic import Number, checked
+from ..machine import domain_error, evaluation_error, instantiation_error, type_error
 from ..terms import (
     CONS,
     DATIME6,
     DATIME7,
     NIL,
     SECOND,
-    CompoundTerm,
     Lazy,
     Term,
     Var,
     deref,
+    make_list,
     timestamps,
     unify,
 )
@@ -38,13 +38,19 @@ def instant_of(term: Term) -> int:
     try:
         return timestamps.from_term(term)
     except UsageError:
-        if deref(term).__class__ is Var:
+        found = deref(term)
+        if found.__class__ is Var:
             raise instantiation_error() from None
+        if found.__class__ is not tuple or found[0] is not CONS:
+            raise type_error("datime", term) from None
+    try:
+        return timestamps.from_any(found)
+    except UsageError:
         raise type_error("datime", term) from None
 
 
 def _arity(term: Term) -> int:
-    """Return 7 or 6 for a datime, 0 for a number."""
+    """Return 7 or 6 for a datime, 2 for a ROS time, 0 for a number."""
     term = deref(term) if term.__class__ is not Lazy else term
     if term.__class__ is Lazy:
         return term.functor.arity
@@ -128,40 +134,48 @@ def is_datime(machine: Machine, term: Term) -> bool:
 
 @deterministic("datime_minus_datime/3")
 def datime_minus_datime(machine: Machine, later: Term, earlier: Term, seconds: Term) -> bool:
-    """Give the seconds between two stamps of one form: an integer for whole ``datime/6``, else a float."""
+    """Give the seconds between two stamps: for two numbers or two whole ``datime/6`` as these are, else a float."""
     later, earlier = deref(later), deref(earlier)
-    arity = _arity(later)
-    if arity != _arity(earlier):
-        return False
     distance = int(instant_of(later)) - int(instant_of(earlier))
     if isinstance(later, (int, float)) and isinstance(earlier, (int, float)):
         return unify(seconds, later - earlier, machine.trail)
     whole, rest = divmod(distance, SECOND)
-    value = whole if arity == 6 and not rest else whole + rest / SECOND
-    return unify(seconds, value if arity == 6 else float(value), machine.trail)
+    is_integer = _arity(later) == _arity(earlier) == 6 and not rest
+    return unify(seconds, whole if is_integer else distance / SECOND, machine.trail)
 
 
-def _moved(stamp: Term, seconds: Term, sign: int) -> Optional[CompoundTerm]:
-    """Return ``datime/6`` some seconds later; None for another form."""
-    stamp, seconds = deref(stamp), deref(seconds)
-    instant = instant_of(stamp)
+def _moved(stamp: Term, seconds: Term, sign: int) -> Term:
+    """Return a stamp some seconds later, in its own form."""
+    found: Any = deref(stamp)
+    seconds = deref(seconds)
+    instant = instant_of(found)
     if not isinstance(seconds, (int, float)):
         raise instantiation_error() if seconds.__class__ is Var else type_error("number", seconds)
-    if stamp.__class__ is not tuple or _arity(stamp) != 6:
-        return None
-    moved = int(instant) + sign * timestamps.from_seconds(seconds)
-    year, month, day, hour, minute, second, rest = timestamps.fields(moved)
+    if isinstance(found, (int, float)):
+        return checked(found + sign * seconds)
+    try:
+        moved = int(instant) + sign * timestamps.from_seconds(seconds)
+        fields = timestamps.fields(moved)
+    except UsageError:
+        raise evaluation_error("undefined") from None
+    arity = _arity(found)
+    if arity == 2:
+        return make_list(timestamps.to_parts(moved))
+    if arity == 6:
+        return _as_datime6(fields, deref(found[6]).__class__ is float or seconds.__class__ is float)
+    return timestamps.datime(moved) if deref(found[6]).__class__ is int else timestamps.to_term(moved)
+
+
+def _as_datime6(fields: Tuple[int, ...], is_float: bool) -> Term:
+    *whole, second, rest = fields
     exact: Number = second + rest / SECOND if rest else second
-    if deref(stamp[6]).__class__ is float or seconds.__class__ is float:
-        exact = float(exact)
-    return (DATIME6, year, month, day, hour, minute, exact)
+    return (DATIME6, *whole, float(exact) if is_float else exact)
 
 
 @deterministic("datime_plus_sec/3")
 def datime_plus_sec(machine: Machine, stamp: Term, seconds: Term, result: Term) -> bool:
-    """Add seconds to ``datime/6``; fails for other forms."""
-    moved = _moved(stamp, seconds, 1)
-    return moved is not None and unify(result, moved, machine.trail)
+    """Add seconds to a stamp of any form, and give one of the same form."""
+    return unify(result, _moved(stamp, seconds, 1), machine.trail)
 
 
 @deterministic("addSec_Datime/3")
@@ -172,9 +186,8 @@ def add_sec_datime(machine: Machine, seconds: Term, stamp: Term, result: Term) -
 
 @deterministic("datime_minus_sec/3")
 def datime_minus_sec(machine: Machine, stamp: Term, seconds: Term, result: Term) -> bool:
-    """Take seconds from ``datime/6``; fails for other forms."""
-    moved = _moved(stamp, seconds, -1)
-    return moved is not None and unify(result, moved, machine.trail)
+    """Take seconds from a stamp of any form, and give one of the same form."""
+    return unify(result, _moved(stamp, seconds, -1), machine.trail)
 
 
 @deterministic("current_datime/1")

@@ -3,7 +3,7 @@
 from typing import Optional
 
 from ..terms import Atom, Term, Var, deref, variables
-from .expressions import number
+from .expressions import number, number_of_program
 from .known import KnownFunction
 from .nodes import COMPARISONS, KNOWN_ARG, ORDERS, TYPE_TESTS, CallNode, GoalNode
 from .scope import Scope
@@ -61,7 +61,7 @@ def _unify_terms(scope: Scope, left: Term, right: Term) -> None:
 
 def _is(scope: Scope, node: CallNode) -> None:
     target = deref(node.args[0])
-    value, kind = number(scope, node.args[1])
+    value, kind = number_of_program(scope, node.args[1])
     if target.__class__ is Var and target not in scope.names:
         if target in variables(node.args[1]):
             scope.create(target)

@@ -3,7 +3,7 @@
 from typing import Tuple
 
 from ..arithmetic import EVALUABLE
-from ..terms import Atom, CompoundTerm, Functor, Term, Var, deref, functor
+from ..terms import Atom, CompoundTerm, Functor, Term, Var, deref, functor, timestamps
 from .scope import Scope
 
 _PLUS, _MINUS, _TIMES = functor("+", 2), functor("-", 2), functor("*", 2)
@@ -20,10 +20,19 @@ _INTEGRAL = {
 _FLOORED = {functor("mod", 2): "%", functor("div", 2): "//"}
 _FUNCTIONS_OF_INTEGERS = {*_INTEGRAL, *_BITS, functor("\\", 1), functor("gcd", 2), functor("msb", 1)}
 _TO_INTEGER = {functor(name, 1) for name in ("integer", "truncate", "round", "floor", "ceiling")}
+_GIVING_AN_OPERAND = {
+    *(functor(name, 1) for name in ("+", "eval", "rational", "rationalize")),
+    *(functor(name, 2) for name in ("max", "min")),
+    *(timestamps.DATIME6, timestamps.DATIME7),
+}
+"""Functions whose value may be a stamp that remembers its instant."""
 _DEEPEST = 30
 
 Operand = Tuple[str, str]
-"""A Python expression without side effects, and its class: "int", "float" or "num"."""
+"""A Python expression without side effects, and its class: "int", "float", "num" where it is one of these, or "any".
+
+The last is a number too, and may be a stamp's, which no term may be: see `arithmetic.instants`.
+"""
 
 
 def number(scope: Scope, expression: Term, depth: int = 0) -> Operand:
@@ -43,7 +52,19 @@ def number(scope: Scope, expression: Term, depth: int = 0) -> Operand:
             scope.line(f"{target} = {scope.unit.constant(EVALUABLE[expression.functor])}()")
             return target, "num"
     target = scope.temp()
-    scope.line(f"{target} = evaluate({scope.build(expression)})")
+    scope.line(f"{target} = measure({scope.build(expression)})")
+    return target, "any"
+
+
+def number_of_program(scope: Scope, expression: Term) -> Operand:
+    """Write the evaluation of an expression whose value becomes a term."""
+    value, kind = number(scope, expression)
+    if kind != "any":
+        return value, kind
+    target = scope.temp()
+    scope.line(
+        f"{target} = {value} if {value}.__class__ is int or {value}.__class__ is float else plain({value})"
+    )
     return target, "num"
 
 
@@ -55,15 +76,15 @@ def _variable(scope: Scope, var: Var) -> Operand:
     target = scope.temp("n")
     if scope.entry:
         scope.line(
-            f"{target} = {name} if {name}.__class__ is int or {name}.__class__ is float else evaluate({name})"
+            f"{target} = {name} if {name}.__class__ is int or {name}.__class__ is float else measure({name})"
         )
     else:
         # What a continuation gets is mostly a variable that the calls before have bound.
         scope.line(f"{target} = {name}.ref if {name}.__class__ is Var else {name}")
         scope.line(f"if {target}.__class__ is not int and {target}.__class__ is not float:")
-        scope.line(f"    {target} = evaluate({name})")
-    scope.numbers[var] = target, "num"
-    return target, "num"
+        scope.line(f"    {target} = measure({name})")
+    scope.numbers[var] = target, "any"
+    return target, "any"
 
 
 def _operation(scope: Scope, expression: CompoundTerm, depth: int) -> Operand:
@@ -84,6 +105,8 @@ def _operation(scope: Scope, expression: CompoundTerm, depth: int) -> Operand:
         scope.line(f"{target} = {operands[0][0]} {symbol} {operands[1][0]} if {test} else {call}")
     else:
         scope.line(f"{target} = {call}")
+    if key in _GIVING_AN_OPERAND:
+        return target, "any"
     return target, "int" if key in _FUNCTIONS_OF_INTEGERS or key in _TO_INTEGER else "num"
 
 
