@@ -35,6 +35,7 @@ def test_memories_that_are_read_and_not_there(tmp_path, rules, found):
         "a(X) <- b(X) where prev(X, _, 1, 2, 3).",
         "a <- b where (memorize(t(X), [], _, here, 5), access_mem(here, _, _)).",
         "a <- b where access_mem(odom_base, _, _). c :- next_inf(odom_base, _, 1, 2, 3).",
+        "a <- b where prev_matching(odom_base, t(1), _, _, 3). c :- newest_matching(odom_base, _, _, _).",
         "a(N) <- b(N) do memorize(t(X), [], _, N, 5). c <- d where access_mem(there, _, _).",
     ],
 )

@@ -23,6 +23,7 @@ _READS = frozenset(
     functor(name, arity)
     for name, arity in (
         *(("prev", 5), ("prev_binary", 5), ("next", 6), ("next_binary", 6), ("next_inf", 5)),
+        *(("newest_matching", 4), ("prev_matching", 5), ("next_inf_matching", 5), ("next_matching", 6)),
         *(("access_mem", 3), ("memory_size", 2), ("memory_counter", 2)),
     )
 )

@@ -21,6 +21,7 @@ _READS = frozenset(
         ("memory_size", 2),
         ("memory_counter", 2),
         ("memory_gap", 3),
+        *(("newest_matching", 4), ("prev_matching", 5), ("next_inf_matching", 5), ("next_matching", 6)),
     )
 )
 

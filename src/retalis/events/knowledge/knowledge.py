@@ -10,6 +10,7 @@ from ...prolog.terms import Atom, Term, Var, deref, functor
 from ..dispatch import Dispatcher
 from .conditions import Behind
 from .gaps import Gaps
+from .matching import define_matching
 from .memories import Memories, define_read_access, enumerate_records
 from .recorder import Instance
 from .recording import Warn, key_of
@@ -92,6 +93,7 @@ class Knowledge:
     def _define(self) -> None:
         logic = self._logic
         define_read_access(logic, self.memories)
+        define_matching(logic, self.memories)
         self.gaps.define(logic, self.memories)
         logic.define_nondeterministic("access_mem", 3, enumerate_records(self.memories))
         self._define_size("memory_size", attrgetter("memory.size"))

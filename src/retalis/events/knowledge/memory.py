@@ -1,7 +1,7 @@
 """One memory instance: the newest N records of a kind of event, in order of their end times."""
 
 from bisect import bisect_left, bisect_right
-from typing import Callable, Iterator, List, Optional, Tuple
+from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple
 
 from ...prolog.terms import Term
 
@@ -27,10 +27,11 @@ class Memory:
         ends: the ends of the records, as plain integers, which compare faster than other forms of instants;
             read-only outside of this package.
         records: the records, at the same places.
+        indices: where values of an argument stand among the records, by the argument's place; see `matching`.
         on_wide: called with the two ends where a look-up falls between records that may be unusually far apart.
     """
 
-    __slots__ = ("size", "room", "late", "ends", "records", "on_wide", "_gone", "_next")
+    __slots__ = ("size", "room", "late", "ends", "records", "indices", "on_wide", "_gone", "_next")
 
     def __init__(self, size: int):
         self.size = size
@@ -41,6 +42,7 @@ class Memory:
         """What it is becoming, where that takes several steps: an interrupt may come between them."""
         self.ends: List[int] = []
         self.records: List[MemoryRecord] = []
+        self.indices: Dict[int, Any] = {}
         self.on_wide: Callable[[int, int], object] = lambda start, end: None
 
     def clear(self) -> None:
@@ -49,6 +51,7 @@ class Memory:
 
     def _become(self, gone: int, ends: List[int], records: List[MemoryRecord]) -> None:
         self._next = gone, ends, records
+        self.indices = {}
         self._gone, self.ends, self.records = gone, ends, records
         self._next = None
 
@@ -118,6 +121,19 @@ class Memory:
         if (end - start) * (held + WIDE - 2) >= WIDE * (ends[-1] - ends[0]) and start < end:
             self.on_wide(start, end)  # at least ten times the mean of the other steps
         return self.records[at]
+
+    @property
+    def first(self) -> int:
+        """The place of the oldest record that counts."""
+        return max(0, len(self.ends) - self.size)
+
+    def after(self, instant: int) -> int:
+        """Return the place behind all records whose ends are not after ``instant``."""
+        return bisect_right(self.ends, instant, self.first)
+
+    def reaching(self, instant: int) -> int:
+        """Return the place of the first record whose end is not before ``instant``."""
+        return bisect_left(self.ends, instant, self.first)
 
     def newest_first(self) -> Iterator[MemoryRecord]:
         """Yield the records there are at this moment, newest first."""
