@@ -77,5 +77,11 @@ def test_nothing_is_said_of_the_program_without_them(tmp_path, definitions):
     assert said_of(tmp_path, definitions) == ""
 
 
+def test_a_stamp_is_a_number_of_arithmetic(tmp_path, definitions):
+    header = "sensor_msgs__0__Temperature(std_msgs__0__Header(_, T, _), _, _)"
+    write(tmp_path, rule=f"hit <- {header} check (t2(E), E - T > 0.5).")
+    assert said_of(tmp_path, definitions) == ""
+
+
 def test_nothing_is_said_of_the_example(definitions):
     assert said_of(ROOT / "application_source", definitions) == ""

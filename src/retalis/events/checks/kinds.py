@@ -96,7 +96,7 @@ def _in_goals(found: List[Inner], known: Dict[Var, SlotKind], names: Any) -> Ite
             if term.__class__ is tuple and (term[0] in _ARITHMETIC or term[0] in _SIGNS):
                 operands += [(term, number) for number in range(1, len(term))]
             kind = known.get(term) if term.__class__ is Var else None
-            if kind is not None and kind.what != "a number" and term not in said:
+            if kind is not None and kind.what in _ADVICE and term not in said:
                 said.add(term)
                 yield RuleError(
                     f"{_name(term, names)} is {kind.what} ({kind.slot}), not a number: {_ADVICE[kind.what]}",
@@ -107,9 +107,9 @@ def _in_goals(found: List[Inner], known: Dict[Var, SlotKind], names: Any) -> Ite
 _ADVICE = {
     "a text": "compare texts with == or \\==",
     "true or false": "write == true or == false",
-    "a stamp [Sec,NSec]": "take it apart, as in [Sec,NSec], or convert_to_datime/2",
     "a list": "take it apart, as with nth0/3 or sum_list/2",
 }
+"""What to do with a value that is no number; a stamp is one."""
 
 
 def _compared(inner: Inner, known: Dict[Var, SlotKind], names: Any) -> Iterator[RuleError]:
