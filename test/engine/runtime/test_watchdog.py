@@ -162,6 +162,10 @@ def test_goals_at_the_start_and_questions_are_named(caplog, tmp_path):
     engine.settings = engine.settings._replace(limit_start=True)
     assert engine.call("hold(2)")
     assert "hold/1 has taken" in caplog.text
+    caplog.clear()
+    assert engine.call("(hold(3), true), true")
+    assert "goal hold/1 is running; hold/1 has taken" in caplog.text
+    assert ",/2" not in caplog.text
 
 
 def test_what_cannot_be_named_is_ended_all_the_same(monkeypatch, caplog):

@@ -2,7 +2,7 @@
 
 import threading
 import time
-from typing import Callable, NamedTuple, Optional, Tuple
+from typing import Any, Callable, NamedTuple, Optional, Tuple
 from weakref import ref
 
 from ...events.dispatch import Dispatcher
@@ -10,13 +10,16 @@ from ...foundation import Place, RuleError, beginning
 from ...prolog.database import CompiledGoal
 from ...prolog.logic import Logic
 from ...prolog.machine import Budget, Turn
-from ...prolog.terms import Atom, deref
+from ...prolog.terms import COMMA, Atom, deref
 from .reports import Reports
 
 Warn = Callable[[float, object], None]
 
 _LOOKS = 5
 """Looks within the shortest of the times that matter."""
+
+_DEEPEST = 1000
+"""Conjunctions within another's first goal that are looked into."""
 
 _SHORTEST = 0.005
 _LONGEST = 0.5
@@ -151,14 +154,24 @@ def at_work(logic: Logic, dispatcher: Dispatcher, entry: object) -> AtWork:
         place = goal.place
         who = f"{goal.name}: goal {beginning(logic.show(goal.term))}"
     elif goal is not None:
-        who = f"goal {_name((goal,))}"
+        who = f"goal {_name((_first(goal),))}"
     term = current[0] if current.__class__ is tuple else getattr(current, "term", None)
     return AtWork(_name(entry), who, "" if term is None else _name((term,)), place)
 
 
+def _first(term: Any) -> Any:
+    """Return a term, or the first goal of a conjunction: a name of the conjunction says nothing."""
+    term = deref(term)
+    for _ in range(_DEEPEST):
+        if term.__class__ is not tuple or term[0] is not COMMA:
+            break
+        term = deref(term[1])
+    return term
+
+
 def _name(entry: object) -> str:
     """Name what came in: the functor of a term, the beginning of a text."""
-    what = deref(entry[0]) if isinstance(entry, tuple) and entry else None
+    what = _first(entry[0]) if isinstance(entry, tuple) and entry else None
     if isinstance(what, str):
         return beginning(what)
     if isinstance(what, Atom):
