@@ -8,6 +8,7 @@ import rospy
 
 from ..engine.runtime import relax
 from ..foundation import RetalisError
+from .backlog import widen_backlog
 from .interrupts import PAUSE, Interrupts
 from .log import forward_log
 from .master import MasterWatch, wait_for_master
@@ -43,6 +44,7 @@ def run_node(name: str, build: Callable[[Parameters], object]) -> int:
 def _live(name: str, build: Callable[[Parameters], object], interrupts: Interrupts) -> int:
     wait_for_master()
     rospy.init_node(name, disable_signals=True)
+    widen_backlog()
     forward_log(logging.getLogger("retalis"))
     try:
         parameters = read_parameters()
