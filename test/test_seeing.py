@@ -23,7 +23,7 @@ from make_bag import make_bag  # noqa: E402
 def test_the_commands_of_the_page_do_what_they_say(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     shutil.copytree(ROOT / "application_source", "application_source")
-    make_bag("nao.bag", 2.0, 1)
+    make_bag("nao.bag", 1.0, 1)
     assert COMMANDS
     for command in COMMANDS:
         words, _, file = command.partition(" > ")

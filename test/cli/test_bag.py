@@ -111,6 +111,7 @@ def test_outputs_have_the_time_of_the_bag_where_it_is_asked_for(bag, capsys):
     assert all(times)
 
 
+@pytest.mark.slow
 def test_a_part_of_a_bag_as_json_with_events_waits_and_memories(bag, capsys):
     asked = ["--json", "--events", "--start", "1", "--duration", "1"]
     explained = ["--explain", "face_by_marker(_,_,_)", "--explain", "never"]
@@ -127,12 +128,14 @@ def test_a_part_of_a_bag_as_json_with_events_waits_and_memories(bag, capsys):
     assert all(line["start"] <= line["end"] for line in lines if "wait" in line)
 
 
+@pytest.mark.slow
 def test_events_are_printed_beside_outputs(bag, capsys):
     assert main(["bag", str(bag), "--program", PROGRAM, "--events", "--duration", "0.5"]) == 0
     kinds = {line.partition("(")[0] for line in capsys.readouterr().out.splitlines()}
     assert kinds == {"event", "output"}
 
 
+@pytest.mark.slow
 def test_a_bag_is_replaced_only_where_that_is_asked_for(bag, tmp_path, capsys):
     written = tmp_path / "out.bag"
     arguments = ["bag", str(bag), "--program", PROGRAM, "--quiet", "--duration", "1"]

@@ -129,6 +129,4 @@ def test_a_bag_prints_the_events_that_a_program_shows(capsys, folder, tmp_path):
         bag.write(bag.add("/hot", definition), 10**9, bytes(16))
     (folder / "eventRules.txt").write_text("hot(X) <- my_robot__0__Heat(X, _).\nprint_trigger(hot/1).\n")
     assert main(["bag", str(tmp_path / "hot.bag"), "--program", str(folder)]) == 0
-    assert (
-        "event(hot(0.0),[datime(1970,1,1,0,0,1,0),datime(1970,1,1,0,0,1,0)])\n" in capsys.readouterr().err
-    )
+    assert "event(hot(0.0),[datime(1970,1,1,0,0,1,0),datime(1970,1,1,0,0,1,0)])\n" in capsys.readouterr().err

@@ -6,7 +6,7 @@ import sys
 import types
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as some
 
 from retalis import UsageError
@@ -83,6 +83,7 @@ def test_a_line_that_is_no_record_is_named(line, says):
 MARKS = some.lists(some.tuples(some.integers(0, 20), some.integers(0, 5)).map(lambda m: (m[0], sum(m), "")))
 
 
+@settings(max_examples=30)
 @given(MARKS.map(sorted))
 def test_marks_of_a_row_overlap_only_where_all_rows_are_taken(marks):
     rows = tracks(marks)
