@@ -170,7 +170,11 @@ def test_a_message_with_a_stamp_far_away_is_not_handed_on(monkeypatch):
     skew = Skew(reports, lambda: 0, lambda: 0, 60.0)
 
     def taker(decoder):
-        return lambda data: taken.append(decoder.stamp(data))
+        def take(data):
+            decoder.decode(data)
+            taken.append(decoder.stamp(data))
+
+        return take
 
     InputTopic(definitions, "/heat", kind.name, taker, 5, threading.Lock(), reports, skew=skew)
     header = {"type": kind.name, "md5sum": kind.md5sum, "callerid": "/thermometer"}

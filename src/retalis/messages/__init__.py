@@ -13,7 +13,7 @@ from .layout import BARE
 from .open import fault_of
 from .registry import Definitions
 from .slotnames import SlotNames
-from .stamps import FrameStamp, frame_text, second_bytes, watched_stamp
+from .stamps import FrameStamp, frame_text, watched
 from .templates import by_names, positional, zero
 
 __all__ = [
@@ -30,11 +30,10 @@ __all__ = [
     "functor_name",
     "Installed",
     "positional",
-    "second_bytes",
     "SlotNames",
     "text_without",
     "text_writer",
     "type_name",
-    "watched_stamp",
+    "watched",
     "zero",
 ]

@@ -6,6 +6,7 @@ then texts, then numbers, all texts are looked up at once by the bytes they make
 come again and again); so one transform costs two `struct` calls and one look-up.
 """
 
+from copy import copy
 from struct import Struct
 from struct import error as StructError
 from typing import Callable, Optional
@@ -14,7 +15,7 @@ from ..foundation import MessageError, codegen
 from ..prolog.terms import Lazy, Term, functor
 from .decode_code import DecoderSource
 from .definition import HEADER, Definition
-from .frame_code import FrameSource, Unsuited
+from .frame_code import FrameSource, Unsuited, Watch
 from .layout import BARE, check_bare, explain
 
 Decode = Callable[[bytes], Term]
@@ -39,15 +40,19 @@ class Decoder:
             are no such message.
         stamp: the function from the bytes to the time of ``header.stamp`` in nanoseconds; None for a zero
             stamp, and always for a type without a header.
+        watch: who looks at the stamps of the messages that `decode` reads; None for nobody.
+        plain: the same decoder with nobody who looks, where there is somebody; otherwise None.
     """
 
-    __slots__ = ("definition", "functor", "decode", "stamp")
+    __slots__ = ("definition", "functor", "decode", "stamp", "watch", "plain")
 
     def __init__(self, definition: Definition, bare: int = BARE):
         self.definition = definition
         self.functor = functor(definition.functor_name, len(definition.fields))
         self.decode: Decode = _compile_decode(definition, bare)
         self.stamp: Callable[[bytes], Optional[int]] = _compile_stamp(definition)
+        self.watch: Optional[Watch] = None
+        self.plain: Optional[Decoder] = None
 
     def lazy(self, data: bytes) -> Term:
         """Return the term of a message, decoded when something looks at it.
@@ -62,6 +67,25 @@ class Decoder:
         if not self.definition.fields:
             return self.decode(data)
         return Lazy(self.functor, self.decode, data)
+
+
+def watching_decoder(decoder: Decoder, watch: Watch) -> Decoder:
+    """Return a decoder that has somebody look at the stamps of the messages that it reads.
+
+    Raises:
+        Unsuited: where the type is not of the form for that.
+    """
+    plain = decoder.decode
+
+    def general(data: bytes) -> Term:
+        watch.look_all(data)
+        return plain(data)
+
+    found = copy(decoder)
+    found.decode = _compile_frames(decoder.definition, general, watch)
+    found.watch = watch
+    found.plain = decoder
+    return found
 
 
 def _compile_decode(definition: Definition, bare: int) -> Decode:
@@ -79,11 +103,15 @@ def _compile_decode(definition: Definition, bare: int) -> Decode:
     general: Decode = codegen.function(lines, code.names, f"decode {definition.name}", "decode")
     if definition.measure.may_be_bare:
         return _checked(definition, bare, general)
-    frames = FrameSource()
     try:
-        lines = frames.build(definition, general)
+        return _compile_frames(definition, general)
     except Unsuited:
         return general
+
+
+def _compile_frames(definition: Definition, general: Decode, watch: Optional[Watch] = None) -> Decode:
+    frames = FrameSource(watch)
+    lines = frames.build(definition, general)
     fast: Decode = codegen.function(lines, frames.names, f"decode {definition.name}", "decode")
     return fast
 

@@ -19,13 +19,14 @@ def text_writer(decoder: Decoder) -> Callable[[bytes], str]:
     """Return the function from the bytes of a message to the text of its event term.
 
     Messages that are numbers, then texts, then numbers are written by the text of their type with the values
-    put in; of others the term is made and written. The function raises `MessageError` as the decoder does.
+    put in; of others the term is made and written. The function raises `MessageError` as the decoder does, and has
+    stamps looked at where that does.
     """
 
     def general(data: bytes) -> str:
         return to_text(decoder.decode(data))
 
-    code = _TextSource()
+    code = _TextSource(decoder.watch)
     try:
         lines = code.build(decoder.definition, general)
     except Unsuited:

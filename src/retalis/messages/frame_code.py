@@ -1,10 +1,10 @@
 """Source of decoding functions for messages that are numbers, then texts, then numbers."""
 
 from struct import Struct
-from typing import Callable, List, Optional, Tuple
+from typing import Any, Callable, List, NamedTuple, Optional, Tuple
 
 from ..foundation import Cache
-from ..prolog.terms import Term
+from ..prolog.terms import SECOND, Term
 from .decode_code import DecoderSource
 from .definition import Definition, Field
 from .textcache import keep_text, read_texts, text_cache
@@ -14,14 +14,44 @@ class Unsuited(Exception):
     """The type is not numbers, texts, numbers."""
 
 
+class Watch(NamedTuple):
+    """Who looks at the stamps of messages while these are read: their frames are looked up then in any case.
+
+    Attributes:
+        texts: how many texts of a message name its frames, which have to be all that it has.
+        get: gives for the bytes of these texts what has the attribute ``second``, which is known; None for none.
+            What it gives no more has a negative one from then on.
+        look_all: looks at a message that is read in another way. What it raises comes out.
+        look: the same for a message of another second, of which the frames' bytes and the time are known.
+    """
+
+    texts: int
+    get: Callable[[bytes], Any]
+    look_all: Callable[[bytes], object]
+    look: Callable[[bytes, int], object]
+
+
+class _Nothing:
+    """What is known of frames that nobody has looked at."""
+
+    second = -1
+
+
+_NOTHING = _Nothing()
+
+
 class FrameSource(DecoderSource):
     """Source for types that are numbers, then texts, then numbers.
 
     An array of messages at the end is taken to have one element.
+
+    Args:
+        watch: looks at the stamps of messages that are read.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, watch: Optional[Watch] = None) -> None:
         super().__init__()
+        self.watch = watch
         self.texts: List[str] = []
         self.before: Tuple[str, List[str]] = ("", [])
         self.count: Optional[str] = None
@@ -61,7 +91,7 @@ class FrameSource(DecoderSource):
         raise Unsuited
 
     def build(self, definition: Definition, general: Callable[[bytes], object]) -> List[str]:
-        """Return the source of the whole function, which falls back on ``general``.
+        """Return the source of the whole function, which falls back on ``general``, which looks by itself.
 
         Raises:
             Unsuited: where the type is not of this shape.
@@ -75,36 +105,69 @@ class FrameSource(DecoderSource):
         result = self.finish(result)
         self.names.update(head=head.unpack_from, tail=tail.unpack_from, general=general)
         self._cache_texts()
-        key = f"data[{head.size}:{-tail.size if tail.size else ''}]"
         lines = ["def decode(data):", "  try:"]
         if self.before[1]:
             lines.append(f"    {', '.join(self.before[1])}, = head(data)")
         if self.count:
             lines.append(f"    if {self.count} != 1: return general(data)")
         lines += [
-            f"    k = known({key})",
+            f"    key = data[{head.size}:{-tail.size if tail.size else ''}]",
+            "    k = known(key)",
             "    if k is None:",
-            f"      k = learn({key})",
+            "      k = learn(key)",
             "      if k is None: return general(data)",
         ]
         if tail.size:
             lines.append(f"    {', '.join(self.targets)}, = tail(data, {-tail.size})")
         lines += ["  except StructError:", "    return general(data)"]
-        lines.append(f"  {', '.join(self.texts)}{'' if len(self.texts) == 1 else ','} = k")
+        found = list(self.texts)
+        if self.watch is not None:
+            found.append("f")
+        lines.append(f"  {', '.join(found)}{'' if len(found) == 1 else ','} = k")
+        if self.watch is not None:
+            lines += self._look(self.watch)
         return [*lines, f"  return {result}"]
+
+    def _look(self, watch: Watch) -> List[str]:
+        """Return the lines that have a message looked at whose second is not known of its frames.
+
+        Raises:
+            Unsuited: where the frames are not all texts, or no stamp stands where a header has it.
+        """
+        at = 2 if self.count else 1  # behind ``seq``
+        code, targets = self.before
+        if len(self.texts) != watch.texts or code[: at + 2] != "I" * (at + 2):
+            raise Unsuited
+        get, look_at = watch.get, watch.look
+
+        def look(key: bytes, second: int, nanosecond: int, known: List[object]) -> None:
+            """Have a message looked at, and keep what is known of its frames beside the texts."""
+            seen = get(key)
+            try:
+                if seen is None or seen.second != second:
+                    look_at(key, second * SECOND + nanosecond)
+                    seen = get(key)
+            finally:
+                known[-1] = seen or _NOTHING
+
+        self.names["look"] = look
+        second, nanosecond = targets[at : at + 2]
+        return [f"  if f.second != {second}: look(key, {second}, {nanosecond}, k)"]
 
     def _cache_texts(self) -> None:
         """Have ``known`` and ``learn`` give all texts of a message by the bytes that they make up."""
         cache: Cache[bytes, object] = text_cache()
         number = len(self.texts)
-        kept = self.kept
+        kept, watched = self.kept, self.watch is not None
 
         def learn(key: bytes) -> object:
             read = read_texts(key, number)
             if read is None:
                 return None
-            texts = tuple(kept(text) for text in read)
-            return keep_text(cache, key, texts if number > 1 else texts[0])
+            texts = [kept(text) for text in read]
+            if watched:
+                return keep_text(cache, key, [*texts, _NOTHING])
+            return keep_text(cache, key, tuple(texts) if number > 1 else texts[0])
 
         self.names.update(known=cache.get, learn=learn)
 

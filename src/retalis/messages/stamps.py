@@ -1,12 +1,14 @@
 """The stamps in the bytes of a message, each with the frame that it is of; cheap to look at for every message."""
 
+from copy import copy
 from struct import Struct
 from struct import error as StructError
 from typing import Any, Callable, List, Mapping, NamedTuple, Optional, Tuple
 
 from ..prolog.terms import SECOND
-from .decoding import Decoder
+from .decoding import Decoder, watching_decoder
 from .definition import HEADER, Definition, Field
+from .frame_code import Unsuited, Watch
 from .layout import element_end
 from .slots import VARIABLE
 
@@ -25,8 +27,6 @@ _CHILD = "child_frame_id"
 
 _header = Struct("<4xIII").unpack_from
 _number = Struct("<I").unpack_from
-second_bytes = Struct("<I").pack
-"""A second as it lies in a message: comparing bytes is cheaper than reading numbers."""
 
 
 def stamp_reader(definition: Definition) -> Optional[ReadStamps]:
@@ -50,61 +50,76 @@ def stamp_reader(definition: Definition) -> Optional[ReadStamps]:
     return read
 
 
-def watched_stamp(decoder: Decoder, known: Mapping[bytes, Any], look: Look) -> ReadStamp:
-    """Return what reads the time of a message's header, and hands stamps on that are not of a known second.
+def watched(decoder: Decoder, known: Mapping[bytes, Any], look: Look) -> Decoder:
+    """Return a decoder that hands on the stamps that are not of a known second.
+
+    It does so where it decodes a message if frames are looked up there anyhow, otherwise where it gives the time
+    of the message's header: whoever takes messages has to call both.
 
     Args:
         decoder: of the messages' type.
-        known: has for the bytes of a frame what has the attribute ``second``: the second that is known,
-            as `second_bytes`.
+        known: has for the bytes of a frame what has the attribute ``second``: the second that is known.
         look: takes all stamps of a message where one is of another second; what it raises comes out.
     """
     definition, stamp, get = decoder.definition, decoder.stamp, known.get
     read = stamp_reader(definition)
     if read is None:
-        return stamp
+        return decoder
     all_stamps: ReadStamps = read
 
-    def watched(data: bytes) -> Optional[int]:
+    def look_at(data: bytes) -> None:
         found = all_stamps(data)
         for key, instant in found:
             seen = get(key)
-            if seen is None or seen.second != second_bytes(instant // SECOND):
+            if seen is None or seen.second != instant // SECOND:
                 look(found)
                 break
+
+    def look_at_one(key: bytes, instant: int) -> None:
+        if instant:
+            look([(key, instant)])
+
+    try:
+        watch = Watch(_texts_of_frames(definition), get, look_at, look_at_one)
+        return watching_decoder(decoder, watch)
+    except Unsuited:
+        pass
+
+    def watched_stamp(data: bytes) -> Optional[int]:
+        look_at(data)
         return stamp(data)
 
-    rest = _bytes_behind(definition)
-    if rest is None:
-        return (
-            watched if len(_stamped_slots(definition)) > 1 or _has_child(definition) else _own(get, watched)
-        )
-
-    def watched_single(data: bytes) -> Optional[int]:
-        """Look at a list of one transform, of which most are: the bytes between its numbers are its frames.
-
-        Of a longer list they are more than the frames that they begin with, and are not known.
-        """
-        seen = get(data[16:rest])
-        if seen is not None and seen.second == data[8:12]:
-            return None
-        return watched(data)
-
-    return watched_single
+    watching = copy(decoder)
+    slots = _stamped_slots(definition)
+    single = len(slots) == 1 and slots[0].slot.length is None and not slots[0].has_child
+    watching.stamp = _own(get, watched_stamp) if single else watched_stamp
+    return watching
 
 
-def _own(get: Callable[[bytes], Any], watched: ReadStamp) -> ReadStamp:
+def _texts_of_frames(definition: Definition) -> int:
+    """Return how many texts are the frames of a message with one stamp, or of the only element of its only slot.
+
+    Raises:
+        Unsuited: for types of another form.
+    """
+    slots = _stamped_slots(definition)
+    if len(slots) > 1 or (slots[0].slot.length is not None and len(definition.fields) > 1):
+        raise Unsuited
+    return 2 if slots[0].has_child else 1
+
+
+def _own(get: Callable[[bytes], Any], rest: ReadStamp) -> ReadStamp:
     """Return the short way for messages whose only stamp is that of their header."""
 
     def watched_header(data: bytes) -> Optional[int]:
         try:
             second, nanosecond, size = _header(data)
         except StructError:
-            return watched(data)
+            return rest(data)
         seen = get(data[12 : 16 + size])
-        if seen is not None and seen.second == data[4:8]:
+        if seen is not None and seen.second == second:
             return second * SECOND + nanosecond or None
-        return watched(data)
+        return rest(data)
 
     return watched_header
 
@@ -172,14 +187,6 @@ def _fixed_rest(definition: Definition) -> Optional[int]:
     """Return how many bytes follow the frames; None where that differs."""
     rest = Definition(definition.name, definition.fields[2 if _has_child(definition) else 1 :]).measure
     return rest.least if rest.fixed else None
-
-
-def _bytes_behind(definition: Definition) -> Optional[int]:
-    """Return where the frames of the only element end, counted from the end; None for types of another form."""
-    slots = _stamped_slots(definition)
-    if len(definition.fields) != 1 or slots[0].slot.length != VARIABLE or not slots[0].rest:
-        return None
-    return -slots[0].rest
 
 
 def _walk(data: bytes, slots: List[_StampedSlot], found: List[FrameStamp]) -> None:

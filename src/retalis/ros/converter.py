@@ -101,8 +101,10 @@ class Converter:
     def _latched_sender(self, decoder: Decoder, publisher: Publisher) -> Take:
         """Return what sends the messages of a latched connection as text, and keeps the last one."""
         write, stamp, receipts = text_writer(decoder), decoder.stamp, self._receipts
+        write_again = text_writer(decoder.plain or decoder)  # which has been looked at
 
         def take(data: bytes) -> None:
+            text = write(data)
             stamped = stamp(data)
             instant = receipts.stamp() if stamped is None else stamped
             run = receipts.runs()
@@ -110,9 +112,9 @@ class Converter:
             def again() -> str:
                 """Return the text for a node that comes later, by the time of this run."""
                 same = stamped is not None or run == receipts.runs()
-                return event_text(write(data), instant if same else receipts.stamp())
+                return event_text(write_again(data), instant if same else receipts.stamp())
 
-            self._texts.add_latched(event_text(write(data), instant), publisher, again, len(data))
+            self._texts.add_latched(event_text(text, instant), publisher, again, len(data))
 
         return take
 

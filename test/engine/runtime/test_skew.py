@@ -38,9 +38,11 @@ class Bench:
         nanoseconds = round(stamp * SECOND)
         data = struct.pack("<IIII", 0, *divmod(nanoseconds, SECOND), len(frame)) + frame.encode()
         if (topic, publisher) not in self.watching:
-            self.watching[topic, publisher] = self.skew.watch(self.decoder, topic, publisher).stamp
+            self.watching[topic, publisher] = self.skew.watch(self.decoder, topic, publisher)
+        watching = self.watching[topic, publisher]
         try:
-            assert self.watching[topic, publisher](data) == (nanoseconds or None)
+            watching.decode(data)
+            assert watching.stamp(data) == (nanoseconds or None)
         except Refused:
             return False
         return True

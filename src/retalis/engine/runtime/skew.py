@@ -1,11 +1,10 @@
 """Stamps that are far from what their topic and frame had so far."""
 
 import time
-from copy import copy
 from typing import Callable, Dict, Iterator, List, Optional
 
 from ...foundation import Cache, beginning, printable
-from ...messages import Decoder, FrameStamp, frame_text, second_bytes, watched_stamp
+from ...messages import Decoder, FrameStamp, frame_text, watched
 from ...prolog.terms import SECOND
 from .clock import JUMP
 from .reports import Reports
@@ -24,7 +23,7 @@ FRAMES = 5000
 
 TOPICS = 1000
 
-_UNKNOWN = b""
+_UNKNOWN = -1
 
 
 class Refused(Exception):
@@ -39,7 +38,7 @@ class FrameTime:
     """What is known of the stamps of one frame on one topic.
 
     Attributes:
-        second: the second of the last stamp, by which most are known to fit; empty where each has to be looked at.
+        second: the second of the last stamp, by which most are known to fit; negative where each has to be looked at.
         stamp: the last stamp.
         now: the time of its receipt by the node's clock, which may be simulated.
         wall: the same by a clock that nobody sets.
@@ -104,7 +103,7 @@ class FrameTime:
             self.since = stamp, wall
         self.progress += stamp - self.stamp
         self.stamp, self.now, self.wall = stamp, now, wall
-        self.second = _UNKNOWN if exact else second_bytes(stamp // SECOND)
+        self.second = _UNKNOWN if exact else stamp // SECOND
         self.other, self.agreeing = None, 0
         ahead = stamp - now
         if ahead < self.least:
@@ -157,6 +156,12 @@ class TopicTimes(Cache[bytes, FrameTime]):
         self.before: Dict[bytes, FrameTime] = {}
         self.far = self.refused = 0
 
+    def clear(self) -> None:
+        """Forget all, also for those who hold what is known of a frame."""
+        for known in list(self.values()):
+            known.second = _UNKNOWN
+        super().clear()
+
 
 class Skew:
     """Looks at the stamps of messages: warns of those that are far from what their topic and frame had so far.
@@ -195,9 +200,9 @@ class Skew:
         return iter(list(self._topics.values()))
 
     def watch(self, decoder: Decoder, topic: str, publisher: str = "") -> Decoder:
-        """Return a decoder whose `Decoder.stamp` looks at all stamps of the message besides.
+        """Return a decoder that looks at all stamps of a message besides, where both its functions are called.
 
-        That raises `Refused` for a message that is not to be taken, and `Early` for one that is to wait.
+        One of them raises `Refused` for a message that is not to be taken, and `Early` for one that is to wait.
 
         Args:
             decoder: of the messages' type.
@@ -210,10 +215,7 @@ class Skew:
                 self._topics.clear()
             times = self._topics[topic] = TopicTimes(topic)
         known = times
-        stamp = watched_stamp(decoder, known, lambda found: self._look(known, publisher, found))
-        watching = copy(decoder)
-        watching.stamp = stamp
-        return watching
+        return watched(decoder, known, lambda found: self._look(known, publisher, found))
 
     def forget(self) -> None:
         """Forget what was known: another stream begins."""
@@ -252,10 +254,10 @@ class Skew:
             if known is None:
                 times.keep(key, FrameTime(stamp, now, wall, self._progress), 2 * len(key) + 500)
                 continue
-            distance = stamp - known.stamp
-            if abs(distance) > self._far:
+            far, distance = self._far, stamp - known.stamp
+            if not -far <= distance <= far:
                 distance = known.distance(stamp, now, wall, self._progress)
-            if abs(distance) > self._far:
+            if not -far <= distance <= far:
                 if not known.agree(stamp, now, wall, self._progress, self._far):
                     farthest = max(farthest, abs(distance))
                     self._warn(times.name, known, key, distance, publisher)
