@@ -57,6 +57,7 @@ class Node:
         def take(messages):
             for at, data in enumerate(messages):
                 try:
+                    decoder.decode(data)  # this looks, or the next
                     stamp = decoder.stamp(data)
                     self.taken.append(f"at {self.runs.now() / SECOND:g}" if stamp is None else stamp / SECOND)
                 except Refused:
