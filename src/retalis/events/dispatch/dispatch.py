@@ -26,7 +26,9 @@ class Dispatcher(Audience):
         current: what is being served, or None: a `Dispatch`, or what `event` makes one of where somebody asks:
             term, start and end of one, and what was being served before.
         mark: makes the token of an event; tracking replaces it.
-        cause: the rule and match whose goal is running, where that is tracked.
+        tracked: whether tokens tell what events came from.
+        cause: where that is tracked, the rule and match whose goal is running, or the token of the event that asked
+            the query that is answered.
         shortcuts: by the functor of an event, what can take the values of a rule's match in place of the event:
             takes the rule and the action that makes the event; gives an action and a lane for a rule of one event,
             or None where the rule's head does not allow it.
@@ -44,6 +46,7 @@ class Dispatcher(Audience):
         self.cause: Any = None
         self.shortcuts: Dict[Functor, Callable[[Any, EventAction], Optional[Tuple[EventAction, Lane]]]] = {}
         self.mark: Callable[[Dispatch], Any] = lambda event: next(self._tokens)
+        self.tracked = False
 
     def mend(self) -> None:
         """Make the plans anew and serve nothing, after an interrupt."""
@@ -268,6 +271,11 @@ class Dispatcher(Audience):
 
         self.cause = cause
         return over, (CAUSE_AGAIN, self, before, after)
+
+    def following(self, token: object, after: Frame) -> Frame:
+        """Have events know the one that they follow from by its token; return the frame that ends this."""
+        before, self.cause = self.cause, token
+        return CAUSE_AGAIN, self, before, after
 
     def undisturbed(self, work: Callable[[], Result]) -> Result:
         """Return what work returns; where it raises, what was being served before is being served again."""

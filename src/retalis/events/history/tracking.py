@@ -55,6 +55,7 @@ class Tracker:
         for listener in self.listeners:
             dispatcher.remove(listener)
         self.listeners = []
+        dispatcher.tracked = self._rules.mode.tracked
         if not self._rules.mode.tracked:
             dispatcher.mark = self._plain_mark
             self.clear()
@@ -88,7 +89,12 @@ class Tracker:
 
     def _mark(self, event: Dispatch) -> Occurrence:
         """Return the token of an event that has none: one from outside, or made by a goal."""
-        rule, match = event.cause or (None, None)
+        cause = event.cause
+        if cause.__class__ is Occurrence:  # the event of a query that has waited
+            released = Occurrence(event.term, event.start, event.end, None, None)
+            released.follows([cause])
+            return released
+        rule, match = cause or (None, None)
         occurrence = Occurrence(event.term, event.start, event.end, rule, match)
         known = [] if match is None else known_in(match)
         parent = event.parent

@@ -111,6 +111,28 @@ class Bell(Question):
         return after
 
 
+class Followed(Question):
+    """A question that waits, where it is kept what events came from: its event follows from the one that asked.
+
+    Args:
+        dispatcher: of the events.
+        asked: the question.
+        token: of the event that is being served while it begins to wait.
+    """
+
+    __slots__ = ("_asked", "_token")
+
+    def __init__(self, dispatcher: Dispatcher, asked: Question, token: object):
+        self._dispatcher = dispatcher
+        self._asked = asked
+        self._token = token
+        self.event = asked.event
+        self.ask = self._ask
+
+    def _ask(self, values: Values, start: int, end: int, after: Frame) -> Frame:
+        return self._asked.ask(values, start, end, self._dispatcher.following(self._token, after))
+
+
 def general_question(around: Surroundings) -> Question:
     """Return the question whose values are an event and a query, whatever they are."""
     event, query = Var(), Var()

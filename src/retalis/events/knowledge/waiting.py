@@ -11,7 +11,7 @@ from ..dispatch import Dispatcher, EventAction, Lane, Stage, stand_in
 from ..network import Rule
 from .conditions import Behind, behind, compile_conditions
 from .memories import Memories
-from .question import Bell, Question, Surroundings, compile_question, general_question, kind_of
+from .question import Bell, Followed, Question, Surroundings, compile_question, general_question, kind_of
 from .recorder import Instance
 from .recording import Warn
 from .timeouts import AlarmClock, Timeouts, timeout_of
@@ -122,7 +122,7 @@ class WaitingQueries:
             self._drop(event, error)
             return after
         if missing:
-            self._wait(self._general, (event, query), start, end, missing)
+            self._wait(self._followed(), (event, query), start, end, missing)
             return after
         return self._general.ask((event, query), start, end, after)
 
@@ -137,9 +137,16 @@ class WaitingQueries:
             return after
         if not missing:
             return self._general.ask((event, query), start, end, after)
-        order = self._wait(self._general, (event, query), start, end, missing)
+        order = self._wait(self._followed(), (event, query), start, end, missing)
         self.timeouts.add(order, end, wait)
         return after
+
+    def _followed(self) -> Question:
+        """Return the question of any event, whose answer follows from the event that is served if that is kept."""
+        dispatcher = self._dispatcher
+        return (
+            Followed(dispatcher, self._general, dispatcher.token()) if dispatcher.tracked else self._general
+        )
 
     def _give_up(self, order: int, instant: int) -> None:
         """Have a query wait no more, and an event tell of it."""
