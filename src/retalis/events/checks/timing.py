@@ -1,5 +1,6 @@
 """What is wrong with the times of rules: events that fire themselves, sides that never meet, windows."""
 
+from collections import Counter
 from itertools import combinations_with_replacement
 from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Set
 
@@ -41,10 +42,11 @@ class _Trigger(NamedTuple):
 
 def cycles(program: Overview) -> Iterator[RuleError]:
     """Yield the rules by which an event fires itself, at once and without end."""
-    steps = [step for rule in program.rules for step in _steps(rule)]
+    steps = _in_turn([step for rule in program.rules for step in _steps(rule)])
+    of_event = _by_event(steps)
     said: Set[int] = set()
     for at, step in enumerate(steps):
-        way = _way_back(steps, at)
+        way = None if at in said else _way_back(steps, of_event, at)
         if way is None or any(one in said for one in way):
             continue
         said.update(way)
@@ -80,14 +82,41 @@ def _alone(pattern: Pattern) -> Iterator[Term]:
         yield from _alone(pattern.pattern)
 
 
-def _way_back(steps: List[_Trigger], start: int) -> Optional[List[int]]:
+def _by_event(steps: List[_Trigger]) -> Dict[Optional[Functor], List[int]]:
+    """Return the places of the steps that events of a functor start."""
+    found: Dict[Optional[Functor], List[int]] = {}
+    for at, step in enumerate(steps):
+        found.setdefault(key_of(step.event), []).append(at)
+    return found
+
+
+def _in_turn(steps: List[_Trigger]) -> List[_Trigger]:
+    """Return the steps that may lead to themselves: without those whose event none of the others fires."""
+    makers = Counter(key_of(step.head) for step in steps)
+    of_event = _by_event(steps)
+    gone: Set[int] = set()
+    left = [key for key in of_event if not makers[key]]
+    while left:
+        for at in of_event.get(left.pop(), ()):
+            gone.add(at)
+            key = key_of(steps[at].head)
+            makers[key] -= 1
+            if not makers[key]:
+                left.append(key)
+    return [step for at, step in enumerate(steps) if at not in gone]
+
+
+def _way_back(
+    steps: List[_Trigger], of_event: Dict[Optional[Functor], List[int]], start: int
+) -> Optional[List[int]]:
     """Return the steps by which the event of a step leads to itself again, the shortest way; None for no way."""
     before: Dict[int, int] = {}
     level = [start]
     while level:
         following = []
         for at in level:
-            for other, step in enumerate(steps):
+            for other in of_event.get(key_of(steps[at].head), ()):
+                step = steps[other]
                 if other == start and _leads(steps[at], step):
                     way = [at]
                     while way[-1] != start:
@@ -101,8 +130,6 @@ def _way_back(steps: List[_Trigger], start: int) -> Optional[List[int]]:
 
 
 def _leads(one: _Trigger, other: _Trigger) -> bool:
-    if key_of(one.head) is not key_of(other.event):
-        return False
     trail: Trail = []
     fits = unify(copy(one.head), copy(other.event), trail)
     undo(trail, 0)
@@ -165,7 +192,6 @@ class _Instants:
 
     def __init__(self, program: Overview):
         self._program = program
-        self._open: Set[Functor] = set()
         self._rules: Dict[Functor, List[WrittenRule]] = {}
         self._goals: Set[Functor] = set()
         for rule in program.rules:
@@ -185,34 +211,66 @@ class _Instants:
                 elif key is None:
                     self._goals.add(_ANY)
 
+        self._known = self._fired_at_once()
+
     def holds(self, pattern: Pattern) -> bool:
         """Tell whether each match of a pattern is an instant."""
-        if isinstance(pattern, Occurs):
-            key = key_of(pattern.term)
-            return key is not None and self._event(key)
-        if isinstance(pattern, Either):
-            return all(self.holds(branch) for branch in pattern.branches)
-        if isinstance(pattern, (Condition, Within, Action)):
-            return self.holds(pattern.pattern)
-        return False
+        events = _single(pattern)
+        return events is not None and all(key in self._known or self._is_message(key) for key in events)
 
-    def _event(self, key: Functor) -> bool:
-        kind = self._program.type_of(key.name)
-        if kind is not None and key not in self._rules:
-            topics = (*self._program.topics.subscribed, *self._program.direct)
-            return any(one == kind for _, one in topics)
-        rules = self._rules.get(key, [])
-        if not rules or key in self._goals or _ANY in self._goals or key in self._open:
-            return False
-        self._open.add(key)
-        try:
-            return all(self._fired(rule) for rule in rules)
-        finally:
-            self._open.discard(key)
+    def _is_message(self, key: Functor) -> bool:
+        kind = None if key in self._rules else self._program.type_of(key.name)
+        topics = (*self._program.topics.subscribed, *self._program.direct)
+        return kind is not None and any(one == kind for _, one in topics)
 
-    def _fired(self, rule: WrittenRule) -> bool:
+    def _fired_at_once(self) -> Set[Functor]:
+        """Return the events of rules all of which have one event each, an instant; long chains of rules, too."""
+        missing: Dict[Functor, Set[Functor]] = {}
+        waiting: Dict[Functor, List[Functor]] = {}
+        for key, rules in self._rules.items():
+            needed = None if key in self._goals or _ANY in self._goals else _needed(rules)
+            if needed is not None:
+                missing[key] = {one for one in needed if not self._is_message(one)}
+                for one in missing[key]:
+                    waiting.setdefault(one, []).append(key)
+        known: Set[Functor] = set()
+        ready = [key for key, needed in missing.items() if not needed]
+        while ready:
+            found = ready.pop()
+            known.add(found)
+            for key in waiting.get(found, ()):
+                missing[key].discard(found)
+                if not missing[key]:
+                    ready.append(key)
+        return known
+
+
+def _needed(rules: List[WrittenRule]) -> Optional[Set[Functor]]:
+    """Return which events have to be instants for those of rules to be; None where these may not be in any case."""
+    found: Set[Functor] = set()
+    for rule in rules:
         head: Any = rule.definition.head
-        return made_by(head) is deref(head) and self.holds(rule.definition.pattern)
+        events = _single(rule.definition.pattern) if made_by(head) is deref(head) else None
+        if events is None:
+            return None
+        found.update(events)
+    return found
+
+
+def _single(pattern: Pattern) -> Optional[Set[Functor]]:
+    """Return the events of which one is a match of a pattern; None where it takes several, or any."""
+    found: Set[Functor] = set()
+    stack: List[Pattern] = [pattern]
+    while stack:
+        part = stack.pop()
+        key = key_of(part.term) if isinstance(part, Occurs) else None
+        if key is not None:
+            found.add(key)
+        elif isinstance(part, (Either, Condition, Within, Action)):
+            stack += children(part)
+        else:
+            return None
+    return found
 
 
 _ANY = functor("$any", 0)
