@@ -73,6 +73,10 @@ def test_a_long_run_is_thinned_over_its_whole_length():
         ('{"event": 1, "start": 1, "end": 1}', 'run.jsonl:2: expected a text as "event"'),
         ('{"event": "a", "start": "1", "end": 1}', 'run.jsonl:2: expected whole nanoseconds as "start"'),
         ('{"event": "a", "start": 1.5, "end": 2}', 'run.jsonl:2: expected whole nanoseconds as "start"'),
+        (
+            f'{{"event": "a", "start": 1, "end": 1{"0" * 400}}}',
+            "run.jsonl:2: expected nanoseconds since the epoch",
+        ),
     ],
 )
 def test_a_line_that_is_no_record_is_named(line, says):
@@ -105,6 +109,11 @@ def test_the_page_holds_the_run_and_no_text_of_it_is_markup():
     assert not re.search(r"(src|href)=|https?:|@import|url\(", text)
 
 
+def test_half_a_character_is_part_of_the_page():
+    run = of([{"event": "'\ud800'", "start": 0, "end": SECOND}])
+    assert "\\ud800" in page(run, "run").encode("utf-8").decode()
+
+
 def test_without_matplotlib_the_error_says_what_to_do(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
@@ -132,9 +141,11 @@ def test_what_matplotlib_is_asked_for(monkeypatch, tmp_path):
         vars(module).update(held)
         monkeypatch.setitem(sys.modules, f"matplotlib.{name}", module)
     monkeypatch.setitem(sys.modules, "matplotlib", types.ModuleType("matplotlib"))
-    draw_timeline(of(RUN), "a run", tmp_path / "run.png")
+    draw_timeline(of(RUN), "a run of $x_{$", tmp_path / "run.png")
     named = [arguments[0] for name, arguments in calls if name == "set_yticklabels"]
     assert named == [["Level", "a (b", "seen waits", "odom", "y", "z"], ["1", "1", "1", "4", "1", "1"]]
+    (title,) = [arguments[0] for name, arguments in calls if name == "set_title"]
+    assert title.startswith("a run of \\$x_{\\$\n")
     assert [arguments[0] for name, arguments in calls if name == "savefig"] == [tmp_path / "run.png"]
     bars = [arguments[0] for name, arguments in calls if name == "broken_barh"]
     assert bars == [[(0.0, 2.0)], [(1.0, 1.0)], [(1.0, 3.0)]]

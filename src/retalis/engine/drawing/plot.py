@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 from typing import Any, Dict, List
 
-from ...foundation import UsageError
+from ...foundation import UsageError, printable
 from ...prolog.terms import timestamps
 from .timeline import KINDS, Timeline, TimelineLane, tracks
 
@@ -29,9 +29,7 @@ def page(timeline: Timeline, title: str) -> str:
         "length": timeline.length,
         "lanes": [{**lane._asdict(), "marks": _marks(lane), "rows": _rows(lane)} for lane in timeline.lanes],
     }
-    held = json.dumps(told, ensure_ascii=False).replace(
-        "<", "\\u003c"
-    )  # no text ends the element that it is in
+    held = json.dumps(told).replace("<", "\\u003c")  # no text ends the element that it is in
     return _PAGE.read_text(encoding="utf-8").replace(_PLACE, f">{held}<", 1)
 
 
@@ -70,10 +68,10 @@ def draw_timeline(timeline: Timeline, title: str, path: Path) -> None:
         _draw_lane(axes, row, lane)
     axes.set_xlim(-0.01 * timeline.length, 1.01 * timeline.length or 1.0)
     axes.set_xlabel("seconds")
-    axes.set_title(f"{title}\n{_about(timeline)}", fontsize=10, loc="left")
+    axes.set_title(f"{_literal(title)}\n{_about(timeline)}", fontsize=10, loc="left")
     axes.grid(axis="x", color="#e1e5ea")
     axes.set_axisbelow(True)
-    _name_rows(axes, [lane.name for lane in lanes], fontsize=9)
+    _name_rows(axes, [_literal(lane.name) for lane in lanes], fontsize=9)
     _name_rows(axes.twinx(), [f"{lane.number:,}" for lane in lanes], fontsize=8, color="#5b6675")
     kinds = [kind for kind in KINDS if any(lane.kind == kind for lane in lanes)]
     patches = [Patch(color=_COLOURS[kind], label=_NAMES[kind]) for kind in kinds]
@@ -85,6 +83,11 @@ def draw_timeline(timeline: Timeline, title: str, path: Path) -> None:
         figure.savefig(path, dpi=110, bbox_inches="tight")
     except OSError as error:
         raise UsageError(f"cannot write {path}: {error.strerror}") from error
+
+
+def _literal(text: str) -> str:
+    """Return a text from outside as matplotlib shows it as it is: between two ``$`` it would read a formula."""
+    return printable(text).replace("$", "\\$")
 
 
 def _name_rows(axes: Any, names: List[str], **look: Any) -> None:

@@ -5,7 +5,7 @@ import re
 from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Tuple
 
 from ...foundation import UsageError, beginning
-from ...prolog.terms import SECOND
+from ...prolog.terms import SECOND, timestamps
 
 MOST_LANES = 60
 """Lanes of one kind; what belongs to further ones is counted."""
@@ -225,6 +225,8 @@ def _instant(line: Dict[str, Any], name: str) -> int:
     found = line.get(name)
     if not isinstance(found, int) or isinstance(found, bool):
         raise UsageError(f'expected whole nanoseconds as "{name}"')
+    if not timestamps.in_range(found):
+        raise UsageError(f'expected nanoseconds since the epoch, in the years 1 to 9999, as "{name}"')
     return found
 
 
