@@ -4,7 +4,7 @@ import pytest
 
 from retalis.foundation import MessageError
 from retalis.messages import Definitions, Installed
-from retalis.prolog.terms import CONS, NIL, Lazy, String, Var, atom, functor, make_list
+from retalis.prolog.terms import CONS, NIL, Lazy, String, Var, atom, functor, make_list, timestamps
 
 STAMPED = """\
 Header header
@@ -100,6 +100,9 @@ def test_floats():
 def test_times():
     assert one("time", make_list([2**32 - 1, 0])) == struct.pack("<II", 2**32 - 1, 0)
     assert one("duration", make_list([-1, 500])) == struct.pack("<ii", -1, 500)
+    assert one("time", timestamps.datime(10**18 + 5)) == struct.pack("<II", 10**9, 5)
+    assert one("time", timestamps.datime6(10**18)) == struct.pack("<II", 10**9, 0)
+    assert one("time[]", make_list([timestamps.shown(7)])) == struct.pack("<III", 1, 0, 7)
 
 
 def test_arrays():
@@ -153,6 +156,12 @@ def test_a_type_without_slots():
         ("time", make_list([1]), "slot x: expected time as [Sec,NSec], got a list of 1"),
         ("time", make_list([-1, 0]), "slot x: expected time as [Sec,NSec], Sec from 0 to 4294967295, got -1"),
         ("duration", make_list([1, 2.5]), "slot x: expected duration as [Sec,NSec], got a list of 2"),
+        (
+            "time",
+            timestamps.datime(-1),
+            "slot x: expected time as [Sec,NSec], Sec from 0 to 4294967295, got -1",
+        ),
+        ("duration", timestamps.datime(5), "slot x: expected duration as [Sec,NSec], got datime/7"),
         ("time", 5, "slot x: expected time as [Sec,NSec], got 5"),
         ("float64[3]", make_list([1.0]), "slot x: expected 3 elements (float64[3]), got 1"),
         ("float64[9]", make_list([1.0]), "slot x: expected 9 elements (float64[9]), got 1"),

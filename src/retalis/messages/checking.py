@@ -5,7 +5,21 @@ from struct import pack
 from typing import Callable, Dict, List
 
 from ..foundation import MessageError
-from ..prolog.terms import FALSE, NIL, TRUE, Atom, Functor, Term, Var, atom, deref, functor, list_items
+from ..prolog.terms import (
+    FALSE,
+    NIL,
+    TRUE,
+    Atom,
+    Functor,
+    Term,
+    Var,
+    atom,
+    deref,
+    functor,
+    list_items,
+    make_list,
+    timestamps,
+)
 from ..prolog.terms import String as PrologString
 from .definition import Definition, Field
 from .parsing import integer_range
@@ -139,6 +153,10 @@ def _string(kind: str, value: Term, path: str) -> bytes:
 
 
 def _time(kind: str, value: Term, path: str) -> bytes:
+    if (
+        kind == "time" and value.__class__ is tuple and timestamps.is_instant(value)
+    ):  # a datime, as `t2` gives it
+        value = make_list(timestamps.to_parts(timestamps.from_term(value)))
     items = [deref(part) for part in list_items(value) or ()]
     parts = [part for part in items if isinstance(part, int)]
     if len(items) != 2 or len(parts) != 2:
