@@ -5,7 +5,7 @@ import os
 
 import pytest
 
-from retalis.cli import main
+from retalis.cli import helping, main
 from retalis.cli.console import MOST, Console
 from retalis.cli.helping import CONSOLE, described, mentioned
 from retalis.cli.prompt import Lines
@@ -100,6 +100,15 @@ def test_help_says_what_there_is(ask):
     assert ask("help('append/2').\n").out.startswith("append(+Lists, ?Whole)\n")
     assert ask("assertz(mine(1)).\nhelp(mine).\n").out == "true.\nmine/1\n"
     assert ask("help(nothing_at_all).\n").out == "% nothing is known of nothing_at_all\n"
+
+
+def test_the_console_goes_on_where_the_page_of_predicates_is_missing(ask, monkeypatch):
+    monkeypatch.setattr(helping, "PAGE", "docs/no_such_page.md")
+    found = ask("help(append).\napropos(append).\nX = 1.\n")
+    assert found.out == "X = 1.\n"
+    assert (
+        found.err.count("docs/no_such_page.md is neither in the source tree nor in an installed package") == 2
+    )
 
 
 def test_apropos_finds_names_and_descriptions(ask):

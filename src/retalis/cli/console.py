@@ -11,7 +11,7 @@ from typing import Callable, Dict, List, Optional, Union, cast
 from ..engine import Engine, Settings, parts_of
 from ..engine.runtime import Clock, Reports, relax
 from ..events.rules import event_of
-from ..foundation import ProgramErrors, RetalisError, RuleError, SyntaxFault
+from ..foundation import ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
 from ..prolog.logic import Tracer
 from ..prolog.syntax import ReadTerm
 from ..prolog.terms import COMMA, Atom, String, Term, Var, deref, functor, list_items
@@ -213,7 +213,11 @@ class Console:
         elif asked is None or word is None:
             return False
         else:
-            lines = (described if asked[0] is _HELP else mentioned)(word, map(str, self.logic.names()))
+            try:
+                lines = (described if asked[0] is _HELP else mentioned)(word, map(str, self.logic.names()))
+            except UsageError as error:  # the page of predicates was not copied with the package
+                self._report(error)
+                return True
         print("\n".join(lines or [f"% nothing is known of {word}"]))
         return True
 
