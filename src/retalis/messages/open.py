@@ -16,15 +16,22 @@ _DEFAULTS: Dict[str, Term] = {
 }
 _SECONDS = Field("", "uint32")
 
+LARGEST = 1 << 20
+"""Bytes that a message may have at least for its terms to be looked at: values are made of all that is left open."""
+
 
 def fault_of(definition: Definition, term: Term, topic: str = "") -> Optional[str]:
     """Return why a term is no message of a type, whatever its variables are; None where it may be one.
+
+    Nothing is found in types whose messages are larger than `LARGEST` whatever they hold.
 
     Args:
         definition: the type.
         term: the term.
         topic: is named in the answer.
     """
+    if definition.measure.least > LARGEST:
+        return None
     try:
         CheckingEncoder(definition).encode(_filled(definition, term), topic)
     except MessageError as error:

@@ -2,7 +2,9 @@
 
 import threading
 from difflib import get_close_matches
+from http.client import HTTPException
 from typing import Callable, Iterable, Iterator, List
+from xmlrpc.client import Error
 
 import rosgraph
 import rospy
@@ -62,7 +64,12 @@ class StartHints:
             return
         try:
             found = rosgraph.Master(rospy.get_name()).getPublishedTopics("")
-        except (OSError, rosgraph.MasterException):  # the master is not there: that is said elsewhere
+        except (
+            OSError,
+            Error,
+            HTTPException,
+            rosgraph.MasterException,
+        ):  # the master is not there: that is said elsewhere
             return
         for text in unpublished(waiting, [topic for topic, _ in found]):
             rospy.logwarn("%s", printable(text))
