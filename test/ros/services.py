@@ -191,6 +191,23 @@ class Services(unittest.TestCase):
         self.assert_error(self.add_input("", "std_msgs/Float64"))
         self.assertEqual(self.delete_subscription("t", "n").result, "ok")
 
+    def test_a_goal_subscribes_a_topic_while_the_node_runs(self):
+        asked = rospy.Publisher("asked", Float64, queue_size=10)
+        query = service("retalis/query", srv.Query)
+        goal = "subscribe_to(asked, 'std_msgs/Float64', asked_number)"
+        for _ in range(2):
+            self.assertEqual(query(goal=goal).result, "ok")
+        self.assertIn("subscribed already", query(goal="subscribe_to(asked, 'std_msgs/Int8')").result)
+        self.assertEqual(self.add_subscription("asked_number(X)", "", "asked(X)", "t", "q").result, "ok")
+        deadline = time.monotonic() + 30
+        while not self.has_output("event(asked(2.5),t,q)"):
+            self.assertLess(time.monotonic(), deadline, "the number never came")
+            asked.publish(2.5)
+            time.sleep(0.01)
+        self.assert_error(self.add_input("asked", "std_msgs/Float64"), "asked")
+        self.assertEqual(self.delete_input("asked").result, "ok")
+        self.assertEqual(self.delete_subscription("t", "q").result, "ok")
+
     def test_names_of_types_run_nothing(self):
         harm = Path(tempfile.mkdtemp()) / "harm"
         told = Collector("/rosout", Log)

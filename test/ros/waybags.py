@@ -24,7 +24,10 @@ KINDS = {
     "poses": DEFINITIONS.find("geometry_msgs/PoseStamped"),
 }
 KINDS["others"] = KINDS["numbers"]
-"""The topics with their types, of which three are installed nowhere; two topics have the same."""
+KINDS["asked"] = KINDS["poses"]
+"""The topics with their types, of which three are installed nowhere; some have the same.
+
+A goal subscribes the last."""
 
 
 class Kind(NamedTuple):
@@ -40,7 +43,7 @@ BAGS = (
     Kind("no stamps, time stands", ("notes", "numbers"), 0),
     Kind("no stamps, time runs", ("notes", "numbers", "others"), 0.3),
     Kind("stamps, time stands", ("marks", "poses"), 0),
-    Kind("stamps, time runs", ("marks", "poses"), 0.25),
+    Kind("stamps, time runs", ("marks", "poses", "asked"), 0.25),
     Kind("the same stamps", ("marks", "poses"), 0.1, "same"),
     Kind("stamps out of order", ("marks", "poses"), 0.2, "shuffled"),
     Kind("zero stamps", ("marks",), 0, "zero"),
@@ -115,4 +118,11 @@ def _pose(draw, run, stamp):
     )
 
 
-_TERMS = {"notes": _note, "numbers": _number, "others": _number, "marks": _mark, "poses": _pose}
+_TERMS = {
+    "notes": _note,
+    "numbers": _number,
+    "others": _number,
+    "marks": _mark,
+    "poses": _pose,
+    "asked": _pose,
+}

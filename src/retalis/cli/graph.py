@@ -5,9 +5,9 @@ import sys
 from pathlib import Path
 from typing import Callable, List, Optional
 
-from ..engine import Engine, Settings
+from ..engine import Engine, InputTopics, Settings, parts_of
 from ..engine.drawing import FORMATS, GraphTopic, dot_text, draw, program_graph
-from ..events.program import GOALS, TOPICS, read_topics
+from ..events.program import GOALS, TOPICS, Topics, read_topics
 from ..foundation import ProgramErrors, UsageError
 from ..messages import functor_name
 from .limits import add_limits, limited
@@ -54,12 +54,14 @@ def run(options: argparse.Namespace) -> int:
     if not (folder / GOALS).is_file():
         raise UsageError(f"{folder.resolve()} is no program: it has no file {GOALS}")
     engine = Engine(settings=limited(Settings(), options))
+    input_topics = parts_of(engine).input_topics
+    input_topics.begin(lambda wanted: None)
     try:
         engine.load_program(folder)
     except ProgramErrors as errors:
         for error in errors.errors:
             report(error)
-    text = dot_text(program_graph(engine, _topics(folder)), folder.resolve().name)
+    text = dot_text(program_graph(engine, _topics(folder, input_topics)), folder.resolve().name)
     if options.output is None:
         sys.stdout.write(text)
     elif kind in AS_TEXT:
@@ -78,10 +80,8 @@ def _kind(path: Optional[Path]) -> str:
     return kind
 
 
-def _topics(folder: Path) -> List[GraphTopic]:
-    if not (folder / TOPICS).exists():
-        return []
-    found = read_topics(folder / TOPICS)
+def _topics(folder: Path, asked: InputTopics) -> List[GraphTopic]:
+    found = asked.joined(read_topics(folder / TOPICS) if (folder / TOPICS).exists() else Topics())
     return [GraphTopic(name, found.event_of(name) or functor_name(kind)) for name, kind in found.subscribed]
 
 

@@ -5,6 +5,7 @@ from .callbacks import OnEvent, OnOutput
 from .checking import check_program, never_comes
 from .core import parts_of
 from .engine import Engine
+from .inputtopics import MOST_TOPICS, AskedTopic, InputTopics, by_name
 from .rulechanges import add_rule, delete_rule
 from .settings import Settings
 from .status import (
@@ -21,12 +22,16 @@ from .status import (
 __all__ = [
     "add_rule",
     "ask",
+    "AskedTopic",
     "await_memories",
+    "by_name",
     "check_program",
     "delete_rule",
     "AwaitedMemory",
     "Engine",
+    "InputTopics",
     "LeftOut",
+    "MOST_TOPICS",
     "MemoryStatus",
     "OnEvent",
     "OnOutput",

@@ -68,11 +68,14 @@ def check_program(
     engine = Engine(Clock(time.time_ns), settings, problems, definitions)
     parts = parts_of(engine)
     parts.logic.output = parts.logic.error_output = lambda text: None
+    direct = tuple(direct)
+    parts.input_topics.begin(lambda wanted: None, topics, direct)
     try:
         engine.load_program(folder)
     except RetalisError as error:
         problems.all_of(error)
-    program = Overview(parts.rules, parts.knowledge, definitions, topics, tuple(direct), folder)
+    topics = parts.input_topics.joined(topics)
+    program = Overview(parts.rules, parts.knowledge, definitions, topics, direct, folder)
     sound = not any(one.severity == ERROR for one in problems.found)
     said = {one.problem.place for one in problems.found if one.problem.place is not None}
     new = [one for one in look_through(program, sound) if one.problem.place not in said]
@@ -87,6 +90,7 @@ def never_comes(
     Messages may come of topics that are subscribed later.
     """
     parts = parts_of(engine)
+    topics = parts.input_topics.joined(topics)
     program = Overview(parts.rules, parts.knowledge, definitions, topics, tuple(direct))
     return without_maker(program, pattern)
 

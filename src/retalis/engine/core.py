@@ -13,6 +13,7 @@ from ..prolog.logic import Logic
 from ..prolog.syntax import ReadFlags, read_term
 from ..prolog.terms import Term, Var, copy
 from .callbacks import OnOutput
+from .inputtopics import InputTopics
 from .intake import Intake
 from .looking import Seen, StatusReader
 from .ownfiles import OwnFiles
@@ -39,6 +40,7 @@ class EngineParts(NamedTuple):
     own_files: OwnFiles
     slots: SlotNames
     programs: Dict[str, Standing]
+    input_topics: InputTopics
 
 
 class EngineCore:
@@ -104,6 +106,7 @@ class EngineCore:
             )
         )
         define_new_event(self._logic, self._dispatcher)
+        self._input_topics = InputTopics(self._logic, self._slots, reports)
         define_use_foreign(self._logic, self._runner, self._files, settings.allow_foreign)
 
     def _read(self, term: Union[str, Term], flags: ReadFlags = READ) -> Term:
@@ -170,4 +173,5 @@ def parts_of(engine: EngineCore) -> EngineParts:
         engine._own_files,  # noqa: SLF001
         engine._slots,  # noqa: SLF001
         engine._programs,  # noqa: SLF001
+        engine._input_topics,  # noqa: SLF001
     )

@@ -127,6 +127,7 @@ class Engine(Holdings):
         trial = Engine(
             clock_at(self.clock.now()), trial_settings(self.settings), NoReports(), self._slots.definitions
         )
+        trial._input_topics.try_out(self._input_topics)
         for sources in self._foreign:
             trial.add_foreign(*sources)
         return trial
@@ -370,7 +371,7 @@ class Engine(Holdings):
             topics: the program's; by default none.
             direct: further topics that become events.
         """
-        topics = Topics() if topics is None else topics
+        topics = self._input_topics.joined(Topics() if topics is None else topics)
         program = Overview(
             self._rules, self._knowledge, definitions, topics, tuple(direct), folder, self._observed
         )

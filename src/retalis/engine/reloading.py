@@ -78,7 +78,8 @@ def _load(engine: EngineCore, folder: Path) -> None:
         own_files.load_rules(read_text(folder), str(folder), folder.parent)
         return
     path = folder / GOALS
-    parts_of(engine).slots.events = event_types(folder)
+    parts = parts_of(engine)
+    parts.slots.events = {**parts.input_topics.event_types(), **event_types(folder)}
     own_files.call_goals(read_text(path), str(path), folder)
 
 

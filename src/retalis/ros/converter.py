@@ -14,6 +14,7 @@ from ..prolog.terms import deref
 from .connecting import OUTPUT_EVENT, connect
 from .counting import OutputStatus
 from .diagnostics import Diagnostics
+from .goaltopics import ToldTopics
 from .health import NodeHealth, program_health
 from .hints import StartHints
 from .interface import Interface, Publisher, Take
@@ -72,6 +73,7 @@ class Converter:
         connect(self._interface, topics, direct)
         for topic, kind in direct:
             self._interface.learn(topic, kind)
+        self._told = ToldTopics(self._interface, reports)
         InterfaceServices(self._interface)
         Listing(self._interface.inputs)
         self._interface.subscribe_texts(OUTPUT, self._receive)

@@ -1,6 +1,6 @@
 """The page of node retalis: a dashboard of its engine, with what the nodes tell of their topics."""
 
-from typing import Any, Callable, Dict, List, Optional, Sequence
+from typing import Any, Callable, Dict, Iterable, List, Optional, Sequence
 
 import rospy
 
@@ -29,7 +29,7 @@ class NodeDashboard:
         engine: is shown.
         inputs: gives what has come on the topics that the node subscribes itself.
         named: the topics that the program names, whoever subscribes them.
-        events: what the events of some of them are called.
+        events: tells what the events of some of them are called.
     """
 
     def __init__(
@@ -39,11 +39,11 @@ class NodeDashboard:
         engine: Engine,
         inputs: Callable[[], Sequence[InputStatus]],
         named: Sequence[TopicType],
-        events: Sequence[TopicEvent] = (),
+        events: Callable[[], Iterable[TopicEvent]] = tuple,
     ):
         self._inputs = inputs
         self._named = [TopicLook(rospy.resolve_name(one.topic), one.type) for one in named]
-        self._events = {rospy.resolve_name(topic): event for topic, event in events}
+        self._events = events
         self._told: Dict[str, TopicLook] = {}
         if port is None:
             return
@@ -62,11 +62,10 @@ class NodeDashboard:
         found = {one.name: one for one in self._named}
         found.update(self._told)
         found.update({one.topic: _look(one) for one in self._inputs()})
+        events = {rospy.resolve_name(topic): event for topic, event in self._events()}
         between = {rospy.resolve_name(name) for name in (INPUT, OUTPUT)}
         return [
-            one._replace(event=self._events.get(name, ""))
-            for name, one in found.items()
-            if name not in between
+            one._replace(event=events.get(name, "")) for name, one in found.items() if name not in between
         ]
 
     def _listen(self) -> None:

@@ -7,7 +7,7 @@ from typing import Callable, Iterable, List, Optional, Tuple
 import rospy
 from std_msgs.msg import String
 
-from ..engine import Engine, never_comes
+from ..engine import Engine, never_comes, parts_of
 from ..engine.explaining import record_origins
 from ..engine.runtime import Alarm, Clock, ClockRuns, Reports, Skew
 from ..events.program import TOPICS, Topics, TopicType, read_topics
@@ -20,6 +20,7 @@ from .connecting import OUTPUT_EVENT, connect
 from .counting import OutputStatus
 from .dashboard import NodeDashboard
 from .diagnostics import Diagnostics
+from .goaltopics import GoalTopics, plain
 from .health import LATE, EngineHealth, Health, NodeHealth, program_health
 from .hints import StartHints
 from .interface import Interface, Take
@@ -112,8 +113,12 @@ class RetalisNode:
         rospy.on_shutdown(self._reports.sum_up)
         if parameters.explain:
             record_origins(self.engine)
-        self._load()
         topics = self._topics()
+        direct = direct_topics(parameters.direct, topics)
+        asked = GoalTopics()
+        input_topics = parts_of(self.engine).input_topics
+        input_topics.begin(asked.ask, topics, direct, plain)
+        self._load()
         self._texts = Outlet(OUTPUT, String, parameters.queue, self._reports)
         self._interface = Interface(
             self._poster,
@@ -126,7 +131,6 @@ class RetalisNode:
         self._text_only = TextOnly((topic for topic, _ in topics.published), self._reports)
         self._look_through(topics)
         self.engine.on_output(self._send_text)
-        direct = direct_topics(parameters.direct, topics)
         if parameters.embedded:
             connect(self._interface, topics, direct)
             self.engine.on_output(lambda term, topic, name: self._interface.outputs.publish(term, topic))
@@ -135,6 +139,7 @@ class RetalisNode:
             UnreadTeller(self.engine)
         for topic, kind in direct:
             self._subscribe(topic, kind, topics.event_of(topic, rospy.resolve_name))
+        asked.begin(self._interface if parameters.embedded else None)
         EngineServices(self.engine, self._text_only, lambda pattern: self._doubt(pattern, topics, direct))
         Questions(self.engine)
         RuleServices(self.engine)
@@ -145,7 +150,7 @@ class RetalisNode:
         texts = self._interface.subscribe_texts(INPUT, self.engine.post_text, self._time.runs)
         self._time.begin([self._interface.turn, texts], skew.begin_run, lambda end: self._begin_run(clock))
         rospy.loginfo("%s: %s", parameters.program, self.engine.summary())
-        StartHints(self._interface.inputs, self._named(topics), clock=True)
+        StartHints(self._interface.inputs, self._named(input_topics.joined(topics)), clock=True)
         self._diagnostics = Diagnostics(
             parameters.diagnostics, NodeHealth(self._interface.inputs, self._outputs, self._engine_health())
         )
@@ -155,7 +160,7 @@ class RetalisNode:
             self.engine,
             self._interface.inputs,
             [*topics.subscribed, *direct],
-            topics.events,
+            lambda: input_topics.joined(topics).events,
         )
 
     def _begin_run(self, clock: RosClock) -> None:

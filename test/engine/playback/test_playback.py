@@ -270,3 +270,41 @@ def test_a_program_may_name_the_slots_of_types_that_only_the_bag_has(program, ba
     assert outputs[1:] == ["at('\"f\"',1.0)"]
     Playback(folder, problems.append)
     assert "the slots of my_msgs/Stamped are not known when this is read" in str(problems)
+
+
+def test_goals_subscribe_topics_from_the_start_or_from_then_on(program, bag):
+    path = bag(
+        *(
+            (at * SECOND, topic, "my_msgs/Point", f"my_msgs__0__Point({at}.0)")
+            for at, topic in (
+                (1, "a"),
+                (2, "b"),
+                (3, "in"),
+                (4, "b"),
+                (5, "c"),
+                (6, "in"),
+                (8, "c"),
+                (9, "d"),
+            )
+        )
+    )
+    folder = program(
+        "now <- my_msgs__0__Point(3.0) do subscribe_to(b, 'my_msgs/Point', at_b).\n"
+        "exceptionAlarm(rung, 1) <- my_msgs__0__Point(6.0).\n"
+        "more <- rung do (subscribe_to('/c', 'my_msgs/Point'), subscribe_to(none, 'my_msgs/Point')).",
+        "subscribe_to('/a', 'my_msgs/Point', at_a)",
+        IN,
+    )
+    _, events, problems = run(folder, path)
+    assert [(text, end // SECOND) for text, _, end in events] == [
+        ("at_a(1.0)", 1),
+        ("my_msgs__0__Point(3.0)", 3),
+        ("now", 3),
+        ("at_b(4.0)", 4),
+        ("my_msgs__0__Point(6.0)", 6),
+        ("rung", 7),
+        ("more", 7),
+        ("my_msgs__0__Point(8.0)", 8),
+    ]
+    (problem,) = problems
+    assert "has no messages on none; it has a (my_msgs/Point)" in problem

@@ -2,9 +2,11 @@
 
 import logging
 from collections import Counter
-from functools import partial
+from heapq import merge
+from itertools import chain
+from operator import attrgetter
 from pathlib import Path
-from typing import Callable, Dict, Iterable, List, NamedTuple, Optional, Set, Union
+from typing import Callable, Dict, Iterable, Iterator, List, NamedTuple, Optional, Set, Union
 
 from ...events.program import TOPICS, TopicType, read_topics
 from ...foundation import (
@@ -18,14 +20,16 @@ from ...foundation import (
 )
 from ...messages import Decoder, Definition, Definitions
 from ...prolog.terms import Term
-from .. import Engine, Settings
+from .. import AskedTopic, Engine, Settings, by_name, parts_of
 from ..runtime import Refused, Reports, Skew, StreamClock
-from .bags import Topic
+from .bags import Record, Topic
 from .series import Bag
 
 log = logging.getLogger("retalis")
 
 OnError = Callable[[RetalisError], None]
+
+_TIME = attrgetter("time")
 
 
 class Output(NamedTuple):
@@ -97,14 +101,16 @@ class Playback:
         self._outputs: List[Output] = []
         self._told: Set[str] = set()
         named = read_topics(folder / TOPICS)
-        self._asked = (*named.subscribed, *topics)
-        self._topics = named._replace(subscribed=self._asked)
-        self._types = {_plain(topic): kind for topic, kind in self._asked}
-        self._published = {_plain(topic): kind for topic, kind in named.published}
-        self._event_of = partial(named.event_of, plain=_plain)
-        self._latched = {_plain(topic) for topic in named.latched}
+        self._asked = [*named.subscribed, *topics]
+        self._topics = named._replace(subscribed=tuple(self._asked))
+        self._types = {by_name(topic): kind for topic, kind in self._asked}
+        self._published = {by_name(topic): kind for topic, kind in named.published}
+        self._events = {by_name(topic): event for topic, event in named.events}
+        self._joining: Set[str] = set()
+        self._latched = {by_name(topic) for topic in named.latched}
         self.engine.on_output(self._collect)
         self._learn_types(bag.topics if bag is not None else ())
+        parts_of(self.engine).input_topics.begin(self._subscribe, self._topics)
         try:
             self.engine.load_program(folder)
         except ProgramErrors as errors:
@@ -124,15 +130,14 @@ class Playback:
         """
         clock, outputs = self.clock, self._outputs
         self._skew.forget()
-        self._learn_all(bag)
+        self._learn_all(bag, [topic for topic, _ in self._asked])
         for warning in self.engine.warnings(self._folder, self.definitions, self._topics):
             log.warning("%s", warning)
         self._told.update(self.engine.output_topics())  # of those without a type it was said
-        wanted = {topic.name for topic in bag.topics if _plain(topic.name) in self._types}
+        wanted = {topic.name for topic in bag.topics if by_name(topic.name) in self._types}
+        self._joining.clear()
         decoders = {id(topic): self._decoders.get(topic) for topic in bag.topics}
-        for done, (topic, instant, data) in enumerate(bag.records(wanted), 1):
-            if clock.alarms:
-                self._ring_until(instant)
+        for done, (topic, instant, data) in enumerate(self._records(bag, wanted, decoders), 1):
             clock.move_to(instant, back=True)
             decoder = decoders[id(topic)]
             if decoder is not None:
@@ -141,7 +146,6 @@ class Playback:
             if outputs:
                 yield from outputs
                 outputs.clear()
-        self._ring_until(bag.end)
         clock.move_to(bag.end)
         self.engine.advance()
         yield from outputs
@@ -155,13 +159,50 @@ class Playback:
         >>> Playback(folder, report=print).is_latched("echo")
         False
         """
-        return _plain(topic) in self._latched
+        return by_name(topic) in self._latched
+
+    def _records(
+        self, bag: Bag, topics: Set[str], decoders: Dict[int, Optional[Decoder]]
+    ) -> Iterator[Record]:
+        """Yield the messages of some topics, and of those that goals subscribe meanwhile from then on.
+
+        The alarms that come before a message have rung when it is given, and all when none is left.
+        """
+        stream = iter(bag.records(topics))
+        while True:
+            record = next(stream, None)
+            if self.clock.alarms and not self._joining:
+                self._ring_until(bag.end if record is None else record.time)
+            if self._joining:
+                rest = stream if record is None else chain((record,), stream)
+                stream = iter(merge(rest, self._join(bag, decoders), key=_TIME))
+            elif record is None:
+                return
+            else:
+                yield record
+
+    def _join(self, bag: Bag, decoders: Dict[int, Optional[Decoder]]) -> Iterator[Record]:
+        """Return the messages that come from now on of the topics that goals have just subscribed."""
+        joining = {topic.name for topic in bag.topics if by_name(topic.name) in self._joining}
+        missing = [topic for topic, _ in self._asked if by_name(topic) in self._joining]
+        self._joining.clear()
+        self._learn_all(bag, missing)
+        decoders.update((id(topic), self._decoders[topic]) for topic in bag.topics if topic.name in joining)
+        return bag.records(joining, start=self.clock.now() + 1)
+
+    def _subscribe(self, wanted: AskedTopic) -> None:
+        """Have the messages of a topic become events, from now on or, before a bag is played, from its start."""
+        plain = by_name(wanted.topic)
+        self._asked.append(TopicType(wanted.topic, wanted.kind))
+        self._types[plain] = wanted.kind
+        self._events[plain] = wanted.event
+        self._joining.add(plain)
 
     def _ring_until(self, instant: int) -> None:
         """Let each alarm ring at its own time, as it does on a robot, and not when the next message comes."""
         clock = self.clock
         due = clock.next_alarm()
-        while due is not None and due <= instant:
+        while due is not None and due <= instant and not self._joining:
             clock.move_to(due)
             self.engine.advance()
             due = clock.next_alarm()
@@ -183,10 +224,12 @@ class Playback:
             except MessageError as error:
                 log.debug("%s", error)
 
-    def _learn_all(self, bag: Bag) -> None:
-        """Note the decoders for a bag's connections; say what cannot become events, and what it has not got."""
-        there = {_plain(topic.name) for topic in bag.topics}
-        missing = [topic for topic, _ in self._asked if _plain(topic) not in there]
+    def _learn_all(self, bag: Bag, asked: Iterable[str]) -> None:
+        """Note the decoders for the connections of topics; say what cannot become events, and what is not there."""
+        asked = list(asked)
+        names = set(map(by_name, asked))
+        there = {by_name(topic.name) for topic in bag.topics}
+        missing = [topic for topic in asked if by_name(topic) not in there]
         if missing:
             log.warning(
                 "%s has no messages on %s; it has %s",
@@ -196,7 +239,7 @@ class Playback:
             )
         dropped: Dict[str, int] = Counter()
         for topic in bag.topics:
-            problem = self._learn(topic) if _plain(topic.name) in self._types else None
+            problem = self._learn(topic) if by_name(topic.name) in names else None
             if problem is not None:
                 dropped[f"topic {topic.name}: {problem}"] += topic.messages
         for text, messages in dropped.items():
@@ -204,10 +247,10 @@ class Playback:
 
     def _learn(self, topic: Topic) -> Optional[MessageError]:
         """Note the decoder for a connection, under the type that the program gives the topic, or return why not."""
-        kind = self._types[_plain(topic.name)]
+        kind = self._types[by_name(topic.name)]
         try:
             learned = self.definitions.learn(
-                kind, topic.type, topic.definition, topic.md5sum, self._event_of(topic.name)
+                kind, topic.type, topic.definition, topic.md5sum, self._events.get(by_name(topic.name), "")
             )
         except MessageError as error:
             self._decoders[topic] = None
@@ -223,7 +266,7 @@ class Playback:
         return None
 
     def _collect(self, term: Term, topic: str, name: Term) -> None:
-        kind = self._published.get(_plain(topic))
+        kind = self._published.get(by_name(topic))
         definition = data = None
         try:
             if kind is None and topic not in self._told:
@@ -257,7 +300,3 @@ def _shown(topics: Iterable[Topic]) -> List[str]:
             for topic in topics
         }
     )
-
-
-def _plain(topic: str) -> str:
-    return topic.lstrip("/")

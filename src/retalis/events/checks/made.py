@@ -1,6 +1,6 @@
 """Which events a program makes, and which it takes."""
 
-from typing import Any, Dict, FrozenSet, Iterator, Optional, Set
+from typing import Any, Dict, FrozenSet, Iterator, Optional, Sequence, Set
 
 from ...foundation import Place, RuleError
 from ...messages import functor_name
@@ -18,6 +18,7 @@ _OF_SYSTEM = frozenset(
     (functor("memory_created", 5), functor("memory_updated", 2), functor("memory_deleted", 1))
 )
 _OUTSIDE = functor("input_event", 1)
+SUBSCRIBE_TO = frozenset((functor("subscribe_to", 2), functor("subscribe_to", 3)))
 _SHOWN = frozenset(
     functor(name, 1)
     for name in ("external_trigger", "print_trigger", "spy_event", "persistent_event", "persistent_rule")
@@ -72,8 +73,22 @@ class MadeEvents:
                 made: Any = deref(term[1])
                 hidden = hidden or is_open(made)
                 self._note(made, inner.place)
+            elif term.__class__ is tuple and term[0] in SUBSCRIBE_TO:
+                self._subscribed(program, [deref(one) for one in term[1:]])
         if hidden:  # a goal makes what it is given: whatever the program names may be that
             self.keys.update({key: None for key in others if key not in self.keys})
+
+    def _subscribed(self, program: Overview, arguments: Sequence[Term]) -> None:
+        """Note the events of a topic that a goal subscribes, where the goal says which."""
+        kind, event = (getattr(one, "name", None) for one in (arguments[1], arguments[-1]))
+        name = event if len(arguments) == 3 else kind and functor_name(kind)
+        definition = program.definition(kind)
+        if name is None:
+            self.anything = True
+        elif definition is None:
+            self.names.add(name)
+        else:
+            self.keys.setdefault(functor(name, len(definition.fields)))
 
     def _note(self, term: Term, place: Optional[Place]) -> None:
         key = key_of(term)

@@ -1,11 +1,13 @@
 """What ``pub_sub.xml`` says that nobody reads: unknown tags and attributes, types that are nowhere, a topic twice."""
 
 from pathlib import Path
-from typing import Dict, Iterator, List, NamedTuple, Tuple
+from typing import Dict, Iterator, List, NamedTuple, Optional, Tuple
 from xml.parsers import expat
 
 from ...foundation import Place, RuleError, UsageError, beginning, place_in, printable
+from ...prolog.terms import deref
 from ..program import ATTRIBUTES, TOPICS, read_text
+from .made import SUBSCRIBE_TO
 from .near import meant
 from .outputs import plain
 from .overview import Overview
@@ -47,7 +49,8 @@ def elements(path: Path) -> List[Element]:
 
 
 def topics(program: Overview) -> Iterator[RuleError]:
-    """Yield what is hardly meant in the file."""
+    """Yield what is hardly meant in the file, and which types goals misspell."""
+    yield from _asked(program)
     if program.folder is None:
         return
     seen: Dict[Tuple[str, str], Element] = {}
@@ -70,9 +73,19 @@ def topics(program: Overview) -> Iterator[RuleError]:
         before = seen.setdefault((one.tag, plain(topic)), one)
         if before is not one:
             yield RuleError(_twice(one, before, topic, kind), one.place)
-        found = program.definitions.misspelt(kind)
-        if found:
-            yield RuleError(f"there is no message type {kind}; did you mean {found}?", one.place)
+        yield from _misspelt(program, kind, one.place)
+
+
+def _asked(program: Overview) -> Iterator[RuleError]:
+    for inner in program.calls():
+        if inner.key in SUBSCRIBE_TO:
+            yield from _misspelt(program, getattr(deref(inner.term[2]), "name", ""), inner.place)
+
+
+def _misspelt(program: Overview, kind: str, place: Optional[Place]) -> Iterator[RuleError]:
+    found = program.definitions.misspelt(kind)
+    if found:
+        yield RuleError(f"there is no message type {kind}; did you mean {found}?", place)
 
 
 def _twice(one: Element, before: Element, topic: str, kind: str) -> str:
