@@ -1,5 +1,7 @@
 """Rules, goals and questions with slots by name, and what is said of them."""
 
+import struct
+
 import pytest
 
 from retalis.engine import Engine
@@ -50,11 +52,11 @@ def test_rules_memories_and_outputs_take_slots_by_name(engine):
     engine.event(f"{POINT}{{x: 2}}", 1)
     engine.event(f"{POINT}(-2, 3)", 2)
     assert outputs == [
-        f"my_msgs__0__Named('\"\"',{POINT}(2,0.0))",
+        f"my_msgs__0__Named('\"\"',{POINT}(2.0,0.0))",
         f"my_msgs__0__Named('\"\"',{POINT}(3,0.0))",
     ]
-    assert engine.query("access_mem(points, P, _)") == engine.query(f"P = {POINT}(2, 0.0)")
-    assert [str(found["X"]) for found in engine.query(f"access_mem(points, {POINT}{{x: X}}, _)")] == ["2"]
+    assert engine.query("access_mem(points, P, _)") == engine.query(f"P = {POINT}(2.0, 0.0)")
+    assert [str(found["X"]) for found in engine.query(f"access_mem(points, {POINT}{{x: X}}, _)")] == ["2.0"]
 
 
 def test_what_was_written_by_name_is_shown_so(engine, capsys):
@@ -75,6 +77,18 @@ def test_what_was_written_by_name_is_shown_so(engine, capsys):
     assert f"right(A) <- {POINT}{{x: A}} where A > 0" in lines[0].below[0].text
     happened, lines = explain(engine, "right(3)")
     assert lines[0].below[0].below[0].text == f"- {POINT}{{x: 3}}: did not happen"
+
+
+def test_an_integer_for_a_slot_of_floats_is_met_by_messages_and_listed_as_written(
+    engine, definitions, capsys
+):
+    seen = []
+    engine.load(rules=f"zero <- {POINT}{{x: 0, y: -2}}.\np :- q({POINT}{{x: 0}}).")
+    engine.on_event(lambda term, start, end: seen.append(engine.show(term)))
+    engine.event(definitions.decoder("my_msgs/Point").decode(struct.pack("<dd", 0, -2)), 1)
+    assert seen[1:] == ["zero"]
+    engine.call("listing(p/0)")
+    assert capsys.readouterr().out == f"p :-\n    q({POINT}{{x: 0}}).\n\n"
 
 
 class Kept(Reports):
@@ -134,7 +148,7 @@ c <- right_point{y: 1}.
     seen = []
     engine.on_event(lambda term, start, end: seen.append(engine.show(term)))
     engine.event("left_point{x: 5}", 1)
-    assert seen == ["left_point(5,0.0)", "a(5)"]
+    assert seen == ["left_point(5.0,0.0)", "a(5.0)"]
     (tmp_path / "rules.txt").write_text(rules.replace("left_point(_)", "left_point{}"))
     assert engine.reload(tmp_path)[0] == "rules: 1 new, 1 gone, 2 kept"
     (tmp_path / "rules.txt").write_text(rules.replace("y: 1", "z: 1"))

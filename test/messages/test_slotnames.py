@@ -42,24 +42,32 @@ def read(text, made=False, operators=KNOWING):
 READS = {
     f"{POINT}{{x: X}}": f"{POINT}(X, _)",
     f"{POINT}{{}}": f"{POINT}(_, _)",
-    f"{POINT}{{y: 1, x: X}}": f"{POINT}(X, 1)",
+    f"{POINT}{{y: 1, x: X}}": f"{POINT}(X, 1.0)",
+    f"{POINT}{{y: -1, x: 0}}": f"{POINT}(0.0, -1.0)",
+    f"{POINT}{{y: 1 + 1, x: 1.5}}": f"{POINT}(1.5, 1 + 1)",
+    f"{POINT}{{x: 1{'0' * 400}}}": f"{POINT}(1{'0' * 400}, _)",
+    f"{ALL}{{many: [1, X, 2.5, -3 | R]}}": f"{ALL}(_,_,_,[1.0,X,2.5,-3.0|R],_,_,_,_,_)",
+    f"{ALL}{{two: [1, 2]}}": f"{ALL}(_,_,_,_,[1,2],_,_,_,_)",
+    f"{ALL}{{many: M, stamp: [1, 2]}}": f"{ALL}(_,_,[1,2],M,_,_,_,_,_)",
     "spot{y: Y}": "spot(_, Y)",
     "my_msgs__0__Empty{}": "my_msgs__0__Empty",
     f"{ALL}{{point: {{y: Y}}}}": f"{ALL}(_,_,_,_,_,_,{POINT}(_,Y),_,_)",
     f"{ALL}{{point: {POINT}{{y: Y}}}}": f"{ALL}(_,_,_,_,_,_,{POINT}(_,Y),_,_)",
-    f"{ALL}{{points: [{{x: 1}}, P | R]}}": f"{ALL}(_,_,_,_,_,_,_,[{POINT}(1,_), P | R],_)",
+    f"{ALL}{{points: [{{x: 1}}, P | R]}}": f"{ALL}(_,_,_,_,_,_,_,[{POINT}(1.0,_), P | R],_)",
     f"{ALL}{{no: {{}}}}": f"{ALL}(_,_,_,_,_,_,_,_,my_msgs__0__Empty)",
     f"{ALL}{{point: {{}}, points: [{{}}]}}": f"{ALL}(_,_,_,_,_,_,{POINT}(_,_),[{POINT}(_,_)],_)",
     f"{ALL}{{stamp: [S, _], on: true}}": f"{ALL}(true,_,[S,_],_,_,_,_,_,_)",
     f"{POINT}{{x: - 1 + 2 * X}}": f"{POINT}(- 1 + 2 * X, _)",
     f"a <- {POINT}{{x: X}} seq {POINT}{{x: X}}": f"a <- {POINT}(X, _) seq {POINT}(X, _)",
     f"{POINT}{{x: X}} <- a(X)": f"{POINT}(X, 0.0) <- a(X)",
-    f"l : {POINT}{{x: X}} do event({POINT}{{y: 1}}) <- a(X)": f"l : {POINT}(X,0.0) do event({POINT}(0.0,1)) <- a(X)",
+    f"l : {POINT}{{x: X}} do event({POINT}{{y: 1}}) <- a(X)": (
+        f"l : {POINT}(X,0.0) do event({POINT}(0.0,1.0)) <- a(X)"
+    ),
     f"exceptionAlarm({POINT}{{}}, 5) <- a": f"exceptionAlarm({ZERO}, 5) <- a",
     f"rev({POINT}{{}}) <- a": f"rev({POINT}(_, _)) <- a",
     f"synchronized({POINT}{{}}, p({POINT}{{}}), []) <- a": f"synchronized({ZERO}, p({POINT}(_, _)), []) <- a",
     f"a <- b where ({POINT}{{}} = X)": f"a <- b where ({POINT}(_, _) = X)",
-    f"subscribe({POINT}{{}}, [], {POINT}{{x: 2}}, t, i)": f"subscribe({POINT}(_,_), [], {POINT}(2, 0.0), t, i)",
+    f"subscribe({POINT}{{}}, [], {POINT}{{x: 2}}, t, i)": f"subscribe({POINT}(_,_), [], {POINT}(2.0, 0.0), t, i)",
     f"memorize({POINT}{{x: X}}, [], f({POINT}{{x: X}}), i, 5)": (
         f"memorize({POINT}(X,_), [], f({POINT}(X,0.0)), i, 5)"
     ),
@@ -74,7 +82,7 @@ READS = {
 def test_what_messages_with_named_slots_read_as():
     for text, same in READS.items():
         assert term_key(read(text)) == term_key(read(same)), text
-    assert to_text(read(f"{POINT}{{x: 3}}", made=True)) == f"{POINT}(3,0.0)"
+    assert to_text(read(f"{POINT}{{x: 3}}", made=True)) == f"{POINT}(3.0,0.0)"
 
 
 WRONG = {
@@ -150,6 +158,11 @@ SHOWN = (
     f"a(X)<-{ALL}{{points: [{POINT}{{x: X}},P|R]}}seq b(P,R)",
     f"subscribe(spot{{x: X}},[],{POINT}{{x: X}},t,i)",
     f"p({POINT}(0.0,0.0)):-event({POINT}{{}})",
+    f"a<-{POINT}{{x: 0, y: -2}}",
+    f"a<-{POINT}{{x: 0.0}}",
+    f"a<-{POINT}{{x: -0.0, y: 1}}seq {POINT}{{x: 0}}",
+    f"a(X)<-{POINT}{{x: X}}seq {POINT}{{x: 1}}",
+    f"{ALL}{{many: [1,X,2.5]}}<-a(X)",
 )
 
 
@@ -165,7 +178,7 @@ def test_terms_are_shown_as_they_were_written():
 def test_a_head_alone_is_shown_as_what_is_made():
     rule = read(f"{POINT}{{x: 1}} <- {POINT}{{y: 1}}")
     assert PROGRAM.show(rule[1], made=True) == f"{POINT}{{x: 1}}"
-    assert PROGRAM.show(rule[1]) == f"{POINT}(1,0.0)"  # as a pattern it would match more
+    assert PROGRAM.show(rule[1]) == f"{POINT}(1.0,0.0)"  # as a pattern it would match more
     assert PROGRAM.show(rule) == f"{POINT}{{x: 1}}<-{POINT}{{y: 1}}"
 
 
@@ -183,7 +196,8 @@ def messages(draw):
         if name == "point":
             inner = draw(points)
             text = "{" + ", ".join(f"{slot}: {value}" for slot, value in inner.items()) + "}"
-            plain[name] = f"{POINT}({inner.get('x', '_')},{inner.get('y', '_')})"
+            floats = {slot: {"1": "1.0"}.get(value, value) for slot, value in inner.items()}
+            plain[name] = f"{POINT}({floats.get('x', '_')},{floats.get('y', '_')})"
         else:
             text = plain[name] = draw(values)
         named.append(f"{name}: {text}")

@@ -65,4 +65,5 @@ class SlotNames:
 
 def _slot(slot: Field, zero: object) -> MessageSlot:
     message = "" if slot.definition is None else functor_name(slot.type)
-    return MessageSlot(slot.name, slot.describe(), message, slot.length is not None, zero)  # type: ignore[arg-type]
+    real = slot.type in ("float32", "float64")
+    return MessageSlot(slot.name, slot.describe(), message, slot.length is not None, zero, real)  # type: ignore[arg-type]

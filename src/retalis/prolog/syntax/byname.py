@@ -6,6 +6,7 @@ from typing import Any, Dict, List, Sequence, Tuple
 from ...foundation import RetalisError
 from ..terms import Term, Var, atom, functor
 from . import faults
+from .floats import as_floats
 from .opened import Open
 from .slots import Expanded, MessageSlot
 from .state import LIST, SLOTS
@@ -137,22 +138,33 @@ class ByName(Open):
         zeros: Dict[Var, Term] = {}
         arguments: List[Any] = []
         offsets = []
+        whole = []
         for number, slot in enumerate(slots, 1):
             value, offset = values.get(number, (None, start))
             if value is None:
                 value = Var()
                 zeros[value] = slot.zero
+            elif slot.real:
+                written, value = value, as_floats(value, slot.array)
+                if value is not written:
+                    whole.append(number)
+                    self._moved(written, value)
             arguments.append(value)
             offsets.append(offset)
         if arguments:
             term = (functor(name, len(slots)), *arguments)
             self._build(term, start, tuple(offsets))
-            self.expanded.append(Expanded(term, tuple(values), zeros))
+            self.expanded.append(Expanded(term, tuple(values), zeros, tuple(whole)))
         else:
             self.left = atom(name)
         self.left_at = start
         self.left_priority = 0
         self.wants_operand = False
+
+    def _moved(self, old: Term, new: Term) -> None:
+        """Note that a term stands where another one stood."""
+        if self.spots is not None and id(old) in self.spots:
+            self.spots[id(new)] = self.spots.pop(id(old))
 
 
 def _unknown(term: str, name: str, slots: Sequence[MessageSlot]) -> str:

@@ -5,6 +5,7 @@ from typing import Any, Callable, Collection, Dict, List, Optional, Sequence, Se
 from ...foundation import RetalisError
 from ..terms import CompoundTerm, Functor, Term, Var, deref, is_ground, term_key
 from .atoms import atom_text
+from .floats import as_integers
 from .operators import Operators
 from .slots import MessageSlot, NamedForm, made_in, parts_in
 from .writer import write_term
@@ -63,9 +64,9 @@ class _NamedShower:
         fitting = [one for one in self.forms[term[0]] if slots and self.fits(term, one, slots)]
         if slots is None or not fitting:
             return None
-        form = min(fitting, key=lambda one: (self.in_vain(term, one), len(one.named)))
+        form = min(fitting, key=lambda one: (self.in_vain(term, one), len(one.named), -len(one.whole)))
         self.depth += 1
-        values = [self.slot(slots[at - 1], term[at]) for at in form.named]
+        values = [self.slot(slots[at - 1], term[at], at in form.whole) for at in form.named]
         self.depth -= 1
         return f"{atom_text(term[0].name)}{{{', '.join(values)}}}"
 
@@ -91,8 +92,8 @@ class _NamedShower:
             is_ground(term[at]) and term_key(term[at]) == term_key(slots[at - 1].zero) for at in others
         )
 
-    def slot(self, slot: MessageSlot, value: Term) -> str:
-        value = deref(value)
+    def slot(self, slot: MessageSlot, value: Term, whole: bool) -> str:
+        value = as_integers(deref(value), slot.array) if whole else deref(value)
         text = self.text(value) if slot.message and not slot.array else None
         if text is None:
             text = write_term(value, self.operators, portray=self.text, priority=999, **self.options)

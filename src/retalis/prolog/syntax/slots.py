@@ -55,6 +55,7 @@ class MessageSlot(NamedTuple):
         message: what terms of its messages are called, "" where it has none.
         array: whether it is an array.
         zero: its value where nobody gives it one.
+        real: whether its numbers are floats.
     """
 
     name: str
@@ -62,14 +63,23 @@ class MessageSlot(NamedTuple):
     message: str
     array: bool
     zero: Term
+    real: bool = False
 
 
 class NamedForm(NamedTuple):
-    """A way of writing messages: the slots that are named, by their numbers, and whether the others are zero."""
+    """A way of writing messages.
+
+    Attributes:
+        functor: of the message.
+        named: the slots that are named, by their numbers.
+        made: whether the others are zero.
+        whole: the slots of floats that were given as integers.
+    """
 
     functor: Functor
     named: Tuple[int, ...]
     made: bool
+    whole: Tuple[int, ...] = ()
 
 
 class Slots(Protocol):
@@ -86,11 +96,15 @@ class Slots(Protocol):
 
 
 class Expanded(NamedTuple):
-    """A message as it was read: its term, the slots that were named, and the values of the others if it is made."""
+    """A message as it was read: its term, the slots that were named, the values of the others if it is made.
+
+    ``whole`` are the slots of floats that were given as integers.
+    """
 
     term: CompoundTerm
     named: Tuple[int, ...]
     zeros: Dict[Var, Term]
+    whole: Tuple[int, ...]
 
 
 def made_in(term: Term) -> Iterator[Term]:
@@ -149,6 +163,6 @@ def complete(term: Term, expanded: Sequence[Expanded], slots: Slots, made: bool)
         if is_made:
             for var, zero in one.zeros.items():
                 var.ref = zero
-        form = NamedForm(one.term[0], one.named, is_made)
+        form = NamedForm(one.term[0], one.named, is_made, one.whole)
         if form not in slots.forms:
             slots.forms.keep(form, True, 8 * len(one.named))
