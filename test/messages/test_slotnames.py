@@ -10,7 +10,7 @@ from retalis.prolog.logic import Logic
 from retalis.prolog.syntax import Operators, ReadFlags, read_term, to_text
 from retalis.prolog.terms import term_key
 
-DEFINITIONS = Definitions(Installed(packages=[], modules=[]))
+DEFINITIONS = Definitions(Installed(packages=[], modules=[], rosbags=False))
 DEFINITIONS.add("my_msgs/Point", "float64 x\nfloat64 y\n")
 DEFINITIONS.add("my_msgs/Empty", "")
 DEFINITIONS.add(
@@ -129,7 +129,7 @@ def test_nothing_that_has_read_otherwise_reads_otherwise():
         "[{x: 1}]",
     ):
         assert term_key(read(text)) == term_key(read(text, operators=plain)), text
-    for text in ("a{b}", "a{b: c}", f"{POINT} {{x: 1}}", "X{a: 1}", "f(x){a: 1}", "0__0__a{x: 1}"):
+    for text in ("a {b}", "X{a: 1}", "f(x){a: 1}", "0{x: 1}", "a/B{c}", "[] {}"):
         messages = []
         for operators in (plain, knowing):
             with pytest.raises(SyntaxFault) as caught:
@@ -141,6 +141,30 @@ def test_nothing_that_has_read_otherwise_reads_otherwise():
     assert term_key(read(f"{POINT}{{x}}", operators=knowing)) == term_key(
         read(f"{POINT}{{x}}", operators=plain)
     )
+
+
+UNKNOWN = "no message type or event of a topic is called"
+MISNAMED = {
+    "a <- spott{x: 1}": (6, f"{UNKNOWN} spott; did you mean spot?"),
+    "a <- wrong{x: 1}": (6, f"{UNKNOWN} wrong"),
+    "a <- Point{x: 1} where b": (6, f"{UNKNOWN} Point; write {POINT}{{...}}"),
+    "a <- point {x: 1} where b": (6, f"{UNKNOWN} point; write {POINT}{{...}}"),
+    "a <- Poin{x: 1}": (6, f"{UNKNOWN} Poin; did you mean {POINT}?"),
+    "a <- Spot{x: 1}": (6, f"{UNKNOWN} Spot; write spot{{...}}"),
+    "a <- my_msgs_Point{x: 1}": (6, f"{UNKNOWN} my_msgs_Point; write {POINT}{{...}}"),
+    "f(my_msgs/Point{x: 1})": (3, f"{UNKNOWN} my_msgs/Point; write {POINT}{{...}}"),
+    "a <- 'my_msgs/Point'{x: 1}": (6, f"{UNKNOWN} my_msgs/Point; write {POINT}{{...}}"),
+    f"a <- {POINT} {{x: 1}}": (24, f'no blank is allowed between {POINT} and its "{{"'),
+    "my_msgs__0__Other {x: 1}": (19, 'no blank is allowed between my_msgs__0__Other and its "{"'),
+}
+
+
+def test_a_name_that_no_messages_have_is_said_with_those_that_were_meant():
+    for text, (column, message) in MISNAMED.items():
+        with pytest.raises(SyntaxFault) as caught:
+            read(text)
+        assert (text, caught.value.message) == (text, message)
+        assert (text, caught.value.place.column) == (text, column)
 
 
 def test_who_knows_no_messages_reads_none_by_name():

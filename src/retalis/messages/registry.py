@@ -235,6 +235,25 @@ class Definitions:
                 return f"{one}/{close[0]}"
         return ""
 
+    def added(self) -> List[str]:
+        """Return the names of the types that were added from texts, and of those nested in them.
+
+        >>> definitions = Definitions()
+        >>> added = definitions.add("my_robot/Bumper", "bool left")
+        >>> definitions.added()
+        ['my_robot/Bumper']
+        """
+        return list(dict.fromkeys([*self._added, *self._nested]))
+
+    def installed(self) -> List[str]:
+        """Return the names of the types that are installed.
+
+        >>> "std_msgs/String" in Definitions().installed()
+        True
+        """
+        packages = self._installed.packages()
+        return [f"{package}/{kind}" for package in packages for kind in self._installed.types(package)]
+
     def known(self, name: str) -> Optional[Definition]:
         """Return an added or nested type without looking at what is installed.
 

@@ -3,9 +3,10 @@
 from typing import Dict, List, Optional
 
 from ..foundation import Cache, MessageError, UsageError
-from ..prolog.syntax import MessageSlot, NamedForm
+from ..prolog.syntax import Meant, MessageSlot, NamedForm
 from ..prolog.terms import copy
 from .definition import Definition, Field, functor_name, type_name
+from .notations import Notations
 from .registry import Definitions
 
 LARGEST_ZERO = 1 << 20
@@ -27,6 +28,7 @@ class SlotNames:
         self._definitions = definitions
         self.events: Dict[str, str] = {}
         self.forms: Cache[NamedForm, bool] = Cache(1000, 1 << 20)
+        self._installed: Optional[Notations] = None
 
     @property
     def definitions(self) -> Definitions:
@@ -57,6 +59,19 @@ class SlotNames:
                 f"messages of {kind} have {definition.measure.least} bytes at least: write all slots in their order"
             )
         return self._slots(definition)
+
+    def meant(self, name: str) -> Meant:
+        """Return which messages were probably meant by a name that none are called."""
+        if self._installed is None:
+            self._installed = Notations((functor_name(one), one) for one in self.definitions.installed())
+        own = Notations((event, event) for event in self.events)
+        added = Notations((functor_name(one), one) for one in self.definitions.added())
+        notations = (own, added, self._installed)
+        same = [found for one in notations for found in one.same(name)]
+        if same:
+            return Meant(tuple(dict.fromkeys(same)), True)
+        near = [found for one in notations for found in one.near(name)]
+        return Meant(tuple(dict.fromkeys(near)))
 
     def _slots(self, definition: Definition) -> List[MessageSlot]:
         zero = copy(self.definitions.decoder(definition).decode(bytes(definition.measure.least)))

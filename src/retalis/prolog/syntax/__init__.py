@@ -29,7 +29,7 @@ from .eventtext import event_text, float_text, to_text
 from .operators import Operators
 from .reader import Program, ReadTerm, read_program, read_term
 from .shownslots import by_name
-from .slots import MessageSlot, NamedForm
+from .slots import Meant, MessageSlot, NamedForm
 from .tokens import ReadFlags
 from .writer import write_term, writeq
 
@@ -42,6 +42,7 @@ __all__ = [
     "EventReader",
     "float_text",
     "OperatorKind",
+    "Meant",
     "MessageSlot",
     "NamedForm",
     "Operators",

@@ -3,14 +3,15 @@
 from difflib import get_close_matches
 from typing import Any, Dict, List, Sequence, Tuple
 
-from ...foundation import RetalisError
+from ...foundation import RetalisError, SyntaxFault
 from ..terms import Term, Var, atom, functor
 from . import faults
 from .floats import as_floats
+from .misnamed import misnamed
 from .opened import Open
 from .slots import Expanded, MessageSlot
 from .state import LIST, SLOTS
-from .tokens import NAME, QUOTED, shown
+from .tokens import NAME, QUOTED, VARIABLE, shown
 
 _MARK = "__0__"
 """What names of message types have in them as terms."""
@@ -43,6 +44,14 @@ class ByName(Open):
             return False
         self._open_message(name, start, slots)
         return True
+
+    def _no_operator(self) -> SyntaxFault:
+        """Return the error about a token where a term has ended, which may be the bracket of a message."""
+        known = self.operators.slots
+        found = None
+        if self.tokens[self.at][0] == "{" and self.tokens[self.at - 1][0] in (NAME, QUOTED, VARIABLE):
+            found = misnamed(self, known) if known is not None and not self.flags.event_text else None
+        return found or faults.no_operator(self, self.brackets[-1])
 
     def _open_inner(self, at: int, start: int) -> bool:
         """Open a message that is the value of a slot, whose type says its name; tell whether it is one."""

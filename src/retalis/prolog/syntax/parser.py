@@ -179,7 +179,7 @@ class Parser(ByName):
         elif kind == ")" or kind == "]" or kind == "}" or kind == END or kind == "eof":
             self._close(kind)
         else:
-            raise faults.no_operator(self, self.brackets[-1])
+            raise self._no_operator()
 
     def _name_operator(self, name: str, start: int) -> None:
         infix = self.table.get(name)

@@ -94,6 +94,21 @@ class Slots(Protocol):
             RetalisError: where they are not known.
         """
 
+    def meant(self, name: str) -> "Meant":
+        """Return which messages were probably meant by a name that none are called."""
+
+
+class Meant(NamedTuple):
+    """Messages that a name probably means.
+
+    Attributes:
+        names: what their terms are called, the likeliest first.
+        other: whether the name is one of theirs in another notation, not a misspelt one.
+    """
+
+    names: Tuple[str, ...] = ()
+    other: bool = False
+
 
 class Expanded(NamedTuple):
     """A message as it was read: its term, the slots that were named, the values of the others if it is made.
