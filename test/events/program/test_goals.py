@@ -36,6 +36,16 @@ def test_an_error_takes_one_line_and_the_rest_is_read():
     assert read("a(\nb\nc)\n") == [("error", 1), ("b", 2), ("error", 3)]
 
 
+def test_a_goal_that_goes_on_without_a_full_stop_is_told_of_it():
+    text = "a(1,\n  2)\nb(\n\nc(1, % why\n  d e)\nf(1"
+    found = [one for one in read_goals(text, Operators.prolog(), "goals") if isinstance(one, SyntaxFault)]
+    told = [
+        one.place.line for one in found if "a goal over several lines ends with a full stop" in one.message
+    ]
+    assert [one.place.line for one in found] == [1, 2, 3, 5, 6, 7]
+    assert told == [1, 5]
+
+
 def test_a_quoted_percent_sign_is_no_comment():
     assert [goal for goal, _ in read("a('50%')\nb('1.%')")] == ["a('50%')", "b('1.%')"]
 

@@ -110,8 +110,18 @@ def read_goals(text: str, operators: Operators, source: str) -> Iterator[Read]:
                     goal, end = longer, stop + 1
                 else:
                     in_vain -= sum(map(len, lines[at : stop + 1]))
-        yield goal
+        yield _unfinished(goal, lines, at) if isinstance(goal, SyntaxFault) and end == at + 1 else goal
         at = end
+
+
+def _unfinished(fault: SyntaxFault, lines: List[str], at: int) -> SyntaxFault:
+    """Return the error about a line that does not read, with what is missing where it ends in the midst of a term."""
+    place = fault.place
+    follows = at + 1 < len(lines) and not _is_blank(lines[at + 1])
+    if place is None or not follows or not _is_blank(lines[at][place.column - 1 :]):
+        return fault
+    message = fault.message.partition("; ")[0]  # not that a comma were superfluous
+    return SyntaxFault(f"{message}; a goal over several lines ends with a full stop", place)
 
 
 def _is_blank(line: str) -> bool:
