@@ -157,7 +157,10 @@ class Watch:
         elif event == "open":
             allowed = self._may_open(*arguments[:3])
         else:
-            allowed = event == "os.scandir" and sys._getframe(1).f_globals.get("__name__") in FINDERS
+            allowed = (
+                event in ("os.scandir", "os.listdir")
+                and sys._getframe(1).f_globals.get("__name__") in FINDERS
+            )
         if not allowed:
             self.actions.append((f"{event} {_brief(arguments)}", place(sys._getframe(1))))
             raise Forbidden(f"{event} {_brief(arguments)}")

@@ -74,7 +74,7 @@ def _real(folder: Path) -> str:
 
 def _load(engine: EngineCore, folder: Path) -> None:
     own_files = parts_of(engine).own_files
-    if folder.is_file():
+    if os.path.isfile(folder):
         own_files.load_rules(read_text(folder), str(folder), folder.parent)
         return
     path = folder / GOALS
@@ -88,7 +88,7 @@ def reload_folder(engine: EngineCore, folder: Path, new_engine: Callable[[], Eng
     parts, key = parts_of(engine), _real(folder)
     if parts.runner.thread == get_ident():
         raise UsageError("a goal or callback of an engine cannot have it read its program again")
-    if folder.is_file():  # it may need what other files say, so it is not tried alone
+    if os.path.isfile(folder):  # it may need what other files say, so it is not tried alone
         tried = standing_of(new_engine())
     else:
         tried = try_program(engine, new_engine(), parts.programs.get(key, NOTHING), folder)
