@@ -39,3 +39,9 @@ def test_a_type_that_there_is_not_is_an_error_in_one_line(bag, capsys):
     assert capsys.readouterr().err.endswith("is installed or has been received\n")
     assert main(["msg", "Point"]) == 1
     assert 'expected a message type "package/Type"' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("wrong", ["std_msgs/string", "std_msgs/Strng", "String", "string", "std_mgs/String"])
+def test_the_type_that_was_probably_meant_is_named(wrong, capsys):
+    assert main(["msg", wrong]) == 1
+    assert capsys.readouterr().err.endswith("; did you mean std_msgs/String?\n")

@@ -102,6 +102,10 @@ WRONG = {
     ),
     f"{ALL}{{text: {{x: 1}}}}": (23, "text is string, which has no slots"),
     f"{ALL}{{points: {{x: 1}}}}": (25, "points is my_msgs/Point[]: expected a list of its elements"),
+    "b :- std_msgs__0__Strng{a: 1}": (
+        6,
+        "there is no message type std_msgs/Strng; did you mean std_msgs/String?",
+    ),
     "b :- my_msgs__0__Other{a: 1}": (6, "the slots of my_msgs/Other are not known when this is read"),
     "my_msgs__0__Huge{}": (1, "messages of my_msgs/Huge have 2000000 bytes at least"),
 }

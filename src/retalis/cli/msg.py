@@ -39,19 +39,25 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     kind = options.type.replace("__0__", "/").replace("/msg/", "/")
+    definitions = Definitions()
     fault = type_fault(kind)
     if fault is not None:
-        raise UsageError(fault)
-    definitions = Definitions()
+        raise UsageError(f"{fault}{_meant(definitions, kind)}")
     if options.bag is not None:
         _learn(definitions, options.bag, kind)
     try:
         found = definitions.find(kind)
     except MessageError as error:
         hint = "" if options.bag is not None else "; --bag BAG takes it from a bag"
-        raise UsageError(f"{error.message}{hint}") from error
+        raise UsageError(f"{error.message}{_meant(definitions, kind) or hint}") from error
     print(FORMATS[options.format](found, definitions), end="")
     return 0
+
+
+def _meant(definitions: Definitions, kind: str) -> str:
+    """Return the question whether another type was meant, behind a semicolon; "" where none is like it."""
+    found = definitions.misspelt(kind)
+    return f"; did you mean {found}?" if found else ""
 
 
 def _learn(definitions: Definitions, path: Path, kind: str) -> None:

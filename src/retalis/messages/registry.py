@@ -223,17 +223,27 @@ class Definitions:
     def misspelt(self, name: str) -> str:
         """Return the type that was probably meant by one that is not known; "" where none is like it.
 
-        >>> Definitions().misspelt("std_msgs/Strng")
-        'std_msgs/String'
+        >>> Definitions().misspelt("std_msgs/Strng"), Definitions().misspelt("string")
+        ('std_msgs/String', 'std_msgs/String')
         """
         if name in self:
             return ""
-        package, _, kind = name.partition("/")
-        for one in dict.fromkeys([package, *get_close_matches(package, self._installed.packages(), 3, 0.8)]):
-            close = get_close_matches(kind, self._installed.types(one), 1, 0.7)
+        package, _, kind = name.rpartition("/")
+        packages = self._installed.packages()
+        if not package:
+            return next((f"{one}/{found}" for one in packages for found in self._alike(one, kind, 1)), "")
+        for one in dict.fromkeys([package, *get_close_matches(package, packages, 3, 0.8)]):
+            close = self._alike(one, kind, 0.7)
             if close and (one == package or close[0] == kind):
                 return f"{one}/{close[0]}"
         return ""
+
+    def _alike(self, package: str, kind: str, alike: float) -> List[str]:
+        """Return the type of a package whose name is most like another, large letters or small; at most one."""
+        small: Dict[str, str] = {}
+        for name in self._installed.types(package):
+            small.setdefault(name.lower(), name)
+        return [small[one] for one in get_close_matches(kind.lower(), small, 1, alike)]
 
     def added(self) -> List[str]:
         """Return the names of the types that were added from texts, and of those nested in them.

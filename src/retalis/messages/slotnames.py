@@ -49,6 +49,9 @@ class SlotNames:
         try:
             definition = self.definitions.find(kind)
         except MessageError as error:
+            meant = self.definitions.misspelt(kind)
+            if meant:
+                raise UsageError(f"there is no message type {kind}; did you mean {meant}?") from error
             raise UsageError(
                 f"the slots of {kind} are not known when this is read: {error.message}; install its package, "
                 "put its folder on ROS_PACKAGE_PATH, or write all slots in their order: what only publishers "
