@@ -5,8 +5,8 @@ import sys
 from typing import IO, Dict, List, Optional
 
 from ..engine.explaining import Explanation, ExplanationLine
-from ..engine.playback import OF_MEMORIES
 from ..engine.playback import recorded as text
+from ..events.knowledge import OF_MEMORIES
 from ..prolog.terms import Term, atom, functor, timestamps
 
 EVENT = functor("event", 2)

@@ -1,7 +1,7 @@
 """A program over a bag, without ROS: what the nodes give live, from the same messages."""
 
 from .bags import BagError, BagReader, BagWriter, Record, Topic
-from .looking import OF_MEMORIES, Line, RunLook, output_line, recorded
+from .looking import Line, RunLook, output_line, recorded
 from .playback import Output, Playback
 from .series import BagSeries
 
@@ -11,7 +11,6 @@ __all__ = [
     "BagSeries",
     "BagWriter",
     "Line",
-    "OF_MEMORIES",
     "Output",
     "output_line",
     "Playback",

@@ -2,8 +2,9 @@
 
 from typing import Callable, Dict, List, NamedTuple, Union
 
+from ...events.knowledge import OF_MEMORIES
 from ...prolog.syntax import write_term
-from ...prolog.terms import Term, Var, functor, variables
+from ...prolog.terms import Term, Var, variables
 from .. import parts_of
 from .playback import Output, Playback
 
@@ -12,11 +13,6 @@ Line = Dict[str, Union[None, int, str, List[str]]]
 
 MOST_WAITING = 1000
 """Queries that are looked at; where more wait at once, the others are not told of."""
-
-OF_MEMORIES = frozenset(
-    (functor("memory_created", 5), functor("memory_updated", 2), functor("memory_deleted", 1))
-)
-"""The events that memories make."""
 
 
 class _Wait(NamedTuple):

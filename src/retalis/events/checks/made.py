@@ -5,7 +5,8 @@ from typing import Any, Dict, FrozenSet, Iterator, Optional, Sequence, Set
 from ...foundation import Place, RuleError
 from ...messages import functor_name
 from ...prolog.terms import SLASH, Atom, Functor, Term, deref, functor
-from ..language import ALARMS, SYNCHRONIZED
+from ..knowledge import OWN_EVENTS
+from ..language import ALARMS, SYNCHRONIZED, Action
 from ..program import TOPICS
 from .near import near_functor
 from .overview import Overview, is_open
@@ -14,9 +15,6 @@ from .written import key_of
 _NEW = frozenset(
     (*(functor("new_event", arity) for arity in (2, 3, 5)), functor("event", 1), functor("event", 2))
 )
-_OF_SYSTEM = frozenset(
-    (functor("memory_created", 5), functor("memory_updated", 2), functor("memory_deleted", 1))
-)
 _OUTSIDE = functor("input_event", 1)
 SUBSCRIBE_TO = frozenset((functor("subscribe_to", 2), functor("subscribe_to", 3)))
 _SHOWN = frozenset(
@@ -24,6 +22,7 @@ _SHOWN = frozenset(
     for name in ("external_trigger", "print_trigger", "spy_event", "persistent_event", "persistent_rule")
 )
 _NO_EVENT = functor("null_event", 0)
+_FOR_NOBODY = frozenset((_NO_EVENT, functor("null", 0)))
 _REV = functor("rev", 1)
 
 
@@ -37,7 +36,7 @@ class MadeEvents:
     """
 
     def __init__(self, program: Overview):
-        self.keys: Dict[Functor, Optional[Place]] = dict.fromkeys(_OF_SYSTEM)
+        self.keys: Dict[Functor, Optional[Place]] = dict.fromkeys(OWN_EVENTS)
         self.names: Set[str] = set()
         self.anything = False
         self._topics(program)
@@ -185,7 +184,9 @@ def never_taken(program: Overview) -> Iterator[RuleError]:
     for rule in program.rules:
         head = made_by(rule.definition.head)
         key = None if head is None else key_of(head)
-        if head is None or key is None or key in taken or key in seen or key is _NO_EVENT or key is _REV:
+        if head is None or key is None or key in taken or key in seen or key in _FOR_NOBODY or key is _REV:
+            continue
+        if isinstance(rule.definition.pattern, Action):  # it is there for what it does
             continue
         seen.add(key)
         place = rule.spot(head) if deref(head).__class__ is tuple else rule.definition.place

@@ -4,7 +4,7 @@ Each is fed by the dispatcher (`retalis.events.dispatch`) and reached by goals (
 puts them together.
 """
 
-from .knowledge import DELETE_MEMORY, MEMORIZE, SUBSCRIBE, Knowledge
+from .knowledge import DELETE_MEMORY, MEMORIZE, OF_MEMORIES, OWN_EVENTS, SUBSCRIBE, Knowledge
 from .recorder import Instance
 from .subscriptions import Key as SubscriptionKey
 from .subscriptions import Subscription
@@ -14,6 +14,8 @@ __all__ = [
     "Instance",
     "Knowledge",
     "MEMORIZE",
+    "OF_MEMORIES",
+    "OWN_EVENTS",
     "SUBSCRIBE",
     "Subscription",
     "SubscriptionKey",

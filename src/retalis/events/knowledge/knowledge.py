@@ -11,16 +11,22 @@ from ..dispatch import Dispatcher
 from .conditions import Behind
 from .gaps import Gaps
 from .matching import define_matching
-from .memories import Memories, define_read_access, enumerate_records
-from .recorder import Instance
+from .memories import CREATED, DELETED, Memories, define_read_access, enumerate_records
+from .recorder import UPDATED, Instance
 from .recording import Warn, key_of
 from .subscriptions import Deliver, Subscriptions
 from .timeouts import AlarmClock
-from .waiting import WaitingQueries
+from .waiting import GIVEN_UP, WaitingQueries
 
 MEMORIZE = functor("memorize", 5)
 SUBSCRIBE = functor("subscribe", 5)
 DELETE_MEMORY = functor("delete_memory", 1)
+
+OF_MEMORIES = frozenset((CREATED, UPDATED, DELETED))
+"""The events that memories make."""
+
+OWN_EVENTS = OF_MEMORIES | {GIVEN_UP}
+"""All events that the package makes by itself, without a rule, goal or topic."""
 
 
 class Knowledge:

@@ -1,0 +1,46 @@
+"""Events that nothing makes, and events that nothing takes."""
+
+import pytest
+
+from retalis.engine import Engine, parts_of
+from retalis.events.checks.made import never_made, never_taken
+from retalis.events.checks.overview import Overview
+from retalis.events.knowledge import OWN_EVENTS
+from retalis.events.program import Topics, TopicType
+from retalis.messages import Definitions
+
+TOPICS = Topics((TopicType("said", "std_msgs/String"),))
+
+
+def said_of(check, rules):
+    engine = Engine()
+    engine.load(rules=rules)
+    parts = parts_of(engine)
+    program = Overview(parts.rules, parts.knowledge, Definitions(), TOPICS)
+    return [error.message for error in check(program)]
+
+
+def test_events_of_the_package_itself_are_made_by_it():
+    patterns = [f"{key.name}({', '.join('_' * key.arity)})" for key in OWN_EVENTS]
+    assert len(patterns) == 4
+    assert said_of(never_made, "\n".join(f"seen <- {pattern}." for pattern in patterns)) == []
+    (said,) = said_of(never_made, "seen <- query_given_up(_, _).")
+    assert said == "nothing makes query_given_up/2: no topic, rule or goal; did you mean query_given_up/3?"
+
+
+@pytest.mark.parametrize(
+    "rule",
+    [
+        "null <- {}.",
+        "null do assertz(n(1)) <- {}.",
+        "null_event do assertz(n(1)) <- {}.",
+        "noted do assertz(n(1)) <- {} where true.",
+    ],
+)
+def test_a_rule_that_is_there_for_what_it_does_needs_nobody_to_take_its_event(rule):
+    assert said_of(never_taken, rule.format("std_msgs__0__String(_)")) == []
+
+
+def test_an_event_that_nobody_takes_is_said():
+    (said,) = said_of(never_taken, "noted <- std_msgs__0__String(_).")
+    assert said == "nothing takes noted/0: no rule, memory or subscription"
