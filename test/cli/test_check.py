@@ -85,13 +85,13 @@ def test_types_come_from_folders(capsys, folder, tmp_path, where):
     (tmp_path / "my_robot" / "msg" / "Heat.msg").write_text("float64 heat\n")
     status, said = checked(capsys, folder, "--msg", tmp_path / where)
     assert status == 0
-    assert "my_robot__0__Heat/2 does not match its type: my_robot/Heat has 1 slots: heat" in said
+    assert "my_robot__0__Heat/2 does not match its type: my_robot/Heat has 1 slot: heat" in said
 
 
 def test_types_come_from_bags(capsys, folder, tmp_path):
     with BagWriter(tmp_path / "hot.bag") as bag:
         bag.write(bag.add("/hot", Definitions().add("my_robot/Heat", "float64 heat")), 1, bytes(8))
-    assert "my_robot/Heat has 1 slots" in checked(capsys, folder, "--bag", tmp_path / "hot.bag")[1]
+    assert "my_robot/Heat has 1 slot" in checked(capsys, folder, "--bag", tmp_path / "hot.bag")[1]
 
 
 def test_what_is_missing_is_an_error(capsys, tmp_path):

@@ -143,7 +143,10 @@ c <- right_point{y: 1}.
     engine.load_program(tmp_path)
     warnings = engine.warnings(tmp_path, definitions, read_topics(tmp_path / "pub_sub.xml"))
     (warning,) = [one for one in warnings if "its type" in one.message]
-    assert warning.message == "left_point/1 does not match its type: my_msgs/Point has 2 slots: x, y"
+    assert warning.message == (
+        "left_point/1 does not match its type: my_msgs/Point has 2 slots: x, y; "
+        "write all of them, or some by name: left_point{x: ...}"
+    )
     assert warning.place.line == 2
     seen = []
     engine.on_event(lambda term, start, end: seen.append(engine.show(term)))

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retalis.foundation import SyntaxFault
+from retalis.foundation import SyntaxFault, UsageError
 from retalis.messages import Definitions, Installed, SlotNames
 from retalis.prolog.logic import Logic
 from retalis.prolog.syntax import Operators, ReadFlags, read_term, to_text
@@ -102,10 +102,6 @@ WRONG = {
     ),
     f"{ALL}{{text: {{x: 1}}}}": (23, "text is string, which has no slots"),
     f"{ALL}{{points: {{x: 1}}}}": (25, "points is my_msgs/Point[]: expected a list of its elements"),
-    "b :- std_msgs__0__Strng{a: 1}": (
-        6,
-        "there is no message type std_msgs/Strng; did you mean std_msgs/String?",
-    ),
     "b :- my_msgs__0__Other{a: 1}": (6, "the slots of my_msgs/Other are not known when this is read"),
     "my_msgs__0__Huge{}": (1, "messages of my_msgs/Huge have 2000000 bytes at least"),
 }
@@ -247,3 +243,9 @@ def test_named_slots_read_as_those_in_order_and_are_shown_so_that_they_read_back
     for names in ({}, {var: name for name, var in term.names.items()}):
         again = read(PROGRAM.show(term.term, names=names))
         assert term_key(again) == term_key(same)
+
+
+def test_a_type_that_is_misspelt_is_answered_with_the_one_that_was_meant():
+    with pytest.raises(UsageError) as caught:
+        SlotNames(Definitions()).find("std_msgs__0__Strng")
+    assert str(caught.value) == "there is no message type std_msgs/Strng; did you mean std_msgs/String?"

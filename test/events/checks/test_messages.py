@@ -2,8 +2,10 @@
 
 import pytest
 
-from retalis.engine import Engine
-from retalis.events.program import Topics, topic_type
+from retalis.engine import Engine, check_program, parts_of
+from retalis.events.checks.messages import wrong_messages
+from retalis.events.checks.overview import Overview
+from retalis.events.program import TopicEvent, Topics, topic_type
 from retalis.messages import Definitions
 
 HEADER = "uint32 seq\ntime stamp\nstring frame_id\n"
@@ -37,7 +39,8 @@ def warnings(definitions, folder, rules="", goals="", types=("my_msgs/Warm", "my
     [
         (
             "a <- b where X = my_msgs__0__Warm(std_msgs__0__Header(_, _), 1), X == X.",
-            "std_msgs__0__Header/2 does not match its type: std_msgs/Header has 3 slots: seq, stamp, frame_id",
+            "std_msgs__0__Header/2 does not match its type: std_msgs/Header has 3 slots: seq, stamp, frame_id; "
+            "write all of them, or some by name: std_msgs__0__Header{seq: ...}",
         ),
         (
             "a <- my_msgs__0__Empty(_).",
@@ -57,7 +60,8 @@ def test_rules_with_wrong_messages(definitions, tmp_path, rules, warning):
 def test_memories_and_subscriptions_that_stand_in_no_file_are_named(definitions, tmp_path):
     goals = "memorize(my_msgs__0__Warm(_), [], _, m, 5)\nsubscribe(my_msgs__0__Warm(_, _, _), [], _, out, s)"
     assert warnings(definitions, tmp_path, goals=goals)[:2] == [
-        "memory m: my_msgs__0__Warm/1 does not match its type: my_msgs/Warm has 2 slots: header, warmth",
+        "memory m: my_msgs__0__Warm/1 does not match its type: my_msgs/Warm has 2 slots: header, warmth; "
+        "write all of them, or some by name: my_msgs__0__Warm{header: ...}",
     ] + [
         one
         for one in warnings(definitions, tmp_path, goals=goals)
@@ -87,5 +91,61 @@ def test_a_misspelt_type_silences_nothing_about_the_others_of_its_package(tmp_pa
     found = warnings(Definitions(), tmp_path, rules, types=["std_msgs/Strng", "std_msgs/Bool"])
     assert [one.split("\n")[0].partition(": ")[2] for one in found] == [
         "there is no message type std_msgs/Strin here; did you mean std_msgs/String?",
-        "std_msgs__0__Bool/2 does not match its type: std_msgs/Bool has 1 slots: data",
+        "std_msgs__0__Bool/2 does not match its type: std_msgs/Bool has 1 slot: data; "
+        "write all of them, or some by name: std_msgs__0__Bool{data: ...}",
     ]
+
+
+FAN = Topics((topic_type("fan/state", "std_msgs/Bool"),), events=(TopicEvent("fan/state", "fan"),))
+
+
+def said_of_fans(rules, goals=""):
+    engine = Engine()
+    engine.load(rules=rules, goals=goals)
+    parts = parts_of(engine)
+    program = Overview(parts.rules, parts.knowledge, Definitions(), FAN)
+    return [(error.message, error.place and error.place.column) for error in wrong_messages(program)]
+
+
+def test_a_name_of_a_topics_events_that_is_no_event_is_left_alone():
+    rules = (
+        "a <- says(fan, true) where (access_mem(fan, false, _), device(fan), F = fan(1, 2), F \\== fan(1)).\n"
+        "device(fan). says(fan, true) do note(fan) <- fan(_)."
+    )
+    assert said_of_fans(rules, "memorize(fan(On), [], fan, fan, 1)") == []
+
+
+BARE = "fan/0 does not match its type: std_msgs/Bool has 1 slot: data; write fan{data: ...}"
+
+
+@pytest.mark.parametrize(
+    ("rules", "goals"),
+    [
+        ("a <- (b where x(fan)) seq fan.", ""),
+        ("a <- fan.", ""),
+        ("fan <- b.", ""),
+        ("fan do note(fan) <- b.", ""),
+        ("null_event do event(fan) <- b.", ""),
+        ("a(b).", "memorize(fan, [], x, m, 5)"),
+        ("a(b).", "subscribe(fan, [], std_msgs__0__Bool(true), out, s)"),
+    ],
+)
+def test_an_event_of_a_topic_without_its_slots_is_told_how_to_be_written(rules, goals):
+    ((said, _),) = said_of_fans(rules, goals)
+    assert said.endswith(BARE)
+
+
+def test_a_slot_that_is_named_in_parentheses_is_told_where_to_be_named(tmp_path):
+    (tmp_path / "eventRules.txt").write_text("a <- (b where x(fan)) seq fan.\nc <- fan(data: true).\n")
+    (tmp_path / "goalPredicates.txt").write_text("compile_event_file('eventRules.txt')")
+    (tmp_path / "pub_sub.xml").write_text(
+        '<publish_subscribe><subscribe_to name="f" msg_type="std_msgs/Bool" event="fan"/></publish_subscribe>'
+    )
+    said = [str(one.problem) for one in check_program(tmp_path, Definitions())]
+    (bare,) = [one for one in said if BARE in one]
+    (named,) = [one for one in said if "in parentheses" in one]
+    assert bare.startswith(f"{tmp_path}/eventRules.txt:1:27: ")
+    assert named.startswith(
+        f"{tmp_path}/eventRules.txt:2:10: data of std_msgs/Bool is not named in parentheses"
+    )
+    assert "write fan{data: ...}" in named

@@ -12,7 +12,7 @@ from .near import near_functor
 from .overview import Overview, is_open
 from .written import key_of
 
-_NEW = frozenset(
+NEW_EVENT = frozenset(
     (*(functor("new_event", arity) for arity in (2, 3, 5)), functor("event", 1), functor("event", 2))
 )
 _OUTSIDE = functor("input_event", 1)
@@ -68,7 +68,7 @@ class MadeEvents:
             term = inner.term
             if inner.key is not None:
                 others.add(inner.key)
-            if term.__class__ is tuple and term[0] in _NEW:
+            if term.__class__ is tuple and term[0] in NEW_EVENT:
                 made: Any = deref(term[1])
                 hidden = hidden or is_open(made)
                 self._note(made, inner.place)
@@ -193,7 +193,7 @@ def never_taken(program: Overview) -> Iterator[RuleError]:
         yield RuleError(_nobody(key, taken), place)
     for inner in program.calls():
         term = inner.term
-        if term.__class__ is tuple and term[0] in _NEW and term[0].name == "new_event":
+        if term.__class__ is tuple and term[0] in NEW_EVENT and term[0].name == "new_event":
             key = key_of(term[1])
             if key is not None and key not in taken and key not in seen:
                 seen.add(key)

@@ -3,14 +3,29 @@
 from typing import Any, Iterator, List, Set, Tuple
 
 from ...foundation import RuleError
-from ...messages import Definition, Field
-from ...prolog.terms import FALSE, NIL, TRUE, Atom, Functor, String, Term, Var, deref, list_items
+from ...messages import Definition, Field, type_name
+from ...prolog.terms import (
+    FALSE,
+    NIL,
+    TRUE,
+    Atom,
+    CompoundTerm,
+    Functor,
+    String,
+    Term,
+    Var,
+    deref,
+    functor,
+    list_items,
+)
+from .made import NEW_EVENT, made_by
 from .near import near
 from .overview import Overview
-from .written import Inner, held, inners
+from .written import Inner, everywhere, held, inners
 
 _NUMBERS = frozenset(("nan", "inf", "infinite"))
 _TIMES = frozenset(("time", "duration"))
+_NAMED = functor(":", 2)
 
 
 def wrong_messages(program: Overview) -> Iterator[RuleError]:
@@ -19,7 +34,7 @@ def wrong_messages(program: Overview) -> Iterator[RuleError]:
     names = sorted({name for one in known if one for name in (one.name, *_nested(one))})
     later = {kind.partition("/")[0] for kind in _types(program) if _comes_later(program, kind)}
     seen: Set[Functor] = set()
-    for inner, who in _all(program):
+    for inner, who in _messages(program):
         key = inner.key
         kind = None if key is None or key in seen else program.type_of(key.name)
         if key is None or kind is None:
@@ -42,6 +57,29 @@ def _comes_later(program: Overview, kind: str) -> bool:
 
 def _nested(definition: Definition) -> List[str]:
     return [nested.name for nested in definition.dependencies()]
+
+
+def _messages(program: Overview) -> Iterator[Tuple[Inner, str]]:
+    """Yield all terms that are called as a type is, and the events that are called as a topic's."""
+    for inner, who in _all(program):
+        if inner.key is not None and type_name(inner.key.name) is not None:
+            yield inner, who
+    for inner, who in _events(program):
+        if inner.key is not None and type_name(inner.key.name) is None:
+            yield inner, who
+
+
+def _events(program: Overview) -> Iterator[Tuple[Inner, str]]:
+    """Yield what stands where only events do; elsewhere the name of a topic's events may be any other thing's."""
+    yield from program.patterns()
+    for rule in program.rules:
+        head = made_by(rule.definition.head)
+        if head is not None:
+            place = rule.definition.place if head.__class__ is Atom else rule.spot(head)
+            yield Inner(head, held(head), 1, everywhere(place)), ""
+    for inner in program.calls():
+        if inner.term.__class__ is tuple and inner.term[0] in NEW_EVENT:
+            yield Inner(deref(inner.term[1]), inner.term, 1, inner.spot), ""
 
 
 def _all(program: Overview) -> Iterator[Tuple[Inner, str]]:
@@ -67,8 +105,12 @@ def _wrong(program: Overview, key: Functor, kind: str, names: List[str], later: 
     slots = [slot.name for slot in definition.fields]
     if len(slots) == key.arity:
         return ""
-    named = f": {', '.join(slots)}" if slots else ""
-    return f"{key} does not match its type: {kind} has {len(slots)} slots{named}"
+    count = "1 slot" if len(slots) == 1 else f"{len(slots)} slots"
+    wrong = f"{key} does not match its type: {kind} has {count}"
+    if not slots:
+        return wrong
+    advice = "write" if key.arity == 0 else "write all of them, or some by name:"
+    return f"{wrong}: {', '.join(slots)}; {advice} {key.name}{{{slots[0]}: ...}}"
 
 
 def values(program: Overview) -> Iterator[RuleError]:
@@ -79,10 +121,19 @@ def values(program: Overview) -> Iterator[RuleError]:
             if definition is None:
                 continue
             for at, slot in enumerate(definition.fields, 1):
-                wrong = _misfit(slot, deref(inner.term[at]))
+                value = deref(inner.term[at])
+                wrong = _in_braces(definition, inner.term, value) or _misfit(slot, value)
                 if wrong:
                     message = f"{slot.name} of {definition.name} {wrong}"
                     yield RuleError(f"{who}{message}", inner.spot(inner.term, at))
+
+
+def _in_braces(definition: Definition, message: CompoundTerm, value: Any) -> str:
+    """Return how a slot is named that is named as in ``button(data: true)``, "" for another value."""
+    name = deref(value[1]) if value.__class__ is tuple and value[0] is _NAMED else None
+    if not isinstance(name, Atom) or name.name not in [slot.name for slot in definition.fields]:
+        return ""
+    return f"is not named in parentheses: write {message[0].name}{{{name.name}: ...}}"
 
 
 def _misfit(slot: Field, value: Any) -> str:

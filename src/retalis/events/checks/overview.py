@@ -9,7 +9,7 @@ from ...prolog.logic import Logic
 from ...prolog.syntax import ReadTerm
 from ...prolog.terms import CompoundTerm, Term, Var, deref, functor, term_key
 from ..knowledge import Knowledge
-from ..language import Occurs, Spot, walk
+from ..language import SPELLINGS, Occurs, Spot, walk
 from ..program import Topics, TopicType
 from ..rules import Rules
 from .written import Inner, Written, WrittenRule, WrittenTerm, clause_at, everywhere, held, inners, read_again
@@ -172,10 +172,11 @@ def _of_rule(rule: WrittenRule) -> CompoundTerm:
 
 def _found(own: List[Inner], term: Term, spot: Spot) -> Inner:
     """Return a term of a rule with its place; copies in repetitions have that of the rule."""
-    for inner in own:
-        if inner.term is term:
-            return inner
-    return Inner(term, held(term), 1, spot)
+    same = [inner for inner in own if inner.term is term]
+    # an atom may stand in a goal before, too: the event is the one that operators join
+    joined = [inner for inner in same if inner is own[0] or inner.parent[0] in SPELLINGS]
+    found = joined or same
+    return found[0] if found else Inner(term, held(term), 1, spot)
 
 
 def _other_rules(rules: Rules, sources: Set[str]) -> List[WrittenRule]:
