@@ -144,7 +144,7 @@ class Status(unittest.TestCase):
         wait_until(lambda: self.list(0).work_goal, "the goal")
         found = self.list(0)
         self.assertTrue(asking.is_alive())
-        self.assertEqual(found.work_goal, "goal ,/2")
+        self.assertEqual(found.work_goal, "goal repeat")
         self.wait_for_status("retalis: work", lambda one: one.level == DiagnosticStatus.WARN)
         asking.join()
         self.wait_for_status("retalis: work", lambda one: one.level == DiagnosticStatus.OK)

@@ -88,7 +88,7 @@ class _Template:
         if not definition.fields:
             yield _TemplateLine(f"{indent}{before}{name}{end}", said)
             return
-        opening, closing = "{}" if self.named else "()"
+        opening, closing = ("{", "}") if self.named else ("(", ")")
         if self.named and before:  # the type of the slot says which message it is
             name = ""
         yield _TemplateLine(f"{indent}{before}{name}{opening}", said)
