@@ -60,7 +60,7 @@ def test_conditions_that_loop_share_the_inferences_of_their_event(caplog):
 def test_conditions_that_loop_share_the_seconds_of_their_event(ticking, caplog):
     engine = make(goals=subscriptions("loop"), seconds=0.5)
     engine.event("in(1)", 1)
-    assert ticking[0] < 2 * 0.5
+    assert ticking[0] < 4 * 0.5  # threads that are left of other tests may look at this clock too
     assert f"in/1 has exceeded its limit of seconds; goals refused: {MANY - 1}" in caplog.text
 
 

@@ -158,7 +158,7 @@ class Watch:
             allowed = self._may_open(*arguments[:3])
         else:
             allowed = (
-                event in ("os.scandir", "os.listdir", "pathlib.Path.glob")
+                event in ("os.scandir", "os.listdir")
                 and sys._getframe(1).f_globals.get("__name__") in FINDERS
             )
         if not allowed:

@@ -72,7 +72,11 @@ def test_the_interface_is_listed_too(node):
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_one_who_watches_and_is_ended_leaves_no_subscription(node, number):
-    watching = subprocess.Popen(node.command(*LIVE, "watch", "--event", "fever_(_)"), env=node.env)
+    watching = subprocess.Popen(
+        node.command(*LIVE, "watch", "--event", "fever_(_)"),
+        env=node.env,
+        preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),  # these tests may be run by nohup
+    )
     try:
         assert any("fever_" in said(node, "list") for _ in range(30))
         watching.send_signal(number)

@@ -8,6 +8,7 @@ from typing import Any, Dict, Iterator, List, Optional, Sequence, Tuple
 
 from ..foundation import type_fault
 
+_ROS = "/opt/ros"
 _SHARE = ("/usr/share", "/usr/local/share")
 _MODULES = ("/usr/lib/python3/dist-packages",)
 _DEPTH = 4
@@ -138,8 +139,16 @@ def _package_folders() -> List[str]:
     for prefix in os.environ.get("CMAKE_PREFIX_PATH", "").split(os.pathsep):
         if prefix:
             folders.append(os.path.join(prefix, "share"))
-    folders += sorted(str(path) for path in Path("/opt/ros").glob("*/share"))
-    return folders + list(_SHARE)
+    return [*folders, *_distributions(), *_SHARE]
+
+
+def _distributions() -> List[str]:
+    """Return the folders of the distributions of ROS that are not Debian's."""
+    try:
+        names = sorted(os.listdir(_ROS))
+    except OSError:  # none is there
+        return []
+    return [os.path.join(_ROS, name, "share") for name in names]
 
 
 def _find_packages(folder: str, depth: int, found: Dict[str, str]) -> None:

@@ -11,6 +11,13 @@ from retalis.prolog.machine import Limits
 from ..mutate import to_text
 from ..watch import Finding
 
+try:  # names of types are looked for in it, and no input may import anything
+    from rosbags.typesys import Stores, get_typestore
+except ImportError:
+    pass
+else:
+    get_typestore(Stores.ROS1_NOETIC)
+
 CORPUS = Path(__file__).resolve().parent.parent / "corpus"
 # An input is several events, each with the time twice where a program catches that it is over: all within a second.
 SETTINGS = Settings(

@@ -1,10 +1,11 @@
 """A program as a graph: which topics become which events, which rules take them, and where they go."""
 
-from typing import Any, Dict, Hashable, Iterable, Iterator, List, NamedTuple, Optional, Set, Tuple
+from types import MappingProxyType
+from typing import Any, Dict, Hashable, Iterable, Iterator, List, Mapping, NamedTuple, Optional, Set, Tuple
 
 from ...events.language import ALARMS, SYNCHRONIZED, Occurs, own_terms, walk
 from ...foundation import beginning
-from ...prolog.terms import Atom, Functor, Term, atom, deref, functor, list_items
+from ...prolog.terms import Atom, Functor, Term, Var, atom, deref, functor, list_items, variables
 from .. import Engine, parts_of
 
 MOST_NODES = 150
@@ -133,9 +134,8 @@ class _GraphBuilder:
 
     def _rule(self, at: int, rule: Any) -> None:
         definition = rule.definition
-        brief = self._parts.logic.brief
-        text = brief(definition.term, definition.names)
-        label = "" if definition.label is None else brief(definition.label)
+        text = self._text(definition.term, definition.names)
+        label = "" if definition.label is None else self._text(definition.label)
         place = definition.place
         short = label or (f"{_file(place.source)}:{place.line}" if place is not None else f"rule {at + 1}")
         node = self._node("rule", f"{at}", text, short)
@@ -152,6 +152,10 @@ class _GraphBuilder:
         if definition.head is not None:
             self._head(node, at, deref(definition.head))
 
+    def _text(self, term: Term, names: Mapping[Var, str] = MappingProxyType({})) -> str:
+        """Return the beginning of a term's text, the same for each drawing: a variable without a name is ``_``."""
+        return self._parts.logic.brief(term, {**dict.fromkeys(variables(term), "_"), **names})
+
     def _head(self, node: str, at: int, head: Term) -> None:
         """Add the way from a rule to what it fires."""
         if head is _NO_EVENT:
@@ -161,7 +165,7 @@ class _GraphBuilder:
         if head.__class__ is not tuple or head[0] not in SYNCHRONIZED:
             self._edge(node, self._event(head), f"rule:{at}")
             return
-        asked = self._parts.logic.brief(deref(head[2]))
+        asked = self._text(deref(head[2]))
         query = self._node(
             "query", f"{at}", f"waits for its memories, then asks {asked}", _name(deref(head[2]))
         )
@@ -175,7 +179,7 @@ class _GraphBuilder:
         self._goals(query, [head[2]])
 
     def _memory(self, instance: Any) -> None:
-        name = self._parts.logic.brief(instance.id)
+        name = self._text(instance.id)
         plain = getattr(instance.id, "name", name)
         memory = self._node("memory", plain, f"memory {name}", name)
         self._edge(self._event(instance.recorder.pattern), memory, f"memory:{name}")
