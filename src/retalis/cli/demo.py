@@ -10,8 +10,8 @@ from typing import Any, Callable, Dict, Tuple
 from ..engine.playback import BagSeries, Playback
 from ..foundation import UsageError
 from ..prolog.terms import resolve
-from .bag import share_of
 from .numbers import seconds, whole
+from .playing import share_of
 from .progress import progress
 from .report import Report
 

@@ -8,9 +8,10 @@ from ..engine.drawing import PICTURES, Timeline, TimelineBuilder, draw_timeline,
 from ..engine.playback import BagSeries, RunLook
 from ..engine.runtime import relax
 from ..foundation import UsageError
-from .bag import add_source, playback_of, share_of
+from .bag import add_source
 from .folders import add_folders
 from .limits import add_limits
+from .playing import playback_of, share_of
 from .progress import progress
 from .report import Report
 

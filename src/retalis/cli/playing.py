@@ -1,0 +1,155 @@
+"""A program over bags: what happens in the run is printed as it does, and written into a bag on request."""
+
+import argparse
+import json
+from contextlib import ExitStack
+from typing import Callable, Dict, List, Optional
+
+from ..engine import Settings
+from ..engine.explaining import explain, record_origins
+from ..engine.playback import BagSeries, BagWriter, Line, Output, Playback, RunLook, output_line
+from ..engine.runtime import relax
+from ..events.program import TopicType, topic_type
+from ..foundation import UsageError, shortened
+from ..prolog.syntax import read_term, to_text
+from ..prolog.terms import atom, functor, timestamps
+from .folders import allow_folders
+from .limits import limited
+from .printing import Printer
+from .progress import Bar, progress
+from .report import Report, to_reader
+
+OUTPUT = functor("output", 2)
+TIMED_OUTPUT = functor("output", 3)
+
+
+def play(options: argparse.Namespace, report: Report) -> None:
+    """Play the bags that the options name."""
+    with ExitStack() as stack:
+        bags = stack.enter_context(BagSeries(options.bags, options.start, options.duration))
+        playback = playback_of(options, report, bags)
+        if options.explain:
+            record_origins(playback.engine)
+        writer = _writer(options, playback, stack)
+        bar = stack.enter_context(progress("messages", share_of(playback, bags)))
+        show = _Shower(options, playback, bar)
+        relax()
+        for output in playback.run(bags, show.advance):
+            show.output(output)
+            if writer is not None:
+                writer.write(output)
+        show.finish()
+
+
+def playback_of(options: argparse.Namespace, report: Report, bag: Optional[BagSeries] = None) -> Playback:
+    """Return the program that the options name, loaded; it may name slots of the types of a bag."""
+    settings = limited(allow_folders(Settings(), options), options)
+    settings = settings._replace(max_gap=options.max_gap or None)
+    limit = options.max_skew or None
+    return Playback(options.program, report, _topics(options.topic), settings, limit, bag)
+
+
+def share_of(playback: Playback, bags: BagSeries) -> Callable[[], float]:
+    """Return what tells how much of the bags' time has passed, from 0 to 1."""
+    length = bags.end - bags.start
+    return lambda: (playback.clock.now() - bags.start) / length if length > 0 else 1.0
+
+
+def _topics(texts: List[str]) -> List[TopicType]:
+    topics = []
+    for text in texts:
+        name, _, kind = text.partition("=")
+        try:
+            topics.append(topic_type(name, kind))
+        except UsageError as error:
+            raise UsageError(
+                f"--topic {shortened(text)}: expected TOPIC=package/Type: {error.message}"
+            ) from None
+    return topics
+
+
+class _Shower:
+    """Prints what happens in a run, and moves the bar."""
+
+    def __init__(self, options: argparse.Namespace, playback: Playback, bar: Optional[Bar]):
+        self._options = options
+        self._engine = playback.engine
+        self._bar = bar
+        self._printer = Printer(options.json, False, None)
+        self._look: Optional[RunLook] = None
+        if options.events and options.json:
+            self._look = RunLook(playback, to_reader(self._line))
+        elif options.events:
+            self._engine.on_event(to_reader(self._event))
+
+    def advance(self, done: int) -> None:
+        """Take note that another message has been taken."""
+        if self._look is not None:
+            self._look.look()
+        if self._bar is not None:
+            self._bar(done)
+
+    def output(self, output: Output) -> None:
+        """Print an output."""
+        if self._options.quiet:
+            return
+        if self._options.json:
+            self._line(output_line(output))
+            return
+        self._clear()
+        topic = atom(output.topic)
+        if self._options.times:
+            instant = timestamps.to_term(timestamps.WholeSeconds(output.time))
+            print(f"{to_text((TIMED_OUTPUT, output.term, topic, instant))}.")
+        else:
+            print(f"{to_text((OUTPUT, output.term, topic))}.")
+
+    def finish(self) -> None:
+        """Print what is known at the end."""
+        if self._look is not None:
+            self._look.finish()
+        for asked in self._options.explain:
+            term = read_term(asked, self._engine.operators, "--explain").term
+            self._clear()
+            self._printer.explanation(term, explain(self._engine, term))
+
+    def _event(self, *event: object) -> None:
+        self._clear()
+        self._printer.event(*event)  # type: ignore[arg-type]
+
+    def _line(self, line: Line) -> None:
+        self._clear()
+        print(json.dumps(line, ensure_ascii=False))
+
+    def _clear(self) -> None:
+        if self._bar is not None:
+            self._bar.clear()
+
+
+def _writer(options: argparse.Namespace, playback: Playback, stack: ExitStack) -> "Optional[_OutputWriter]":
+    """Open the bag that is written, if one is."""
+    path = options.output
+    if path is None:
+        return None
+    if any(path.resolve() == bag.resolve() for bag in options.bags):
+        raise UsageError(f"--output {path}: this is the bag that is read")
+    if path.exists() and not options.overwrite:
+        raise UsageError(f"{path} already exists; --overwrite replaces it")
+    return _OutputWriter(stack.enter_context(BagWriter(path, options.overwrite)), playback.is_latched)
+
+
+class _OutputWriter:
+    """Writes outputs into a bag, a connection for each topic."""
+
+    def __init__(self, writer: BagWriter, is_latched: Callable[[str], bool]):
+        self._writer = writer
+        self._is_latched = is_latched
+        self._connections: Dict[str, object] = {}
+
+    def write(self, output: Output) -> None:
+        if output.definition is None or output.data is None:  # reported already
+            return
+        topic = output.topic if output.topic.startswith("/") else f"/{output.topic}"
+        if topic not in self._connections:
+            self._connections[topic] = self._writer.add(topic, output.definition, self._is_latched(topic))
+        self._writer.write(self._connections[topic], output.time, output.data)
