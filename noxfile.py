@@ -28,6 +28,7 @@ def _install(session: nox.Session) -> None:
         "pytest-xdist",
         "hypothesis",
         "tornado>=6",
+        "distributed",
         "setuptools",
         "wheel",
     )

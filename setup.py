@@ -21,6 +21,8 @@ EXTRAS = {
     "dashboard": ["tornado>=6"],
     "plot": ["matplotlib"],
     "dask": ["distributed"],
+    "s3": ["fsspec", "s3fs"],
+    "parquet": ["pyarrow"],
 }
 
 

@@ -115,7 +115,7 @@ def test_the_wheel_has_the_package_and_the_example(built):
                 assert any(name.endswith(f"/share/retalis/{folder}/{path.name}") for name in names)
     assert told["Author"] and told["Maintainer"] and told["Description-Content-Type"] == "text/markdown"
     assert (told.get_payload() or told["Description"]).lstrip().startswith("# retalis")
-    assert set(told.get_all("Provides-Extra")) == {"dashboard", "dask", "plot"}
+    assert set(told.get_all("Provides-Extra")) == {"dashboard", "dask", "parquet", "plot", "s3"}
     assert told["Requires-Python"] == ">=3.8"
 
 

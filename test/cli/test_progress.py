@@ -33,6 +33,10 @@ def test_shares_outside_of_a_whole_are_shown_as_one():
     assert Bar("x", lambda: -1.0, StringIO()).line(3, 1.0).startswith("  0%")
 
 
+def test_what_takes_long_has_a_rate_too():
+    assert Bar("bags", lambda: 0.5, StringIO()).line(3, 12.0).endswith("3 bags, 0.2/s, 0:12 left")
+
+
 def test_nothing_is_drawn_where_nobody_looks(capsys):
     with progress("messages", lambda: 0.5) as bar:
         assert bar is None

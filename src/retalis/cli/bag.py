@@ -6,6 +6,7 @@ from typing import Callable
 
 from .folders import add_folders
 from .limits import add_limits
+from .manybags import add_many, are_many, play_many
 from .numbers import from_zero
 from .playing import play
 from .printing import JSON
@@ -15,6 +16,9 @@ DESCRIPTION = """\
 Feed bags to a program and print what it publishes, as output(TERM,TOPIC) terms. Bags are of ROS 1, compressed or
 not, or of ROS 2: a folder with metadata.yaml, or its .db3 or .mcap file. Several bags are played as one, in the
 order in which their messages came. ROS 2 messages are read as those of ROS 1 with the same names.
+
+With --jobs or --scheduler each bag is played by itself, several at a time: also all bags below a folder, in the
+order of their names, and those of URLs as s3://BUCKET/FOLDER. What is printed is the same, bag after bag.
 """
 LINES = """\
   {"output": TERM, "topic": TOPIC, "id": ID, "time": T}    unless --quiet; T is the bag's time
@@ -36,8 +40,9 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
     )
     add_source(parser)
     add = parser.add_argument
-    add("--output", type=Path, metavar="BAG", help="write what is published to a bag")
+    add("--output", metavar="BAG", help="write what is published to a bag")
     add("--overwrite", action="store_true", help="replace that bag if it is there")
+    add_many(parser)
     add("--events", action="store_true", help="print each event too, as event(TERM,[T1,T2])")
     add(
         "--times",
@@ -61,7 +66,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
 def add_source(parser: argparse.ArgumentParser, bags: str = "+", required: bool = True) -> None:
     """Add the options that say which program takes which messages."""
     add = parser.add_argument
-    add("bags", nargs=bags, type=Path, metavar="BAG", help="a bag of ROS 1 or ROS 2")
+    add("bags", nargs=bags, metavar="BAG", help="a bag of ROS 1 or ROS 2")
     add(
         "--program",
         type=Path,
@@ -101,6 +106,8 @@ def add_source(parser: argparse.ArgumentParser, bags: str = "+", required: bool 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
+    if are_many(options):
+        return play_many(options)
     report = Report().listen(events=True)
     play(options, report)
     return 1 if report.errors else 0

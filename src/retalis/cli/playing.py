@@ -3,6 +3,7 @@
 import argparse
 import json
 from contextlib import ExitStack
+from pathlib import Path
 from typing import Callable, Dict, List, Optional
 
 from ..engine import Settings
@@ -23,8 +24,22 @@ OUTPUT = functor("output", 2)
 TIMED_OUTPUT = functor("output", 3)
 
 
-def play(options: argparse.Namespace, report: Report) -> None:
-    """Play the bags that the options name."""
+Tell = Callable[[Line], None]
+
+
+def print_line(line: Line) -> None:
+    """Print a record of a run as JSON."""
+    print(json.dumps(line, ensure_ascii=False))
+
+
+def play(options: argparse.Namespace, report: Report, tell: Tell = print_line) -> None:
+    """Play the bags that the options name, as one.
+
+    Args:
+        options: of the command.
+        report: takes errors.
+        tell: takes what happens, where the options want it as JSON.
+    """
     with ExitStack() as stack:
         bags = stack.enter_context(BagSeries(options.bags, options.start, options.duration))
         playback = playback_of(options, report, bags)
@@ -32,7 +47,7 @@ def play(options: argparse.Namespace, report: Report) -> None:
             record_origins(playback.engine)
         writer = _writer(options, playback, stack)
         bar = stack.enter_context(progress("messages", share_of(playback, bags)))
-        show = _Shower(options, playback, bar)
+        show = _Shower(options, playback, bar, tell)
         relax()
         for output in playback.run(bags, show.advance):
             show.output(output)
@@ -71,10 +86,11 @@ def _topics(texts: List[str]) -> List[TopicType]:
 class _Shower:
     """Prints what happens in a run, and moves the bar."""
 
-    def __init__(self, options: argparse.Namespace, playback: Playback, bar: Optional[Bar]):
+    def __init__(self, options: argparse.Namespace, playback: Playback, bar: Optional[Bar], tell: Tell):
         self._options = options
         self._engine = playback.engine
         self._bar = bar
+        self._tell = tell
         self._printer = Printer(options.json, False, None)
         self._look: Optional[RunLook] = None
         if options.events and options.json:
@@ -119,7 +135,7 @@ class _Shower:
 
     def _line(self, line: Line) -> None:
         self._clear()
-        print(json.dumps(line, ensure_ascii=False))
+        self._tell(line)
 
     def _clear(self) -> None:
         if self._bar is not None:
@@ -128,10 +144,10 @@ class _Shower:
 
 def _writer(options: argparse.Namespace, playback: Playback, stack: ExitStack) -> "Optional[_OutputWriter]":
     """Open the bag that is written, if one is."""
-    path = options.output
-    if path is None:
+    if options.output is None:
         return None
-    if any(path.resolve() == bag.resolve() for bag in options.bags):
+    path = Path(options.output)
+    if any(path.resolve() == Path(bag).resolve() for bag in options.bags):
         raise UsageError(f"--output {path}: this is the bag that is read")
     if path.exists() and not options.overwrite:
         raise UsageError(f"{path} already exists; --overwrite replaces it")

@@ -64,7 +64,7 @@ def run(options: argparse.Namespace) -> int:
         if not options.bags or options.program is None:
             options.wrong("give bags with --program, or --from")
         timeline = _played(options, report).timeline()
-        title = f"{options.program.resolve().name} over {', '.join(bag.name for bag in options.bags)}"
+        title = f"{options.program.resolve().name} over {', '.join(Path(bag).name for bag in options.bags)}"
     if kind in PAGES:
         _write(path, page(timeline, title))
     else:

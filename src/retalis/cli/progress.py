@@ -50,7 +50,7 @@ class Bar:
         share = min(1.0, max(0.0, self._share()))
         full = round(share * WIDTH)
         left = f", {_duration(seconds * (1 - share) / share)} left" if share else ""
-        rate = f"{done / seconds:,.0f}" if seconds else "-"
+        rate = _rate(done / seconds) if seconds else "-"
         bar = "#" * full + "." * (WIDTH - full)
         return f"{share:4.0%} [{bar}] {done:,} {self._what}, {rate}/s{left}"
 
@@ -71,6 +71,10 @@ def progress(what: str, share: Callable[[], float]) -> Iterator[Optional[Bar]]:
         yield bar
     finally:
         bar.clear()
+
+
+def _rate(rate: float) -> str:
+    return f"{rate:,.0f}" if rate >= 10 or not rate else f"{rate:.1f}"
 
 
 def _duration(seconds: float) -> str:

@@ -2,7 +2,7 @@ import gc
 
 import pytest
 
-from retalis.engine.runtime import relax
+from retalis.engine.runtime import relax, tighten
 from retalis.events.matches.timeindex import paused
 
 
@@ -15,6 +15,9 @@ def test_what_is_loaded_is_not_walked_again():
         relax()
         assert gc.get_freeze_count() > 10_000
         assert gc.get_threshold()[0] > 700
+        tighten()
+        assert gc.get_freeze_count() == 0
+        assert gc.get_threshold()[0] < 50_000
     finally:
         gc.unfreeze()
         gc.set_threshold(*thresholds)

@@ -2,20 +2,44 @@
 
 from .bags import BagError, BagReader, BagWriter, Record, Topic
 from .looking import Line, RunLook, output_line, recorded
+from .places import (
+    FoundBag,
+    fetched,
+    find_bags,
+    is_folder_of_bags,
+    is_there,
+    is_url,
+    remove_parts,
+    result_file,
+)
 from .playback import Output, Playback
 from .series import BagSeries
+from .tables import RunTable
+from .workers import Unfinished, in_processes, on_cluster
 
 __all__ = [
     "BagError",
     "BagReader",
     "BagSeries",
     "BagWriter",
+    "fetched",
+    "find_bags",
+    "FoundBag",
+    "in_processes",
+    "is_folder_of_bags",
+    "is_there",
+    "is_url",
     "Line",
+    "on_cluster",
     "Output",
     "output_line",
     "Playback",
     "Record",
     "recorded",
+    "remove_parts",
+    "result_file",
     "RunLook",
+    "RunTable",
     "Topic",
+    "Unfinished",
 ]

@@ -1,7 +1,7 @@
 """What keeps an engine running: its queue, clock and reports, who holds it up, and mending after interrupts."""
 
 from .clock import Alarm, Clock, StreamClock
-from .collector import relax
+from .collector import relax, tighten
 from .recovery import EngineRecovery
 from .reports import Reports
 from .runner import Runner
@@ -22,6 +22,7 @@ __all__ = [
     "ClockRuns",
     "Skew",
     "StreamClock",
+    "tighten",
     "Watchdog",
     "watch",
 ]

@@ -5,6 +5,8 @@ import gc
 _YOUNG, _MIDDLE, _OLD = 50_000, 20, 100
 """How many new objects, and then how many collections, it takes to look at a generation."""
 
+_USUAL = gc.get_threshold()
+
 
 def relax() -> None:
     """Have the collector look rarely, and never at what is there by now; call it when all is loaded.
@@ -16,3 +18,10 @@ def relax() -> None:
     gc.collect()
     gc.freeze()
     gc.set_threshold(_YOUNG, _MIDDLE, _OLD)
+
+
+def tighten() -> None:
+    """Undo `relax` and free the program that has ended; for a process that goes on with another one."""
+    gc.unfreeze()
+    gc.set_threshold(*_USUAL)
+    gc.collect()

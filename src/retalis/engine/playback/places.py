@@ -1,0 +1,185 @@
+"""Where bags are and where results go: files, folders with bags below them, and URLs as ``s3://``.
+
+URLs are the work of the Python package ``fsspec`` and of what it needs for their kind (``s3fs``).
+"""
+
+import os
+from contextlib import contextmanager
+from pathlib import Path, PurePosixPath
+from tempfile import TemporaryDirectory
+from typing import Any, Callable, Iterable, Iterator, List, NamedTuple, Optional, Sequence, Tuple
+from uuid import uuid4
+
+from .bags import BagError, reason
+from .ros2bags import SUFFIXES
+
+_KINDS = (".bag", *SUFFIXES)
+_PART = ".part"
+"""What a result ends in, and begins with a dot, until it is complete."""
+
+_ROS2 = "metadata.yaml"
+"""What makes a folder a bag of ROS 2."""
+
+
+class FoundBag(NamedTuple):
+    """A bag that is there to be played.
+
+    Attributes:
+        place: its path, or its URL.
+        name: what its result is called: its name without the ending, below the folder that was given.
+    """
+
+    place: str
+    name: str
+
+
+def is_url(place: str) -> bool:
+    """Tell whether a place is a URL, and not a path."""
+    kind, mark, _ = place.partition("://")
+    return bool(kind and mark) and "/" not in kind
+
+
+def find_bags(places: Sequence[str]) -> List[FoundBag]:
+    """Return the bags that places name: bags in the order given, those below a folder in the order of their names.
+
+    Raises:
+        BagError: where there is none below a folder, or a URL cannot be looked at. A path that is not there is
+            found out when it is played.
+    """
+    found: List[FoundBag] = []
+    for place in places:
+        inside = _names_below(place)
+        if inside is None:
+            found.append(FoundBag(place, _without_kind(PurePosixPath(place.rstrip("/")).name)))
+            continue
+        bags = _bags_of(inside)
+        if not bags:
+            raise BagError(
+                f"{place} has no bags below it: no {_ROS2}, nothing that ends in {', '.join(_KINDS)}"
+            )
+        found += [FoundBag(f"{place.rstrip('/')}/{name}", _without_kind(name)) for name in bags]
+    return found
+
+
+def is_folder_of_bags(place: str) -> bool:
+    """Tell whether a path is a folder that is no bag itself."""
+    return os.path.isdir(place) and not os.path.exists(os.path.join(place, _ROS2))
+
+
+def is_there(place: str) -> bool:
+    """Tell whether a place has something already."""
+    if not is_url(place):
+        return os.path.lexists(place)
+    files, path = _filesystem(place)
+    return bool(_asked(place, files.exists, path))
+
+
+@contextmanager
+def fetched(place: str, scratch: str) -> Iterator[str]:
+    """Give the path of a bag; that of a URL is fetched for as long as it is used.
+
+    Args:
+        place: a path or a URL.
+        scratch: a folder to fetch it into.
+
+    Raises:
+        BagError: where it cannot be fetched.
+    """
+    if not is_url(place):
+        yield place
+        return
+    files, path = _filesystem(place)
+    with TemporaryDirectory(dir=scratch) as folder:
+        local = str(Path(folder) / PurePosixPath(path).name)
+        _asked(place, files.get, path, local, recursive=bool(_asked(place, files.isdir, path)))
+        yield local
+
+
+@contextmanager
+def result_file(target: str, scratch: str) -> Iterator[str]:
+    """Give a path to write to: when all has gone well, what is there becomes the target, all at once.
+
+    Args:
+        target: a path or a URL; folders are made as needed.
+        scratch: a folder to write in where the target is a URL.
+
+    Raises:
+        BagError: where it cannot be written.
+    """
+    if is_url(target):
+        files, path = _filesystem(target)
+        with TemporaryDirectory(dir=scratch) as folder:
+            local = str(Path(folder) / PurePosixPath(path).name)
+            yield local
+            _asked(target, files.makedirs, str(PurePosixPath(path).parent), exist_ok=True)
+            _asked(target, files.put_file, local, path)
+        return
+    folder, name = os.path.split(target)
+    part = os.path.join(folder, f".{name}.{uuid4().hex}{_PART}")
+    _written(target, os.makedirs, folder or ".", exist_ok=True)
+    try:
+        yield part
+        _written(target, os.replace, part, target)
+    finally:
+        if os.path.exists(part):
+            os.unlink(part)
+
+
+def remove_parts(targets: Iterable[str]) -> None:
+    """Remove what workers that have died left of their results."""
+    names = {os.path.split(target) for target in targets if not is_url(target)}
+    for folder in {folder for folder, _ in names}:
+        for path in Path(folder).glob(f".*{_PART}"):
+            if (folder, path.name[1 : -len(_PART)].rpartition(".")[0]) in names:
+                path.unlink()
+
+
+def _written(target: str, do: Callable[..., object], *arguments: str, **options: bool) -> None:
+    try:
+        do(*arguments, **options)
+    except OSError as error:
+        raise BagError(f"{target} cannot be written: {reason(error)}") from error
+
+
+def _without_kind(name: str) -> str:
+    base, kind = os.path.splitext(name)
+    return base if kind in _KINDS else name
+
+
+def _names_below(place: str) -> Optional[List[str]]:
+    """Return the names of all files below a folder, relative to it; None where it is none, or is a bag itself."""
+    if not is_url(place):
+        if not is_folder_of_bags(place):
+            return None
+        return [path.relative_to(place).as_posix() for path in Path(place).rglob("*")]
+    files, path = _filesystem(place)
+    if not _asked(place, files.isdir, path) or _asked(place, files.exists, f"{path.rstrip('/')}/{_ROS2}"):
+        return None
+    return [PurePosixPath(one).relative_to(path).as_posix() for one in _asked(place, files.find, path)]
+
+
+def _bags_of(names: Iterable[str]) -> List[str]:
+    """Return which of the names below a folder are bags, in their order; what begins with a dot is left out."""
+    paths = [path for path in map(PurePosixPath, names) if not any(part[0] == "." for part in path.parts)]
+    folders = {path.parent for path in paths if path.name == _ROS2}
+    files = {path for path in paths if path.suffix in _KINDS and path.parent not in folders}
+    return [path.as_posix() for path in sorted(folders | files, key=lambda path: path.parts)]
+
+
+def _filesystem(url: str) -> Tuple[Any, str]:
+    try:
+        from fsspec.core import url_to_fs  # noqa: PLC0415 - an optional package
+    except ImportError:
+        raise BagError(
+            f"{url}: URLs need the Python package fsspec (pip install fsspec, and s3fs for s3://)"
+        ) from None
+    files, path = _asked(url, url_to_fs, url)
+    return files, str(path)
+
+
+def _asked(url: str, ask: Any, *arguments: Any, **options: Any) -> Any:
+    """Return what a file system answers; it is another package's, which raises whatever it likes."""
+    try:
+        return ask(*arguments, **options)
+    except Exception as error:
+        raise BagError(f"{url}: {reason(error)}") from error

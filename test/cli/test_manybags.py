@@ -1,0 +1,109 @@
+"""Many bags, each by itself: the same bytes as one by one, in order, and failures told of."""
+
+import pytest
+from manybags import make_bag, make_program
+
+from retalis.cli import main
+
+
+@pytest.fixture
+def program(tmp_path):
+    return str(make_program(tmp_path / "program"))
+
+
+@pytest.fixture
+def bags(tmp_path):
+    """A folder with three bags and a damaged one."""
+    for number, name in enumerate(("r1/a", "r1/b", "r2/a")):
+        make_bag(tmp_path / "bags" / f"{name}.bag", *"xxyxy"[number:])
+    (tmp_path / "bags" / "r1" / "aa.bag").write_text("no bag")
+    return tmp_path / "bags"
+
+
+GOOD = ("r1/a", "r1/b", "r2/a")
+
+
+@pytest.mark.slow
+def test_what_is_printed_is_what_bags_one_by_one_print(program, bags, capfd):
+    more = ["--program", program, "--json", "--events", "--explain", "again(_)"]
+    for name in GOOD:
+        assert main(["bag", f"{bags}/{name}.bag", *more]) == 0
+    expected = capfd.readouterr()
+    assert expected.out and not expected.err
+    assert main(["bag", str(bags), *more, "--jobs", "2"]) == 1
+    shown = capfd.readouterr()
+    assert shown.out == expected.out
+    assert shown.err == (
+        f"error: {bags}/r1/aa.bag is not a complete ROS 1 bag: File magic is invalid\n1 of 4 bags failed\n"
+    )
+
+
+@pytest.mark.slow
+def test_results_are_those_of_bags_one_by_one(program, bags, tmp_path, capfd):
+    assert main(["bag", str(bags), "--program", program, "--jobs", "2", "--output", f"{tmp_path}/new"]) == 1
+    assert capfd.readouterr().out == ""
+    found = sorted(path.relative_to(tmp_path / "new") for path in (tmp_path / "new").rglob("*.*"))
+    assert [str(path) for path in found] == [f"{name}.bag" for name in GOOD]
+    for name in GOOD:
+        one = tmp_path / "one.bag"
+        given = ["bag", f"{bags}/{name}.bag", "--program", program, "--output", str(one), "--overwrite"]
+        assert main(given) == 0
+        assert (tmp_path / "new" / f"{name}.bag").read_bytes() == one.read_bytes()
+
+
+@pytest.mark.slow
+def test_a_cluster_gives_the_same_results(program, bags, tmp_path, capfd, monkeypatch):
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.chdir(bags.parent)  # the workers are somewhere else
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=2, processes=True, dashboard_address=None
+    ) as cluster:
+        given = ["bag", "bags", "--program", "program", "--json", "--output", "new"]
+        assert main([*given, "--scheduler", cluster.scheduler_address]) == 1
+    assert f"error: {bags}/r1/aa.bag is not a complete ROS 1 bag" in capfd.readouterr().err
+    for name in GOOD:
+        assert main(["bag", f"{bags}/{name}.bag", "--program", program, "--json"]) == 0
+        assert (tmp_path / "new" / f"{name}.jsonl").read_text() == capfd.readouterr().out
+
+
+@pytest.mark.slow
+def test_what_several_bags_say_alike_is_said_once(program, bags, tmp_path, capfd):
+    (tmp_path / "program" / "goalPredicates.txt").write_text("nothing_such(1)\n")
+    given = ["bag", f"{bags}/r1/a.bag", f"{bags}/r1/b.bag", "--program", program, "--jobs", "1"]
+    assert main(given) == 1
+    shown = capfd.readouterr().err
+    assert shown.startswith(f"{bags}/r1/a.bag:\nerror: ")
+    assert shown.endswith("1 more bags had the same errors and warnings as one before\n")
+    assert shown.count("error: ") == 1
+
+
+REFUSED = {
+    "bags --jobs 2 --scheduler tcp://x:1 --output new": "--jobs and --scheduler: give one of them",
+    "bags --scheduler tcp://x:1": "--scheduler needs --output",
+    "bags --jobs 2 --format jsonl": "--format needs --output",
+    "bags --format jsonl --output new": "--format needs --jobs or --scheduler",
+    "bags --jobs 2 --write-folder x": "--write-folder: bags that are played at the same time",
+    "bags --jobs 2 --output new --events": "--events: a bag has what is published only",
+    "bags --jobs 2 --output new --explain x": "--explain: --format bag has no place for it",
+    "bags --jobs 2 --output bags/new": "--output bags/new is below bags: results would be played the next time",
+    "bags --jobs 2 --output old": "old/r1/b.bag already exists; --overwrite replaces it",
+    "other/r2/a.bag bags/r2 --jobs 2 --output new": "bags/r2/a.bag: the result of both would be new/a.bag",
+    "bags": "bags is no bag of ROS 2: no metadata.yaml; --jobs plays all bags below a folder",
+}
+
+
+@pytest.mark.parametrize("given", REFUSED)
+def test_what_does_not_go_together_is_refused_before_anything_is_played(
+    program, bags, capsys, monkeypatch, given
+):
+    monkeypatch.chdir(bags.parent)
+    (bags.parent / "old" / "r1").mkdir(parents=True)
+    (bags.parent / "old" / "r1" / "b.bag").touch()
+    assert main(["bag", *given.split(), "--program", program]) == 1
+    assert REFUSED[given] in capsys.readouterr().err
+    assert not (bags.parent / "new").exists()
+
+
+def test_a_url_is_for_bags_each_by_itself(program, capsys):
+    assert main(["bag", "s3://bucket/a.bag", "--program", program]) == 1
+    assert "s3://bucket/a.bag: --jobs plays bags of URLs, each by itself" in capsys.readouterr().err
