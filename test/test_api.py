@@ -129,7 +129,7 @@ def test_an_engine_shows_operators_and_what_is_there():
     engine = retalis.Engine()
     engine.load(goals="memorize(a, [], _, m, 3)\nsubscribe(a, [], _, out, s)", rules="b <- a.")
     topic, name, memory = (engine.query(f"X = {text}")[0]["X"] for text in ("out", "s", "m"))
-    assert engine.summary() == "1 event rules, 1 memories, 1 subscriptions"
+    assert engine.summary() == "1 event rule, 1 memory, 1 subscription"
     assert engine.has_memory(memory) and not engine.has_memory(name)
     assert engine.has_subscription(topic, name) and not engine.has_subscription(name, topic)
     assert engine.delete_subscription(topic, name) and not engine.delete_subscription(topic, name)

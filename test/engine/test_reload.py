@@ -90,8 +90,8 @@ def test_nothing_changed(program):
     program.events("fire(hall)", "smoke(1)")
     before = program.state()
     assert program.reload() == [
-        "rules: 0 new, 0 gone, 2 kept, with 1 partial matches",
-        "memories: 0 new, 0 gone, 1 kept, with 1 records",
+        "rules: 0 new, 0 gone, 2 kept, with 1 partial match",
+        "memories: 0 new, 0 gone, 1 kept, with 1 record",
         "subscriptions: 0 new, 0 gone, 1 kept",
         "predicates: 0 new, 0 gone, 2 kept",
     ]
@@ -119,7 +119,7 @@ def test_a_rule_changes_and_one_is_kept_with_what_waits_in_it(program):
         .replace("both(X,Y)", "both(A,B)")
         .replace("smoke(X) seq heat(Y)", "smoke(A)  seq\n heat(B)")
     )
-    assert told[0] == "rules: 1 new, 1 gone, 1 kept, with 1 partial matches"
+    assert told[0] == "rules: 1 new, 1 gone, 1 kept, with 1 partial match"
     assert told[1].startswith("  new: rule alarm(X) (") and told[1].endswith("rules.txt:6)")
     assert told[2] == "  gone: rule alarm(X)"
     assert program.events("fire(cellar)", "heat(2)") == [
@@ -134,7 +134,7 @@ def test_what_waits_in_a_rule_that_goes_is_gone_and_said(program):
     program.events("smoke(1)", "smoke(2)")
     told = program.reload(rules=RULES.replace("both(X,Y)", "pair(X,Y)"))
     assert (
-        "  gone: rule both(X,Y), with 1 partial matches" in told
+        "  gone: rule both(X,Y), with 1 partial match" in told
         or "  gone: rule both(X,Y), with 2 partial matches" in told
     )
     assert program.events("heat(2)") == ["heat(2)"]
@@ -430,7 +430,7 @@ def test_what_fails_only_in_the_running_engine_is_taken_back(program, goals, rul
         assert {name: parts_of(engine).rules.flags.get(name) for name in flags} == flags
     engine.call("retract(here)")
     told = program.reload(GOALS, RULES)
-    assert told[0] == "rules: 0 new, 0 gone, 2 kept, with 1 partial matches"
+    assert told[0] == "rules: 0 new, 0 gone, 2 kept, with 1 partial match"
     assert program.all("count(X)") == ["7"]
     assert program.events("fire(attic)", "heat(2)") == [
         "fire(attic)",

@@ -2,7 +2,7 @@
 
 import pytest
 
-from retalis.foundation import SHOWN, Place, beginning, place_at, place_in
+from retalis.foundation import SHOWN, Place, beginning, counted, place_at, place_in
 from retalis.prolog.syntax import Operators, read_program
 
 
@@ -34,3 +34,8 @@ def test_what_is_read_of_one_long_line_keeps_little_of_it():
     (fault,) = read_program("f(" + "a," * 100_000 + "b c).", Operators.prolog(), "file")
     assert fault.place.column == 200_005
     assert len(str(fault)) < 1000
+
+
+def test_one_thing_is_counted_as_one():
+    assert [counted(number, "slot") for number in (0, 1, 2)] == ["0 slots", "1 slot", "2 slots"]
+    assert [counted(number, "memory", "memories") for number in (1, 2)] == ["1 memory", "2 memories"]

@@ -39,7 +39,7 @@ def test_a_type_without_slots_is_an_atom():
     assert found.decode(b"") is atom("std_msgs__0__Empty")
     assert found.lazy(b"") is atom("std_msgs__0__Empty")
     assert found.functor is functor("std_msgs__0__Empty", 0)
-    with pytest.raises(MessageError, match="1 bytes are not a std_msgs/Empty: 1 are left over"):
+    with pytest.raises(MessageError, match="1 byte is not a std_msgs/Empty: 1 left over"):
         found.decode(b"x")
 
 
@@ -121,7 +121,7 @@ def test_a_lazy_message_is_decoded_when_it_is_looked_at():
         (struct.pack("<I", 1) + header(1, 2, 3, b"ab"), "end inside slot all[0].x"),
         (
             struct.pack("<I", 1) + header(1, 2, 3, b"ab") + b"123456789",
-            "31 bytes are not a pkg/Type: 1 are left over",
+            "31 bytes are not a pkg/Type: 1 left over",
         ),
         (struct.pack("<I", 2**32 - 1) + header(1, 2, 3, b"ab") + b"12345678", "end inside slot all"),
         (
@@ -147,7 +147,7 @@ def test_every_cut_of_a_message_is_an_error():
     for size in range(len(data)):
         with pytest.raises(MessageError, match="they end inside slot|left over"):
             found.decode(data[:size])
-    with pytest.raises(MessageError, match="1 are left over"):
+    with pytest.raises(MessageError, match="1 left over"):
         found.decode(data + b"\0")
 
 

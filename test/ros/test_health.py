@@ -123,7 +123,7 @@ def test_rules_with_errors_are_named():
     engine.event("b(many)", 1)
     health = EngineHealth(1.0, 10.0)
     found = engine_levels(engine, 0.0, health)["rules"]
-    assert (found.level, found.values) == (Level.ERROR, [("hot mine:1:1", "1 errors")])
+    assert (found.level, found.values) == (Level.ERROR, [("hot mine:1:1", "1 error")])
     assert engine_levels(engine, 2 * RECENT, health)["rules"].level is Level.WARN
 
 

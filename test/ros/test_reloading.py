@@ -45,7 +45,7 @@ def happen(space, *events):
 def test_a_program_is_read_again(space, folder):
     start(space, folder)
     happen(space, ("smoke(hall)", 1), ("heat(hall)", 2), ("smoke(attic)", 3))
-    assert "rules: 0 new, 0 gone, 1 kept, with 1 partial matches\n" in said(space, "reload")
+    assert "rules: 0 new, 0 gone, 1 kept, with 1 partial match\n" in said(space, "reload")
     (folder / "rules.txt").write_text(RULES + "fire <- smoke.\nwrong <- a seq.\n")
     error = said(space, "reload", wrong=True)
     assert f"{folder}/rules.txt:3:" in error
@@ -56,8 +56,8 @@ def test_a_program_is_read_again(space, folder):
         '<publish_subscribe><subscribe_to name="a" msg_type="std_msgs/String"/></publish_subscribe>\n'
     )
     told = json.loads(said(space, "reload", "--json"))
-    assert told[0] == "rules: 1 new, 0 gone, 1 kept, with 1 partial matches"
-    assert "memories: 0 new, 0 gone, 1 kept, with 1 records" in told
+    assert told[0] == "rules: 1 new, 0 gone, 1 kept, with 1 partial match"
+    assert "memories: 0 new, 0 gone, 1 kept, with 1 record" in told
     assert told[-1].startswith("topics: pub_sub.xml has changed")
     happen(space, ("heat(attic)", 4))
     assert said(space, "query", "memory_counter(alarms, N)") == "N = 2\n"

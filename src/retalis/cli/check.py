@@ -10,7 +10,7 @@ from ..engine import check_program
 from ..engine.playback import BagReader
 from ..events.checks import ERROR, Finding
 from ..events.program import DIRECT
-from ..foundation import MessageError, printable
+from ..foundation import MessageError, counted, printable
 from ..messages import Definitions, Installed
 
 DESCRIPTION = """\
@@ -81,7 +81,7 @@ def _learn(definitions: Definitions, path: Path) -> None:
 
 
 def _counted(number: int, what: str) -> str:
-    return f"{number or 'no'} {what}{'s' if number != 1 else ''}"
+    return counted(number, what) if number else f"no {what}s"
 
 
 def _as_json(one: Finding) -> Dict[str, object]:

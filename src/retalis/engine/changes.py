@@ -3,7 +3,7 @@
 from typing import Dict, Hashable, Iterable, List, Sequence
 
 from ..events.network import Rule
-from ..foundation import Place
+from ..foundation import Place, counted
 from ..prolog.logic import Logic
 from .standing import Clauses, Standing, clause_key
 
@@ -36,12 +36,16 @@ def _rules(old: Sequence[Rule], new: Sequence[Rule], kept: Dict[Rule, Rule]) -> 
     gone = [f"{rule.name}{_lost(rule)}" for rule in old if rule not in staying]
     fresh = [f"{rule.name}{_at(rule.place)}" for rule in new if rule not in kept]
     waiting = sum(rule.waiting for rule in staying)
-    with_matches = f", with {waiting} partial matches" if waiting else ""
+    with_matches = f", with {_matches(waiting)}" if waiting else ""
     return _told("rules", fresh, gone, [], f"{len(staying)} kept{with_matches}")
 
 
 def _lost(rule: Rule) -> str:
-    return f", with {rule.waiting} partial matches" if rule.waiting else ""
+    return f", with {_matches(rule.waiting)}" if rule.waiting else ""
+
+
+def _matches(number: int) -> str:
+    return counted(number, "partial match", "partial matches")
 
 
 def _at(place: object) -> str:
@@ -60,7 +64,7 @@ def _memories(logic: Logic, old: Standing, new: Standing) -> List[str]:
             fresh.append(f"memory {logic.brief(one.id)}")
     gone = [f"memory {logic.brief(one.id)}" for key, one in old.memories.items() if key not in new.memories]
     records = sum(len(one.memory) for one in kept)
-    return _told("memories", fresh, gone, changed, f"{len(kept)} kept, with {records} records")
+    return _told("memories", fresh, gone, changed, f"{len(kept)} kept, with {counted(records, 'record')}")
 
 
 def _subscriptions(logic: Logic, old: Standing, new: Standing) -> List[str]:

@@ -6,7 +6,7 @@ from typing import Callable, Dict, Iterable, Iterator, List, Optional, Tuple, Ty
 from ..events.checks import Overview, look_through
 from ..events.dispatch import Stage
 from ..events.program import Topics, TopicType
-from ..foundation import RetalisError
+from ..foundation import RetalisError, counted
 from ..messages import Definitions
 from ..prolog.foreign import define_foreign
 from ..prolog.machine import Frame
@@ -347,8 +347,9 @@ class Engine(Holdings):
         '0 event rules, 0 memories, 0 subscriptions'
         """
         return (
-            f"{len(self._rules.rules)} event rules, {len(list(self._knowledge.memories))} memories, "
-            f"{len(list(self._knowledge.subscriptions))} subscriptions"
+            f"{counted(len(self._rules.rules), 'event rule')}, "
+            f"{counted(len(list(self._knowledge.memories)), 'memory', 'memories')}, "
+            f"{counted(len(list(self._knowledge.subscriptions)), 'subscription')}"
         )
 
     def warnings(

@@ -103,6 +103,11 @@ def shortened(text: str) -> str:
     return ascii(text) if len(text) <= SHOWN else f"{ascii(text[:SHOWN])}... ({len(text)} characters)"
 
 
+def counted(number: int, one: str, many: str = "") -> str:
+    """Return a number of things in words: ``1 slot``, ``2 slots``; ``many`` where it is not ``one`` and an s."""
+    return f"{number} {one if number == 1 else many or f'{one}s'}"
+
+
 def undecodable(error: UnicodeDecodeError) -> str:
     """Return what is wrong with a text that is not UTF-8, and where."""
     line = error.object.count(b"\n", 0, error.start) + 1

@@ -4,7 +4,7 @@ from struct import error as StructError
 from struct import pack
 from typing import Callable, Dict, List
 
-from ..foundation import MessageError
+from ..foundation import MessageError, counted
 from ..prolog.terms import (
     FALSE,
     NIL,
@@ -114,7 +114,9 @@ def _items(slot: Field, term: Term, path: str) -> List[Term]:
 
 def _check_length(slot: Field, number: int, path: str) -> None:
     if slot.length != VARIABLE and number != slot.length:
-        raise _Misfit(path, f"expected {slot.length} elements ({slot.describe()}), got {number}")
+        raise _Misfit(
+            path, f"expected {counted(slot.length or 0, 'element')} ({slot.describe()}), got {number}"
+        )
 
 
 def _bytes(slot: Field, term: Term, path: str) -> bytes:

@@ -4,7 +4,7 @@ from struct import error as StructError
 from struct import unpack_from
 from typing import Optional
 
-from ..foundation import MessageError, beginning
+from ..foundation import MessageError, beginning, counted
 from .definition import Definition, Field, measure_of
 from .slots import VARIABLE
 
@@ -24,8 +24,12 @@ def explain(definition: Definition, data: bytes) -> str:
     try:
         end = _Walk(data).end(definition, 0, "")
     except _Truncated as cut:
-        return f"{size} bytes are not a {definition.name}: they end inside slot {beginning(cut.path)}"
-    return f"{size} bytes are not a {definition.name}: {size - end} are left over"
+        return f"{_size(size)} not a {definition.name}: they end inside slot {beginning(cut.path)}"
+    return f"{_size(size)} not a {definition.name}: {size - end} left over"
+
+
+def _size(size: int) -> str:
+    return f"{counted(size, 'byte')} {'is' if size == 1 else 'are'}"
 
 
 def check_bare(definition: Definition, data: bytes, most: int) -> None:

@@ -2,7 +2,7 @@
 
 from typing import Dict, List, Optional
 
-from ..foundation import Cache, MessageError, UsageError
+from ..foundation import Cache, MessageError, UsageError, counted
 from ..prolog.syntax import Meant, MessageSlot, NamedForm
 from ..prolog.terms import copy
 from .definition import Definition, Field, functor_name, type_name
@@ -59,7 +59,8 @@ class SlotNames:
             ) from error
         if definition.measure.least > LARGEST_ZERO:
             raise UsageError(
-                f"messages of {kind} have {definition.measure.least} bytes at least: write all slots in their order"
+                f"messages of {kind} have {counted(definition.measure.least, 'byte')} at least: write all slots in "
+                "their order"
             )
         return self._slots(definition)
 

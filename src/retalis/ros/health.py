@@ -5,6 +5,7 @@ from enum import IntEnum
 from typing import Callable, Collection, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 from ..engine import RuleStatus, Status
+from ..foundation import counted
 from ..prolog.machine import resident_bytes
 from .counting import InputStatus, OutputStatus
 
@@ -236,14 +237,14 @@ class EngineHealth:
         wrong = [rule for rule in status.rules if rule.errors]
         number = sum(rule.errors for rule in wrong)
         recent = self._changes.note(now, "errors", number).is_recent(now)
-        values = [(_name_of(rule), f"{rule.errors} errors") for rule in wrong[:LISTED]]
+        values = [(_name_of(rule), counted(rule.errors, "error")) for rule in wrong[:LISTED]]
         if len(wrong) > LISTED:
             values.append(("further rules", str(len(wrong) - LISTED)))
         total = len(status.rules) + status.left_out.rules
         if not wrong:
-            return Health("rules", Level.OK, f"{total} rules without errors", values)
+            return Health("rules", Level.OK, f"{counted(total, 'rule')} without errors", values)
         more = " or more" if len(wrong) == len(status.rules) < total else ""
-        text = f"{number} errors in {len(wrong)} rules{more}"
+        text = f"{counted(number, 'error')} in {counted(len(wrong), 'rule')}{more}"
         return Health("rules", Level.ERROR if recent else Level.WARN, text, values)
 
     def _queries(self, now: float, status: Status) -> Health:
@@ -309,9 +310,11 @@ def program_health(errors: Sequence[str], warnings: Sequence[str]) -> Health:
     if len(told) > LISTED:
         values.append(("further ones", str(len(told) - LISTED)))
     if errors:
-        return Health("program", Level.ERROR, f"{len(errors)} errors when it was loaded", values)
+        return Health("program", Level.ERROR, f"{counted(len(errors), 'error')} when it was loaded", values)
     if warnings:
-        return Health("program", Level.WARN, f"{len(warnings)} warnings when it was loaded", values)
+        return Health(
+            "program", Level.WARN, f"{counted(len(warnings), 'warning')} when it was loaded", values
+        )
     return Health("program", Level.OK, "loaded without warnings", values)
 
 

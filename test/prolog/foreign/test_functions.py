@@ -339,7 +339,7 @@ def test_deep_and_long_terms_are_converted(forms):
 @pytest.mark.parametrize(
     ("goal", "formal"),
     [
-        ("one_of_two(A, B)", "system_error('a foreign predicate returned 1 values for 2 outputs')"),
+        ("one_of_two(A, B)", "system_error('a foreign predicate returned 1 value for 2 outputs')"),
         ("strange(X)", "system_error('a object is not a term: <"),
         ("no_tuple(A, B)", "python_error('TypeError',"),
         ("asks_for_the_engine(a)", None),

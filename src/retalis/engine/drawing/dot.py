@@ -7,7 +7,7 @@ from shutil import which
 from textwrap import wrap
 from typing import Dict, Iterable, Iterator, List, NamedTuple
 
-from ...foundation import UsageError
+from ...foundation import UsageError, counted
 from .graph import Graph, GraphNode
 
 FORMATS = ("svg", "png", "pdf")
@@ -57,7 +57,7 @@ def dot_text(graph: Graph, title: str) -> str:
     """Return a graph in the language of Graphviz, from left to right, with a legend."""
     there = {node.id: f"n{at}" for at, node in enumerate(graph.nodes)}
     shown = [edge for edge in graph.edges if edge.source in there and edge.target in there]
-    more = f"; {graph.left_out} more nodes are left out" if graph.left_out else ""
+    more = f"; {counted(graph.left_out, 'more node')} left out" if graph.left_out else ""
     lines = [
         "digraph program {",
         f"  label={_quoted(title + more)} labelloc=t fontsize=16",

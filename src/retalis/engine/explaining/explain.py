@@ -6,7 +6,7 @@ from typing import Callable, Collection, Dict, Iterator, List, NamedTuple, Optio
 from ...events.history import Fired, Occurrence
 from ...events.language import Aggregate, walk
 from ...events.network import Rule
-from ...foundation import UsageError, watched_by
+from ...foundation import UsageError, counted, watched_by
 from ...prolog.syntax import by_name, read_term, write_term
 from ...prolog.terms import (
     Atom,
@@ -166,7 +166,7 @@ class _Explainer:
             return Explanation(False, self._missing(term, interval, ()))
         lines = [self._because(one, 0) for one in found[:_SHOWN]]
         if len(found) > _SHOWN:
-            lines.append(ExplanationLine(f"and {len(found) - _SHOWN} more times", []))
+            lines.append(ExplanationLine(f"and {counted(len(found) - _SHOWN, 'more time')}", []))
         return Explanation(True, lines)
 
     def _because(self, one: Occurrence, depth: int) -> ExplanationLine:

@@ -14,6 +14,7 @@ from ...foundation import (
     ProgramErrors,
     RetalisError,
     beginning,
+    counted,
     shortened,
     topic_fault,
     type_fault,
@@ -243,7 +244,7 @@ class Playback:
             if problem is not None:
                 dropped[f"topic {topic.name}: {problem}"] += topic.messages
         for text, messages in dropped.items():
-            self._report(MessageError(f"{text}; {messages} messages dropped"))
+            self._report(MessageError(f"{text}; {counted(messages, 'message')} dropped"))
 
     def _learn(self, topic: Topic) -> Optional[MessageError]:
         """Note the decoder for a connection, under the type that the program gives the topic, or return why not."""

@@ -33,6 +33,7 @@ from typing import (
     Tuple,
 )
 
+from ...foundation import counted
 from .clock import JUMP
 from .reports import Reports
 
@@ -192,7 +193,8 @@ class ClockRuns:
                 self._bytes -= oldest.size
                 self.dropped += len(oldest.messages)
                 self._reports.warning(
-                    f"{self.dropped} messages are dropped: too many came before the clock went back", "early"
+                    f"{counted(self.dropped, 'message')} dropped: too many came before the clock went back",
+                    "early",
                 )
         if is_first:
             self._wake()

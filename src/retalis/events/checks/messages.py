@@ -2,7 +2,7 @@
 
 from typing import Any, Iterator, List, Set, Tuple
 
-from ...foundation import RuleError
+from ...foundation import RuleError, counted
 from ...messages import Definition, Field, type_name
 from ...prolog.terms import (
     FALSE,
@@ -105,8 +105,7 @@ def _wrong(program: Overview, key: Functor, kind: str, names: List[str], later: 
     slots = [slot.name for slot in definition.fields]
     if len(slots) == key.arity:
         return ""
-    count = "1 slot" if len(slots) == 1 else f"{len(slots)} slots"
-    wrong = f"{key} does not match its type: {kind} has {count}"
+    wrong = f"{key} does not match its type: {kind} has {counted(len(slots), 'slot')}"
     if not slots:
         return wrong
     advice = "write" if key.arity == 0 else "write all of them, or some by name:"

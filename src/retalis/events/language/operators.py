@@ -2,6 +2,7 @@
 
 from typing import Dict, Tuple
 
+from ...foundation import counted
 from ...prolog.syntax import EVENT_OPERATORS, EventOperator, OperatorKind
 from ...prolog.terms import Functor
 
@@ -30,7 +31,11 @@ ARROWS = frozenset(key for one in EVENT_OPERATORS if one.meant == "<-" for key i
 NO_EVENTS = {one.name: len(one.patterns) for one in EVENT_OPERATORS if not one.names_events}
 """What has a name that events do not have, and how many arguments it takes; with others it is an event."""
 
-FORMS = {one.name: f"takes {len(one.patterns)} arguments: {one.form}" for one in EVENT_OPERATORS if one.form}
+FORMS = {
+    one.name: f"takes {counted(len(one.patterns), 'argument')}: {one.form}"
+    for one in EVENT_OPERATORS
+    if one.form
+}
 """What is written as functor and arguments only, and how."""
 
 NO_FACTS = frozenset(key for one in EVENT_OPERATORS if not one.names_facts for key in one.keys[:1])

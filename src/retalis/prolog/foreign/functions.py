@@ -32,7 +32,7 @@ from typing import (
     overload,
 )
 
-from ...foundation import RetalisError, UsageError
+from ...foundation import RetalisError, UsageError, counted
 from ..logic import Logic
 from ..machine import Machine, PrologError, permission_error
 from ..terms import SLASH, Functor, String, Term, Var, atom, functor
@@ -224,7 +224,9 @@ def _unify(machine: Machine, outputs: Sequence[Term], result: Any) -> bool:
     if len(outputs) == 1:
         return machine.unify(outputs[0], to_term(result))
     if len(result) != len(outputs):
-        raise UsageError(f"a foreign predicate returned {len(result)} values for {len(outputs)} outputs")
+        raise UsageError(
+            f"a foreign predicate returned {counted(len(result), 'value')} for {len(outputs)} outputs"
+        )
     return machine.unify_all(*[(output, to_term(value)) for output, value in zip(outputs, result)])
 
 
