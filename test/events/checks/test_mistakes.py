@@ -83,5 +83,19 @@ def test_a_stamp_is_a_number_of_arithmetic(tmp_path, definitions):
     assert said_of(tmp_path, definitions) == ""
 
 
+@pytest.mark.parametrize(
+    "rule",
+    [
+        "std_msgs__0__Bool(X) <- std_msgs__0__String(_) where member(X, [0, 1]), X > 0.",
+        "std_msgs__0__Bool(X) <- sensor_msgs__0__Temperature(_, X, _).",
+        "std_msgs__0__String(X) <- sensor_msgs__0__Temperature(_, T, _) where T > 3, X = go, X == go.",
+        "std_msgs__0__Float64(X) <- alarm(X) where X \\== unknown.",
+    ],
+)
+def test_what_a_program_makes_of_other_kinds_of_values_is_left_alone(tmp_path, definitions, rule):
+    write(tmp_path, rule=rule)
+    assert [one.problem for one in check_program(tmp_path, definitions) if one.check == "kinds"] == []
+
+
 def test_nothing_is_said_of_the_example(definitions):
     assert said_of(ROOT / "application_source", definitions) == ""

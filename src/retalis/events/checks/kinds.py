@@ -6,6 +6,8 @@ from ...foundation import RuleError
 from ...messages import Field
 from ...prolog.terms import Atom, CompoundTerm, String, Term, Var, deref, functor
 from ..language import Spot
+from ..program import nowhere
+from .made import NEW_EVENT, made_by
 from .overview import Overview
 from .written import NECK, Inner, held, inners
 
@@ -20,10 +22,17 @@ _ONE_OF = frozenset((functor("or", 2), functor("\\/", 2), functor(";", 2), funct
 
 
 class SlotKind(NamedTuple):
-    """What a variable is, by the slot in which it stands."""
+    """What a variable is, by the slot in which it stands.
+
+    Attributes:
+        what: its kind.
+        slot: the slot, and the type of its message.
+        is_made: whether the program makes that message: there the value goes in, and comes from elsewhere.
+    """
 
     what: str
     slot: str
+    is_made: bool
 
 
 def slot_kind(slot: Field) -> Optional[str]:
@@ -39,43 +48,68 @@ def slot_kind(slot: Field) -> Optional[str]:
     return "true or false" if slot.type == "bool" else "a number"
 
 
+def _takes_more(slot: Field) -> bool:
+    """Tell whether more goes into a slot than comes out of it: 0 and 1 for truth values, lists for bytes."""
+    return slot.is_bytes or (slot.type == "bool" and slot.length is None)
+
+
 def kinds(program: Overview) -> Iterator[RuleError]:
     """Yield where a value is used as what it is not."""
     for rule in program.rules:
         parent = held(rule.definition.term)
-        yield from _in_clause(program, parent, rule.spot, rule.definition.names)
+        names = {**program.names, **rule.definition.names}
+        yield from _in_clause(program, parent, rule.spot, names, made_by(rule.definition.head))
     for clause in program.clauses:
-        names: Dict[Var, str] = {}
         whole = clause.parent if clause.parent[0] is NECK else held(clause.head or clause.parent)
-        yield from _in_clause(program, held(whole), clause.spot, names)
+        yield from _in_clause(program, held(whole), clause.spot, program.names)
     for kept in (*program.memories, *program.subscriptions):
-        for error in _in_clause(program, held(kept.term), kept.spot, {}):
+        for error in _in_clause(program, held(kept.term), kept.spot, program.names, kept.form):
             yield RuleError(f"{kept.who}{error.message}", error.place)
 
 
-def _in_clause(program: Overview, parent: CompoundTerm, spot: Spot, names: Any) -> Iterator[RuleError]:
-    """Yield what is wrong in one rule or clause, whose variables are its own."""
+def _in_clause(
+    program: Overview, parent: CompoundTerm, spot: Spot, names: Any, out: Optional[Term] = None
+) -> Iterator[RuleError]:
+    """Yield what is wrong in one rule or clause, whose variables are its own; one of its terms is what it makes."""
     found = list(inners(parent, 1, spot))
     known: Dict[Var, SlotKind] = {}
     branches = any(inner.key in _ONE_OF for inner in found)
+    made = _made(found, out)
     for inner in found:
         definition = program.message_of(inner.term)
         if definition is None:
             continue
         for at, slot in enumerate(definition.fields, 1):
-            value, what = deref(inner.term[at]), slot_kind(slot)
-            if value.__class__ is not Var or what is None:
+            value, what, is_made = deref(inner.term[at]), slot_kind(slot), id(inner.term) in made
+            if value.__class__ is not Var or what is None or (is_made and _takes_more(slot)):
                 continue
-            before = known.setdefault(value, SlotKind(what, f"{slot.name} of {definition.name}"))
+            now = SlotKind(what, f"{slot.name} of {definition.name}", is_made)
+            before = known.setdefault(value, now)
             if before.what != what and not branches:
-                yield RuleError(
-                    f"{_name(value, names)} is {before.what} ({before.slot}) and, here, {what} "
-                    f"({slot.name} of {definition.name}): these are never the same",
-                    spot(inner.term, at),
-                )
+                yield RuleError(_clash(_name(value, names), before, now), spot(inner.term, at))
                 known.pop(value)
+            elif before.is_made and not now.is_made:
+                known[value] = now
     if known:
         yield from _in_goals(found, known, names)
+
+
+def _made(found: List[Inner], out: Optional[Term]) -> Set[int]:
+    """Return which terms are made: the head of a rule, the form of a subscription, events of goals."""
+    makers = [] if out is None else [held(deref(out))]
+    makers += [inner.term for inner in found if inner.term.__class__ is tuple and inner.key in NEW_EVENT]
+    return {id(inner.term) for maker in makers for inner in inners(maker, 1, nowhere)}
+
+
+def _clash(name: str, one: SlotKind, other: SlotKind) -> str:
+    """Return what is wrong where a variable is of two kinds."""
+    if one.is_made and not other.is_made:
+        one, other = other, one
+    if other.is_made and not one.is_made and other.what == "a text":
+        return f"{name} is {one.what} ({one.slot}) and goes into a text ({other.slot}): {_to_text(name)}"
+    return (
+        f"{name} is {one.what} ({one.slot}) and, here, {other.what} ({other.slot}): these are never the same"
+    )
 
 
 def _in_goals(found: List[Inner], known: Dict[Var, SlotKind], names: Any) -> Iterator[RuleError]:
@@ -98,10 +132,7 @@ def _in_goals(found: List[Inner], known: Dict[Var, SlotKind], names: Any) -> Ite
             kind = known.get(term) if term.__class__ is Var else None
             if kind is not None and kind.what in _ADVICE and term not in said:
                 said.add(term)
-                yield RuleError(
-                    f"{_name(term, names)} is {kind.what} ({kind.slot}), not a number: {_ADVICE[kind.what]}",
-                    inner.spot(parent, at),
-                )
+                yield RuleError(_no_number(_name(term, names), kind), inner.spot(parent, at))
 
 
 _ADVICE = {
@@ -112,13 +143,25 @@ _ADVICE = {
 """What to do with a value that is no number; a stamp is one."""
 
 
+def _no_number(name: str, kind: SlotKind) -> str:
+    """Return what is wrong with a variable that is a number somewhere, and of another kind as a slot."""
+    if not kind.is_made:
+        return f"{name} is {kind.what} ({kind.slot}), not a number: {_ADVICE[kind.what]}"
+    advice = _to_text(name) if kind.what == "a text" else "send another variable"
+    return f"{name} is a number here and goes into {kind.what} ({kind.slot}): {advice}"
+
+
+def _to_text(name: str) -> str:
+    return f"make a text of it, as with format(atom(Text), '\"~w\"', [{name if name[:1].isupper() else 'X'}])"
+
+
 def _compared(inner: Inner, known: Dict[Var, SlotKind], names: Any) -> Iterator[RuleError]:
     """Yield why two terms that are compared as they are will never be the same."""
     for at, other in ((1, 2), (2, 1)):
         value: Any = deref(inner.term[at])
         constant = deref(inner.term[other])
         kind = known.get(value) if value.__class__ is Var else None
-        wrong = None if kind is None else _never(kind.what, constant)
+        wrong = None if kind is None or kind.is_made else _never(kind.what, constant)
         if kind is not None and wrong is not None:
             yield RuleError(
                 f"{_name(value, names)} is {kind.what} ({kind.slot}): {wrong}", inner.spot(inner.term, other)

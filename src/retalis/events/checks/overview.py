@@ -79,6 +79,7 @@ class Overview:
         if folder is not None:
             files = read_again(self.logic, folder, rules.files.loaded)
         self.reads: List[ReadTerm] = files.reads
+        self.names: Dict[Var, str] = {var: name for read in files.reads for name, var in read.names.items()}
         self.goals: List[WrittenTerm] = files.goals
         self.rules = [*files.rules, *_other_rules(rules, files.sources)]
         self.clauses = [*files.clauses, *_other_clauses(self.logic, files.sources)]
