@@ -30,6 +30,7 @@ ORDER = (
     "events.knowledge",
     "events.checks",
     "engine.runtime",
+    "engine.keeping",
     "engine",
     "engine.explaining",
     "engine.drawing",

@@ -10,7 +10,7 @@ import time
 from collections import Counter
 from dataclasses import fields, replace
 from itertools import count
-from typing import Any, Callable, Iterable, Iterator, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Collection, Iterable, Iterator, List, Optional, Sequence, Tuple
 
 from retalis.engine import Engine, parts_of
 from retalis.engine.runtime import StreamClock
@@ -56,8 +56,12 @@ def engine_steps(
     goals: str,
     stream: Iterable[Tuple[Term, Any, Any]],
     used: Optional[Reset] = None,
+    cuts: Collection[int] = (),
 ) -> List[Fired]:
-    """Run rules, one file after the other, over a stream; return what the engine dispatches for each event."""
+    """Run rules, one file after the other, over a stream; return what the engine dispatches for each event.
+
+    Before the events whose places are in ``cuts`` its state is taken, and taken up by another engine that goes on.
+    """
     if used is None:
         used = Reset()
     engine = used.ready()
@@ -65,7 +69,10 @@ def engine_steps(
     engine.load(goals=goals)
     for text in texts:
         engine.load(rules=text)
-    for term, start, end in stream:
+    for at, (term, start, end) in enumerate(stream):
+        if at in cuts:
+            engine = Engine.restore(engine.snapshot())
+            engine.on_event(lambda *event: steps[-1].append(as_text(*event)))
         steps.append([])
         engine.event(term, start, end)
     return steps

@@ -41,6 +41,7 @@ class EngineParts(NamedTuple):
     slots: SlotNames
     programs: Dict[str, Standing]
     input_topics: InputTopics
+    intake: Intake
 
 
 class EngineCore:
@@ -174,4 +175,5 @@ def parts_of(engine: EngineCore) -> EngineParts:
         engine._slots,  # noqa: SLF001
         engine._programs,  # noqa: SLF001
         engine._input_topics,  # noqa: SLF001
+        engine._intake,  # noqa: SLF001
     )

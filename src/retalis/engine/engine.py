@@ -8,13 +8,12 @@ from ..events.dispatch import Stage
 from ..events.program import Topics, TopicType
 from ..foundation import RetalisError, counted
 from ..messages import Definitions
-from ..prolog.foreign import define_foreign
 from ..prolog.machine import Frame
 from ..prolog.syntax import Operators, read_term
-from ..prolog.terms import Functor, Term, Var, WholeSeconds, timestamps, variables
+from ..prolog.terms import Term, Var, WholeSeconds, timestamps, variables
 from .callbacks import OnEvent, OnOutput
 from .core import MADE
-from .holdings import Holdings
+from .lasting import Lasting
 from .ownfiles import REQUEST
 from .reloading import NoReports, clock_at, load_folder, reload_folder, trial_settings
 from .status import MOST, Status
@@ -23,7 +22,7 @@ Instant = Union[int, Term]
 Result = TypeVar("Result")
 
 
-class Engine(Holdings):
+class Engine(Lasting):
     """A running program.
 
     Events go in (`event`, `post`), outputs come out (`on_output`), questions are answered (`query`). Calls may
@@ -141,26 +140,6 @@ class Engine(Holdings):
             ProgramErrors: all that did not read, failed or raised; the others have been called.
         """
         self._own_files.call_goals(text, source, folder)
-
-    def add_foreign(self, *sources: object) -> List[Functor]:
-        """Define Python functions that have the decorator `foreign`, and those of modules, as predicates.
-
-        >>> @foreign
-        ... def half(number: int) -> float:
-        ...     return number / 2
-        >>> Engine().add_foreign(half)
-        [functor('half', 2)]
-
-        Returns:
-            The functors of the predicates.
-
-        Raises:
-            UsageError: for a function without the decorator, or a module in which none has it.
-            PrologError: where a predicate of the system has that name.
-        """
-        found = self._runner.call(lambda: define_foreign(self._logic, self._runner, *sources))
-        self._foreign.append(sources)
-        return found
 
     # ---- events --------------------------------------------------------------------------------------
 

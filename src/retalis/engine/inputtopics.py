@@ -92,6 +92,18 @@ class InputTopics:
                 self._taken.setdefault(plain(topic), AskedTopic(topic, kind, topics.event_of(topic, plain)))
             except UsageError:  # said by who subscribes it
                 continue
+        for wanted in self._asked:  # of a program that was begun elsewhere
+            subscribe(wanted)
+
+    def kept(self) -> List[AskedTopic]:
+        """Return what goals have asked for; see `restore`."""
+        return list(self._asked)
+
+    def restore(self, asked: Iterable[AskedTopic]) -> None:
+        """Have been asked for topics, which are subscribed when somebody begins to do so."""
+        for wanted in asked:
+            self._taken[self._plain(wanted.topic)] = wanted
+            self._asked.append(wanted)
 
     def try_out(self, others: "InputTopics") -> None:
         """Be as the topics of another engine, whose program is tried in this one; subscribe nothing."""

@@ -24,6 +24,7 @@ class Intake:
 
     Attributes:
         taken: how many events came in.
+        followed: the clock, where stamped events move it.
     """
 
     def __init__(
@@ -37,7 +38,7 @@ class Intake:
         self._logic = logic
         self._dispatcher = dispatcher
         self._clock = clock
-        self._followed = followed
+        self.followed = followed
         self._start_anew = start_anew
         self._done = logic.machine.done
         self._lanes = dispatcher.lanes
@@ -55,9 +56,9 @@ class Intake:
         else:
             if end < start:
                 raise UsageError(f"{self._logic.brief(term)} ends before it starts")
-            if self._followed is not None:
-                self._followed.now()  # where somebody has put it back, that is seen first
-                self._followed.move_to(end)
+            if self.followed is not None:
+                self.followed.now()  # where somebody has put it back, that is seen first
+                self.followed.move_to(end)
             self._look_at_clock()
         self.taken += 1
         dispatcher = self._dispatcher

@@ -3,7 +3,7 @@
 import heapq
 import time
 from itertools import count
-from typing import Callable, List, Optional, Tuple
+from typing import Callable, List, Optional, Sequence, Tuple
 
 from ...prolog.terms import SECOND, WholeSeconds
 
@@ -38,6 +38,28 @@ class Clock:
         self.behind = False
         self.alarms: List[Tuple[int, int, Alarm]] = []
         self._order = count()
+
+    def kept(self) -> List[int]:
+        """Return what it knows beside its source and its alarms; see `restore`.
+
+        >>> Clock(lambda: 5_000_000_000).kept()
+        [-1, 0, 0, 0]
+        """
+        order = next(self._order)
+        self._order = count(order)
+        return [self._last_stamp, self._newest, int(self.behind), order]
+
+    def restore(self, kept: Sequence[int]) -> None:
+        """Know what another clock knew; an order given to alarms again is none of those before.
+
+        >>> clock, other = StreamClock(7), StreamClock()
+        >>> other.restore(clock.kept())
+        >>> other.now()
+        7
+        """
+        self._last_stamp, self._newest, behind, order = kept[:4]
+        self.behind = bool(behind)
+        self._order = count(order)
 
     def now(self) -> int:
         """Return the present instant, and notice where time went back by more than `JUMP`.
@@ -102,6 +124,16 @@ class Clock:
         alarm at 2000000000
         """
         heapq.heappush(self.alarms, (instant, next(self._order), alarm))
+
+    def put_back(self, instant: int, order: int, alarm: Alarm) -> None:
+        """Set an alarm that another clock had, in its place among those of the same instant.
+
+        >>> clock = Clock(lambda: 5_000_000_000)
+        >>> clock.put_back(6_000_000_000, 2, print)
+        >>> clock.next_alarm()
+        6000000000
+        """
+        heapq.heappush(self.alarms, (instant, order, alarm))
 
     def next_alarm(self) -> Optional[int]:
         """Return the instant of the next alarm, or None.
@@ -181,6 +213,28 @@ class StreamClock(Clock):
 
     def _present(self) -> int:
         return self._time if self._pinned is None else self._pinned
+
+    def kept(self) -> List[int]:
+        """Return what it knows; see `Clock.kept`.
+
+        >>> StreamClock(7).kept()
+        [-1, 0, 0, 0, 7]
+        """
+        return [*super().kept(), self._time, *([] if self._pinned is None else [self._pinned])]
+
+    def restore(self, kept: Sequence[int]) -> None:
+        """Know what another clock knew; see `Clock.restore`.
+
+        >>> clock, other = StreamClock(7), StreamClock()
+        >>> other.restore(clock.kept())
+        >>> other.now()
+        7
+        """
+        super().restore(kept)
+        if len(kept) > 4:
+            self._time = kept[4]
+        if len(kept) > 5:
+            self._pinned = kept[5]
 
     def pin(self, instant: int) -> None:
         """Have the clock say an instant from now on, whatever moves the stream's time.

@@ -241,6 +241,17 @@ class Dispatcher(Audience):
             goal, given, lambda found: solved(term, values + found, start, end, after), after, failed
         )
 
+    @property
+    def tokens(self) -> int:
+        """The number that the next event gets, where events are told apart by numbers."""
+        number = next(self._tokens)
+        self._tokens = count(number)
+        return number
+
+    @tokens.setter
+    def tokens(self, number: int) -> None:
+        self._tokens = count(number)
+
     def state(self) -> Tuple[Any, Any]:
         """Return what is being served and why, for `restore`."""
         return self.current, self.cause

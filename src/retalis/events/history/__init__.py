@@ -1,7 +1,7 @@
 """What events came from and why they happened, kept while a flag asks for it."""
 
 from .justification import Justifier
-from .occurrences import Occurrence, known_in
+from .occurrences import Occurrence, Suppressed, known_in
 from .owners import Fired, Remembered
 from .store import Store, solutions
 from .tracking import Tracker
@@ -14,5 +14,6 @@ __all__ = [
     "Remembered",
     "solutions",
     "Store",
+    "Suppressed",
     "Tracker",
 ]

@@ -76,6 +76,10 @@ class Store:
         """Return what was stored, oldest first."""
         return list(self._events)
 
+    def restore(self, events: List[Tuple[Term, int, int]]) -> None:
+        """Have stored what another one had."""
+        self._events.extend(events)
+
     def clear(self) -> None:
         """Forget what was stored."""
         self._events.clear()

@@ -75,6 +75,19 @@ class Tracker:
                     if isinstance(match, Match):
                         match.leave()
 
+    def kept(self) -> Tuple[List[Occurrence], int, int]:
+        """Return the events that it remembers, and how many things were suppressed and events came; see `restore`."""
+        numbers, arrivals = next(self._numbers), next(self._arrivals)
+        self._numbers, self._arrivals = count(numbers), count(arrivals)
+        return list(self._recent), numbers, arrivals
+
+    def restore(self, kept: Tuple[List[Occurrence], int, int]) -> None:
+        """Remember what another one did."""
+        recent, numbers, arrivals = kept
+        self._recent = deque(recent)
+        self._numbers, self._arrivals = count(numbers), count(arrivals)
+        self.mend()
+
     def clear(self) -> None:
         """Forget all."""
         self._recent.clear()

@@ -8,6 +8,7 @@ from .knowledge import DELETE_MEMORY, MEMORIZE, OF_MEMORIES, OWN_EVENTS, SUBSCRI
 from .recorder import Instance
 from .subscriptions import Key as SubscriptionKey
 from .subscriptions import Subscription
+from .timeouts import TimeoutAlarm
 
 __all__ = [
     "DELETE_MEMORY",
@@ -19,4 +20,5 @@ __all__ = [
     "SUBSCRIBE",
     "Subscription",
     "SubscriptionKey",
+    "TimeoutAlarm",
 ]

@@ -166,6 +166,15 @@ class Memories:
         for instance in instances:
             self.create(instance.definition, instance.active, done)
 
+    def begin(self, definition: Any, active: bool) -> Instance:
+        """Make a memory of its definition as `create` does, and tell nobody of it."""
+        _, _, _, _, name, size = definition
+        instance = Instance(name, size, active, definition)
+        self._aside[key_of(name)] = instance
+        self.on_create(instance)
+        self.create(definition, active, self._logic.machine.done)
+        return instance
+
     def mend(self) -> None:
         """Put right what an interrupt may have left half done: a memory has a name and records, or neither."""
         for key, instance in list(self.instances.items()):

@@ -55,6 +55,20 @@ class Memory:
         self._gone, self.ends, self.records = gone, ends, records
         self._next = None
 
+    def kept(self, since: int = 0) -> Tuple[int, int, List[int], List[MemoryRecord]]:
+        """Return how many records were ever taken before the first that is given, and refused; ends and records.
+
+        Args:
+            since: give those only that were taken after so many.
+        """
+        first = max(self.first, since - self._gone)
+        return self._gone + first, self.late, self.ends[first:], self.records[first:]
+
+    def restore(self, gone: int, late: int, ends: List[int], records: List[MemoryRecord]) -> None:
+        """Have records as another memory had them."""
+        self.late = late
+        self._become(gone, ends, records)
+
     def mend(self) -> None:
         """Put right what an interrupt may have left half done."""
         if self._next is not None:

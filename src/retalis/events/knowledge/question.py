@@ -6,7 +6,7 @@ from ...foundation import Place, UsageError
 from ...prolog.database import CompiledGoal
 from ...prolog.logic import Logic
 from ...prolog.machine import Frame, PrologError, keep_back
-from ...prolog.terms import TRUE, Term, Values, Var, deref, functor, variables
+from ...prolog.terms import MINUS, TRUE, Term, Values, Var, copy, deref, functor, variables
 from ..dispatch import Dispatcher, compile_builder
 from .recording import Warn
 
@@ -34,11 +34,14 @@ class Question:
 
     Attributes:
         event: makes from the values alone what the event is before it is asked.
+        terms: makes from the values event and query, as a question of any event takes them.
         ask: takes values, start, end and next frame; returns the frame that calls the query and triggers the
             event where it has a solution.
     """
 
-    __slots__ = ("_around", "_dispatcher", "_dispatch", "_goal", "_inputs", "_build", "event", "ask")
+    __slots__ = ("_around", "_dispatcher", "_dispatch", "_goal", "_inputs", "_build", "event", "ask", "terms")
+
+    terms: Callable[[Values], Tuple[Term, Term]]
 
     ask: Callable[[Values, int, int, Frame], Frame]
 
@@ -127,7 +130,13 @@ class Followed(Question):
         self._asked = asked
         self._token = token
         self.event = asked.event
+        self.terms = asked.terms
         self.ask = self._ask
+
+    @property
+    def token(self) -> object:
+        """The token of the event that its own follows from."""
+        return self._token
 
     def _ask(self, values: Values, start: int, end: int, after: Frame) -> Frame:
         return self._asked.ask(values, start, end, self._dispatcher.following(self._token, after))
@@ -137,7 +146,9 @@ def general_question(around: Surroundings) -> Question:
     """Return the question whose values are an event and a query, whatever they are."""
     event, query = Var(), Var()
     goal = around.logic.compile_goal((_CALL, query), [event, query], [event], name=_NAME)
-    return Question(around, goal, (0, 1), lambda values: values[2], lambda values: values[0])
+    made = Question(around, goal, (0, 1), lambda values: values[2], lambda values: values[0])
+    made.terms = lambda values: (values[0], values[1])
+    return made
 
 
 def compile_question(
@@ -168,9 +179,11 @@ def compile_question(
             goal = around.logic.compile_goal(query, [names[at] for at in inputs], found, place, _NAME)
         except PrologError:  # reported for each event that asks it
             return None
-    return Question(
+    made = Question(
         around, goal, tuple(inputs), build, lambda values: build((*values, *[Var() for _ in found]))
     )
+    made.terms = lambda values: copy((MINUS, event, query), dict(zip(names, values)))[1:]
+    return made
 
 
 def kind_of(event: Term) -> Hashable:

@@ -85,15 +85,42 @@ class Timeouts:
         if self._due and not any(instant <= self._due[0][0] for instant in self._set):
             instant = self._due[0][0]
             self._set.add(instant)
-            self._clock.call_at(instant, self._ring_for(instant))
+            self._clock.call_at(instant, TimeoutAlarm(self, instant))
 
-    def _ring_for(self, set_for: int) -> Callable[[int], None]:
-        def ring(now: int) -> None:
-            self._set.discard(set_for)
-            while self._due and self._due[0][0] <= max(now, set_for):
-                instant, order = heappop(self._due)
-                if order in self._waiting:
-                    self._give_up(order, instant)
-            self._set_alarm()
+    def ring(self, set_for: int, now: int) -> None:
+        """Give up what has waited long enough when an alarm rings that was set for an instant."""
+        self._set.discard(set_for)
+        while self._due and self._due[0][0] <= max(now, set_for):
+            instant, order = heappop(self._due)
+            if order in self._waiting:
+                self._give_up(order, instant)
+        self._set_alarm()
 
-        return ring
+    def kept(self) -> Tuple[List[Tuple[int, int]], List[int]]:
+        """Return when which queries are due, and the instants for which alarms are set; see `restore`."""
+        return [one for one in self._due if one[1] in self._waiting], sorted(self._set)
+
+    def restore(self, due: List[Tuple[int, int]], alarms: List[int]) -> None:
+        """Have queries be due as they were; the alarms are set in the clock already."""
+        self._due = list(due)
+        heapify(self._due)
+        self._set = set(alarms)
+
+
+class TimeoutAlarm:
+    """The alarm of the queries that are due first.
+
+    Args:
+        timeouts: of all queries.
+        set_for: the instant at which it is to ring.
+    """
+
+    __slots__ = ("set_for", "timeouts")
+
+    def __init__(self, timeouts: Timeouts, set_for: int):
+        self.timeouts = timeouts
+        self.set_for = set_for
+
+    def __call__(self, now: int) -> None:
+        """Ring."""
+        self.timeouts.ring(self.set_for, now)

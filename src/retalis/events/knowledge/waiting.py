@@ -1,7 +1,7 @@
 """Synchronized queries: goals that are called when the memories they read have the data."""
 
 from itertools import count
-from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple
+from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Tuple
 
 from ...foundation import UsageError
 from ...prolog.logic import Logic
@@ -28,6 +28,11 @@ NAMED = 20
 
 Waiting = Tuple[int, Question, Values, int, int, Behind]
 """A query that waits: its order, the question, its values, the interval, and where it has to wait: the last first."""
+
+
+KeptQuery = Tuple[int, Term, Term, int, int, List[Tuple[Term, int]], object]
+"""A query that waits, as data: its order, event and query, the interval, ids of memories with the instants that they
+have to reach, and the token of the event that its own follows from, or None."""
 
 
 class WaitingQueries:
@@ -104,6 +109,30 @@ class WaitingQueries:
             tell: called once, in the midst of the event that was missing last.
         """
         return self._wait(Bell(named, tell), (), now, now, missing)
+
+    def kept(self) -> Tuple[int, List[KeptQuery]]:
+        """Return how many have begun to wait, and those that wait; see `restore`. Who waits outside is not kept."""
+        order = next(self._order)
+        self._order = count(order)
+        found: List[KeptQuery] = []
+        for number, asked, values, start, end, missing in self._all.values():
+            if isinstance(asked, Bell):
+                continue
+            event, query = asked.terms(values)
+            token = asked.token if isinstance(asked, Followed) else None
+            awaited = [(instance.id, instant) for instance, instant in missing]
+            found.append((number, event, query, start, end, awaited, token))
+        return order, found
+
+    def restore(self, order: int, found: Sequence[KeptQuery]) -> None:
+        """Have queries wait as they did."""
+        self._order = count(order)
+        for number, event, query, start, end, awaited, token in found:
+            missing: Any = [(self._memories.find(name), instant) for name, instant in awaited]
+            asked = self._general if token is None else Followed(self._dispatcher, self._general, token)
+            waiting = self._all[number] = (number, asked, (event, query), start, end, missing)
+            instance, instant = missing[-1]
+            instance.wait(instant, number, waiting)
 
     def waits(self, order: int) -> bool:
         """Tell whether one who waits still does, and was neither told nor dropped."""

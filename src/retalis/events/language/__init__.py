@@ -11,6 +11,7 @@ from .labels import RULE, Property, is_rule, label_error, labelled
 from .occurrences import occurrences
 from .operators import ARROWS, NO_FACTS, OPERATORS, SPELLINGS, names_of_kind
 from .pattern import (
+    PATTERNS,
     SEQ,
     Absent,
     Action,
@@ -63,6 +64,7 @@ __all__ = [
     "own_terms",
     "Pair",
     "Pattern",
+    "PATTERNS",
     "Property",
     "PatternReader",
     "Repeated",

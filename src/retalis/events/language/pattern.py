@@ -104,7 +104,8 @@ class Action(NamedTuple):
     every: bool
 
 
-_PATTERNS = (Occurs, Pair, Repeated, Either, Absent, Star, Aggregate, Condition, Within, Action)
+PATTERNS = (Occurs, Pair, Repeated, Either, Absent, Star, Aggregate, Condition, Within, Action)
+"""All kinds of patterns."""
 SEQ = "seq"
 MOST_TIMES = 10_000
 """How many repetitions ``ntimes`` takes at most."""
@@ -116,7 +117,7 @@ def with_others(part: Pattern, fresh: Mapping[Var, Var]) -> Any:
     """Return a pattern with other variables in the place of some."""
 
     def renamed(found: Any) -> Any:
-        if isinstance(found, _PATTERNS):
+        if isinstance(found, PATTERNS):
             return found.__class__(*map(renamed, found))
         if found.__class__ is tuple and (not found or found[0].__class__ is not Functor):
             return tuple(map(renamed, found))  # the branches of an ``or``, the variables of repetitions

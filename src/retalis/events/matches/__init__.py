@@ -4,6 +4,7 @@ from .absence import Absence, Emitting
 from .chains import Chain, Log, joined_at_once, joined_one_by_one, pieces_of, repetitions
 from .expiry import Expiries
 from .matches import (
+    NOTHING_HELD,
     Found,
     Held,
     Holder,
@@ -63,6 +64,7 @@ __all__ = [
     "NetworkOptions",
     "Moving",
     "Named",
+    "NOTHING_HELD",
     "NO_ITEMS",
     "Owner",
     "pieces_of",

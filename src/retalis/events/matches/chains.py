@@ -16,6 +16,10 @@ class Log:
         self.items = items
         self._sums = [0]
 
+    def begin_again(self) -> None:
+        """Know no sums, of repetitions that were put in by somebody else."""
+        self._sums = [0]
+
     def sum_to(self, end: int) -> int:
         """Return a number that depends on the first ``end`` repetitions; looked for once for each."""
         sums = self._sums

@@ -84,6 +84,11 @@ class Match:
         """The largest end so far: what waits is as old as that."""
         return self.end
 
+    @property
+    def filed_by(self) -> Values:
+        """The values of which those that are shared are the key under which it waits."""
+        return self.values
+
     def mend(self) -> None:
         """Put right what an interrupt may have left half done."""
 

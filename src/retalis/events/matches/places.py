@@ -103,14 +103,33 @@ class MatchBuffer:
             if not waiting:
                 del self.newest[key]
                 continue
-            for older, newer in zip(waiting, [*waiting[1:], waiting[0]]):
-                older.newer, newer.older = newer, older
-            self.newest[key] = waiting[-1]
+            self._link(key, waiting)
             found += waiting
         self._indices = {}
         self._names = {}
         self.on_mend()
         return sorted(found, key=_order)
+
+    def _link(self, key: Hashable, waiting: List[Match]) -> None:
+        """Have matches, the oldest first, be all that wait under a key."""
+        for older, newer in zip(waiting, [*waiting[1:], waiting[0]]):
+            older.newer, newer.older = newer, older
+        self.newest[key] = waiting[-1]
+
+    def put_back(self, waiting: Sequence[Match]) -> None:
+        """Have matches wait, whose `order` is set, in the empty buffer as they did in another one."""
+        groups: Dict[Hashable, List[Match]] = {}
+        for match in sorted(waiting, key=_order):
+            match.buffer = self
+            try:
+                match.key = self.key(match.filed_by)
+            except ValueError:
+                match.key = None
+            if self.name is not None:
+                match.identity = self.name(match)
+            groups.setdefault(match.key, []).append(match)
+        for key, group in groups.items():
+            self._link(key, group)
 
     def namesake(self, match: Match, key: Hashable) -> Optional[Match]:
         """Return the match that one with a key is to replace; those of one name have the same key."""

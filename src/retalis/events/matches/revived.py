@@ -29,6 +29,14 @@ class Keeping:
         self.buffer = buffer
         self._kept: Deque[Match] = deque()
 
+    def kept(self) -> List[Match]:
+        """Return those that are kept, the oldest first; see `restore`."""
+        return [match for match in self._kept if match.buffer is not None]
+
+    def restore(self, kept: List[Match]) -> None:
+        """Keep those that were kept; they wait in the buffer already."""
+        self._kept = deque(kept)
+
     def add(self, match: Match, key: Hashable) -> None:
         """Keep one; see `MatchBuffer.add`."""
         self.buffer.add(match, key)

@@ -51,6 +51,15 @@ class Run(Match):
         """The largest end so far; see `Match.latest`."""
         return self.last
 
+    @property
+    def filed_by(self) -> Values:
+        """The values by which it waits; see `Match.filed_by`."""
+        return self.first.values
+
+    def begin_again(self) -> None:
+        """Be as somebody else has set all that is to be seen."""
+        self._next = None
+
     def become(self, last: int, fixed: Optional[Values], items: Term, values: Values, state: object) -> None:
         """Be extended, all of it or nothing, also where an interrupt comes."""
         self._next = last, fixed, items, values, state

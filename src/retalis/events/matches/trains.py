@@ -83,6 +83,10 @@ class Train:
         self.taken = 0
         self.alive = 0
 
+    def begin_again(self) -> None:
+        """Have the sequences that somebody else has put in go on."""
+        self.tokens = deque(self.tokens)
+
     @property
     def span(self) -> Optional[int]:
         """For how many nanoseconds what waits is of use; None for no bound."""

@@ -92,7 +92,7 @@ class Joining(NetworkNode):
         self.completed: Dict[Hashable, None] = {}
         self.double = double
         self.span: Optional[int] = None
-        self.kept = Keeping(self.right_buffer)
+        self.kept_sides = Keeping(self.right_buffer)
 
     def test(self, test: Test, names: Sequence[Var]) -> None:
         """Add a condition; ``names`` are the variables it leaves."""
@@ -117,6 +117,16 @@ class Joining(NetworkNode):
         late = self.rule.network.mode.out_of_order
         for absence in self.absences:
             absence.buffer.span = kept_for_late(span, limit) if late else limit
+
+    def kept(self) -> Any:
+        """Return what it knows; see `NetworkNode.kept`."""
+        return (list(self.completed), self.kept_sides.kept())
+
+    def restore(self, kept: Any) -> None:
+        """Know that; see `NetworkNode.restore`."""
+        completed, sides = kept
+        self.completed.update(dict.fromkeys(completed))
+        self.kept_sides.restore(sides)
 
     def bind(self, out: Emit, mode: NetworkOptions) -> None:
         """Connect the node, and those of a sequence on its left; see `NetworkNode.bind`."""
@@ -167,7 +177,7 @@ class Joining(NetworkNode):
         waits, stays = both or late or keeps, late or keeps
         right = Side(self.right_buffer, self.left_buffer, join, flipped, False, waits, stays)
         if keeps:
-            right = right._replace(wait=self.kept.add)
+            right = right._replace(wait=self.kept_sides.add)
         if self.double and mode.policy.replacing and (both or late):
             right = right._replace(wait=self._wait_later)
         return right

@@ -44,6 +44,12 @@ class NetworkNode:
     def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
         """Set the longest interval of this node's matches, and how long those that wait can be of use."""
 
+    def kept(self) -> Any:
+        """Return what the node itself knows beside what waits in its buffers; see `restore`."""
+
+    def restore(self, kept: Any) -> None:
+        """Know, newly connected, what another node knew that is the same; what waits is put back after that."""
+
 
 class Leaf(NetworkNode):
     """Waits for events that unify with a term."""

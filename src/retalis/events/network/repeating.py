@@ -141,6 +141,21 @@ class Repeating(NetworkNode):
                     self._apart.setdefault(key, {})[number] = None
         self.child.bind(self._arrive, mode)
 
+    def kept(self) -> Any:
+        """Return what it knows; see `NetworkNode.kept`."""
+        apart = [(key, list(numbers)) for key, numbers in self._apart.items()]
+        return self._together, list(self._buffers), list(self.trains.values()), apart
+
+    def restore(self, kept: Any) -> None:
+        """Know that; see `NetworkNode.restore`."""
+        together, numbers, trains, apart = kept
+        if self._together and not together:
+            self._part()
+        for number in numbers:
+            self._buffer(number)
+        self.trains = {train.key: train for train in trains}
+        self._apart = {key: dict.fromkeys(found) for key, found in apart}
+
     def values_of(self, token: Token) -> Values:
         """Return the values of a sequence."""
         return token.values if token.apart > 1 else tuple([token.values[at] for at in self._kept])

@@ -1,7 +1,7 @@
 """Event rules at run time: their clock, what waits for them, and what they fire."""
 
 from collections import deque
-from typing import Any, Deque, Hashable, List, Optional, Tuple
+from typing import Any, Deque, Dict, Hashable, List, Optional, Tuple
 
 from ...foundation import RuleError, UsageError
 from ...prolog.machine import Frame
@@ -13,6 +13,7 @@ from .compiling import RuleCompiler
 from .limits import least
 from .nodes import Leaf
 from .owners import Listening, Network
+from .rulestate import RuleState
 
 _SPARE = 1000
 
@@ -111,6 +112,55 @@ class Rule:
                 lambda match, after: complete(match.term, match.values, match.start, match.end, after), mode
             )
         self.sound = True
+
+    def _buffers(self) -> List[Any]:
+        return [buffer for node, _, _ in self.nodes for buffer in node.buffers()]
+
+    def state(self) -> RuleState:
+        """Return what it knows, for `restore` of another rule that says the same."""
+        places = {id(buffer): at for at, buffer in enumerate(self._buffers())}
+        firings = self.firings
+        return RuleState(
+            (
+                *(firings.number, firings.last, firings.errors),
+                *(self.dropped, self.alarms_dropped, self.alarms_past),
+            ),
+            (self.clock, self.order, self._collected_at),
+            [(type(node).__name__, node.kept()) for node, _, _ in self.nodes],
+            [
+                (one, places.get(id(one.buffer), -1), one.order)
+                for one in self.arrivals
+                if one.buffer is not None
+            ],
+            [(places[id(buffer)], match) for buffer, match, _ in self.later],
+            self._later_event,
+        )
+
+    def restore(self, state: RuleState) -> None:
+        """Know, newly connected, what another rule knew."""
+        firings = self.firings
+        firings.number, firings.last, firings.errors = state.counts[:3]
+        self.dropped, self.alarms_dropped, self.alarms_past = state.counts[3:]
+        self.clock, self.order, self._collected_at = state.times
+        kinds = [type(node).__name__ for node, _, _ in self.nodes]
+        if kinds != [kind for kind, _ in state.nodes]:
+            raise UsageError(f"{self.name} is made of other parts than it was")
+        for (node, _, _), (_, kept) in zip(self.nodes, state.nodes):
+            if kept is not None:
+                node.restore(kept)
+        buffers = self._buffers()
+        waiting: Dict[int, Dict[Match, None]] = {}
+        for match, place, order in state.arrivals:
+            match.order = order
+            waiting.setdefault(place, {})[match] = None
+        for place, found in waiting.items():
+            if place >= 0:
+                buffers[place].put_back(list(found))
+        self.arrivals = deque(match for match, _, _ in state.arrivals)
+        self.waiting = len(set(self.arrivals))
+        self.later = [(buffers[place], match, buffers[place].key_of(match)) for place, match in state.later]
+        self._later_event = state.later_event
+        self._resettle()
 
     def mend(self) -> None:
         """Put right what an interrupt may have left half done about what waits."""

@@ -76,7 +76,7 @@ class Running(RunValues):
         self.step_tests: List[Test] = []
         self.carried: List[Tuple[Absence, Emitting]] = []
         self._step_at = [at for at, var in enumerate(repeated.vars) if var not in in_first]
-        self.kept = Keeping(self.incoming)
+        self.kept_sides = Keeping(self.incoming)
 
     def buffers(self) -> Sequence[Buffer]:
         """Return where matches wait."""
@@ -88,6 +88,14 @@ class Running(RunValues):
         self.span = span
         self.buffer.span = limit
         self.incoming.span = limit
+
+    def kept(self) -> Any:
+        """Return what it knows; see `NetworkNode.kept`."""
+        return self.kept_sides.kept()
+
+    def restore(self, kept: Any) -> None:
+        """Know that; see `NetworkNode.restore`."""
+        self.kept_sides.restore(kept)
 
     def bind(self, out: Emit, mode: NetworkOptions) -> None:
         """Connect the node; see `NetworkNode.bind`."""
@@ -161,7 +169,7 @@ class Running(RunValues):
         elif self.late:
             self.incoming.add(match, key)
         elif self.keeps:
-            self.kept.add(match, key)
+            self.kept_sides.add(match, key)
 
     def _extend_one(self, out: Emit, newest: bool) -> Emit:
         waits, ordered, extend = self.late or self.keeps, self.ordered, self.extending

@@ -8,7 +8,7 @@ import errno
 import os
 import stat
 from contextlib import contextmanager
-from typing import Iterable, Iterator, List, Optional, Union
+from typing import Iterable, Iterator, List, Optional, Tuple, Union
 
 from ...foundation import RetalisError, UsageError, shortened, undecodable
 from ...prolog.machine import (
@@ -53,6 +53,11 @@ class Door:
             UsageError: for a text in place of several folders.
         """
         self._read, self._write = _real_folders(read), _real_folders(write)
+
+    @property
+    def own(self) -> Tuple[str, ...]:
+        """The program's own folders."""
+        return tuple(self._own)
 
     def add_own(self, folder: FolderName) -> None:
         """Count a folder as the program's own."""

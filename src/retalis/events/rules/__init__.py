@@ -1,5 +1,6 @@
 """All rules of a program: their flags, and the goals by which programs reach them and make events."""
 
+from .alarms import RuleAlarm
 from .inputs import InputReader, event_of
 from .making import define_new_event
 from .rules import Rules
@@ -8,5 +9,6 @@ __all__ = [
     "define_new_event",
     "event_of",
     "InputReader",
+    "RuleAlarm",
     "Rules",
 ]

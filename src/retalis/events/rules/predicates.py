@@ -125,8 +125,9 @@ class _FlagGoals:
 
     def __init__(self, rules: Any):
         self.rules = rules
-        self.counters: Dict[Hashable, int] = {}
-        self.values: Dict[Hashable, Term] = {}
+        state = rules.logic.state  # where it is kept with what built-ins keep
+        self.counters: Dict[Hashable, int] = state.setdefault("counters of events", {})
+        self.values: Dict[Hashable, Term] = state.setdefault("flags of events", {})
 
     def define(self, logic: Logic) -> None:
         logic.define("set_etalis_flag", 2, self.set_flag)

@@ -15,6 +15,7 @@ from ..language import Property, RuleDefinition, called_by, is_absolute, is_rule
 from ..matches import NetworkOptions
 from ..network import Rule, RuleOwner, UnderWay
 from ..program import FileChecker, Files, Loader, nowhere
+from .alarms import RuleAlarm
 from .flags import Flags
 from .predicates import define_predicates
 from .ruletable import RuleTable, label_of
@@ -45,6 +46,7 @@ class Rules:
         warn_singletons: whether variables that stand in a clause only once are worth a warning.
         flags: the flags of ``set_etalis_flag/2``.
         mode: what the flags say about how the network runs.
+        fired_before: how many whole matches rules had that were deleted.
     """
 
     def __init__(
@@ -63,7 +65,7 @@ class Rules:
         self.on_error: Callable[[RetalisError], None] = lambda error: log.error("%s", error)
         self.warn_singletons = False
         self.revs_of_nothing = 0
-        self._fired_before = 0
+        self.fired_before = 0
         self.on_warning: Callable[[RetalisError], None] = lambda error: log.warning("%s", error)
         self.under_way = UnderWay()
         self._table = RuleTable()
@@ -179,7 +181,7 @@ class Rules:
         rule.unlisten()
         rule.clear()
         if known:
-            self._fired_before += rule.firings.number
+            self.fired_before += rule.firings.number
 
     def set_aside(self, rule: Rule) -> None:
         """Have a rule take no events for now; what waits in it stays."""
@@ -326,7 +328,7 @@ class Rules:
     @property
     def fired(self) -> int:
         """How many whole matches all rules had, those that were deleted included."""
-        return self._fired_before + sum(rule.firings.number for rule in self.rules)
+        return self.fired_before + sum(rule.firings.number for rule in self.rules)
 
     @property
     def waiting(self) -> int:
@@ -339,21 +341,12 @@ class Rules:
         self, rule: RuleOwner, term: Term, start: int, instant: int, token: Optional[Occurrence] = None
     ) -> None:
         """Have an event fire when its instant has come."""
-
-        def fire(now: int) -> None:
-            if token is not None:
-                if token.gone:
-                    return
-                token.term, token.start, token.end = term, start, instant
-            machine = self.logic.machine
-            self.dispatcher.apart(lambda: machine.run(rule.fire(term, start, instant, machine.done, token)))
-
         if len(self.clock.alarms) >= self.cap:
             rule.alarms_dropped += 1
             text = f": more than {self.cap} alarms are set; {rule.alarms_dropped} have been dropped so far"
             self._warn_seldom(rule, rule.alarms_dropped, text)
             return
-        self.clock.call_at(instant, fire)
+        self.clock.call_at(instant, RuleAlarm(self, rule, term, start, instant, token))
 
     def look_at_alarm(self, rule: RuleOwner, head: Term, alarm: Optional[Tuple[Term, int, int]]) -> None:
         """Report an alarm for an instant that is over: one before its own start is None here, and rings never."""

@@ -31,17 +31,23 @@ from .arguments import callable_of, integer
 from .datimes import instant_of, weight_of_first
 from .dcg import translate_rule
 from .portraying import OutputCapture
+from .recorded import records_of
 from .registry import ENTRIES, control
 from .state import default_flags
+from .tabled import declare_as
+from .tabling import tables_of
 
 __all__ = [
     "callable_of",
     "OutputCapture",
     "control",
+    "declare_as",
     "default_flags",
     "ENTRIES",
     "instant_of",
     "weight_of_first",
     "integer",
+    "records_of",
+    "tables_of",
     "translate_rule",
 ]

@@ -1,6 +1,6 @@
 """The recorded database: terms under keys, in order, outside of clauses."""
 
-from typing import Any, Dict, Hashable, Iterator, List, Optional, Set
+from typing import Any, Dict, Hashable, Iterator, List, Optional, Set, Tuple
 
 from ..compiler import key_of
 from ..machine import LAST, existence_error, instantiation_error, type_error, uninstantiation_error
@@ -117,6 +117,23 @@ class _RecordedDatabase:
         self._tidy(record.key)
         return True
 
+    def kept(self) -> Tuple[int, List[Tuple[Hashable, List[Tuple[int, Term]]]]]:
+        """Return the newest number, and by key the records in order: number and term; see `restore`."""
+        found = [
+            (key, [(one.number, one.value) for one in chain.all() if one.erased == _NEVER])
+            for key, chain in self.by_key.items()
+        ]
+        return self._last, found
+
+    def restore(self, kept: Tuple[int, List[Tuple[Hashable, List[Tuple[int, Term]]]]]) -> None:
+        """Have the records that another one had."""
+        self._last, found = kept
+        for key, records in found:
+            chain = self.by_key[key] = _RecordChain()
+            for number, value in records:
+                one = self.by_number[number] = RecordedTerm(key, value, number)
+                chain.add(one, False)
+
     def of_keys(self, keys: List[Hashable]) -> Iterator[RecordedTerm]:
         """Yield the records of keys as they are now, whatever comes and goes meanwhile."""
         newest = self._last
@@ -169,7 +186,8 @@ def _term(key: Any) -> Term:
     return float.fromhex(key[1]) if key.__class__ is tuple else key
 
 
-def _records(machine: Machine) -> _RecordedDatabase:
+def records_of(machine: Machine) -> _RecordedDatabase:
+    """Return the records of a machine's program."""
     found: Optional[_RecordedDatabase] = machine.logic.state.get("records")
     if found is None:
         found = machine.logic.state["records"] = _RecordedDatabase()
@@ -179,14 +197,14 @@ def _records(machine: Machine) -> _RecordedDatabase:
 def _define(name: str, first: bool) -> None:
     @deterministic(f"{name}/2")
     def without_reference(machine: Machine, key: Term, value: Term) -> bool:
-        _records(machine).add(key, value, first)
+        records_of(machine).add(key, value, first)
         return True
 
     @deterministic(f"{name}/3")
     def with_reference(machine: Machine, key: Term, value: Term, reference: Term) -> bool:
         if deref(reference).__class__ is not Var:
             raise uninstantiation_error(deref(reference))
-        return unify(reference, _records(machine).add(key, value, first), machine.trail)
+        return unify(reference, records_of(machine).add(key, value, first), machine.trail)
 
 
 _define("recorda", True)
@@ -196,7 +214,7 @@ _define("recordz", False)
 @nondeterministic("recorded/2", "recorded/3")
 def recorded(machine: Machine, key: Term, value: Term, reference: Optional[Term] = None) -> Solutions:
     """Enumerate the records of a key, or all of them, in order."""
-    records = _records(machine)
+    records = records_of(machine)
     reference = Var() if reference is None else deref(reference)
     if reference.__class__ is not Var:
         record = records.by_number.get(_number(reference))
@@ -215,7 +233,7 @@ def recorded(machine: Machine, key: Term, value: Term, reference: Optional[Term]
 @nondeterministic("current_key/1")
 def current_key(machine: Machine, key: Term) -> Solutions:
     """Enumerate the keys that have records."""
-    for known in list(_records(machine).by_key):
+    for known in list(records_of(machine).by_key):
         if machine.unify(key, _term(known)):
             yield None
 
@@ -223,7 +241,7 @@ def current_key(machine: Machine, key: Term) -> Solutions:
 @deterministic("erase/1")
 def erase(machine: Machine, reference: Term) -> bool:
     """Forget a record."""
-    if not _records(machine).erase(_number(reference)):
+    if not records_of(machine).erase(_number(reference)):
         raise existence_error("db_reference", deref(reference))
     return True
 
@@ -231,7 +249,7 @@ def erase(machine: Machine, reference: Term) -> bool:
 @deterministic("instance/2")
 def instance(machine: Machine, reference: Term, value: Term) -> bool:
     """Give the term of a record."""
-    record = _records(machine).by_number.get(_number(reference))
+    record = records_of(machine).by_number.get(_number(reference))
     return record is not None and unify(value, copy(record.value), machine.trail)
 
 

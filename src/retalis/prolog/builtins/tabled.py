@@ -3,7 +3,7 @@
 from typing import Dict, Optional
 
 from ..machine import Frame
-from ..terms import SLASH, Functor, Term, Values, deref, functor
+from ..terms import SLASH, Functor, Term, Values, copy, deref, functor
 from .arguments import indicator_of
 from .clauses import declared
 from .modes import Mode, modes_of
@@ -18,11 +18,19 @@ def table_declaration(machine: Machine, which: Term) -> bool:
     for item in declared(which):
         if item.__class__ is tuple and item[0].name == ":" and len(item) == 3:
             item = deref(item[2])
-        if item.__class__ is tuple and item[0] is not SLASH:
-            declare(machine, *modes_of(item))
-        else:
-            declare(machine, indicator_of(item), {})
+        declare_as(machine, item)
     return True
+
+
+def declare_as(machine: Machine, item: Term) -> None:
+    """Make the predicate tabled that ``Name/Arity`` names, or a term that has the modes of its arguments."""
+    item = deref(item)
+    if item.__class__ is tuple and item[0] is not SLASH:
+        key, modes = modes_of(item)
+    else:
+        key, modes = indicator_of(item), {}
+    declare(machine, key, modes)
+    tables_of(machine).declared.setdefault(key, copy(item))
 
 
 def declare(machine: Machine, key: Functor, modes: Dict[int, Mode]) -> None:

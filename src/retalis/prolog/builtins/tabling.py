@@ -17,6 +17,7 @@ from ..database import Predicate
 from ..machine import Code, Frame, Guard, uninstantiation_error
 from ..terms import (
     Atom,
+    Functor,
     String,
     Term,
     Values,
@@ -47,6 +48,8 @@ class Tables:
     def __init__(self, machine: Machine):
         self.machine = machine
         self.by_call: Dict[Hashable, Table] = {}
+        self.declared: Dict[Functor, Term] = {}
+        """How the predicates were declared that have tables."""
         self.active: List[Table] = []
         self.waiting: List[Table] = []
         self.ready: List[Tuple[Table, Follower]] = []
@@ -74,6 +77,18 @@ class Tables:
             if table.state != "complete":
                 table.state = "new"
                 table.empty()
+
+    def kept(self) -> List[Tuple[Hashable, List[Values], bool]]:
+        """Return the calls whose answers are known, with those; see `restore`."""
+        complete = [(key, table) for key, table in self.by_call.items() if table.state == "complete"]
+        return [(key, table.answers, table.ground) for key, table in complete]
+
+    def restore(self, kept: List[Tuple[Hashable, List[Values], bool]]) -> None:
+        """Know the answers that another one knew."""
+        for key, answers, ground in kept:
+            table = self.by_call[key] = Table()
+            table.answers, table.ground = answers, ground
+            table.complete()
 
     def moded_caller(self, predicate: Predicate, modes: Dict[int, Mode]) -> TabledCall:
         """Return the function that does calls of a predicate some of whose arguments have modes."""

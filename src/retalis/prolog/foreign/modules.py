@@ -67,6 +67,8 @@ def define_use_foreign(logic: Logic, runner: Caller, files: NamedFiles, allowed:
             raise permission_error("load", "foreign_module", module, reason)
         name = module.name if isinstance(module, Atom) else module.text
         define_foreign(logic, runner, load_module(name, files))
+        found = files.resolve(name if name.endswith(".py") else f"{name}.py")
+        logic.foreign_modules[str(found) if files.is_file(found) else name] = None
         return True
 
     logic.define("use_foreign", 1, use_foreign).locked = True

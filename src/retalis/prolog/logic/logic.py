@@ -46,6 +46,7 @@ class Logic(Predicates):
         now: gives the present in nanoseconds.
         message: called with kind (error, warning, informational, ...) and text of ``print_message/2``.
         error_output: called with text printed to ``user_error``, and with warnings.
+        foreign_modules: the Python modules that the program has asked for, names or paths.
         new_goals: what has been compiled since `preparing` began; None outside of that.
     """
 
@@ -60,6 +61,7 @@ class Logic(Predicates):
         self.state: Dict[str, Any] = {}
         self.now: Callable[[], int] = time_ns
         self.new_goals: Optional[List[CompiledGoal]] = None
+        self.foreign_modules: Dict[str, None] = {}
 
     # Limits
 

@@ -1,0 +1,30 @@
+"""The state of an engine as data: what it says, what it knows, what waits in it."""
+
+from .coding import from_bytes, to_bytes
+from .container import pack, unpack
+from .holdings import (
+    keep_memories,
+    keep_records,
+    keep_subscriptions,
+    restore_memories,
+    restore_records,
+    restore_subscriptions,
+)
+from .network import keep_matches, keep_rules, restore_matches, restore_rules
+
+__all__ = [
+    "from_bytes",
+    "keep_matches",
+    "keep_memories",
+    "keep_records",
+    "keep_rules",
+    "keep_subscriptions",
+    "pack",
+    "restore_matches",
+    "restore_memories",
+    "restore_records",
+    "restore_rules",
+    "restore_subscriptions",
+    "to_bytes",
+    "unpack",
+]

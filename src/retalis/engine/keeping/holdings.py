@@ -1,0 +1,105 @@
+"""Memories with their records, and subscriptions."""
+
+from array import array
+from typing import Any, Dict, List, Sequence, Tuple
+
+from ...events.knowledge import Instance, Knowledge
+from ...foundation import UsageError
+from ...prolog.terms import Stamp, Term, WholeSeconds
+
+_FORMS: Dict[Any, int] = {int: 0, WholeSeconds: 1, Stamp: 2}
+_LARGEST = (1 << 63) - 1
+
+KeptRecords = Tuple[int, int, List[Term], Any, Any]
+"""How many records there were before these, and how many were refused; their terms; ends, and starts where these are
+others, see `_instants`."""
+
+
+def keep_memories(knowledge: Knowledge) -> List[Tuple[Any, ...]]:
+    """Return what memories are made of, in their order: definition, whether events tell of them, open records."""
+    return [(one.definition, one.active, one.open) for one in knowledge.memories]
+
+
+def keep_records(instance: Instance, since: int = 0) -> KeptRecords:
+    """Return the records of a memory, or those that came after so many."""
+    gone, late, _, records = instance.memory.kept(since)
+    terms = [record[0] for record in records]
+    ends = [record[2] for record in records]
+    starts = [record[1] for record in records]
+    same = all(start is end for start, end in zip(starts, ends))
+    return gone, late, terms, _instants(ends), None if same else _instants(starts)
+
+
+def _instants(found: Sequence[Any]) -> Any:
+    """Return instants by their columns: nanoseconds as 64-bit integers where they fit, forms, terms of stamps."""
+    forms = bytes([_FORMS[one.__class__] for one in found])
+    stamps = [one.term for one in found if one.__class__ is Stamp]
+    try:
+        return array("q", found).tobytes(), forms, stamps
+    except OverflowError:
+        return [int(one) for one in found], forms, stamps
+
+
+def _read_instants(column: Any) -> List[int]:
+    numbers, forms, stamps = column
+    if isinstance(numbers, bytes):
+        read = array("q")
+        read.frombytes(numbers)
+        numbers = read.tolist()
+    if len(numbers) != len(forms):
+        raise UsageError("a memory's records have not as many instants as forms")
+    if not any(forms):
+        return list(numbers)
+    if forms.count(1) == len(forms):
+        return list(map(WholeSeconds, numbers))
+    terms = iter(stamps)
+    made: List[int] = []
+    for number, form in zip(numbers, forms):
+        made.append(
+            number if form == 0 else WholeSeconds(number) if form == 1 else Stamp.of(number, next(terms))
+        )
+    return made
+
+
+def restore_memories(knowledge: Knowledge, kept: Sequence[Tuple[Any, ...]]) -> List[Instance]:
+    """Make memories as others were, without records; nobody is told of them."""
+    made = []
+    for definition, active, is_open in kept:
+        instance = knowledge.memories.begin(definition, active)
+        instance.open = is_open
+        made.append(instance)
+    return made
+
+
+def restore_records(instance: Instance, parts: Sequence[KeptRecords]) -> None:
+    """Have a memory have the records that another one had, from parts in the order in which they came."""
+    records: List[Tuple[Term, int, int]] = []
+    gone = late = 0
+    for before, refused, terms, ends, starts in parts:
+        late = refused
+        last = _read_instants(ends)
+        first = last if starts is None else _read_instants(starts)
+        if not len(terms) == len(first) == len(last):
+            raise UsageError("a memory's records have not as many instants as terms")
+        if not records:
+            gone = before
+        elif before != gone + len(records):
+            raise UsageError("records of a memory are missing")
+        records += zip(terms, first, last)
+    over = max(0, len(records) - max(instance.memory.size, 1))
+    records = records[over:]
+    instance.memory.restore(gone + over, late, [int(end) for _, _, end in records], records)
+
+
+def keep_subscriptions(knowledge: Knowledge) -> List[Tuple[Term, int]]:
+    """Return what subscriptions are made of, in their order, and how many events they have sent."""
+    return [(one.definition, one.tally.sent) for _, one in knowledge.subscriptions.items()]
+
+
+def restore_subscriptions(knowledge: Knowledge, kept: Sequence[Tuple[Term, int]]) -> None:
+    """Make subscriptions as others were."""
+    subscriptions = knowledge.subscriptions
+    for definition, _ in kept:
+        subscriptions.create(definition)
+    for (_, one), (_, sent) in zip(subscriptions.items(), kept):
+        one.tally.sent = sent

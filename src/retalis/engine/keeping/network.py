@@ -1,0 +1,113 @@
+"""Event rules with what waits in them, what is kept of past events, and the alarms that are set."""
+
+from types import MappingProxyType
+from typing import Any, Dict, List, Sequence, Tuple
+
+from ...events.knowledge import Knowledge, TimeoutAlarm
+from ...events.network import Rule, RuleState
+from ...events.rules import RuleAlarm, Rules
+from ..runtime import Clock
+from .graph import GraphReader, GraphWriter
+
+
+def keep_rules(rules: Rules, graph_rules: Sequence[Rule]) -> Dict[str, Any]:
+    """Return what rules say, the properties of labels, and the flags.
+
+    Args:
+        rules: the program's.
+        graph_rules: those that are named, which may be more than take events: what was deleted may have an alarm set.
+    """
+    active = set(rules.rules)
+    said = [
+        (rule.definition._replace(names=dict(rule.definition.names)), rule.serial, rule.name, rule in active)
+        for rule in graph_rules
+    ]
+    return {
+        "rules": said,
+        "serial": rules.serial,
+        "fired_before": rules.fired_before,
+        "revs_of_nothing": rules.revs_of_nothing,
+        "properties": [one for found in rules.all_properties().values() for one in found],
+        "flags": {name: rules.flags.get(name) for name in rules.flags.names()},
+        "loaded": sorted(str(path) for path in rules.files.loaded),
+        "own": list(rules.files.door.own),
+    }
+
+
+def restore_rules(rules: Rules, kept: Dict[str, Any]) -> List[Rule]:
+    """Have the rules of another program take events; return all that are named, in order."""
+    for name, value in kept["flags"].items():
+        rules.flags.set(name, value)
+    made = []
+    for definition, serial, name, active in kept["rules"]:
+        names = MappingProxyType(definition.names)
+        rule = Rule(rules, definition._replace(names=names), serial, name)
+        made.append(rule)
+        if active:
+            rules.activate(rule)
+    for one in kept["properties"]:
+        rules.set_property(one)
+    rules.serial = kept["serial"]
+    rules.fired_before = kept["fired_before"]
+    rules.revs_of_nothing = kept["revs_of_nothing"]
+    for folder in kept["own"]:
+        rules.files.door.add_own(folder)
+    return made
+
+
+def keep_matches(
+    rules: Rules, knowledge: Knowledge, clock: Clock, active: Sequence[Rule]
+) -> Tuple[Any, List[Rule]]:
+    """Return what waits and is remembered as rows, and the rules that it names: those that take events come first."""
+    graph = GraphWriter(active)
+    states = [graph.write(tuple(rule.state())) for rule in active]
+    queries = knowledge.waiting
+    order, waiting = queries.kept()
+    data = {
+        "states": states,
+        "tracked": graph.write(rules.tracker.kept()),
+        "alarms": [graph.write(one) for one in _alarms(clock)],
+        "order": order,
+        "waiting": [graph.write(one) for one in waiting],
+        "timeouts": queries.timeouts.kept(),
+        "stored": rules.store.stored(),
+    }
+    data["rows"] = graph.rows
+    return data, graph.rules
+
+
+def _alarms(clock: Clock) -> List[Tuple[Any, ...]]:
+    """Return the alarms of rules and queries; those of a program in Python are its own."""
+    found: List[Tuple[Any, ...]] = []
+    for instant, order, alarm in sorted(clock.alarms, key=lambda one: one[:2]):
+        if isinstance(alarm, RuleAlarm):
+            found.append((instant, order, alarm.rule, alarm.term, alarm.start, alarm.instant, alarm.token))
+        elif isinstance(alarm, TimeoutAlarm):
+            found.append((instant, order, alarm.set_for))
+    return found
+
+
+def restore_matches(
+    rules: Rules, knowledge: Knowledge, clock: Clock, data: Any, named: Sequence[Rule]
+) -> None:
+    """Have matches, events, alarms and queries wait as they did.
+
+    Args:
+        rules: the program's, which have been put there.
+        knowledge: the program's, with its memories.
+        clock: of the engine.
+        data: from `keep_matches`.
+        named: from `restore_rules`.
+    """
+    graph = GraphReader(data["rows"], named)
+    for rule, state in zip(named, data["states"]):
+        rule.restore(RuleState(*graph.read(state)))
+    rules.tracker.restore(graph.read(data["tracked"]))
+    queries = knowledge.waiting
+    queries.restore(data["order"], [graph.read(one) for one in data["waiting"]])
+    queries.timeouts.restore(*data["timeouts"])
+    for one in data["alarms"]:
+        instant, order, *rest = graph.read(one)
+        alarm: Any = TimeoutAlarm(queries.timeouts, *rest) if len(rest) == 1 else RuleAlarm(rules, *rest)
+        clock.put_back(instant, order, alarm)
+    rules.store.restore(data["stored"])

@@ -1,0 +1,161 @@
+"""The state of an engine taken as data, and taken up by another engine."""
+
+from pathlib import Path
+from typing import Any, Callable, Dict, List, Optional, Sequence, TypeVar
+
+from ..foundation import RetalisError, UsageError
+from ..prolog.foreign import define_foreign, load_module
+from ..prolog.logic import KeptLogic, keep_logic, restore_logic
+from .core import EngineCore, parts_of
+from .inputtopics import AskedTopic
+from .keeping import (
+    from_bytes,
+    keep_matches,
+    keep_memories,
+    keep_records,
+    keep_rules,
+    keep_subscriptions,
+    restore_matches,
+    restore_memories,
+    restore_records,
+    restore_rules,
+    restore_subscriptions,
+    to_bytes,
+)
+from .runtime import StreamClock
+from .standings import keep_standings, restore_standings
+
+Sections = Dict[str, Any]
+"""Parts of a state: data that `to_bytes` takes."""
+
+
+Result = TypeVar("Result")
+
+
+class StateKeeper:
+    """Takes the state of an engine, and has one take it up.
+
+    Args:
+        engine: nothing else is done in it meanwhile.
+    """
+
+    def __init__(self, engine: EngineCore):
+        self._engine = engine
+        self._parts = parts_of(engine)
+
+    def take(self) -> Sections:
+        """Return all but the records of memories; those are sections of their own, see `keep_records`.
+
+        Raises:
+            UsageError: where an event or goal is being worked on.
+        """
+        engine, parts = self._engine, self._parts
+        logic, rules, knowledge = parts.logic, parts.rules, parts.knowledge
+        if parts.dispatcher.current is not None or logic.machine.choices:
+            raise UsageError("a goal or callback of an engine cannot have its state taken")
+        matches, named = keep_matches(rules, knowledge, engine.clock, rules.rules)
+        program = {
+            "logic": tuple(keep_logic(logic)),
+            "network": keep_rules(rules, named),
+            "memories": keep_memories(knowledge),
+            "subscriptions": keep_subscriptions(knowledge),
+            "standings": keep_standings(parts.programs, logic, knowledge, named),
+            "topics": [tuple(one) for one in parts.input_topics.kept()],
+            "events": dict(parts.slots.events),
+            "foreign": list(logic.foreign_modules),
+        }
+        run = {
+            "clock": engine.clock.kept(),
+            "followed": parts.intake.followed is not None,
+            "taken": parts.intake.taken,
+            "dropped": parts.runner.dropped,
+            "tokens": parts.dispatcher.tokens,
+        }
+        return {"program": program, "matches": matches, "run": run}
+
+    def records(self) -> List[Any]:
+        """Return the records of each memory."""
+        return [keep_records(instance) for instance in self._parts.knowledge.memories]
+
+    def take_up(self, sections: Sections, records: Sequence[Sequence[Any]], folder: Optional[Path]) -> None:
+        """Have a new engine know what another one knew.
+
+        Args:
+            sections: from `take`.
+            records: of each memory, in parts.
+            folder: where Python modules may lie that the program has asked for.
+
+        Raises:
+            RetalisError: what is wrong.
+        """
+        engine, parts = self._engine, self._parts
+        logic, rules, knowledge = parts.logic, parts.rules, parts.knowledge
+        program, run = sections["program"], sections["run"]
+        parts.slots.events.update(program["events"])
+        self._load_foreign(program["foreign"], folder)
+        restore_logic(logic, KeptLogic(*program["logic"]))
+        with logic.preparing(lambda: [rule.definition.term for rule in rules.rules]):
+            named = restore_rules(rules, program["network"])
+            memories = restore_memories(knowledge, program["memories"])
+            restore_subscriptions(knowledge, program["subscriptions"])
+        if len(memories) != len(records):
+            raise UsageError("there are not as many memories as records of them")
+        for instance, found in zip(memories, records):
+            restore_records(instance, found)
+        restore_matches(rules, knowledge, engine.clock, sections["matches"], named)
+        rules.files.loaded = set(map(Path, program["network"]["loaded"]))
+        parts.programs.update(restore_standings(program["standings"], logic, knowledge, named))
+        parts.input_topics.restore(AskedTopic(*one) for one in program["topics"])
+        engine.clock.restore(run["clock"])
+        parts.intake.taken = run["taken"]
+        parts.runner.dropped = run["dropped"]
+        parts.dispatcher.tokens = run["tokens"]
+
+    def _load_foreign(self, modules: Sequence[str], folder: Optional[Path]) -> None:
+        """Load the Python modules again that the program had loaded, from its folder only."""
+        engine, parts = self._engine, self._parts
+        for name in modules:
+            path = Path(name)
+            if not engine.settings.allow_foreign:
+                raise UsageError(
+                    f"the program has loaded Python from {name}: the setting allow_foreign is off"
+                )
+            if folder is None or (path.is_absolute() and folder.resolve() not in path.resolve().parents):
+                raise UsageError(
+                    f"the program has loaded Python from {name}, which is not in a folder of its own"
+                )
+            files = parts.rules.files
+            with files.loading(folder):
+                define_foreign(parts.logic, parts.runner, load_module(name, files))
+            parts.logic.foreign_modules[name] = None
+
+
+def clock_for(run: Dict[str, Any]) -> Optional[StreamClock]:
+    """Return a clock for an engine that is given none: None where stamped events are to move its own."""
+    return None if run["followed"] else StreamClock()
+
+
+def coded(sections: Sections, records: Sequence[Any]) -> Dict[str, bytes]:
+    """Return sections and the records of memories as bytes by name."""
+    made = {name: to_bytes(data) for name, data in sections.items()}
+    made.update({f"memory {at}": to_bytes([one]) for at, one in enumerate(records)})
+    return made
+
+
+def decoded(found: Dict[str, bytes]) -> Sections:
+    """Return the sections of bytes, without records."""
+    return {name: from_bytes(data) for name, data in found.items() if not name.startswith("memory ")}
+
+
+def checked(work: Callable[[], Result]) -> Result:
+    """Return what work returns that takes up a state; whatever it stumbles over means that the state is damaged.
+
+    Raises:
+        UsageError: what is wrong.
+    """
+    try:
+        return work()
+    except RetalisError as error:
+        raise UsageError(f"the state cannot be taken up: {error.message}") from error
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError, RecursionError) as error:
+        raise UsageError(f"the state is damaged ({type(error).__name__}: {error})") from error

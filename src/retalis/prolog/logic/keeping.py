@@ -1,0 +1,111 @@
+"""What a program's logic knows, as data: its clauses, and all that outlives a goal."""
+
+from typing import Any, Dict, List, NamedTuple, Optional, Tuple
+
+from ...foundation import Place
+from ..builtins import declare_as, records_of, tables_of
+from ..database import Clause, Predicate
+from ..syntax import Operators
+from ..terms import Functor, Term
+from .logic import Logic
+
+_COUNTED = ("counters", "flags", "flag", "gensym", "counters of events", "flags of events")
+"""What built-ins keep by name."""
+
+KeptClauses = Tuple[Functor, Tuple[bool, bool, bool], List[Tuple[Term, Term, Optional[Place]]]]
+"""A predicate: whether it is dynamic, discontiguous, multifile; the heads, bodies and places of its clauses."""
+
+
+class KeptLogic(NamedTuple):
+    """What a program's logic knows; what is being done at the time is no part of it.
+
+    Attributes:
+        operators: priority, type and name of each.
+        flags: Prolog's.
+        values: the global variables.
+        column: where what the program prints stands in its line.
+        counted: what built-ins keep by name.
+        records: of the recorded database.
+        tabled: how tabled predicates were declared.
+        predicates: the program's.
+        answers: of tabled predicates, as far as they are known.
+    """
+
+    operators: List[Tuple[int, str, str]]
+    flags: Dict[str, Term]
+    values: Dict[str, Term]
+    column: int
+    counted: Dict[str, Dict[Any, Any]]
+    records: Any
+    tabled: List[Term]
+    predicates: List[KeptClauses]
+    answers: Any
+
+
+def keep_logic(logic: Logic) -> KeptLogic:
+    """Return what a logic knows, while no goal runs."""
+    machine = logic.machine
+    return KeptLogic(
+        list(logic.operators),
+        dict(logic.flags),
+        dict(logic.globals),
+        logic.column,
+        {name: dict(logic.state[name]) for name in _COUNTED if name in logic.state},
+        records_of(machine).kept(),
+        list(tables_of(machine).declared.values()),
+        [_kept(one) for one in list(logic.database.predicates.values()) if _is_of_program(one)],
+        tables_of(machine).kept(),
+    )
+
+
+def program_predicates(logic: Logic) -> List[Predicate]:
+    """Return the predicates whose clauses are kept, in their order."""
+    return [one for one in logic.database.predicates.values() if _is_of_program(one)]
+
+
+def _is_of_program(one: Predicate) -> bool:
+    return not one.library and one.tabled is None and not one.is_blank
+
+
+def _kept(one: Predicate) -> KeptClauses:
+    clauses = [(clause.head, clause.body, clause.place) for clause in one.live()]
+    return one.functor, (one.dynamic, one.discontiguous, one.multifile), clauses
+
+
+def restore_logic(logic: Logic, kept: KeptLogic) -> None:
+    """Have a new logic know what another one knew.
+
+    Raises:
+        PrologError: where it says something that no program can.
+    """
+    _restore_operators(logic.operators, kept.operators)
+    logic.flags.clear()
+    logic.flags.update(kept.flags)
+    logic.globals.update(kept.values)
+    logic.column = kept.column
+    for name in _COUNTED:
+        if name in kept.counted:
+            logic.state.setdefault(name, {}).update(kept.counted[name])
+    machine = logic.machine
+    records_of(machine).restore(kept.records)
+    for declaration in kept.tabled:
+        declare_as(machine, declaration)
+    for functor, marks, clauses in kept.predicates:
+        predicate = logic.database.writable(functor, "modify")
+        predicate.dynamic, predicate.discontiguous, predicate.multifile = marks
+        predicate.kind = "user"
+        for head, body, place in clauses:
+            predicate.add(Clause(predicate, head, body, place))
+    tables_of(machine).restore(kept.answers)
+
+
+def _restore_operators(operators: Operators, kept: List[Tuple[int, str, str]]) -> None:
+    """Have a table have these operators and no others."""
+    wanted = {(kind, name): priority for priority, kind, name in kept}
+    there = {(kind, name): priority for priority, kind, name in operators}
+    for kind, name in there:
+        if (kind, name) not in wanted:
+            operators.add(0, kind, name)
+    for (kind, name), priority in wanted.items():
+        if there.get((kind, name)) != priority:
+            operators.add(priority, kind, name)

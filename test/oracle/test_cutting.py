@@ -1,0 +1,16 @@
+"""Some random programs whose state is taken half way; the command tries as many as one likes."""
+
+import pytest
+
+from .cutting import cut_case, cut_difference
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("revision", "first", "number"), [(False, 0, 60), (True, 50_000, 25)])
+def test_goes_on_alike(revision, first, number):
+    cut = 0
+    for seed in range(first, first + number):
+        case, places = cut_case(seed, 4, revision, seed % 3 == 0)
+        assert cut_difference(case, places) is None, (seed, places, case.text())
+        cut += bool(places)
+    assert cut == number
