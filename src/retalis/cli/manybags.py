@@ -4,10 +4,10 @@ import argparse
 import os
 import shutil
 import sys
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Callable, Dict, Iterator, List, Optional, Tuple, Union
+from typing import Callable, Dict, Generator, List, Optional, Tuple, Union
 
 from ..engine.playback import (
     FoundBag,
@@ -111,7 +111,8 @@ def play_many(options: argparse.Namespace) -> int:
                 f"warning: {tasks[number].place}: its worker died {how}; it is played again", file=sys.stderr
             )
 
-        for number, one in _played(options, tasks, scratch, lost):
+        played = stack.enter_context(closing(_played(options, tasks, scratch, lost)))
+        for number, one in played:
             clear()
             results.take(number, one)
             if bar is not None:
@@ -121,7 +122,7 @@ def play_many(options: argparse.Namespace) -> int:
 
 def _played(
     options: argparse.Namespace, tasks: List[BagTask], scratch: str, lost: Callable[[int, str], object]
-) -> Iterator[Tuple[int, _One]]:
+) -> Generator[Tuple[int, _One], None, None]:
     if options.scheduler:
         return on_cluster(play_bag, tasks, options.scheduler)
     return in_processes(play_bag, tasks, min(options.jobs, len(tasks)), scratch, lost)

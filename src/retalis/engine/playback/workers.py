@@ -12,8 +12,8 @@ from typing import (
     Callable,
     Deque,
     Dict,
+    Generator,
     Generic,
-    Iterator,
     List,
     NamedTuple,
     Optional,
@@ -45,8 +45,8 @@ class Unfinished(NamedTuple):
     cause: str
 
 
-Done = Iterator[Tuple[int, Union[R, Unfinished]]]
-"""Yields the number of a task and its result, in whatever order they come."""
+Done = Generator[Tuple[int, Union[R, Unfinished]], None, None]
+"""Yields the number of a task and its result, in whatever order they come; the workers end when it is closed."""
 
 
 def in_processes(
