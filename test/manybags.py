@@ -27,12 +27,12 @@ def make_program(folder):
     return folder
 
 
-def make_bag(path, *texts):
-    """Write a bag with these texts, one a second; return its path."""
+def make_bag(path, *texts, start=1):
+    """Write a bag with these texts, one a second from a second on; return its path."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with BagWriter(path) as bag:
         connection = bag.add("/heard", STRING)
-        for second, text in enumerate(texts, 1):
+        for second, text in enumerate(texts, start):
             data = text.encode()
             bag.write(connection, second * SECOND, struct.pack("<I", len(data)) + data)
     return path

@@ -81,6 +81,7 @@ REFUSED = {
     "bags --jobs 2 --scheduler tcp://x:1 --output new": "--jobs and --scheduler: give one of them",
     "bags --scheduler tcp://x:1": "--scheduler needs --output",
     "bags --jobs 2 --format jsonl": "--format needs --output",
+    "bags --parts": "--parts needs --jobs or --scheduler",
     "bags --format jsonl --output new": "--format needs --jobs or --scheduler",
     "bags --jobs 2 --write-folder x": "--write-folder: bags that are played at the same time",
     "bags --jobs 2 --output new --events": "--events: a bag has what is published only",

@@ -1,11 +1,12 @@
 """What a worker does with one bag of many."""
 
 import argparse
+import json
 import os
 import sys
 
 import pytest
-from manybags import make_bag, make_program
+from manybags import SECOND, make_bag, make_program
 
 from retalis.cli.bag import add_parser
 from retalis.cli.manybags import _OPTIONS
@@ -25,7 +26,7 @@ def task(program, bag, target, kind, *more):
         lambda *names, **told: parsers_made.append(parsers.add_parser(*names, **told)) or parsers_made[-1]
     )
     options = vars(parsers_made[0].parse_args([str(bag), "--program", str(program), *more]))
-    return BagTask(str(bag), str(target), kind, {name: options[name] for name in _OPTIONS})
+    return BagTask((str(bag),), str(target), kind, {name: options[name] for name in _OPTIONS})
 
 
 def test_a_result_has_what_the_format_says(program, tmp_path, capsys):
@@ -41,6 +42,17 @@ def test_a_result_has_what_the_format_says(program, tmp_path, capsys):
     with BagReader(tmp_path / "b.bag") as reader:
         assert [record.topic.name for record in reader.records()] == ["/said"] * 3
     assert capsys.readouterr() == ("", "")
+
+
+def test_parts_are_played_as_one(program, tmp_path):
+    """The pattern that begins in one part ends in the next one."""
+    first, second = (
+        make_bag(tmp_path / f"{name}.bag", "x", start=start) for name, start in (("a_0", 1), ("a_1", 9))
+    )
+    asked = task(program, first, tmp_path / "result", "jsonl")._replace(places=(str(first), str(second)))
+    assert play_bag(asked, str(tmp_path)) == (0, "", None)
+    lines = [json.loads(line) for line in (tmp_path / "result").read_text().splitlines()]
+    assert [(line["id"], line["time"] // SECOND) for line in lines] == [("all", 1), ("all", 9), ("twice", 9)]
 
 
 def test_parquet_has_the_lines_of_json(program, tmp_path):

@@ -13,6 +13,7 @@ from ..engine.playback import (
     FoundBag,
     Unfinished,
     find_bags,
+    in_parts,
     in_processes,
     is_folder_of_bags,
     is_there,
@@ -64,6 +65,12 @@ def add_many(parser: argparse.ArgumentParser) -> None:
         "and have to see the program, bags and results under the same paths; needs --output",
     )
     add(
+        "--parts",
+        action="store_true",
+        help="play as one what rosbag record --split has written in parts, NAME_0.bag, NAME_1.bag and so on; the "
+        "result has the name of the first",
+    )
+    add(
         "--format",
         choices=FORMATS,
         help="with --output, which is then the folder or URL that gets a file for each bag: a bag of what is "
@@ -79,8 +86,9 @@ def are_many(options: argparse.Namespace) -> bool:
     """
     if options.jobs or options.scheduler:
         return True
-    if options.format:
-        raise UsageError("--format needs --jobs or --scheduler")
+    for name in ("format", "parts"):
+        if getattr(options, name):
+            raise UsageError(f"--{name} needs --jobs or --scheduler")
     for place in options.bags:
         if is_url(place):
             raise UsageError(f"{place}: --jobs plays bags of URLs, each by itself")
@@ -99,7 +107,7 @@ def play_many(options: argparse.Namespace) -> int:
     _refuse(options)
     with ExitStack() as stack:
         scratch = stack.enter_context(TemporaryDirectory(prefix="retalis-"))
-        tasks = _tasks(options, find_bags(options.bags), scratch)
+        tasks = _tasks(options, _recordings(options), scratch)
         stack.callback(remove_parts, [task.target for task in tasks])
         results = _Results(tasks, to_print=options.output is None)
         bar = stack.enter_context(progress("bags", lambda: results.done / len(tasks)))
@@ -108,7 +116,8 @@ def play_many(options: argparse.Namespace) -> int:
         def lost(number: int, how: str) -> None:
             clear()
             print(
-                f"warning: {tasks[number].place}: its worker died {how}; it is played again", file=sys.stderr
+                f"warning: {tasks[number].places[0]}: its worker died {how}; it is played again",
+                file=sys.stderr,
             )
 
         played = stack.enter_context(closing(_played(options, tasks, scratch, lost)))
@@ -164,7 +173,12 @@ def _format(options: argparse.Namespace) -> Optional[str]:
     return str(options.format or ("jsonl" if options.json else "bag"))
 
 
-def _tasks(options: argparse.Namespace, bags: List[FoundBag], scratch: str) -> List[BagTask]:
+def _recordings(options: argparse.Namespace) -> List[List[FoundBag]]:
+    bags = find_bags(options.bags)
+    return in_parts(bags) if options.parts else [[bag] for bag in bags]
+
+
+def _tasks(options: argparse.Namespace, recordings: List[List[FoundBag]], scratch: str) -> List[BagTask]:
     """Return what there is to do, in order.
 
     Raises:
@@ -181,7 +195,8 @@ def _tasks(options: argparse.Namespace, bags: List[FoundBag], scratch: str) -> L
     how["folder"] = [seen(one) for one in options.folder]
     targets: Dict[str, str] = {}
     tasks = []
-    for number, bag in enumerate(bags):
+    for number, bags in enumerate(recordings):
+        bag = bags[0]
         if kind is None:
             target = os.path.join(scratch, str(number))
         else:
@@ -194,7 +209,7 @@ def _tasks(options: argparse.Namespace, bags: List[FoundBag], scratch: str) -> L
             if not options.overwrite and is_there(target):
                 raise UsageError(f"{target} already exists; --overwrite replaces it")
         targets[target] = bag.place
-        tasks.append(BagTask(told(bag.place), target, kind, how))
+        tasks.append(BagTask(tuple(told(bag.place) for bag in bags), target, kind, how))
     return tasks
 
 
@@ -232,7 +247,7 @@ class _Results:
             failure = f"{task.target} is not seen here: this machine and the workers need to share its folder"
         if failure is not None:
             self._failed += 1
-            print(f"error: {_beginning_with(task.place, failure)}", file=sys.stderr)
+            print(f"error: {_beginning_with(task.places[0], failure)}", file=sys.stderr)
         elif self._to_print:
             with open(task.target, encoding="utf-8") as file:
                 shutil.copyfileobj(file, sys.stdout)
@@ -243,7 +258,7 @@ class _Results:
         if not said:
             return
         if said not in self._said:
-            print(f"{task.place}:\n{said}", end="", file=sys.stderr)
+            print(f"{task.places[0]}:\n{said}", end="", file=sys.stderr)
         self._said[said] = self._said.get(said, 0) + 1
 
     def finish(self) -> int:

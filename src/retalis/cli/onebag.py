@@ -5,7 +5,7 @@ import io
 import os
 import threading
 from contextlib import ExitStack, redirect_stderr, redirect_stdout
-from typing import Any, Dict, NamedTuple, Optional
+from typing import Any, Dict, NamedTuple, Optional, Sequence, Tuple
 
 from ..engine.playback import RunTable, fetched, result_file
 from ..engine.runtime import tighten
@@ -20,16 +20,16 @@ _SAID = 64 << 10
 
 
 class BagTask(NamedTuple):
-    """A bag to be played.
+    """A recording to be played: a bag, or the bags that are its parts.
 
     Attributes:
-        place: its path or URL.
+        places: their paths or URLs.
         target: what gets the result: a path or a URL.
         format: of the result, one of `FORMATS`; None for what is printed.
         options: those of the command that say how.
     """
 
-    place: str
+    places: Tuple[str, ...]
     target: str
     format: Optional[str]
     options: Dict[str, Any]
@@ -54,13 +54,15 @@ _PROCESS = threading.Lock()
 
 
 def play_bag(task: BagTask, scratch: str) -> Played:
-    """Play a bag into its result; raise nothing."""
-    said, failure, bag = _Said(), "", task.place
+    """Play a recording into its result; raise nothing."""
+    said, failure, bags = _Said(), "", list(task.places)
     with _PROCESS, redirect_stderr(said):
         report = Report().listen(events=True)
         try:
-            with fetched(task.place, scratch) as bag, result_file(task.target, scratch) as result:
-                _play_into(result, bag, task, report)
+            with ExitStack() as stack:
+                bags = [stack.enter_context(fetched(place, scratch)) for place in task.places]
+                result = stack.enter_context(result_file(task.target, scratch))
+                _play_into(result, bags, task, report)
         except RetalisError as error:
             failure = str(error)
         except Exception as error:  # whatever it is, the other bags are to be played
@@ -68,17 +70,15 @@ def play_bag(task: BagTask, scratch: str) -> Played:
         finally:
             leave()
             tighten()
-    told, failure = (text.replace(bag, task.place) for text in (said.getvalue(), failure))
+    told = said.getvalue()
+    for bag, place in zip(bags, task.places):  # what was fetched is known by its URL
+        told, failure = told.replace(bag, place), failure.replace(bag, place)
     return Played(report.errors, told, failure or None)
 
 
-def _play_into(result: str, bag: str, task: BagTask, report: Report) -> None:
-    """Play a bag into a file.
-
-    A part of a recording goes on here from what the part before it has left: `play` then takes the engine's state
-    and returns it.
-    """
-    options = argparse.Namespace(**task.options, bags=[bag], output=None, overwrite=True)
+def _play_into(result: str, bags: Sequence[str], task: BagTask, report: Report) -> None:
+    """Play bags into a file, as one: what a part leaves in the engine the next one finds there."""
+    options = argparse.Namespace(**task.options, bags=bags, output=None, overwrite=True)
     tell = print_line
     with ExitStack() as stack:
         if task.format == "bag":

@@ -5,7 +5,16 @@ from pathlib import Path
 
 import pytest
 
-from retalis.engine.playback import BagError, fetched, find_bags, is_there, remove_parts, result_file
+from retalis.engine.playback import (
+    BagError,
+    FoundBag,
+    fetched,
+    find_bags,
+    in_parts,
+    is_there,
+    remove_parts,
+    result_file,
+)
 
 
 @pytest.fixture
@@ -54,6 +63,26 @@ def test_a_url_has_the_same_bags_as_the_folder(fleet):
         f"file://{fleet}/r2/day.bag",
     ]
     assert [bag.name for bag in found] == [*NAMES, "ros2", "day"]
+
+
+@pytest.mark.parametrize(
+    ("names", "recordings"),
+    [
+        (("b", "a"), [["b"], ["a"]]),
+        (("r_0", "r_1", "r_10", "r_2"), [["r_0", "r_1", "r_2"], ["r_10"]]),
+        (("x/r_0", "y/r_1", "x/r_1"), [["x/r_0", "x/r_1"], ["y/r_1"]]),
+        (
+            ("r_2014-10-19-19-50-06_0", "r_2014-10-19-19-55-06_1", "r_2014-10-20-08-00-00_0"),
+            [["r_2014-10-19-19-50-06_0", "r_2014-10-19-19-55-06_1"], ["r_2014-10-20-08-00-00_0"]],
+        ),
+        (("r_1_0", "r_1_1", "r_0_0", "r_0"), [["r_1_0", "r_1_1"], ["r_0_0"], ["r_0"]]),
+        (("r_0", "q", "r_5", "r_1"), [["r_0", "r_1"], ["q"], ["r_5"]]),
+        (("r", "r", "r_", "_1"), [["r"], ["r"], ["r_"], ["_1"]]),
+    ],
+)
+def test_parts_of_a_recording_are_known_by_their_names(names, recordings):
+    found = in_parts([FoundBag(f"/d/{name}.bag", name) for name in names])
+    assert [[bag.name for bag in parts] for parts in found] == recordings
 
 
 def test_a_folder_without_bags_is_an_error(tmp_path):

@@ -7,7 +7,7 @@ import os
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
-from typing import Any, Callable, Iterable, Iterator, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, Iterable, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 from uuid import uuid4
 
 from .bags import BagError, reason
@@ -59,6 +59,40 @@ def find_bags(places: Sequence[str]) -> List[FoundBag]:
             )
         found += [FoundBag(f"{place.rstrip('/')}/{name}", _without_kind(name)) for name in bags]
     return found
+
+
+def in_parts(bags: Iterable[FoundBag]) -> List[List[FoundBag]]:
+    """Return bags as recordings: what ``rosbag record --split`` has written in parts as one, each other bag as one.
+
+    Parts are called ``NAME_0.bag``, ``NAME_1.bag``, or ``NAME_DATE_0.bag`` with the date at which each begins; they
+    are of one folder, and none is missing between them. A recording stands where its first part stood.
+    """
+    named: Dict[Tuple[str, str], List[Tuple[str, int, int, FoundBag]]] = {}
+    for place, bag in enumerate(bags):
+        base, date, number = _part_of(bag.name)
+        key = (os.path.dirname(bag.place), base if number >= 0 else bag.place)
+        named.setdefault(key, []).append((date, number, place, bag))
+    found: List[Tuple[int, List[FoundBag]]] = []
+    for parts in named.values():
+        before = None
+        for _, number, place, bag in sorted(parts):
+            if before is None or number != before + 1:
+                found.append((place, [bag]))
+            else:
+                found[-1][1].append(bag)
+            before = number
+    return [recording for _, recording in sorted(found)]
+
+
+def _part_of(name: str) -> Tuple[str, str, int]:
+    """Return what a part's recording is called, the part's date, and its number; -1 where it has none."""
+    base, mark, number = PurePosixPath(name).name.rpartition("_")
+    if not (mark and number.isdecimal() and len(number) < 10):
+        return name, "", -1
+    rest, _, date = base.rpartition("_")
+    if len(date) == len("2014-10-19-19-50-06") and date.replace("-", "").isdecimal() and date.count("-") == 5:
+        return rest, date, int(number)
+    return base, "", int(number)
 
 
 def is_folder_of_bags(place: str) -> bool:
