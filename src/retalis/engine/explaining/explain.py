@@ -24,6 +24,7 @@ from ...prolog.terms import (
 )
 from .. import Engine, parts_of
 from .shortfall import Part, Shortfall, names_of
+from .untaken import Untaken
 
 EVENT = functor("event", 2)
 _SHOWN = 10
@@ -151,6 +152,7 @@ class _Explainer:
     def __init__(self, engine: Engine):
         self._parts = parts_of(engine)
         self._kept = self._parts.rules.tracker.all()
+        self._untaken = Untaken(self._parts.logic, self._parts.knowledge.subscriptions.items(), self._show)
         self._shown: Set[int] = set()
         self._made_by: Dict[int, List[Occurrence]] = {}
         for one in self._kept:
@@ -165,6 +167,8 @@ class _Explainer:
         if not found:
             return Explanation(False, self._missing(term, interval, ()))
         lines = [self._because(one, 0) for one in found[:_SHOWN]]
+        for one, line in zip(found, lines):
+            line.below.extend(ExplanationLine(text, []) for text in self._untaken.of(one.term))
         if len(found) > _SHOWN:
             lines.append(ExplanationLine(f"and {counted(len(found) - _SHOWN, 'more time')}", []))
         return Explanation(True, lines)
@@ -204,10 +208,21 @@ class _Explainer:
                 if part.found:
                     lines[-1].below.append(ExplanationLine(f"- but {_why_not(rule, part, interval)}", []))
             undo(trail, 0)
+        if not above:
+            lines += self._unsent(term)
         if not lines and not above:
             lines.append(ExplanationLine("no rule has such a head, and no such event came from outside", []))
         if not above:
             lines += self._taken_back(term) + self._alike(term)
+        return lines
+
+    def _unsent(self, term: Term) -> List[ExplanationLine]:
+        """Return which subscriptions send such a message, and what became of the events that they are about."""
+        lines = []
+        for text, definition in self._untaken.sending(term):
+            found = list(self._untaken.reasons(definition, self._kept))[-_SHOWN:]
+            below = [ExplanationLine(f"{self._event(one)}: {why or 'sent'}", []) for one, why in found]
+            lines.append(ExplanationLine(text, below or [ExplanationLine("no such event happened", [])]))
         return lines
 
     def _part(self, part: Part, above: Tuple[Rule, ...]) -> ExplanationLine:
