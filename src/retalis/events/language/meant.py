@@ -5,7 +5,7 @@ from typing import Any, Dict, Optional
 
 from ...prolog.syntax import OperatorKind
 from ...prolog.terms import CONS, Atom, Term, deref, functor, list_items
-from .operators import ARROWS, FORMS, NO_EVENTS, names_of_kind
+from .operators import ARROWS, FORMS, NO_EVENTS, SPELLINGS, names_of_kind
 
 _COMPARISONS = [
     "=",
@@ -98,6 +98,17 @@ def wrong_arity(term: Any) -> Optional[str]:
         return None
     form = FORMS.get(name, f"takes {takes} argument{'s' * (takes != 1)}")
     return f"this is an ordinary event; {name} {form}"
+
+
+def bracketed(name: str, number: Any) -> str:
+    """Return how an operator is written whose number has taken what follows it, "" where it has not."""
+    if number.__class__ is not tuple or len(number) != 3 or number[0] not in SPELLINGS:
+        return ""
+    first = deref(number[1])
+    if first.__class__ not in (int, float):
+        return ""
+    other = number[0].name
+    return f": {first} {other} ... is read as one; write (PATTERN {name} {first}) {other} ..."
 
 
 def head_error(head: Any, operator: Optional[str]) -> Optional[str]:

@@ -7,7 +7,7 @@ from ...prolog.syntax import EVENT_OPERATOR, EventOperator, OperatorKind
 from ...prolog.terms import Atom, CompoundTerm, String, Term, Var, deref, from_seconds, functor
 from .aggregates import AGGREGATES
 from .calls import Subgoal, asking_interval, calls
-from .meant import doubt
+from .meant import bracketed, doubt
 from .operators import ARROWS, RUNS, SPELLINGS, names_of_kind
 from .pattern import (
     MOST_COMPOSED,
@@ -207,7 +207,7 @@ class PatternReader:
     def _span(self, name: str, term: CompoundTerm) -> int:
         span = deref(term[2])
         if span.__class__ not in (int, float) or not span > 0 or span == float("inf"):
-            raise self._error(f"{name} needs a positive number of seconds", term, 2)
+            raise self._error(f"{name} needs a positive number of seconds{bracketed(name, span)}", term, 2)
         return from_seconds(span)
 
     def goal(self, parent: CompoundTerm, number: int, operator: str) -> Term:
