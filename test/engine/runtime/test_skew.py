@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retalis.engine.runtime import Refused, Reports, Skew
+from retalis.engine.runtime import Refused, Reports, Skew, skew
 from retalis.engine.runtime.skew import AGREEING, FRAMES
 from retalis.messages import Definitions
 
@@ -172,6 +172,16 @@ def test_bounded(strict):
     strict.send(ROBOT, frame="x" * 100_000)
     (times,) = strict.skew
     assert len(times) <= FRAMES
+
+
+def test_bounded_over_all_topics(strict, monkeypatch):
+    monkeypatch.setattr(skew, "SIZE", 100_000)
+    for topic in range(20):
+        for at in range(20):
+            assert strict.send(ROBOT, frame=str(at), topic=f"/t{topic}")
+            assert sum(times.held for times in strict.skew) <= 100_000
+    assert any(times for times in strict.skew)
+    assert not all(times for times in strict.skew)
 
 
 def test_time_that_went_back_is_a_new_beginning(strict):

@@ -21,6 +21,9 @@ PACE = 10.0
 FRAMES = 5000
 """Frames that are kept for a topic."""
 
+SIZE = 16 << 20
+"""Bytes that what is known of the frames of all topics may take; what was known of the run before, the same."""
+
 TOPICS = 1000
 
 _UNKNOWN = -1
@@ -195,6 +198,7 @@ class Skew:
         self._progress = 0
         self._may_wait = may_wait
         self._ended = 0
+        self._held = 0
 
     def __iter__(self) -> Iterator[TopicTimes]:
         return iter(list(self._topics.values()))
@@ -212,6 +216,7 @@ class Skew:
         times = self._topics.get(topic)
         if times is None:
             if len(self._topics) >= TOPICS:
+                self.forget()  # also for those who go on with what they know
                 self._topics.clear()
             times = self._topics[topic] = TopicTimes(topic)
         known = times
@@ -221,14 +226,19 @@ class Skew:
         """Forget what was known: another stream begins."""
         for times in self:
             times.before = {}
-            times.clear()
+        self._clear()
 
     def begin_run(self, ended: int) -> None:
         """Begin anew: time went back. What is left over of the run before, which ended at an instant, is refused."""
         self._ended = ended
         for times in self:
             times.before = dict(times)
+        self._clear()
+
+    def _clear(self) -> None:
+        for times in self:
             times.clear()
+        self._held = 0
 
     def sum_up(self) -> None:
         """Say how many messages of each topic had such a stamp, where that was more than one."""
@@ -252,7 +262,7 @@ class Skew:
         for key, stamp in found:
             known = times.get(key)
             if known is None:
-                times.keep(key, FrameTime(stamp, now, wall, self._progress), 2 * len(key) + 500)
+                self._keep(times, key, FrameTime(stamp, now, wall, self._progress))
                 continue
             far, distance = self._far, stamp - known.stamp
             if not -far <= distance <= far:
@@ -295,6 +305,16 @@ class Skew:
                 )
                 raise Refused
             del before[key]  # it has begun again
+
+    def _keep(self, times: TopicTimes, key: bytes, known: FrameTime) -> None:
+        """Keep what is known of a frame; all topics start anew where they would hold more than they may together."""
+        held = times.held
+        times.keep(key, known, 2 * len(key) + 500)
+        self._held += times.held - held
+        if self._held > SIZE:
+            self._clear()
+            times.keep(key, known, 2 * len(key) + 500)
+            self._held = times.held
 
     def _warn(self, topic: str, known: FrameTime, key: bytes, distance: int, publisher: str) -> None:
         if known.told:
