@@ -191,6 +191,20 @@ def test_time_that_went_back_is_a_new_beginning(strict):
     assert strict.reports.warnings == 0
 
 
+def test_a_bag_that_is_played_again_is_one_matter_for_all_frames_of_a_topic(bench, caplog):
+    for _ in range(3):
+        for at in range(30):
+            for frame in "abcdef":
+                assert bench.send(ROBOT + 5 * at, frame=frame)
+            bench.pass_time(5)
+    assert [text.partition(":")[0] for text in said(caplog)] == [
+        "topic /seen, frame a",
+        "topic /seen",
+        "topic /seen, frame a",
+    ]
+    assert "a bag that is played again without /clock" in said(caplog)[1]
+
+
 def test_warnings_are_bounded(bench):
     bench_logged = logging.getLogger("retalis")
     lines = []

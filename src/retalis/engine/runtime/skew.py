@@ -149,15 +149,21 @@ class TopicTimes(Cache[bytes, FrameTime]):
         before: what was known of the run before, until a frame has begun again.
         far: how many messages had a stamp that was far away.
         refused: how many of them were not taken.
+        step: by how much the frame was far that was warned of first.
+        together: whether it has been said that others were as far.
+        clock: how far the clock was set of which was told last.
     """
 
-    __slots__ = ("name", "before", "far", "refused")
+    __slots__ = ("name", "before", "far", "refused", "step", "together", "clock")
 
     def __init__(self, name: str):
         super().__init__(FRAMES, 4 << 20, 1 << 12)
         self.name = name
         self.before: Dict[bytes, FrameTime] = {}
         self.far = self.refused = 0
+        self.step: Optional[int] = None
+        self.together = False
+        self.clock: Optional[int] = None
 
     def clear(self) -> None:
         """Forget all, also for those who hold what is known of a frame."""
@@ -270,9 +276,9 @@ class Skew:
             if not -far <= distance <= far:
                 if not known.agree(stamp, now, wall, self._progress, self._far):
                     farthest = max(farthest, abs(distance))
-                    self._warn(times.name, known, key, distance, publisher)
+                    self._warn(times, known, key, distance, publisher)
                     continue
-                self._tell_of_set_clock(times.name, key, stamp - known.stamp)
+                self._tell_of_set_clock(times, key, stamp - known.stamp)
                 known.stamp, known.since = stamp, (stamp, wall)  # which is no progress
             known.move_to(stamp, now, wall, self._exact)
             if known.progress > self._progress:
@@ -316,10 +322,16 @@ class Skew:
             times.keep(key, known, 2 * len(key) + 500)
             self._held = times.held
 
-    def _warn(self, topic: str, known: FrameTime, key: bytes, distance: int, publisher: str) -> None:
+    def _warn(self, times: TopicTimes, known: FrameTime, key: bytes, distance: int, publisher: str) -> None:
         if known.told:
             return
         known.told = True
+        topic = times.name
+        if times.step is None:
+            times.step = distance
+        elif abs(times.step - distance) <= FAR:  # of all frames at once, which need not be named one by one
+            self._tell_of_all(times, distance)
+            return
         where = f"topic {topic}, frame {_shown(key)}"
         by = f" from {printable(beginning(publisher))}" if publisher else ""
         taken = "" if self._most is None or abs(distance) <= self._most else "; such messages are not taken"
@@ -329,7 +341,21 @@ class Skew:
             texts=TEXTS,
         )
 
-    def _tell_of_set_clock(self, topic: str, key: bytes, step: int) -> None:
+    def _tell_of_all(self, times: TopicTimes, distance: int) -> None:
+        if times.together:
+            return
+        times.together = True
+        why = "a bag that is played again without /clock, or a clock" if distance < 0 else "a clock"
+        self._reports.warning(
+            f"topic {times.name}: the stamps of other frames are {_seconds(distance)} those before them too, as by "
+            f"{why} that was set; frames of which this is true are not named"
+        )
+
+    def _tell_of_set_clock(self, times: TopicTimes, key: bytes, step: int) -> None:
+        if times.together and times.clock is not None and abs(times.clock - step) <= FAR:
+            return
+        times.clock = step
+        topic = times.name
         self._reports.warning(
             f"topic {topic}, frame {_shown(key)}: the last {AGREEING} stamps agree and are {_seconds(step)} those "
             "before them; they are taken as right from now on",
