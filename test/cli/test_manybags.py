@@ -52,6 +52,25 @@ def test_results_are_those_of_bags_one_by_one(program, bags, tmp_path, capfd):
 
 
 @pytest.mark.slow
+def test_parts_go_on_from_one_another(program, tmp_path, capfd):
+    parts = [make_bag(tmp_path / "day" / f"r_{n}.bag", *"xy", start=1 + 3 * n) for n in range(3)]
+    assert main(["bag", *map(str, parts), "--program", program, "--json"]) == 0
+    expected = capfd.readouterr().out
+    assert expected.count('"id": "twice"') == 4
+    given = ["bag", str(tmp_path / "day"), "--program", program, "--jobs", "2", "--json"]
+    assert main([*given, "--parts"]) == 0
+    assert capfd.readouterr().out == expected
+    parts[1].write_text("no bag")
+    assert main([*given, "--parts"]) == 1
+    shown = capfd.readouterr()
+    assert shown.out == "".join(expected.splitlines(keepends=True)[:2])
+    assert shown.err.splitlines()[1:] == [
+        f"error: {parts[2]}: not played: it goes on from {parts[1]}, which failed",
+        "2 of 3 bags failed",
+    ]
+
+
+@pytest.mark.slow
 def test_a_cluster_gives_the_same_results(program, bags, tmp_path, capfd, monkeypatch):
     distributed = pytest.importorskip("distributed")
     monkeypatch.chdir(bags.parent)  # the workers are somewhere else

@@ -26,40 +26,40 @@ def task(program, bag, target, kind, *more):
         lambda *names, **told: parsers_made.append(parsers.add_parser(*names, **told)) or parsers_made[-1]
     )
     options = vars(parsers_made[0].parse_args([str(bag), "--program", str(program), *more]))
-    return BagTask((str(bag),), str(target), kind, {name: options[name] for name in _OPTIONS})
+    return BagTask(str(bag), str(target), kind, {name: options[name] for name in _OPTIONS})
 
 
+@pytest.mark.slow
 def test_a_result_has_what_the_format_says(program, tmp_path, capsys):
     bag = make_bag(tmp_path / "a.bag", "x", "x")
-    assert play_bag(task(program, bag, tmp_path / "text", None), str(tmp_path)) == (0, "", None)
+    assert play_bag(task(program, bag, tmp_path / "text", None), str(tmp_path)) == (0, "", None, None)
     assert (tmp_path / "text").read_text().splitlines() == [
         """output(std_msgs__0__String('"x"'),said).""",
     ] * 3
-    assert play_bag(task(program, bag, tmp_path / "lines", "jsonl"), str(tmp_path)) == (0, "", None)
+    assert play_bag(task(program, bag, tmp_path / "lines", "jsonl"), str(tmp_path)) == (0, "", None, None)
     lines = (tmp_path / "lines").read_text().splitlines()
     assert lines[0].startswith('{"output": "std_msgs__0__String(') and len(lines) == 3
-    assert play_bag(task(program, bag, tmp_path / "b.bag", "bag"), str(tmp_path)) == (0, "", None)
+    assert play_bag(task(program, bag, tmp_path / "b.bag", "bag"), str(tmp_path)) == (0, "", None, None)
     with BagReader(tmp_path / "b.bag") as reader:
         assert [record.topic.name for record in reader.records()] == ["/said"] * 3
     assert capsys.readouterr() == ("", "")
 
 
-def test_parts_are_played_as_one(program, tmp_path):
+def test_a_part_goes_on_from_the_state_of_the_one_before(program, tmp_path):
     """The pattern that begins in one part ends in the next one."""
-    first, second = (
-        make_bag(tmp_path / f"{name}.bag", "x", start=start) for name, start in (("a_0", 1), ("a_1", 9))
-    )
-    asked = task(program, first, tmp_path / "result", "jsonl")._replace(places=(str(first), str(second)))
-    assert play_bag(asked, str(tmp_path)) == (0, "", None)
-    lines = [json.loads(line) for line in (tmp_path / "result").read_text().splitlines()]
-    assert [(line["id"], line["time"] // SECOND) for line in lines] == [("all", 1), ("all", 9), ("twice", 9)]
+    first = task(program, make_bag(tmp_path / "a_0.bag", "x"), tmp_path / "0", "jsonl")
+    played = play_bag(first._replace(goes_on=True), str(tmp_path))
+    second = task(program, make_bag(tmp_path / "a_1.bag", "x", start=9), tmp_path / "1", "jsonl")
+    assert play_bag(second._replace(state=played.state), str(tmp_path)) == (0, "", None, None)
+    lines = [json.loads(line) for line in (tmp_path / "1").read_text().splitlines()]
+    assert [(line["id"], line["time"] // SECOND) for line in lines] == [("all", 9), ("twice", 9)]
 
 
 def test_parquet_has_the_lines_of_json(program, tmp_path):
     parquet = pytest.importorskip("pyarrow.parquet")
     bag = make_bag(tmp_path / "a.bag", "x", "x")
     played = play_bag(task(program, bag, tmp_path / "p", "parquet", "--events"), str(tmp_path))
-    assert played == (0, "", None)
+    assert played == (0, "", None, None)
     found = parquet.read_table(tmp_path / "p").to_pylist()
     assert [row["id"] for row in found if row["output"]] == ["all", "all", "twice"]
     assert sum(row["event"] is not None for row in found) == 3

@@ -4,10 +4,11 @@ import argparse
 import os
 import shutil
 import sys
+from collections import deque
 from contextlib import ExitStack, closing
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Callable, Dict, Generator, List, Optional, Tuple, Union
+from typing import Callable, Deque, Dict, Generator, List, Optional, Tuple, Union
 
 from ..engine.playback import (
     FoundBag,
@@ -67,8 +68,8 @@ def add_many(parser: argparse.ArgumentParser) -> None:
     add(
         "--parts",
         action="store_true",
-        help="play as one what rosbag record --split has written in parts, NAME_0.bag, NAME_1.bag and so on; the "
-        "result has the name of the first",
+        help="have what rosbag record --split has written in parts, NAME_0.bag, NAME_1.bag and so on, go on with "
+        "what the part before has left: memories, half-matched patterns, waiting queries",
     )
     add(
         "--format",
@@ -107,7 +108,7 @@ def play_many(options: argparse.Namespace) -> int:
     _refuse(options)
     with ExitStack() as stack:
         scratch = stack.enter_context(TemporaryDirectory(prefix="retalis-"))
-        tasks = _tasks(options, _recordings(options), scratch)
+        tasks, ready = _tasks(options, _recordings(options), scratch)
         stack.callback(remove_parts, [task.target for task in tasks])
         results = _Results(tasks, to_print=options.output is None)
         bar = stack.enter_context(progress("bags", lambda: results.done / len(tasks)))
@@ -116,13 +117,18 @@ def play_many(options: argparse.Namespace) -> int:
         def lost(number: int, how: str) -> None:
             clear()
             print(
-                f"warning: {tasks[number].places[0]}: its worker died {how}; it is played again",
+                f"warning: {tasks[number].place}: its worker died {how}; it is played again",
                 file=sys.stderr,
             )
 
-        played = stack.enter_context(closing(_played(options, tasks, scratch, lost)))
+        played = stack.enter_context(closing(_played(options, tasks, ready, scratch, lost)))
         for number, one in played:
             clear()
+            if isinstance(one, Played) and one.state is not None:  # the recording first: states are large
+                tasks[number + 1] = tasks[number + 1]._replace(state=one.state)
+                ready.appendleft(number + 1)
+                one = one._replace(state=None)
+            tasks[number] = tasks[number]._replace(state=None)
             results.take(number, one)
             if bar is not None:
                 bar(results.done)
@@ -130,11 +136,15 @@ def play_many(options: argparse.Namespace) -> int:
 
 
 def _played(
-    options: argparse.Namespace, tasks: List[BagTask], scratch: str, lost: Callable[[int, str], object]
+    options: argparse.Namespace,
+    tasks: List[BagTask],
+    ready: Deque[int],
+    scratch: str,
+    lost: Callable[[int, str], object],
 ) -> Generator[Tuple[int, _One], None, None]:
     if options.scheduler:
-        return on_cluster(play_bag, tasks, options.scheduler)
-    return in_processes(play_bag, tasks, min(options.jobs, len(tasks)), scratch, lost)
+        return on_cluster(play_bag, tasks, options.scheduler, ready)
+    return in_processes(play_bag, tasks, options.jobs, scratch, lost, ready)
 
 
 def _refuse(options: argparse.Namespace) -> None:
@@ -178,8 +188,10 @@ def _recordings(options: argparse.Namespace) -> List[List[FoundBag]]:
     return in_parts(bags) if options.parts else [[bag] for bag in bags]
 
 
-def _tasks(options: argparse.Namespace, recordings: List[List[FoundBag]], scratch: str) -> List[BagTask]:
-    """Return what there is to do, in order.
+def _tasks(
+    options: argparse.Namespace, recordings: List[List[FoundBag]], scratch: str
+) -> Tuple[List[BagTask], Deque[int]]:
+    """Return what there is to do, in order, and with what it begins: the first parts.
 
     Raises:
         UsageError: where two results would have one name, or one is there already.
@@ -194,23 +206,29 @@ def _tasks(options: argparse.Namespace, recordings: List[List[FoundBag]], scratc
     how["program"] = Path(seen(options.program))
     how["folder"] = [seen(one) for one in options.folder]
     targets: Dict[str, str] = {}
-    tasks = []
-    for number, bags in enumerate(recordings):
-        bag = bags[0]
-        if kind is None:
-            target = os.path.join(scratch, str(number))
-        else:
-            target = told(f"{options.output.rstrip('/')}/{bag.name}.{kind}")
-            if target in targets:
-                raise UsageError(
-                    f"{targets[target]} and {bag.place}: the result of both would be {target}; "
-                    "give the folder that both are below, or different ones to --output"
-                )
-            if not options.overwrite and is_there(target):
-                raise UsageError(f"{target} already exists; --overwrite replaces it")
-        targets[target] = bag.place
-        tasks.append(BagTask(tuple(told(bag.place) for bag in bags), target, kind, how))
-    return tasks
+    tasks: List[BagTask] = []
+    first: Deque[int] = deque()
+    for bags in recordings:
+        first.append(len(tasks))
+        for bag in bags:
+            if kind is None:
+                target = os.path.join(scratch, str(len(tasks)))
+            else:
+                target = told(f"{options.output.rstrip('/')}/{bag.name}.{kind}")
+                _refuse_target(target, bag, targets, options.overwrite)
+            targets[target] = bag.place
+            tasks.append(BagTask(told(bag.place), target, kind, how, goes_on=bag is not bags[-1]))
+    return tasks, first
+
+
+def _refuse_target(target: str, bag: FoundBag, targets: Dict[str, str], overwrite: bool) -> None:
+    if target in targets:
+        raise UsageError(
+            f"{targets[target]} and {bag.place}: the result of both would be {target}; "
+            "give the folder that both are below, or different ones to --output"
+        )
+    if not overwrite and is_there(target):
+        raise UsageError(f"{target} already exists; --overwrite replaces it")
 
 
 class _Results:
@@ -234,12 +252,16 @@ class _Results:
         """Take what became of a bag; tell of all whose turn it is."""
         self.done += 1
         self._held[number] = one
+        while self._tasks[number].goes_on and _failure(self._held[number]) is not None:
+            number, place = number + 1, self._tasks[number].place
+            self.done += 1
+            self._held[number] = Unfinished(f"not played: it goes on from {place}, which failed")
         while self._told in self._held:
             self._tell(self._tasks[self._told], self._held.pop(self._told))
             self._told += 1
 
     def _tell(self, task: BagTask, one: _One) -> None:
-        failure = one.cause if isinstance(one, Unfinished) else one.failure
+        failure = _failure(one)
         if isinstance(one, Played):
             self._errors += one.errors
             self._tell_said(task, one.said)
@@ -247,7 +269,7 @@ class _Results:
             failure = f"{task.target} is not seen here: this machine and the workers need to share its folder"
         if failure is not None:
             self._failed += 1
-            print(f"error: {_beginning_with(task.places[0], failure)}", file=sys.stderr)
+            print(f"error: {_beginning_with(task.place, failure)}", file=sys.stderr)
         elif self._to_print:
             with open(task.target, encoding="utf-8") as file:
                 shutil.copyfileobj(file, sys.stdout)
@@ -258,7 +280,7 @@ class _Results:
         if not said:
             return
         if said not in self._said:
-            print(f"{task.places[0]}:\n{said}", end="", file=sys.stderr)
+            print(f"{task.place}:\n{said}", end="", file=sys.stderr)
         self._said[said] = self._said.get(said, 0) + 1
 
     def finish(self) -> int:
@@ -269,6 +291,10 @@ class _Results:
         if self._failed:
             print(f"{self._failed} of {len(self._tasks)} bags failed", file=sys.stderr)
         return 1 if self._failed or self._errors else 0
+
+
+def _failure(one: _One) -> Optional[str]:
+    return one.cause if isinstance(one, Unfinished) else one.failure
 
 
 def _beginning_with(place: str, failure: str) -> str:

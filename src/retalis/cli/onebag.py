@@ -5,7 +5,7 @@ import io
 import os
 import threading
 from contextlib import ExitStack, redirect_stderr, redirect_stdout
-from typing import Any, Dict, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Dict, NamedTuple, Optional
 
 from ..engine.playback import RunTable, fetched, result_file
 from ..engine.runtime import tighten
@@ -20,19 +20,23 @@ _SAID = 64 << 10
 
 
 class BagTask(NamedTuple):
-    """A recording to be played: a bag, or the bags that are its parts.
+    """A bag to be played.
 
     Attributes:
-        places: their paths or URLs.
+        place: its path or URL.
         target: what gets the result: a path or a URL.
         format: of the result, one of `FORMATS`; None for what is printed.
         options: those of the command that say how.
+        goes_on: whether it is a part of a recording, and not the last.
+        state: what the part before it has left, where there is one.
     """
 
-    places: Tuple[str, ...]
+    place: str
     target: str
     format: Optional[str]
     options: Dict[str, Any]
+    goes_on: bool = False
+    state: Optional[bytes] = None
 
 
 class Played(NamedTuple):
@@ -42,11 +46,13 @@ class Played(NamedTuple):
         errors: how many there were while it was played; its result is there in spite of them.
         said: errors and warnings.
         failure: why there is no result, where there is none.
+        state: what the next part goes on from, where there is one.
     """
 
     errors: int
     said: str
     failure: Optional[str] = None
+    state: Optional[bytes] = None
 
 
 _PROCESS = threading.Lock()
@@ -54,15 +60,13 @@ _PROCESS = threading.Lock()
 
 
 def play_bag(task: BagTask, scratch: str) -> Played:
-    """Play a recording into its result; raise nothing."""
-    said, failure, bags = _Said(), "", list(task.places)
+    """Play a bag into its result, from the state of the part before it to its own; raise nothing."""
+    said, failure, bag, state = _Said(), "", task.place, None
     with _PROCESS, redirect_stderr(said):
         report = Report().listen(events=True)
         try:
-            with ExitStack() as stack:
-                bags = [stack.enter_context(fetched(place, scratch)) for place in task.places]
-                result = stack.enter_context(result_file(task.target, scratch))
-                _play_into(result, bags, task, report)
+            with fetched(task.place, scratch) as bag, result_file(task.target, scratch) as result:
+                state = _play_into(result, bag, task, report)
         except RetalisError as error:
             failure = str(error)
         except Exception as error:  # whatever it is, the other bags are to be played
@@ -70,15 +74,13 @@ def play_bag(task: BagTask, scratch: str) -> Played:
         finally:
             leave()
             tighten()
-    told = said.getvalue()
-    for bag, place in zip(bags, task.places):  # what was fetched is known by its URL
-        told, failure = told.replace(bag, place), failure.replace(bag, place)
-    return Played(report.errors, told, failure or None)
+    told, failure = (text.replace(bag, task.place) for text in (said.getvalue(), failure))
+    return Played(report.errors, told, failure or None, state)
 
 
-def _play_into(result: str, bags: Sequence[str], task: BagTask, report: Report) -> None:
-    """Play bags into a file, as one: what a part leaves in the engine the next one finds there."""
-    options = argparse.Namespace(**task.options, bags=bags, output=None, overwrite=True)
+def _play_into(result: str, bag: str, task: BagTask, report: Report) -> Optional[bytes]:
+    """Play a bag into a file; return the program's state where a part follows."""
+    options = argparse.Namespace(**task.options, bags=[bag], output=None, overwrite=True)
     tell = print_line
     with ExitStack() as stack:
         if task.format == "bag":
@@ -90,7 +92,8 @@ def _play_into(result: str, bags: Sequence[str], task: BagTask, report: Report) 
         printed = result if task.format in (None, "jsonl") else os.devnull
         file = stack.enter_context(open(printed, "w", encoding="utf-8"))
         stack.enter_context(redirect_stdout(file))
-        play(options, report, tell)
+        playback = play(options, report, tell, task.state)
+        return playback.engine.snapshot() if task.goes_on else None
 
 
 class _Said(io.StringIO):

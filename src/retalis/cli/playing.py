@@ -32,17 +32,20 @@ def print_line(line: Line) -> None:
     print(json.dumps(line, ensure_ascii=False))
 
 
-def play(options: argparse.Namespace, report: Report, tell: Tell = print_line) -> None:
-    """Play the bags that the options name, as one.
+def play(
+    options: argparse.Namespace, report: Report, tell: Tell = print_line, state: Optional[bytes] = None
+) -> Playback:
+    """Play the bags that the options name, as one; return the program as it is then.
 
     Args:
         options: of the command.
         report: takes errors.
         tell: takes what happens, where the options want it as JSON.
+        state: of the program at the end of the part before this one, where it goes on from there.
     """
     with ExitStack() as stack:
         bags = stack.enter_context(BagSeries(options.bags, options.start, options.duration))
-        playback = playback_of(options, report, bags)
+        playback = playback_of(options, report, bags, state)
         if options.explain:
             record_origins(playback.engine)
         writer = _writer(options, playback, stack)
@@ -54,14 +57,20 @@ def play(options: argparse.Namespace, report: Report, tell: Tell = print_line) -
             if writer is not None:
                 writer.write(output)
         show.finish()
+    return playback
 
 
-def playback_of(options: argparse.Namespace, report: Report, bag: Optional[BagSeries] = None) -> Playback:
+def playback_of(
+    options: argparse.Namespace,
+    report: Report,
+    bag: Optional[BagSeries] = None,
+    state: Optional[bytes] = None,
+) -> Playback:
     """Return the program that the options name, loaded; it may name slots of the types of a bag."""
     settings = limited(allow_folders(Settings(), options), options)
     settings = settings._replace(max_gap=options.max_gap or None)
     limit = options.max_skew or None
-    return Playback(options.program, report, _topics(options.topic), settings, limit, bag)
+    return Playback(options.program, report, _topics(options.topic), settings, limit, bag, state)
 
 
 def share_of(playback: Playback, bags: BagSeries) -> Callable[[], float]:

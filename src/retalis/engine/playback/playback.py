@@ -76,9 +76,10 @@ class Playback:
         max_skew: how many seconds a stamp may be away from what its topic and frame had so far, for the message to
             be taken; by default any number.
         bag: whose types the program may name slots of, besides those that are installed.
+        state: of an engine with this program (`Engine.snapshot`), which goes on; by default it begins anew.
 
     Raises:
-        UsageError: where a file of the program cannot be read.
+        UsageError: where a file of the program cannot be read, or the state is none.
     """
 
     def __init__(
@@ -89,6 +90,7 @@ class Playback:
         settings: Optional[Settings] = None,
         max_skew: Optional[float] = None,
         bag: Optional[Bag] = None,
+        state: Optional[bytes] = None,
     ):
         self._folder = folder = Path(program)
         self.clock = StreamClock()
@@ -96,8 +98,14 @@ class Playback:
         self._reports.once = True
         self._skew = Skew(self._reports, self.clock.now, self.clock.now, max_skew)
         self.definitions = Definitions()
-        self.engine = Engine(self.clock, settings, self._reports, self.definitions)
         self._report = report
+        self._learn_types(bag.topics if bag is not None else ())
+        if state is None:
+            self.engine = Engine(self.clock, settings, self._reports, self.definitions)
+        else:
+            self.engine = Engine.restore(
+                state, self.clock, settings, self._reports, self.definitions, folder=folder
+            )
         self._decoders: Dict[Topic, Optional[Decoder]] = {}
         self._outputs: List[Output] = []
         self._told: Set[str] = set()
@@ -110,13 +118,16 @@ class Playback:
         self._joining: Set[str] = set()
         self._latched = {by_name(topic) for topic in named.latched}
         self.engine.on_output(self._collect)
-        self._learn_types(bag.topics if bag is not None else ())
         parts_of(self.engine).input_topics.begin(self._subscribe, self._topics)
+        if state is None:
+            self._load()
+
+    def _load(self) -> None:
         try:
-            self.engine.load_program(folder)
+            self.engine.load_program(self._folder)
         except ProgramErrors as errors:
             for error in errors.errors:
-                report(error)
+                self._report(error)
 
     def run(self, bag: Bag, progress: Callable[[int], object] = lambda done: None) -> Iterable[Output]:
         """Feed a bag and yield what the program publishes, as it does.

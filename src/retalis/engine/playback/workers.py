@@ -55,6 +55,7 @@ def in_processes(
     jobs: int,
     scratch: str,
     lost: Callable[[int, str], object],
+    ready: Optional[Deque[int]] = None,
 ) -> "Done[R]":
     """Do tasks in processes of this machine; they end with the iterator.
 
@@ -66,8 +67,9 @@ def in_processes(
         jobs: how many at a time.
         scratch: a folder.
         lost: told the number of each task that is done again, and how its process ended.
+        ready: the numbers of the tasks to do, by default all; who takes the results may add others meanwhile.
     """
-    waiting: Deque[int] = deque(range(len(tasks)))
+    waiting = deque(range(len(tasks))) if ready is None else ready
     deaths: Dict[int, int] = Counter()
     idle: List[_Worker[T, R]] = []
     busy: Dict[object, _Worker[T, R]] = {}
@@ -158,7 +160,9 @@ def _ended(code: Optional[int]) -> str:
     return f"with status {code}"
 
 
-def on_cluster(function: "Function[T, R]", tasks: Sequence[T], address: str) -> "Done[R]":
+def on_cluster(
+    function: "Function[T, R]", tasks: Sequence[T], address: str, ready: Optional[Deque[int]] = None
+) -> "Done[R]":
     """Do tasks on the workers of a Dask cluster, which has to have this package.
 
     A task goes from a worker that is lost to another one; its scheduler gives one up after as many deaths as
@@ -169,6 +173,7 @@ def on_cluster(function: "Function[T, R]", tasks: Sequence[T], address: str) -> 
         function: does a task.
         tasks: what to do.
         address: of the scheduler, ``tcp://HOST:PORT``.
+        ready: as for `in_processes`.
 
     Raises:
         UsageError: where no scheduler answers there, or the Python package distributed is missing.
@@ -179,7 +184,7 @@ def on_cluster(function: "Function[T, R]", tasks: Sequence[T], address: str) -> 
     except (OSError, ValueError) as error:  # also one of time
         raise UsageError(f"--scheduler {address}: no scheduler answers: {reason(error)}") from error
     with client:
-        waiting = deque(range(len(tasks)))
+        waiting = deque(range(len(tasks))) if ready is None else ready
         numbers: Dict[Any, int] = {}
         finished = distributed.as_completed(loop=client.loop)
         while waiting or numbers:
