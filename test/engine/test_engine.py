@@ -450,6 +450,16 @@ def test_conditions_in_a_file_may_call_what_the_rest_of_the_file_has(caplog):
     ]
 
 
+def test_what_the_rules_of_the_same_program_define_is_there_for_its_goals(caplog):
+    engine = Engine()
+    with caplog.at_level(logging.WARNING, "retalis"):
+        engine.load(rules="hot(X) :- X > 40.", goals="memorize(t(X), [hot(X), cold(X)], X, m, 5)")
+    assert [one.getMessage() for one in caplog.records] == ["memory m: there is no predicate cold/1 yet"]
+    with caplog.at_level(logging.WARNING, "retalis"), pytest.raises(ProgramErrors):
+        engine.load(rules="wet(X) <-", goals="memorize(t(X), [wet(X)], X, n, 5)")
+    assert caplog.records[-1].getMessage().startswith("memory n: there is no predicate wet/1 yet")
+
+
 def test_each_refused_event_is_shown_with_what_is_wrong(caplog):
     engine = Engine()
     for text in ("event(X)", "event(a,[2,1])", "foo", "event(a", "halt(" + "x" * 1000 + ")"):

@@ -71,10 +71,7 @@ class Engine(Lasting):
         Raises:
             ProgramErrors: all errors; goals before a failed one have been called, of wrong rules none is active.
         """
-        if goals:
-            self.call_goals(goals, f"goals of {source}" if source == "text" else source, folder)
-        if rules:
-            self.load_rules(rules, source, folder)
+        self._own_files.load(rules, goals, source, folder)
 
     def load_rules(self, text: str, source: str = "text", folder: Optional[Path] = None) -> None:
         """Load the text of an event file; see `load`.

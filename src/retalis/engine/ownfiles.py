@@ -47,6 +47,20 @@ class OwnFiles:
         self._limited = limited
         self._once = once
 
+    def load(self, rules: str, goals: str, source: str, folder: Optional[Path]) -> None:
+        """Load the texts of a program, which belong together; see `Engine.load`."""
+        together = bool(rules and goals)
+        if together:
+            self._rules.loader.gather()
+        try:
+            if goals:
+                self.call_goals(goals, f"goals of {source}" if source == "text" else source, folder)
+            if rules:
+                self.load_rules(rules, source, folder)
+        finally:
+            if together:
+                self._runner.call(self._rules.loader.end_gathering, (REQUEST,))
+
     def load_rules(self, text: str, source: str, folder: Optional[Path]) -> None:
         """Load the text of an event file; see `Engine.load_rules`."""
         self._own(folder)

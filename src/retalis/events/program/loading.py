@@ -60,6 +60,7 @@ class Loader:
         """The files whose terms are being taken in, the outer ones first."""
         self._begun: List[Union[Beginning, Snapshot]] = []
         """What takes a load back that is under way; what comes after the first two is of loads inside it."""
+        self._gathered: Optional[List[Unknown]] = None
 
     def note_calls(self, found: List[Unknown]) -> None:
         """Warn of calls of what is not there: at the end of the file that is being loaded, or now."""
@@ -67,6 +68,16 @@ class Loader:
             self._acting[0].calls.extend(found)
         else:
             self._warn_of_unknown(found)
+
+    def gather(self) -> None:
+        """Say nothing of calls of what is not there until all has been loaded that belongs together."""
+        if self._gathered is None:
+            self._gathered = []
+
+    def end_gathering(self) -> None:
+        """Warn of the calls of what is not there even now."""
+        found, self._gathered = self._gathered, None
+        self._warn_of_unknown(found or [])
 
     def load_text(self, text: str, source: str, folder: Optional[Path]) -> None:
         """Load a text; see `Rules.load_text`."""
@@ -287,6 +298,7 @@ class Loader:
         for before in self._begun[:2]:
             before.restore()
         self._begun = []
+        self._gathered = None
 
     def _act(self, accepted: CheckedProgram) -> None:
         self._acting.append(accepted)
@@ -298,6 +310,9 @@ class Loader:
         self._warn_of_unknown(accepted.calls)
 
     def _warn_of_unknown(self, found: List[Unknown]) -> None:
+        if self._gathered is not None:
+            self._gathered.extend(found)
+            return
         for warning in unknown_calls(self._rules.logic, found, self._rules.terms):
             self._rules.on_warning(warning)
 
