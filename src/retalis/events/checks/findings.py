@@ -8,6 +8,7 @@ from .kinds import kinds
 from .made import never_made, never_taken
 from .memories import unknown_memories
 from .messages import values, wrong_messages
+from .numerals import numerals
 from .outputs import outputs, unpublished
 from .overview import Overview
 from .predicates import retracted, slipped_arrows, undefined
@@ -38,6 +39,7 @@ CHECKS: Tuple[Check, ...] = (
     Check("messages", wrong_messages),
     Check("values", values),
     Check("kinds", kinds),
+    Check("numerals", numerals),
     Check("outputs", outputs),
     Check("unpublished", unpublished, whole=True),
     Check("never-made", never_made, whole=True),
