@@ -41,3 +41,30 @@ def test_memories_that_are_read_and_not_there(tmp_path, rules, found):
 )
 def test_memories_that_are_there_or_may_come_are_left_alone(tmp_path, rules):
     assert warnings(tmp_path, rules) == []
+
+
+@pytest.mark.parametrize(
+    ("goal", "rules"),
+    [
+        ("memorize(t(X), [], X, m, 5)", "a <- b where access_mem(m, hot, _)."),
+        ("memorize(t(_), [member(X, [1])], X, m, 5)", "a <- b where access_mem(m, hot, _)."),
+        (
+            "memorize(t(X), [], _, m, 5)",
+            "a <- b where (access_mem(m, t(1), _), access_mem(m, R, _), R = t(_)).",
+        ),
+        (
+            "memorize(t(X), [], o(X, Y), m, 5)",
+            "a <- b where (newest_matching(m, o(1, 2), _, _), prev(M, m, 1, 2, 3)).",
+        ),
+        (
+            "memorize(t(X), [], o(X), m, 5)",
+            "a(N) <- b(N) do memorize(t(_), [], p(_), N, 5). c <- b where access_mem(m, q, _).",
+        ),
+        ("memorize(t(X), [], X, m, 5)", "synchronized(a(T), true, [[m, T]]) <- b(T)."),
+    ],
+)
+def test_records_that_may_be_there_are_left_alone(tmp_path, goal, rules):
+    engine = Engine()
+    engine.load(rules=rules, goals=goal)
+    texts = [one.message for one in engine.warnings(tmp_path, Definitions())]
+    assert [text for text in texts if "record" in text or " comes " in text] == []

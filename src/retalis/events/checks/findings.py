@@ -6,7 +6,7 @@ from ...foundation import Place, RetalisError, RuleError
 from .files import unread_rules
 from .kinds import kinds
 from .made import never_made, never_taken
-from .memories import unknown_memories
+from .memories import unknown_memories, wrong_records
 from .messages import values, wrong_messages
 from .numerals import numerals
 from .outputs import outputs, unpublished
@@ -45,6 +45,7 @@ CHECKS: Tuple[Check, ...] = (
     Check("never-made", never_made, whole=True),
     Check("never-taken", never_taken, whole=True),
     Check("memories", unknown_memories, whole=True),
+    Check("records", wrong_records, whole=True),
     Check("slipped-arrow", slipped_arrows),
     Check("undefined", undefined, whole=True),
     Check("retracted", retracted, whole=True),

@@ -4,8 +4,9 @@ from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Set
 
 from ...foundation import RuleError
 from ...messages import Field
+from ...prolog.syntax import OperatorKind
 from ...prolog.terms import Atom, CompoundTerm, String, Term, Var, deref, functor
-from ..language import Spot
+from ..language import AGGREGATES, Spot, names_of_kind
 from ..program import nowhere
 from .made import NEW_EVENT, made_by
 from .overview import Overview
@@ -19,6 +20,10 @@ _SIGNS = frozenset(
     functor(name, 1) for name in ("-", "+", "abs", "sqrt", "round", "truncate", "float", "integer")
 )
 _ONE_OF = frozenset((functor("or", 2), functor("\\/", 2), functor(";", 2), functor("->", 2)))
+
+
+_COLLECTED = frozenset(functor(kind.name, 1) for kind in AGGREGATES.values() if kind.numeric)
+_AGGREGATE, *_ = names_of_kind(OperatorKind.AGGREGATE)
 
 
 class SlotKind(NamedTuple):
@@ -123,6 +128,8 @@ def _in_goals(found: List[Inner], known: Dict[Var, SlotKind], names: Any) -> Ite
         else:
             if key in _SAME:
                 yield from _compared(inner, known, names)
+            elif key in _COLLECTED:
+                yield from _collected(inner, known, names)
             continue
         while operands:
             parent, at = operands.pop(0)
@@ -153,6 +160,17 @@ def _no_number(name: str, kind: SlotKind) -> str:
 
 def _to_text(name: str) -> str:
     return f"make a text of it, as with format(atom(Text), '\"~w\"', [{name if name[:1].isupper() else 'X'}])"
+
+
+def _collected(inner: Inner, known: Dict[Var, SlotKind], names: Any) -> Iterator[RuleError]:
+    """Yield that an aggregate of numbers collects something else."""
+    if inner.parent[0].name != _AGGREGATE or inner.number != 1:
+        return
+    value: Any = deref(inner.term[1])
+    kind = known.get(value) if value.__class__ is Var else None
+    if kind is not None and kind.what in _ADVICE and not kind.is_made:
+        text = f"{_name(value, names)} is {kind.what} ({kind.slot}): {inner.term[0].name} collects numbers"
+        yield RuleError(text, inner.spot(inner.term, 1))
 
 
 def _compared(inner: Inner, known: Dict[Var, SlotKind], names: Any) -> Iterator[RuleError]:

@@ -1,9 +1,9 @@
 """Memories that are read or waited for, and not there."""
 
-from typing import Any, Iterator, List, Set
+from typing import Any, Dict, Iterator, List, Optional, Set
 
 from ...foundation import RuleError
-from ...prolog.terms import Atom, Term, deref, functor, list_items
+from ...prolog.terms import Atom, Term, Trail, Var, copy, deref, functor, list_items, undo, unify, variables
 from ..language import SYNCHRONIZED
 from .near import meant
 from .overview import Overview
@@ -26,6 +26,10 @@ _READS = frozenset(
 )
 
 
+_LOOKS = frozenset(key for key in _READS if not key.name.startswith("memory_"))
+_BOTH = functor("$both", 2)
+
+
 def unknown_memories(program: Overview) -> Iterator[RuleError]:
     """Yield the memories that are read and that are not there, nor made by a goal."""
     names = [deref(kept.term[4]) for kept in program.memories]
@@ -40,6 +44,63 @@ def unknown_memories(program: Overview) -> Iterator[RuleError]:
                 yield RuleError(
                     f"there is no memory {name.name} yet{meant(name.name, known, 0.6)}", inner.place
                 )
+
+
+def wrong_records(program: Overview) -> Iterator[RuleError]:
+    """Yield the look-ups of records that no memory of that id has, and ids that stand in the wrong place."""
+    records = _records(program)
+    if None in records:
+        return
+    for inner in program.calls():
+        term: Any = inner.term
+        if term.__class__ is not tuple:
+            continue
+        if term[0] in SYNCHRONIZED:
+            yield from _turned_round(inner, records)
+        elif term[0] in _LOOKS:
+            name, record = deref(term[1]), deref(term[2])
+            if isinstance(name, Atom):
+                kept = records.get(name.name, [record])
+                if not any(_may_be(one, record) for one in kept):
+                    shown = _shown(program, kept[0])
+                    text = f"no record of memory {name.name} is {_shown(program, record)}: they are {shown}"
+                    yield RuleError(text, inner.spot(term, 2))
+            elif name.__class__ is not Var and isinstance(record, Atom) and record.name in records:
+                text = f"the memory comes first: {term[0].name}({record.name}, {_shown(program, name)}, ...)"
+                yield RuleError(text, inner.place)
+
+
+def _shown(program: Overview, term: Term) -> str:
+    return program.logic.brief(term, {var: program.names.get(var, "_") for var in variables(term)})
+
+
+def _records(program: Overview) -> Dict[Optional[str], List[Term]]:
+    """Return the records of each memory by its name; the name None where some are known only when they are made."""
+    found: Dict[Optional[str], List[Term]] = {}
+    for kept in program.memories:
+        name = deref(kept.term[4])
+        form = kept.form
+        if form.__class__ is Var and form not in variables((_BOTH, kept.pattern, kept.term[2])):
+            form = kept.pattern
+        found.setdefault(name.name if isinstance(name, Atom) else None, []).append(form)
+    return found
+
+
+def _may_be(record: Term, other: Term) -> bool:
+    trail: Trail = []
+    fits = unify(copy(record), copy(other), trail)
+    undo(trail, 0)
+    return bool(fits)
+
+
+def _turned_round(inner: Inner, records: Dict[Optional[str], List[Term]]) -> Iterator[RuleError]:
+    """Yield the memories of a query that stand where their times belong."""
+    for item in list_items(inner.term[3]) or ():
+        pair = list_items(item)
+        if pair is not None and len(pair) == 2:
+            name = deref(pair[1])
+            if isinstance(name, Atom) and name.name in records:
+                yield RuleError(f"the memory comes before its time: [{name.name}, T]", inner.place)
 
 
 def _memories_in(inner: Inner) -> Iterator[Atom]:
