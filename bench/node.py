@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """What the nodes cost while the NAO's messages flow on a real master: CPU, delay, losses, memory, start.
 
-    bench/node.py [--seconds N] [--speed 1 5 10 20] [--way idle roscpp direct embedded converter] [--runs N]
+    bench/node.py [--seconds N] [--speed 1 5 10 20] [--way idle roscpp direct kept embedded converter] [--runs N]
                   [--memory MESSAGES] [--starts N] [--json FILE] [--plot FILE]
 
 Needs ROS and the built package on the path (``source devel/setup.bash``). Starts a master of its own on a free
@@ -37,10 +37,11 @@ WAYS = {
     "idle": [sys.executable, "-c", ROSPY_IDLE],
     "roscpp": [],
     "direct": [*LAUNCH, "direct:=true", "embedded:=false"],
+    "kept": [*LAUNCH, "direct:=true", "embedded:=false", f"checkpoint:={tempfile.mkdtemp()}/state.db"],
     "embedded": [*LAUNCH, "direct:=auto", "embedded:=true"],
     "converter": [*LAUNCH, "direct:=false", "embedded:=false"],
 }
-"""How messages get in, and the command: ``embedded`` has the interface inside the process."""
+"""How messages get in, and the command: ``embedded`` has the interface inside, ``kept`` keeps its state."""
 
 PATIENCE = 20.0
 

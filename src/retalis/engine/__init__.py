@@ -3,6 +3,8 @@
 from .asking import ask, await_memories
 from .callbacks import OnEvent, OnOutput
 from .checking import check_program, never_comes
+from .checkpointing import Checkpoints, resume
+from .checkpoints import Checkpoint, CheckpointFile, put_aside
 from .core import parts_of
 from .engine import Engine
 from .inputtopics import MOST_TOPICS, AskedTopic, InputTopics, by_name
@@ -26,6 +28,9 @@ __all__ = [
     "await_memories",
     "by_name",
     "check_program",
+    "Checkpoint",
+    "CheckpointFile",
+    "Checkpoints",
     "delete_rule",
     "AwaitedMemory",
     "Engine",
@@ -37,6 +42,8 @@ __all__ = [
     "OnOutput",
     "never_comes",
     "parts_of",
+    "put_aside",
+    "resume",
     "RuleStatus",
     "Settings",
     "Status",

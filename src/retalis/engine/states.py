@@ -3,9 +3,10 @@
 from pathlib import Path
 from typing import Any, Callable, Dict, List, Optional, Sequence, TypeVar
 
+from ..events.network import Rule
 from ..foundation import RetalisError, UsageError
 from ..prolog.foreign import define_foreign, load_module
-from ..prolog.logic import KeptLogic, keep_logic, restore_logic
+from ..prolog.logic import KeptLogic, KeptValues, keep_logic, keep_values, restore_logic, restore_values
 from .core import EngineCore, parts_of
 from .inputtopics import AskedTopic
 from .keeping import (
@@ -14,7 +15,9 @@ from .keeping import (
     keep_memories,
     keep_records,
     keep_rules,
+    keep_sent,
     keep_subscriptions,
+    new_records,
     restore_matches,
     restore_memories,
     restore_records,
@@ -42,9 +45,13 @@ class StateKeeper:
     def __init__(self, engine: EngineCore):
         self._engine = engine
         self._parts = parts_of(engine)
+        self._signature: Any = None
 
-    def take(self) -> Sections:
+    def take(self, whole: bool = True) -> Sections:
         """Return all but the records of memories; those are sections of their own, see `keep_records`.
+
+        Args:
+            whole: give the program too where it is the same as the last time.
 
         Raises:
             UsageError: where an event or goal is being worked on.
@@ -54,9 +61,46 @@ class StateKeeper:
         if parts.dispatcher.current is not None or logic.machine.choices:
             raise UsageError("a goal or callback of an engine cannot have its state taken")
         matches, named = keep_matches(rules, knowledge, engine.clock, rules.rules)
-        program = {
+        run = {
+            "clock": engine.clock.kept(),
+            "followed": parts.intake.followed is not None,
+            "taken": parts.intake.taken,
+            "dropped": parts.runner.dropped,
+            "tokens": parts.dispatcher.tokens,
+            "sent": keep_sent(knowledge),
+        }
+        sections = {"values": tuple(keep_values(logic)), "matches": matches, "run": run}
+        signature = self._sign(named)
+        if whole or signature != self._signature:
+            self._signature = signature
+            sections["program"] = self._program(named)
+        return sections
+
+    def _sign(self, named: List[Rule]) -> object:
+        """Return what is another where the program has changed."""
+        parts = self._parts
+        rules, knowledge = parts.rules, parts.knowledge
+        return (
+            parts.logic.database.changes,
+            len(parts.logic.database.predicates),
+            list(parts.logic.operators),
+            [rule.serial for rule in named],
+            len(rules.rules),
+            rules.all_properties(),
+            [rules.flags.get(name) for name in rules.flags.names()],
+            list(knowledge.memories),
+            knowledge.subscriptions.items(),
+            parts.input_topics.kept(),
+            sorted(parts.programs),
+            list(parts.programs.values()),
+        )
+
+    def _program(self, named: List[Rule]) -> Sections:
+        parts = self._parts
+        logic, knowledge = parts.logic, parts.knowledge
+        return {
             "logic": tuple(keep_logic(logic)),
-            "network": keep_rules(rules, named),
+            "network": keep_rules(parts.rules, named),
             "memories": keep_memories(knowledge),
             "subscriptions": keep_subscriptions(knowledge),
             "standings": keep_standings(parts.programs, logic, knowledge, named),
@@ -64,18 +108,10 @@ class StateKeeper:
             "events": dict(parts.slots.events),
             "foreign": list(logic.foreign_modules),
         }
-        run = {
-            "clock": engine.clock.kept(),
-            "followed": parts.intake.followed is not None,
-            "taken": parts.intake.taken,
-            "dropped": parts.runner.dropped,
-            "tokens": parts.dispatcher.tokens,
-        }
-        return {"program": program, "matches": matches, "run": run}
 
     def records(self) -> List[Any]:
         """Return the records of each memory."""
-        return [keep_records(instance) for instance in self._parts.knowledge.memories]
+        return [keep_records(new_records(instance)) for instance in self._parts.knowledge.memories]
 
     def take_up(self, sections: Sections, records: Sequence[Sequence[Any]], folder: Optional[Path]) -> None:
         """Have a new engine know what another one knew.
@@ -94,10 +130,11 @@ class StateKeeper:
         parts.slots.events.update(program["events"])
         self._load_foreign(program["foreign"], folder)
         restore_logic(logic, KeptLogic(*program["logic"]))
+        restore_values(logic, KeptValues(*sections["values"]))
         with logic.preparing(lambda: [rule.definition.term for rule in rules.rules]):
             named = restore_rules(rules, program["network"])
             memories = restore_memories(knowledge, program["memories"])
-            restore_subscriptions(knowledge, program["subscriptions"])
+            restore_subscriptions(knowledge, program["subscriptions"], run["sent"])
         if len(memories) != len(records):
             raise UsageError("there are not as many memories as records of them")
         for instance, found in zip(memories, records):
@@ -156,6 +193,6 @@ def checked(work: Callable[[], Result]) -> Result:
     try:
         return work()
     except RetalisError as error:
-        raise UsageError(f"the state cannot be taken up: {error.message}") from error
+        raise UsageError(error.message) from error
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError, RecursionError) as error:
         raise UsageError(f"the state is damaged ({type(error).__name__}: {error})") from error

@@ -2,7 +2,7 @@
 
 import time
 from functools import partial
-from typing import Callable, Iterable, List, Optional, Tuple
+from typing import Any, Callable, Iterable, List, Optional, Tuple
 
 import rospy
 from std_msgs.msg import String
@@ -16,6 +16,7 @@ from ..messages import Decoder, Definitions, Installed
 from ..prolog.syntax import to_text
 from ..prolog.terms import Term, atom
 from .changes import RuleServices
+from .checkpoint import StateFile
 from .connecting import OUTPUT_EVENT, connect
 from .counting import OutputStatus
 from .dashboard import NodeDashboard
@@ -105,9 +106,11 @@ class RetalisNode:
         self._doubts: List[str] = []
         self._reports = Reports()
         self._time = SimulatedTime(self._reports)
-        clock = RosClock(self._time.runs)
         definitions = Definitions(bare=parameters.bare)
-        self.engine = clock.engine = Engine(clock, parameters.settings, self._reports, definitions)
+        state = StateFile(parameters, self._reports)
+        self.engine = state.engine(lambda: RosClock(self._time.runs), definitions)
+        clock: Any = self.engine.clock
+        clock.engine = self.engine
         skew = Skew(self._reports, self._time.now, most=parameters.max_skew, may_wait=self._time.may_wait)
         rospy.on_shutdown(skew.sum_up)
         rospy.on_shutdown(self._reports.sum_up)
@@ -118,7 +121,8 @@ class RetalisNode:
         asked = GoalTopics()
         input_topics = parts_of(self.engine).input_topics
         input_topics.begin(asked.ask, topics, direct, plain)
-        self._load()
+        if not state.resumed:
+            self._load()
         self._texts = Outlet(OUTPUT, String, parameters.queue, self._reports)
         self._interface = Interface(
             self._poster,
@@ -162,6 +166,9 @@ class RetalisNode:
             [*topics.subscribed, *direct],
             lambda: input_topics.joined(topics).events,
         )
+        state.begin(self.engine)
+        if state.resumed:
+            self.engine.advance()  # alarms may have come due while the node was away
 
     def _begin_run(self, clock: RosClock) -> None:
         """Have the engine start anew when it has taken what was posted so far."""

@@ -44,6 +44,7 @@ KNOWN = (
     "dashboard",
     "dashboard_queries",
     "explain",
+    "checkpoint",
 )
 
 
@@ -68,6 +69,7 @@ class Parameters(NamedTuple):
         diagnostics: seconds from one message on ``/diagnostics`` to the next; None for none.
         dashboard: the port of the page that shows the engine; None for no page.
         dashboard_queries: whether those who have the page may ask.
+        checkpoint: the file in which the engine's state is kept while it runs; None for none.
     """
 
     program: Path
@@ -81,6 +83,7 @@ class Parameters(NamedTuple):
     diagnostics: Optional[float] = 1.0
     dashboard: Optional[int] = None
     dashboard_queries: bool = False
+    checkpoint: Optional[Path] = None
 
 
 def read_parameters(arguments: Optional[List[str]] = None) -> Parameters:
@@ -121,7 +124,11 @@ def read_parameters(arguments: Optional[List[str]] = None) -> Parameters:
     )
     return parameters._replace(
         max_skew=_limit("~max_skew", float, None), diagnostics=_limit("~diagnostics", float, 1.0)
-    )._replace(dashboard=_port("~dashboard"), dashboard_queries=_flag("~dashboard_queries"))
+    )._replace(
+        dashboard=_port("~dashboard"),
+        dashboard_queries=_flag("~dashboard_queries"),
+        checkpoint=_file("~checkpoint"),
+    )
 
 
 def _warn_of_unknown() -> None:
@@ -202,6 +209,14 @@ def _folders(name: str) -> Tuple[str, ...]:
     if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
         raise UsageError(f"parameter {name}: expected a list of folders, found {value!r}")
     return tuple(value)
+
+
+def _file(name: str) -> Optional[Path]:
+    """Return the file that a parameter names, None for none."""
+    value = rospy.get_param(name, "")
+    if not isinstance(value, str) or "\0" in value:
+        raise UsageError(f"parameter {name}: expected the path of a file, found {value!r}")
+    return Path(value).expanduser() if value else None
 
 
 def _flag(name: str) -> bool:

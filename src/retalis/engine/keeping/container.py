@@ -7,7 +7,7 @@ from zlib import crc32
 from ...events.language import PATTERNS, RuleDefinition
 from ...events.network import RuleState
 from ...foundation import UsageError
-from ...prolog.logic import KeptLogic
+from ...prolog.logic import KeptLogic, KeptValues
 from .graph import FIELDS
 
 MAGIC = b"retalis state\n"
@@ -19,7 +19,10 @@ FORMAT = 1
 def _layout() -> int:
     """Return a number of what is kept of objects: it is another one where that has changed."""
     kinds = [(name, *fields) for name, (_, fields) in FIELDS.items()]
-    kinds += [(kind.__name__, *kind._fields) for kind in (*PATTERNS, RuleDefinition, RuleState, KeptLogic)]
+    kinds += [
+        (kind.__name__, *kind._fields)
+        for kind in (*PATTERNS, RuleDefinition, RuleState, KeptLogic, KeptValues)
+    ]
     return crc32(repr(kinds).encode())
 
 

@@ -1,7 +1,7 @@
 """Memories with their records, and subscriptions."""
 
 from array import array
-from typing import Any, Dict, List, Sequence, Tuple
+from typing import Any, Dict, List, NamedTuple, Sequence, Tuple
 
 from ...events.knowledge import Instance, Knowledge
 from ...foundation import UsageError
@@ -10,24 +10,57 @@ from ...prolog.terms import Stamp, Term, WholeSeconds
 _FORMS: Dict[Any, int] = {int: 0, WholeSeconds: 1, Stamp: 2}
 _LARGEST = (1 << 63) - 1
 
-KeptRecords = Tuple[int, int, List[Term], Any, Any]
-"""How many records there were before these, and how many were refused; their terms; ends, and starts where these are
-others, see `_instants`."""
+KeptRecords = Tuple[int, int, bool, List[Term], Any, Any]
+"""How many records there were before these, how many were refused, whether there may be variables; their terms; ends,
+and starts where these are others, see `_instants`."""
 
 
 def keep_memories(knowledge: Knowledge) -> List[Tuple[Any, ...]]:
-    """Return what memories are made of, in their order: definition, whether events tell of them, open records."""
-    return [(one.definition, one.active, one.open) for one in knowledge.memories]
+    """Return what memories are made of, in their order: definition, and whether events tell of them."""
+    return [(one.definition, one.active) for one in knowledge.memories]
 
 
-def keep_records(instance: Instance, since: int = 0) -> KeptRecords:
+class NewRecords(NamedTuple):
+    """Records of a memory that came one after the other.
+
+    Attributes:
+        first: how many there were before.
+        oldest: how many there were before the first that the memory still has.
+        late: how many were refused.
+        open: whether there may be variables.
+        records: they.
+    """
+
+    first: int
+    oldest: int
+    late: int
+    open: bool
+    records: List[Tuple[Term, int, int]]
+
+    def part(self, begin: int, end: int) -> "NewRecords":
+        """Return some of them, by their places."""
+        return self._replace(first=self.first + begin, records=self.records[begin:end])
+
+    def end(self) -> "NewRecords":
+        """Return none of them, as what comes after the last."""
+        return self.part(len(self.records), len(self.records))
+
+
+def new_records(instance: Instance, since: int = 0) -> NewRecords:
     """Return the records of a memory, or those that came after so many."""
-    gone, late, _, records = instance.memory.kept(since)
+    oldest = instance.memory.kept()[0]
+    first, late, _, records = instance.memory.kept(since)
+    return NewRecords(first, oldest, late, instance.open, records)
+
+
+def keep_records(new: NewRecords) -> KeptRecords:
+    """Return records as data."""
+    records = new.records
     terms = [record[0] for record in records]
     ends = [record[2] for record in records]
     starts = [record[1] for record in records]
     same = all(start is end for start, end in zip(starts, ends))
-    return gone, late, terms, _instants(ends), None if same else _instants(starts)
+    return new.first, new.late, new.open, terms, _instants(ends), None if same else _instants(starts)
 
 
 def _instants(found: Sequence[Any]) -> Any:
@@ -64,10 +97,8 @@ def _read_instants(column: Any) -> List[int]:
 def restore_memories(knowledge: Knowledge, kept: Sequence[Tuple[Any, ...]]) -> List[Instance]:
     """Make memories as others were, without records; nobody is told of them."""
     made = []
-    for definition, active, is_open in kept:
-        instance = knowledge.memories.begin(definition, active)
-        instance.open = is_open
-        made.append(instance)
+    for definition, active in kept:
+        made.append(knowledge.memories.begin(definition, active))
     return made
 
 
@@ -75,31 +106,37 @@ def restore_records(instance: Instance, parts: Sequence[KeptRecords]) -> None:
     """Have a memory have the records that another one had, from parts in the order in which they came."""
     records: List[Tuple[Term, int, int]] = []
     gone = late = 0
-    for before, refused, terms, ends, starts in parts:
+    for before, refused, is_open, terms, ends, starts in parts:
         late = refused
+        instance.open = instance.open or is_open
         last = _read_instants(ends)
         first = last if starts is None else _read_instants(starts)
         if not len(terms) == len(first) == len(last):
             raise UsageError("a memory's records have not as many instants as terms")
         if not records:
             gone = before
-        elif before != gone + len(records):
+        elif before > gone + len(records):
             raise UsageError("records of a memory are missing")
+        del records[max(0, before - gone) :]  # those that come now stand in their places
         records += zip(terms, first, last)
     over = max(0, len(records) - max(instance.memory.size, 1))
     records = records[over:]
     instance.memory.restore(gone + over, late, [int(end) for _, _, end in records], records)
 
 
-def keep_subscriptions(knowledge: Knowledge) -> List[Tuple[Term, int]]:
-    """Return what subscriptions are made of, in their order, and how many events they have sent."""
-    return [(one.definition, one.tally.sent) for _, one in knowledge.subscriptions.items()]
+def keep_subscriptions(knowledge: Knowledge) -> List[Term]:
+    """Return what subscriptions are made of, in their order."""
+    return [one.definition for _, one in knowledge.subscriptions.items()]
 
 
-def restore_subscriptions(knowledge: Knowledge, kept: Sequence[Tuple[Term, int]]) -> None:
+def keep_sent(knowledge: Knowledge) -> List[int]:
+    """Return how many events each subscription has sent."""
+    return [one.tally.sent for _, one in knowledge.subscriptions.items()]
+
+
+def restore_subscriptions(knowledge: Knowledge, kept: Sequence[Term], sent: Sequence[int]) -> None:
     """Make subscriptions as others were."""
-    subscriptions = knowledge.subscriptions
-    for definition, _ in kept:
-        subscriptions.create(definition)
-    for (_, one), (_, sent) in zip(subscriptions.items(), kept):
-        one.tally.sent = sent
+    for definition in kept:
+        knowledge.subscriptions.create(definition)
+    for (_, one), number in zip(knowledge.subscriptions.items(), sent):
+        one.tally.sent = number

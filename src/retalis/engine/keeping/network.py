@@ -24,9 +24,6 @@ def keep_rules(rules: Rules, graph_rules: Sequence[Rule]) -> Dict[str, Any]:
     ]
     return {
         "rules": said,
-        "serial": rules.serial,
-        "fired_before": rules.fired_before,
-        "revs_of_nothing": rules.revs_of_nothing,
         "properties": [one for found in rules.all_properties().values() for one in found],
         "flags": {name: rules.flags.get(name) for name in rules.flags.names()},
         "loaded": sorted(str(path) for path in rules.files.loaded),
@@ -47,9 +44,6 @@ def restore_rules(rules: Rules, kept: Dict[str, Any]) -> List[Rule]:
             rules.activate(rule)
     for one in kept["properties"]:
         rules.set_property(one)
-    rules.serial = kept["serial"]
-    rules.fired_before = kept["fired_before"]
-    rules.revs_of_nothing = kept["revs_of_nothing"]
     for folder in kept["own"]:
         rules.files.door.add_own(folder)
     return made
@@ -71,6 +65,7 @@ def keep_matches(
         "waiting": [graph.write(one) for one in waiting],
         "timeouts": queries.timeouts.kept(),
         "stored": rules.store.stored(),
+        "counts": (rules.serial, rules.fired_before, rules.revs_of_nothing),
     }
     data["rows"] = graph.rows
     return data, graph.rules
@@ -111,3 +106,4 @@ def restore_matches(
         alarm: Any = TimeoutAlarm(queries.timeouts, *rest) if len(rest) == 1 else RuleAlarm(rules, *rest)
         clock.put_back(instant, order, alarm)
     rules.store.restore(data["stored"])
+    rules.serial, rules.fired_before, rules.revs_of_nothing = data["counts"]

@@ -5,6 +5,9 @@ from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple
 
 from ...prolog.terms import Term
 
+NEVER = 1 << 100
+"""More records than there will be, and later than all instants."""
+
 WIDE = 10
 """By which factor a step between two records is wider than the others for it to be told of."""
 
@@ -28,16 +31,19 @@ class Memory:
             read-only outside of this package.
         records: the records, at the same places.
         indices: where values of an argument stand among the records, by the argument's place; see `matching`.
+        changed: how many records there were before the first whose place is another one than it was; `NEVER` where
+            all came in order since somebody has set that.
         on_wide: called with the two ends where a look-up falls between records that may be unusually far apart.
     """
 
-    __slots__ = ("size", "room", "late", "ends", "records", "indices", "on_wide", "_gone", "_next")
+    __slots__ = ("size", "room", "late", "ends", "records", "indices", "on_wide", "changed", "_gone", "_next")
 
     def __init__(self, size: int):
         self.size = size
         self.room = size + size // 4 + 16
         self.late = 0
         self._gone = 0
+        self.changed = NEVER
         self._next: Optional[Tuple[int, List[int], List[MemoryRecord]]] = None
         """What it is becoming, where that takes several steps: an interrupt may come between them."""
         self.ends: List[int] = []
@@ -61,7 +67,7 @@ class Memory:
         Args:
             since: give those only that were taken after so many.
         """
-        first = max(self.first, since - self._gone)
+        first = max(self.first, min(since - self._gone, len(self.ends)))
         return self._gone + first, self.late, self.ends[first:], self.records[first:]
 
     def restore(self, gone: int, late: int, ends: List[int], records: List[MemoryRecord]) -> None:
@@ -106,6 +112,7 @@ class Memory:
         if self.size and at <= len(ends) - self.size:
             self.late += 1
             return False
+        self.changed = min(self.changed, self._gone + at)
         self._become(self._gone, [*ends[:at], end, *ends[at:]], [*records[:at], record, *records[at:]])
         self.cut()
         return True

@@ -6,14 +6,10 @@ from typing import AbstractSet, Any, Callable, Dict, Hashable, Iterator, List, T
 from ...prolog.machine import Frame
 from ...prolog.terms import Term, Values, Var, deref, functor, is_ground, term_key
 from ..dispatch import NOBODY, Dispatcher, Stage
-from .memory import Memory, MemoryRecord
+from .memory import NEVER, Memory, MemoryRecord
 from .recording import Recording
 
 UPDATED = functor("memory_updated", 2)
-
-
-NEVER = 1 << 100
-"""Later than all instants."""
 
 
 Waiting = Tuple[Any, ...]

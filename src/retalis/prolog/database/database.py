@@ -19,6 +19,7 @@ class Database:
     Attributes:
         machine: runs them.
         generation: counts retracted clauses, for the logical update view.
+        changes: counts clauses that came or went.
         compile_after: calls of an unchanged predicate after which it is compiled.
         is_library: whether these are the predicates as the library sees them.
         interprets: whether that is `NEVER`: nothing of the program is compiled, and goals are run from their terms.
@@ -29,6 +30,7 @@ class Database:
     def __init__(self, machine: Machine, compile_after: int = COMPILE_AFTER):
         self.machine = machine
         self.generation = 0
+        self.changes = 0
         self.compile_after = compile_after
         self.interprets = compile_after >= NEVER
         self.predicates: Dict[Functor, Predicate] = {}

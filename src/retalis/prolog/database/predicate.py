@@ -35,6 +35,7 @@ class OwnDatabase(KnownDatabase, Protocol):
     """The `Database` that predicates belong to, as they know it."""
 
     generation: int
+    changes: int
     compile_after: int
 
     @property
@@ -158,6 +159,7 @@ class Predicate:
 
     def changed(self) -> None:
         """Go back to interpretation: the clauses are not what was compiled."""
+        self.database.changes += 1
         if self.compiled:
             self.compiled = self.steady = False
             self.run = self._call

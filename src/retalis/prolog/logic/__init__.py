@@ -1,6 +1,14 @@
 """The façade: a machine with its predicates, flags, operators and library."""
 
-from .keeping import KeptLogic, keep_logic, program_predicates, restore_logic
+from .keeping import (
+    KeptLogic,
+    KeptValues,
+    keep_logic,
+    keep_values,
+    program_predicates,
+    restore_logic,
+    restore_values,
+)
 from .logic import Logic
 from .recovery import go_back, mend, state_of
 from .tracing import Tracer
@@ -8,10 +16,13 @@ from .tracing import Tracer
 __all__ = [
     "go_back",
     "keep_logic",
+    "keep_values",
     "KeptLogic",
+    "KeptValues",
     "Logic",
     "program_predicates",
     "restore_logic",
+    "restore_values",
     "mend",
     "state_of",
     "Tracer",

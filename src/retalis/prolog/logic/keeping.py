@@ -17,44 +17,55 @@ KeptClauses = Tuple[Functor, Tuple[bool, bool, bool], List[Tuple[Term, Term, Opt
 
 
 class KeptLogic(NamedTuple):
-    """What a program's logic knows; what is being done at the time is no part of it.
+    """What the program says: `restore_logic` makes a logic of it.
 
     Attributes:
         operators: priority, type and name of each.
+        tabled: how tabled predicates were declared.
+        predicates: the program's.
+    """
+
+    operators: List[Tuple[int, str, str]]
+    tabled: List[Term]
+    predicates: List[KeptClauses]
+
+
+class KeptValues(NamedTuple):
+    """What goals have left beside clauses; what is being done at the time is no part of it.
+
+    Attributes:
         flags: Prolog's.
         values: the global variables.
         column: where what the program prints stands in its line.
         counted: what built-ins keep by name.
         records: of the recorded database.
-        tabled: how tabled predicates were declared.
-        predicates: the program's.
         answers: of tabled predicates, as far as they are known.
     """
 
-    operators: List[Tuple[int, str, str]]
     flags: Dict[str, Term]
     values: Dict[str, Term]
     column: int
     counted: Dict[str, Dict[Any, Any]]
     records: Any
-    tabled: List[Term]
-    predicates: List[KeptClauses]
     answers: Any
 
 
 def keep_logic(logic: Logic) -> KeptLogic:
-    """Return what a logic knows, while no goal runs."""
-    machine = logic.machine
-    return KeptLogic(
-        list(logic.operators),
+    """Return what a program says."""
+    tables = tables_of(logic.machine)
+    clauses = [_kept(one) for one in program_predicates(logic)]
+    return KeptLogic(list(logic.operators), list(tables.declared.values()), clauses)
+
+
+def keep_values(logic: Logic) -> KeptValues:
+    """Return what goals have left, while none runs."""
+    return KeptValues(
         dict(logic.flags),
         dict(logic.globals),
         logic.column,
         {name: dict(logic.state[name]) for name in _COUNTED if name in logic.state},
-        records_of(machine).kept(),
-        list(tables_of(machine).declared.values()),
-        [_kept(one) for one in list(logic.database.predicates.values()) if _is_of_program(one)],
-        tables_of(machine).kept(),
+        records_of(logic.machine).kept(),
+        tables_of(logic.machine).kept(),
     )
 
 
@@ -73,12 +84,24 @@ def _kept(one: Predicate) -> KeptClauses:
 
 
 def restore_logic(logic: Logic, kept: KeptLogic) -> None:
-    """Have a new logic know what another one knew.
+    """Have a new logic have the program of another one.
 
     Raises:
         PrologError: where it says something that no program can.
     """
     _restore_operators(logic.operators, kept.operators)
+    for declaration in kept.tabled:
+        declare_as(logic.machine, declaration)
+    for functor, marks, clauses in kept.predicates:
+        predicate = logic.database.writable(functor, "modify")
+        predicate.dynamic, predicate.discontiguous, predicate.multifile = marks
+        predicate.kind = "user"
+        for head, body, place in clauses:
+            predicate.add(Clause(predicate, head, body, place))
+
+
+def restore_values(logic: Logic, kept: KeptValues) -> None:
+    """Have a logic with the program of another one know what goals had left there."""
     logic.flags.clear()
     logic.flags.update(kept.flags)
     logic.globals.update(kept.values)
@@ -86,17 +109,8 @@ def restore_logic(logic: Logic, kept: KeptLogic) -> None:
     for name in _COUNTED:
         if name in kept.counted:
             logic.state.setdefault(name, {}).update(kept.counted[name])
-    machine = logic.machine
-    records_of(machine).restore(kept.records)
-    for declaration in kept.tabled:
-        declare_as(machine, declaration)
-    for functor, marks, clauses in kept.predicates:
-        predicate = logic.database.writable(functor, "modify")
-        predicate.dynamic, predicate.discontiguous, predicate.multifile = marks
-        predicate.kind = "user"
-        for head, body, place in clauses:
-            predicate.add(Clause(predicate, head, body, place))
-    tables_of(machine).restore(kept.answers)
+    records_of(logic.machine).restore(kept.records)
+    tables_of(logic.machine).restore(kept.answers)
 
 
 def _restore_operators(operators: Operators, kept: List[Tuple[int, str, str]]) -> None:

@@ -158,8 +158,10 @@ class Lazy:
         """Return the compound term (its arguments may be lazy in turn)."""
         made = self.made
         if made is None:
-            made = self.made = self.make(self.source)
-            self.source = None
+            source, made = self.source, self.made  # in this order: another thread may be making it
+            if made is None:
+                made = self.made = self.make(source)
+                self.source = None
         return made
 
     def __repr__(self) -> str:

@@ -1,0 +1,139 @@
+#!/usr/bin/env python3
+"""What it takes to keep an engine's state, and what is lost where the process is killed.
+
+    bench/checkpoint.py [--kills N] [--records N] [--waiting N]
+
+Prints the time and size of a snapshot and of a restart by the records in memory, the time by matches that wait, and
+what a process had lost that keeps its state in a file under full load and is killed N times at random moments: the
+time from what it goes on with to the kill. Each time what it goes on with has to be of one moment.
+"""
+
+import argparse
+import os
+import random
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import List
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(ROOT / "src"), str(ROOT / "test" / "engine")]
+
+from checkpoint_victim import GOALS, RULES  # noqa: E402
+
+from retalis import Engine, StreamClock  # noqa: E402
+from retalis.prolog.terms import atom, functor  # noqa: E402
+
+VICTIM = ROOT / "test" / "engine" / "checkpoint_victim.py"
+
+
+def figures(engine: Engine, what: str) -> None:
+    """Print the times of a snapshot and of a restart."""
+    taken, restored = [], []
+    for _ in range(3):
+        begin = time.perf_counter()
+        data = engine.snapshot()
+        taken.append(time.perf_counter() - begin)
+        begin = time.perf_counter()
+        Engine.restore(data)
+        restored.append(time.perf_counter() - begin)
+    print(
+        f"{what}: {min(taken):.3f} s, {len(data) / 1e6:.1f} MB; restored in {min(restored):.3f} s", flush=True
+    )
+
+
+def memory_of(records: int) -> Engine:
+    """Return an engine with a memory of poses."""
+    chance = random.Random(1)
+    engine = Engine(StreamClock())
+    engine.load(goals=f"memorize(tf(_, _, _, _), [], _, m, {records})")
+    pose, place, turn = functor("tf", 4), functor("v", 3), functor("q", 4)
+    draw = chance.random
+    for at in range(records):
+        term = pose(
+            atom(f"a{at % 20}"),
+            atom("b"),
+            place(draw(), draw(), draw()),
+            turn(draw(), draw(), draw(), draw()),
+        )
+        engine.event_at(term, 10**18 + at * 10**7, 10**18 + at * 10**7)
+    return engine
+
+
+def waiting(number: int) -> Engine:
+    """Return an engine in which matches wait."""
+    engine = Engine(StreamClock())
+    engine.load(rules="p(X, Y) <- a(X) seq b(X, Y).")
+    for at in range(number):
+        engine.event_at(functor("a", 1)(at), at, at)
+    return engine
+
+
+def kill_and_go_on(kills: int) -> None:
+    """Kill a process again and again; print what it had lost."""
+    chance = random.Random()
+    lost: List[float] = []
+    killed = 0.0
+    started: List[float] = []
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "goalPredicates.txt").write_text(GOALS)
+        (folder / "r.txt").write_text(RULES)
+        done: List[List[float]] = []
+        for at in range(kills + 1):
+            begin = time.time()
+            command = [sys.executable, str(VICTIM), str(folder), "0.5"]
+            process = subprocess.Popen(
+                command,
+                stdout=subprocess.PIPE,
+                text=True,
+                env={**os.environ, "PYTHONPATH": str(ROOT / "src")},
+            )
+            assert process.stdout is not None
+            if at:
+                counter, kept, added, last = map(int, process.stdout.readline().split())
+                assert counter == added == last and kept == min(500, last), "a torn state"
+                assert process.stdout.readline() == "True True\n", "a torn state"
+                started.append(time.time() - begin)
+                missed = [when for number, when in done if number > last]
+                lost.append(max(0.0, killed - min(missed)) if missed else 0.0)
+            assert process.stdout.readline() == "ready\n"
+            end = time.time() + chance.uniform(0.3, 3.0)
+            done = []
+            for line in process.stdout:
+                number, when = line.split()
+                done.append([int(number), float(when)])
+                if float(when) > end:
+                    break
+            process.kill()
+            killed = time.time()
+            process.wait()
+            process.stdout.close()
+    print(
+        f"{kills} kills: lost {statistics.median(lost):.2f} s in the middle, {max(lost):.2f} s at most; "
+        f"what was taken up was of one moment each time; a start took {statistics.median(started):.2f} s"
+    )
+
+
+def main() -> None:
+    """Measure."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--kills", type=int, default=20)
+    parser.add_argument("--records", type=int, nargs="*", default=[1_000, 10_000, 150_000])
+    parser.add_argument("--waiting", type=int, nargs="*", default=[100, 10_000])
+    options = parser.parse_args()
+    for number in options.records:
+        figures(memory_of(number), f"{number} records")
+    for number in options.waiting:
+        figures(waiting(number), f"{number} matches that wait")
+    if options.kills:
+        kill_and_go_on(options.kills)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,219 @@
+"""The state of an engine in an SQLite file, written again and again while it runs.
+
+What has not changed is not written again: the program is there once, and of memories only the records that are new.
+Each time is one transaction, in write-ahead mode: a process that is killed leaves the state of the last one.
+"""
+
+import os
+import sqlite3
+from pathlib import Path
+from typing import Any, Dict, Iterable, List, NamedTuple, Optional, Sequence, Tuple
+from zlib import crc32
+
+from ..foundation import UsageError
+from .keeping import FORMAT, LAYOUT, check_version, from_bytes
+
+APPLICATION = 0x72746C73
+"""What tells such a file from other databases of SQLite."""
+
+_TABLES = """
+CREATE TABLE IF NOT EXISTS sections (name TEXT PRIMARY KEY, data BLOB NOT NULL, checked INTEGER NOT NULL);
+CREATE TABLE IF NOT EXISTS records (memory INTEGER, first INTEGER, number INTEGER NOT NULL, data BLOB NOT NULL,
+    checked INTEGER NOT NULL, PRIMARY KEY (memory, first));
+"""
+
+_ASIDE = ".aside"
+"""What the name of a file ends in that was not taken up."""
+
+ProgramFiles = List[Tuple[str, str]]
+"""The files that a program is read from: their paths and the digests of what they say."""
+
+
+class RecordBatch(NamedTuple):
+    """Records of a memory that came one after the other.
+
+    Attributes:
+        memory: its number in the file.
+        first: how many records there were before.
+        number: how many they are.
+        data: they, as bytes.
+    """
+
+    memory: int
+    first: int
+    number: int
+    data: bytes
+
+
+class Checkpoint(NamedTuple):
+    """What a file holds.
+
+    Attributes:
+        sections: of the state, as data.
+        records: of each memory, in parts.
+        files: that the program was read from.
+        made: when it was written, in seconds since the epoch.
+    """
+
+    sections: Dict[str, Any]
+    records: List[List[Any]]
+    files: ProgramFiles
+    made: float
+
+
+class CheckpointFile:
+    """A file that a state is written to.
+
+    Args:
+        path: of the file; where there is one, it goes on to hold what it holds until `write`.
+
+    Attributes:
+        next_number: a number that no memory in the file has, and none above it.
+
+    Raises:
+        UsageError: where it cannot be written.
+    """
+
+    def __init__(self, path: Path):
+        self.path = path
+        try:
+            self._base = sqlite3.connect(str(path), isolation_level=None, check_same_thread=False)
+            self._base.execute("PRAGMA journal_mode = WAL")
+            self._base.execute("PRAGMA synchronous = NORMAL")
+            self._base.execute(f"PRAGMA application_id = {APPLICATION}")
+            self._base.executescript(_TABLES)
+            (newest,) = self._base.execute("SELECT max(memory) FROM records").fetchone()
+            self.next_number: int = 0 if newest is None else newest + 1
+        except sqlite3.Error as error:
+            raise UsageError(f"cannot write a checkpoint to {path}: {error}") from error
+
+    def write(
+        self, sections: Dict[str, bytes], batches: Iterable[RecordBatch], oldest: Dict[int, int]
+    ) -> None:
+        """Write what has changed, all of it or nothing.
+
+        Args:
+            sections: the sections that are other ones than they were.
+            batches: records; those take the place of all of their memory from the same one on.
+            oldest: of each memory that there is how many records came before the first that it still has.
+
+        Raises:
+            UsageError: where it cannot be written; the file has what it had before.
+        """
+        base = self._base
+        try:
+            base.execute("BEGIN IMMEDIATE")
+            base.executemany(
+                "INSERT OR REPLACE INTO sections VALUES (?, ?, ?)",
+                [(name, data, crc32(data)) for name, data in sections.items()],
+            )
+            for one in batches:
+                base.execute("DELETE FROM records WHERE memory = ? AND first >= ?", (one.memory, one.first))
+                base.execute("INSERT INTO records VALUES (?, ?, ?, ?, ?)", (*one, crc32(one.data)))
+            base.executemany(
+                "DELETE FROM records WHERE memory = ? AND first + number <= ?", list(oldest.items())
+            )
+            self._forget_others(oldest)
+            base.execute("COMMIT")
+        except sqlite3.Error as error:
+            if base.in_transaction:
+                base.execute("ROLLBACK")
+            raise UsageError(f"cannot write a checkpoint to {self.path}: {error}") from error
+
+    def _forget_others(self, kept: Dict[int, int]) -> None:
+        there = [memory for (memory,) in self._base.execute("SELECT DISTINCT memory FROM records")]
+        gone = [(memory,) for memory in there if memory not in kept]
+        if gone:
+            self._base.executemany("DELETE FROM records WHERE memory = ?", gone)
+
+    def close(self) -> None:
+        """Be done with the file."""
+        self._base.close()
+
+
+def read_checkpoint(path: Path) -> Optional[Checkpoint]:
+    """Return what a file holds; None where there is no file, or nothing was written to it yet.
+
+    Raises:
+        UsageError: where it is no checkpoint, is damaged, or comes from another version.
+    """
+    if not path.exists():
+        return None
+    try:
+        base = sqlite3.connect(f"file:{_quoted(path)}?mode=rw", uri=True)
+    except sqlite3.Error as error:
+        raise UsageError(f"it cannot be opened: {error}") from error
+    try:
+        return _read(base)
+    except sqlite3.Error as error:
+        raise UsageError(f"it is no checkpoint, or damaged: {error}") from error
+    finally:
+        base.close()
+
+
+def _quoted(path: Path) -> str:
+    return str(path.absolute()).replace("%", "%25").replace("?", "%3f").replace("#", "%23")
+
+
+def _read(base: sqlite3.Connection) -> Optional[Checkpoint]:
+    if base.execute("PRAGMA application_id").fetchone()[0] != APPLICATION:
+        raise UsageError("it is a database of something else")
+    found = {name: _whole(data, check) for name, data, check in base.execute("SELECT * FROM sections")}
+    if not found:
+        return None
+    about = from_bytes(found.pop("about"))
+    check_version(about["format"], about["layout"])
+    query = "SELECT data, checked FROM records WHERE memory = ? ORDER BY first"
+    records = [
+        [from_bytes(_whole(*row)) for row in base.execute(query, (number,))] for number in about["numbers"]
+    ]
+    for parts, end in zip(records, about["ends"]):
+        parts.append(end)
+    sections = {name: from_bytes(data) for name, data in found.items()}
+    return Checkpoint(sections, records, [tuple(one) for one in about["files"]], about["made"])
+
+
+def _whole(data: bytes, check: int) -> bytes:
+    if not isinstance(data, bytes) or crc32(data) != check:
+        raise UsageError("it is damaged: a part of it is not what was written")
+    return data
+
+
+def about_state(
+    files: Sequence[Tuple[str, str]], numbers: List[int], ends: List[Any], made: float
+) -> Dict[str, Any]:
+    """Return what a file says of itself.
+
+    Args:
+        files: that the program was read from.
+        numbers: of the memories in the file, in their order.
+        ends: of each memory what comes after its last record: none.
+        made: when it was written, in seconds since the epoch.
+    """
+    return {
+        "format": FORMAT,
+        "layout": LAYOUT,
+        "files": [list(one) for one in files],
+        "numbers": numbers,
+        "ends": ends,
+        "made": made,
+    }
+
+
+def put_aside(path: Path) -> Path:
+    """Rename a file that is not taken up, with what belongs to it; one that was put aside before goes.
+
+    Raises:
+        UsageError: where that is not allowed.
+    """
+    aside = Path(f"{path}{_ASIDE}")
+    try:
+        for ending in ("-wal", "-shm", ""):
+            source, target = Path(f"{path}{ending}"), Path(f"{aside}{ending}")
+            if source.exists():
+                os.replace(source, target)
+            elif target.exists():
+                target.unlink()
+    except OSError as error:
+        raise UsageError(f"cannot put {path} aside: {error.strerror}") from error
+    return aside

@@ -1,0 +1,254 @@
+"""The state of a running engine in a file."""
+
+import os
+import random
+import sqlite3
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from retalis import Reports, Settings, StreamClock
+from retalis.engine import CheckpointFile, Checkpoints, Engine, parts_of, put_aside, resume
+from retalis.foundation import UsageError
+
+from .checkpoint_victim import GOALS, RULES
+
+VICTIM = Path(__file__).with_name("checkpoint_victim.py")
+KILLS = 6
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "goalPredicates.txt").write_text(GOALS)
+    (tmp_path / "r.txt").write_text(RULES)
+    return tmp_path
+
+
+def begun(folder):
+    engine = Engine(StreamClock())
+    engine.load_program(folder)
+    engine.event("begin", 0.5)
+    return engine
+
+
+def checkpoints(engine, folder, name="state.db"):
+    return Checkpoints(engine, CheckpointFile(folder / name), folder, Reports())
+
+
+def resumed(folder, name="state.db"):
+    found = resume(folder / name, folder, StreamClock(), Settings(), Reports())
+    return None if found is None else found[0]
+
+
+def records(engine):
+    return [
+        engine.show(found["R"]) + engine.show(found["I"]) for found in engine.query("access_mem(m, R, I)")
+    ]
+
+
+def test_goes_on_from_what_was_written_last(folder):
+    engine = begun(folder)
+    kept = checkpoints(engine, folder)
+    for number in range(1, 1200):
+        engine.event(f"in({number})", number)
+        if number % 130 == 0:
+            kept.write()
+            other = resumed(folder)
+            assert records(other) == records(engine)
+            assert other.query("counter(c, X), memory_counter(m, Y)") == engine.query(
+                "counter(c, X), memory_counter(m, Y)"
+            )
+    other = resumed(folder)
+    seen = []
+    other.on_event(lambda term, start, end: seen.append(other.show(term)))
+    other.event("in(x)", 5000)
+    assert "pair(1170,x)" in seen
+    assert "n(1171)" in seen
+
+
+def test_writes_only_what_is_new(folder):
+    engine = begun(folder)
+    kept = checkpoints(engine, folder)
+    kept.write()
+    base = sqlite3.connect(str(folder / "state.db"))
+    program = base.execute("SELECT rowid, data FROM sections WHERE name = 'program'").fetchone()
+    for number in range(1, 400):
+        engine.event(f"in({number})", number)
+        if number % 20 == 0:
+            kept.write()
+    assert base.execute("SELECT rowid, data FROM sections WHERE name = 'program'").fetchone() == program
+    rows = base.execute("SELECT first, number FROM records ORDER BY first").fetchall()
+    assert rows[:3] == [(0, 20), (20, 20), (40, 20)]
+    engine.call("assertz(new(1))")
+    kept.write()
+    assert base.execute("SELECT data FROM sections WHERE name = 'program'").fetchone() != program[1:]
+    for number in range(400, 3000):
+        engine.event(f"in({number})", number)
+        if number % 200 == 0:
+            kept.write()
+    assert base.execute("SELECT count(*) FROM records").fetchone()[0] <= 12
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_late_records_deleted_memories_and_time_that_goes_back(folder, seed):
+    chance = random.Random(seed)
+    engine = begun(folder)
+    kept = checkpoints(engine, folder)
+    extra = 0
+    for number in range(1, 300):
+        engine.event(f"in({number})", max(0.6, number - chance.choice((0, 0, 0, 1, 5, 40))))
+        what = chance.randrange(40)
+        if what == 0:
+            extra += 1
+            engine.call(f"memorize(in(_), [], _, e{extra}, {chance.randrange(30)})")
+        elif what == 1 and extra:
+            engine.call(f"delete_memory(e{extra})")
+            extra -= 1
+        elif what == 2:
+            parts_of(engine).knowledge.clear()
+        elif what < 10:
+            kept.write()
+            other = resumed(folder)
+            for name in ("m", *(f"e{at}" for at in range(1, extra + 1))):
+                query = f"access_mem({name}, R, I)"
+                assert [other.show(one["R"]) for one in other.query(query)] == [
+                    engine.show(one["R"]) for one in engine.query(query)
+                ]
+
+
+def test_writes_in_the_background_and_at_the_end(folder):
+    engine = begun(folder)
+    kept = Checkpoints(engine, CheckpointFile(folder / "state.db"), folder, Reports(), 0.001)
+    kept.begin()
+    for number in range(1, 2000):
+        engine.event(f"in({number})", number)
+    kept.end()
+    assert kept.written > 1
+    assert records(resumed(folder)) == records(engine)
+
+
+def test_a_file_that_goes_on_is_whole_until_it_is_written(folder):
+    engine = begun(folder)
+    engine.event("in(1)", 2)
+    checkpoints(engine, folder).write()
+    other = resumed(folder)
+    kept = checkpoints(other, folder)
+    assert records(resumed(folder)) == records(engine)
+    other.event("in(2)", 3)
+    kept.write()
+    assert len(records(resumed(folder))) == 2
+
+
+def test_nothing_was_written(folder):
+    assert resumed(folder) is None
+    CheckpointFile(folder / "state.db")
+    assert resumed(folder) is None
+
+
+@pytest.mark.parametrize("name", ["r.txt", "goalPredicates.txt", "pub_sub.xml"])
+def test_another_program_is_refused(folder, name):
+    engine = begun(folder)
+    checkpoints(engine, folder).write()
+    (folder / name).write_text("% changed")
+    with pytest.raises(UsageError, match=f"{name} has changed since"):
+        resumed(folder)
+
+
+def test_a_program_elsewhere_is_refused(folder):
+    checkpoints(begun(folder), folder).write()
+    (folder / "other").mkdir()
+    with pytest.raises(UsageError, match="it is of another program"):
+        resume(folder / "state.db", folder / "other", StreamClock(), Settings(), Reports())
+
+
+def test_another_version_is_refused(folder, monkeypatch):
+    monkeypatch.setattr("retalis.engine.checkpoints.LAYOUT", 7)
+    checkpoints(begun(folder), folder).write()
+    with pytest.raises(UsageError, match="another version of the package"):
+        resumed(folder)
+
+
+def test_what_is_no_checkpoint_is_refused(folder):
+    (folder / "state.db").write_bytes(b"no database at all" * 100)
+    with pytest.raises(UsageError, match="no checkpoint, or damaged"):
+        resumed(folder)
+    (folder / "state.db").unlink()
+    other = sqlite3.connect(str(folder / "state.db"))
+    other.execute("CREATE TABLE x (y)")
+    other.commit()
+    other.close()
+    with pytest.raises(UsageError, match="a database of something else"):
+        resumed(folder)
+
+
+def test_what_is_damaged_is_refused(folder):
+    engine = begun(folder)
+    for number in range(1, 300):
+        engine.event(f"in({number})", number)
+    kept = checkpoints(engine, folder)
+    kept.end()
+    data = (folder / "state.db").read_bytes()
+    chance = random.Random(1)
+    refused = 0
+    for _ in range(60):
+        broken = bytearray(data)
+        at = chance.randrange(len(data))
+        broken[at : at + 40] = bytes(chance.randrange(256) for _ in range(len(broken[at : at + 40])))
+        (folder / "broken.db").write_bytes(bytes(broken))
+        try:
+            found = resumed(folder, "broken.db")
+        except UsageError:
+            refused += 1
+        else:
+            assert records(found) == records(engine)  # it was in a page that is not used
+    assert refused > 10
+
+
+def test_is_put_aside_with_what_belongs_to_it(folder):
+    kept = checkpoints(begun(folder), folder)
+    kept.write()
+    (folder / "state.db.aside").write_text("older")
+    aside = put_aside(folder / "state.db")
+    assert aside.name == "state.db.aside"
+    assert not any(name.startswith("state.db") and "aside" not in name for name in os.listdir(folder))
+    assert len(records(resumed(folder, "state.db.aside"))) == 0
+
+
+def test_what_cannot_be_written_is_said(folder):
+    with pytest.raises(UsageError, match="cannot write a checkpoint to"):
+        CheckpointFile(folder / "not_there" / "state.db")
+
+
+@pytest.mark.slow
+def test_killed_at_random(folder):
+    """The file has a state that was, at most a moment old, each time; nothing in it is of another moment."""
+    chance = random.Random(3)
+    known = before = 0
+    for at in range(KILLS + 1):
+        process = subprocess.Popen(
+            [sys.executable, str(VICTIM), str(folder)],
+            stdout=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "PYTHONPATH": str(VICTIM.parents[2] / "src")},
+        )
+        try:
+            if at:
+                counter, kept, added, last = map(int, process.stdout.readline().split())
+                assert counter == added == last
+                assert kept == min(500, last)
+                assert before <= last <= known + 5000
+                before = last
+                assert process.stdout.readline() == "True True\n"
+            assert process.stdout.readline() == "ready\n"
+            first = int(process.stdout.readline().split()[0])
+            wanted = first + chance.randrange(200, 3000)
+            for line in process.stdout:
+                known = int(line.split()[0])
+                if known >= wanted:
+                    break
+        finally:
+            process.kill()
+            process.wait()
+            process.stdout.close()

@@ -1,0 +1,106 @@
+"""Node ``retalis`` keeps its state in a file, is killed, and goes on."""
+
+import os
+import signal
+import time
+
+import pytest
+
+from retalis.engine.checkpoints import read_checkpoint
+
+RULES = "pair(X, Y) <- in(X) seq in(Y).\n"
+GOALS = "compile_event_file('rules.txt')\nmemorize(in(_), [], _, m, 5)\n"
+
+
+@pytest.fixture
+def program(tmp_path):
+    folder = tmp_path / "program"
+    folder.mkdir()
+    (folder / "pub_sub.xml").write_text("<publish_subscribe/>")
+    (folder / "goalPredicates.txt").write_text(GOALS)
+    (folder / "rules.txt").write_text(RULES)
+    return folder
+
+
+@pytest.fixture
+def node(devel, program, tmp_path):
+    """Return a function that starts the node and waits for it."""
+    devel.env["PYTHONUNBUFFERED"] = "1"
+    devel.start("rosmaster", "--core", "-p", str(devel.port))
+
+    def start():
+        before = devel.printed().count(READY)
+        words = (f"_program:={program}", f"_checkpoint:={tmp_path}/state.db", "_direct:=false")
+        process = devel.start("rosrun", "retalis", "retalis_node", *words)
+        devel.expect(lambda found, services: devel.printed().count(READY) > before)
+        devel.expect(lambda found, services: devel.pid("/retalis") is not None)
+        return process
+
+    return start
+
+
+READY = "1 event rule"
+
+
+def solutions(space, goal):
+    """Return what a query prints of its solutions."""
+    return space.run("rosservice", "call", "/retalis/query", f"{{goal: '{goal}'}}")
+
+
+def tell(space, event):
+    space.run("rostopic", "pub", "-1", "/retalisInputEvents", "std_msgs/String", f"data: 'event({event})'")
+
+
+def kill(space, process):
+    """End the node as the kernel would where memory is short."""
+    os.kill(space.pid("/retalis"), signal.SIGKILL)
+    process.wait(30)
+
+
+def written(path):
+    """Return when the state in a file was written."""
+    found = read_checkpoint(path)
+    return 0.0 if found is None else found.made
+
+
+def test_goes_on_after_it_was_killed(devel, node, tmp_path):
+    path = tmp_path / "state.db"
+    process = node()
+    devel.run(
+        "rosservice",
+        "call",
+        "/add_memory",
+        "{event: 'pair(_,_)', conditions: '', format: _, id: pairs, size: '9'}",
+    )
+    tell(devel, "in(1)")
+    devel.expect(lambda found, services: "in(1)" in solutions(devel, "access_mem(m, R, _)"))
+    now = time.time()
+    devel.expect(lambda found, services: written(path) > now)
+    kill(devel, process)
+    process = node()
+    assert f"goes on from {path}, written" in devel.printed()
+    tell(devel, "in(2)")
+    devel.expect(lambda found, services: "pair(1,2)" in solutions(devel, "access_mem(pairs, P, _)"))
+    os.kill(devel.pid("/retalis"), signal.SIGINT)
+    assert process.wait(30) == 0
+    node()
+    assert "pair(1,2)" in solutions(devel, "access_mem(pairs, P, _)")
+    assert "Traceback" not in devel.printed()
+
+
+def test_starts_fresh_where_the_program_has_changed_or_the_file_is_damaged(devel, node, program, tmp_path):
+    path = tmp_path / "state.db"
+    process = node()
+    devel.expect(lambda found, services: written(path))
+    kill(devel, process)
+    (program / "rules.txt").write_text(RULES + "% changed\n")
+    process = node()
+    assert f"{path} is not taken up: {program}/rules.txt has changed since it was written" in devel.printed()
+    assert f"The node starts fresh; the file is kept as {path}.aside" in devel.printed()
+    devel.expect(lambda found, services: path.exists() and written(path))
+    kill(devel, process)
+    for name in ("state.db-wal", "state.db-shm"):
+        (tmp_path / name).unlink()
+    path.write_bytes(b"damaged" * 1000)
+    node()
+    assert f"{path} is not taken up: it is no checkpoint, or damaged" in devel.printed()
