@@ -10,6 +10,10 @@ from xml.etree import ElementTree
 import pytest
 
 from retalis import Engine
+from retalis.engine import parts_of
+from retalis.events.checks import Overview, look_through
+from retalis.events.program import Topics
+from retalis.messages import Definitions
 from retalis.prolog.syntax import Operators, read_program
 from retalis.prolog.terms import timestamps
 
@@ -69,6 +73,28 @@ def test_rules_and_goals_in_the_pages_load(text):
     else:
         assert list(read_program(text, Operators.prolog(), "snippet"))
         engine.load(rules=text)
+
+
+PARTS = ("unread-rules", "unpublished", "never-made", "never-taken", "memories", "undefined", "retracted")
+"""What is found in a part of a program because the rest of it is not there."""
+
+
+@pytest.fixture(scope="module")
+def definitions():
+    return Definitions()
+
+
+@pytest.mark.parametrize("text", list(prolog()))
+def test_check_has_nothing_to_say_of_rules_in_the_pages(text, definitions):
+    engine = Engine()
+    if text.startswith(("memorize(", "subscribe(")):
+        engine.call_goals(text, "snippet")
+    else:
+        engine.load(rules=text)
+    parts = parts_of(engine)
+    found = look_through(Overview(parts.rules, parts.knowledge, definitions, Topics()))
+    meant = (*PARTS, "waits-for-ever") if "unrestricted" in text else PARTS  # which is what it shows
+    assert [str(one.problem) for one in found if one.check not in meant] == []
 
 
 def claims():
