@@ -8,7 +8,7 @@ from ...prolog.terms import SLASH, Atom, Functor, Term, deref, functor
 from ..knowledge import OWN_EVENTS
 from ..language import ALARMS, SYNCHRONIZED, Action
 from ..program import TOPICS
-from .near import near_functor
+from .near import NearFunctors
 from .overview import Overview, is_open
 from .written import key_of
 
@@ -124,6 +124,7 @@ def _named(head: Any) -> Iterator[Functor]:
 def never_made(program: Overview) -> Iterator[RuleError]:
     """Yield what is waited for and never comes."""
     made = MadeEvents(program)
+    nearby = NearFunctors()
     from_outside = not (program.topics.subscribed or program.topics.published)
     seen: Set[Functor] = set()
     for inner, who in program.patterns():
@@ -136,7 +137,7 @@ def never_made(program: Overview) -> Iterator[RuleError]:
         if kind is not None and (program.definition(kind) is None or _wrong_slots(program, kind, key)):
             continue  # said by the check of messages
         seen.add(key)
-        nearest = near_functor(key, made.keys)
+        nearest = nearby.of(key, made.keys)
         if kind is not None:
             yield RuleError(f"{who}{_no_topic(program, key, kind)}", inner.place)
         elif nearest or not from_outside:
@@ -172,7 +173,7 @@ def without_maker(program: Overview, pattern: Term) -> str:
     if key is None or key is _NO_EVENT or key is _REV or program.type_of(key.name) is not None:
         return ""
     made = MadeEvents(program)
-    return "" if key in made else _nothing(key, near_functor(key, made.keys))
+    return "" if key in made else _nothing(key, NearFunctors().of(key, made.keys))
 
 
 def never_taken(program: Overview) -> Iterator[RuleError]:
@@ -180,6 +181,7 @@ def never_taken(program: Overview) -> Iterator[RuleError]:
     taken = None if program.observed else _taken(program)
     if taken is None:
         return
+    nearby = NearFunctors()
     seen: Set[Functor] = set()
     for rule in program.rules:
         head = made_by(rule.definition.head)
@@ -190,18 +192,18 @@ def never_taken(program: Overview) -> Iterator[RuleError]:
             continue
         seen.add(key)
         place = rule.spot(head) if deref(head).__class__ is tuple else rule.definition.place
-        yield RuleError(_nobody(key, taken), place)
+        yield RuleError(_nobody(key, taken, nearby), place)
     for inner in program.calls():
         term = inner.term
         if term.__class__ is tuple and term[0] in NEW_EVENT and term[0].name == "new_event":
             key = key_of(term[1])
             if key is not None and key not in taken and key not in seen:
                 seen.add(key)
-                yield RuleError(_nobody(key, taken), inner.place)
+                yield RuleError(_nobody(key, taken, nearby), inner.place)
 
 
-def _nobody(key: Functor, taken: FrozenSet[Functor]) -> str:
-    nearest = near_functor(key, taken)
+def _nobody(key: Functor, taken: FrozenSet[Functor], nearby: NearFunctors) -> str:
+    nearest = nearby.of(key, taken)
     hint = f"; did you mean {nearest}?" if nearest else ": no rule, memory or subscription"
     return f"nothing takes {key}{hint}"
 

@@ -8,6 +8,9 @@ from ...prolog.terms import Functor
 _MOST = 2000
 """Names among which one is looked for."""
 
+COMPARISONS = 40_000
+"""Names that a check compares; about a second."""
+
 
 def near(name: str, names: Iterable[str], alike: float = 0.66) -> str:
     """Return the name that is most like another, or ""."""
@@ -21,12 +24,19 @@ def meant(name: str, names: Iterable[str], alike: float = 0.66) -> str:
     return f"; did you mean {found}?" if found else ""
 
 
-def near_functor(key: Functor, keys: Iterable[Functor]) -> str:
-    """Return the functor that was probably meant: of the same name, or of one that is like it; or ""."""
-    known = list(keys)
-    same = [one for one in known if one.name == key.name and one is not key]
-    if same:
-        return str(min(same, key=lambda one: abs(one.arity - key.arity)))
-    name = near(key.name, [one.name for one in known])
-    of_name = [one for one in known if one.name == name]
-    return str(min(of_name, key=lambda one: abs(one.arity - key.arity))) if of_name else ""
+class NearFunctors:
+    """Finds the functors that were probably meant by others, until that has taken its time."""
+
+    def __init__(self) -> None:
+        self._left = COMPARISONS
+
+    def of(self, key: Functor, keys: Iterable[Functor]) -> str:
+        """Return the functor that was probably meant: of the same name, or of one that is like it; or ""."""
+        known = list(keys)
+        same = [one for one in known if one.name == key.name and one is not key]
+        if not same:
+            names = list(dict.fromkeys(one.name for one in known))[:_MOST]
+            self._left -= len(names)
+            name = near(key.name, names) if self._left >= 0 else ""
+            same = [one for one in known if one.name == name]
+        return str(min(same, key=lambda one: abs(one.arity - key.arity))) if same else ""

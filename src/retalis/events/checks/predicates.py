@@ -5,7 +5,7 @@ from typing import Any, Dict, Iterator, List, Optional, Set
 from ...foundation import RuleError
 from ...prolog.terms import COMMA, CONS, SLASH, Atom, Functor, Term, Var, deref, functor
 from ..language import SPELLINGS, calls
-from .near import near_functor
+from .near import NearFunctors
 from .overview import Overview
 from .written import NECK, Inner, WrittenTerm, key_of
 
@@ -98,16 +98,21 @@ def undefined(program: Overview) -> Iterator[RuleError]:
             ):
                 continue
             said[key] = None
-            known = program.logic.similar(key)
+            known = program.logic.similar(key) if len(said) <= _MOST_HINTS else []
             hint = f"; did you mean {' or '.join(known)}?" if known else ""
             yield RuleError(
                 f"there is no predicate {key}{hint or ': define it, or assert facts of it'}", inner.place
             )
 
 
+_MOST_HINTS = 100
+"""Predicates that are not there for which one that is like it is looked for."""
+
+
 def retracted(program: Overview) -> Iterator[RuleError]:
     """Yield what is retracted, and read, but never asserted."""
     defined = _Defined(program)
+    nearby = NearFunctors()
     said: Set[Functor] = set()
     for inner in program.calls():
         term = inner.term
@@ -117,7 +122,7 @@ def retracted(program: Overview) -> Iterator[RuleError]:
         if program.logic.defines(key) and not _is_empty(program, key):
             continue
         said.add(key)
-        nearest = near_functor(key, defined.keys)
+        nearest = nearby.of(key, defined.keys)
         hint = f"; did you mean {nearest}?" if nearest else ""
         yield RuleError(f"nothing asserts {key}, so there is never one to retract{hint}", inner.place)
 
