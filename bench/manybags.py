@@ -137,6 +137,12 @@ def one_by_one(bags: Path, results: Path) -> Dict[str, Any]:
     return {"seconds": time.monotonic() - began, "status": status, "kills": 0, "said": ""}
 
 
+def processor() -> float:
+    """Return the seconds of processor time that all processes started from here have taken, when they have ended."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
 def same(results: Path, expected: Path) -> int:
     """Return how many results are those expected; -1 where there is something else besides."""
     names = sorted(path.name for path in expected.iterdir())
@@ -169,19 +175,21 @@ def main(given: Optional[List[str]] = None) -> int:
             make_bag(bags / f"{number:04}.bag", options.seconds, number)
         for case in ("one-by-one", *(case for case in options.cases if case != "one-by-one")):
             results = Path(folder) / case
+            before = processor()
             row = rows[case] = run(case, bags, results, options.kill_every)
+            row["processor"] = processor() - before
             row["same"] = same(results, Path(folder) / "one-by-one")
             row["load"] = os.getloadavg()[0]
             row["again"] = row["said"].count("; it is played again")
             good = good and row["status"] == 0 and row["same"] == options.bags
             print(
                 f"{CASES[case][0]:22} {row['seconds']:6.1f} s  {options.bags / row['seconds']:5.2f} bags/s  "
+                f"{row['processor']:6.1f} s of processor time  "
                 f"{row['same']} the same  {row['kills']} killed  {row['again']} told of as played again  "
                 f"status {row['status']}  load {row['load']:.1f}",
                 flush=True,
             )
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    print(f"{used.ru_utime + used.ru_stime:.0f} s of processor time; {machine()}")
+    print(machine())
     if options.json:
         figures = {"machine": machine(), "bags": options.bags, "seconds": options.seconds, "rows": rows}
         options.json.write_text(json.dumps(figures, indent=1) + "\n")
