@@ -1,5 +1,6 @@
 """What happens in a run over a bag, as plain records that turn into JSON: for files, and for pictures of it."""
 
+from itertools import islice
 from typing import Callable, Dict, List, NamedTuple, Union
 
 from ...events.knowledge import OF_MEMORIES
@@ -55,7 +56,7 @@ class RunLook:
         if not self._waits and not len(waiting):
             return
         now = int(self._now())
-        there = {one[0]: one for one in waiting.all()[:MOST_WAITING]}
+        there = {one[0]: one for one in islice(waiting, MOST_WAITING)}
         for order in [one for one in self._waits if one not in there]:
             self._end(self._waits.pop(order), now)
         for order, (_, question, values, _, _, missing) in there.items():
