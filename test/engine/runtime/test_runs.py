@@ -333,3 +333,17 @@ def _loop(node, draw, loops, is_late):
         begun = max(place for place, one in enumerate(["run", *node.taken]) if one == "run")
         assert node.taken.count("run") == run
         assert node.taken[begun:] == [at(tenth) for tenth in range(60)]
+
+
+def test_an_error_where_a_run_begins_keeps_neither_others_nor_messages_back():
+    node, told = Node(), []
+
+    def fails(end):
+        raise ValueError("not now")
+
+    node.runs.begin([threading.Lock()], fails, told.append)
+    node.clock(100)
+    node.clock(10)
+    node.wall += 60
+    node.runs.step()
+    assert (len(told), node.reports.errors, node.runs.holding) == (1, 1, False)

@@ -216,10 +216,17 @@ class ClockRuns:
                 self.run = times
                 self.since = self._wall()
                 self._not_before = 0.0
-                for began in self._began:
-                    began(end)
+                self._tell(end)
                 self._release()
             return max(0.0, self._until - now) if self.holding else None
+
+    def _tell(self, end: int) -> None:
+        """Call all that wants to know that a run begins: what fails keeps neither the others nor messages back."""
+        for began in self._began:
+            try:
+                began(end)
+            except Exception as error:  # of whatever kind: it is not ours
+                self._reports.error(error)
 
     def _behind(self, times: int) -> List[object]:
         """Return those who send texts and have not told of the run that begins."""
