@@ -1,14 +1,16 @@
 #!/usr/bin/env python3
 """What it takes to keep an engine's state, and what is lost where the process is killed.
 
-    bench/checkpoint.py [--kills N] [--records N] [--waiting N]
+    bench/checkpoint.py [--kills N] [--records N ...] [--waiting N ...] [--seconds N]
 
 Prints the time and size of a snapshot and of a restart by the records in memory, the time by matches that wait, and
-what a process had lost that keeps its state in a file under full load and is killed N times at random moments: the
-time from what it goes on with to the kill. Each time what it goes on with has to be of one moment.
+what keeping the state costs while the NAO's program takes 1,900 messages a second into full memories. Then a process
+that keeps its state in a file under full load is killed N times at random moments. What it had lost is the time from
+what it goes on with to the kill; each time what it goes on with has to be of one moment.
 """
 
 import argparse
+import itertools
 import os
 import random
 import statistics
@@ -24,9 +26,17 @@ sys.path[:0] = [str(ROOT / "src"), str(ROOT / "test" / "engine")]
 
 from checkpoint_victim import GOALS, RULES  # noqa: E402
 
-from retalis import Engine, StreamClock  # noqa: E402
+from retalis import Engine, Reports, StreamClock  # noqa: E402
+from retalis.engine import CheckpointFile, Checkpoints  # noqa: E402
 from retalis.prolog.terms import atom, functor  # noqa: E402
 
+JOINTS = (
+    ("/odom", "/base_link"),
+    ("base_link", "torso"),
+    ("torso", "Neck"),
+    ("Neck", "Head"),
+    ("Head", "CameraTop_frame"),
+)
 VICTIM = ROOT / "test" / "engine" / "checkpoint_victim.py"
 
 
@@ -70,6 +80,44 @@ def waiting(number: int) -> Engine:
     for at in range(number):
         engine.event_at(functor("a", 1)(at), at, at)
     return engine
+
+
+def keep_while_running(seconds: float) -> None:
+    """Print what it costs to keep the NAO's program's state twice a second, and how long the engine is held up."""
+    program = ROOT / "application_source"
+    engine = Engine(StreamClock())
+    engine.load_program(program)
+    with tempfile.TemporaryDirectory() as folder:
+        kept = Checkpoints(engine, CheckpointFile(Path(folder) / "state.db"), program, Reports(), 0.5)
+        instants = itertools.count()
+
+        def take(messages: int) -> None:
+            for _, (parent, child) in zip(range(messages), itertools.cycle(JOINTS)):
+                engine.post_text(f"event({message(parent, child, next(instants))})")
+
+        take(5 * 2500)
+        kept.write()
+        costs, held = [], []
+        for _ in range(max(1, round(2 * seconds))):
+            take(950)
+            kept.longest = 0.0
+            begin = time.process_time()
+            kept.write()
+            costs.append(time.process_time() - begin)
+            held.append(kept.longest)
+    print(
+        f"1,900 messages a second: {200 * statistics.mean(costs):.1f} % of a core, "
+        f"held up for {1e3 * statistics.median(held):.1f} ms in the middle, {1e3 * max(held):.1f} ms at most"
+    )
+
+
+def message(parent: str, child: str, number: int) -> str:
+    """Return a message with one transform, as text."""
+    stamp = f"[{1000 + number // 1000},{number % 1000 * 1_000_000}]"
+    place, turn = "geometry_msgs__0__Vector3(0.1,0.2,0.3)", "geometry_msgs__0__Quaternion(0.0,0.0,0.0,1.0)"
+    head = f"std_msgs__0__Header(0,{stamp},'\"{parent}\"')"
+    move = f"geometry_msgs__0__Transform({place},{turn})"
+    return f"tf__0__tfMessage([geometry_msgs__0__TransformStamped({head},'\"{child}\"',{move})])"
 
 
 def kill_and_go_on(kills: int) -> None:
@@ -125,12 +173,15 @@ def main() -> None:
     )
     parser.add_argument("--kills", type=int, default=20)
     parser.add_argument("--records", type=int, nargs="*", default=[1_000, 10_000, 150_000])
+    parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--waiting", type=int, nargs="*", default=[100, 10_000])
     options = parser.parse_args()
     for number in options.records:
         figures(memory_of(number), f"{number} records")
     for number in options.waiting:
         figures(waiting(number), f"{number} matches that wait")
+    if options.seconds:
+        keep_while_running(options.seconds)
     if options.kills:
         kill_and_go_on(options.kills)
 

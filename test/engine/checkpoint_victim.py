@@ -41,7 +41,8 @@ def main(folder, every="0.02"):
         engine.event(f"in({first + 1})")
         print(f"pair({last},{last + 1})" in seen or not last, f"n({last + 1})" in seen, flush=True)
         first += 1
-    kept = Checkpoints(engine, CheckpointFile(path), folder, reports, float(every))
+    files = None if found is None else found[1].files
+    kept = Checkpoints(engine, CheckpointFile(path), folder, reports, float(every), files)
     kept.begin()
     print("ready", flush=True)
     for number in range(first + 1, 10_000_000):

@@ -5,6 +5,7 @@ import random
 import sqlite3
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
@@ -35,6 +36,12 @@ def begun(folder):
 
 def checkpoints(engine, folder, name="state.db"):
     return Checkpoints(engine, CheckpointFile(folder / name), folder, Reports())
+
+
+def listened(engine):
+    said = []
+    engine.on_event(lambda term, start, end: said.append(engine.show(term)))
+    return said
 
 
 def resumed(folder, name="state.db"):
@@ -74,6 +81,7 @@ def test_writes_only_what_is_new(folder):
     kept.write()
     base = sqlite3.connect(str(folder / "state.db"))
     program = base.execute("SELECT rowid, data FROM sections WHERE name = 'program'").fetchone()
+    clauses = base.execute("SELECT data FROM sections WHERE name = 'clauses'").fetchone()
     for number in range(1, 400):
         engine.event(f"in({number})", number)
         if number % 20 == 0:
@@ -83,7 +91,7 @@ def test_writes_only_what_is_new(folder):
     assert rows[:3] == [(0, 20), (20, 20), (40, 20)]
     engine.call("assertz(new(1))")
     kept.write()
-    assert base.execute("SELECT data FROM sections WHERE name = 'program'").fetchone() != program[1:]
+    assert base.execute("SELECT data FROM sections WHERE name = 'clauses'").fetchone() != clauses
     for number in range(400, 3000):
         engine.event(f"in({number})", number)
         if number % 200 == 0:
@@ -142,6 +150,8 @@ def test_a_file_that_goes_on_is_whole_until_it_is_written(folder):
 
 
 def test_nothing_was_written(folder):
+    assert resumed(folder) is None
+    (folder / "state.db").touch()
     assert resumed(folder) is None
     CheckpointFile(folder / "state.db")
     assert resumed(folder) is None
@@ -211,9 +221,11 @@ def test_is_put_aside_with_what_belongs_to_it(folder):
     kept.write()
     (folder / "state.db.aside").write_text("older")
     aside = put_aside(folder / "state.db")
-    assert aside.name == "state.db.aside"
+    assert aside.name == "state.db.aside2"
     assert not any(name.startswith("state.db") and "aside" not in name for name in os.listdir(folder))
-    assert len(records(resumed(folder, "state.db.aside"))) == 0
+    assert len(records(resumed(folder, "state.db.aside2"))) == 0
+    with pytest.raises(UsageError, match="is no file"):
+        put_aside(folder)
 
 
 def test_what_cannot_be_written_is_said(folder):
@@ -252,3 +264,99 @@ def test_killed_at_random(folder):
             process.kill()
             process.wait()
             process.stdout.close()
+
+
+def test_another_process_with_the_file_ends_the_first(folder, caplog):
+    one, two = begun(folder), begun(folder)
+    first = checkpoints(one, folder)
+    first.write()
+    second = checkpoints(two, folder)
+    two.event("in(2)", 2)
+    second.write()
+    one.event("in(1)", 1)
+    with pytest.raises(UsageError, match="another process keeps its state in"):
+        first.write()
+    first.end()
+    assert "this one does no more" in caplog.text
+    assert records(resumed(folder)) == records(two)
+
+
+def test_records_that_are_missing_are_noticed(folder):
+    engine = begun(folder)
+    kept = checkpoints(engine, folder)
+    for number in range(1, 4):
+        engine.event(f"in({number})", number)
+        kept.write()
+    base = sqlite3.connect(str(folder / "state.db"))
+    base.execute("DELETE FROM records WHERE first = 0")
+    base.commit()
+    with pytest.raises(UsageError, match="records of a memory are missing"):
+        resumed(folder)
+
+
+def test_a_program_that_was_edited_and_not_read_is_another_one(folder):
+    engine = begun(folder)
+    kept = checkpoints(engine, folder)
+    (folder / "r.txt").write_text(RULES + "% more\n")
+    engine.call("assertz(new(1))")
+    kept.write()
+    with pytest.raises(UsageError, match=r"r\.txt has changed since it was read"):
+        resumed(folder)
+    engine.reload(folder)
+    kept.write()
+    assert resumed(folder).query("new(X)") == [{"X": 1}]
+
+
+def test_an_error_of_any_kind_is_reported_and_the_next_time_comes(folder, monkeypatch, caplog):
+    engine = begun(folder)
+    kept = checkpoints(engine, folder)
+    with monkeypatch.context() as patched:
+        patched.setattr(kept, "write", lambda: 1 // 0)
+        kept.end()
+    assert "division" in caplog.text
+
+
+def test_the_end_does_not_wait_for_an_engine_without_end(folder, monkeypatch):
+    monkeypatch.setattr("retalis.engine.checkpointing.PATIENCE", 0.1)
+    engine = begun(folder)
+    kept = checkpoints(engine, folder)
+    going, stopped = threading.Event(), threading.Event()
+
+    def hold(term, start, end):
+        going.set()
+        stopped.wait(60)
+
+    engine.on_event(hold)
+    thread = threading.Thread(target=engine.event, args=("x", 9))
+    thread.start()
+    going.wait(60)
+    kept.begin()
+    kept.end()
+    stopped.set()
+    thread.join()
+
+
+def test_what_is_asked_meanwhile_binds_nothing_that_is_kept(folder):
+    """Asking why unifies with the terms of rules for a while."""
+    engine = begun(folder)
+    engine.call("set_etalis_flag(etalis_justification, on)")
+    kept = checkpoints(engine, folder)
+    asked = threading.Event()
+
+    def ask():
+        for number in range(60):
+            engine.query(f"justify_event(out(x{number}), _, _)")
+        asked.set()
+
+    thread = threading.Thread(target=ask)
+    thread.start()
+    while True:
+        engine.call("assertz(new(1))")
+        kept.write()
+        if asked.is_set():
+            break
+    thread.join()
+    other = resumed(folder)
+    said = listened(other)
+    other.event("in(7)", 50)
+    assert "out(7)" in said

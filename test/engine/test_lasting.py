@@ -4,9 +4,10 @@ import random
 
 import pytest
 
-from retalis import Engine, Settings, StreamClock, foreign
+from retalis import Engine, PrologError, Settings, StreamClock, foreign
 from retalis.engine import Engine as Whole
 from retalis.engine import parts_of
+from retalis.engine.explaining import record_origins
 from retalis.foundation import UsageError
 from retalis.prolog.terms import functor, make_list, variables
 
@@ -310,3 +311,64 @@ def test_what_is_damaged_is_refused_and_nothing_else_happens():
     with pytest.raises(UsageError, match="more of it"):
         Engine.restore(data + b"x")
     assert isinstance(Engine.restore(data), Whole)
+
+
+def test_a_memory_of_no_records_knows_how_far_it_is():
+    one = Engine()
+    one.load(rules="synchronized(got(X), true, [[m, 2]]) <- ask(X).", goals="memorize(a, [], _, m, 0)")
+    one.event("a", 3)
+    other = listened(Engine.restore(one.snapshot()))
+    other.event("ask(1)", 4)
+    assert "got(1)" in [said[0] for said in other.said]
+
+
+def test_a_query_whose_other_memory_was_deleted():
+    one = Engine()
+    one.load(
+        rules="synchronized(got(X), true, [[m, 5], [n, 5]]) <- ask(X).",
+        goals="memorize(a, [], _, m, 9)\nmemorize(b, [], _, n, 9)",
+    )
+    feed(one, ["ask(1)"], 1)
+    feed(one, ["b"], 6)
+    assert one.call("delete_memory(n)")
+    other = Engine.restore(one.snapshot())
+    for engine in (one, other):
+        feed(listened(engine), ["a"], 7)
+    assert other.said == one.said
+    assert other.said
+
+
+@pytest.mark.parametrize(
+    "rules",
+    [":- dynamic p/1.", ":- discontiguous p/1.", ":- multifile p/1.", ":- dynamic p/1.\np(1).", "p(1)."],
+)
+def test_predicates_are_as_defined_as_they_were(rules):
+    def outcome(engine):
+        try:
+            return engine.call("p(1)")
+        except PrologError as error:
+            return error.message
+
+    one = Engine()
+    one.load_rules(rules)
+    assert outcome(Engine.restore(one.snapshot())) == outcome(one)
+
+
+def test_flags_that_settings_give_are_those_of_the_new_engine():
+    one = Engine(settings=Settings(max_gap=5.0))
+    assert Engine.restore(one.snapshot()).query("get_etalis_flag(max_gap, X)") == [{"X": -1}]
+    record_origins(one)
+    one.event("a", 1)
+    assert not parts_of(Engine.restore(one.snapshot())).rules.mode.tracked
+
+
+def test_topics_are_subscribed_once():
+    one = Engine()
+    asked = []
+    parts_of(one).input_topics.begin(asked.append, plain=lambda topic: "/" + topic.lstrip("/"))
+    one.call("subscribe_to('/scan', 'std_msgs/String')")
+    other = Engine.restore(one.snapshot())
+    again = []
+    parts_of(other).input_topics.begin(again.append, plain=lambda topic: "/" + topic.lstrip("/"))
+    other.call("subscribe_to('/scan', 'std_msgs/String')")
+    assert again == asked

@@ -19,6 +19,9 @@ ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "examples" / "fleet"
 PAGE = ROOT / "docs" / "fleet.md"
 
+ALSO = os.environ.get("PYTHONPATH", "")
+"""Where the tests' own packages may be, which the page knows nothing of."""
+
 FENCED = re.compile(r"<!-- ([\w.]+) -->\n```\w*\n(.*?)```", re.DOTALL)
 
 DYING = """
@@ -81,7 +84,7 @@ def run(folder, *arguments, stdin=os.devnull):
         return subprocess.run(
             [sys.executable, *map(str, arguments)],
             cwd=folder,
-            env={**os.environ, "PYTHONPATH": str(ROOT / "src")},
+            env={**os.environ, "PYTHONPATH": f"{ROOT / 'src'}:{ALSO}"},
             stdin=lines,
             capture_output=True,
             text=True,
@@ -95,7 +98,11 @@ def shell(folder, *commands):
         if not (folder / name).exists():
             (folder / name).symlink_to(ROOT / name)
     script = "\n".join(
-        [f'python3() {{ {shlex.quote(sys.executable)} "$@"; }}', "set -eo pipefail", *commands]
+        [
+            f'python3() {{ PYTHONPATH="$PYTHONPATH:"{shlex.quote(ALSO)} {shlex.quote(sys.executable)} "$@"; }}',
+            "set -eo pipefail",
+            *commands,
+        ]
     )
     done = subprocess.run(["bash", "-c", script], cwd=folder, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stdout + done.stderr

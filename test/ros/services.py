@@ -155,7 +155,7 @@ class Services(unittest.TestCase):
 
     def test_a_topic_without_a_type_is_warned_of(self):
         log = Collector("/rosout", Log)
-        wait_until(log.connected, "the log")
+        wait_until(lambda: "/retalis" in log.publishers(), "the log")
         self.assertEqual(self.add_subscription("u(_)", "", "_", "nothing/there", "u").result, "ok")
         log.wait_for(
             lambda messages: any("topic nothing/there has no type" in m.msg for m in messages), "the warning"
@@ -164,7 +164,7 @@ class Services(unittest.TestCase):
 
     def test_a_memory_that_can_record_nothing_is_warned_of(self):
         told = Collector("/rosout", Log)
-        wait_until(told.connected, "the log")
+        wait_until(lambda: "/retalis" in told.publishers(), "the log")
         self.assertEqual(self.add_memory("v(X)", "no_such(X)", "kept(Y)", "odd", "2").result, "ok")
         for text in ("memory odd: there is no predicate no_such/1 yet", "gives Y in the format a value"):
             told.wait_for(lambda messages, text=text: any(text in one.msg for one in messages), text)
@@ -211,7 +211,7 @@ class Services(unittest.TestCase):
     def test_names_of_types_run_nothing(self):
         harm = Path(tempfile.mkdtemp()) / "harm"
         told = Collector("/rosout", Log)
-        wait_until(told.connected, "the log")
+        wait_until(lambda: "/retalis" in told.publishers(), "the log")
         for kind in (
             f'a/b:=__import__("os").system("touch {harm}")',
             f"a/b(__import__('os').system('touch {harm}'))",

@@ -2,6 +2,7 @@
 
 import socket
 import threading
+import time
 from struct import pack, unpack_from
 from types import SimpleNamespace
 
@@ -316,6 +317,9 @@ def test_texts_go_out_together_in_order(outlet, link, monkeypatch):
     with turn:
         it.flush()
     assert link.other.recv(100) == text_frame("a") + pack("<II", 6, 2) + b"b\xff"
+    end = time.monotonic() + 20
+    while link.stat_num_msg != 2 and time.monotonic() < end:  # it is counted after it was sent
+        time.sleep(0.01)
     assert link.stat_num_msg == 2
     monkeypatch.setattr(texts, "MOST", 2)
     with turn:

@@ -4,7 +4,7 @@ from .asking import ask, await_memories
 from .callbacks import OnEvent, OnOutput
 from .checking import check_program, never_comes
 from .checkpointing import Checkpoints, resume
-from .checkpoints import Checkpoint, CheckpointFile, put_aside
+from .checkpoints import Checkpoint, CheckpointFile, ProgramFiles, put_aside
 from .core import parts_of
 from .engine import Engine
 from .inputtopics import MOST_TOPICS, AskedTopic, InputTopics, by_name
@@ -42,6 +42,7 @@ __all__ = [
     "OnOutput",
     "never_comes",
     "parts_of",
+    "ProgramFiles",
     "put_aside",
     "resume",
     "RuleStatus",

@@ -9,15 +9,24 @@ from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tu
 
 from ..events.knowledge import Instance
 from ..events.program import GOALS, TOPICS
-from ..foundation import RetalisError, UsageError
+from ..foundation import UsageError
 from ..messages import Definitions
-from .checkpoints import Checkpoint, CheckpointFile, ProgramFiles, RecordBatch, about_state, read_checkpoint
+from .checkpoints import (
+    Checkpoint,
+    CheckpointFile,
+    FileTaken,
+    ProgramFiles,
+    RecordBatch,
+    about_state,
+    read_checkpoint,
+)
 from .core import parts_of
 from .engine import Engine
 from .keeping import NewRecords, keep_records, new_records, to_bytes
 from .ownfiles import REQUEST
 from .runtime import Clock, Reports
 from .settings import Settings
+from .standing import Standing
 from .states import StateKeeper, checked
 
 EVERY = 0.5
@@ -28,6 +37,9 @@ SHARE = 20
 
 MOST = 200
 """Records that are made to bytes in one step, while no other thread of Python runs."""
+
+PATIENCE = 5.0
+"""Seconds that the end of a node waits for the last time."""
 
 NEVER = 1 << 100
 """As `Memory.changed` is where nothing has changed."""
@@ -49,6 +61,7 @@ class Checkpoints:
         program: the program's folder.
         reports: takes what goes wrong.
         every: seconds from one time to the next.
+        files: that the program was read from, where the engine goes on from a checkpoint.
 
     Attributes:
         written: how many times it has been written.
@@ -56,7 +69,13 @@ class Checkpoints:
     """
 
     def __init__(
-        self, engine: Engine, file: CheckpointFile, program: Path, reports: Reports, every: float = EVERY
+        self,
+        engine: Engine,
+        file: CheckpointFile,
+        program: Path,
+        reports: Reports,
+        every: float = EVERY,
+        files: Optional[ProgramFiles] = None,
     ):
         self._engine = engine
         self._file = file
@@ -66,40 +85,56 @@ class Checkpoints:
         self._keeper = StateKeeper(engine)
         self._memories: Dict[Instance, _InFile] = {}
         self._numbers = count(file.next_number)
-        self._files: ProgramFiles = []
+        self._standings: List[Standing] = []
+        self._files: Dict[str, str] = {}
+        if files is not None:
+            self._standings = list(parts_of(engine).programs.values())
+            self._files = dict(files)
         self._ending = threading.Event()
-        self._turn = threading.Lock()
         self._thread = threading.Thread(target=self._run, name="checkpoints", daemon=True)
         self.written = 0
         self.longest = 0.0
+        self._look_at_files()
 
     def begin(self) -> None:
         """Write from now on, in a thread of its own."""
         self._thread.start()
 
     def end(self) -> None:
-        """Write once more, and no more after that."""
+        """Write once more, and no more after that; an engine that is at work without end is not waited for."""
         self._ending.set()
-        if self._thread.is_alive():
-            self._thread.join()
-        self._write()
-        self._file.close()
+        if self._thread.ident is None:
+            self._finish()
+        else:
+            self._thread.join(PATIENCE)
 
     def _run(self) -> None:
         wait = 0.0
         while not self._ending.wait(wait):
             begin = time.monotonic()
-            self._write()
+            if not self._write():
+                return
             wait = max(self._every, SHARE * (time.monotonic() - begin))
+        self._finish()
 
-    def _write(self) -> None:
+    def _finish(self) -> None:
         try:
-            with self._turn:
-                self.write()
-        except RetalisError as error:
+            self._write()
+        finally:
+            self._file.close()
+
+    def _write(self) -> bool:
+        """Write, report what goes wrong, and tell whether to go on."""
+        try:
+            self.write()
+        except (
+            Exception
+        ) as error:  # whatever it is, the next time may be better, and nobody else would say it
             self._keeper = StateKeeper(self._engine)  # what has changed is not known any more
             self._memories = {}
             self._reports.error(error)
+            return not isinstance(error, FileTaken)
+        return True
 
     def write(self) -> None:
         """Write what has changed since the last time.
@@ -109,23 +144,34 @@ class Checkpoints:
         """
         parts = parts_of(self._engine)
         found = parts.runner.call(lambda: parts.dispatcher.undisturbed(self._take), (REQUEST,))
-        sections, program, records = found
-        if program is not None:
-            self._files = program_files(self._program, program["network"]["loaded"])
-            sections["program"] = to_bytes(program)
+        sections, clauses, records = found
+        if clauses is not None:
+            sections["clauses"] = to_bytes(clauses)
+        self._look_at_files()
         batches = [batch for number, new in records for batch in _batches(number, new)]
-        ends = [keep_records(new.end()) for _, new in records]
-        about = about_state(self._files, [number for number, _ in records], ends, time.time())
-        sections["about"] = to_bytes(about)
+        memories = [(number, new.oldest, keep_records(new.end())) for number, new in records]
+        sections["about"] = to_bytes(about_state(list(self._files.items()), memories, time.time()))
         self._file.write(sections, batches, {number: new.oldest for number, new in records})
         self.written += 1
+
+    def _look_at_files(self) -> None:
+        """Note what files say when they are read: all where the program was loaded or read again, else new ones."""
+        parts = parts_of(self._engine)
+        standings = list(parts.programs.values())
+        if len(standings) != len(self._standings) or any(
+            one is not other for one, other in zip(standings, self._standings)
+        ):
+            self._standings, self._files = standings, {}
+        names = own_files(self._program, [str(path) for path in list(parts.rules.files.loaded)])
+        if any(name not in self._files for name in names):
+            self._files = {name: self._files.get(name) or digest(name) for name in names}
 
     def _take(self) -> "Tuple[Dict[str, bytes], Any, List[Tuple[int, NewRecords]]]":
         """Take what has changed, while nothing else is done."""
         begin = time.monotonic()
         found = self._keeper.take(whole=False)
-        program = found.pop("program", None)
-        # What goals bind for a while has to be made to bytes before any goes on; clauses and records are copied.
+        clauses = found.pop("clauses", None)
+        # What is bound for a while has to be made to bytes before anybody goes on; clauses and records never are.
         sections = {name: to_bytes(data) for name, data in found.items()}
         memories: Dict[Instance, _InFile] = {}
         records = []
@@ -139,7 +185,7 @@ class Checkpoints:
             records.append((number, new_records(instance, since)))
         self._memories = memories
         self.longest = max(self.longest, time.monotonic() - begin)
-        return sections, program, records
+        return sections, clauses, records
 
 
 def _batches(number: int, new: NewRecords) -> Iterator[RecordBatch]:
@@ -150,22 +196,23 @@ def _batches(number: int, new: NewRecords) -> Iterator[RecordBatch]:
         time.sleep(0)
 
 
-def program_files(folder: Path, loaded: Sequence[str]) -> ProgramFiles:
-    """Return the files that a program is read from, with digests of what they say; "" for those that are not there.
+def own_files(folder: Path, loaded: Sequence[str]) -> List[str]:
+    """Return the paths of the files that a program is read from.
 
     Args:
         folder: the program's.
         loaded: the event files that it has loaded.
     """
     own = [str(folder.absolute() / name) for name in (GOALS, TOPICS)]
-    found = []
-    for name in [*own, *(one for one in loaded if one not in own)]:
-        try:
-            digest = hashlib.sha256(Path(name).read_bytes()).hexdigest()
-        except OSError:
-            digest = ""
-        found.append((name, digest))
-    return found
+    return [*own, *(one for one in sorted(loaded) if one not in own)]
+
+
+def digest(name: str) -> str:
+    """Return a digest of what a file says; "none" where it is not there."""
+    try:
+        return hashlib.sha256(Path(name).read_bytes()).hexdigest()
+    except OSError:
+        return "none"
 
 
 def resume(
@@ -212,6 +259,6 @@ def _check_files(files: ProgramFiles, folder: Path) -> None:
     """
     if not files or files[0][0] != str(folder.absolute() / GOALS):
         raise UsageError(f"it is of another program: {files[0][0] if files else 'none'}")
-    for (name, digest), (_, now) in zip(files, program_files(folder, [name for name, _ in files])):
-        if digest != now:
-            raise UsageError(f"{name} has changed since it was written")
+    for name, known in files:
+        if digest(name) != known:
+            raise UsageError(f"{name} has changed since it was read")

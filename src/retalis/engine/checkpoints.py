@@ -5,9 +5,10 @@ Each time is one transaction, in write-ahead mode: a process that is killed leav
 """
 
 import os
+import secrets
 import sqlite3
 from pathlib import Path
-from typing import Any, Dict, Iterable, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Dict, Iterable, List, NamedTuple, Optional, Tuple
 from zlib import crc32
 
 from ..foundation import UsageError
@@ -27,6 +28,13 @@ _ASIDE = ".aside"
 
 ProgramFiles = List[Tuple[str, str]]
 """The files that a program is read from: their paths and the digests of what they say."""
+
+
+MOST_ASIDE = 9
+
+
+class FileTaken(UsageError):
+    """Another process keeps its state in the file now."""
 
 
 class RecordBatch(NamedTuple):
@@ -84,6 +92,8 @@ class CheckpointFile:
             self._base.executescript(_TABLES)
             (newest,) = self._base.execute("SELECT max(memory) FROM records").fetchone()
             self.next_number: int = 0 if newest is None else newest + 1
+            self._owner = secrets.randbelow(1 << 31)
+            self._base.execute(f"PRAGMA user_version = {self._owner}")
         except sqlite3.Error as error:
             raise UsageError(f"cannot write a checkpoint to {path}: {error}") from error
 
@@ -98,11 +108,13 @@ class CheckpointFile:
             oldest: of each memory that there is how many records came before the first that it still has.
 
         Raises:
-            UsageError: where it cannot be written; the file has what it had before.
+            UsageError: where it cannot be written; the file has what it had before. `FileTaken` where that is so.
         """
         base = self._base
         try:
             base.execute("BEGIN IMMEDIATE")
+            if base.execute("PRAGMA user_version").fetchone()[0] != self._owner:
+                raise FileTaken(f"another process keeps its state in {self.path} now: this one does no more")
             base.executemany(
                 "INSERT OR REPLACE INTO sections VALUES (?, ?, ?)",
                 [(name, data, crc32(data)) for name, data in sections.items()],
@@ -116,9 +128,17 @@ class CheckpointFile:
             self._forget_others(oldest)
             base.execute("COMMIT")
         except sqlite3.Error as error:
-            if base.in_transaction:
-                base.execute("ROLLBACK")
             raise UsageError(f"cannot write a checkpoint to {self.path}: {error}") from error
+        finally:
+            self._give_up()
+
+    def _give_up(self) -> None:
+        """Take back what has been begun and not ended."""
+        try:
+            if self._base.in_transaction:
+                self._base.execute("ROLLBACK")
+        except sqlite3.Error:  # the one before is being raised; the next one to write begins anew
+            return
 
     def _forget_others(self, kept: Dict[int, int]) -> None:
         there = [memory for (memory,) in self._base.execute("SELECT DISTINCT memory FROM records")]
@@ -137,7 +157,7 @@ def read_checkpoint(path: Path) -> Optional[Checkpoint]:
     Raises:
         UsageError: where it is no checkpoint, is damaged, or comes from another version.
     """
-    if not path.exists():
+    if not path.exists() or (path.is_file() and not path.stat().st_size):
         return None
     try:
         base = sqlite3.connect(f"file:{_quoted(path)}?mode=rw", uri=True)
@@ -158,19 +178,32 @@ def _quoted(path: Path) -> str:
 def _read(base: sqlite3.Connection) -> Optional[Checkpoint]:
     if base.execute("PRAGMA application_id").fetchone()[0] != APPLICATION:
         raise UsageError("it is a database of something else")
+    base.execute("BEGIN")  # all of one moment
     found = {name: _whole(data, check) for name, data, check in base.execute("SELECT * FROM sections")}
     if not found:
         return None
     about = from_bytes(found.pop("about"))
     check_version(about["format"], about["layout"])
-    query = "SELECT data, checked FROM records WHERE memory = ? ORDER BY first"
-    records = [
-        [from_bytes(_whole(*row)) for row in base.execute(query, (number,))] for number in about["numbers"]
-    ]
-    for parts, end in zip(records, about["ends"]):
-        parts.append(end)
+    records = [_records(base, *memory) for memory in about["memories"]]
     sections = {name: from_bytes(data) for name, data in found.items()}
     return Checkpoint(sections, records, [tuple(one) for one in about["files"]], about["made"])
+
+
+def _records(base: sqlite3.Connection, number: int, oldest: int, end: Any) -> List[Any]:
+    """Return the records of a memory, in parts.
+
+    Args:
+        base: the file.
+        number: of the memory.
+        oldest: how many records came before the first that it had.
+        end: what comes after its last one.
+    """
+    query = "SELECT data, checked FROM records WHERE memory = ? ORDER BY first"
+    parts = [from_bytes(_whole(*row)) for row in base.execute(query, (number,))]
+    first = parts[0][0] if parts else end[0]
+    if first > oldest:
+        raise UsageError("it is damaged: records of a memory are missing")
+    return [*parts, end]
 
 
 def _whole(data: bytes, check: int) -> bytes:
@@ -179,34 +212,29 @@ def _whole(data: bytes, check: int) -> bytes:
     return data
 
 
-def about_state(
-    files: Sequence[Tuple[str, str]], numbers: List[int], ends: List[Any], made: float
-) -> Dict[str, Any]:
+def about_state(files: ProgramFiles, memories: List[Any], made: float) -> Dict[str, Any]:
     """Return what a file says of itself.
 
     Args:
         files: that the program was read from.
-        numbers: of the memories in the file, in their order.
-        ends: of each memory what comes after its last record: none.
+        memories: of each, in their order, its number in the file, how many records came before the first that it has,
+            and what comes after its last one: no records.
         made: when it was written, in seconds since the epoch.
     """
-    return {
-        "format": FORMAT,
-        "layout": LAYOUT,
-        "files": [list(one) for one in files],
-        "numbers": numbers,
-        "ends": ends,
-        "made": made,
-    }
+    found = [list(one) for one in files]
+    return {"format": FORMAT, "layout": LAYOUT, "files": found, "memories": memories, "made": made}
 
 
 def put_aside(path: Path) -> Path:
-    """Rename a file that is not taken up, with what belongs to it; one that was put aside before goes.
+    """Rename a file that is not taken up, with what belongs to it; of those put aside before, `MOST_ASIDE` stay.
 
     Raises:
-        UsageError: where that is not allowed.
+        UsageError: where it is no file, or that is not allowed.
     """
-    aside = Path(f"{path}{_ASIDE}")
+    if not path.is_file():
+        raise UsageError(f"{path} is no file")
+    names = [Path(f"{path}{_ASIDE}{number if number > 1 else ''}") for number in range(1, MOST_ASIDE + 1)]
+    aside = next((name for name in names if not name.exists()), names[-1])
     try:
         for ending in ("-wal", "-shm", ""):
             source, target = Path(f"{path}{ending}"), Path(f"{aside}{ending}")

@@ -87,12 +87,13 @@ class InputTopics:
         """
         self._subscribe = subscribe
         self._plain = plain
+        self._taken = {plain(one.topic): one for one in self._asked}  # of a program that was begun elsewhere
         for topic, kind in (*topics.subscribed, *direct):
             try:
                 self._taken.setdefault(plain(topic), AskedTopic(topic, kind, topics.event_of(topic, plain)))
             except UsageError:  # said by who subscribes it
                 continue
-        for wanted in self._asked:  # of a program that was begun elsewhere
+        for wanted in self._asked:
             subscribe(wanted)
 
     def kept(self) -> List[AskedTopic]:

@@ -1,7 +1,7 @@
 """What an engine knows, kept as data and taken up again."""
 
 from pathlib import Path
-from typing import List, Optional, Tuple, Type, TypeVar
+from typing import Dict, List, Optional, Tuple, Type, TypeVar
 
 from ..messages import Definitions
 from ..prolog.foreign import define_foreign
@@ -12,7 +12,7 @@ from .keeping import from_bytes, pack, unpack
 from .ownfiles import REQUEST
 from .runtime import Clock, Reports
 from .settings import Settings
-from .states import Sections, StateKeeper, checked, clock_for, coded, decoded
+from .states import StateKeeper, checked, clock_for, coded, decoded
 
 Made = TypeVar("Made", bound="Lasting")
 
@@ -36,12 +36,13 @@ class Lasting(Holdings):
             UsageError: where a goal or callback of this engine calls it.
         """
 
-        def work() -> Tuple[Sections, List[object]]:
+        def work() -> Dict[
+            str, bytes
+        ]:  # to bytes while nothing else is done: what is asked binds variables of rules
             keeper = StateKeeper(self)
-            return keeper.take(), keeper.records()
+            return coded(keeper.take(), keeper.records())
 
-        found = self._runner.call(lambda: self._dispatcher.undisturbed(work), (REQUEST,))
-        return pack(coded(*found))
+        return pack(self._runner.call(lambda: self._dispatcher.undisturbed(work), (REQUEST,)))
 
     @classmethod
     def restore(

@@ -74,6 +74,9 @@ class StateKeeper:
         if whole or signature != self._signature:
             self._signature = signature
             sections["program"] = self._program(named)
+            sections["clauses"] = tuple(
+                keep_logic(logic)
+            )  # apart, since it is large and nothing binds its variables
         return sections
 
     def _sign(self, named: List[Rule]) -> object:
@@ -91,22 +94,25 @@ class StateKeeper:
             list(knowledge.memories),
             knowledge.subscriptions.items(),
             parts.input_topics.kept(),
+            dict(parts.slots.events),
+            set(rules.files.loaded),
+            rules.files.door.own,
+            list(parts.logic.foreign_modules),
             sorted(parts.programs),
             list(parts.programs.values()),
         )
 
     def _program(self, named: List[Rule]) -> Sections:
         parts = self._parts
-        logic, knowledge = parts.logic, parts.knowledge
+        knowledge = parts.knowledge
         return {
-            "logic": tuple(keep_logic(logic)),
             "network": keep_rules(parts.rules, named),
             "memories": keep_memories(knowledge),
             "subscriptions": keep_subscriptions(knowledge),
-            "standings": keep_standings(parts.programs, logic, knowledge, named),
+            "standings": keep_standings(parts.programs, parts.logic, knowledge, named),
             "topics": [tuple(one) for one in parts.input_topics.kept()],
             "events": dict(parts.slots.events),
-            "foreign": list(logic.foreign_modules),
+            "foreign": list(parts.logic.foreign_modules),
         }
 
     def records(self) -> List[Any]:
@@ -129,7 +135,7 @@ class StateKeeper:
         program, run = sections["program"], sections["run"]
         parts.slots.events.update(program["events"])
         self._load_foreign(program["foreign"], folder)
-        restore_logic(logic, KeptLogic(*program["logic"]))
+        restore_logic(logic, KeptLogic(*sections["clauses"]))
         restore_values(logic, KeptValues(*sections["values"]))
         with logic.preparing(lambda: [rule.definition.term for rule in rules.rules]):
             named = restore_rules(rules, program["network"])
@@ -184,6 +190,18 @@ def decoded(found: Dict[str, bytes]) -> Sections:
     return {name: from_bytes(data) for name, data in found.items() if not name.startswith("memory ")}
 
 
+_WRONG = (
+    ArithmeticError,
+    AttributeError,
+    LookupError,
+    MemoryError,
+    OSError,
+    RecursionError,
+    TypeError,
+    ValueError,
+)
+
+
 def checked(work: Callable[[], Result]) -> Result:
     """Return what work returns that takes up a state; whatever it stumbles over means that the state is damaged.
 
@@ -194,5 +212,5 @@ def checked(work: Callable[[], Result]) -> Result:
         return work()
     except RetalisError as error:
         raise UsageError(error.message) from error
-    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError, RecursionError) as error:
+    except _WRONG as error:
         raise UsageError(f"the state is damaged ({type(error).__name__}: {error})") from error

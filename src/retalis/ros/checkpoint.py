@@ -1,11 +1,20 @@
 """The state of node ``retalis`` in a file: taken up at the start, kept while the node runs."""
 
 import time
-from typing import Callable
+from typing import Callable, Optional
 
 import rospy
 
-from ..engine import Checkpoint, CheckpointFile, Checkpoints, Engine, parts_of, put_aside, resume
+from ..engine import (
+    Checkpoint,
+    CheckpointFile,
+    Checkpoints,
+    Engine,
+    ProgramFiles,
+    parts_of,
+    put_aside,
+    resume,
+)
 from ..engine.runtime import Clock, Reports
 from ..foundation import RetalisError, counted
 from ..messages import Definitions
@@ -27,6 +36,8 @@ class StateFile:
         self._parameters = parameters
         self._reports = reports
         self.resumed = False
+        self._usable = parameters.checkpoint is not None
+        self._files: Optional[ProgramFiles] = None
 
     def engine(self, clock: Callable[[], Clock], definitions: Definitions) -> Engine:
         """Return the engine of the node: one that goes on from the file, or a new one.
@@ -47,6 +58,7 @@ class StateFile:
                 found = None
             if found is not None:
                 self.resumed = True
+                self._files = found[1].files
                 self._tell(*found)
                 return found[0]
         return Engine(clock(), parameters.settings, self._reports, definitions)
@@ -57,7 +69,8 @@ class StateFile:
         try:
             where = f"the file is kept as {put_aside(path)}"
         except RetalisError as second:
-            where = second.message
+            where = f"{second.message}, so no state is kept"
+            self._usable = False
         rospy.logwarn("%s is not taken up: %s. The node starts fresh; %s", path, error.message, where)
 
     def _tell(self, engine: Engine, found: Checkpoint) -> None:
@@ -76,13 +89,13 @@ class StateFile:
     def begin(self, engine: Engine) -> None:
         """Keep the engine's state from now on, until the node ends."""
         path = self._parameters.checkpoint
-        if path is None:
+        if path is None or not self._usable:
             return
         try:
             file = CheckpointFile(path)
         except RetalisError as error:
             rospy.logerr("parameter ~checkpoint: %s", error.message)
             return
-        kept = Checkpoints(engine, file, self._parameters.program, self._reports)
+        kept = Checkpoints(engine, file, self._parameters.program, self._reports, files=self._files)
         kept.begin()
         rospy.on_shutdown(kept.end)

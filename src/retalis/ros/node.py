@@ -1,5 +1,6 @@
 """Node ``retalis``: the engine behind its services and topics."""
 
+import threading
 import time
 from functools import partial
 from typing import Any, Callable, Iterable, List, Optional, Tuple
@@ -43,6 +44,10 @@ LONGEST_TURN = 10.0
 """Seconds after which an engine is in a run at the latest: a full queue may have dropped what would have told it."""
 
 
+HEARD = 5.0
+"""Seconds for which alarms that came due while the node was away wait for the interface to be connected."""
+
+
 class RosClock(Clock):
     """ROS time, simulated or not; wakes the engine when an alarm is due."""
 
@@ -57,7 +62,9 @@ class RosClock(Clock):
         """Return the time of the run that the engine is in: it may still have messages of the one before."""
         if self._run != runs.run and time.monotonic() - runs.since > LONGEST_TURN:
             self._run = runs.run
-        return runs.now(self._run)
+        return (
+            runs.now(self._run) or self._newest
+        )  # 0 before the first message of /clock: time does not go back
 
     def begin_run(self, run: int) -> None:
         """Have the engine go on to another run."""
@@ -168,7 +175,14 @@ class RetalisNode:
         )
         state.begin(self.engine)
         if state.resumed:
-            self.engine.advance()  # alarms may have come due while the node was away
+            threading.Thread(target=self._ring, daemon=True).start()
+
+    def _ring(self) -> None:
+        """Let alarms ring that came due while the node was away, when there is somebody to hear them."""
+        end = time.monotonic() + HEARD
+        while not self._parameters.embedded and not self._texts.links() and time.monotonic() < end:
+            time.sleep(0.05)
+        self.engine.advance()
 
     def _begin_run(self, clock: RosClock) -> None:
         """Have the engine start anew when it has taken what was posted so far."""

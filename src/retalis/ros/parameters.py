@@ -216,7 +216,7 @@ def _file(name: str) -> Optional[Path]:
     value = rospy.get_param(name, "")
     if not isinstance(value, str) or "\0" in value:
         raise UsageError(f"parameter {name}: expected the path of a file, found {value!r}")
-    return Path(value).expanduser() if value else None
+    return Path(value).expanduser().absolute() if value else None
 
 
 def _flag(name: str) -> bool:

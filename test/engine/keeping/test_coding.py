@@ -111,13 +111,17 @@ def test_nothing_is_looked_up(data):
         from_bytes(data)
 
 
-@pytest.mark.parametrize("state", [{"name": "other"}, (None, {"name": "other"})])
+@pytest.mark.parametrize(
+    "state",
+    [{"name": "other"}, (None, {"name": "other"}), (None, {"functor": functor("halt", 0)})],
+)
 def test_atoms_cannot_be_changed(state):
     data = reduced(make_atom, ("kept_as_it_is",), state)
     with pytest.raises(UsageError):
         from_bytes(data)
     assert atom("kept_as_it_is").name == "kept_as_it_is"
     assert atom("other").name == "other"
+    assert atom("kept_as_it_is").functor is functor("kept_as_it_is", 0)
 
 
 def test_makers_cannot_be_changed():
@@ -137,3 +141,13 @@ def test_what_has_no_place_in_a_state_is_an_error():
         to_bytes([object()])
     with pytest.raises(TypeError):
         to_bytes([print])
+
+
+def test_deep_terms_in_lists_in_tuples_come_back():
+    term = atom("z")
+    for _ in range(5_000):
+        term = functor("s", 1)(term)
+    found = from_bytes(
+        to_bytes([(functor("p", 1), (True,), [((functor("p", 1), term), atom("true"), None)])])
+    )
+    assert term_key(found[0][2][0][0][1]) == term_key(term)

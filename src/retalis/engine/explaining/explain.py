@@ -83,7 +83,7 @@ def record_origins(engine: Engine) -> None:
     >>> print(explain(engine, "smoke(_)").lines[0].text)
     smoke(kitchen) [1,1] came from outside
     """
-    parts_of(engine).rules.flags.set("etalis_justification", atom("on"))
+    parts_of(engine).rules.flags.set_default("etalis_justification", atom("on"))
 
 
 def records_origins(engine: Engine) -> bool:

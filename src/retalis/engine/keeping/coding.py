@@ -219,12 +219,14 @@ class _StateReader(pickle.Unpickler):
             UsageError: where it was; it is put right.
         """
         changed = False
-        for name, one in self.atoms.items():
-            if one.name is not name and one.name != name:
-                one.name, changed = name, True
         for key, kind in self.functors.items():
             if (kind.name, kind.arity) != key:
                 (kind.name, kind.arity), changed = key, True
+        for name, one in self.atoms.items():
+            if one.name != name:
+                one.name, changed = name, True
+            if one.functor is not functor(name, 0):
+                one.functor, changed = functor(name, 0), True
         if changed:
             raise UsageError("it changes what it does not own")
 
@@ -312,7 +314,7 @@ def _flat(data: Any) -> List[Tuple[Any, ...]]:
             steps.append((kind, [places[id(item)] for item in items]))
             kept.append(items)
         else:
-            steps.append((0, one))
+            steps.append((0, _shallow(one) if isinstance(one, (list, dict)) else one))
         kept.append(one)
         places[id(one)] = len(steps) - 1
     return steps

@@ -25,7 +25,7 @@ def keep_rules(rules: Rules, graph_rules: Sequence[Rule]) -> Dict[str, Any]:
     return {
         "rules": said,
         "properties": [one for found in rules.all_properties().values() for one in found],
-        "flags": {name: rules.flags.get(name) for name in rules.flags.names()},
+        "flags": rules.flags.changed(),
         "loaded": sorted(str(path) for path in rules.files.loaded),
         "own": list(rules.files.door.own),
     }

@@ -84,7 +84,7 @@ class Tracker:
     def restore(self, kept: Tuple[List[Occurrence], int, int]) -> None:
         """Remember what another one did."""
         recent, numbers, arrivals = kept
-        self._recent = deque(recent)
+        self._recent = deque(recent if self._rules.mode.tracked else ())
         self._numbers, self._arrivals = count(numbers), count(arrivals)
         self.mend()
 

@@ -67,7 +67,8 @@ class Memory:
         Args:
             since: give those only that were taken after so many.
         """
-        first = max(self.first, min(since - self._gone, len(self.ends)))
+        held = len(self.ends)
+        first = max(0, held - max(self.size, 1), min(since - self._gone, held))
         return self._gone + first, self.late, self.ends[first:], self.records[first:]
 
     def restore(self, gone: int, late: int, ends: List[int], records: List[MemoryRecord]) -> None:

@@ -120,13 +120,14 @@ class WaitingQueries:
                 continue
             event, query = asked.terms(values)
             token = asked.token if isinstance(asked, Followed) else None
-            awaited = [(instance.id, instant) for instance, instant in missing]
+            awaited = [(one.id, instant) for one, instant in missing if not one.has(instant)]
             found.append((number, event, query, start, end, awaited, token))
         return order, found
 
     def restore(self, order: int, found: Sequence[KeptQuery]) -> None:
         """Have queries wait as they did."""
         self._order = count(order)
+        self._oldest = found[0][0] if found else order
         for number, event, query, start, end, awaited, token in found:
             missing: Any = [(self._memories.find(name), instant) for name, instant in awaited]
             asked = self._general if token is None else Followed(self._dispatcher, self._general, token)

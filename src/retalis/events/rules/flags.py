@@ -48,14 +48,14 @@ class Flags:
     """The values of all flags.
 
     Args:
-        changed: called with the name of a flag that was given another value.
+        on_change: called with the name of a flag that was given another value.
 
     Attributes:
         followers: called with the value of a flag that is a number, by its name, when that has changed.
     """
 
-    def __init__(self, changed: Callable[[str], None]):
-        self._changed = changed
+    def __init__(self, on_change: Callable[[str], None]):
+        self._on_change = on_change
         self._defaults: Dict[str, Term] = {name: flag.default for name, flag in FLAGS.items()}
         self._values = dict(self._defaults)
         self.followers: Dict[str, Callable[[float], None]] = {}
@@ -95,8 +95,12 @@ class Flags:
         self.set(name, value)
         self._defaults[name] = value
 
+    def changed(self) -> Dict[str, Term]:
+        """Return the flags that have other values than by default."""
+        return {name: value for name, value in self._values.items() if value != self._defaults[name]}
+
     def _tell(self, name: str) -> None:
-        self._changed(name)
+        self._on_change(name)
         if name in self.followers:
             self.followers[name](self.number(name))
 

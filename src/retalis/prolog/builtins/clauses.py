@@ -153,6 +153,7 @@ def retractall(machine: Machine, head: Term) -> bool:
     predicate = _check_rights(machine, key, "modify", "static_procedure")
     if not predicate.defined:
         predicate.dynamic = True
+        machine.logic.database.changes += 1
         return True
     trail = machine.trail
     mark = len(trail)
@@ -217,6 +218,7 @@ def _declaration(attribute: str) -> Callable[[Machine, Term], bool]:
         for key in _each(term):
             predicate = machine.logic.database.writable(key, "modify")
             setattr(predicate, attribute, True)
+            machine.logic.database.changes += 1
         return True
 
     return run

@@ -12,8 +12,8 @@ from .logic import Logic
 _COUNTED = ("counters", "flags", "flag", "gensym", "counters of events", "flags of events")
 """What built-ins keep by name."""
 
-KeptClauses = Tuple[Functor, Tuple[bool, bool, bool], List[Tuple[Term, Term, Optional[Place]]]]
-"""A predicate: whether it is dynamic, discontiguous, multifile; the heads, bodies and places of its clauses."""
+KeptClauses = Tuple[Functor, Tuple[bool, bool, bool, bool], List[Tuple[Term, Term, Optional[Place]]]]
+"""A predicate: whether it is dynamic, discontiguous, multifile, defined; its clauses: heads, bodies, places."""
 
 
 class KeptLogic(NamedTuple):
@@ -80,7 +80,7 @@ def _is_of_program(one: Predicate) -> bool:
 
 def _kept(one: Predicate) -> KeptClauses:
     clauses = [(clause.head, clause.body, clause.place) for clause in one.live()]
-    return one.functor, (one.dynamic, one.discontiguous, one.multifile), clauses
+    return one.functor, (one.dynamic, one.discontiguous, one.multifile, one.kind == "user"), clauses
 
 
 def restore_logic(logic: Logic, kept: KeptLogic) -> None:
@@ -94,8 +94,8 @@ def restore_logic(logic: Logic, kept: KeptLogic) -> None:
         declare_as(logic.machine, declaration)
     for functor, marks, clauses in kept.predicates:
         predicate = logic.database.writable(functor, "modify")
-        predicate.dynamic, predicate.discontiguous, predicate.multifile = marks
-        predicate.kind = "user"
+        predicate.dynamic, predicate.discontiguous, predicate.multifile, there = marks
+        predicate.kind = "user" if there else predicate.kind
         for head, body, place in clauses:
             predicate.add(Clause(predicate, head, body, place))
 
