@@ -104,3 +104,12 @@ def test_the_time_of_an_engine_goes_back_when_it_is_told(clock, monkeypatch):
     assert its.now() == 2 * 10**9
     monkeypatch.setattr(node, "LONGEST_TURN", -1.0)  # nobody tells it
     assert its.now() == 0
+
+
+def test_a_clock_that_goes_on_waits_for_the_first_time(clock):
+    its = node.RosClock(clock.runs)
+    its.restore([-1, 5 * 10**9, 0, 0])
+    its.resumed = True
+    assert (its.now(), its.went_back()) == (5 * 10**9, False)
+    clock.move(9)
+    assert (its.now(), its.went_back()) == (9 * 10**9, False)

@@ -59,8 +59,10 @@ class Unread(unittest.TestCase):
         wait_until(self.saves, "the end of whole messages")
         texts = Collector("retalisInputEvents", String)
         wait_until(texts.connected, "the interface")
-        self.publish(b"b")
-        found = texts.wait_for(lambda found: len(found) > 0)
+        wait_until(
+            lambda: self.publish(b"b") and texts.messages, "a whole message"
+        )  # it is served a moment later
+        found = texts.messages
         self.assertIn("b" * SIZE, found[-1].data)
         texts.close()
         wait_until(self.saves, "the end of the other one")

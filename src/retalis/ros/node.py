@@ -49,11 +49,17 @@ HEARD = 5.0
 
 
 class RosClock(Clock):
-    """ROS time, simulated or not; wakes the engine when an alarm is due."""
+    """ROS time, simulated or not; wakes the engine when an alarm is due.
+
+    Attributes:
+        engine: is woken.
+        resumed: whether the engine goes on from a file, and simulated time has not been heard of since.
+    """
 
     def __init__(self, runs: Optional[ClockRuns] = None) -> None:
         super().__init__(ros_now if runs is None else lambda: self._time_of_run(runs))
         self._run = 0
+        self.resumed = False
         self.engine: Optional[Engine] = None
         self._timer: Optional[rospy.Timer] = None
         self._timer_for: Optional[int] = None
@@ -62,9 +68,11 @@ class RosClock(Clock):
         """Return the time of the run that the engine is in: it may still have messages of the one before."""
         if self._run != runs.run and time.monotonic() - runs.since > LONGEST_TURN:
             self._run = runs.run
-        return (
-            runs.now(self._run) or self._newest
-        )  # 0 before the first message of /clock: time does not go back
+        now = runs.now(self._run)
+        if self.resumed and not now:
+            return self._newest  # /clock has said nothing yet: no time that went back
+        self.resumed = False
+        return now
 
     def begin_run(self, run: int) -> None:
         """Have the engine go on to another run."""
@@ -117,7 +125,7 @@ class RetalisNode:
         state = StateFile(parameters, self._reports)
         self.engine = state.engine(lambda: RosClock(self._time.runs), definitions)
         clock: Any = self.engine.clock
-        clock.engine = self.engine
+        clock.engine, clock.resumed = self.engine, state.resumed
         skew = Skew(self._reports, self._time.now, most=parameters.max_skew, may_wait=self._time.may_wait)
         rospy.on_shutdown(skew.sum_up)
         rospy.on_shutdown(self._reports.sum_up)
