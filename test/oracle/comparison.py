@@ -202,17 +202,22 @@ def kind_of(case: Case) -> str:
     return " ".join(word for word in words if len(word) > 1 and not word.startswith(("out", "v")))
 
 
-def main() -> int:
-    """Compare many cases; print those that differ, shrunk."""
-    parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument("--cases", type=int, default=50_000)
+def add_options(parser: argparse.ArgumentParser, cases: int, show: int) -> None:
+    """Add the options that say which cases are drawn, and how many differences are shown."""
+    parser.add_argument("--cases", type=int, default=cases)
     parser.add_argument("--seed", type=int, default=0, help="number of the first case")
     parser.add_argument("--depth", type=int, default=4)
-    parser.add_argument("--show", type=int, default=20, help="how many differences to shrink and print")
+    parser.add_argument("--show", type=int, default=show, help="how many differences to shrink and print")
     parser.add_argument("--revision", action="store_true", help="streams that take events back")
     parser.add_argument(
         "--unsure", action="store_true", help="conditions also over variables that may be left open"
     )
+
+
+def main() -> int:
+    """Compare many cases; print those that differ, shrunk."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    add_options(parser, cases=50_000, show=20)
     parser.add_argument("--index", action="store_true", help="find partners by time however few wait")
     parser.add_argument("--new", action="store_true", help="a new engine for each case; else one is reset")
     options = parser.parse_args()

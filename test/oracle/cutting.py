@@ -9,7 +9,7 @@ from typing import Any, Collection, List, Optional, Tuple
 
 from retalis.foundation import RetalisError
 
-from .comparison import engine_steps, shrink
+from .comparison import add_options, engine_steps, shrink
 from .strategies import Case, random_case
 
 
@@ -61,14 +61,7 @@ def compare(options: argparse.Namespace) -> int:
 def main() -> int:
     """Compare many cases."""
     parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument("--cases", type=int, default=10_000)
-    parser.add_argument("--seed", type=int, default=0, help="number of the first case")
-    parser.add_argument("--depth", type=int, default=4)
-    parser.add_argument("--show", type=int, default=5, help="how many differences to shrink and print")
-    parser.add_argument("--revision", action="store_true", help="streams that take events back")
-    parser.add_argument(
-        "--unsure", action="store_true", help="conditions over variables that may be left open"
-    )
+    add_options(parser, cases=10_000, show=5)
     logging.disable(logging.CRITICAL)
     return compare(parser.parse_args())
 

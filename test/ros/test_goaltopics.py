@@ -7,7 +7,8 @@ import pytest
 pytest.importorskip("rospy")
 
 from retalis.foundation import MessageError  # noqa: E402
-from retalis.ros.goaltopics import LONGEST, read_told  # noqa: E402
+from retalis.ros.goaltopics import read_told  # noqa: E402
+from retalis.ros.telling import LONGEST  # noqa: E402
 
 GOOD = ["right", "std_msgs/Bool", "bumper_right"]
 

@@ -7,7 +7,7 @@ from itertools import count
 from pathlib import Path
 from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
-from ..events.knowledge import Instance
+from ..events.knowledge import NEVER, Instance
 from ..events.program import GOALS, TOPICS
 from ..foundation import UsageError
 from ..messages import Definitions
@@ -40,9 +40,6 @@ MOST = 200
 
 PATIENCE = 5.0
 """Seconds that the end of a node waits for the last time."""
-
-NEVER = 1 << 100
-"""As `Memory.changed` is where nothing has changed."""
 
 
 class _InFile(NamedTuple):
@@ -127,9 +124,7 @@ class Checkpoints:
         """Write, report what goes wrong, and tell whether to go on."""
         try:
             self.write()
-        except (
-            Exception
-        ) as error:  # whatever it is, the next time may be better, and nobody else would say it
+        except Exception as error:  # of whatever kind: the next time may be better, and nobody else says it
             self._keeper = StateKeeper(self._engine)  # what has changed is not known any more
             self._memories = {}
             self._reports.error(error)
@@ -243,9 +238,7 @@ def resume(
 
     def work() -> Engine:
         engine = Engine(clock, settings, reports, definitions)
-        parts_of(engine).runner.call(
-            lambda: StateKeeper(engine).take_up(found.sections, found.records, folder)
-        )
+        StateKeeper(engine).take_up(found.sections, found.records, folder)
         return engine
 
     return checked(work), found

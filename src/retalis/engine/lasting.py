@@ -6,7 +6,6 @@ from typing import Dict, List, Optional, Tuple, Type, TypeVar
 from ..messages import Definitions
 from ..prolog.foreign import define_foreign
 from ..prolog.terms import Functor
-from .core import parts_of
 from .holdings import Holdings
 from .keeping import from_bytes, pack, unpack
 from .ownfiles import REQUEST
@@ -36,9 +35,8 @@ class Lasting(Holdings):
             UsageError: where a goal or callback of this engine calls it.
         """
 
-        def work() -> Dict[
-            str, bytes
-        ]:  # to bytes while nothing else is done: what is asked binds variables of rules
+        def work() -> Dict[str, bytes]:
+            # To bytes while nothing else is done: what is asked binds variables of rules for a while.
             keeper = StateKeeper(self)
             return coded(keeper.take(), keeper.records())
 
@@ -87,8 +85,7 @@ class Lasting(Holdings):
                 engine.add_foreign(*foreign)
             names = [name for name in found if name.startswith("memory ")]
             records = [from_bytes(found[name]) for name in names]
-            keeper = StateKeeper(engine)
-            parts_of(engine).runner.call(lambda: keeper.take_up(sections, records, folder))
+            StateKeeper(engine).take_up(sections, records, folder)
             return engine
 
         return checked(work)

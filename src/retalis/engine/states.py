@@ -130,6 +130,9 @@ class StateKeeper:
         Raises:
             RetalisError: what is wrong.
         """
+        self._parts.runner.call(lambda: self._take_up(sections, records, folder))
+
+    def _take_up(self, sections: Sections, records: Sequence[Sequence[Any]], folder: Optional[Path]) -> None:
         engine, parts = self._engine, self._parts
         logic, rules, knowledge = parts.logic, parts.rules, parts.knowledge
         program, run = sections["program"], sections["run"]

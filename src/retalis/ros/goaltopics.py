@@ -18,12 +18,10 @@ from ..events.language import event_fault
 from ..foundation import MessageError, RetalisError, UsageError, beginning
 from .interface import Interface
 from .names import INPUT, OUTPUT, resolve
+from .telling import read_told_json
 
 TOLD = "retalisSubscribe"
 """The topic on which node retalis says what to subscribe: JSON, a list of [topic, type, name of the events]."""
-
-LONGEST = 1_000_000
-"""Characters of what is told at most."""
 
 
 class GoalTopics:
@@ -105,10 +103,7 @@ def read_told(text: str) -> List[AskedTopic]:
         MessageError: where it is not as it has to be.
     """
     wrong = MessageError(f"expected topics, types and names of events, found {beginning(text)}")
-    try:
-        found = json.loads(text) if len(text) <= LONGEST else None
-    except (ValueError, RecursionError):
-        raise wrong from None
+    found = read_told_json(text, wrong)
     if not isinstance(found, list):
         raise wrong
     for one in found:

@@ -16,12 +16,10 @@ from ..engine import Engine, parts_of
 from ..engine.runtime import Reports
 from ..foundation import MessageError, beginning
 from ..prolog.terms import Functor
+from .telling import LONGEST, read_told_json
 
 UNREAD = "retalisUnread"
 """The topic on which node retalis says what it reads not: JSON, the numbers of arguments by name and arity."""
-
-LONGEST = 1_000_000
-"""Characters of what is told at most; beyond, nothing is told, and everything is written."""
 
 NONE: FrozenSet[int] = frozenset()
 
@@ -50,7 +48,7 @@ class UnreadTeller:
     def _tell(self) -> None:
         found = self._dispatcher.unread.tell()
         text = json.dumps({str(functor): sorted(positions) for functor, positions in found.items()})
-        if len(text) > LONGEST:
+        if len(text) > LONGEST:  # beyond, nothing is told, and everything is written
             text = "{}"
         if text != self._last:
             self._publisher.publish(String(text))
@@ -111,10 +109,7 @@ def _read(text: str) -> Dict[str, FrozenSet[int]]:
         MessageError: where it is not as it has to be.
     """
     wrong = MessageError(f"expected numbers of arguments by name, found {beginning(text)}")
-    try:
-        found = json.loads(text) if len(text) <= LONGEST else None
-    except (ValueError, RecursionError):
-        raise wrong from None
+    found = read_told_json(text, wrong)
     if not isinstance(found, dict):
         raise wrong
     for positions in found.values():

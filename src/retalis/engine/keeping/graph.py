@@ -3,7 +3,7 @@
 These objects know one another in circles, so each is a row, in which others stand by their numbers (`Ref`).
 """
 
-from typing import Any, Dict, List, Sequence, Tuple
+from typing import Any, Callable, Dict, List, Sequence, Tuple
 
 from ...events.history import Occurrence, Suppressed
 from ...events.matches import NOTHING_HELD, Chain, Held, Log, Match, Run, Token, Train
@@ -63,19 +63,13 @@ class GraphWriter:
 
     def write(self, data: Any) -> Any:
         """Return data with `Ref` in the place of objects, which get rows."""
-        made = self._plain(data)
+        made = _changed(data, self._plain)
         while len(self.rows) < len(self._objects):
             self.rows.append(self._row(self._objects[len(self.rows)]))
         return made
 
     def _plain(self, data: Any) -> Any:
         kind = data.__class__
-        if kind is tuple:
-            if data and data[0].__class__ is Functor:
-                return data
-            return tuple([self._plain(item) for item in data])
-        if kind is list:
-            return [self._plain(item) for item in data]
         if kind in _KINDS or kind is Rule or id(data) in self._nodes:
             return self._ref(data)
         if isinstance(data, NetworkNode):  # of a rule that is not there any more
@@ -114,7 +108,7 @@ class GraphWriter:
         value = getattr(one, field)
         if field == "tokens":
             value = list(value)
-        return self._plain(value)
+        return _changed(value, self._plain)
 
 
 class GraphReader:
@@ -155,13 +149,19 @@ class GraphReader:
 
     def read(self, data: Any) -> Any:
         """Return data with the objects in the place of `Ref`."""
-        kind = data.__class__
-        if kind is Ref:
-            return self._objects[data.number]
-        if kind is tuple:
-            if data and data[0].__class__ is Functor:
-                return data
-            return tuple([self.read(item) for item in data])
-        if kind is list:
-            return [self.read(item) for item in data]
-        return data
+        return _changed(data, self._object)
+
+    def _object(self, data: Any) -> Any:
+        return self._objects[data.number] if data.__class__ is Ref else data
+
+
+def _changed(data: Any, change: Callable[[Any], Any]) -> Any:
+    """Return data in which all that is neither a list nor a tuple is changed; terms stay as they are."""
+    kind = data.__class__
+    if kind is tuple:
+        if data and data[0].__class__ is Functor:
+            return data
+        return tuple([_changed(item, change) for item in data])
+    if kind is list:
+        return [_changed(item, change) for item in data]
+    return change(data)

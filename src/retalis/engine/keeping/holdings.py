@@ -8,7 +8,6 @@ from ...foundation import UsageError
 from ...prolog.terms import Stamp, Term, WholeSeconds
 
 _FORMS: Dict[Any, int] = {int: 0, WholeSeconds: 1, Stamp: 2}
-_LARGEST = (1 << 63) - 1
 
 KeptRecords = Tuple[int, int, bool, List[Term], Any, Any]
 """How many records there were before these, how many were refused, whether there may be variables; their terms; ends,
@@ -48,9 +47,9 @@ class NewRecords(NamedTuple):
 
 def new_records(instance: Instance, since: int = 0) -> NewRecords:
     """Return the records of a memory, or those that came after so many."""
-    oldest = instance.memory.kept()[0]
-    first, late, _, records = instance.memory.kept(since)
-    return NewRecords(first, oldest, late, instance.open, records)
+    memory = instance.memory
+    first, records = memory.since(since)
+    return NewRecords(first, memory.oldest, memory.late, instance.open, records)
 
 
 def keep_records(new: NewRecords) -> KeptRecords:
@@ -96,10 +95,7 @@ def _read_instants(column: Any) -> List[int]:
 
 def restore_memories(knowledge: Knowledge, kept: Sequence[Tuple[Any, ...]]) -> List[Instance]:
     """Make memories as others were, without records; nobody is told of them."""
-    made = []
-    for definition, active in kept:
-        made.append(knowledge.memories.begin(definition, active))
-    return made
+    return [knowledge.memories.begin(definition, active) for definition, active in kept]
 
 
 def restore_records(instance: Instance, parts: Sequence[KeptRecords]) -> None:

@@ -5,6 +5,7 @@ puts them together.
 """
 
 from .knowledge import DELETE_MEMORY, MEMORIZE, OF_MEMORIES, OWN_EVENTS, SUBSCRIBE, Knowledge
+from .memory import NEVER
 from .recorder import Instance
 from .subscriptions import Key as SubscriptionKey
 from .subscriptions import Subscription
@@ -15,6 +16,7 @@ __all__ = [
     "Instance",
     "Knowledge",
     "MEMORIZE",
+    "NEVER",
     "OF_MEMORIES",
     "OWN_EVENTS",
     "SUBSCRIBE",

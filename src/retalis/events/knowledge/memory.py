@@ -61,15 +61,15 @@ class Memory:
         self._gone, self.ends, self.records = gone, ends, records
         self._next = None
 
-    def kept(self, since: int = 0) -> Tuple[int, int, List[int], List[MemoryRecord]]:
-        """Return how many records were ever taken before the first that is given, and refused; ends and records.
+    @property
+    def oldest(self) -> int:
+        """How many records were taken before the first that stays: the newest does, whatever the size."""
+        return self._gone + max(0, len(self.ends) - max(self.size, 1))
 
-        Args:
-            since: give those only that were taken after so many.
-        """
-        held = len(self.ends)
-        first = max(0, held - max(self.size, 1), min(since - self._gone, held))
-        return self._gone + first, self.late, self.ends[first:], self.records[first:]
+    def since(self, taken: int) -> Tuple[int, List[MemoryRecord]]:
+        """Return the records that were taken after so many, and how many came before the first of them."""
+        first = max(self.oldest, min(taken, self.added))
+        return first, self.records[first - self._gone :]
 
     def restore(self, gone: int, late: int, ends: List[int], records: List[MemoryRecord]) -> None:
         """Have records as another memory had them."""
