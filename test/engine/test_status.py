@@ -5,6 +5,7 @@ import threading
 
 import pytest
 
+from retalis import foreign
 from retalis.engine import Engine, Settings
 from retalis.prolog.machine import Limits
 
@@ -134,8 +135,15 @@ def test_alarms_that_are_set_are_told():
 
 
 def test_a_busy_engine_tells_at_once_with_what():
+    told = threading.Event()
+
+    @foreign
+    def waits_until_told() -> bool:
+        return told.wait(60)
+
     engine = Engine(settings=Settings(limits=Limits(seconds=60.0)))
-    engine.load(rules="alarm <- fire where endless.\nendless :- endless2, endless.\nendless2.", source="mine")
+    engine.add_foreign(waits_until_told)
+    engine.load(rules="alarm <- fire where waits_until_told.", source="mine")
     thread = threading.Thread(target=engine.event, args=("fire", 1), daemon=True)
     thread.start()
     work = None
@@ -143,6 +151,8 @@ def test_a_busy_engine_tells_at_once_with_what():
         work = engine.status().work
     engine.post_text("event(fire)")
     status = engine.status()
+    told.set()
+    thread.join()
     assert status.work.what == "fire" and status.work.event == "fire"
     assert "rule alarm: goal" in status.work.goal and status.work.place.startswith("mine:1:")
     assert status.work.seconds >= work.seconds >= 0
