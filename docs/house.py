@@ -27,6 +27,7 @@ class Module:
         name: without the package's own.
         room: the folder in which it stands, with dots.
         is_face: whether it is an ``__init__.py``.
+        nodes: those of its syntax tree.
         imports: for each import, here or in a function, the full name of a module and the name taken of it.
     """
 
@@ -37,10 +38,11 @@ class Module:
         self.name = ".".join(parts[:-1] if self.is_face else parts)
         self.room = ".".join(parts[:-1])
         self.tree = ast.parse(path.read_text(encoding="utf-8"))
+        self.nodes = list(ast.walk(self.tree))
         self.imports = list(self._imports())
 
     def _imports(self) -> Iterator[Tuple[str, Optional[str]]]:
-        for node in ast.walk(self.tree):
+        for node in self.nodes:
             if isinstance(node, ast.ImportFrom):
                 base = node.module or ""
                 if node.level:

@@ -10,5 +10,11 @@ _spec.loader.exec_module(house)
 
 SOURCE = house.SOURCE
 
-TREES = {module.path.relative_to(SOURCE).as_posix(): module.tree for module in house.MODULES.values()}
-"""The syntax tree of each file, by its path below the package."""
+FILES = {module.path.relative_to(SOURCE).as_posix(): module for module in house.MODULES.values()}
+"""Each file, by its path below the package."""
+
+TREES = {path: module.tree for path, module in FILES.items()}
+"""The syntax tree of each file."""
+
+NODES = {path: module.nodes for path, module in FILES.items()}
+"""All nodes of that tree, for who looks for some: walking all trees takes as long as parsing them."""

@@ -4,7 +4,7 @@ import ast
 import re
 
 import pytest
-from source import ROOT, SOURCE, TREES
+from source import NODES, ROOT, SOURCE
 
 pytestmark = pytest.mark.docs
 
@@ -34,8 +34,8 @@ PATHS, NAMES = quoted()
 def names():
     """Return the names that the package's files define; those of a class also with its name before them."""
     found = set()
-    for tree in TREES.values():
-        for node in ast.walk(tree):
+    for nodes in NODES.values():
+        for node in nodes:
             if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
                 found.add(node.name)
             if isinstance(node, ast.ClassDef):

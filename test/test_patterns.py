@@ -12,15 +12,13 @@ import re
 import signal
 from contextlib import contextmanager
 from itertools import product
-from pathlib import Path
 from typing import Any, Dict, Iterator, List, NamedTuple, Set, Tuple
 
 import pytest
+from source import FILES
 
-import retalis
 from retalis.prolog.syntax import tokens
 
-PACKAGE = Path(retalis.__file__).parent
 SIZE = 100_000
 SECONDS = 20.0
 """Of processor time for all texts of a pattern; the slowest takes a tenth of a second."""
@@ -201,13 +199,16 @@ IN_THE_GRAMMAR = "prolog/syntax/tokens.py"
 """It compiles the terminals of the grammar, which are looked at one by one."""
 
 
-def calls_of_re(path: Path) -> List[ast.Call]:
+def calls_of_re(path: str) -> List[ast.Call]:
     """Return where a file calls a function of ``re`` that takes a pattern."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    assert not any(isinstance(one, ast.ImportFrom) and one.module == "re" for one in ast.walk(tree)), path
+    file = FILES[path]
+    names = [name for base, name in file.imports if base == "re"]
+    assert not any(names), path
+    if not names:
+        return []
     return [
         one
-        for one in ast.walk(tree)
+        for one in file.nodes
         if isinstance(one, ast.Call)
         and isinstance(one.func, ast.Attribute)
         and isinstance(one.func.value, ast.Name)
@@ -228,13 +229,12 @@ def patterns_in(value: Any) -> Iterator[str]:
             yield from patterns_in(one)
 
 
-def patterns_of(path: Path) -> Set[str]:
+def patterns_of(path: str) -> Set[str]:
     """Return the patterns of a file: those of calls that name them, and those that its module holds."""
     calls = calls_of_re(path)
     if not calls:
         return set()
-    parts = path.relative_to(PACKAGE).with_suffix("").parts
-    module = importlib.import_module(".".join(("retalis", *parts)))
+    module = importlib.import_module(f"retalis.{path[: -len('.py')].replace('/', '.')}")
     held = [one for value in vars(module).values() for one in patterns_in(value)]
     found = set(held)
     unnamed = 0
@@ -252,8 +252,8 @@ def patterns_of(path: Path) -> Set[str]:
 def all_patterns() -> Dict[str, Any]:
     """Return every pattern of the package by its text, or by its name where it is a terminal."""
     found: Dict[str, Any] = {}
-    for path in sorted(PACKAGE.rglob("*.py")):
-        if path.relative_to(PACKAGE).as_posix() != IN_THE_GRAMMAR:
+    for path in sorted(FILES):
+        if path != IN_THE_GRAMMAR:
             for text in patterns_of(path):
                 verbose = re.VERBOSE if "\n " in text else 0
                 found[text] = re.compile(text, verbose | (re.MULTILINE if text[0] == "^" else 0))
@@ -270,7 +270,7 @@ def test_each_pattern_is_looked_at():
 
 
 def test_the_grammar_is_compiled_nowhere_else():
-    assert len(calls_of_re(PACKAGE / IN_THE_GRAMMAR)) == 1
+    assert len(calls_of_re(IN_THE_GRAMMAR)) == 1
 
 
 def texts(case: Case, size: int) -> Iterator[str]:

@@ -5,7 +5,7 @@ import re
 from collections import defaultdict
 from functools import lru_cache
 
-from source import ROOT, TREES
+from source import NODES, ROOT, TREES
 
 GLOSSARY = ROOT / "docs" / "glossary.md"
 
@@ -19,8 +19,8 @@ TWICE: "dict[str, str]" = {
 def classes():
     """Return the files that define each class, by its name without a leading underscore."""
     found = defaultdict(list)
-    for path, tree in TREES.items():
-        for node in ast.walk(tree):
+    for path, nodes in NODES.items():
+        for node in nodes:
             if isinstance(node, ast.ClassDef):
                 found[node.name.lstrip("_")].append(path)
     return dict(found)

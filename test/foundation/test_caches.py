@@ -3,7 +3,7 @@
 import ast
 
 import pytest
-from source import TREES
+from source import NODES, TREES
 
 from retalis.foundation import Cache, Texts
 from retalis.foundation.caches import ENTRY
@@ -44,7 +44,7 @@ def caches():
     """Yield file, name and bounds of each cache that is made in the package."""
     for path, tree in TREES.items():
         values = constants(tree)
-        for node in ast.walk(tree):
+        for node in NODES[path]:
             for part in ast.iter_child_nodes(node):
                 made = [one for one in ast.walk(part) if is_cache(one)]
                 if made and isinstance(part, (ast.Assign, ast.AnnAssign, ast.Return)):
@@ -96,8 +96,8 @@ KINDS = {
     "Cache": None,
     **{
         node.name: own_bounds(node, tree)
-        for tree in TREES.values()
-        for node in ast.walk(tree)
+        for path, tree in TREES.items()
+        for node in NODES[path]
         if isinstance(node, ast.ClassDef) and any("Cache" in ast.dump(base) for base in node.bases)
     },
 }
@@ -146,8 +146,8 @@ def test_texts_are_made_once_where_they_are_short():
 def test_each_cache_of_a_function_is_known_and_bounded():
     found = {
         (path, node.name)
-        for path, tree in TREES.items()
-        for node in ast.walk(tree)
+        for path, nodes in NODES.items()
+        for node in nodes
         if isinstance(node, ast.FunctionDef) and any("cache" in ast.dump(one) for one in node.decorator_list)
     }
     assert found == set(DECORATED)
@@ -159,5 +159,5 @@ def test_each_cache_is_known_with_its_bounds_of_entries_and_bytes():
         (path, name): tuple(one for one in bounds if one is not None)[:2] for path, name, bounds in caches()
     }
     assert found == HELD
-    made = sum(is_cache(node) for tree in TREES.values() for node in ast.walk(tree))
+    made = sum(is_cache(node) for nodes in NODES.values() for node in nodes)
     assert made == len(HELD)

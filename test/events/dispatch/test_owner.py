@@ -3,7 +3,7 @@
 import ast
 
 import pytest
-from source import TREES
+from source import NODES
 
 OWNERS = {
     "current": "events/dispatch/",
@@ -13,15 +13,15 @@ OWNERS = {
 }
 
 
-def assigned(tree):
+def assigned(nodes):
     """Yield the attributes that a module assigns."""
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.Attribute) and isinstance(node.ctx, (ast.Store, ast.Del)):
             yield node.attr
 
 
 @pytest.mark.parametrize("name", OWNERS)
 def test_only_the_owner_sets_it(name):
-    setting = {path for path, tree in TREES.items() if name in assigned(tree)}
+    setting = {path for path, nodes in NODES.items() if name in assigned(nodes)}
     assert setting
     assert all(path.startswith(OWNERS[name]) for path in setting), setting
