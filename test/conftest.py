@@ -7,12 +7,16 @@ The fast tests are shared between processes where pytest-xdist is installed. The
 so: some of them measure memory, and those on ROS are many processes by themselves.
 """
 
+import gc
 import os
 
 import pytest
 
 FAST = "not slow"
 MOST = 8
+
+LOOKS = (700, 10, 100)
+"""When the garbage collector looks: at what is young as usual, at all of it a tenth as often."""
 
 try:
     from hypothesis import settings
@@ -30,3 +34,21 @@ def pytest_cmdline_main(config):
         return
     if option.markexpr == FAST and getattr(option, "numprocesses", 0) is None and not option.usepdb:
         option.numprocesses = min(MOST, os.cpu_count() or 1)
+
+
+@pytest.hookimpl(hookwrapper=True)
+def pytest_collection(session):
+    """Let the garbage collector leave alone what is collected: a million objects of modules, syntax trees and tests
+    that stay to the end, and that each full run would walk, in the middle of whatever test makes it run.
+    """
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
+        gc.freeze()
+        gc.set_threshold(*LOOKS)
+
+
+def pytest_runtest_teardown():
+    gc.set_threshold(*LOOKS)  # a command that was run here has changed it for its process

@@ -14,6 +14,14 @@ from retalis.cli.onebag import _SAID, BagTask, play_bag
 from retalis.engine.playback import BagReader
 
 
+@pytest.fixture(autouse=True)
+def tightened(monkeypatch):
+    """Note that the collector is asked to free a bag's program; do not, it would walk what all tests have loaded."""
+    asked = []
+    monkeypatch.setattr("retalis.cli.onebag.tighten", lambda: asked.append(True))
+    return asked
+
+
 @pytest.fixture
 def program(tmp_path):
     return make_program(tmp_path / "program")
@@ -76,11 +84,12 @@ def test_a_bag_that_cannot_be_played_leaves_nothing(program, tmp_path):
     assert set(os.listdir(tmp_path)) == before
 
 
-def test_whatever_goes_wrong_is_the_bags_failure(program, tmp_path, monkeypatch):
+def test_whatever_goes_wrong_is_the_bags_failure(program, tmp_path, monkeypatch, tightened):
     bag = make_bag(tmp_path / "a.bag", "x")
     asked = task(program, bag, tmp_path / "result", None)
     monkeypatch.setattr("retalis.cli.onebag.play", lambda *given: 1 / 0)
     assert play_bag(asked, str(tmp_path)).failure == "ZeroDivisionError: division by zero"
+    assert tightened == [True]
 
 
 def test_of_what_is_said_the_beginning_is_kept(program, tmp_path, monkeypatch):

@@ -19,7 +19,7 @@ def test_what_is_loaded_is_not_walked_again():
         assert gc.get_freeze_count() == 0
         assert gc.get_threshold()[0] < 50_000
     finally:
-        gc.unfreeze()
+        gc.freeze()  # as all tests begin
         gc.set_threshold(*thresholds)
 
 
