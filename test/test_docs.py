@@ -65,16 +65,6 @@ def prolog():
                 yield pytest.param(found["text"], id=f"{page.name}-{number}")
 
 
-@pytest.mark.parametrize("text", list(prolog()))
-def test_rules_and_goals_in_the_pages_load(text):
-    engine = Engine()
-    if text.startswith(("memorize(", "subscribe(")):
-        engine.call_goals(text, "snippet")
-    else:
-        assert list(read_program(text, Operators.prolog(), "snippet"))
-        engine.load(rules=text)
-
-
 PARTS = ("unread-rules", "unpublished", "never-made", "never-taken", "memories", "undefined", "retracted")
 """What is found in a part of a program because the rest of it is not there."""
 
@@ -85,11 +75,12 @@ def definitions():
 
 
 @pytest.mark.parametrize("text", list(prolog()))
-def test_check_has_nothing_to_say_of_rules_in_the_pages(text, definitions):
+def test_rules_and_goals_in_the_pages_load_and_check_has_nothing_to_say_of_them(text, definitions):
     engine = Engine()
     if text.startswith(("memorize(", "subscribe(")):
         engine.call_goals(text, "snippet")
     else:
+        assert list(read_program(text, Operators.prolog(), "snippet"))
         engine.load(rules=text)
     parts = parts_of(engine)
     found = look_through(Overview(parts.rules, parts.knowledge, definitions, Topics()))
