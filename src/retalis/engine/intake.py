@@ -104,8 +104,9 @@ class Intake:
         if clock.went_back():
             log.warning("time went back: memories, waiting queries and partial matches are cleared")
             self._start_anew()
+        until = clock.reached()  # what comes due while alarms ring waits: events come in between
         while True:
-            due = clock.due()
+            due = clock.due(until)
             if due is None:
                 return
             instant, alarm = due

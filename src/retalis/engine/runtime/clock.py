@@ -162,6 +162,34 @@ class Clock:
         instant, _, alarm = heapq.heappop(self.alarms)
         return instant, alarm
 
+    def drop(self, is_dead: Callable[[Alarm], bool]) -> None:
+        """Take the alarms out that are not to be called any more.
+
+        >>> clock = Clock(lambda: 5_000_000_000)
+        >>> clock.call_at(6_000_000_000, print)
+        >>> clock.drop(lambda alarm: alarm is print)
+        >>> clock.alarms
+        []
+        """
+        self.alarms[:] = [one for one in self.alarms if not is_dead(one[2])]
+        heapq.heapify(self.alarms)
+
+    def reached(self) -> int:
+        """Return the instant up to which alarms are due.
+
+        >>> Clock(lambda: 5_000_000_000).reached()
+        5000000000
+        """
+        return self.now()
+
+    def coming(self) -> int:
+        """Return the instant to which time is being moved: later than `reached` where that takes several steps.
+
+        >>> Clock(lambda: 5_000_000_000).coming()
+        5000000000
+        """
+        return self.reached()
+
     def went_back(self) -> bool:
         """Tell whether time has gone back by more than `JUMP` since the last call; the clock starts anew then.
 
@@ -208,6 +236,7 @@ class StreamClock(Clock):
 
     def __init__(self, start: int = 0):
         self._time = start
+        self._heading = start
         self._pinned: Optional[int] = None
         super().__init__(self._present)
 
@@ -274,6 +303,32 @@ class StreamClock(Clock):
         1000000500
         """
         self._time += nanoseconds
+
+    def head_for(self, instant: int) -> None:
+        """Say where the stream's time is being moved, by who moves it from one alarm to the next.
+
+        >>> clock = StreamClock(1_000_000_000)
+        >>> clock.head_for(2_000_000_000)
+        >>> clock.reached(), clock.coming()
+        (1000000000, 2000000000)
+        """
+        self._heading = instant
+
+    def reached(self) -> int:
+        """Return the instant up to which alarms are due: the stream's time, also where the clock is pinned.
+
+        >>> StreamClock(1_000_000_000).reached()
+        1000000000
+        """
+        return self._time
+
+    def coming(self) -> int:
+        """Return the instant to which time is being moved; see `head_for`.
+
+        >>> StreamClock(1_000_000_000).coming()
+        1000000000
+        """
+        return max(self._time, self._heading)
 
     def due(self, until: Optional[int] = None) -> Optional[Tuple[int, Alarm]]:
         """Take and return the next alarm that is due by the stream's time.
