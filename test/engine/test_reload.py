@@ -516,3 +516,57 @@ def test_events_come_in_meanwhile(program):
     program.engine.call("true")
     assert [text for text in program.seen if text.startswith("fire")] == [f"fire({n})" for n in numbers]
     assert program.records() == [f"fire({n})" for n in reversed(numbers)][:5]
+
+
+class TestTimers:
+    """What a program has timed, when it is read again."""
+
+    @pytest.fixture
+    def timed(self, tmp_path):
+        program = Program(tmp_path)
+        program.reload(goals=GOALS + "timer(a, every(4, from_now))\ntimer(b, after(100))\n")
+        program.events("e")
+        program.engine.call("timer(own, every(5))")
+        return program
+
+    def timers(self, program):
+        return program.all("timers(L), member(timer(E, _, T), L), X = E-T")
+
+    def test_those_that_are_the_same_go_on_and_others_come_and_go(self, timed):
+        timed.events("e")
+        told = timed.reload(goals=GOALS + "timer(a, every(4, from_now))\ntimer(c, at(0,0,9))\n")
+        assert [line for line in told if "timer" in line] == [
+            "timers: 1 new, 1 gone, 1 kept",
+            "  new: timer c, at(0,0,9)",
+            "  gone: timer b, after(100)",
+        ]
+        assert sorted(self.timers(timed)) == [
+            "a-datime(1970,1,1,0,0,5,0)",
+            "c-datime(1970,1,1,0,0,9,0)",
+            "own-datime(1970,1,1,0,0,5,0)",
+        ]
+        timed.now = 11
+        assert timed.events("e") == ["a", "own", "c", "a", "own", "e"]
+
+    def test_a_program_with_an_error_leaves_them_as_they_were(self, timed):
+        before = self.timers(timed)
+        with pytest.raises(ProgramErrors):
+            timed.reload(goals=GOALS + "timer(a, evry(4))\n")
+        assert self.timers(timed) == before
+        timed.engine.call("assertz(here)")
+        with pytest.raises(RetalisError):  # in the engine that runs only
+            timed.reload(goals=GOALS + "timer(d, every(1))\n(catch(here, _, fail) -> throw(bad) ; true)\n")
+        assert self.timers(timed) == before
+        timed.now = 11
+        assert timed.events("e").count("a") == 2
+
+    def test_what_was_made_by_a_state_is_known(self, timed):
+        other = Engine.restore(timed.engine.snapshot())
+        other.reload(timed.folder)
+        (found,) = other.query("timers(L)")
+        (before,) = timed.engine.query("timers(L)")
+        assert other.show(found["L"]).count("timer(") == other.show(before["L"]).count("timer(") == 3
+        timed.write(goals=GOALS)
+        other.reload(timed.folder)
+        (left,) = other.query("timers(L)")
+        assert other.show(left["L"]).startswith("[timer(own,") and other.show(left["L"]).count("timer(") == 1

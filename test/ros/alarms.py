@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Alarms ring by ROS time: simulated time, which stands still until the test moves it."""
+"""Alarms and timers ring by ROS time: simulated time, which stands still until the test moves it."""
 
 import sys
 import unittest
@@ -18,6 +18,8 @@ from retalis import srv  # noqa: E402
 START = 1_000_000_000
 RULES = (
     "ins_event_rule((exceptionAlarm(rings(X), 5) <- starts(X)))",
+    "timer(beats(1), every(2))",
+    "timer(beats(2), after(3))",
     "ins_event_rule((exceptionAlarmAbsoluteDatime(strikes(X), datime(2001,9,9,1,47,0,0)) <- sets(X)))",
 )
 
@@ -29,7 +31,7 @@ class Alarms(unittest.TestCase):
         cls.to_engine = rospy.Publisher("retalisInputEvents", String, queue_size=5000)
         cls.clock = rospy.Publisher("/clock", Clock, queue_size=10)
         subscribe = service("add_output_subscription", srv.AddOutputSubscription)
-        for event in ("rings", "strikes", "seen"):
+        for event in ("rings", "strikes", "seen", "beats"):
             assert subscribe(f"{event}(X)", "", "_", "t", event).result == "ok"
         wait_until(lambda: cls.to_engine.get_num_connections() > 0, "node retalis")
         wait_until(lambda: cls.outputs.connected(), "its outputs")
@@ -72,6 +74,8 @@ class Alarms(unittest.TestCase):
         self.at(5, 1_000_000, 3)
         self.move_until(range(6, 19), "event(rings(a),t,rings)")
         self.assertFalse(self.has("event(strikes(b),t,strikes)"))
+        beats = [one.data for one in self.outputs.messages if one.data.startswith("event(beats")]
+        self.assertEqual(beats[:3], [f"event(beats({at}),t,beats)" for at in (1, 2, 1)])
         # no event comes: the node's own timer wakes it
         self.move_until(range(21, 100_000), "event(strikes(b),t,strikes)")
 

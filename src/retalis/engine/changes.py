@@ -3,9 +3,12 @@
 from typing import Dict, Hashable, Iterable, List, Sequence
 
 from ..events.network import Rule
+from ..events.rules import ProgramTimer
 from ..foundation import Place, counted
 from ..prolog.logic import Logic
 from .standing import Clauses, Standing, clause_key
+
+Timed = Dict[Hashable, ProgramTimer]
 
 _MOST = 20
 """How many of one kind are named."""
@@ -27,6 +30,7 @@ def changes(
         *_rules(old.rules, new.rules, kept),
         *_memories(logic, old, new),
         *_subscriptions(logic, old, new),
+        *_timers(logic, old, new),
         *_predicates(clauses, new.clauses),
     ]
 
@@ -84,6 +88,22 @@ def _subscriptions(logic: Logic, old: Standing, new: Standing) -> List[str]:
         if key not in new.subscriptions
     ]
     return _told("subscriptions", fresh, gone, changed, f"{kept} kept")
+
+
+def _timers(logic: Logic, old: Standing, new: Standing) -> List[str]:
+    if not (old.timers or new.timers):
+        return []
+    show = logic.brief
+
+    def named(found: Timed, others: Timed) -> List[str]:
+        return [
+            f"timer {show(one.event)}, {show(one.schedule.term)}"
+            for key, one in found.items()
+            if key not in others
+        ]
+
+    kept = sum(key in old.timers for key in new.timers)
+    return _told("timers", named(new.timers, old.timers), named(old.timers, new.timers), [], f"{kept} kept")
 
 
 def _predicates(old: Clauses, new: Clauses) -> List[str]:

@@ -5,7 +5,7 @@ from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Seq
 
 from ..events.dispatch import Dispatcher
 from ..events.knowledge import Knowledge
-from ..events.rules import Rules
+from ..events.rules import BEGIN, Rules
 from ..foundation import beginning
 from ..prolog.logic import Logic
 from ..prolog.terms import Term, Var, deref
@@ -84,7 +84,7 @@ class StatusReader:
             warnings=seen.reports.warnings,
             matches=seen.rules.waiting,
             alarms=len(seen.clock.alarms),
-            next_alarm=seen.clock.next_alarm(),
+            next_alarm=_next_alarm(seen.clock),
             work=self._work(),
             rules=rules,
             memories=memories,
@@ -115,6 +115,12 @@ class StatusReader:
             return found[1]
 
         return write
+
+
+def _next_alarm(clock: Clock) -> Optional[int]:
+    """Return the instant of the next alarm; None where there is none, or no time yet that it could be of."""
+    instant = clock.next_alarm()
+    return None if instant is None or instant <= BEGIN else instant
 
 
 def _letters(term: Term) -> Dict[Var, str]:

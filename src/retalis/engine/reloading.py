@@ -192,6 +192,7 @@ class Exchange:
             clauses=clauses,
             memories={key: one for key, one in made.memories.items() if memories.get(key) is one},
             subscriptions={k: one for k, one in made.subscriptions.items() if subscriptions.get(k) is one},
+            timers={k: one for k, one in made.timers.items() if now.timers.get(k) is one},
         )
 
     # ---- taking out ----------------------------------------------------------------------------------
@@ -204,6 +205,7 @@ class Exchange:
             self._take_out(predicate, clauses)
         knowledge.memories.set_aside(old.memories.values())
         knowledge.subscriptions.set_aside(old.subscriptions)
+        rules.timers.set_aside(old.timers)
         properties = {
             key: [one for one in found if one not in old.properties.get(key, ())]
             for key, found in rules.all_properties().items()
@@ -280,6 +282,7 @@ class Exchange:
         """Let go of what is not there any more, and tell of it."""
         knowledge = self._parts.knowledge
         knowledge.subscriptions.forget_aside()
+        self._parts.rules.timers.forget_aside()
         for instance in knowledge.memories.forget_aside():
             self._tell(instance)
 
@@ -315,6 +318,7 @@ class Exchange:
         rules.files.loaded = before.files
         knowledge.memories.restore(list(before.memories.values()))
         knowledge.subscriptions.restore(list(before.subscriptions.items()))
+        rules.timers.restore_standing(before.timers)
         self._undo_clauses()
         self._parts.logic.once(_FORGET_TABLES)
 

@@ -6,7 +6,7 @@ from typing import Callable, Dict, Hashable, List, NamedTuple, Optional, Sequenc
 from ..events.knowledge import Instance, Knowledge, Subscription, SubscriptionKey
 from ..events.language import Property
 from ..events.network import Rule
-from ..events.rules import Rules
+from ..events.rules import ProgramTimer, Rules
 from ..prolog.database import Clause, Predicate
 from ..prolog.logic import Logic
 from ..prolog.terms import Functor, Term, functor, term_key
@@ -30,6 +30,7 @@ class Standing(NamedTuple):
         dynamic: the predicates that are declared so.
         replaced: the predicates of the library that the program has of its own.
         files: those that have been loaded.
+        timers: by their keys.
     """
 
     rules: List[Rule]
@@ -41,6 +42,7 @@ class Standing(NamedTuple):
     dynamic: Set[Predicate]
     replaced: Set[Functor]
     files: Set[Path]
+    timers: Dict[Hashable, ProgramTimer]
 
     def since(self, before: "Standing") -> "Standing":
         """Return what has come since a moment before."""
@@ -60,6 +62,7 @@ class Standing(NamedTuple):
             self.dynamic - before.dynamic,
             self.replaced - before.replaced,
             self.files - files,
+            _new_in(self.timers, before.timers),
         )
 
     def and_then(self, other: "Standing") -> "Standing":
@@ -76,10 +79,11 @@ class Standing(NamedTuple):
             self.dynamic | other.dynamic,
             self.replaced | other.replaced,
             self.files | other.files,
+            {**self.timers, **other.timers},
         )
 
 
-NOTHING = Standing([], {}, {}, {}, {}, {}, set(), set(), set())
+NOTHING = Standing([], {}, {}, {}, {}, {}, set(), set(), set(), {})
 """What a program has made that was not loaded."""
 
 
@@ -98,6 +102,7 @@ def standing(logic: Logic, rules: Rules, knowledge: Knowledge) -> Standing:
         {one for one in found if one.dynamic and not one.library},
         set(database.library.kept),
         set(rules.files.loaded),
+        rules.timers.standing(),
     )
 
 

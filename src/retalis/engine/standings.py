@@ -6,6 +6,7 @@ from typing import Any, Dict, Hashable, List
 from ..events.knowledge import Knowledge
 from ..events.language import Property
 from ..events.network import Rule
+from ..events.rules import Timers
 from ..prolog.database import Clause, Predicate
 from ..prolog.logic import Logic, program_predicates
 from ..prolog.terms import Functor, term_key
@@ -48,15 +49,19 @@ def keep_standings(
             "dynamic": [one.functor for one in made.dynamic],
             "replaced": list(made.replaced),
             "files": sorted(map(str, made.files)),
+            "timers": [(one.event, one.schedule.term) for one in made.timers.values()],
         }
         for folder, made in programs.items()
     }
 
 
 def restore_standings(
-    kept: Dict[str, Any], logic: Logic, knowledge: Knowledge, named: List[Rule]
+    kept: Dict[str, Any], logic: Logic, knowledge: Knowledge, timers: Timers, named: List[Rule]
 ) -> Dict[str, Standing]:
-    """Return what the folders have made, in an engine that has taken up a state."""
+    """Return what the folders have made, in an engine that has taken up a state.
+
+    Timers that have rung for the last time since then are there no more.
+    """
     memories = list(knowledge.memories.instances.items())
     subscriptions = knowledge.subscriptions.items()
     found = {}
@@ -74,6 +79,7 @@ def restore_standings(
             {_predicate(logic, functor) for functor in made["dynamic"]},
             set(made["replaced"]),
             set(map(Path, made["files"])),
+            {one.key: one for one in (timers.find(*said) for said in made["timers"]) if one is not None},
         )
     return found
 

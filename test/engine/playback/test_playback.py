@@ -4,8 +4,10 @@ import logging
 
 import pytest
 
+from retalis.engine import Engine
 from retalis.engine.playback import BagReader, BagWriter, Playback
 from retalis.events.program import TopicType
+from retalis.events.rules import timers
 from retalis.messages import Definitions
 from retalis.prolog.syntax import Operators, read_term, to_text
 from retalis.prolog.terms import deref
@@ -204,6 +206,42 @@ def test_an_alarm_rings_at_its_own_time_and_not_at_the_next_message(program, bag
     assert [output.time for output in outputs] == [4 * SECOND, 9 * SECOND]
     assert ("seen(1.0)", 4 * SECOND, 4 * SECOND) in events
     assert ("my_msgs__0__Point(1.0)", 6 * SECOND, 6 * SECOND) in events
+
+
+TIMERS = """
+timer(tick, every(2))
+timer(once, after(3))
+timer(noon, at(datime(1970,1,1,0,0,7,0)))
+"""
+
+
+def test_timers_ring_as_they_do_for_a_stream_of_the_same_events(program, bag):
+    rules = "next(X) <- tick seq my_msgs__0__Point(X)."
+    instants = (1.5, 2, 5, 9)
+    path = bag(
+        *((int(at * SECOND), "/in", "my_msgs/Point", f"my_msgs__0__Point({at:.1f})") for at in instants),
+    )
+    _, events, problems = run(program(rules, TIMERS, IN), path)
+    assert problems == []
+    engine, stream = Engine(), []
+    engine.load(rules=rules, goals=TIMERS)
+    engine.on_event(lambda *event: stream.append((engine.show(event[0]), *event[1:])))
+    for at in instants:
+        engine.event(f"my_msgs__0__Point({at:.1f})", at)
+    assert events == stream and len(stream) == 12
+
+
+def test_in_a_bag_with_a_gap_a_timer_rings_no_more_often_than_where_time_jumps(program, bag, monkeypatch):
+    monkeypatch.setattr(timers, "MOST_AT_ONCE", 100)
+    path = bag(
+        *((at * SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(1.0)") for at in (10, 20, 5000, 5003))
+    )
+    _, events, (problem,) = run(program("null <- tick.", "timer(tick, every(1))", IN), path)
+    assert "4979 events of timer tick, every(1) left out" in problem
+    assert [at // SECOND for event, at, _ in events if event == "tick"] == [
+        *range(11, 21),
+        *range(5000, 5004),
+    ]
 
 
 @pytest.mark.parametrize("limit, taken", [(None, 5), (100.0, 4)])

@@ -44,3 +44,11 @@ def test_a_rule_that_is_there_for_what_it_does_needs_nobody_to_take_its_event(ru
 def test_an_event_that_nobody_takes_is_said():
     (said,) = said_of(never_taken, "noted <- std_msgs__0__String(_).")
     assert said == "nothing takes noted/0: no rule, memory or subscription"
+
+
+def test_timers_make_events():
+    rules = ":- timer(tick, every(5)).\nnull do timer(later(X), after(X)) <- std_msgs__0__String(X).\n"
+    assert said_of(never_made, rules + "null <- tick.\nnull <- later(X).") == []
+    assert said_of(never_taken, rules + "null <- tick.") == [
+        "nothing takes later/1: no rule, memory or subscription"
+    ]

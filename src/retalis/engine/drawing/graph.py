@@ -3,7 +3,7 @@
 from types import MappingProxyType
 from typing import Any, Dict, Hashable, Iterable, Iterator, List, Mapping, NamedTuple, Optional, Set, Tuple
 
-from ...events.language import ALARMS, SYNCHRONIZED, Occurs, own_terms, walk
+from ...events.language import ALARMS, SYNCHRONIZED, Occurs, own_terms, sets_timer, walk
 from ...foundation import beginning
 from ...prolog.terms import Atom, Functor, Term, Var, atom, deref, functor, list_items, variables
 from .. import Engine, parts_of
@@ -187,7 +187,7 @@ class _GraphBuilder:
     def _goals(self, node: str, goals: List[Term]) -> None:
         """Add the events that goals make and the memories that they read, and so those of the clauses they call."""
         for term in self._called(goals):
-            if term[0] in _MAKES:
+            if term[0] in _MAKES or sets_timer(term):
                 event = self._event(deref(term[1]))
                 self._edge(node, event, event)
             elif term[0] in _READS:

@@ -64,6 +64,7 @@ def keep_matches(
         "order": order,
         "waiting": [graph.write(one) for one in waiting],
         "timeouts": queries.timeouts.kept(),
+        "timers": (rules.timers.kept(), rules.timers.left_out),
         "stored": rules.store.stored(),
         "counts": (rules.serial, rules.fired_before, rules.revs_of_nothing),
     }
@@ -105,5 +106,6 @@ def restore_matches(
         instant, order, *rest = graph.read(one)
         alarm: Any = TimeoutAlarm(queries.timeouts, *rest) if len(rest) == 1 else RuleAlarm(rules, *rest)
         clock.put_back(instant, order, alarm)
+    rules.timers.restore(*data["timers"])
     rules.store.restore(data["stored"])
     rules.serial, rules.fired_before, rules.revs_of_nothing = data["counts"]

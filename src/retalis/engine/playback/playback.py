@@ -184,7 +184,7 @@ class Playback:
         while True:
             record = next(stream, None)
             if self.clock.alarms and not self._joining:
-                self._ring_until(bag.end if record is None else record.time)
+                self._ring_until(bag.start, bag.end if record is None else record.time)
             if self._joining:
                 rest = stream if record is None else chain((record,), stream)
                 stream = iter(merge(rest, self._join(bag, decoders), key=_TIME))
@@ -210,9 +210,12 @@ class Playback:
         self._events[plain] = wanted.event
         self._joining.add(plain)
 
-    def _ring_until(self, instant: int) -> None:
+    def _ring_until(self, begin: int, instant: int) -> None:
         """Let each alarm ring at its own time, as it does on a robot, and not when the next message comes."""
         clock = self.clock
+        if not clock.reached():  # timers that wait for a time count from the bag's first message
+            clock.move_to(begin)
+        clock.head_for(instant)
         due = clock.next_alarm()
         while due is not None and due <= instant and not self._joining:
             clock.move_to(due)

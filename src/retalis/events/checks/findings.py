@@ -13,6 +13,7 @@ from .outputs import outputs, unpublished
 from .overview import Overview
 from .predicates import retracted, slipped_arrows, undefined
 from .style import labels, singletons
+from .timers import timers
 from .timing import cycles, never_meet, waits_for_ever, windows
 from .topicfile import topics
 
@@ -53,6 +54,7 @@ CHECKS: Tuple[Check, ...] = (
     Check("never-meets", never_meet, whole=True),
     Check("window", windows),
     Check("waits-for-ever", waits_for_ever),
+    Check("timers", timers, whole=True),
     Check("label", labels),
     Check("singleton", singletons),
 )

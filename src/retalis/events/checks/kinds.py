@@ -8,7 +8,7 @@ from ...prolog.syntax import OperatorKind
 from ...prolog.terms import Atom, CompoundTerm, String, Term, Var, deref, functor
 from ..language import AGGREGATES, Spot, names_of_kind
 from ..program import nowhere
-from .made import NEW_EVENT, made_by
+from .made import made_by, makes_event
 from .overview import Overview
 from .written import NECK, Inner, held, inners
 
@@ -102,7 +102,7 @@ def _in_clause(
 def _made(found: List[Inner], out: Optional[Term]) -> Set[int]:
     """Return which terms are made: the head of a rule, the form of a subscription, events of goals."""
     makers = [] if out is None else [held(deref(out))]
-    makers += [inner.term for inner in found if inner.term.__class__ is tuple and inner.key in NEW_EVENT]
+    makers += [inner.term for inner in found if makes_event(inner.term)]
     return {id(inner.term) for maker in makers for inner in inners(maker, 1, nowhere)}
 
 

@@ -6,7 +6,7 @@ from ...foundation import Place, RuleError
 from ...messages import functor_name
 from ...prolog.terms import SLASH, Atom, Functor, Term, deref, functor
 from ..knowledge import OWN_EVENTS
-from ..language import ALARMS, SYNCHRONIZED, Action
+from ..language import ALARMS, SYNCHRONIZED, Action, sets_timer
 from ..program import TOPICS
 from .near import NearFunctors
 from .overview import Overview, is_open
@@ -45,6 +45,8 @@ class MadeEvents:
             if head is not None:
                 self._note(head, rule.definition.place)
         self._goals(program)
+        for timer in program.loaded.timers:
+            self._note(timer.event, None)
         for clause in program.clauses:
             if key_of(clause.head) is _OUTSIDE:
                 self.keys.update(dict.fromkeys(_named(clause.head)))
@@ -68,7 +70,7 @@ class MadeEvents:
             term = inner.term
             if inner.key is not None:
                 others.add(inner.key)
-            if term.__class__ is tuple and term[0] in NEW_EVENT:
+            if makes_event(term):
                 made: Any = deref(term[1])
                 hidden = hidden or is_open(made)
                 self._note(made, inner.place)
@@ -95,6 +97,11 @@ class MadeEvents:
             self.anything = self.anything or is_open(term)
         elif key is not _NO_EVENT:
             self.keys.setdefault(key, place)
+
+
+def makes_event(term: Term) -> bool:
+    """Tell whether a term is a goal that makes an event, its first argument: now or later."""
+    return term.__class__ is tuple and (term[0] in NEW_EVENT or sets_timer(term))
 
 
 def made_by(head: Optional[Term]) -> Optional[Term]:
@@ -195,7 +202,7 @@ def never_taken(program: Overview) -> Iterator[RuleError]:
         yield RuleError(_nobody(key, taken, nearby), place)
     for inner in program.calls():
         term = inner.term
-        if term.__class__ is tuple and term[0] in NEW_EVENT and term[0].name == "new_event":
+        if makes_event(term) and term[0].name != "event":
             key = key_of(term[1])
             if key is not None and key not in taken and key not in seen:
                 seen.add(key)

@@ -31,6 +31,7 @@ from .pattern import (
     walk,
 )
 from .reading import PatternReader, Spot
+from .schedules import TIMER, Schedule, schedule_fault, schedule_of, sets_timer
 
 __all__ = [
     "Absent",
@@ -69,12 +70,17 @@ __all__ = [
     "PatternReader",
     "Repeated",
     "RULE",
+    "Schedule",
+    "schedule_fault",
+    "schedule_of",
     "SEQ",
+    "sets_timer",
     "SPELLINGS",
     "Spot",
     "Star",
     "surely_bound_by",
     "SYNCHRONIZED",
+    "TIMER",
     "Unknown",
     "unknown_calls",
     "walk",

@@ -1,13 +1,20 @@
 """Facts that were meant as goals: without their ``:-`` they would take the place of a predicate of the system."""
 
-from typing import Optional, Sequence, Set
+from typing import Callable, Dict, Optional, Sequence, Set
 
 from ...prolog.logic import Logic
 from ...prolog.terms import COMMA, CONS, SLASH, Atom, Functor, Term, deref, functor
+from ..language import TIMER, sets_timer
 from .clauses import FileEntry
 
 _CLAUSE = functor(":-", 2)
 _GRAMMAR = functor("-->", 2)
+_GIVING_WAY: Dict[Functor, Callable[[Term], bool]] = {
+    TIMER: sets_timer,
+    functor("timers", 1): lambda term: False,
+}
+"""Predicates with names that programs give to facts of their own, and whether a fact of them was meant as a goal."""
+
 _DECLARES = frozenset(functor(name, 1) for name in ("dynamic", "discontiguous", "multifile", "table"))
 
 
@@ -28,6 +35,8 @@ def fact_error(logic: Logic, term: Term, defined: Set[Functor]) -> Optional[str]
     """Return why a fact of a file that defines these predicates is refused, or None."""
     key = None if _has_body(term) else _key(term)
     if key is None or key in defined or not logic.is_of_system(key):
+        return None
+    if key in _GIVING_WAY and not _GIVING_WAY[key](term):
         return None
     return (
         f"a fact of {key} would replace the built-in predicate: write :- before a goal; "

@@ -4,11 +4,15 @@ from .alarms import RuleAlarm
 from .inputs import InputReader, event_of
 from .making import define_new_event
 from .rules import Rules
+from .timers import BEGIN, ProgramTimer, Timers
 
 __all__ = [
+    "BEGIN",
     "define_new_event",
     "event_of",
     "InputReader",
+    "ProgramTimer",
     "RuleAlarm",
     "Rules",
+    "Timers",
 ]

@@ -19,6 +19,7 @@ from .alarms import RuleAlarm
 from .flags import Flags
 from .predicates import define_predicates
 from .ruletable import RuleTable, label_of
+from .timers import Timers
 from .timing import Timing
 
 log = logging.getLogger("retalis")
@@ -78,6 +79,7 @@ class Rules:
         self.loader = Loader(self)
         self._properties: Dict[Hashable, List[Property]] = {}
         self.serial = 0
+        self.timers = Timers(self)
         define_predicates(self)
 
     # ---- loading -------------------------------------------------------------------------------------
@@ -222,6 +224,7 @@ class Rules:
             chosen.update(rule.listeners)
         self.dispatcher.keep_only(Stage.RULES, chosen)
         self.tracker.mend()
+        self.timers.mend()
 
     def _same_rules(self, term: Term) -> List[Rule]:
         checker = FileChecker()
@@ -310,18 +313,20 @@ class Rules:
         return self.clock.now() + self.future
 
     def clear(self) -> None:
-        """Drop all partial matches and what is kept of past events (time went back, or a reset)."""
+        """Drop all partial matches and what is kept of past events: time went back. Timers go on from there."""
         for rule in self.rules:
             rule.clear()
         self.tracker.clear()
+        self.timers.start_anew()
 
     def reset(self) -> None:
-        """Drop all rules, properties, partial matches and stored events; set all flags to their defaults."""
+        """Drop all rules, properties, partial matches, stored events and timers; set all flags to their defaults."""
         for rule in list(self.rules):
             self.remove(rule)
         self._properties.clear()
         self.store.clear()
         self.tracker.clear()
+        self.timers.clear()
         self.flags.reset()
         self.files.loaded.clear()
 

@@ -1,0 +1,85 @@
+"""When timers ring."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from retalis.events.language import schedule_fault, schedule_of, sets_timer
+from retalis.foundation import UsageError
+from retalis.prolog.syntax import Operators, read_term
+from retalis.prolog.terms import SECOND
+
+DAY = 86_400
+
+
+def term(text):
+    return read_term(text, Operators.prolog()).term
+
+
+@given(st.integers(1, 10**6), st.integers(1, 4 * 10**18), st.booleans())
+def test_the_next_instant_is_the_first_multiple_after_now(milliseconds, now, aligned):
+    period = milliseconds * 10**6
+    schedule = schedule_of(term(f"every({milliseconds / 1000}{'' if aligned else ', from_now'})"))
+    found = schedule.next(now)
+    assert schedule.repeats and schedule.period == period
+    assert now < found <= now + period
+    assert found % period == 0 if aligned else found == now + period
+
+
+@pytest.mark.parametrize(
+    "text, now, wanted",
+    [
+        ("at(8,30,0)", 0, 8.5 * 3600),
+        ("at(8,30,0)", 8.5 * 3600, DAY + 8.5 * 3600),
+        ("at(0,0,1.5)", 10 * DAY, 10 * DAY + 1.5),
+        ("at(100)", 99, 100),
+        ("at(100)", 100, None),
+        ("at(datime(1970,1,1,0,1,0,0))", 5, 60),
+        ("at([60,5])", 5, 60.000000005),
+        ("after(2.5)", 7, 9.5),
+    ],
+)
+def test_instants_of_the_day_and_single_ones(text, now, wanted):
+    found = schedule_of(term(text)).next(int(now * SECOND))
+    assert found == (None if wanted is None else round(wanted * SECOND))
+
+
+@pytest.mark.parametrize(
+    "text, said",
+    [
+        ("evry(5)", "expected every(Seconds), every(Seconds, from_now), at("),
+        ("every(5, soon)", "expected every(Seconds), every(Seconds, from_now), at("),
+        ("5", "expected every(Seconds)"),
+        ("every(0)", "every needs a number of seconds of at least 0.001"),
+        ("every(0.0001)", "every needs a number of seconds of at least 0.001"),
+        ("every(a)", "every needs a number of seconds"),
+        ("after(0)", "after needs a number of seconds above 0"),
+        ("after(-1)", "after needs a number of seconds above 0"),
+        ("after(inf)", "after needs a number of seconds"),
+        ("after(1.0e10)", "1000000000 at most"),
+        ("at(24,0,0)", "at needs an hour from 0 to 23"),
+        ("at(0,60,0)", "at needs an hour from 0 to 23"),
+        ("at(0,0,60)", "at needs an hour from 0 to 23"),
+        ("at(0.0,0,0)", "at needs an hour from 0 to 23"),
+        ("at(noon)", "expected datime("),
+        ("at(datime(2026,2,30,0,0,0,0))", "expected datime("),
+    ],
+)
+def test_what_is_no_time_is_told_what_was_expected(text, said):
+    with pytest.raises(UsageError) as raised:
+        schedule_of(term(text))
+    assert said in raised.value.message
+    assert said in schedule_fault(term(text))
+
+
+@pytest.mark.parametrize("text", ["W", "every(N)", "at(H,0,0)", "every(2)", "at(datime(Y,1,1,0,0,0,0))"])
+def test_what_may_yet_become_a_time_is_no_fault(text):
+    assert schedule_fault(term(text)) is None
+
+
+@pytest.mark.parametrize(
+    "text, sets",
+    [("timer(a, every(1))", True), ("timer(a, W)", True), ("timer(a, 5)", False), ("timer", False)],
+)
+def test_goals_that_set_timers_are_told_from_facts(text, sets):
+    assert sets_timer(term(text)) is sets
