@@ -20,7 +20,7 @@ from retalis.prolog.terms import SECOND, Term, atom, functor
 
 from . import revision
 from .goals import show
-from .patterns import Pattern, Rule
+from .patterns import NO_PROPERTIES, Pattern, Rule
 from .strategies import Case, random_case
 
 Fired = List[Tuple[str, Any, Any]]
@@ -142,8 +142,11 @@ def smaller_rules(rule: Rule) -> Iterator[Rule]:
     """Yield simpler rules."""
     for pattern in smaller_patterns(rule.pattern):
         yield replace(rule, pattern=pattern)
-    if rule.window is not None or rule.label is not None:
-        yield replace(rule, window=None, label=None)
+    if rule.has_properties() or rule.label is not None:
+        yield replace(rule, window=None, label=None, **NO_PROPERTIES)
+    for name in NO_PROPERTIES:
+        if getattr(rule, name) is not None:
+            yield replace(rule, **{name: None})
     if rule.do is not None:
         yield replace(rule, do=None)
     if rule.head.__class__ is tuple:

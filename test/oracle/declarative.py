@@ -45,7 +45,7 @@ class Found(NamedTuple):
 
 def defined_for(rules: Sequence[Rule]) -> bool:
     """Tell whether the rules are in the domain of this evaluator: one rule, no runs, no forall_seq."""
-    if len(rules) != 1 or has_outer_absence(rules[0]):
+    if len(rules) != 1 or has_outer_absence(rules[0]) or rules[0].policy_by("unrestricted") != "unrestricted":
         return False
     return not any(
         isinstance(node, (Star, Aggregate, Sub)) or (isinstance(node, Both) and node.kind == "forall_seq")
@@ -71,7 +71,7 @@ class Combinations:
 
     def __init__(self, rule: Rule, out_of_order: bool):
         self.rule = rule
-        self.out_of_order = out_of_order
+        self.out_of_order = rule.late_by(out_of_order)
         self.tests = Conditions(rule)
         self.now: Optional[int] = None
         self._held: Set[Any] = set()

@@ -142,7 +142,7 @@ class Sub(Pattern):
 
 @dataclass(frozen=True, eq=False)
 class Rule:
-    """``head <- pattern``, with a label that may carry a window in seconds."""
+    """``head <- pattern``, with a label that may carry a window in seconds, and what overrides the flags."""
 
     head: Term
     pattern: Pattern
@@ -150,8 +150,26 @@ class Rule:
     window: Any = None
     do: Optional[Term] = None
     """The goal of ``head do goal <- pattern``."""
+    policy: Optional[str] = None
+    """A policy of its own; None for that of the flag."""
+    out_of_order: Optional[bool] = None
+    """Whether it takes late first sides, whatever the flag says; None as the flag says."""
+
+    def has_properties(self) -> bool:
+        """Tell whether its label says how it runs."""
+        return any(one is not None for one in (self.window, self.policy, self.out_of_order))
+
+    def policy_by(self, flag: str) -> str:
+        """Return the policy by which it runs. Labels: a property overrides the flag."""
+        return flag if self.policy is None else self.policy
+
+    def late_by(self, flag: bool) -> bool:
+        """Tell whether late first sides are taken. Labels: a property overrides the flag."""
+        return flag if self.out_of_order is None else self.out_of_order
 
 
+NO_PROPERTIES: Dict[str, Any] = {"policy": None, "out_of_order": None}
+"""What a rule says that overrides no flag."""
 TWO_SIDED = ("seq", "and", "par", "equals", "meets", "during", "starts", "finishes", "forall_seq")
 EITHER_ORDER = TWO_SIDED[1:-1]
 KINDS = ("count", "sum", "min", "max", "avg", "list")

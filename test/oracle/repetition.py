@@ -16,11 +16,11 @@ class Repetitions(Conditions):
 
     def __init__(self, rule: Rule, policy: str, out_of_order: bool = False, expiry: bool = True):
         super().__init__(rule)
-        self.out_of_order = out_of_order
+        self.out_of_order = rule.late_by(out_of_order)
         self.waiting: Dict[Tuple[Pattern, str], List[Match]] = {}
-        self.policy = policy
+        self.policy = rule.policy_by(policy)
         self.expiry = expiry
-        self.consuming = policy != "unrestricted"
+        self.consuming = self.policy != "unrestricted"
         self.runs: Dict[Pattern, List[Run]] = {}
 
     def repetition(

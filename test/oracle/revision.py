@@ -33,15 +33,18 @@ Stream = Iterable[Tuple[Term, Any, Any]]
 
 def defined_for(rules: Sequence[Rule], policy: str, out_of_order: bool) -> bool:
     """Tell whether the revision of these rules is defined here."""
-    if any(has_outer_absence(rule) for rule in take_out_subpatterns(list(rules))):
+    plain = take_out_subpatterns(list(rules))
+    if any(has_outer_absence(rule) for rule in plain):
         return False
     nodes = [node for rule in rules for node in walk(rule.pattern)]
     if not any(isinstance(node, (Cnot, Fnot)) for node in nodes):
         return True
     limited = any(rule.window is not None for rule in rules) or any(isinstance(n, Within) for n in nodes)
-    if policy == "unrestricted":
-        return not limited and combines(rules)
-    return not limited and not (out_of_order and any(isinstance(node, Cnot) for node in nodes))
+    policies = {rule.policy_by(policy) for rule in plain}
+    if "unrestricted" in policies:
+        return not limited and len(policies) == 1 and combines(rules)
+    late = any(rule.late_by(out_of_order) for rule in plain)
+    return not limited and not (late and any(isinstance(node, Cnot) for node in nodes))
 
 
 def combines(rules: Sequence[Rule]) -> bool:
@@ -60,7 +63,7 @@ def combines(rules: Sequence[Rule]) -> bool:
 
 def run_with_revision(rules: Sequence[Rule], stream: Stream, policy: str, out_of_order: bool) -> List[Step]:
     """Return what is dispatched at each event of the stream, itself included, as multisets."""
-    if policy == "unrestricted" and combines(rules):
+    if len(rules) == 1 and rules[0].policy_by(policy) == "unrestricted" and combines(rules):
         return Recombined(rules[0], out_of_order).run(stream)
     return Tagged(rules, policy, out_of_order).run(stream)
 

@@ -4,7 +4,7 @@ Both draw through one function, ``choice(options)``, so that a case is the same 
 Rules are over few names, few variables and small integers, so that matches happen.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from random import Random
 from typing import Any, Callable, Dict, List, Optional, Sequence, Set, Tuple
@@ -54,6 +54,7 @@ NEUTRAL = (
     ("garbage_control,general", "garbage_window,100000", "garbage_window_step,1"),
     ("rule_sharing,on", "revision_flag,on", "etalis_justification,on"),
 )
+SHORT = 20
 COMPARISONS = ("<", ">", "=<", ">=", "=:=", "=\\=", "==", "\\==")
 
 
@@ -89,6 +90,10 @@ class Case:
     def revises(self) -> bool:
         """Tell whether the stream takes events back."""
         return any(is_revision(term) for term, _, _ in self.stream)
+
+    def policies(self) -> Set[str]:
+        """Return the policies by which its rules run."""
+        return {self.policy, *(rule.policy_by(self.policy) for rule in self.rules)}
 
     def has_limits(self) -> bool:
         """Tell whether a window or a within is part of the program."""
@@ -417,7 +422,25 @@ class Generator:
         if self.revision:
             stream = self.with_revisions(stream)
         policy, late = self.choice(POLICIES), self.chance(30)
-        return Case(tuple(rules), policy, late, tuple(stream), self.choice([(), *NEUTRAL]))
+        neutral = self.choice([(), *NEUTRAL])
+        case = Case(tuple(self.with_properties(rule) for rule in rules), policy, late, tuple(stream), neutral)
+        # of rules that are drawn for another policy, the combinations may be too many
+        return (
+            replace(case, stream=case.stream[:SHORT])
+            if "unrestricted" in case.policies() - {policy}
+            else case
+        )
+
+    def with_properties(self, rule: Rule) -> Rule:
+        """Draw what a rule's label says in the place of the flags; last of all, so that the rest is as without."""
+        if not self.chance(40):
+            return rule
+        return replace(
+            rule,
+            label=f"r_{rule.head[0].name if rule.head.__class__ is tuple else rule.head.name}",
+            policy=self.choice([None, *POLICIES]),
+            out_of_order=self.choice([None, None, False, True, True]),
+        )
 
 
 def is_revision(term: Term) -> bool:

@@ -223,9 +223,13 @@ def write_rule(rule: Rule, form: str = "V{}") -> str:
     if rule.do is not None:
         head += f" do ({write_term(rule.do, names)})"
     text = f"{head} <- {write_pattern(rule.pattern, names)}."
-    if rule.label is None and rule.window is None:
+    label = rule.label or ("label" if rule.has_properties() else None)
+    if label is None:
         return text
-    label = rule.label or "label"
-    if rule.window is not None:
-        label += f"([property(event_rule_window,{write_seconds(rule.window)})])"
-    return f"{label} 'rule:' {text}"
+    said = {
+        "event_rule_window": None if rule.window is None else write_seconds(rule.window),
+        "policy": rule.policy,
+        "out_of_order": None if rule.out_of_order is None else ("on" if rule.out_of_order else "off"),
+    }
+    properties = ",".join(f"property({name},{value})" for name, value in said.items() if value is not None)
+    return f"{label}([{properties}]) 'rule:' {text}" if properties else f"{label} 'rule:' {text}"

@@ -3,6 +3,9 @@
 import pytest
 from events.refusals import errors_of, warnings_of
 
+from retalis.events.language.labels import WORDS
+from retalis.events.matches import Policy
+
 FORMS = "a label is an atom, or Label([property(Name, Value), ...])"
 
 
@@ -23,6 +26,12 @@ FORMS = "a label is an atom, or Label([property(Name, Value), ...])"
         ("l([property(window, -1)]) : a <- b.", 21, "needs a number of seconds"),
         ("event_rule_property(l, window, 1.0Inf).", 32, "needs a number of seconds"),
         ("event_rule_property(l, window, X).", 32, "needs a number of seconds"),
+        ("l([policy(recent)]) : a <- b.", 4, "expected property(policy, recent)"),
+        ("l([policy = recent]) : a <- b.", 11, "expected property(policy, recent)"),
+        ("l([property(policy, recent_3)]) : a <- b.", 21, "or unrestricted; did you mean recent_2?"),
+        ("l([property(policy, 3)]) : a <- b.", 21, "chronological_2 or unrestricted"),
+        ("l([property(policy, X)]) : a <- b.", 21, "chronological_2 or unrestricted"),
+        ("event_rule_property(l, out_of_order, yes).", 38, "property out_of_order is off or on"),
     ],
 )
 def test_refused(rule, column, part):
@@ -35,3 +44,13 @@ def test_refused(rule, column, part):
 def test_an_unknown_property_is_warned_of_at_its_name():
     assert warnings_of("l([property(colour, red)]) : a <- b.")[0][:2] == (1, 13)
     assert warnings_of("event_rule_property(l, colour, red).")[0][:2] == (1, 24)
+
+
+def test_a_misspelt_property_is_asked_about():
+    message = warnings_of("l([property(polici, recent)]) : a <- b.")[0][2]
+    assert "did you mean policy?" in message
+    assert "did you mean" not in warnings_of("l([property(colour, red)]) : a <- b.")[0][2]
+
+
+def test_words_are_those_of_the_policies():
+    assert WORDS["policy"] == tuple(policy.value for policy in Policy)

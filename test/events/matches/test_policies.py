@@ -1,9 +1,9 @@
 """Consumption policies, windows, labels and flags."""
 
 import pytest
-from events.running import Program, fired
+from events.running import Program, fired, show
 
-from retalis.engine import parts_of
+from retalis.engine import Engine, parts_of
 
 STREAM = "a(1)@1 a(2)@2 b@3 b@4"
 TWICE = "a@1 a@2 b@3 b@4"
@@ -42,6 +42,50 @@ def test_a_policy_holds_at_once_for_what_waits_already():
     program.feed("a(1)@1 a(2)@2")
     program.set("event_consumption_policy", "unrestricted")
     assert program.feed("b@3 b@4") == "c(1)@1-3 c(2)@2-3 c(1)@1-4 c(2)@2-4"
+
+
+def test_a_rule_has_a_policy_of_its_own():
+    rules = "r([property(policy,{})]) : c(X) <- a(X) seq b. d(X) <- a(X) seq b."
+    own = {"chronological": "c(1)@1-3 d(2)@2-3", "unrestricted": "c(1)@1-3 c(2)@2-3 d(2)@2-3"}
+    for policy, wanted in own.items():
+        assert fired(rules.format(policy), "a(1)@1 a(2)@2 b@3") == wanted
+    assert fired(rules.format("recent"), "a(1)@1 a(2)@2 b@3", "chronological") == "c(2)@2-3 d(1)@1-3"
+
+
+def test_a_rule_takes_late_first_sides_by_itself():
+    rules = "r([property(out_of_order,{})]) : c <- a seq b. d <- a seq b."
+    assert fired(rules.format("on"), "b@5 a@2") == "c@2-5"
+    assert fired(rules.format("off"), "b@5 a@2", flags=["out_of_order"]) == "d@2-5"
+
+
+def test_what_must_not_happen_is_kept_for_late_first_sides_of_a_rule():
+    rules = "r([property(window,3),property(out_of_order,on)]) : c <- (a seq b) cnot d."
+    assert fired(rules, "d@1 b@2 b@4 a@0") == ""
+
+
+def test_the_policy_of_a_rule_changes_at_once_and_what_was_said_last_holds():
+    program = Program("r([property(policy,chronological)]) : c(X) <- a(X) seq b.")
+    program.feed("a(1)@1 a(2)@2")
+    program.engine.load(rules="event_rule_property(r, policy, unrestricted).")
+    assert program.feed("b@3") == "c(1)@1-3 c(2)@2-3"
+    program.engine.load(rules="event_rule_property(r, policy, chronological).")
+    assert program.feed("b@4") == "c(1)@1-4"
+    program.set("event_consumption_policy", "unrestricted")
+    assert program.feed("b@5") == "c(2)@2-5"
+
+
+def test_what_a_rule_says_of_itself_is_kept():
+    rules = "r([property(policy,chronological),property(out_of_order,on)]) : c(X) <- a(X) seq b."
+    program = Program(rules)
+    program.feed("a(2)@2 a(1)@1")
+    engine = Engine.restore(program.engine.snapshot())
+    seen = []
+    engine.on_event(lambda *event: seen.append(event))
+    for term, stamp in (("b", 3), ("b", 4), ("b", 9), ("a(8)", 8)):
+        engine.event(term, stamp, stamp)
+    assert show(one for one in seen if one[0].__class__ is tuple and one[0][0].name == "c") == (
+        "c(2)@2-3 c(1)@1-4 c(8)@8-9"
+    )
 
 
 def test_rejected_partners_stay():

@@ -294,7 +294,7 @@ def windows(program: Overview) -> Iterator[RuleError]:
     for key, properties in program.loaded.all_properties().items():
         for one in properties:
             wrong = ""
-            if one.known and "step" not in one.name:
+            if one.known and one.word is None and "step" not in one.name:
                 wrong = "0: nothing but instants is ever matched" if one.number == 0 else _long(one.number)
             if wrong:
                 at = labels.get(key)
@@ -310,12 +310,14 @@ def _long(span: Any) -> str:
 def waits_for_ever(program: Overview) -> Iterator[RuleError]:
     """Yield the rules whose partial matches are never dropped: the policy takes none of them away, nor does time."""
     flags = program.loaded.flags
-    if flags.get("event_consumption_policy") is not _UNRESTRICTED or flags.get("garbage_control") is not _OFF:
+    if flags.get("garbage_control") is not _OFF:
         return
     properties = program.loaded.all_properties()
     for rule in program.rules:
         label = rule.definition.label
-        if label is not None and any("window" in one.name for one in properties.get(term_key(label), ())):
+        said = {} if label is None else {one.name: one.value for one in properties.get(term_key(label), ())}
+        policy = said.get("policy", flags.get("event_consumption_policy"))
+        if policy is not _UNRESTRICTED or any("window" in name for name in said):
             continue
         node = _unbounded(rule.definition.pattern)
         if node is not None:

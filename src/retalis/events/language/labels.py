@@ -1,7 +1,8 @@
 """Labels of rules and their properties: ``L : R`` and ``L([property(Name, Value), ...]) : R``."""
 
+from difflib import get_close_matches
 from math import isfinite
-from typing import Any, NamedTuple, Optional, Tuple
+from typing import Any, Dict, Iterable, NamedTuple, Optional, Tuple
 
 from ...foundation import RuleError
 from ...prolog.terms import COLON, Atom, CompoundTerm, Term, Var, deref, functor, list_items
@@ -10,7 +11,12 @@ from .reading import Spot
 
 RULE = functor("rule:", 2)
 _PROPERTY = functor("property", 2)
-KNOWN_PROPERTIES = ("event_rule_window", "window", "window_step")
+WORDS: Dict[str, Tuple[str, ...]] = {
+    "policy": ("recent", "recent_2", "chronological", "chronological_2", "unrestricted"),
+    "out_of_order": ("off", "on"),
+}
+"""The properties whose values are words, with these; of those of one name, what was said last holds."""
+KNOWN_PROPERTIES = ("event_rule_window", "window", "window_step", *WORDS)
 _FORMS = "a label is an atom, or Label([property(Name, Value), ...])"
 
 
@@ -28,19 +34,39 @@ class Property(NamedTuple):
 
     @property
     def number(self) -> float:
-        """Its value, where that is no problem."""
+        """Its value, where that is a number and no problem."""
         value = self.value
         assert isinstance(value, (int, float))
         return value
 
     @property
+    def word(self) -> Optional[str]:
+        """Its value, where that is a word and no problem; None for a number."""
+        return self.value.name if self.name in WORDS and isinstance(self.value, Atom) else None
+
+    @property
     def problem(self) -> Optional[str]:
         """What is wrong with it, or None."""
         if not self.known:
-            return f"there is no property {self.name}; the properties are {', '.join(KNOWN_PROPERTIES)}"
+            known = ", ".join(KNOWN_PROPERTIES)
+            return f"there is no property {self.name}; the properties are {known}{_near(self.name, KNOWN_PROPERTIES)}"
+        words = WORDS.get(self.name)
+        if words is not None:
+            said = self.value.name if isinstance(self.value, Atom) else ""
+            return None if said in words else f"property {self.name} is {_one_of(words)}{_near(said, words)}"
         if self.value.__class__ not in (int, float) or not (self.value >= 0 and isfinite(self.value)):
             return f"property {self.name} needs a number of seconds"
         return None
+
+
+def _one_of(words: Tuple[str, ...]) -> str:
+    return f"{', '.join(words[:-1])} or {words[-1]}"
+
+
+def _near(said: str, words: Iterable[str]) -> str:
+    """Return the question whether another word was meant; "" where none is like it."""
+    found = get_close_matches(said, words, 1)
+    return f"; did you mean {found[0]}?" if found else ""
 
 
 def is_rule(term: Term) -> bool:
@@ -96,8 +122,11 @@ def _property_meant(part: Term) -> str:
         name, value = part[0].name, deref(part[1])
     elif part.__class__ is tuple and len(part) == 3:  # window = 3, window-3
         name, value = getattr(deref(part[1]), "name", None), deref(part[2])
-    known = name in KNOWN_PROPERTIES and value.__class__ in (int, float)
-    return f"property({name}, {value})" if known else "property(Name, Value)"
+    if name in WORDS and value.__class__ is Atom:
+        value = value.name
+    elif name not in KNOWN_PROPERTIES or value.__class__ not in (int, float):
+        return "property(Name, Value)"
+    return f"property({name}, {value})"
 
 
 def _is_property(term: Term) -> bool:

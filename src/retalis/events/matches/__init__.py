@@ -18,7 +18,7 @@ from .matches import (
     taken_back,
     unify_sides,
 )
-from .modes import NetworkOptions, Policy
+from .modes import NetworkOptions, Policy, with_property
 from .owners import Bounds, Owner
 from .places import MatchBuffer, key_function, surely_same
 from .policy import (
@@ -86,4 +86,5 @@ __all__ = [
     "Train",
     "unify_sides",
     "waiting_only",
+    "with_property",
 ]

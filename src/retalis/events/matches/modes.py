@@ -35,9 +35,17 @@ class Policy(Enum):
 
 
 class NetworkOptions(NamedTuple):
-    """How the network runs: set by flags, the same for all rules."""
+    """How the network runs: set by flags, and for a rule also by the properties of its label."""
 
     policy: Policy = Policy.RECENT
     out_of_order: bool = False
     tracked: bool = False
     revised: bool = False
+
+
+def with_property(mode: NetworkOptions, name: str, word: str) -> NetworkOptions:
+    """Return a mode as a property of a label changes it, for the rules of that label."""
+    if name == "policy":
+        return mode._replace(policy=Policy(word))
+    assert name == "out_of_order", name
+    return mode._replace(out_of_order=word == "on")

@@ -114,7 +114,7 @@ class Joining(NetworkNode):
         """Set the bounds; see `NetworkNode.set_span`."""
         self.span = span
         self.left_buffer.span = self.right_buffer.span = limit
-        late = self.rule.network.mode.out_of_order
+        late = self.rule.mode.out_of_order
         for absence in self.absences:
             absence.buffer.span = kept_for_late(span, limit) if late else limit
 
@@ -285,7 +285,7 @@ class Joining(NetworkNode):
     def retry(self, pair: Tuple[Match, Match], after: Frame) -> Frame:
         """Join two matches again, what was between them having been taken back."""
         left, right = pair
-        mode = self.rule.network.mode
+        mode = self.rule.mode
         if left.buffer is None or right.used is not None:
             return after
         if right.buffer is None and self._right_waits(mode):

@@ -6,7 +6,7 @@ from ...foundation import RetalisError, RuleError
 from ...prolog.terms import Term
 from ..dispatch import EventAction, Lane, Listener
 from ..history import Fired, Remembered, Tracker
-from ..matches import Match, MatchBuffer, Owner
+from ..matches import Match, MatchBuffer, NetworkOptions, Owner
 
 
 class Listening(Protocol):
@@ -88,6 +88,7 @@ class RuleOwner(Owner, Fired, Protocol):
     """A rule, as its nodes see it.
 
     Attributes:
+        mode: how it runs: what the flags say, and the properties of its label.
         clock: the newest end among the events that its patterns matched.
         timed: whether its clock has to be kept.
         double: whether one event may be in two parts of a match.
@@ -98,6 +99,7 @@ class RuleOwner(Owner, Fired, Protocol):
         alarms_past: how many were for an instant that was over.
     """
 
+    mode: NetworkOptions
     clock: int
     timed: bool
     double: bool

@@ -40,6 +40,7 @@ class Rule:
     Attributes:
         name: what reports call it.
         serial: the place among the rules: older ones are served first.
+        mode: how it runs, see `configure`.
         window: the longest interval that its label allows, in ns; None for no bound.
         listeners: of its leaves.
         sound: whether it is connected for the mode it is to run in; not where that was interrupted.
@@ -57,6 +58,7 @@ class Rule:
         self.label = definition.label
         self.serial = serial
         self.name = name
+        self.mode = NetworkOptions()
         self.window: Optional[int] = None
         self.sound = False
         self.waiting = 0
@@ -90,6 +92,7 @@ class Rule:
         """Connect the nodes for a mode, a window and a garbage control (window and step, in ns)."""
         self.sound = False
         self.settle()
+        self.mode = mode
         self.window = window
         self._garbage = garbage
         self.timed = garbage is not None

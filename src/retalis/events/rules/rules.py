@@ -12,7 +12,7 @@ from ...prolog.terms import SECOND, Term, Trail, atom, copy, deref, from_seconds
 from ..dispatch import Dispatcher, Stage
 from ..history import Fired, Justifier, Occurrence, Store, Tracker
 from ..language import Property, RuleDefinition, called_by, is_absolute, is_rule
-from ..matches import NetworkOptions
+from ..matches import NetworkOptions, with_property
 from ..network import Rule, RuleOwner, UnderWay
 from ..program import FileChecker, Files, Loader, nowhere
 from .alarms import RuleAlarm
@@ -261,6 +261,8 @@ class Rules:
     def set_property(self, one: Property) -> None:
         """Give a label a property; it holds for the rules that have the label, at once."""
         known = self._properties.setdefault(term_key(one.label), [])
+        if one.word is not None:
+            known[:] = [other for other in known if other.name != one.name]
         if one not in known:
             known.append(one)
         for rule in self._table.labelled(one.label):
@@ -283,10 +285,14 @@ class Rules:
 
     def _configure(self, rule: Rule) -> None:
         found: Dict[str, List[int]] = {}
+        mode = self.mode
         for one in self.properties(label_of(rule)):
-            found.setdefault(one.name, []).append(from_seconds(one.number))
+            if one.word is not None:
+                mode = with_property(mode, one.name, one.word)
+            else:
+                found.setdefault(one.name, []).append(from_seconds(one.number))
         windows = found.get("window", []) + found.get("event_rule_window", [])
-        rule.configure(self.mode, min(windows) if windows else None, self._garbage_control(found))
+        rule.configure(mode, min(windows) if windows else None, self._garbage_control(found))
 
     def _garbage_control(self, properties: Dict[str, List[int]]) -> Optional[Tuple[int, int]]:
         """Return window and step of the garbage control of a rule with these properties, or None."""
