@@ -3,7 +3,7 @@
 from typing import Any, Dict, Iterator, List, Optional, Set
 
 from ...foundation import RuleError
-from ...prolog.terms import Atom, Term, Trail, Var, copy, deref, functor, list_items, undo, unify, variables
+from ...prolog.terms import Atom, Term, Var, deref, functor, list_items, may_unify, variables
 from ..language import SYNCHRONIZED
 from .near import meant
 from .overview import Overview
@@ -61,7 +61,7 @@ def wrong_records(program: Overview) -> Iterator[RuleError]:
             name, record = deref(term[1]), deref(term[2])
             if isinstance(name, Atom):
                 kept = records.get(name.name, [record])
-                if not any(_may_be(one, record) for one in kept):
+                if not any(may_unify(one, record) for one in kept):
                     shown = _shown(program, kept[0])
                     text = f"no record of memory {name.name} is {_shown(program, record)}: they are {shown}"
                     yield RuleError(text, inner.spot(term, 2))
@@ -84,13 +84,6 @@ def _records(program: Overview) -> Dict[Optional[str], List[Term]]:
             form = kept.pattern
         found.setdefault(name.name if isinstance(name, Atom) else None, []).append(form)
     return found
-
-
-def _may_be(record: Term, other: Term) -> bool:
-    trail: Trail = []
-    fits = unify(copy(record), copy(other), trail)
-    undo(trail, 0)
-    return bool(fits)
 
 
 def _turned_round(inner: Inner, records: Dict[Optional[str], List[Term]]) -> Iterator[RuleError]:

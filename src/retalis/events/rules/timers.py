@@ -5,7 +5,7 @@ from typing import Any, Dict, Hashable, Iterator, List, Mapping, Optional, Proto
 from ...foundation import UsageError, counted
 from ...prolog.logic import Logic
 from ...prolog.machine import resource_error
-from ...prolog.terms import SECOND, Term, Trail, WholeSeconds, copy, term_key, undo, unify
+from ...prolog.terms import SECOND, Term, WholeSeconds, copy, may_unify, term_key
 from ..dispatch import Dispatcher
 from ..language import TIMER, Schedule, schedule_of
 from .timing import Timing
@@ -117,7 +117,7 @@ class Timers:
 
     def cancel(self, event: Term) -> int:
         """Take the timers out whose events unify with a term; return how many there were."""
-        found = [timer for timer in self._all.values() if _unify(timer.event, event)]
+        found = [timer for timer in self._all.values() if may_unify(timer.event, event)]
         for timer in found:
             del self._all[timer.key]
             self._left(timer)
@@ -313,10 +313,3 @@ class TimerAlarm:
     def __call__(self, now: int) -> None:
         """Ring."""
         self.timers.ring(self)
-
-
-def _unify(one: Term, other: Term) -> bool:
-    trail: Trail = []
-    found = unify(copy(one), copy(other), trail)
-    undo(trail, 0)
-    return bool(found)

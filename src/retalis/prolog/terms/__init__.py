@@ -64,7 +64,7 @@ from .timestamps import (
     interval_term,
     shown,
 )
-from .unification import same_constant, undo, unify
+from .unification import may_unify, same_constant, undo, unify
 from .walking import (
     ATOMIC,
     are_ground,
@@ -117,6 +117,7 @@ __all__ = [
     "list_items",
     "list_parts",
     "make_list",
+    "may_unify",
     "MINUS",
     "MOST",
     "NIL",

@@ -3,8 +3,9 @@
 from typing import Any, List
 
 from ...foundation import look
-from .kinds import Atom, Lazy, Trail, Var
+from .kinds import Atom, Lazy, Term, Trail, Var
 from .steps import MASK, check_steps
+from .walking import copy
 
 
 def unify(  # noqa: C901 -- the innermost loop of all: no calls, no second look at a class
@@ -92,3 +93,11 @@ def undo(trail: Trail, length: int) -> None:
     """Unbind what was bound since ``trail`` had this length, newest first."""
     while len(trail) > length:
         trail.pop().ref = None
+
+
+def may_unify(one: Term, other: Term) -> bool:
+    """Tell whether two terms unify, each with variables of its own; nothing is bound."""
+    trail: Trail = []
+    found = unify(copy(one), copy(other), trail)
+    undo(trail, 0)
+    return found
