@@ -570,3 +570,48 @@ class TestTimers:
         other.reload(timed.folder)
         (left,) = other.query("timers(L)")
         assert other.show(left["L"]).startswith("[timer(own,") and other.show(left["L"]).count("timer(") == 1
+
+
+STATE = "state(docked(R), from(dock(R)), until(undock(R)))\n"
+
+
+class TestStates:
+    """What holds, when a program is read again."""
+
+    @pytest.fixture
+    def docked(self, tmp_path):
+        program = Program(tmp_path)
+        program.reload(goals=GOALS + STATE)
+        program.events("dock(a)")
+        return program
+
+    def test_what_is_declared_as_before_goes_on(self, docked):
+        told = docked.reload(goals=GOALS + STATE + "state(up, from(fly), until(land))\n")
+        assert [line for line in told if "state" in line] == [
+            "states: 1 new, 0 gone, 1 kept, 1 open",
+            "  new: state up",
+        ]
+        assert docked.events("undock(a)") == ["undock(a)", "docked(a)"]
+
+    def test_what_is_declared_otherwise_or_not_any_more_is_gone(self, docked):
+        told = docked.reload(goals=GOALS + STATE.replace("undock", "out"))
+        assert "  changed: state docked(_): it is declared otherwise, and nothing holds" in told
+        assert docked.events("dock(b)", "undock(a)", "out(a)", "out(b)")[-1] == "docked(b)"
+        assert "docked(a)" not in docked.seen
+        assert "  gone: state docked(_)" in docked.reload(goals=GOALS)
+        assert docked.events("dock(a)", "out(a)") == ["dock(a)", "out(a)"]
+
+    def test_a_program_with_an_error_leaves_it_as_it_was(self, docked):
+        docked.engine.call("assertz(here)")
+        with pytest.raises(RetalisError):  # in the engine that runs only
+            docked.reload(goals=GOALS + "(catch(here, _, fail) -> throw(bad) ; true)\n")
+        assert docked.events("undock(a)") == ["undock(a)", "docked(a)"]
+
+    def test_a_state_of_the_engine_knows_who_declared_it(self, docked):
+        other = Engine.restore(docked.engine.snapshot())
+        other.reload(docked.folder)
+        assert other.call("holds(docked(a))")
+        docked.write(goals=GOALS)
+        other.reload(docked.folder)
+        with pytest.raises(RetalisError):
+            other.call("holds(docked(a))")

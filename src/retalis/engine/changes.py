@@ -31,6 +31,7 @@ def changes(
         *_memories(logic, old, new),
         *_subscriptions(logic, old, new),
         *_timers(logic, old, new),
+        *_states(old, new),
         *_predicates(clauses, new.clauses),
     ]
 
@@ -104,6 +105,18 @@ def _timers(logic: Logic, old: Standing, new: Standing) -> List[str]:
 
     kept = sum(key in old.timers for key in new.timers)
     return _told("timers", named(new.timers, old.timers), named(old.timers, new.timers), [], f"{kept} kept")
+
+
+def _states(old: Standing, new: Standing) -> List[str]:
+    if not (old.states or new.states):
+        return []
+    kept = [one for key, one in new.states.items() if old.states.get(key) is one]
+    changed = [one for key, one in new.states.items() if key in old.states and one not in kept]
+    fresh = [one.name for key, one in new.states.items() if key not in old.states]
+    gone = [one.name for key, one in old.states.items() if key not in new.states]
+    hold = sum(len(one.open) for one in kept)
+    told = [f"{one.name}: it is declared otherwise, and nothing holds" for one in changed]
+    return _told("states", fresh, gone, told, f"{len(kept)} kept, {hold} open")
 
 
 def _predicates(old: Clauses, new: Clauses) -> List[str]:

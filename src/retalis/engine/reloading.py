@@ -193,6 +193,7 @@ class Exchange:
             memories={key: one for key, one in made.memories.items() if memories.get(key) is one},
             subscriptions={k: one for k, one in made.subscriptions.items() if subscriptions.get(k) is one},
             timers={k: one for k, one in made.timers.items() if now.timers.get(k) is one},
+            states={k: one for k, one in made.states.items() if now.states.get(k) is one},
         )
 
     # ---- taking out ----------------------------------------------------------------------------------
@@ -206,6 +207,7 @@ class Exchange:
         knowledge.memories.set_aside(old.memories.values())
         knowledge.subscriptions.set_aside(old.subscriptions)
         rules.timers.set_aside(old.timers)
+        knowledge.states.set_aside(old.states)
         properties = {
             key: [one for one in found if one not in old.properties.get(key, ())]
             for key, found in rules.all_properties().items()
@@ -283,6 +285,7 @@ class Exchange:
         knowledge = self._parts.knowledge
         knowledge.subscriptions.forget_aside()
         self._parts.rules.timers.forget_aside()
+        knowledge.states.forget_aside()
         for instance in knowledge.memories.forget_aside():
             self._tell(instance)
 
@@ -319,6 +322,7 @@ class Exchange:
         knowledge.memories.restore(list(before.memories.values()))
         knowledge.subscriptions.restore(list(before.subscriptions.items()))
         rules.timers.restore_standing(before.timers)
+        knowledge.states.restore_standing(before.states)
         self._undo_clauses()
         self._parts.logic.once(_FORGET_TABLES)
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Callable, Dict, Hashable, List, NamedTuple, Optional, Sequence, Set, Tuple, TypeVar
 
-from ..events.knowledge import Instance, Knowledge, Subscription, SubscriptionKey
+from ..events.knowledge import DeclaredState, Instance, Knowledge, Subscription, SubscriptionKey
 from ..events.language import Property
 from ..events.network import Rule
 from ..events.rules import ProgramTimer, Rules
@@ -31,6 +31,7 @@ class Standing(NamedTuple):
         replaced: the predicates of the library that the program has of its own.
         files: those that have been loaded.
         timers: by their keys.
+        states: by their keys.
     """
 
     rules: List[Rule]
@@ -43,6 +44,7 @@ class Standing(NamedTuple):
     replaced: Set[Functor]
     files: Set[Path]
     timers: Dict[Hashable, ProgramTimer]
+    states: Dict[Hashable, DeclaredState]
 
     def since(self, before: "Standing") -> "Standing":
         """Return what has come since a moment before."""
@@ -63,6 +65,7 @@ class Standing(NamedTuple):
             self.replaced - before.replaced,
             self.files - files,
             _new_in(self.timers, before.timers),
+            _new_in(self.states, before.states),
         )
 
     def and_then(self, other: "Standing") -> "Standing":
@@ -80,10 +83,11 @@ class Standing(NamedTuple):
             self.replaced | other.replaced,
             self.files | other.files,
             {**self.timers, **other.timers},
+            {**self.states, **other.states},
         )
 
 
-NOTHING = Standing([], {}, {}, {}, {}, {}, set(), set(), set(), {})
+NOTHING = Standing([], {}, {}, {}, {}, {}, set(), set(), set(), {}, {})
 """What a program has made that was not loaded."""
 
 
@@ -103,6 +107,7 @@ def standing(logic: Logic, rules: Rules, knowledge: Knowledge) -> Standing:
         set(database.library.kept),
         set(rules.files.loaded),
         rules.timers.standing(),
+        knowledge.states.standing(),
     )
 
 

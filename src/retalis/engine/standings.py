@@ -22,6 +22,7 @@ def keep_standings(
     clauses = {id(one): at for found in predicates for at, one in enumerate(found.live())}
     memories = {id(one): at for at, one in enumerate(knowledge.memories)}
     subscriptions = {id(one): at for at, (_, one) in enumerate(knowledge.subscriptions.items())}
+    states = {id(one): at for at, one in enumerate(knowledge.states)}
     return {
         folder: {
             "rules": [rules[id(rule)] for rule in made.rules if id(rule) in rules],
@@ -49,6 +50,7 @@ def keep_standings(
             "dynamic": [one.functor for one in made.dynamic],
             "replaced": list(made.replaced),
             "files": sorted(map(str, made.files)),
+            "declared": [states[id(one)] for one in made.states.values() if id(one) in states],
             "timers": [(one.event, one.schedule.term) for one in made.timers.values()],
         }
         for folder, made in programs.items()
@@ -64,6 +66,7 @@ def restore_standings(
     """
     memories = list(knowledge.memories.instances.items())
     subscriptions = knowledge.subscriptions.items()
+    states = list(knowledge.states.standing().items())
     found = {}
     for folder, made in kept.items():
         properties: Dict[Hashable, List[Property]] = {}
@@ -80,6 +83,7 @@ def restore_standings(
             set(made["replaced"]),
             set(map(Path, made["files"])),
             {one.key: one for one in (timers.find(*said) for said in made["timers"]) if one is not None},
+            dict(states[at] for at in made["declared"]),
         )
     return found
 

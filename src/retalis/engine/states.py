@@ -93,6 +93,7 @@ class StateKeeper:
             [rules.flags.get(name) for name in rules.flags.names()],
             list(knowledge.memories),
             knowledge.subscriptions.items(),
+            list(knowledge.states),
             parts.input_topics.kept(),
             dict(parts.slots.events),
             set(rules.files.loaded),
@@ -109,6 +110,7 @@ class StateKeeper:
             "network": keep_rules(parts.rules, named),
             "memories": keep_memories(knowledge),
             "subscriptions": keep_subscriptions(knowledge),
+            "declared": [one.form.term for one in knowledge.states],
             "standings": keep_standings(parts.programs, parts.logic, knowledge, named),
             "topics": [tuple(one) for one in parts.input_topics.kept()],
             "events": dict(parts.slots.events),
@@ -144,6 +146,8 @@ class StateKeeper:
             named = restore_rules(rules, program["network"])
             memories = restore_memories(knowledge, program["memories"])
             restore_subscriptions(knowledge, program["subscriptions"], run["sent"])
+            for definition in program["declared"]:
+                knowledge.states.declare(definition)
         if len(memories) != len(records):
             raise UsageError("there are not as many memories as records of them")
         for instance, found in zip(memories, records):

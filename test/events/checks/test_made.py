@@ -52,3 +52,11 @@ def test_timers_make_events():
     assert said_of(never_taken, rules + "null <- tick.") == [
         "nothing takes later/1: no rule, memory or subscription"
     ]
+
+
+def test_states_take_events_and_make_one():
+    rules = ":- state(docked(R), from(dock(R)), until(undock(R))).\ndock(X) <- std_msgs__0__String(X).\n"
+    assert said_of(never_made, rules + "null <- docked(_).") == [
+        "state docked(_): nothing makes undock/1: no topic, rule or goal; did you mean dock/1?"
+    ]
+    assert said_of(never_taken, rules) == []

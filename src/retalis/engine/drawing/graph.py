@@ -89,6 +89,7 @@ def graph_key(engine: Engine, topics: Iterable[GraphTopic]) -> Hashable:
         tuple([rule.serial for rule in parts.rules.rules]),
         tuple([id(one) for one in list(parts.knowledge.memories)]),
         tuple([id(one) for _, one in parts.knowledge.subscriptions.items()]),
+        tuple([id(one) for one in parts.knowledge.states]),
         tuple(topics),
     )
 
@@ -117,6 +118,10 @@ class _GraphBuilder:
         for (topic, _), one in self._parts.knowledge.subscriptions.items():
             output = self._node("output", topic, topic)
             self._edge(self._event(one.listener.pattern), output, f"output:{beginning(topic)}")
+        for state in self._parts.knowledge.states:
+            event = self._event(state.form.state)
+            self._edge(self._event(state.form.begins), event, "")
+            self._edge(self._event(state.form.ends), event, "")
         self._topics(topics)
         return Graph(list(self._nodes.values()), list(self._edges.values()), len(self._left_out))
 

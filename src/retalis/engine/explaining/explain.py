@@ -188,8 +188,12 @@ class _Explainer:
         self._shown.add(id(one))
         sources = [self._because(source, depth + 1) for source in one.sources() or made_by]
         if one.rule is None:
-            return ExplanationLine(f"{text} was released by", sources)
+            how = "is over: it held from" if self._is_state(one) else "was released by"
+            return ExplanationLine(f"{text} {how}", sources)
         return ExplanationLine(f"{text} by {self._rule(one.rule)}", sources)
+
+    def _is_state(self, one: Occurrence) -> bool:
+        return bool(self._parts.knowledge.states.like(one.term))
 
     def _missing(
         self, term: Term, interval: Optional[Tuple[int, int]], above: Tuple[Rule, ...]

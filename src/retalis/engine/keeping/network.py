@@ -60,9 +60,10 @@ def keep_matches(
     data = {
         "states": states,
         "tracked": graph.write(rules.tracker.kept()),
-        "alarms": [graph.write(one) for one in _alarms(clock)],
+        "alarms": [graph.write(one) for one in _alarms(clock, knowledge)],
         "order": order,
         "waiting": [graph.write(one) for one in waiting],
+        "held": [graph.write(one) for one in knowledge.states.kept()],
         "timeouts": queries.timeouts.kept(),
         "timers": (rules.timers.kept(), rules.timers.left_out),
         "stored": rules.store.stored(),
@@ -72,13 +73,13 @@ def keep_matches(
     return data, graph.rules
 
 
-def _alarms(clock: Clock) -> List[Tuple[Any, ...]]:
-    """Return the alarms of rules and queries; those of a program in Python are its own."""
+def _alarms(clock: Clock, knowledge: Knowledge) -> List[Tuple[Any, ...]]:
+    """Return the alarms of rules and queries; timers and states have their own set, and so do programs in Python."""
     found: List[Tuple[Any, ...]] = []
     for instant, order, alarm in sorted(clock.alarms, key=lambda one: one[:2]):
         if isinstance(alarm, RuleAlarm):
             found.append((instant, order, alarm.rule, alarm.term, alarm.start, alarm.instant, alarm.token))
-        elif isinstance(alarm, TimeoutAlarm):
+        elif isinstance(alarm, TimeoutAlarm) and alarm.timeouts is knowledge.waiting.timeouts:
             found.append((instant, order, alarm.set_for))
     return found
 
@@ -107,5 +108,6 @@ def restore_matches(
         alarm: Any = TimeoutAlarm(queries.timeouts, *rest) if len(rest) == 1 else RuleAlarm(rules, *rest)
         clock.put_back(instant, order, alarm)
     rules.timers.restore(*data["timers"])
+    knowledge.states.restore([graph.read(one) for one in data["held"]])
     rules.store.restore(data["stored"])
     rules.serial, rules.fired_before, rules.revs_of_nothing = data["counts"]

@@ -12,6 +12,7 @@ from .numerals import numerals
 from .outputs import outputs, unpublished
 from .overview import Overview
 from .predicates import retracted, slipped_arrows, undefined
+from .states import unknown_states
 from .style import labels, singletons
 from .timers import timers
 from .timing import cycles, never_meet, waits_for_ever, windows
@@ -55,6 +56,7 @@ CHECKS: Tuple[Check, ...] = (
     Check("window", windows),
     Check("waits-for-ever", waits_for_ever),
     Check("timers", timers, whole=True),
+    Check("states", unknown_states, whole=True),
     Check("label", labels),
     Check("singleton", singletons),
 )

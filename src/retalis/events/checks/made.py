@@ -47,6 +47,8 @@ class MadeEvents:
         self._goals(program)
         for timer in program.loaded.timers:
             self._note(timer.event, None)
+        for state in program.states:
+            self._note(state.form.state, None)
         for clause in program.clauses:
             if key_of(clause.head) is _OUTSIDE:
                 self.keys.update(dict.fromkeys(_named(clause.head)))

@@ -3,13 +3,13 @@
 from pathlib import Path
 from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple
 
-from ...foundation import MessageError
+from ...foundation import MessageError, UsageError
 from ...messages import Definition, Definitions, type_name
 from ...prolog.logic import Logic
 from ...prolog.syntax import ReadTerm
 from ...prolog.terms import CompoundTerm, Term, Var, deref, functor, term_key
 from ..knowledge import Knowledge
-from ..language import SPELLINGS, Occurs, Spot, walk
+from ..language import SPELLINGS, Occurs, Spot, StateForm, calls, declares_state, own_terms, state_form, walk
 from ..program import Topics, TopicType
 from ..rules import Rules
 from .written import Inner, Written, WrittenRule, WrittenTerm, clause_at, everywhere, held, inners, read_again
@@ -40,6 +40,14 @@ class Kept(NamedTuple):
     def form(self) -> Term:
         """What it makes of them."""
         return deref(self.term[3])
+
+
+class DeclaredAt(NamedTuple):
+    """A state, what gives the places of its parts, and what to call it where these are not known."""
+
+    form: StateForm
+    spot: Spot
+    who: str
 
 
 class Overview:
@@ -85,7 +93,9 @@ class Overview:
         self.clauses = [*files.clauses, *_other_clauses(self.logic, files.sources)]
         self.memories: List[Kept] = []
         self.subscriptions: List[Kept] = []
+        self.states: List[DeclaredAt] = []
         self._keep(knowledge)
+        self._note_states(knowledge)
         self._types: Dict[str, Optional[Definition]] = {}
 
     def definition(self, kind: Optional[str]) -> Optional[Definition]:
@@ -126,6 +136,21 @@ class Overview:
                     yield _found(own, deref(node.term), rule.spot), ""
         for kept in (*self.memories, *self.subscriptions):
             yield Inner(kept.pattern, kept.term, 1, kept.spot), kept.who
+        for form, spot, who in self.states:
+            for part in map(deref, _compound(form.term)[2:4]):
+                parent = _compound(part)
+                yield Inner(deref(parent[1]), parent, 1, spot), who
+
+    def called(self) -> Iterator[Inner]:
+        """Yield what goals call: those of files, bodies of clauses, and goals of rules."""
+        goals = [(one.parent, one.number, one.spot) for one in (*self.goals, *self.clauses)]
+        for rule in self.rules:
+            for part in walk(rule.definition.pattern, negated=True):
+                if not isinstance(part, Occurs):
+                    goals += [(held(goal), 1, rule.spot) for goal in own_terms(part)]
+        for parent, number, spot in goals:
+            for call in calls(parent, number):
+                yield Inner(call.term, call.parent, call.number, spot)
 
     def calls(self) -> Iterator[Inner]:
         """Yield all terms that goals of the program are, or have in them."""
@@ -155,6 +180,21 @@ class Overview:
             if (topic, term_key(one.id)) not in seen:
                 who = f"a subscription of topic {topic}: "
                 self.subscriptions.append(Kept(_compound(one.definition), who, everywhere(None)))
+
+    def _note_states(self, knowledge: Knowledge) -> None:
+        """Note the states that the files declare, and others that are there."""
+        seen = set()
+        for inner in self.calls():
+            if declares_state(inner.term):
+                try:
+                    form = state_form(inner.term)
+                except UsageError:  # said where it is declared
+                    continue
+                self.states.append(DeclaredAt(form, inner.spot, ""))
+                seen.add(form.key)
+        for one in knowledge.states:
+            if one.form.key not in seen:
+                self.states.append(DeclaredAt(one.form, everywhere(None), f"{one.name}: "))
 
     def topic(self, term: Term) -> str:
         """Return the topic that a subscription names, as text."""

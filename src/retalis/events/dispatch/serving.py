@@ -18,7 +18,8 @@ class Stage(IntEnum):
     SUBSCRIPTIONS = 1
     MEMORIES = 2
     QUERIES = 3
-    RULES = 4
+    STATES = 4
+    RULES = 5
 
 
 ListenerStep = Tuple[Matcher, EventAction]

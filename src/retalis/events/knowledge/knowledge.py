@@ -9,6 +9,7 @@ from ...prolog.machine import Frame, Machine, instantiation_error, type_error
 from ...prolog.terms import Atom, Term, Var, deref, functor
 from ..dispatch import Dispatcher
 from .conditions import Behind
+from .declaring import States
 from .gaps import Gaps
 from .matching import define_matching
 from .memories import CREATED, DELETED, Memories, define_read_access, enumerate_records
@@ -30,7 +31,7 @@ OWN_EVENTS = OF_MEMORIES | {GIVEN_UP}
 
 
 class Knowledge:
-    """What a program remembers, waits for and sends out.
+    """What a program remembers, waits for and sends out, and which states it follows.
 
     Attributes:
         on_conditions: called with the conditions of each memory and subscription that is made, and its name.
@@ -60,19 +61,22 @@ class Knowledge:
         self.memories.on_create = self.gaps.watch
         self.waiting = WaitingQueries(logic, dispatcher, self.memories, warn, clock)
         self.subscriptions = Subscriptions(logic, dispatcher, deliver, warn)
+        self.states = States(logic, dispatcher, clock, warn)
         self._define()
 
     def clear(self) -> None:
-        """Forget records and waiting queries (the clock went back); instances and subscriptions stay."""
+        """Forget records, waiting queries and what held (the clock went back); all that was made stays."""
         self.memories.clear()
         self.gaps.clear()
         self.waiting.clear()
+        self.states.clear()
 
     def mend(self) -> None:
         """Put right what an interrupt may have left half done."""
         self.memories.mend()
         self.waiting.mend()
         self.subscriptions.mend()
+        self.states.mend()
 
     def behind(self, names: Sequence[Term], instant: int) -> Behind:
         """Return those of some memories that have taken no event that ends at an instant or later.
@@ -95,6 +99,9 @@ class Knowledge:
             yield instance.recorder.pattern, f"memory {self._logic.show(instance.id)}"
         for pattern, (topic, _) in self.subscriptions.patterns():
             yield pattern, f"a subscription of topic {topic}"
+        for state in self.states:
+            yield state.form.begins, state.name
+            yield state.form.ends, state.name
 
     def _define(self) -> None:
         logic = self._logic

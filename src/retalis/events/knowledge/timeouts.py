@@ -1,4 +1,4 @@
-"""When queries that wait have waited long enough: their instants, with one alarm of the clock at a time."""
+"""When queries have waited, and states have lasted, long enough: instants, with one alarm of the clock at a time."""
 
 from heapq import heapify, heappop, heappush
 from typing import Callable, Container, List, Protocol, Set, Tuple
@@ -66,7 +66,10 @@ class Timeouts:
 
     def add(self, order: int, end: int, wait: int) -> None:
         """Have a query given up when it has waited so long, from the end of its event or from now on."""
-        instant = max(self._clock.now(), end) + wait
+        self.add_at(order, max(self._clock.now(), end) + wait)
+
+    def add_at(self, order: int, instant: int) -> None:
+        """Have one given up at an instant."""
         if len(self._due) > self._room:
             self._due = [one for one in self._due if one[1] in self._waiting]
             heapify(self._due)
@@ -90,11 +93,13 @@ class Timeouts:
     def ring(self, set_for: int, now: int) -> None:
         """Give up what has waited long enough when an alarm rings that was set for an instant."""
         self._set.discard(set_for)
-        while self._due and self._due[0][0] <= max(now, set_for):
-            instant, order = heappop(self._due)
-            if order in self._waiting:
-                self._give_up(order, instant)
-        self._set_alarm()
+        try:
+            while self._due and self._due[0][0] <= max(now, set_for):
+                instant, order = heappop(self._due)
+                if order in self._waiting:
+                    self._give_up(order, instant)
+        finally:  # what one has started may have failed
+            self._set_alarm()
 
     def kept(self) -> Tuple[List[Tuple[int, int]], List[int]]:
         """Return when which queries are due, and the instants for which alarms are set; see `restore`."""

@@ -32,6 +32,7 @@ from .pattern import (
 )
 from .reading import PatternReader, Spot
 from .schedules import TIMER, Schedule, schedule_fault, schedule_of, sets_timer
+from .stateforms import HOLDS, STATE, StateForm, asked_state, declares_state, state_form
 
 __all__ = [
     "Absent",
@@ -41,6 +42,7 @@ __all__ = [
     "alarm_of",
     "ALARMS",
     "ARROWS",
+    "asked_state",
     "bound_by",
     "Subgoal",
     "called_by",
@@ -51,8 +53,10 @@ __all__ = [
     "Collector",
     "Condition",
     "RuleDefinition",
+    "declares_state",
     "Either",
     "event_fault",
+    "HOLDS",
     "is_absolute",
     "is_rule",
     "label_error",
@@ -78,6 +82,9 @@ __all__ = [
     "SPELLINGS",
     "Spot",
     "Star",
+    "STATE",
+    "state_form",
+    "StateForm",
     "surely_bound_by",
     "SYNCHRONIZED",
     "TIMER",

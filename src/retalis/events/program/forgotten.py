@@ -4,7 +4,7 @@ from typing import Callable, Dict, Optional, Sequence, Set
 
 from ...prolog.logic import Logic
 from ...prolog.terms import COMMA, CONS, SLASH, Atom, Functor, Term, deref, functor
-from ..language import TIMER, sets_timer
+from ..language import HOLDS, STATE, TIMER, declares_state, sets_timer
 from .clauses import FileEntry
 
 _CLAUSE = functor(":-", 2)
@@ -12,6 +12,8 @@ _GRAMMAR = functor("-->", 2)
 _GIVING_WAY: Dict[Functor, Callable[[Term], bool]] = {
     TIMER: sets_timer,
     functor("timers", 1): lambda term: False,
+    **dict.fromkeys(STATE, declares_state),
+    **dict.fromkeys(HOLDS, lambda term: False),
 }
 """Predicates with names that programs give to facts of their own, and whether a fact of them was meant as a goal."""
 
