@@ -13,25 +13,9 @@ from .compiling import RuleCompiler
 from .limits import least
 from .nodes import Leaf
 from .owners import Listening, Network
-from .rulestate import RuleState
+from .rulestate import Firings, RuleState
 
 _SPARE = 1000
-
-
-class Firings:
-    """What a rule counts; apart from it, as most events that come in fire one.
-
-    Attributes:
-        number: how many whole matches it had, whether or not anybody wanted the event.
-        last: the end of the last one, None before the first.
-        errors: how many errors it had.
-    """
-
-    __slots__ = ("errors", "last", "number")
-
-    def __init__(self) -> None:
-        self.number = self.errors = 0
-        self.last: Optional[int] = None
 
 
 class Rule:

@@ -1,8 +1,24 @@
 """What a rule knows beside what it says."""
 
-from typing import Any, List, NamedTuple, Tuple
+from typing import Any, List, NamedTuple, Optional, Tuple
 
 from ..matches import Match
+
+
+class Firings:
+    """What a rule counts; apart from it, as most events that come in fire one.
+
+    Attributes:
+        number: how many whole matches it had, whether or not anybody wanted the event.
+        last: the end of the last one, None before the first.
+        errors: how many errors it had.
+    """
+
+    __slots__ = ("errors", "last", "number")
+
+    def __init__(self) -> None:
+        self.number = self.errors = 0
+        self.last: Optional[int] = None
 
 
 class RuleState(NamedTuple):
