@@ -144,9 +144,9 @@ def smaller_rules(rule: Rule) -> Iterator[Rule]:
         yield replace(rule, pattern=pattern)
     if rule.has_properties() or rule.label is not None:
         yield replace(rule, window=None, label=None, **NO_PROPERTIES)
-    for name in NO_PROPERTIES:
-        if getattr(rule, name) is not None:
-            yield replace(rule, **{name: None})
+    for name, nothing in NO_PROPERTIES.items():
+        if getattr(rule, name) != nothing:
+            yield replace(rule, **{name: nothing})
     if rule.do is not None:
         yield replace(rule, do=None)
     if rule.head.__class__ is tuple:

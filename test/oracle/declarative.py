@@ -45,7 +45,9 @@ class Found(NamedTuple):
 
 def defined_for(rules: Sequence[Rule]) -> bool:
     """Tell whether the rules are in the domain of this evaluator: one rule, no runs, no forall_seq."""
-    if len(rules) != 1 or has_outer_absence(rules[0]) or rules[0].policy_by("unrestricted") != "unrestricted":
+    if len(rules) != 1 or has_outer_absence(rules[0]):
+        return False
+    if rules[0].policy_by("unrestricted") != "unrestricted" or rules[0].after_match != "keep":
         return False
     return not any(
         isinstance(node, (Star, Aggregate, Sub)) or (isinstance(node, Both) and node.kind == "forall_seq")

@@ -27,8 +27,10 @@ from .patterns import (
     Star,
     strip,
     take_out_subpatterns,
+    walk,
 )
 from .repetition import Repetitions
+from .skipping import Skipping
 
 Fit = Callable[[Match, Match], Optional[Match]]
 """The test of a pair: the match that the two sides make, or None."""
@@ -50,17 +52,63 @@ class RuleState(Repetitions):
         super().__init__(rule, policy, out_of_order, expiry)
         self.completed: Dict[Pattern, Set[FrozenSet[int]]] = {}
         """The single events that have completed as the right side; revision may set free a left side of theirs."""
+        self.skipping = Skipping(rule)
+        absent = [node.absent for node in self.place if isinstance(node, (Cnot, Fnot))]
+        self.below_absent = {below for node in absent for below in walk(node)}
 
     def fired_by(self, event: Event) -> List[Event]:
         """Take an event and return the events that the rule derives from it, in order."""
+        self.begin_event(event)
+        fired = [result for made in self.whole(self.pattern, event) for _, result in self.fire(made)]
+        self.skip()
+        return fired
+
+    def begin_event(self, event: Event) -> None:
+        """Do what is done before the pattern takes an event."""
         self.advance(event)
         self.expire()
-        fired = []
-        for match in self.arrive(self.pattern, event):
-            result = self.result_of(match)
-            if result is not None:
-                fired.append(result)
+        self.skipping.begin_event()
+
+    def whole(self, node: Pattern, event: Event) -> List[List[Match]]:
+        """Return the matches of the whole pattern that an event completes, in order.
+
+        After match: of each, what the outermost do and event_multiply make of it, which is one match.
+        """
+        operator, conditions = strip(node)
+        if not isinstance(operator, (Do, Multiply)):
+            return [[match] for match in self.arrive(node, event)]
+        return [
+            self.that_pass(operator, conditions, self.acted(operator, made))
+            for made in self.whole(operator.pattern, event)
+        ]
+
+    def fire(self, made: List[Match]) -> List[Tuple[Match, Event]]:
+        """Return what a match of the whole pattern fires, with what it is made of, unless another has skipped it."""
+        if not made or self.skipping.skips(made[0]):
+            return []
+        results = [(match, self.result_of(match)) for match in made]
+        fired = [(match, result) for match, result in results if result is not None]
+        if fired:
+            self.skipping.fired(made[0])
         return fired
+
+    def skip(self) -> None:
+        """After match: when the event has been served, what waits and is skipped goes.
+
+        What a cnot or fnot forbids stays, and so does what waits within that.
+        """
+        for (node, side), waiting in self.waiting.items():
+            if side != "absent" and node not in self.below_absent:
+                waiting[:] = [match for match in waiting if not self.skipping.skips(match)]
+        for node, runs in self.runs.items():
+            if node not in self.below_absent:
+                runs[:] = [run for run in runs if not self.skipping.skips(run.start)]
+
+    def leaf(self, node: Leaf, event: Event) -> List[Match]:
+        """As always. After match: an event that is skipped is no part of a match; what is forbidden stays so."""
+        if self.skipping.is_past(event) and node not in self.below_absent:
+            return []
+        return super().leaf(node, event)
 
     def result_of(self, match: Match) -> Optional[Event]:
         """Return the event that a match of the whole pattern fires, or None."""
@@ -91,7 +139,12 @@ class RuleState(Repetitions):
             starts = composed_first(self.arrive(operator.first, event))
             repetitions = composed_first(self.arrive(operator.repeated, event))
             return self.repetition(operator, starts, repetitions, conditions)
-        settled = [self.settle(match, operator) for match in self.single(operator, event)]
+        return self.that_pass(operator, conditions, self.single(operator, event))
+
+    def that_pass(self, node: Pattern, conditions: List[Pattern], matches: List[Match]) -> List[Match]:
+        """Return those matches of an operator that pass its conditions."""
+        tests = [self.test_of(condition) for condition in conditions]
+        settled = [self.settle(match, node) for match in matches]
         passed = [self.passes(match, tests) for match in settled if match is not None]
         return [match for match in passed if match is not None]
 
@@ -101,21 +154,25 @@ class RuleState(Repetitions):
             return self.leaf(node, event)
         if isinstance(node, Or):  # Table, or: either happens, the interval is its own.
             return self.arrive(node.left, event) + self.arrive(node.right, event)
-        if isinstance(node, Do):
-            # Table, do: called once before the result fires; if it fails nothing fires.
-            below = self.arrive(node.pattern, event)
-            solved = [(match, first(node.goal, match.bindings)) for match in below]
-            return [replace(match, bindings=found) for match, found in solved if found is not None]
-        if isinstance(node, Multiply):
-            return [
-                replace(match, bindings=solution)
-                for match in self.arrive(node.pattern, event)
-                for solution in all_solutions(node.goal, match.bindings)
-            ]
+        if isinstance(node, (Do, Multiply)):
+            return self.acted(node, self.arrive(node.pattern, event))
         assert isinstance(node, (Cnot, Fnot))
         self._absent(node, event)
         allowed = [self.allowed(node, match) for match in self.arrive(node.pattern, event)]
         return [match for match in allowed if match is not None]
+
+    @staticmethod
+    def acted(node: Any, matches: List[Match]) -> List[Match]:
+        """Return what a do or event_multiply makes of matches."""
+        if isinstance(node, Do):
+            # Table, do: called once before the result fires; if it fails nothing fires.
+            solved = [(match, first(node.goal, match.bindings)) for match in matches]
+            return [replace(match, bindings=found) for match, found in solved if found is not None]
+        return [
+            replace(match, bindings=solution)
+            for match in matches
+            for solution in all_solutions(node.goal, match.bindings)
+        ]
 
     def allowed(self, node: Pattern, match: Match) -> Optional[Match]:
         """Table: P cnot R and P fnot R need that no matching R ended before P started."""

@@ -154,10 +154,13 @@ class Rule:
     """A policy of its own; None for that of the flag."""
     out_of_order: Optional[bool] = None
     """Whether it takes late first sides, whatever the flag says; None as the flag says."""
+    after_match: str = "keep"
+    """What a match that has fired skips: nothing, skip_past_last or skip_to_next."""
 
     def has_properties(self) -> bool:
         """Tell whether its label says how it runs."""
-        return any(one is not None for one in (self.window, self.policy, self.out_of_order))
+        said = self.window, self.policy, self.out_of_order
+        return self.after_match != "keep" or any(one is not None for one in said)
 
     def policy_by(self, flag: str) -> str:
         """Return the policy by which it runs. Labels: a property overrides the flag."""
@@ -168,7 +171,7 @@ class Rule:
         return flag if self.out_of_order is None else self.out_of_order
 
 
-NO_PROPERTIES: Dict[str, Any] = {"policy": None, "out_of_order": None}
+NO_PROPERTIES: Dict[str, Any] = {"policy": None, "out_of_order": None, "after_match": "keep"}
 """What a rule says that overrides no flag."""
 TWO_SIDED = ("seq", "and", "par", "equals", "meets", "during", "starts", "finishes", "forall_seq")
 EITHER_ORDER = TWO_SIDED[1:-1]

@@ -216,10 +216,23 @@ class RevisedState(RuleState):
             for node, passed in self.passed.items():
                 passed[:] = [one for one in passed if not self.expired(node, one.match)]
 
-    def revive(self) -> List[Match]:
+    def skip(self) -> None:
+        """As always. What was noted of the past goes too, with what came before the end of a match and is skipped."""
+        super().skip()
+        for node, passed in self.passed.items():
+            if node not in self.below_absent:
+                passed[:] = [one for one in passed if not self.skipping.skips(one.match)]
+
+    def revive(self) -> List[List[Match]]:
         """Return the matches that were suppressed by what is gone, and would now fire."""
+        self.skipping.begin_event()
+        for node in [*self.suppressed, *self.again]:
+            # After match: what would come back and was skipped does not.
+            if node not in self.below_absent:
+                for back in (self.suppressed.get(node, []), self.again.get(node, [])):
+                    back[:] = [match for match in back if not self.skipping.is_past(match)]
         self.reviving = True
-        matches = self.arrive(self.pattern, NOTHING)
+        matches = self.whole(self.pattern, NOTHING)
         self.reviving = False
         return matches
 
@@ -336,14 +349,13 @@ class Tagged:
         self.alive[event.number] = (event, origin)
         step[show(event.term), event.start, event.end] += 1
         for state in self.states:
-            state.advance(event)
-            state.expire()
-            for match in state.arrive(state.pattern, event):
-                self._fire(state, match, step)
+            state.begin_event(event)
+            self._fire(state, state.whole(state.pattern, event), step)
 
-    def _fire(self, state: RevisedState, match: Match, step: Step) -> None:
-        result = state.result_of(match)
-        if result is not None:
+    def _fire(self, state: RevisedState, whole: List[List[Match]], step: Step) -> None:
+        fired = [one for made in whole for one in state.fire(made)]
+        state.skip()
+        for match, result in fired:
             self._dispatch(result, match.numbers, step)
 
     def _take_back(self, text: str, start: Any, end: Any, step: Step) -> None:
@@ -360,5 +372,4 @@ class Tagged:
         for state in self.states:
             state.forget(frozenset(gone))
         for state in self.states:
-            for match in state.revive():
-                self._fire(state, match, step)
+            self._fire(state, state.revive(), step)

@@ -440,6 +440,7 @@ class Generator:
             label=f"r_{rule.head[0].name if rule.head.__class__ is tuple else rule.head.name}",
             policy=self.choice([None, *POLICIES]),
             out_of_order=self.choice([None, None, False, True, True]),
+            after_match=self.choice(["keep", "skip_past_last", "skip_to_next"]),
         )
 
 

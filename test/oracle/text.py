@@ -230,6 +230,7 @@ def write_rule(rule: Rule, form: str = "V{}") -> str:
         "event_rule_window": None if rule.window is None else write_seconds(rule.window),
         "policy": rule.policy,
         "out_of_order": None if rule.out_of_order is None else ("on" if rule.out_of_order else "off"),
+        "after_match": None if rule.after_match == "keep" else rule.after_match,
     }
     properties = ",".join(f"property({name},{value})" for name, value in said.items() if value is not None)
     return f"{label}([{properties}]) 'rule:' {text}" if properties else f"{label} 'rule:' {text}"

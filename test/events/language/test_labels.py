@@ -4,7 +4,7 @@ import pytest
 from events.refusals import errors_of, warnings_of
 
 from retalis.events.language.labels import WORDS
-from retalis.events.matches import Policy
+from retalis.events.matches import AfterMatch, Policy
 
 FORMS = "a label is an atom, or Label([property(Name, Value), ...])"
 
@@ -31,6 +31,7 @@ FORMS = "a label is an atom, or Label([property(Name, Value), ...])"
         ("l([property(policy, recent_3)]) : a <- b.", 21, "or unrestricted; did you mean recent_2?"),
         ("l([property(policy, 3)]) : a <- b.", 21, "chronological_2 or unrestricted"),
         ("l([property(policy, X)]) : a <- b.", 21, "chronological_2 or unrestricted"),
+        ("l([property(after_match, skip)]) : a <- b.", 26, "is keep, skip_past_last or skip_to_next"),
         ("event_rule_property(l, out_of_order, yes).", 38, "property out_of_order is off or on"),
     ],
 )
@@ -52,5 +53,6 @@ def test_a_misspelt_property_is_asked_about():
     assert "did you mean" not in warnings_of("l([property(colour, red)]) : a <- b.")[0][2]
 
 
-def test_words_are_those_of_the_policies():
+def test_words_are_those_that_a_rule_runs_by():
     assert WORDS["policy"] == tuple(policy.value for policy in Policy)
+    assert WORDS["after_match"] == tuple(kind.value for kind in AfterMatch)

@@ -5,6 +5,7 @@ from typing import Callable, Collection, Dict, Iterator, List, NamedTuple, Optio
 
 from ...events.history import Fired, Occurrence
 from ...events.language import Aggregate, walk
+from ...events.matches import AfterMatch
 from ...events.network import Rule
 from ...foundation import UsageError, counted, watched_by
 from ...prolog.syntax import by_name, read_term, write_term
@@ -294,9 +295,11 @@ def _why_not(rule: Rule, part: Part, interval: Optional[Tuple[int, int]]) -> str
     collected = [one for one in walk(rule.definition.pattern) if isinstance(one, Aggregate)]
     if any(deref(one.result).__class__ is not Var for one in collected):
         return "with other results, or other matches consumed all of it"
+    kind = rule.mode.after_match
+    skipped = "" if kind is AfterMatch.KEEP else f"a match that had fired skipped it ({kind.value}), "
     return (
-        "other matches consumed all of it, it came in another order, its window had ended, or a goal after do "
-        "failed"
+        f"{skipped}other matches consumed all of it, it came in another order, its window had ended, or a goal after "
+        "do failed"
     )
 
 

@@ -14,6 +14,7 @@ _PROPERTY = functor("property", 2)
 WORDS: Dict[str, Tuple[str, ...]] = {
     "policy": ("recent", "recent_2", "chronological", "chronological_2", "unrestricted"),
     "out_of_order": ("off", "on"),
+    "after_match": ("keep", "skip_past_last", "skip_to_next"),
 }
 """The properties whose values are words, with these; of those of one name, what was said last holds."""
 KNOWN_PROPERTIES = ("event_rule_window", "window", "window_step", *WORDS)

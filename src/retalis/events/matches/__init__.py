@@ -18,7 +18,7 @@ from .matches import (
     taken_back,
     unify_sides,
 )
-from .modes import NetworkOptions, Policy, with_property
+from .modes import AfterMatch, NetworkOptions, Policy, with_property
 from .owners import Bounds, Owner
 from .places import MatchBuffer, key_function, surely_same
 from .policy import (
@@ -38,6 +38,7 @@ from .trains import Moving, Token, Train
 __all__ = [
     "Absence",
     "after_all",
+    "AfterMatch",
     "agreed",
     "arrival",
     "Bounds",

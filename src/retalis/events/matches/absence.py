@@ -93,6 +93,7 @@ class Absence:
         self.carried: List[Tuple[Absence, Emitting]] = []
         self.buffer = MatchBuffer(rule, tuple(one for one, _ in self.shared))
         self.buffer.reach = BEFORE if ever else BETWEEN
+        self.buffer.forbids = True
         self.asked = MatchBuffer(rule, tuple(two for _, two in self.shared))
         self.borders: Dict[Hashable, _Border] = {}
         self.buffer.on_mend = self._forget_borders

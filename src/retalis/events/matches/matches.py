@@ -10,10 +10,15 @@ class Waited(Protocol):
 
     Attributes:
         span: for how many nanoseconds what waits is of use; None for no bound.
+        forbids: whether what waits is about what must not happen.
     """
 
     @property
     def span(self) -> Optional[int]:
+        """See above."""
+
+    @property
+    def forbids(self) -> bool:
         """See above."""
 
     def remove(self, match: "Match") -> None:

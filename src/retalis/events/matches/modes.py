@@ -34,6 +34,17 @@ class Policy(Enum):
         return self is Policy.RECENT
 
 
+class AfterMatch(Enum):
+    """What a match that has fired skips; see "After a match" in the language reference."""
+
+    KEEP = "keep"
+    """Nothing."""
+    SKIP_PAST_LAST = "skip_past_last"
+    """What starts at or before its end: the next match begins after it."""
+    SKIP_TO_NEXT = "skip_to_next"
+    """What starts where it does: one start gives one match."""
+
+
 class NetworkOptions(NamedTuple):
     """How the network runs: set by flags, and for a rule also by the properties of its label."""
 
@@ -41,11 +52,14 @@ class NetworkOptions(NamedTuple):
     out_of_order: bool = False
     tracked: bool = False
     revised: bool = False
+    after_match: AfterMatch = AfterMatch.KEEP
 
 
 def with_property(mode: NetworkOptions, name: str, word: str) -> NetworkOptions:
     """Return a mode as a property of a label changes it, for the rules of that label."""
     if name == "policy":
         return mode._replace(policy=Policy(word))
+    if name == "after_match":
+        return mode._replace(after_match=AfterMatch(word))
     assert name == "out_of_order", name
     return mode._replace(out_of_order=word == "on")

@@ -27,7 +27,10 @@ class MatchBuffer:
         span: how many nanoseconds a match that waits here can be a part of; None for no bound.
         name: what a match and the one that it replaces have in common; None where none replaces another.
         reach: where in time those lie that a partner looks for here; None for anywhere.
+        forbids: whether what waits is about what must not happen: no match skips it.
     """
+
+    forbids = False
 
     def __init__(self, rule: Owner, shared: Tuple[int, ...]):
         self.rule = rule

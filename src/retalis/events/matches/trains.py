@@ -17,10 +17,12 @@ class Carrier(Protocol):
     Attributes:
         trains: the sequences, by their values.
         limit: for how many nanoseconds what waits is of use; None for no bound.
+        forbids: whether they are about what must not happen.
     """
 
     trains: Dict[Hashable, "Train"]
     limit: Optional[int]
+    forbids: bool
 
     @property
     def rule(self) -> Owner:
@@ -91,6 +93,11 @@ class Train:
     def span(self) -> Optional[int]:
         """For how many nanoseconds what waits is of use; None for no bound."""
         return self.node.limit
+
+    @property
+    def forbids(self) -> bool:
+        """Whether they are about what must not happen."""
+        return self.node.forbids
 
     def at(self, number: int) -> Optional[Token]:
         """Return the sequence with so many repetitions, if there is one."""
@@ -166,7 +173,13 @@ class Train:
 
 
 class Moving:
-    """Where the sequences of all trains of a node wait, as its rule sees it."""
+    """Where the sequences of all trains of a node wait, as its rule sees it.
+
+    Attributes:
+        forbids: whether they are about what must not happen.
+    """
+
+    forbids = False
 
     def __init__(self, node: Carrier):
         self._node = node

@@ -282,7 +282,7 @@ class RuleCompiler:
         return Built(node, deferred, joined, [])
 
     def _negated(self, absent: Absent, context: VarSet, limit: Limit) -> Negated:
-        return Negated(lambda: self._build(absent.negated, context, limit), self.twins)
+        return Negated(lambda: self._build(absent.negated, context, limit), self.twins, self.nodes)
 
     def _test_joined(
         self,

@@ -1,6 +1,6 @@
 """Conditions that look at patterns further left: what they need is carried with a match until it meets those."""
 
-from typing import AbstractSet, Any, Callable, List, NamedTuple, Optional, Protocol, Set, Tuple
+from typing import AbstractSet, Any, Callable, List, NamedTuple, Optional, Protocol, Sequence, Set, Tuple
 
 from ...prolog.terms import Term, Values, Var, deref, functor, positions, variables
 from ..matches import NO_ITEMS, Absence, Emitting, Match
@@ -72,20 +72,36 @@ class Negated:
     Args:
         build: builds it.
         twins: takes what was built anew, with what was built first.
+        nodes: the nodes of the rule, to which it adds those that are built.
     """
 
-    def __init__(self, build: Callable[[], Built], twins: List[Tuple[Built, Built]]):
+    def __init__(
+        self,
+        build: Callable[[], Built],
+        twins: List[Tuple[Built, Built]],
+        nodes: Sequence[Tuple[NetworkNode, Any, Any]],
+    ):
+        self._nodes = nodes
         self._build = build
         self._twins = twins
         self._made = False
-        self.first = build()
+        self.first = self._forbidden()
+
+    def _forbidden(self) -> Built:
+        before = len(self._nodes)
+        built = self._build()
+        for node, _, _ in self._nodes[before:]:
+            node.forbids = True
+            for buffer in node.buffers():
+                buffer.forbids = True
+        return built
 
     def make(self) -> Built:
         """Return the pattern as it was built first, or built anew for another place."""
         if not self._made:
             self._made = True
             return self.first
-        again = self._build()
+        again = self._forbidden()
         self._twins.append((again, self.first))
         return again
 

@@ -4,7 +4,7 @@ A node takes matches from the nodes below it and emits its own to ``out``; both 
 frame and return the frame to go on with. `NetworkNode.bind` connects them for a policy, from the root down.
 """
 
-from typing import AbstractSet, Any, Dict, List, Optional, Sequence, Tuple
+from typing import AbstractSet, Any, Callable, Dict, List, Optional, Sequence, Tuple, Union
 
 from ...prolog.machine import Frame
 from ...prolog.terms import Term, Values, Var, positions, variables
@@ -28,6 +28,8 @@ class NetworkNode:
     """Whether the window of a label is tested here."""
     alone = False
     """Whether the pattern is one event, with conditions and goals: it needs no matches, only values."""
+    forbids = False
+    """Whether it is part of what must not happen: no match skips that."""
 
     def bind(self, out: Emit, mode: NetworkOptions) -> None:
         """Send matches to ``out`` from now on, by the policy and flags of ``mode``; what waits stays."""
@@ -81,8 +83,19 @@ class Leaf(NetworkNode):
                 rule.tick(end)
             return out(Match(values, start, end, event, term, None), after)
 
+        def arrive_unskipped(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+            event = token()
+            rule.add_those_of_other_events(event)
+            if rule.timed:
+                rule.tick(end)
+            return out(Match(values, start, end, event, term, None), after) if takes(start) else after
+
         known = rule.double or mode.tracked
-        rule.listen(self, arrive_known if known else arrive_timed if rule.timed else arrive)
+        if rule.skipping is None:
+            rule.listen(self, arrive_known if known else arrive_timed if rule.timed else arrive)
+        else:
+            takes = (lambda start: True) if self.forbids else rule.skipping.takes
+            rule.listen(self, arrive_unskipped)
 
     def bind_alone(self, completion: Completion) -> None:
         """Listen for a rule whose pattern is one event; see `NetworkNode.alone`."""
@@ -194,7 +207,11 @@ class Alternatives(NetworkNode):
 
 
 class Acting(NetworkNode):
-    """Calls a goal for each match: once, or for all of its solutions."""
+    """Calls a goal for each match: once, or for all of its solutions.
+
+    Attributes:
+        lets: tells by its start whether a match may fire, for the first that is called when all is matched; or None.
+    """
 
     def __init__(self, child: NetworkNode, call: RuleGoal, every: bool, keep: AbstractSet[Var]):
         self.child = child
@@ -203,6 +220,7 @@ class Acting(NetworkNode):
         self.windowed = False
         self.call = call
         self.every = every
+        self.lets: Optional[Callable[[int], bool]] = None
         self.vars = list(call.result_vars)
         self.span: Optional[int] = None
 
@@ -229,7 +247,13 @@ class Acting(NetworkNode):
             done = call.noting_cause(match, solved, after) if tracked else (solved, after)
             return act(match.term, match.values, match.start, match.end, is_of_ground(match), *done)
 
-        self.child.bind(arrive, mode)
+        lets = self.lets
+        self.child.bind(
+            arrive
+            if lets is None
+            else lambda match, after: arrive(match, after) if lets(match.start) else after,
+            mode,
+        )
 
     def bind_alone(self, completion: Completion) -> None:
         """Connect the node; see `NetworkNode.bind_alone`."""
@@ -278,7 +302,7 @@ class Never(NetworkNode):
                 return after
             return out(match, after)
 
-        self.retry = arrive
+        self.retry = _unskipped(self, arrive)
         self.child.bind(arrive, mode)
         absence.bind(self.negated, mode)
 
@@ -318,7 +342,7 @@ class Trying(NetworkNode):
                 tested = Match(values, match.start, match.end, match.event, None, (match,))
             return out(tested, after)
 
-        self.retry = arrive
+        self.retry = _unskipped(self, arrive)
         self.child.bind(arrive, mode)
         for absence, negated in self.carried:
             absence.bind(negated, mode)
@@ -326,3 +350,11 @@ class Trying(NetworkNode):
     def buffers(self) -> Sequence[Buffer]:
         """Return where matches wait."""
         return [buffer for absence, _ in self.carried for buffer in absence.buffers()]
+
+
+def _unskipped(node: Union[Never, Trying], emit: Emit) -> Emit:
+    """Return what takes those matches of a node that were suppressed and that no other has skipped since."""
+    skipping = node.rule.skipping
+    if skipping is None or node.forbids:
+        return emit
+    return lambda match, after: emit(match, after) if skipping.takes(match.start) else after

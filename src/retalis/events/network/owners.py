@@ -22,7 +22,13 @@ class Listening(Protocol):
 
 
 class Buffer(Protocol):
-    """Where matches wait."""
+    """Where matches wait.
+
+    Attributes:
+        forbids: whether what waits is about what must not happen.
+    """
+
+    forbids: bool
 
     @property
     def span(self) -> Optional[int]:
@@ -89,6 +95,7 @@ class RuleOwner(Owner, Fired, Protocol):
 
     Attributes:
         mode: how it runs: what the flags say, and the properties of its label.
+        window: the longest interval that its label allows, in ns; None for no bound.
         clock: the newest end among the events that its patterns matched.
         timed: whether its clock has to be kept.
         double: whether one event may be in two parts of a match.
@@ -100,6 +107,7 @@ class RuleOwner(Owner, Fired, Protocol):
     """
 
     mode: NetworkOptions
+    window: Optional[int]
     clock: int
     timed: bool
     double: bool
@@ -112,6 +120,10 @@ class RuleOwner(Owner, Fired, Protocol):
     @property
     def network(self) -> Network:
         """All rules of the program."""
+
+    @property
+    def skipping(self) -> Optional[Any]:
+        """What its matches have skipped, see `Skipping`; None where they skip nothing."""
 
     @property
     def firings(self) -> "Counted":

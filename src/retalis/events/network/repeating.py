@@ -306,6 +306,7 @@ class Repeating(NetworkNode):
             shared = self._kept if number == 1 else tuple(range(len(self._kept)))
             buffer = self._buffers[number] = MatchBuffer(self.rule, shared)
             buffer.span = self.limit
+            buffer.forbids = self.forbids
             self._set_up(buffer, number)
         return buffer
 
@@ -352,6 +353,7 @@ class Repeating(NetworkNode):
             for number, relay in enumerate(self._relays[1:], 1):
                 left = Joining(self.rule, _SEQ, left, relay, shared, None, (), True, self._names_at(number))
                 left.left_buffer = self._buffer(number)
+                left.right_buffer.forbids = self.forbids
                 left.set_span(self.span, self.limit)
                 self._joinings.append(left)
         self._joinings[-1].bind(self._give if self._mode.policy.replacing else self._out, self._mode)

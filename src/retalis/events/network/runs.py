@@ -313,4 +313,7 @@ class Running(RunValues):
             extended, result = self.extending(run, match, False)
             if extended:
                 match.used = run
-        return after if result is None or taken_back(result) else self.out(result, after)
+        if result is None or taken_back(result):
+            return after
+        skipping = None if self.forbids else self.rule.skipping
+        return self.out(result, after) if skipping is None or skipping.takes(result.start) else after
