@@ -8,6 +8,7 @@ from .definition import RuleDefinition
 from .eventnames import event_fault
 from .heads import SYNCHRONIZED, check_head
 from .labels import RULE, Property, is_rule, label_error, labelled
+from .made import NEW_EVENT, made_by, makes_event
 from .occurrences import occurrences
 from .operators import ARROWS, NO_FACTS, OPERATORS, SPELLINGS, names_of_kind
 from .pattern import (
@@ -61,7 +62,10 @@ __all__ = [
     "is_rule",
     "label_error",
     "labelled",
+    "made_by",
+    "makes_event",
     "names_of_kind",
+    "NEW_EVENT",
     "NO_FACTS",
     "occurrences",
     "Occurs",
