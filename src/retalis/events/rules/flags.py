@@ -5,6 +5,7 @@ from typing import Callable, Dict, List, NamedTuple, Optional, Tuple
 
 from ...foundation import UsageError
 from ...prolog.terms import Atom, Term, atom
+from ..language import STRICTLY, UNDECLARED
 from ..matches import NetworkOptions, Policy
 
 _SWITCH = ("off", "on")
@@ -41,6 +42,7 @@ FLAGS: Dict[str, Flag] = {
     "db_trace": _switch(),
     "subPatterns": _switch("on"),
     "save_ruleId": _switch(),
+    UNDECLARED.name: Flag(atom("allowed"), ("allowed", STRICTLY.name)),
 }
 
 

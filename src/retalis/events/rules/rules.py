@@ -11,11 +11,12 @@ from ...prolog.machine import keep_back
 from ...prolog.terms import SECOND, Term, Trail, atom, copy, deref, from_seconds, term_key, unify, variables
 from ..dispatch import Dispatcher, Stage
 from ..history import Fired, Justifier, Occurrence, Store, Tracker
-from ..language import Property, RuleDefinition, called_by, is_absolute, is_rule
+from ..language import UNDECLARED, Property, RuleDefinition, called_by, is_absolute, is_rule
 from ..matches import NetworkOptions, with_property
 from ..network import Rule, RuleOwner, UnderWay
 from ..program import FileChecker, Files, Loader, nowhere
 from .alarms import RuleAlarm
+from .declared import DeclaredEvents
 from .flags import Flags
 from .predicates import define_predicates
 from .ruletable import RuleTable, label_of
@@ -46,6 +47,7 @@ class Rules:
         on_warning: called with each warning.
         warn_singletons: whether variables that stand in a clause only once are worth a warning.
         flags: the flags of ``set_etalis_flag/2``.
+        declared: the events that have been declared.
         mode: what the flags say about how the network runs.
         fired_before: how many whole matches rules had that were deleted.
     """
@@ -71,6 +73,7 @@ class Rules:
         self.under_way = UnderWay()
         self._table = RuleTable()
         self.flags = Flags(self._flag_changed)
+        self.declared = DeclaredEvents(self)
         self.mode: NetworkOptions = self.flags.mode()
         self.tracker = Tracker(self)
         self.justifier = Justifier(self, self.tracker)
@@ -313,6 +316,8 @@ class Rules:
                 self._configure(rule)
         elif name == "store_fired_events":
             self.store.keep_all(self.flags.is_on(name))
+        elif name == UNDECLARED.name:
+            self.declared.in_use = True
 
     def newest_allowed(self) -> int:
         """Return the newest stamp that may move the clock of a rule."""
@@ -330,6 +335,7 @@ class Rules:
         for rule in list(self.rules):
             self.remove(rule)
         self._properties.clear()
+        self.declared.clear()
         self.store.clear()
         self.tracker.clear()
         self.timers.clear()
