@@ -4,7 +4,7 @@ from difflib import get_close_matches
 from typing import Callable, Dict, List, NamedTuple, Optional, Tuple
 
 from ...foundation import UsageError
-from ...prolog.terms import Atom, Term, atom
+from ...prolog.terms import Atom, Term, atom, from_seconds
 from ..language import STRICTLY, UNDECLARED
 from ..matches import NetworkOptions, Policy
 
@@ -140,3 +140,14 @@ class Flags:
             self.is_on("revision_flag") or self.is_on("etalis_justification"),
             self.is_on("revision_flag"),
         )
+
+    def garbage_control(self, properties: Dict[str, List[int]]) -> Optional[Tuple[int, int]]:
+        """Return window and step of the garbage control of a rule with these properties, or None."""
+        kind = self.get("garbage_control")
+        if kind is atom("general"):
+            window = self.number("garbage_window")
+            if window > 0:
+                return from_seconds(window), max(0, from_seconds(self.number("garbage_window_step")))
+        elif kind is atom("pattern") and "window" in properties and "window_step" in properties:
+            return min(properties["window"]), min(properties["window_step"])
+        return None

@@ -8,7 +8,7 @@ from typing import Callable, Dict, Hashable, List, Optional, Sequence, Tuple, Un
 from ...foundation import Place, RetalisError, RuleError
 from ...prolog.logic import Logic
 from ...prolog.machine import keep_back
-from ...prolog.terms import SECOND, Term, Trail, atom, copy, deref, from_seconds, term_key, unify, variables
+from ...prolog.terms import SECOND, Term, Trail, copy, deref, from_seconds, term_key, unify, variables
 from ..dispatch import Dispatcher, Stage
 from ..history import Fired, Justifier, Occurrence, Store, Tracker
 from ..language import UNDECLARED, Property, RuleDefinition, called_by, is_absolute, is_rule
@@ -295,18 +295,7 @@ class Rules:
             else:
                 found.setdefault(one.name, []).append(from_seconds(one.number))
         windows = found.get("window", []) + found.get("event_rule_window", [])
-        rule.configure(mode, min(windows) if windows else None, self._garbage_control(found))
-
-    def _garbage_control(self, properties: Dict[str, List[int]]) -> Optional[Tuple[int, int]]:
-        """Return window and step of the garbage control of a rule with these properties, or None."""
-        kind = self.flags.get("garbage_control")
-        if kind is atom("general"):
-            window = self.flags.number("garbage_window")
-            if window > 0:
-                return from_seconds(window), max(0, from_seconds(self.flags.number("garbage_window_step")))
-        elif kind is atom("pattern") and "window" in properties and "window_step" in properties:
-            return min(properties["window"]), min(properties["window_step"])
-        return None
+        rule.configure(mode, min(windows) if windows else None, self.flags.garbage_control(found))
 
     def _flag_changed(self, name: str) -> None:
         if name in _CONFIGURING:
