@@ -3,6 +3,7 @@
 from concurrent.futures import ThreadPoolExecutor
 
 from retalis.engine import parts_of
+from retalis.events.rules.timers import TimerAlarm
 from retalis.foundation import WATCH
 
 OTHER = ThreadPoolExecutor(1)
@@ -37,6 +38,8 @@ def faults(engine):
     check(parts_of(engine).logic.new_goals is None, "goals are being prepared")
     check(not parts_of(engine).rules.loader.is_loading, "a load is under way")
     found += _of_memories(parts_of(engine).knowledge)
+    found += _of_states(parts_of(engine).knowledge)
+    found += _of_timers(parts_of(engine).rules.timers, engine.clock)
     for rule in parts_of(engine).rules.rules:
         found += _of_rule(rule)
     found += _of_predicates(parts_of(engine).logic)
@@ -68,6 +71,24 @@ def _of_memories(knowledge):
         instance, instant = missing[-1]
         if order not in instance.waiting.get(instant, {}):
             yield "a query waits for nothing"
+
+
+def _of_states(knowledge):
+    for state in knowledge.states:
+        there = set(state.open)
+        ways = {key for group in state._by_shared.values() for key in group}  # noqa: SLF001
+        if not there == ways == {one.key for one in state._by_order.values()}:  # noqa: SLF001
+            yield f"{state.name}: what is open is not found in all ways"
+
+
+def _of_timers(timers, clock):
+    alarms = [
+        alarm for _, _, alarm in clock.alarms if isinstance(alarm, TimerAlarm) and timers.is_sound(alarm)
+    ]
+    if [alarm.timer for alarm in alarms] != list(dict.fromkeys(alarm.timer for alarm in alarms)):
+        yield "a timer has two alarms"
+    if {alarm.timer for alarm in alarms} != set(timers):
+        yield "a timer has no alarm"
 
 
 def _of_rule(rule):

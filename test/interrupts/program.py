@@ -49,6 +49,12 @@ v(K,Y) <- b(K,Y).
 deep(K,N) <- start(K,N).
 deep(K,M) <- deep(K,N) where (N > 0, M is N-1).
 bottom(K) <- deep(K,0).
+:- state(running(K), from(start(K,_)), until(e(K)), [within(12)]).
+:- state(open(K), from(c(K)), until(d(K))).
+:- timer(beat, every(7)).
+held(K) <- b(K,_) where holds(open(K)).
+over(K,N) <- running(K) where N = 1.
+timed(K) do timer(rung(K), after(4)) <- c(K).
 """
 
 GOALS = """
@@ -81,6 +87,7 @@ ACTIONS = (
     "event d({k})",
     "event start({k},9)",
     "event ask({k},{t})",
+    "event e({k})",
     "event b({k},5)",
     "call bump({k}), bump({k}), retractall(level({k},_)), assertz(level({k},7))",
     "call note({k},x), note({k},y), forall(recorded({k},_,R), erase(R))",
@@ -117,6 +124,8 @@ ANSWERS = (
     "findall(X-Y,path(X,Y),L),length(L,N)",
     "current_output(S),text(a,A)",
     "told({k})",
+    "holds(open({k}),Since)",
+    "holds_at(running({k}),{t})",
 )
 
 

@@ -255,11 +255,12 @@ class DeclaredState:
     def mend(self) -> None:
         """Find all that is open in all ways, after an interrupt."""
         everything = list(self.open.values())
+        self.open.clear()
         self._by_shared.clear()
         self._by_order.clear()
+        self._timeouts.clear()
         for one in everything:
-            self._by_shared.setdefault(one.shared, {})[one.key] = one
-            self._by_order[one.order] = one
+            self._add(one)
 
     def kept(self) -> KeptState:
         """Return what holds and held as data; see `restore`."""
