@@ -3,6 +3,8 @@
 import logging
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from retalis.engine import Engine, parts_of
 from retalis.engine.runtime import StreamClock
@@ -111,6 +113,25 @@ def test_what_is_no_timer_is_an_error(goal):
         run().call(goal)
     with pytest.raises(ProgramErrors):
         run(goal)
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    st.lists(st.integers(1, 40), min_size=1, max_size=10),
+    st.sampled_from(["every(3)", "every(7, from_now)", "after(4)", "at(0, 0, 20)"]),
+)
+def test_the_instants_do_not_depend_on_the_steps_of_time(steps, when):
+    instants = [sum(steps[: at + 1]) for at in range(len(steps))]
+    first, last = instants[0], instants[-1]
+    wanted = {
+        "every(3)": [at for at in range(first + 1, last + 1) if at % 3 == 0],
+        "every(7, from_now)": list(range(first + 7, last + 1, 7)),
+        "after(4)": [first + 4] if first + 4 <= last else [],
+        "at(0, 0, 20)": [20] if first < 20 <= last else [],
+    }
+    seen = run(f"timer(tick, {when})").at(*instants)
+    assert [at for event, at in seen if event == "tick"] == wanted[when]
+    assert [at for _, at in seen] == sorted(at for _, at in seen), "each in its place"
 
 
 def test_an_instant_that_is_over_is_said_and_rings_never(caplog):

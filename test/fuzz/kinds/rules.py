@@ -58,6 +58,10 @@ PIECES += (
     ":- op(700,xfx,",
     "retract(",
     "findall(X,",
+    ":- timer(a(X),every(1)). ",
+    "timer(c,after(2))",
+    ":- state(h(X),from(a(X)),until(b(_))). ",
+    "holds(h(X),T)",
     "0'",
     "->",
     ";",
@@ -91,6 +95,9 @@ GOALS += (
     "where X is Y + 1",
     "timestamp (t2(E), E > 0)",
     "ntimes X",
+    "do timer(c, after(X))",
+    "where holds(h(X))",
+    "do state(h(X, Y), from(a(X)), until(b(Y)))",
 )
 KINDS = ("count", "sum(X)", "min(Y)", "max(X)", "avg(X)", "list(X)", "list(f(X,Y))")
 EVENTS = ("a(1)", "b(2)", "c", "a(b(3))")
