@@ -4,9 +4,10 @@ from contextlib import closing
 from typing import Callable, Dict, List, NamedTuple, Optional, Tuple, Union
 
 from ..events.dispatch import Dispatcher
-from ..events.knowledge import Knowledge
+from ..events.knowledge import OWN_EVENTS, Knowledge
 from ..events.program import MEGABYTE
 from ..events.rules import Rules, define_new_event
+from ..foundation import UsageError
 from ..messages import Definitions, SlotNames
 from ..prolog.foreign import define_use_foreign
 from ..prolog.logic import Logic
@@ -67,6 +68,7 @@ class EngineCore:
         self._rules = Rules(self._logic, self._dispatcher, self.clock)
         self._rules.on_error = reports.error
         self._rules.on_warning = reports.warning
+        declared = self._rules.declared
         self._files = self._rules.files
         self._files.door.allow(settings.folders, settings.write_folders)
         self._files.door.most = settings.max_file_megabytes * MEGABYTE
@@ -75,6 +77,8 @@ class EngineCore:
         if settings.max_gap is not None:
             self._rules.flags.set_default("max_gap", settings.max_gap)
         self._knowledge.on_conditions = self._rules.note_conditions
+        declared.others = lambda key: key in OWN_EVENTS or key.name in self._slots.events
+        self._knowledge.on_pattern = declared.require
         recovery = EngineRecovery(self._logic, self._dispatcher, self._rules, self._knowledge)
         self._runner = Runner(settings.queue, self._report_drop, reports.error, recovery, settings.patience)
         budget.count_for(self._runner)
@@ -83,7 +87,7 @@ class EngineCore:
         self._intake = Intake(self._logic, self._dispatcher, self.clock, followed, self._start_anew)
         self._take = self._intake.take  # bound once: one step less for each event
         self._message = self._intake.take_message
-        self._text_input = TextInput(self._logic.operators, self._take, call, reports)
+        self._text_input = TextInput(self._logic.operators, self._take, call, reports, declared)
         self._outputs: List[OnOutput] = []
         self._observed = False
         self._foreign: List[Tuple[object, ...]] = []
@@ -109,6 +113,18 @@ class EngineCore:
         define_new_event(self._logic, self._dispatcher)
         self._input_topics = InputTopics(self._logic, self._slots, reports)
         define_use_foreign(self._logic, self._runner, self._files, settings.allow_foreign)
+
+    def _take_fitting(self, term: Term, start: Optional[int], end: Optional[int]) -> None:
+        """Take an event that is no message of a topic.
+
+        Raises:
+            UsageError: where it does not fit its declaration.
+        """
+        declared = self._rules.declared
+        wrong = declared.refusal(term) if declared.in_use else ""
+        if wrong:
+            raise UsageError(f"event refused: {wrong}")
+        self._take(term, start, end)
 
     def _read(self, term: Union[str, Term], flags: ReadFlags = READ) -> Term:
         return read_term(term, self._logic.operators, "text", flags).term if isinstance(term, str) else term

@@ -155,7 +155,7 @@ class Engine(Lasting):
             end: when it ended; as ``start`` by default.
 
         Raises:
-            UsageError: for a wrong stamp or an end before the start.
+            UsageError: for a wrong stamp, an end before the start, or what does not fit the event's declaration.
             SyntaxFault: for a text that is not a term.
         """
         first = None if start is None else timestamps.from_any(start)
@@ -167,7 +167,7 @@ class Engine(Lasting):
 
         >>> Engine().event_at(atom("fire"), 1_500_000_000, 2_000_000_000)
         """
-        self._runner.call(lambda: self._take(term, start, end), (term,))
+        self._runner.call(lambda: self._take_fitting(term, start, end), (term,))
 
     def post(self, term: Term, instant: Optional[int] = None) -> None:
         """Queue a message and return without waiting for others.

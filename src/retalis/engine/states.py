@@ -154,6 +154,7 @@ class StateKeeper:
             restore_records(instance, found)
         restore_matches(rules, knowledge, engine.clock, sections["matches"], named)
         rules.files.loaded = set(map(Path, program["network"]["loaded"]))
+        rules.declared.in_use = True  # what is there is looked at with the first event
         parts.programs.update(restore_standings(program["standings"], logic, knowledge, rules.timers, named))
         parts.input_topics.restore(AskedTopic(*one) for one in program["topics"])
         engine.clock.restore(run["clock"])

@@ -2,7 +2,7 @@
 
 from typing import Callable, Optional
 
-from ..events.rules import InputReader
+from ..events.rules import DeclaredEvents, InputReader
 from ..foundation import RetalisError, beginning
 from ..prolog.syntax import Operators
 from ..prolog.terms import Term
@@ -22,15 +22,22 @@ class TextInput:
         take: takes an event, its interval, and whether it is ground, where somebody has looked.
         call: calls a goal once; None where only events are accepted.
         reports: takes a warning of what is refused.
+        declared: the events that have been declared, which the others have to fit.
     """
 
     def __init__(
-        self, operators: Operators, take: Take, call: Optional[Callable[[Term], bool]], reports: Reports
+        self,
+        operators: Operators,
+        take: Take,
+        call: Optional[Callable[[Term], bool]],
+        reports: Reports,
+        declared: DeclaredEvents,
     ):
         self._reader = InputReader(operators)
         self._take = take
         self._call = call
         self._reports = reports
+        self._declared = declared
 
     def take(self, text: str) -> None:
         """Take a text: ``event/1,2`` and ``new_event/2,3,5``, and any goal where goals are accepted."""
@@ -45,7 +52,11 @@ class TextInput:
             self._refuse(error if error.place else f"{beginning(text)}: {error}")
             return
         if made is not None:
-            self._take(*made)
+            wrong = self._declared.refusal(made.term) if self._declared.in_use else ""
+            if wrong:
+                self._refuse(f"{beginning(text)}: {wrong}")
+            else:
+                self._take(*made)
         elif self._call is not None:
             self._take_goal(text, self._call)
         else:

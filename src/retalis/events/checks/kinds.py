@@ -6,9 +6,8 @@ from ...foundation import RuleError
 from ...messages import Field
 from ...prolog.syntax import OperatorKind
 from ...prolog.terms import Atom, CompoundTerm, String, Term, Var, deref, functor
-from ..language import AGGREGATES, Spot, names_of_kind
+from ..language import AGGREGATES, Spot, made_by, makes_event, names_of_kind
 from ..program import nowhere
-from .made import made_by, makes_event
 from .overview import Overview
 from .written import NECK, Inner, held, inners
 

@@ -6,15 +6,12 @@ from ...foundation import Place, RuleError
 from ...messages import functor_name
 from ...prolog.terms import SLASH, Atom, Functor, Term, deref, functor
 from ..knowledge import OWN_EVENTS
-from ..language import ALARMS, SYNCHRONIZED, Action, sets_timer
+from ..language import Action, made_by, makes_event
 from ..program import TOPICS
 from .near import NearFunctors
 from .overview import Overview, is_open
 from .written import key_of
 
-NEW_EVENT = frozenset(
-    (*(functor("new_event", arity) for arity in (2, 3, 5)), functor("event", 1), functor("event", 2))
-)
 _OUTSIDE = functor("input_event", 1)
 SUBSCRIBE_TO = frozenset((functor("subscribe_to", 2), functor("subscribe_to", 3)))
 _SHOWN = frozenset(
@@ -99,22 +96,6 @@ class MadeEvents:
             self.anything = self.anything or is_open(term)
         elif key is not _NO_EVENT:
             self.keys.setdefault(key, place)
-
-
-def makes_event(term: Term) -> bool:
-    """Tell whether a term is a goal that makes an event, its first argument: now or later."""
-    return term.__class__ is tuple and (term[0] in NEW_EVENT or sets_timer(term))
-
-
-def made_by(head: Optional[Term]) -> Optional[Term]:
-    """Return the event that a rule with some head fires, now or later."""
-    if head is None:
-        return None
-    term: Any = deref(head)
-    while term.__class__ is tuple and (term[0] in ALARMS or term[0] in SYNCHRONIZED):
-        term = deref(term[1])
-    made: Term = term
-    return made
 
 
 def _named(head: Any) -> Iterator[Functor]:

@@ -18,7 +18,7 @@ from ...prolog.terms import (
     functor,
     list_items,
 )
-from .made import NEW_EVENT, made_by
+from ..language import NEW_EVENT, made_by
 from .near import near
 from .overview import Overview
 from .written import Inner, everywhere, held, inners

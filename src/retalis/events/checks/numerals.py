@@ -5,8 +5,7 @@ from typing import Any, Dict, Iterator, List, Mapping, NamedTuple, Optional, Set
 from ...foundation import RuleError
 from ...messages import Definition, Field
 from ...prolog.terms import Functor, Var, deref, functor
-from ..language import Occurs, walk
-from .made import NEW_EVENT, made_by
+from ..language import NEW_EVENT, Occurs, made_by, walk
 from .overview import Overview
 from .written import Inner, held, inners, key_of
 

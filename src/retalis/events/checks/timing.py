@@ -21,8 +21,8 @@ from ..language import (
     Star,
     Within,
     children,
+    made_by,
 )
-from .made import made_by
 from .overview import Overview
 from .written import WrittenRule, held, inners, key_of
 

@@ -34,6 +34,7 @@ class Knowledge:
     """What a program remembers, waits for and sends out, and which states it follows.
 
     Attributes:
+        on_pattern: called with the pattern of each memory and subscription before it is made; may raise an error.
         on_conditions: called with the conditions of each memory and subscription that is made, and its name.
         gaps: decides over what distance in time may be interpolated.
 
@@ -55,6 +56,7 @@ class Knowledge:
     ):
         self._logic = logic
         self._warn = warn
+        self.on_pattern: Callable[[Term], None] = lambda pattern: None
         self.on_conditions: Callable[[Term, str], None] = lambda conditions, who: None
         self.memories = Memories(logic, dispatcher, clock.stamp, warn)
         self.gaps = Gaps(logic.brief, warn)
@@ -125,6 +127,7 @@ class Knowledge:
         return memorize
 
     def _create(self, arguments: Sequence[Term], active: bool, after: Frame) -> Frame:
+        self.on_pattern(arguments[0])
         made = self.memories.create((MEMORIZE, *arguments), active, after)
         self.on_conditions(arguments[1], f"memory {self._logic.brief(arguments[3])}")
         return made
@@ -146,6 +149,7 @@ class Knowledge:
             return after
 
     def _subscribe(self, machine: Machine, *arguments: Term) -> bool:
+        self.on_pattern(arguments[0])
         self.subscriptions.create((SUBSCRIBE, *arguments))
         self.on_conditions(arguments[1], f"subscription {self._logic.brief(arguments[4])}")
         return True

@@ -4,10 +4,23 @@ from .aggregates import AGGREGATES, Collector
 from .alarms import ALARMS, alarm_of, is_absolute
 from .calls import Subgoal, Unknown, called_by, calls, unknown_calls
 from .collecting import check_aggregate
+from .declarations import (
+    STRICTLY,
+    UNDECLARED,
+    Declaration,
+    Declarations,
+    VariableKinds,
+    declared_in,
+    has_branches,
+    head_event,
+    made_by_goals,
+    query_goals,
+)
 from .definition import RuleDefinition
 from .eventnames import event_fault
 from .heads import SYNCHRONIZED, check_head
 from .labels import RULE, Property, is_rule, label_error, labelled
+from .made import NEW_EVENT, made_by, makes_event
 from .occurrences import occurrences
 from .operators import ARROWS, NO_FACTS, OPERATORS, SPELLINGS, names_of_kind
 from .pattern import (
@@ -30,7 +43,7 @@ from .pattern import (
     surely_bound_by,
     walk,
 )
-from .reading import PatternReader, Spot
+from .reading import EventTerm, PatternReader, Spot
 from .schedules import TIMER, Schedule, schedule_fault, schedule_of, sets_timer
 from .stateforms import HOLDS, STATE, StateForm, asked_state, declares_state, state_form
 
@@ -52,16 +65,26 @@ __all__ = [
     "children",
     "Collector",
     "Condition",
+    "declared_in",
+    "Declaration",
+    "Declarations",
     "RuleDefinition",
     "declares_state",
     "Either",
     "event_fault",
     "HOLDS",
+    "EventTerm",
+    "has_branches",
+    "head_event",
     "is_absolute",
     "is_rule",
     "label_error",
     "labelled",
+    "made_by",
+    "makes_event",
+    "made_by_goals",
     "names_of_kind",
+    "NEW_EVENT",
     "NO_FACTS",
     "occurrences",
     "Occurs",
@@ -72,6 +95,7 @@ __all__ = [
     "PATTERNS",
     "Property",
     "PatternReader",
+    "query_goals",
     "Repeated",
     "RULE",
     "Schedule",
@@ -85,11 +109,14 @@ __all__ = [
     "STATE",
     "state_form",
     "StateForm",
+    "STRICTLY",
     "surely_bound_by",
     "SYNCHRONIZED",
     "TIMER",
+    "UNDECLARED",
     "Unknown",
     "unknown_calls",
+    "VariableKinds",
     "walk",
     "Within",
 ]

@@ -23,6 +23,11 @@ _TAKEN = frozenset(
 """Names of which events mean something else, or which events do not have."""
 
 
+def means_other(name: str) -> bool:
+    """Tell whether a name means something else in rules."""
+    return name in _TAKEN
+
+
 def event_fault(name: str) -> Optional[str]:
     """Return why the events of a topic cannot have a name, or None."""
     fault = plain_fault(name)

@@ -1,6 +1,6 @@
 """The patterns of rules, read from terms and checked on the way."""
 
-from typing import Callable, Dict, FrozenSet, List, Optional, Tuple
+from typing import Callable, Dict, FrozenSet, List, NamedTuple, Optional, Tuple
 
 from ...foundation import Place, RuleError
 from ...prolog.syntax import EVENT_OPERATOR, EventOperator, OperatorKind
@@ -35,6 +35,14 @@ _ABSENCES = " or ".join(names_of_kind(OperatorKind.ABSENCE))
 _BEFORE = " or ".join(names_of_kind(OperatorKind.ABSENCE, between=False))
 
 
+class EventTerm(NamedTuple):
+    """A term that is an event or a pattern of events, and where it stands: in which term, as which argument."""
+
+    term: Term
+    parent: CompoundTerm
+    number: int
+
+
 class PatternReader:
     """Turns the body of one rule into a pattern.
 
@@ -47,6 +55,7 @@ class PatternReader:
         place: what gives the places.
         inner: the rules defined by the way, ``(S <- Q)`` inside a pattern.
         goals: what the goals call.
+        events: the events that are waited for.
         untimed: calls of ``t1/1`` and ``t2/1`` that a goal cannot do without, where these do not hold.
         aggregates: the aggregates, each with its term.
     """
@@ -59,6 +68,7 @@ class PatternReader:
         self._anonymous = anonymous
         self.inner: List[Term] = []
         self.goals: List[Subgoal] = []
+        self.events: List[EventTerm] = []
         self.untimed: List[Subgoal] = []
         self.aggregates: List[Tuple[Aggregate, Term]] = []
 
@@ -120,6 +130,7 @@ class PatternReader:
         doubted = doubt(term)
         if doubted is not None:
             self._warn(self._error(doubted, *((parent, number) if term.__class__ is Atom else (term, 0))))
+        self.events.append(EventTerm(term, parent, number))
         return Occurs(term)
 
     def _sequence(self, term: CompoundTerm) -> Pattern:

@@ -1,5 +1,6 @@
 """The forms of an event file: what each of its terms is, checked before anything of the file is active."""
 
+from itertools import chain
 from typing import Any, Callable, Dict, List, NamedTuple, Optional
 
 from ...foundation import Errors, Place, RetalisError, RuleError
@@ -9,6 +10,7 @@ from ...prolog.machine import PrologError
 from ...prolog.syntax import ReadTerm
 from ...prolog.terms import (
     COLON,
+    TRUE,
     Atom,
     CompoundTerm,
     Term,
@@ -28,6 +30,7 @@ from ..language import (
     SPELLINGS,
     SYNCHRONIZED,
     Action,
+    Declarations,
     Pattern,
     PatternReader,
     Property,
@@ -39,11 +42,15 @@ from ..language import (
     calls,
     check_aggregate,
     check_head,
+    head_event,
     is_rule,
     label_error,
     labelled,
+    made_by_goals,
     occurrences,
+    query_goals,
 )
+from .declaring import FileDeclarations
 from .directives import Goals, goals_of
 
 _CLAUSE = functor(":-", 2)
@@ -94,11 +101,15 @@ class FileChecker:
 
     Args:
         show: gives the text of a term, for what is wrong with one that has no place.
+        declared: the declarations that hold; those of the file are added.
     """
 
-    def __init__(self, show: Optional[Callable[[Term], str]] = None) -> None:
+    def __init__(
+        self, show: Optional[Callable[[Term], str]] = None, declared: Optional[Declarations] = None
+    ) -> None:
         self._show = show
         self.errors = Errors()
+        self._declared = FileDeclarations(declared, self.errors)
         self.warnings = Errors()
         self.steps: List[FileEntry] = []
         self.rules: List[RuleDefinition] = []
@@ -145,6 +156,8 @@ class FileChecker:
             elif head in _UNWRAPPED:
                 self.steps.append(FileEntry("clause", deref(term[1]), place))
             self._no_rule(term, spot, place)
+            if head is _CLAUSE:
+                self._declared.fit(made_by_goals(calls(term, 2)), term, self._names, spot, place)
             self.steps.append(FileEntry("clause", term, place))
 
     def _directive(self, term: CompoundTerm, spot: Spot, place: Optional[Place]) -> None:
@@ -153,7 +166,10 @@ class FileChecker:
             raise RuleError("an event rule is written without :- before it", at)
         kind = _USING.get(goal[0]) if goal.__class__ is tuple else None
         if kind is None or goal.__class__ is not tuple:
-            self.steps.append(FileEntry("directive", goal, at, goals_of(term, spot)))
+            goals = goals_of(term, spot)
+            self._declared.fit(made_by_goals(calls(term, 1)), term, self._names, spot, place)
+            self.steps.append(FileEntry("directive", goal, at, goals))
+            self._declared.take(goals, spot)
         else:
             self.steps.append(FileEntry(kind, deref(goal[1]), at))
 
@@ -231,9 +247,8 @@ class FileChecker:
             check_head(
                 head, lambda part, number=0: spot(part, number) or place, at or place, self.warnings.append
             )
-            if head.__class__ is tuple and head[0] in SYNCHRONIZED:
-                for call in calls(head, 2):
-                    self._called(call, spot, place)
+            for call in query_goals(head):
+                self._called(call, spot, place)
             self._arrow_in(rule, spot)
             pattern = reader.read(rule, 2)
             if goal is not None:
@@ -246,6 +261,9 @@ class FileChecker:
             self.untimed.append(Unknown(call.term[0], spot(call.term) or place))
         for aggregate, part in reader.aggregates:
             check_aggregate(aggregate, part, pattern, self._names, reader.place, self.warnings.append)
+        heads = [] if definition.head is None else [head_event(rule, 1)]
+        made = made_by_goals((*reader.goals, *query_goals(definition.head or TRUE)))
+        self._declared.fit(chain(heads, reader.events, made), rule, self._names, spot, place)
         for one in reader.inner:
             self.inner.append(self.definition(one, None, spot, spot(one) or place))
         return definition

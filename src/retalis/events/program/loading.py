@@ -114,7 +114,9 @@ class Loader:
     def load_terms(self, terms: Sequence[Tuple[Term, Optional[Place]]]) -> None:
         """Load terms; see `Rules.load_terms`."""
         logic = self._rules.logic
-        reading = _Reading(FileChecker(logic.brief), logic.operators.copy(), Errors())
+        reading = _Reading(
+            FileChecker(logic.brief, self._rules.declared.now()), logic.operators.copy(), Errors()
+        )
         for term, place in terms:
             included = _included(term)
             if included is None:
@@ -130,7 +132,7 @@ class Loader:
             ProgramErrors: all errors; nothing is active then.
         """
         rules = self._rules
-        checker = FileChecker()
+        checker = FileChecker(declared=rules.declared.now())
         checker.read(read)
         with rules.logic.preparing(lambda: [rule.definition.term for rule in rules.rules]):
             self._finish(lambda errors: self._checked(checker, errors), Errors())
@@ -146,7 +148,9 @@ class Loader:
             self._finish(lambda errors: self._accept(text, source, errors), Errors())
 
     def _accept(self, text: str, source: str, errors: Errors) -> CheckedProgram:
-        reading = _Reading(FileChecker(), self._rules.logic.operators.copy(), errors)
+        reading = _Reading(
+            FileChecker(declared=self._rules.declared.now()), self._rules.logic.operators.copy(), errors
+        )
         self._read(read_program(text, reading.operators, source), reading)
         return self._checked(reading.checker, errors)
 

@@ -3,9 +3,16 @@
 from typing import Dict, Hashable, List, Protocol
 
 from ...prolog.terms import Term
-from ..language import Property, RuleDefinition
+from ..language import Declarations, Property, RuleDefinition
 from ..network import Network, Rule
 from .files import Files
+
+
+class KnownDeclarations(Protocol):
+    """The events that a program has declared, as what loads its files sees them."""
+
+    def now(self) -> Declarations:
+        """Return the declarations that hold, to which others may be added without anybody seeing it."""
 
 
 class Loaded(Network, Protocol):
@@ -22,6 +29,10 @@ class Loaded(Network, Protocol):
     @property
     def files(self) -> Files:
         """The files of the program."""
+
+    @property
+    def declared(self) -> "KnownDeclarations":
+        """The events that have been declared."""
 
     @property
     def rules(self) -> List[Rule]:

@@ -39,6 +39,7 @@ class _FiringGoals:
         if interval is None and term.__class__ is tuple and term[0] is EVENT2:
             interval = term[2]
             term = callable_of(term[1])
+        self.rules.declared.require(term)
         if interval is None:
             start = end = self.rules.clock.stamp()
         else:

@@ -4,7 +4,8 @@ from difflib import get_close_matches
 from typing import Callable, Dict, List, NamedTuple, Optional, Tuple
 
 from ...foundation import UsageError
-from ...prolog.terms import Atom, Term, atom
+from ...prolog.terms import Atom, Term, atom, from_seconds
+from ..language import STRICTLY, UNDECLARED
 from ..matches import NetworkOptions, Policy
 
 _SWITCH = ("off", "on")
@@ -41,6 +42,7 @@ FLAGS: Dict[str, Flag] = {
     "db_trace": _switch(),
     "subPatterns": _switch("on"),
     "save_ruleId": _switch(),
+    UNDECLARED.name: Flag(atom("allowed"), ("allowed", STRICTLY.name)),
 }
 
 
@@ -138,3 +140,14 @@ class Flags:
             self.is_on("revision_flag") or self.is_on("etalis_justification"),
             self.is_on("revision_flag"),
         )
+
+    def garbage_control(self, properties: Dict[str, List[int]]) -> Optional[Tuple[int, int]]:
+        """Return window and step of the garbage control of a rule with these properties, or None."""
+        kind = self.get("garbage_control")
+        if kind is atom("general"):
+            window = self.number("garbage_window")
+            if window > 0:
+                return from_seconds(window), max(0, from_seconds(self.number("garbage_window_step")))
+        elif kind is atom("pattern") and "window" in properties and "window_step" in properties:
+            return min(properties["window"]), min(properties["window_step"])
+        return None

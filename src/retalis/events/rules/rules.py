@@ -8,14 +8,15 @@ from typing import Callable, Dict, Hashable, List, Optional, Sequence, Tuple, Un
 from ...foundation import Place, RetalisError, RuleError
 from ...prolog.logic import Logic
 from ...prolog.machine import keep_back
-from ...prolog.terms import SECOND, Term, Trail, atom, copy, deref, from_seconds, term_key, unify, variables
+from ...prolog.terms import SECOND, Term, Trail, copy, deref, from_seconds, term_key, unify, variables
 from ..dispatch import Dispatcher, Stage
 from ..history import Fired, Justifier, Occurrence, Store, Tracker
-from ..language import Property, RuleDefinition, called_by, is_absolute, is_rule
+from ..language import UNDECLARED, Property, RuleDefinition, called_by, is_absolute, is_rule
 from ..matches import NetworkOptions, with_property
 from ..network import Rule, RuleOwner, UnderWay
 from ..program import FileChecker, Files, Loader, nowhere
 from .alarms import RuleAlarm
+from .declared import DeclaredEvents
 from .flags import Flags
 from .predicates import define_predicates
 from .ruletable import RuleTable, label_of
@@ -46,6 +47,7 @@ class Rules:
         on_warning: called with each warning.
         warn_singletons: whether variables that stand in a clause only once are worth a warning.
         flags: the flags of ``set_etalis_flag/2``.
+        declared: the events that have been declared.
         mode: what the flags say about how the network runs.
         fired_before: how many whole matches rules had that were deleted.
     """
@@ -71,6 +73,7 @@ class Rules:
         self.under_way = UnderWay()
         self._table = RuleTable()
         self.flags = Flags(self._flag_changed)
+        self.declared = DeclaredEvents(self)
         self.mode: NetworkOptions = self.flags.mode()
         self.tracker = Tracker(self)
         self.justifier = Justifier(self, self.tracker)
@@ -292,18 +295,7 @@ class Rules:
             else:
                 found.setdefault(one.name, []).append(from_seconds(one.number))
         windows = found.get("window", []) + found.get("event_rule_window", [])
-        rule.configure(mode, min(windows) if windows else None, self._garbage_control(found))
-
-    def _garbage_control(self, properties: Dict[str, List[int]]) -> Optional[Tuple[int, int]]:
-        """Return window and step of the garbage control of a rule with these properties, or None."""
-        kind = self.flags.get("garbage_control")
-        if kind is atom("general"):
-            window = self.flags.number("garbage_window")
-            if window > 0:
-                return from_seconds(window), max(0, from_seconds(self.flags.number("garbage_window_step")))
-        elif kind is atom("pattern") and "window" in properties and "window_step" in properties:
-            return min(properties["window"]), min(properties["window_step"])
-        return None
+        rule.configure(mode, min(windows) if windows else None, self.flags.garbage_control(found))
 
     def _flag_changed(self, name: str) -> None:
         if name in _CONFIGURING:
@@ -313,6 +305,8 @@ class Rules:
                 self._configure(rule)
         elif name == "store_fired_events":
             self.store.keep_all(self.flags.is_on(name))
+        elif name == UNDECLARED.name:
+            self.declared.in_use = True
 
     def newest_allowed(self) -> int:
         """Return the newest stamp that may move the clock of a rule."""
@@ -330,6 +324,7 @@ class Rules:
         for rule in list(self.rules):
             self.remove(rule)
         self._properties.clear()
+        self.declared.clear()
         self.store.clear()
         self.tracker.clear()
         self.timers.clear()

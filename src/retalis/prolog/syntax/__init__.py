@@ -26,7 +26,7 @@ terms without arguments (``f()``), and a blank between groups of digits (``1 000
 from .eventoperators import EVENT_OPERATOR, EVENT_OPERATORS, EventOperator, OperatorKind
 from .eventreader import EventReader
 from .eventtext import event_text, float_text, to_text
-from .operators import Operators
+from .operators import DECLARE_EVENT, Operators
 from .reader import Program, ReadTerm, read_program, read_term
 from .shownslots import by_name
 from .slots import Meant, MessageSlot, NamedForm
@@ -35,6 +35,7 @@ from .writer import write_term, writeq
 
 __all__ = [
     "by_name",
+    "DECLARE_EVENT",
     "EVENT_OPERATOR",
     "EVENT_OPERATORS",
     "event_text",

@@ -27,6 +27,11 @@ class Operator(NamedTuple):
     type: str
 
 
+DECLARE_EVENT = functor("declare_event", 1)
+DECLARING = Operator(1150, 0, 1149, DECLARE_EVENT, "fx")
+"""What ``event`` is where a directive or goal begins and a name follows, which nothing else is; in no table, so that
+``event(E)`` is written as ever."""
+
 _INFIX, _PREFIX, _POSTFIX = ("xfx", "xfy", "yfx"), ("fy", "fx"), ("xf", "yf")
 TYPES = _INFIX + _PREFIX + _POSTFIX
 

@@ -10,12 +10,13 @@ from ..terms import FALSE, TRUE, Term, Var, atom, functor
 from . import faults
 from .byname import ByName
 from .opened import LABEL
-from .operators import CANONICAL_IN_PATTERNS
+from .operators import CANONICAL_IN_PATTERNS, DECLARING
 from .rules import PATTERN_ARGUMENTS
 from .slots import complete
 from .state import ARGUMENTS, LIST
 from .tokens import END, NAME, NUMBER, OPEN_CT, QUOTED, TEXT, VARIABLE, AnyToken
 
+_BEFORE_GOALS = ((NAME, ":-"), (NAME, "?-"))
 _ENDS = frozenset((")", "]", "}", ",", "|", END, "eof"))
 
 
@@ -187,12 +188,23 @@ class Parser(ByName):
             infix = LABEL
         postfix = self.operators.postfix.get(name)
         if infix is None and postfix is None:
+            if self._declares():
+                self.wants_operand = True
+                self._push_prefix(DECLARING, self.left_at)
+                return
             raise faults.no_operator(self, self.brackets[-1])
         self.at += 1
         if infix is not None and (postfix is None or self._starts_operand(self.tokens[self.at])):
             self._push_infix(infix, name, start)
         elif postfix is not None:
             self._take_postfix(postfix, start)
+
+    def _declares(self) -> bool:
+        """Tell whether what was read is the ``event`` of a declaration, ``:- event E.``, and not an atom."""
+        at = self.at - 1
+        if self.tokens[at][:2] != (NAME, "event") or self.patterns is not None or self.flags.made:
+            return False
+        return at == 0 or (at == 1 and self.tokens[0][:2] in _BEFORE_GOALS)
 
     def _starts_operand(self, token: AnyToken) -> bool:
         kind, value = token[:2]

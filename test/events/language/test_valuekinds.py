@@ -1,0 +1,76 @@
+"""Which values are of which kind, and which kinds exclude each other."""
+
+import pytest
+
+from retalis.events.language.valuekinds import KINDS, form_of, read_kind
+from retalis.foundation import UsageError
+from retalis.prolog.syntax import Operators, read_term
+
+VALUES = {
+    "left": "any atom event",
+    "'\"left\"'": "any atom string event",
+    '"left"': "any string",
+    "3": "any number integer time",
+    "3.5": "any number float time",
+    "nan": "any atom number float event",
+    "[]": "any list",
+    "[1, 2]": "any list time",
+    "[a, B]": "any list time",
+    "[a, b]": "any list",
+    "f(x)": "any event",
+    "datime(2026,1,2,3,4,5,6)": "any time event",
+    "datime(2026,1,2,3,4,5,X)": "any time event",
+    "datime(2026,13,2,3,4,5,6)": "any event",
+    "std_msgs__0__Empty": "any atom event std_msgs__0__Empty",
+    "std_msgs__0__Bool(true)": "any event std_msgs__0__Bool",
+}
+
+
+def term(text):
+    return read_term(text, Operators.prolog()).term
+
+
+@pytest.mark.parametrize("value", VALUES)
+def test_a_value_is_of_its_kinds_and_no_others(value):
+    kinds = [*KINDS, "std_msgs__0__Empty", "std_msgs__0__Bool"]
+    found = [name for name in kinds if read_kind(term(name)).takes(term(value))]
+    assert sorted(found) == sorted(VALUES[value].split())
+
+
+@pytest.mark.parametrize("one", KINDS)
+@pytest.mark.parametrize("other", KINDS)
+def test_kinds_exclude_each_other_where_no_value_is_of_both(one, other):
+    both = [value for value, kinds in VALUES.items() if {one, other} <= set(kinds.split()) and value != "nan"]
+    assert KINDS[one].excludes(KINDS[other]) == (not both)
+    assert KINDS[one].excludes(KINDS[other]) == KINDS[other].excludes(KINDS[one])
+
+
+def test_every_form_is_one_that_terms_or_stamps_have():
+    forms = {form_of(term(value)) for value in VALUES} | {"stamp"}
+    assert frozenset().union(*(kind.forms for kind in KINDS.values())) == forms
+
+
+def test_messages_of_two_types_exclude_each_other():
+    one, other = (read_kind(term(f"std_msgs__0__{name}")) for name in ("Bool", "Empty"))
+    assert one.excludes(other) and not one.excludes(one) and not one.excludes(KINDS["event"])
+
+
+def test_lists_in_lists():
+    assert read_kind(term("list(list(atom))")).items.items is KINDS["atom"]
+
+
+@pytest.mark.parametrize(
+    "kind, said",
+    [
+        ("nubmer", "there is no kind nubmer; did you mean number?"),
+        ("text", "there is no kind text: a kind is any, atom, "),
+        ("list(atm)", "there is no kind atm; did you mean atom?"),
+        ("f(x)", "a kind is any, atom, "),
+        ("_", "a kind is any, atom, "),
+        ("list(" * 20 + "atom" + ")" * 20, "a kind is any, atom, "),
+    ],
+)
+def test_what_is_no_kind(kind, said):
+    with pytest.raises(UsageError) as caught:
+        read_kind(term(kind))
+    assert caught.value.message.startswith(said)

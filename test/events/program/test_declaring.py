@@ -1,0 +1,120 @@
+"""What does not fit the declared events of a file, with its place."""
+
+import pytest
+from events.refusals import errors_of
+
+from retalis import Engine
+from retalis.engine import parts_of
+
+DECLARED = ":- event temperature(motor:atom, value:number).\n"
+FORM = "temperature(motor:atom,value:number)"
+ARITY = f"temperature/1 is not as it is declared: {FORM} has 2 arguments"
+VALUE = f"value of temperature/2 is a number, found hot; declared as {FORM}"
+BOTH = "V is a number (value of temperature/2) and, here, an atom (motor of temperature/2): these are never the same"
+
+
+@pytest.mark.parametrize(
+    "rule, column, said",
+    [
+        ("a <- b seq temperature(X).", 12, ARITY),
+        ("temperature(X) <- b(X).", 1, ARITY),
+        ("l : temperature(X) do true <- b(X).", 5, ARITY),
+        ("a <- temperature or b.", 6, ARITY.replace("/1", "/0")),
+        ("a <- (b seq c) cnot temperature(_, hot).", 36, VALUE),
+        ("a <- b seq (temperature(_, hot) star_times).", 28, VALUE),
+        ("a <- b seq aggregate(count, temperature(_, hot), N).", 44, VALUE),
+        ("a <- temperature(_, hot) ntimes 3.", 21, VALUE),
+        ("a <- (s <- temperature(_, hot)) seq b.", 27, VALUE),
+        ("a <- rev(temperature(_, hot)).", 25, VALUE),
+        ("exceptionAlarm(temperature(_, hot), 3) <- b.", 31, VALUE),
+        ("synchronized(temperature(_, hot), true, []) <- b.", 29, VALUE),
+        ("synchronized(a, new_event(temperature(_, hot), 1, 2), []) <- b.", 42, VALUE),
+        ("a do (true, new_event(temperature(_, hot), 1, 2)) <- b.", 38, VALUE),
+        ("a <- b where (true ; event(temperature(_, hot))).", 43, VALUE),
+        ("b do event(event(temperature(_, hot), [1, 2])).", 33, VALUE),
+        ("go :- \\+ new_event(temperature(_, hot), [1, 2]).", 35, VALUE),
+        ("go :- timer(temperature(_, hot), after(5)).", 28, VALUE),
+        (":- true, new_event(temperature(_, hot), 1, 2, 3, 4).", 35, VALUE),
+        ("a <- temperature(M, V) seq temperature(V, _).", 40, BOTH),
+        (
+            "temperature(V, 3) <- temperature(M, V).",
+            37,
+            "V is an atom (motor of temperature/2) and, here, a number (value of temperature/2): these are never the "
+            "same",
+        ),
+        ("go(V) :- event(temperature(a, V)), event(temperature(V, 1)).", 54, BOTH),
+    ],
+)
+def test_an_error_stands_where_it_is(rule, column, said):
+    assert errors_of(f"{DECLARED}{rule}") == [(2, column, said)]
+
+
+def test_all_of_them_are_said():
+    text = f"{DECLARED}a <- temperature(X).\nb <- c.\nd <- temperature(3, hot)."
+    assert [(line, column) for line, column, _ in errors_of(text)] == [(2, 6), (4, 18), (4, 21)]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a <- temperature(X).\n" + DECLARED,
+        DECLARED + "a <- temperature(M, V) where (M == left, temperature(V)).\ntemperature(3).",
+        DECLARED + "a <- temperature(V, _) or temperature(_, V).",
+        DECLARED + "a <- b(V) do (number(V) -> event(temperature(m, V)) ; event(temperature(V, 1))).",
+        DECLARED + "go(X) :- event(X), new_event(X, 1, 2).",
+        DECLARED + DECLARED,
+        DECLARED + "X <- a(X).",
+        DECLARED + "a <- temprature(X).",
+    ],
+)
+def test_what_is_before_or_not_certain_is_no_error(text):
+    Engine().load_rules(text)
+
+
+def test_a_declaration_may_hold_already_or_stand_in_an_included_file(tmp_path):
+    (tmp_path / "events.txt").write_text(DECLARED)
+    engine = Engine()
+    engine.load(goals="event temperature(motor:atom, value:number)")
+    other = Engine()
+    with pytest.raises(Exception, match="is not as it is declared"):
+        engine.load_rules("a <- temperature(X).")
+    with pytest.raises(Exception, match="is not as it is declared"):
+        other.load_rules(":- include('events.txt').\na <- temperature(X).", folder=tmp_path)
+    assert parts_of(engine).rules.rules == parts_of(other).rules.rules == []
+
+
+@pytest.mark.parametrize(
+    "text, line, column, said",
+    [
+        (":- event t(a:nubmer).", 1, 12, "there is no kind nubmer; did you mean number?"),
+        (":- event t(a:atom).\n:- event t(b:atom).", 2, 10, "t is declared already, as t(a:atom)"),
+        (
+            ":- event t(a:atom), u(3).",
+            1,
+            23,
+            "an argument is declared by its name and kind, as in temperature(motor:atom, value:number)",
+        ),
+        (
+            "event t(a:atom).",
+            1,
+            1,
+            "a fact of declare_event/1 would replace the built-in predicate: write :- before a goal; "
+            "to define a predicate of that name, declare it (:- dynamic declare_event/1.)",
+        ),
+    ],
+)
+def test_wrong_declarations(text, line, column, said):
+    assert errors_of(text) == [(line, column, said)]
+
+
+def test_every_event_may_have_to_be_declared():
+    lines = (
+        "a <- b.",
+        ":- set_etalis_flag(undeclared_events, error).",
+        ":- event t(a:atom).",
+        "null <- std_msgs__0__Bool(_).",
+        "c <- memory_deleted(_).",
+        ":- set_etalis_flag(undeclared_events, allowed).",
+        "d <- e.",
+    )
+    assert errors_of("\n".join(lines)) == [(5, 1, "c/0 is not declared; write :- event c.")]
