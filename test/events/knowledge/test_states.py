@@ -165,6 +165,19 @@ def test_a_wrong_declaration_is_an_error_of_its_file():
         run(":- state(s(X), from(a), until(b(X))).")
 
 
+@pytest.mark.parametrize("wrong", ["docked(R, 1)", "dock(R, 1)", "undock(1)"])
+def test_its_events_are_as_they_are_declared(wrong):
+    declared = ":- event docked(r:atom).\n:- event dock(r:atom).\n:- event undock(r:atom).\n"
+    right = "state(docked(R), from(dock(R)), until(undock(R)))"
+    state = right.replace("undock(R)" if "undock" in wrong else wrong.replace(", 1", ""), wrong, 1)
+    engine = run(f"{declared}:- {right}.")
+    with pytest.raises(ProgramErrors, match="dock"):
+        run(f"{declared}:- {state}.")
+    engine.call("delete_state(docked(_))")
+    with pytest.raises(PrologError, match="declared"):
+        engine.call(state)
+
+
 def test_programs_may_have_facts_of_these_names():
     engine = run(
         "state(robot, idle, 3).\nholds(hand, cup).\nout(X) <- e where (state(X, _, 3), holds(hand, _))."

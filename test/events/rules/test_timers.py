@@ -226,6 +226,17 @@ def test_status_counts_timers_with_alarms():
     assert (engine.status().alarms, engine.status().next_alarm) == (1, 2 * SECOND)
 
 
+@pytest.mark.parametrize("timer", ["timer(tick(left), every(1))", "timer(tick, every(1))"])
+def test_an_event_of_a_timer_is_as_it_is_declared(timer):
+    declared = ":- event tick(count:number).\n"
+    for load in ({"rules": f"{declared}:- {timer}."}, {"rules": declared, "goals": timer}):
+        engine = Rung()
+        with pytest.raises(ProgramErrors, match="tick"):
+            engine.load(rules=load["rules"])
+            engine.load(goals=load["goals"])
+        assert engine.timers() == "[]"
+
+
 class TestNames:
     """What programs have called by these names before."""
 

@@ -1,6 +1,6 @@
 """All states that a program has declared, and the goals that declare them and ask what holds."""
 
-from typing import Any, Dict, Hashable, Iterable, Iterator, List, Optional, Sequence, Tuple, Union
+from typing import Any, Callable, Dict, Hashable, Iterable, Iterator, List, Optional, Sequence, Tuple, Union
 
 from ...foundation import UsageError
 from ...prolog.builtins import callable_of, instant_of
@@ -34,6 +34,9 @@ class States:
         dispatcher: whose events begin and end states.
         clock: rings where states end by themselves.
         warn: takes a warning.
+
+    Attributes:
+        on_event: called with each event of a declaration before it is made; may raise an error.
     """
 
     def __init__(self, logic: Logic, dispatcher: Dispatcher, clock: AlarmClock, warn: Warn):
@@ -44,6 +47,7 @@ class States:
         self._all: Dict[Hashable, DeclaredState] = {}
         self._aside: Dict[Hashable, DeclaredState] = {}
         self._by_functor: Dict[Functor, List[DeclaredState]] = {}
+        self.on_event: Callable[[Term], None] = lambda event: None
         _StateGoals(self).define(logic)
 
     def __iter__(self) -> Iterator[DeclaredState]:
@@ -178,6 +182,8 @@ class _StateGoals:
 
     def declare(self, goal: Term) -> bool:
         try:
+            for event in state_form(goal).events:
+                self.states.on_event(event)
             self.states.declare(goal)
         except UsageError as error:
             raise domain_error("state", goal, error.message) from None

@@ -34,7 +34,7 @@ class Knowledge:
     """What a program remembers, waits for and sends out, and which states it follows.
 
     Attributes:
-        on_pattern: called with the pattern of each memory and subscription before it is made; may raise an error.
+        on_pattern: called with the patterns of a memory, subscription or state before it is made; may raise.
         on_conditions: called with the conditions of each memory and subscription that is made, and its name.
         gaps: decides over what distance in time may be interpolated.
 
@@ -64,6 +64,7 @@ class Knowledge:
         self.waiting = WaitingQueries(logic, dispatcher, self.memories, warn, clock)
         self.subscriptions = Subscriptions(logic, dispatcher, deliver, warn)
         self.states = States(logic, dispatcher, clock, warn)
+        self.states.on_event = lambda event: self.on_pattern(event)
         self._define()
 
     def clear(self) -> None:

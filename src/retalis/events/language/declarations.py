@@ -14,6 +14,7 @@ from .heads import SYNCHRONIZED
 from .made import makes_event
 from .operators import SPELLINGS, names_of_kind
 from .reading import EventTerm, Spot
+from .stateforms import declares_state
 from .valuekinds import KINDS, ValueKind, ValuePart, parts_of_value, read_kind
 
 UNDECLARED = atom("undeclared_events")
@@ -269,9 +270,14 @@ def has_branches(whole: Term) -> bool:
 
 
 def made_by_goals(goals: Iterable[Subgoal]) -> Iterator[EventTerm]:
-    """Yield the events that goals make."""
+    """Yield the events that goals make, and those that begin and end states."""
     for call in goals:
         term = call.term
+        if isinstance(term, tuple) and declares_state(term):
+            yield EventTerm(deref(term[1]), term, 1)
+            for part in map(deref, term[2:4]):
+                if isinstance(part, tuple) and len(part) == 2:
+                    yield EventTerm(deref(part[1]), part, 1)
         if term.__class__ is tuple and makes_event(term):
             made = deref(term[1])
             if made.__class__ is tuple and made[0] is _EVENT2 and len(term) == 2:

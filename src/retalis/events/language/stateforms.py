@@ -1,6 +1,6 @@
 """States that are declared: ``state(S, from(F), until(U), Options)``."""
 
-from typing import Any, Dict, Hashable, List, NamedTuple, Optional
+from typing import Any, Dict, Hashable, List, NamedTuple, Optional, Tuple
 
 from ...foundation import UsageError
 from ...prolog.terms import (
@@ -56,6 +56,11 @@ class StateForm(NamedTuple):
     within: Optional[int] = None
     past: int = PAST
     open: int = OPEN
+
+    @property
+    def events(self) -> Tuple[Term, Term, Term]:
+        """The events that it names."""
+        return self.state, self.begins, self.ends
 
     @property
     def functor(self) -> Functor:

@@ -35,7 +35,7 @@ def define_predicates(rules: Any) -> None:
     _RuleGoals(rules).define(logic)
     _FlagGoals(rules).define(logic)
     define_firing(rules)
-    define_timers(logic, rules.timers)
+    define_timers(logic, rules.timers, rules.declared.require)
     _ListingGoals(rules).define(logic)
 
 

@@ -1,6 +1,6 @@
 """The goals that set timers, cancel and list them: ``timer/2``, ``cancel_timer/1,2``, ``timers/1``."""
 
-from typing import Any, List
+from typing import Any, Callable, List
 
 from ...foundation import UsageError
 from ...prolog.builtins import callable_of
@@ -13,16 +13,17 @@ _LISTED = functor("timer", 3)
 _WAITS = atom("waits")
 
 
-def define_timers(logic: Logic, timers: Timers) -> None:
-    """Define the goals for a program's timers."""
-    _TimerGoals(timers).define(logic)
+def define_timers(logic: Logic, timers: Timers, require: Callable[[Term], None]) -> None:
+    """Define the goals of timers; ``require`` raises an error for an event that is declared otherwise."""
+    _TimerGoals(timers, require).define(logic)
 
 
 class _TimerGoals:
     """Goals of timers."""
 
-    def __init__(self, timers: Timers):
+    def __init__(self, timers: Timers, require: Callable[[Term], None]):
         self.timers = timers
+        self.require = require
 
     def define(self, logic: Logic) -> None:
         logic.define("timer", 2, self.set)
@@ -34,6 +35,7 @@ class _TimerGoals:
         event, when = callable_of(event), deref(when)
         if when.__class__ is Var:
             raise instantiation_error()
+        self.require(event)
         try:
             self.timers.set(event, when)
         except UsageError as error:
