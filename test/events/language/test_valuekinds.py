@@ -2,7 +2,7 @@
 
 import pytest
 
-from retalis.events.language.valuekinds import KINDS, form_of, read_kind
+from retalis.events.language.valuekinds import KINDS, SLOT_KINDS, form_of, read_kind
 from retalis.foundation import UsageError
 from retalis.prolog.syntax import Operators, read_term
 
@@ -47,7 +47,7 @@ def test_kinds_exclude_each_other_where_no_value_is_of_both(one, other):
 
 def test_every_form_is_one_that_terms_or_stamps_have():
     forms = {form_of(term(value)) for value in VALUES} | {"stamp"}
-    assert frozenset().union(*(kind.forms for kind in KINDS.values())) == forms
+    assert frozenset().union(*(kind.forms for kind in (*KINDS.values(), *SLOT_KINDS.values()))) == forms
 
 
 def test_messages_of_two_types_exclude_each_other():

@@ -28,6 +28,7 @@ def engine():
         ("memorize(temperature(_, hot), [], _, m, 5, 1)", VALUE),
         ("memorize_diactive(temperature(_), [], _, m, 5)", ARITY),
         ("subscribe(temperature(_), [], _, t, i)", ARITY),
+        ("state(on, from(temperature(_)), until(off))", ARITY),
         ("event(temperature(left, hot))", VALUE),
         ("event(temperature(1), [1, 2])", ARITY),
         ("fire_event_list([event(temperature(1))])", ""),

@@ -3,6 +3,7 @@
 from typing import Callable, Iterator, NamedTuple, Optional, Set, Tuple
 
 from ...foundation import Place, RetalisError, RuleError
+from .declared import unfitting
 from .files import unread_rules
 from .kinds import kinds
 from .made import never_made, never_taken
@@ -39,6 +40,7 @@ CHECKS: Tuple[Check, ...] = (
     Check("topics", topics),
     Check("unread-rules", unread_rules, whole=True),
     Check("messages", wrong_messages),
+    Check("declared", unfitting, whole=True),
     Check("values", values),
     Check("kinds", kinds),
     Check("numerals", numerals),

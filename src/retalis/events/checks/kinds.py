@@ -1,13 +1,23 @@
 """Kinds of values as far as message slots tell them: numbers, texts, stamps, truth values, lists."""
 
-from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Set
+from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple
 
 from ...foundation import RuleError
 from ...messages import Field
 from ...prolog.syntax import OperatorKind
 from ...prolog.terms import Atom, CompoundTerm, String, Term, Var, deref, functor
-from ..language import AGGREGATES, Spot, made_by, makes_event, names_of_kind
+from ..language import (
+    AGGREGATES,
+    EventTerm,
+    Spot,
+    ValueKind,
+    made_by,
+    makes_event,
+    names_of_kind,
+    slot_kind,
+)
 from ..program import nowhere
+from .declared import event_of_kept, events_of_goals, events_of_rule
 from .overview import Overview
 from .written import NECK, Inner, held, inners
 
@@ -29,27 +39,19 @@ class SlotKind(NamedTuple):
     """What a variable is, by the slot in which it stands.
 
     Attributes:
-        what: its kind.
-        slot: the slot, and the type of its message.
-        is_made: whether the program makes that message: there the value goes in, and comes from elsewhere.
+        kind: its kind.
+        slot: the slot, and the type of its message; or the argument, and the event that is declared.
+        is_made: whether the program makes that: there the value goes in, and comes from elsewhere.
     """
 
-    what: str
+    kind: ValueKind
     slot: str
     is_made: bool
 
-
-def slot_kind(slot: Field) -> Optional[str]:
-    """Return the kind of the values of a slot; None where they are messages."""
-    if slot.length is not None and not slot.is_bytes:
-        return "a list"
-    if slot.type == "string" or slot.is_bytes:
-        return "a text"
-    if slot.definition is not None:
-        return None
-    if slot.type in ("time", "duration"):
-        return "a stamp [Sec,NSec]"
-    return "true or false" if slot.type == "bool" else "a number"
+    @property
+    def what(self) -> str:
+        """What a value of its kind is called."""
+        return self.kind.what
 
 
 def _takes_more(slot: Field) -> bool:
@@ -62,40 +64,64 @@ def kinds(program: Overview) -> Iterator[RuleError]:
     for rule in program.rules:
         parent = held(rule.definition.term)
         names = {**program.names, **rule.definition.names}
-        yield from _in_clause(program, parent, rule.spot, names, made_by(rule.definition.head))
+        events = events_of_rule(rule) if program.declared else []
+        yield from _in_clause(program, parent, rule.spot, names, events, made_by(rule.definition.head))
     for clause in program.clauses:
         whole = clause.parent if clause.parent[0] is NECK else held(clause.head or clause.parent)
-        yield from _in_clause(program, held(whole), clause.spot, program.names)
+        events = events_of_goals(clause) if program.declared else []
+        yield from _in_clause(program, held(whole), clause.spot, program.names, events)
     for kept in (*program.memories, *program.subscriptions):
-        for error in _in_clause(program, held(kept.term), kept.spot, program.names, kept.form):
+        events = [event_of_kept(kept)]
+        for error in _in_clause(program, held(kept.term), kept.spot, program.names, events, kept.form):
             yield RuleError(f"{kept.who}{error.message}", error.place)
 
 
 def _in_clause(
-    program: Overview, parent: CompoundTerm, spot: Spot, names: Any, out: Optional[Term] = None
+    program: Overview,
+    parent: CompoundTerm,
+    spot: Spot,
+    names: Any,
+    events: List[EventTerm],
+    out: Optional[Term] = None,
 ) -> Iterator[RuleError]:
     """Yield what is wrong in one rule or clause, whose variables are its own; one of its terms is what it makes."""
     found = list(inners(parent, 1, spot))
     known: Dict[Var, SlotKind] = {}
     branches = any(inner.key in _ONE_OF for inner in found)
     made = _made(found, out)
+    declared = {id(deref(event.term)) for event in events}
     for inner in found:
-        definition = program.message_of(inner.term)
-        if definition is None:
-            continue
-        for at, slot in enumerate(definition.fields, 1):
-            value, what, is_made = deref(inner.term[at]), slot_kind(slot), id(inner.term) in made
-            if value.__class__ is not Var or what is None or (is_made and _takes_more(slot)):
+        is_made = id(inner.term) in made
+        for at, kind, slot in _values(program, inner.term, is_made, declared):
+            value = deref(inner.term[at])
+            if value.__class__ is not Var:
                 continue
-            now = SlotKind(what, f"{slot.name} of {definition.name}", is_made)
+            now = SlotKind(kind, slot, is_made)
             before = known.setdefault(value, now)
-            if before.what != what and not branches:
+            if before.kind.excludes(kind) and not branches:
                 yield RuleError(_clash(_name(value, names), before, now), spot(inner.term, at))
                 known.pop(value)
-            elif before.is_made and not now.is_made:
+            elif (before.is_made and not is_made) or kind.forms < before.kind.forms:
                 known[value] = now
     if known:
         yield from _in_goals(found, known, names)
+
+
+def _values(
+    program: Overview, term: Any, is_made: bool, declared: Set[int]
+) -> Iterator[Tuple[int, ValueKind, str]]:
+    """Yield the arguments of a message or declared event: which, their kinds, and what they are called."""
+    definition = program.message_of(term)
+    if definition is not None:
+        for at, slot in enumerate(definition.fields, 1):
+            kind = slot_kind(slot)
+            if kind is not None and not (is_made and _takes_more(slot)):
+                yield at, kind, f"{slot.name} of {definition.name}"
+    elif term.__class__ is tuple and id(term) in declared:
+        one = program.declared.get(term[0].name)
+        if one is not None and one.key is term[0]:
+            for at, argument in enumerate(one.arguments, 1):
+                yield at, argument.kind, f"{argument.name} of {one.key}"
 
 
 def _made(found: List[Inner], out: Optional[Term]) -> Set[int]:
@@ -144,6 +170,8 @@ def _in_goals(found: List[Inner], known: Dict[Var, SlotKind], names: Any) -> Ite
 _ADVICE = {
     "a text": "compare texts with == or \\==",
     "true or false": "write == true or == false",
+    "a string": "compare strings with == or \\==",
+    "an atom": "compare atoms with == or \\==",
     "a list": "take it apart, as with nth0/3 or sum_list/2",
 }
 """What to do with a value that is no number; a stamp is one."""

@@ -91,6 +91,7 @@ class Overview:
         self.goals: List[WrittenTerm] = files.goals
         self.rules = [*files.rules, *_other_rules(rules, files.sources)]
         self.clauses = [*files.clauses, *_other_clauses(self.logic, files.sources)]
+        self.declared = rules.declared.now()
         self.memories: List[Kept] = []
         self.subscriptions: List[Kept] = []
         self.states: List[DeclaredAt] = []

@@ -46,6 +46,7 @@ from .pattern import (
 from .reading import EventTerm, PatternReader, Spot
 from .schedules import TIMER, Schedule, schedule_fault, schedule_of, sets_timer
 from .stateforms import HOLDS, STATE, StateForm, asked_state, declares_state, state_form
+from .valuekinds import ValueKind, slot_kind
 
 __all__ = [
     "Absent",
@@ -103,6 +104,7 @@ __all__ = [
     "schedule_of",
     "SEQ",
     "sets_timer",
+    "slot_kind",
     "SPELLINGS",
     "Spot",
     "Star",
@@ -116,6 +118,7 @@ __all__ = [
     "UNDECLARED",
     "Unknown",
     "unknown_calls",
+    "ValueKind",
     "VariableKinds",
     "walk",
     "Within",

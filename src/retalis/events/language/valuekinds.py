@@ -4,7 +4,7 @@ from difflib import get_close_matches
 from typing import Any, Dict, FrozenSet, Iterator, NamedTuple, Optional, Tuple
 
 from ...foundation import UsageError
-from ...messages import type_name
+from ...messages import Field, type_name
 from ...prolog.terms import (
     CONS,
     DATIME6,
@@ -80,7 +80,29 @@ KINDS = _table(
 )
 """The kinds of arguments of declared events, all but those of messages and of lists of a kind."""
 
+SLOT_KINDS = _table(
+    ("list", "a list", "nil cons"),
+    ("text", "a text", "quoted"),
+    ("stamp", "a stamp [Sec,NSec]", "stamp"),
+    ("bool", "true or false", "atom"),
+    ("number", "a number", "integer float word"),
+)
+"""The kinds of slots in messages that are no messages."""
+
 _TIME = KINDS["time"].term
+
+
+def slot_kind(slot: Field) -> Optional[ValueKind]:
+    """Return the kind of the values of a slot; None where they are messages."""
+    if slot.length is not None and not slot.is_bytes:
+        return SLOT_KINDS["list"]
+    if slot.type == "string" or slot.is_bytes:
+        return SLOT_KINDS["text"]
+    if slot.definition is not None:
+        return None
+    if slot.type in ("time", "duration"):
+        return SLOT_KINDS["stamp"]
+    return SLOT_KINDS["bool" if slot.type == "bool" else "number"]
 
 
 def form_of(value: Term) -> str:

@@ -1,0 +1,105 @@
+"""What was read before a declaration and does not fit it, and values of declared events beside those of messages."""
+
+import pytest
+from events.checks.test_mistakes import said_of, write
+
+from retalis.engine import Engine as Whole
+from retalis.engine import add_rule
+from retalis.messages import Definitions
+
+NEAR = "\n:- event near(thing:atom, distance:number)."
+OUTSIDE = "input_event(near/2).\n"
+
+
+@pytest.fixture(scope="module")
+def definitions():
+    return Definitions()
+
+
+@pytest.mark.parametrize(
+    "program, places",
+    [
+        ({"rule": "alarm('\"a\"') <- near(_, far).\n" + OUTSIDE + NEAR}, ["eventRules.txt:3:25"]),
+        ({"rule": "alarm('\"a\"') do event(near(1, 2)) <- hit." + NEAR}, ["eventRules.txt:3:28"]),
+        ({"rule": "null_event do event(near(1, 2)) <- hit." + NEAR}, ["eventRules.txt:3:26"]),
+        ({"rule": "go :- event(near(1, 2)).\nhit do go." + NEAR}, ["eventRules.txt:3:18"]),
+        (
+            {
+                "rule": OUTSIDE,
+                "goal": "memorize(near(_, far), [], _, n, 3)\nevent near(thing:atom, distance:number)",
+            },
+            ["goalPredicates.txt:4:18"],
+        ),
+        (
+            {"goal": "state(held, from(near(1, 2)), until(hit))\nevent near(thing:atom, distance:number)"},
+            ["goalPredicates.txt:4:23"],
+        ),
+        (
+            {"rule": "synchronized(near(1, 2), true, []) <- hit.\nalarm(T) <- near(_, T)." + NEAR},
+            ["eventRules.txt:3:19"],
+        ),
+    ],
+)
+def test_what_stands_above_its_declaration(tmp_path, definitions, program, places):
+    write(tmp_path, **program)
+    said = [
+        line for line in said_of(tmp_path, definitions).split("\n") if "warning" in line or "error" in line
+    ]
+    assert [line.split()[1].rstrip(":") for line in said if "declared" in line] == places
+
+
+@pytest.mark.parametrize(
+    "rule, said",
+    [
+        ("alarm(T) <- near(T, _) and std_msgs__0__String(T).", ""),
+        (
+            "alarm(T) <- near(_, T) and std_msgs__0__String(T).",
+            "T is a number (distance of near/2) and, here, a text",
+        ),
+        (
+            "alarm(T) <- near(_, T) and std_msgs__0__Bool(T).",
+            "T is a number (distance of near/2) and, here, true or",
+        ),
+        ("alarm(T) <- near(T, _) and std_msgs__0__Bool(T).", ""),
+        ("alarm(T) <- near(_, T) and sensor_msgs__0__Temperature(_, T, _).", ""),
+        ("alarm(T) <- near(T, D) where D == far.", "D is a number (distance of near/2): it is never far"),
+        ("alarm(T) <- near(T, D) where near(D, T).\nnear(1, 2).", ""),
+        ("alarm(T) <- near(T, D) where T > D.", "T is an atom (thing of near/2), not a number"),
+    ],
+)
+def test_values_of_messages_and_of_declared_events(tmp_path, definitions, rule, said):
+    write(tmp_path, rule=f"{OUTSIDE}{NEAR}\n{rule}")
+    found = [
+        line for line in said_of(tmp_path, definitions).split("\n") if "(distance" in line or "(thing" in line
+    ]
+    assert [line.split(": ", 2)[2][: len(said)] for line in found] == ([said] if said else [])
+
+
+def test_a_rule_that_was_added_before_is_warned_of(tmp_path, definitions):
+    engine = Whole()
+    add_rule(engine, "alarm <- near(_)", "mine")
+    engine.call("declare_event(near(thing:atom, distance:number))")
+    said = [warning.message for warning in engine.warnings(tmp_path, definitions)]
+    assert "near/1 is not as it is declared: near(thing:atom,distance:number) has 2 arguments" in said
+
+
+@pytest.mark.parametrize(
+    "arguments, said",
+    [
+        (
+            "temperature:number, variance:number",
+            "near/3 is not as it is declared: near(temperature:number,variance:number) has",
+        ),
+        (
+            "header:any, temperature:atom, variance:number",
+            "temperature of near/3 is an atom, and temperature of sensor_msgs/Temp",
+        ),
+        ("header:std_msgs__0__Header, temperature:number, variance:number", ""),
+    ],
+)
+def test_events_of_topics_with_names_of_their_own(tmp_path, definitions, arguments, said):
+    topic = '  <subscribe_to name="cold" msg_type="sensor_msgs/Temperature" event="near"/>'
+    write(tmp_path, rule=f":- event near({arguments}).", topic=topic)
+    found = said_of(tmp_path, definitions).split("\n")
+    found = [line.partition("the events of topic cold: ")[2] for line in found if "topic cold" in line]
+    assert [line[: len(said)] for line in found] == ([said] if said else [])
