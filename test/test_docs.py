@@ -106,9 +106,8 @@ def test_rules_make_the_events_that_the_pages_say(text, line):
     engine = Engine()
     seen = []
     engine.load(rules=text)
-    as_said = (
-        in_seconds if "timer(" in text or "state(" in text else shown
-    )  # so that people see the distances
+    by_clock = any(word in text for word in ("timer(", "state(", "aggregate(", "absent(", " with "))
+    as_said = in_seconds if by_clock else shown  # so that people see the distances
     engine.on_event(lambda term, *interval: seen.append((engine.show(term), *map(as_said, interval))))
     for term, start, end in given:
         engine.clock.move_to(timestamps.from_seconds(float(end)))

@@ -21,6 +21,7 @@ ORDER = (
     "prolog.logic",
     "prolog.foreign",
     "messages",
+    "events.streams",
     "events.language",
     "events.dispatch",
     "events.matches",

@@ -11,6 +11,7 @@ from retalis.prolog.terms import Term, Var, copy, variables
 from .goals import Bindings, GoalError, first, instance, merge, show, solve, unbound, unify
 from .matches import Event, Gap, Match, Pending
 from .patterns import (
+    STREAMED,
     Check,
     Cnot,
     Fnot,
@@ -59,6 +60,8 @@ class Conditions:
         if isinstance(node, Within):
             limits = [*limits, node.seconds]
         self.limits[node] = limits
+        if isinstance(node, STREAMED):
+            limits = []  # Streams: a within is about what is given on
         for child in children(node):
             # What must not happen is no part of the match that a within is about.
             own = isinstance(node, (Cnot, Fnot)) and child is node.absent
@@ -162,7 +165,8 @@ class Conditions:
         bindings = merge(p.bindings, q.bindings)
         if bindings is None:
             return None
-        joined = Match(start, end, bindings, p.terms + q.terms, p.numbers | q.numbers, p.pending + q.pending)
+        taken, pending = p.numbers | q.numbers, p.pending + q.pending
+        joined = Match(start, end, bindings, p.terms + q.terms, taken, pending, composed=True)
         return self.settle(joined, node)
 
     def agree(self, absent: Match, of: Bindings) -> bool:

@@ -19,6 +19,7 @@ from .conditions import Conditions, all_solutions
 from .goals import first, instance, show
 from .matches import FIRES, INTERVAL, Event, Match
 from .patterns import (
+    STREAMED,
     Aggregate,
     Both,
     Cnot,
@@ -50,7 +51,8 @@ def defined_for(rules: Sequence[Rule]) -> bool:
     if rules[0].policy_by("unrestricted") != "unrestricted" or rules[0].after_match != "keep":
         return False
     return not any(
-        isinstance(node, (Star, Aggregate, Sub)) or (isinstance(node, Both) and node.kind == "forall_seq")
+        isinstance(node, (Star, Aggregate, Sub, *STREAMED))
+        or (isinstance(node, Both) and node.kind == "forall_seq")
         for node in walk(rules[0].pattern)
     )
 

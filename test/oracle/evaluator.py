@@ -7,14 +7,16 @@ operand place. Comments name the sentence of the language's definition that the 
 from dataclasses import replace
 from typing import Any, Callable, Dict, FrozenSet, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
 
-from retalis.prolog.terms import Term, copy
+from retalis.prolog.terms import Term, copy, functor
 
 from .conditions import Test, all_solutions
 from .goals import first, instance, show
 from .matches import FIRES, INTERVAL, POLICIES, Event, Gap, Match
 from .patterns import (
     EITHER_ORDER,
+    STREAMED,
     Aggregate,
+    Awaited,
     Both,
     Cnot,
     Do,
@@ -29,11 +31,15 @@ from .patterns import (
     take_out_subpatterns,
     walk,
 )
-from .repetition import Repetitions
 from .skipping import Skipping
+from .streams import Streams
 
 Fit = Callable[[Match, Match], Optional[Match]]
 """The test of a pair: the match that the two sides make, or None."""
+
+
+NOTHING = Event(functor("an event that no rule is about", 1)(0), 0, 0, 0)
+"""What patterns are looked at for where something is due, or may be there after all."""
 
 
 class Sides(NamedTuple):
@@ -45,7 +51,7 @@ class Sides(NamedTuple):
     q_waiting: List[Match]
 
 
-class RuleState(Repetitions):
+class RuleState(Streams):
     """One rule and everything that waits in it."""
 
     def __init__(self, rule: Rule, policy: str, out_of_order: bool = False, expiry: bool = True):
@@ -53,13 +59,22 @@ class RuleState(Repetitions):
         self.completed: Dict[Pattern, Set[FrozenSet[int]]] = {}
         """The single events that have completed as the right side; revision may set free a left side of theirs."""
         self.skipping = Skipping(rule)
-        absent = [node.absent for node in self.place if isinstance(node, (Cnot, Fnot))]
+        absent = [node.absent for node in self.place if isinstance(node, (Awaited, Cnot, Fnot))]
         self.below_absent = {below for node in absent for below in walk(node)}
 
     def fired_by(self, event: Event) -> List[Event]:
         """Take an event and return the events that the rule derives from it, in order."""
         self.begin_event(event)
         fired = [result for made in self.whole(self.pattern, event) for _, result in self.fire(made)]
+        self.skip()
+        return fired
+
+    def rung(self, place: int, instant: Any) -> List[Event]:
+        """Return the events that the rule derives as something in it is due, in order."""
+        self.skipping.begin_event()
+        self.ringing = place, instant
+        fired = [result for made in self.whole(self.pattern, NOTHING) for _, result in self.fire(made)]
+        self.ringing = None
         self.skip()
         return fired
 
@@ -135,6 +150,10 @@ class RuleState(Repetitions):
                 return self.two_sided(inner, event, [*lower, *tests], operator)
         if isinstance(operator, Both):
             return self.two_sided(operator, event, tests, None)
+        if isinstance(operator, STREAMED):
+            found = self.streamed(operator, event)
+            passed = [self.passes(match, tests) for match in found if self.in_window(match)]
+            return [match for match in passed if match is not None]
         if isinstance(operator, (Star, Aggregate)):
             starts = composed_first(self.arrive(operator.first, event))
             repetitions = composed_first(self.arrive(operator.repeated, event))
@@ -292,7 +311,7 @@ class RuleState(Repetitions):
         if not FIRES[node.kind](p, q):
             return None
         # Patterns: one single event is not both sides; composed sides may share events.
-        if p.is_one_event() and p.numbers == q.numbers:
+        if p.is_one_event() and q.is_one_event() and p.numbers == q.numbers:
             return None
         joined = self.join(p, q, *INTERVAL[node.kind](p, q), node)
         if joined is None or not self.in_window(joined):
@@ -364,6 +383,7 @@ class Program:
         self.states = [RuleState(rule, policy, out_of_order, expiry) for rule in plain]
         self.depth = depth
         self.count = 0
+        self.now: Any = 0
 
     def event(self, term: Term, start: Any, end: Any, depth: int = 0) -> List[Event]:
         """Dispatch an event: return it and all that is derived from it, in order of dispatch.
@@ -372,13 +392,36 @@ class Program:
         """
         if depth > self.depth:
             raise RecursionError("rules that feed each other without end")
+        # Time: what is due at the stamp of an event, or before it, comes before the event.
+        dispatched = [] if depth else self._until(end)
         self.count += 1
         event = Event(term, start, end, self.count)
-        dispatched = [event]
+        dispatched.append(event)
         for state in self.states:
+            state.now = self.now
             for derived in state.fired_by(event):
                 dispatched += self.event(derived.term, derived.start, derived.end, depth + 1)
         return dispatched
+
+    def _until(self, instant: Any) -> List[Event]:
+        """Let everything happen that is due until an instant, one after the other."""
+        dispatched: List[Event] = []
+        now = max(self.now, instant)
+        while True:
+            # Streams: in the order of the instants, then of the rules, then of their places in the rule.
+            due = [
+                (when, number, place)
+                for number, state in enumerate(self.states)
+                for when, place in state.due()
+            ]
+            if not due or min(due)[0] > now:
+                self.now = now
+                return dispatched
+            self.now, number, place = min(due)
+            state = self.states[number]
+            state.now = self.now
+            for derived in state.rung(place, self.now):
+                dispatched += self.event(derived.term, derived.start, derived.end, 1)
 
 
 def run(

@@ -56,6 +56,8 @@ class Match:
     """The numbers of all events that make up this match."""
     pending: Tuple[Any, ...] = ()
     """What is still to be tested: `Pending` and `Gap`."""
+    composed: bool = False
+    """Whether it is no single event though it was made of one: a window that has one, or what a time has ended."""
     along: bool = False
     """Whether it was made of a late start of a run, a single event, and what came before: it is served with that."""
 
@@ -69,7 +71,7 @@ class Match:
 
     def is_one_event(self) -> bool:
         """Tell whether this is a single event, not a composed one."""
-        return len(self.numbers) == 1
+        return len(self.numbers) == 1 and not self.composed
 
     def is_last(self) -> bool:
         """Tell whether it is served after what is composed: the event itself, and what is made along with it."""

@@ -133,6 +133,42 @@ class Aggregate(Pattern):
 
 
 @dataclass(frozen=True, eq=False)
+class Windowed(Pattern):
+    """``aggregate(kinds, collected, results, window)``; kinds are words, values and results lists of terms.
+
+    The window is the name of one of `WINDOWS`, which says what span and step are.
+    """
+
+    kinds: str
+    collected: Pattern
+    values: Term
+    results: Term
+    window: str
+    span: Any
+    step: Any = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Shaped(Pattern):
+    """``pattern with shape(seconds, by)``, or with a list of the value that has to change in place of seconds."""
+
+    pattern: Pattern
+    shape: str
+    seconds: Any
+    value: Term
+    by: Term
+
+
+@dataclass(frozen=True, eq=False)
+class Awaited(Pattern):
+    """``pattern seq absent(absent, seconds)``."""
+
+    pattern: Pattern
+    absent: Pattern
+    seconds: Any
+
+
+@dataclass(frozen=True, eq=False)
 class Sub(Pattern):
     """``(head <- pattern)`` inside a pattern."""
 
@@ -176,6 +212,18 @@ NO_PROPERTIES: Dict[str, Any] = {"policy": None, "out_of_order": None, "after_ma
 TWO_SIDED = ("seq", "and", "par", "equals", "meets", "during", "starts", "finishes", "forall_seq")
 EITHER_ORDER = TWO_SIDED[1:-1]
 KINDS = ("count", "sum", "min", "max", "avg", "list")
+WINDOWS = {
+    "last": "last({0})",
+    "newest": "last({0},events)",
+    "batch": "every({0},events)",
+    "running_batch": "running(every({0},events))",
+    "first": "every({0},first)",
+    "running_first": "running(every({0},first))",
+    "running": "running(every({0}))",
+    "every": "last({0},every({1}))",
+}
+"""How windows are written: with their span and step."""
+STREAMED = (Windowed, Shaped, Awaited)
 CONDITIONS = (Where, Check, Within)
 
 

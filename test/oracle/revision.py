@@ -20,13 +20,12 @@ from retalis.prolog.terms import Term, copy, functor
 from .conditions import Test
 from .declarative import Combinations, Found, has_outer_absence
 from .declarative import defined_for as defined_without_state
-from .evaluator import Fit, RuleState, Sides
+from .evaluator import NOTHING, Fit, RuleState, Sides
 from .goals import first, instance, show
 from .matches import Event, Match, Run
-from .patterns import Both, Cnot, Fnot, Pattern, Rule, Within, take_out_subpatterns, walk
+from .patterns import STREAMED, Both, Cnot, Fnot, Pattern, Rule, Within, take_out_subpatterns, walk
 
 REV = functor("rev", 1)
-NOTHING = Event(functor("an event that no rule is about", 1)(0), 0, 0, 0)
 Step = CounterOf[Tuple[str, Any, Any]]
 Stream = Iterable[Tuple[Term, Any, Any]]
 
@@ -37,6 +36,8 @@ def defined_for(rules: Sequence[Rule], policy: str, out_of_order: bool) -> bool:
     if any(has_outer_absence(rule) for rule in plain):
         return False
     nodes = [node for rule in rules for node in walk(rule.pattern)]
+    if any(isinstance(node, STREAMED) for node in nodes):
+        return False  # see test_streams.py of the network
     if not any(isinstance(node, (Cnot, Fnot)) for node in nodes):
         return True
     limited = any(rule.window is not None for rule in rules) or any(isinstance(n, Within) for n in nodes)

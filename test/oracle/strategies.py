@@ -11,14 +11,17 @@ from typing import Any, Callable, Dict, List, Optional, Sequence, Set, Tuple
 
 from hypothesis import strategies as st
 
-from retalis.prolog.terms import Term, Var, atom, functor, make_list, variables
+from retalis.prolog.terms import Term, Var, atom, functor, list_items, make_list, variables
 
 from .evaluator import run
 from .goals import show
 from .matches import POLICIES
 from .patterns import (
     EITHER_ORDER,
+    STREAMED,
+    WINDOWS,
     Aggregate,
+    Awaited,
     Both,
     Check,
     Cnot,
@@ -31,14 +34,17 @@ from .patterns import (
     Pattern,
     Prolog,
     Rule,
+    Shaped,
     Star,
     Sub,
     Where,
+    Windowed,
     Within,
     pattern_variables,
     walk,
     with_own,
 )
+from .streams import RESULTS
 from .text import write_rule
 
 Choice = Callable[[Any], Any]
@@ -55,6 +61,7 @@ NEUTRAL = (
     ("rule_sharing,on", "revision_flag,on", "etalis_justification,on"),
 )
 SHORT = 20
+SPANS = (1, 2, 3, 5, Fraction(1, 2), Fraction(5, 2))
 COMPARISONS = ("<", ">", "=<", ">=", "=:=", "=\\=", "==", "\\==")
 
 
@@ -95,6 +102,10 @@ class Case:
         """Return the policies by which its rules run."""
         return {self.policy, *(rule.policy_by(self.policy) for rule in self.rules)}
 
+    def has_streams(self) -> bool:
+        """Tell whether operators on streams are part of the program, so that it goes by the clock."""
+        return any(isinstance(node, STREAMED) for rule in self.rules for node in walk(rule.pattern))
+
     def has_limits(self) -> bool:
         """Tell whether a window or a within is part of the program."""
         return any(
@@ -126,7 +137,10 @@ def certain(node: Pattern) -> Set[Var]:
         return certain(node.first)
     if isinstance(node, Aggregate):
         return certain(node.first) | set(variables(node.result))
-    if isinstance(node, (Cnot, Fnot, Within, Ntimes)):
+    if isinstance(node, Windowed):
+        results = zip(node.kinds.split(), list_items(node.results) or [])  # lists are no numbers to look at
+        return {var for kind, term in results for var in variables(term) if kind not in ("list", "distinct")}
+    if isinstance(node, (Cnot, Fnot, Within, Ntimes, Shaped, Awaited)):
         return certain(node.pattern)
     if isinstance(node, Sub):
         return set(variables(node.head))
@@ -135,7 +149,7 @@ def certain(node: Pattern) -> Set[Var]:
 
 def bindable(node: Pattern) -> List[Var]:
     """Return the variables that some match of a pattern binds."""
-    if isinstance(node, (Cnot, Fnot)):
+    if isinstance(node, (Cnot, Fnot, Awaited)):
         return bindable(node.pattern)
     return pattern_variables(node)
 
@@ -143,8 +157,10 @@ def bindable(node: Pattern) -> List[Var]:
 class Generator:
     """Draws rules, streams and cases; every decision goes through ``choice``."""
 
-    def __init__(self, choice: Choice, revision: bool = False, unsure: bool = False):
+    def __init__(self, choice: Choice, revision: bool = False, unsure: bool = False, streams: bool = False):
         self.choice = choice
+        self.streams = streams
+        """Draw windows, shapes and absences with a deadline too."""
         self.unsure = unsure
         """Draw conditions also over variables that some matches of a pattern leave open."""
         self.revision = revision
@@ -192,7 +208,12 @@ class Generator:
             "forall_seq",
         ]
         kinds += ["cnot", "fnot", "fnot", "where", "star", "aggregate"] * (3 * self.negating)
+        if self.streams:  # the stamps of what is due are no numbers
+            kinds = [kind for kind in kinds if kind != "check"]
+        kinds += ["windowed", "windowed", "shaped", "shaped", "awaited", "awaited"] * (2 * self.streams)
         kind = self.choice([*kinds, "subpattern"])
+        if kind in ("windowed", "shaped", "awaited"):
+            return getattr(self, kind)(depth, left)
         if kind in ("seq", "forall_seq", *EITHER_ORDER):
             first = self.pattern(depth - 1, left)
             return Both(kind, first, self.pattern(depth - 1, (*left, *self.known(first))))
@@ -259,6 +280,38 @@ class Generator:
         which = self.choice(["count", "sum", "min", "max", "avg", "list"]) if values else "count"
         value = self.choice(values) if which != "count" else None
         return Aggregate(first, which, value, repeated, self.choice([Var(), Var(), Var(), 2]))
+
+    def windowed(self, depth: int, left: Tuple[Var, ...]) -> Pattern:
+        """Draw a window over a pattern."""
+        below = self.pattern(self.choice([0, 0, 0, min(depth - 1, 1)]))
+        sure = certain_in_order(below)
+        kinds = [self.choice([*RESULTS, "rate"] if sure else ["count", "rate"])]
+        kinds += [self.choice(["count", "list", "avg"] if sure else ["count"])] if self.chance(30) else []
+        values = make_list([self.choice(sure) for kind in kinds if kind not in ("count", "rate")])
+        results = make_list([self.choice([Var(), Var(), Var(), 2, self.choice(self.pool)]) for _ in kinds])
+        window = self.choice(list(WINDOWS))
+        span: Any = self.choice([1, 2, 3] if window in ("newest", "batch", "running_batch") else SPANS)
+        step = self.choice([span, span, *SPANS])
+        return Windowed(" ".join(kinds), below, values, results, window, span, step)
+
+    def shaped(self, depth: int, left: Tuple[Var, ...]) -> Pattern:
+        """Draw a pattern of which only some matches go on."""
+        below = self.pattern(self.choice([0, 0, min(depth - 1, 1)]))
+        sure = certain_in_order(below)
+        by = make_list([self.choice(sure)] if sure and self.chance(50) else [])
+        shape = self.choice(
+            ["throttle", "burst", "debounce", "change"] if sure else ["throttle", "burst", "debounce"]
+        )
+        if shape == "change":
+            return Shaped(below, shape, 0, make_list([self.choice(sure)]), by)
+        return Shaped(below, shape, self.choice(SPANS), make_list([]), by)
+
+    def awaited(self, depth: int, left: Tuple[Var, ...]) -> Pattern:
+        """Draw a pattern and what must not happen for some time after it."""
+        below = self.pattern(min(depth - 1, self.choice([0, 0, 1, 2])), left)
+        return Awaited(
+            below, self.absent(below, (), self.choice([0, 0, min(depth - 1, 1)])), self.choice(SPANS)
+        )
 
     def subpattern(self, depth: int) -> Sub:
         """Draw a pattern that is defined by the way."""
@@ -460,14 +513,18 @@ def drawn_cases(draw: Any, depth: int = 4, revision: bool = False) -> Case:
     return Generator(lambda options: draw(st.sampled_from(list(options))), revision).case(depth)
 
 
-def cases(depth: int = 4, revision: bool = False, unsure: bool = False) -> st.SearchStrategy[Case]:
+def cases(
+    depth: int = 4, revision: bool = False, unsure: bool = False, streams: bool = False
+) -> st.SearchStrategy[Case]:
     """Programs with streams, drawn as the number of a case.
 
     More of them fire than of those drawn piece by piece; `comparison.shrink` makes them small.
     """
-    return st.integers(0, 10**9).map(lambda seed: random_case(seed, depth, revision, unsure))
+    return st.integers(0, 10**9).map(lambda seed: random_case(seed, depth, revision, unsure, streams))
 
 
-def random_case(seed: int, depth: int = 4, revision: bool = False, unsure: bool = False) -> Case:
+def random_case(
+    seed: int, depth: int = 4, revision: bool = False, unsure: bool = False, streams: bool = False
+) -> Case:
     """Return the case of a seed."""
-    return Generator(Random(seed).choice, revision, unsure).case(depth)
+    return Generator(Random(seed).choice, revision, unsure, streams).case(depth)

@@ -7,7 +7,7 @@ operands in parentheses.
 
 import re
 from fractions import Fraction
-from typing import Any, Dict, Iterable, List, Tuple
+from typing import Any, Dict, Iterable, Iterator, List, Tuple
 
 from retalis.prolog.terms import Term, Var, atom, functor, list_items, make_list
 
@@ -15,7 +15,9 @@ from .goals import show
 from .patterns import (
     KINDS,
     TWO_SIDED,
+    WINDOWS,
     Aggregate,
+    Awaited,
     Both,
     Check,
     Cnot,
@@ -28,9 +30,11 @@ from .patterns import (
     Pattern,
     Prolog,
     Rule,
+    Shaped,
     Star,
     Sub,
     Where,
+    Windowed,
     Within,
     walk,
 )
@@ -175,6 +179,17 @@ def write_seconds(seconds: Any) -> str:
     return str(int(seconds)) if seconds == int(seconds) else str(float(seconds))
 
 
+def _kinds(node: Windowed, names: Names) -> Iterator[str]:
+    """Yield the kinds of a window's aggregates as rules have them."""
+    values = list_items(node.values) or []
+    for kind in node.kinds.split():
+        if kind in ("count", "rate"):
+            yield kind
+        else:
+            setting = "0.25," if kind == "quantile" else ""
+            yield f"{kind}({setting}{write_term(values.pop(0), names)})"
+
+
 def write_pattern(node: Pattern, names: Names) -> str:  # noqa: C901 - a case for each kind of pattern
     """Write a pattern in the language's notation."""
 
@@ -201,6 +216,16 @@ def write_pattern(node: Pattern, names: Names) -> str:  # noqa: C901 - a case fo
         if not isinstance(node.repeated, Leaf):
             repeated = f"({repeated})"
         return f"{inner(node.first)} seq aggregate({kind},{repeated},{write_term(node.result, names)})"
+    if isinstance(node, Awaited):
+        return f"{inner(node.pattern)} seq absent({inner(node.absent)},{write_seconds(node.seconds)})"
+    if isinstance(node, Shaped):
+        first = write_seconds(node.seconds) if node.seconds else write_term(node.value[1], names)
+        key = "" if list_items(node.by) == [] else "," + write_term(node.by, names)
+        return f"{inner(node.pattern)} with {node.shape}({first}{key})"
+    if isinstance(node, Windowed):
+        kinds = ",".join(_kinds(node, names))
+        window = WINDOWS[node.window].format(write_seconds(node.span), write_seconds(node.step))
+        return f"aggregate([{kinds}],{inner(node.collected)},{write_term(node.results, names)},{window})"
     if isinstance(node, Ntimes):
         return f"{inner(node.pattern)} ntimes {node.times}"
     if isinstance(node, Within):

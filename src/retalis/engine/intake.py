@@ -110,4 +110,8 @@ class Intake:
             if due is None:
                 return
             instant, alarm = due
-            self._logic.machine.budget.apart(("an alarm", instant), lambda: alarm(instant))  # noqa: B023
+            clock.ringing = instant
+            try:
+                self._logic.machine.budget.apart(("an alarm", instant), lambda: alarm(instant))  # noqa: B023
+            finally:
+                clock.ringing = None

@@ -100,6 +100,18 @@ GOALS += (
     "do state(h(X, Y), from(a(X)), until(b(Y)))",
 )
 KINDS = ("count", "sum(X)", "min(Y)", "max(X)", "avg(X)", "list(X)", "list(f(X,Y))")
+STREAMS = (
+    "aggregate(count, {0}, S, last(2))",
+    "aggregate([median(X), list(X)], {0}, S, last(3, events))",
+    "aggregate(avg(X), {0}, S, every(2))",
+    "aggregate(rate, {0}, S, last(4, every(2)))",
+    "aggregate(fold(foo, foo, foo, X), {0}, S, running(every(2, first)))",
+    "({0} seq absent(b(X), 2))",
+    "({0} with throttle(2, X))",
+    "({0} with debounce(1))",
+    "({0} with burst(1))",
+    "({0} with change(X))",
+)
 EVENTS = ("a(1)", "b(2)", "c", "a(b(3))")
 
 
@@ -135,7 +147,9 @@ class Inputs(Kind):
             return f"({left} {chance.choice(SIDES)} {self.pattern(chance, depth - 1)})"
         if what < 0.9:
             return f"({left} {chance.choice(GOALS)})"
-        return f"({left} seq aggregate({chance.choice(KINDS)}, {self.pattern(chance, 0)}, S))"
+        if what < 0.95:
+            return f"({left} seq aggregate({chance.choice(KINDS)}, {self.pattern(chance, 0)}, S))"
+        return chance.choice(STREAMS).format(left)
 
     def run(self, data):
         self.attempt(self.engine.load_rules, to_text(data))

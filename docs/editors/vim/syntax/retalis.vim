@@ -13,7 +13,7 @@ syn match retalisEnd "\.\ze\%(\s\|%\|$\)"
 syn match retalisNumber "\<\d[0-9_]*\%(\.\d\+\)\=\%([eE][-+]\=\d\+\)\=\>"
 syn match retalisNumber "\<0x\x\+\>\|\<0o\o\+\>\|\<0b[01]\+\>"
 syn match retalisNumber "\<0'\%(\\.\|''\|[^\\]\)"
-syn keyword retalisOperator iff Iff IFF do Do DO where Where WHERE within Within WITHIN or Or OR check Check CHECK timestamp Timestamp TIMESTAMP event_multiply Event_multiply Event_Multiply EVENT_MULTIPLY par Par PAR and And AND cnot Cnot CNOT fnot Fnot FNOT seq Seq SEQ forall_seq Forall_seq Forall_Seq FORALL_SEQ equals Equals EQUALS meets Meets MEETS during During DURING starts Starts STARTS finishes Finishes FINISHES ntimes Ntimes NTIMES star_times Star_times Star_Times STAR_TIMES aggregate Aggregate AGGREGATE
+syn keyword retalisOperator iff Iff IFF do Do DO with With WITH where Where WHERE within Within WITHIN or Or OR check Check CHECK timestamp Timestamp TIMESTAMP event_multiply Event_multiply Event_Multiply EVENT_MULTIPLY par Par PAR and And AND cnot Cnot CNOT fnot Fnot FNOT seq Seq SEQ forall_seq Forall_seq Forall_Seq FORALL_SEQ equals Equals EQUALS meets Meets MEETS during During DURING starts Starts STARTS finishes Finishes FINISHES ntimes Ntimes NTIMES star_times Star_times Star_Times STAR_TIMES aggregate Aggregate AGGREGATE absent Absent ABSENT
 syn keyword retalisProlog as discontiguous div dynamic initialization is meta_predicate mod module_transparent multifile public rdiv rem table thread_initialization thread_local volatile xor
 syn region retalisAtom start=+'+ skip=+\\.\|''+ end=+'+
 syn region retalisString start=+"+ skip=+\\.\|""+ end=+"+

@@ -4,7 +4,7 @@ from time import monotonic
 from typing import Callable, Collection, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple, Union
 
 from ...events.history import Fired, Occurrence
-from ...events.language import Aggregate, walk
+from ...events.language import Aggregate, Shaped, Windowed, walk
 from ...events.matches import AfterMatch
 from ...events.network import Rule
 from ...foundation import UsageError, counted, watched_by
@@ -288,13 +288,30 @@ def _asked(asked: Term) -> Tuple[Term, Optional[Tuple[int, int]]]:
 
 def _why_not(rule: Rule, part: Part, interval: Optional[Tuple[int, int]]) -> str:
     """Return why a rule did not fire though all of its pattern was met somewhere."""
-    if interval is not None and not any((one.start, one.end) == interval for one in part.found):
+    measured = any(isinstance(one, Windowed) for one in walk(rule.definition.pattern))
+    meets = any((one.start, one.end) == interval for one in part.found)
+    if interval is not None and not measured and not meets:
         return "nowhere with that interval"
     if rule.window is not None and all(one.end - one.start > rule.window for one in part.found):
         return f"all took longer than the window of the rule's label, {timestamps.to_seconds(rule.window):g} seconds"
-    collected = [one for one in walk(rule.definition.pattern) if isinstance(one, Aggregate)]
-    if any(deref(one.result).__class__ is not Var for one in collected):
+    return _why_not_of(rule)
+
+
+def _why_not_of(rule: Rule) -> str:
+    """Return what may have kept a rule from firing, by the kinds of parts that its pattern has."""
+    results: List[Term] = []
+    shapes: List[str] = []
+    for one in walk(rule.definition.pattern):
+        if isinstance(one, Aggregate):
+            results.append(one.result)
+        elif isinstance(one, Windowed):
+            results += one.results
+        elif isinstance(one, Shaped):
+            shapes.append(one.shape)
+    if any(deref(result).__class__ is not Var for result in results):
         return "with other results, or other matches consumed all of it"
+    if shapes:
+        return f"{shapes[0]} did not let it through after others, or other matches consumed all of it"
     kind = rule.mode.after_match
     skipped = "" if kind is AfterMatch.KEEP else f"a match that had fired skipped it ({kind.value}), "
     return (

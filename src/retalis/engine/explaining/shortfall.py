@@ -15,16 +15,22 @@ from ...events.language import (
     Absent,
     Action,
     Aggregate,
+    Awaited,
     Condition,
     Either,
     Occurs,
     Pair,
     Repeated,
+    Shaped,
     Star,
+    Windowed,
     Within,
     names_of_kind,
+    shape_term,
+    window_term,
 )
-from ...events.network import Rule
+from ...events.network import Rule, stream_of_shape
+from ...events.streams import StreamItem
 from ...foundation import RetalisError, codegen, look
 from ...prolog.logic import Logic
 from ...prolog.syntax import EventOperator, OperatorKind, by_name, write_term
@@ -44,6 +50,14 @@ _ABSENCE = " or ".join(names_of_kind(OperatorKind.ABSENCE))
 _BETWEEN = " or ".join(names_of_kind(OperatorKind.ABSENCE, between=True))
 _CONDITION = [names_of_kind(OperatorKind.CONDITION, timed=timed)[0] for timed in (False, True)]
 _ACTION = [names_of_kind(OperatorKind.ACTION, every=every)[0] for every in (False, True)]
+_SHAPE, *_ = names_of_kind(OperatorKind.SHAPE)
+_DEADLINE, *_ = names_of_kind(OperatorKind.DEADLINE)
+_NOT_LET_THROUGH = {
+    "throttle": "the last one was let through less than {0:g} seconds before",
+    "burst": "there was another one less than {0:g} seconds before",
+    "debounce": "the {0:g} seconds after the last one are not over",
+    "change": "nothing changed",
+}
 _T1, _T2 = functor("t1", 1), functor("t2", 1)
 
 
@@ -102,6 +116,7 @@ class Shortfall:
             if part is not None
             for var in variables(part)
         ]
+        self._now = rule.network.time()
         self._vars = (_VALUES, *dict.fromkeys(own))
         self._names = names_of(self._vars)
         self._named = rule.definition.names
@@ -116,6 +131,9 @@ class Shortfall:
             Condition: self._condition,
             Within: self._within,
             Action: self._action,
+            Windowed: self._windowed,
+            Shaped: self._shaped,
+            Awaited: self._awaited,
         }
 
     def of(self, pattern: Any) -> Part:
@@ -227,6 +245,48 @@ class Shortfall:
         part = self.of(pattern.pattern)
         return Part(f"{_ACTION[pattern.every]} {self._show(pattern.goal)}", part.found, [part])
 
+    def _windowed(self, pattern: Windowed) -> Part:
+        part = self.of(pattern.collected)
+        reason = "nothing was measured"
+        window = self._show(window_term(pattern.window))
+        return Part(f"aggregate over {window}: {self._seen(part.found, reason)}", part.found, [part])
+
+    def _shaped(self, pattern: Shaped) -> Part:
+        part = self.of(pattern.pattern)
+        stream = stream_of_shape(pattern)
+        outputs = []
+        for one in part.found:
+            by = tuple([self._under(one, term) for term in pattern.by])
+            value = () if pattern.value is None else (self._under(one, pattern.value),)
+            outputs += stream.ring(one.end)
+            outputs += stream.take(StreamItem(one, one.start, one.end, by, value), one.end, 0)
+        outputs += stream.ring(self._now)
+        found = [output.items[-1].match._replace(end=output.end, event=None) for output in outputs]
+        reason = _NOT_LET_THROUGH[pattern.shape].format(timestamps.to_seconds(pattern.span))
+        reason = reason if part.found else "nothing to let through"
+        text = f"{_SHAPE} {self._show(shape_term(pattern))}: {self._seen(found, reason)}"
+        return Part(text, found, [part])
+
+    def _awaited(self, pattern: Awaited) -> Part:
+        part, negated = self.of(pattern.pattern), self.of(pattern.negated)
+        over = [one for one in part.found if one.end + pattern.span <= self._now]
+        found = [
+            one._replace(end=one.end + pattern.span, event=None)
+            for one in over
+            if not any(self._follows(no, one, pattern.span) for no in negated.found)
+        ]
+        reason = "ruled out by what must not happen" if over else "the time after it is not over"
+        reason = reason if part.found else "nothing to rule out"
+        seconds = timestamps.to_seconds(pattern.span)
+        held = found if negated.found else [_NOWHERE]
+        noted = Part(f"must not happen: {negated.text}", held, [])
+        return Part(f"{_DEADLINE} {seconds:g}: {self._seen(found, reason)}", found, [part, noted])
+
+    def _follows(self, negated: Candidate, one: Candidate, span: int) -> bool:
+        """Tell whether what must not happen lies wholly in a time after a part."""
+        between = one.end < negated.start and negated.end < one.end + span
+        return between and self._joined(one, negated) is not None
+
     # ---- values ----------------------------------------------------------------------------------------
 
     def _joined(self, one: Candidate, two: Candidate) -> Optional[Term]:
@@ -236,6 +296,14 @@ class Shortfall:
         result = copy(values) if unify(values, copy(two.values), trail) else None
         undo(trail, 0)
         return result
+
+    def _under(self, one: Candidate, term: Term) -> Term:
+        """Return a term with the values of a candidate."""
+        trail: Trail = []
+        unify(self._vars, copy(one.values), trail)
+        found = copy(term)
+        undo(trail, 0)
+        return found
 
     def _solved(self, goal: Term, one: Candidate) -> Optional[Term]:
         """Return the values with those of the first solution of a goal, or None."""

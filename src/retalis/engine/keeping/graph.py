@@ -8,6 +8,7 @@ from typing import Any, Callable, Dict, List, Sequence, Tuple
 from ...events.history import Occurrence, Suppressed
 from ...events.matches import NOTHING_HELD, Chain, Held, Log, Match, Run, Token, Train
 from ...events.network import NetworkNode, Rule
+from ...events.streams import StreamItem
 from ...foundation import UsageError
 from ...prolog.terms import Functor
 from .coding import Ref
@@ -30,6 +31,7 @@ FIELDS: Dict[str, Tuple[Any, Tuple[str, ...]]] = {
         Occurrence,
         ("number", "term", "start", "end", "rule", "match", "forgotten", "takes_back", *_TRACKED),
     ),
+    "item": (StreamItem, ("match", "start", "end", "by", "values", "order")),
     "suppressed": (Suppressed, ("node", "what", "number", "freed")),
 }
 """The kinds of objects: their class, and which attributes are kept. The others are made anew."""

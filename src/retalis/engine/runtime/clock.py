@@ -28,6 +28,7 @@ class Clock:
 
     Attributes:
         alarms: a heap of those that are set.
+        ringing: the instant of the alarm that is being called; None between alarms.
         behind: whether time was seen to go back, and nobody has asked `went_back` since.
     """
 
@@ -36,6 +37,7 @@ class Clock:
         self._last_stamp = -1
         self._newest = 0
         self.behind = False
+        self.ringing: Optional[int] = None
         self.alarms: List[Tuple[int, int, Alarm]] = []
         self._order = count()
 

@@ -12,6 +12,7 @@ from ...prolog.terms import (
     interval_term,
     make_list,
     resolve,
+    timestamps,
     undo,
     unify,
     variant_key,
@@ -20,14 +21,19 @@ from ..language import (
     Absent,
     Action,
     Aggregate,
+    Awaited,
     Condition,
     Either,
     Occurs,
     Pair,
     Pattern,
     Repeated,
+    Shaped,
     Star,
+    Windowed,
     Within,
+    shape_term,
+    window_term,
 )
 from ..matches import Found, Held, Match, repetitions
 from .occurrences import Occurrence
@@ -48,6 +54,7 @@ _WRITTEN_OUT = 100
 """How many repetitions of a pattern it shows."""
 
 
+_Streamed = Union[Windowed, Shaped, Awaited]
 Show = Callable[[Occurrence], Term]
 """Gives what stands for an event in the term of a match."""
 
@@ -203,7 +210,10 @@ def _is_wrapped(parts: Sequence[Any]) -> bool:
     return bool(parts) and isinstance(parts[0], Match) and (len(parts) == 1 or parts[1].__class__ is Found)
 
 
-def _describe_run(pattern: Union[Star, Aggregate], parts: Sequence[Any], show: Show) -> Term:
+def _describe_run(pattern: Any, parts: Sequence[Any], show: Show) -> Term:
+    """Return the term of what is made of any number of matches, or given on by an operator on streams."""
+    if isinstance(pattern, (Windowed, Shaped, Awaited)):
+        return _describe_streamed(pattern, parts, show)
     first = describe(pattern.first, parts[0], show)
     held = [part for part in parts if part.__class__ is Held]
     taken = list(held[0].matches) if held else []
@@ -215,6 +225,28 @@ def _describe_run(pattern: Union[Star, Aggregate], parts: Sequence[Any], show: S
         return functor("aggregate", 2)(kind, first)
     newest_first = [describe(pattern.collected, one, show) for one in reversed(taken)]
     return functor("aggregate", 2 + len(newest_first))(kind, *newest_first, first)
+
+
+def _describe_streamed(pattern: _Streamed, parts: Sequence[Any], show: Show) -> Term:
+    if isinstance(pattern, Windowed):
+        held: List[Any] = [one for one in parts if one.__class__ is Held]
+        taken = held[0].match.parts if held else ()
+        shown = [describe(pattern.collected, one, show) for one in taken]
+        return functor("windowf", 3)(_kinds(pattern), make_list(shown), window_term(pattern.window))
+    first = describe(pattern.pattern, parts[0], show)
+    if isinstance(pattern, Shaped):
+        return functor("withf", 2)(first, copy(shape_term(pattern)))
+    return functor("absentf", 3)(first, copy(_as_term(pattern.negated)), timestamps.to_seconds(pattern.span))
+
+
+def _kinds(pattern: Windowed) -> Term:
+    """Return what a window measures: the list of its kinds, or the only one."""
+    kinds = []
+    for name, setting, value in zip(pattern.kinds, pattern.settings, pattern.values):
+        settings = () if setting is None else setting if setting.__class__ is tuple else (setting,)
+        args = settings if value is None else (*settings, copy(value))
+        kinds.append(functor(name, len(args))(*args) if args else atom(name))
+    return kinds[0] if len(kinds) == 1 else make_list(kinds)
 
 
 def _parts(pattern: Pattern) -> "Tuple[str, List[Union[Pattern, _Quoted]]]":
@@ -231,9 +263,30 @@ def _parts(pattern: Pattern) -> "Tuple[str, List[Union[Pattern, _Quoted]]]":
         return "aggregatef", [pattern.first, _Quoted(_as_term(pattern.collected))]
     if isinstance(pattern, Within):
         return "withinf", [pattern.pattern, _Quoted((pattern.span + 1) / 1e9)]
-    assert isinstance(pattern, (Condition, Action))
+    if isinstance(pattern, (Condition, Action)):
+        return _parts_with_goal(pattern)
+    assert isinstance(pattern, (Windowed, Shaped, Awaited))
+    return _streamed_parts(pattern)
+
+
+def _parts_with_goal(pattern: Union[Condition, Action]) -> "Tuple[str, List[Union[Pattern, _Quoted]]]":
     name = "dof" if isinstance(pattern, Action) else "checkf" if pattern.timed else "wheref"
     return name, [pattern.pattern, _Quoted(resolve(pattern.goal))]
+
+
+def _streamed_parts(
+    pattern: _Streamed,
+) -> "Tuple[str, List[Union[Pattern, _Quoted]]]":
+    if isinstance(pattern, Windowed):
+        window = _Quoted(window_term(pattern.window))
+        return "windowf", [_Quoted(_kinds(pattern)), pattern.collected, window]
+    if isinstance(pattern, Shaped):
+        return "withf", [pattern.pattern, _Quoted(resolve(shape_term(pattern)))]
+    return "absentf", [
+        pattern.pattern,
+        _Quoted(_as_term(pattern.negated)),
+        _Quoted(timestamps.to_seconds(pattern.span)),
+    ]
 
 
 def _shown_of(part: Repeated) -> Pattern:

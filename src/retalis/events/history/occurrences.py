@@ -67,25 +67,26 @@ class Occurrence:
         """Return the occurrences that it came from."""
         return [] if self.match is None else occurrences_in(self.match)
 
-    def following(self) -> Iterator["Occurrence"]:
-        """Yield the events that came from it and that nobody has been told of; what has been is not gone into.
-
-        Nor is what has not happened: nobody knows of it.
-        """
-        stack = self.derived[::-1]
-        while stack:
-            one = stack.pop()
-            if not one.reported:
-                one.reported = True
-                if isinstance(one, Held):
-                    stack += reversed(one.derived)
-                elif one.number:
-                    yield one
-
 
 Tracked = Union[Occurrence, Held]
 Tried = Union[Match, Tuple[Match, Match]]
 """A match, or two that are to be joined."""
+
+
+def following(source: Tracked) -> Iterator[Occurrence]:
+    """Yield the events that came from one and that nobody has been told of; what has been is not gone into.
+
+    Nor is what has not happened: nobody knows of it.
+    """
+    stack = source.derived[::-1]
+    while stack:
+        one = stack.pop()
+        if not one.reported:
+            one.reported = True
+            if isinstance(one, Held):
+                stack.extend(reversed(one.derived))
+            elif one.number:
+                yield one
 
 
 class TriesAgain(Protocol):

@@ -3,13 +3,13 @@
 from collections import deque
 from functools import partial
 from itertools import count
-from typing import Any, Callable, Deque, Dict, Hashable, Iterator, List, Optional, Protocol, Tuple
+from typing import Any, Callable, Deque, Dict, Hashable, Iterator, List, Optional, Protocol, Sequence, Tuple
 
 from ...prolog.machine import Frame
 from ...prolog.terms import Term, Values, Var, functor, term_key
 from ..dispatch import Dispatch, Listener, Stage
 from ..matches import Held, Match, Run, sources
-from .occurrences import Occurrence, Suppressed, Tracked, Tried, TriesAgain, known_in
+from .occurrences import Occurrence, Suppressed, Tracked, Tried, TriesAgain, following, known_in
 from .owners import Fired, Remembered
 
 KEPT = 100_000
@@ -26,6 +26,9 @@ class _Extends(TriesAgain, Protocol):
 
     def results_again(self, run: Run) -> List[Match]:
         """Return the later results of a run from which a repetition was taken."""
+
+    def unmade(self) -> List[Held]:
+        """Return what stands for results that do not hold any more without being made of what was taken."""
 
 
 Again = Callable[[Frame], Frame]
@@ -48,6 +51,7 @@ class Tracker:
         self.blocker: Optional[Match] = None
         self._numbers = count()
         self._arrivals = count(1)
+        self._woken = 0
 
     def configure(self) -> None:
         """Follow the flags."""
@@ -94,9 +98,15 @@ class Tracker:
         self._by_term.clear()
 
     def present(self) -> int:
-        """Return the number of the event that is being served."""
-        number: int = self._rules.dispatcher.token().number
+        """Return the number of the event that is being served; where the clock has woken a node, that of this."""
+        dispatcher = self._rules.dispatcher
+        number: int = self._woken if dispatcher.current is None else dispatcher.token().number
         return number
+
+    def wakes(self) -> int:
+        """Return a number for what the clock wakes: after all events so far, before those that follow."""
+        self._woken = next(self._arrivals)
+        return self._woken
 
     # ---- remembering ---------------------------------------------------------------------------------
 
@@ -170,33 +180,55 @@ class Tracker:
         """Take back what an event ``rev(E)`` names: all occurrences of E, or the one it was derived for."""
         found = self._rules.dispatcher.token().takes_back
         again: List[Tuple[TriesAgain, Tried]] = []
+        unmade: List[Tracked] = []
         if found is None:
             found = [one for one in self._by_term.get(term_key(values[0]), ()) if not one.gone]
             if not found:
                 self._rules.took_nothing_back(values[0], self._rules.dispatcher.token().rule)
                 return after
-            again = self._forget(found)
-        work = _TakingBack(self._steps(found, again, start, end))
+            unmade, again = self._forget(found)
+        work = _TakingBack(self._steps([*found, *unmade], again, start, end))
         return work.run((work, after))
 
-    def _forget(self, found: List[Occurrence]) -> List[Tuple[TriesAgain, Tried]]:
+    def _forget(self, found: List[Occurrence]) -> Tuple[List[Tracked], List[Tuple[TriesAgain, Tried]]]:
         """Take events and all that came from them out of what is kept, before anything follows from that.
 
-        Returns what fires without them, each with its node: what they kept from firing, and the later results
-        of runs that they were part of.
+        Returns what does not hold without them though it was not made of them, and what fires without them, each with
+        its node: what they kept from firing, and the later results of runs that they were part of.
         """
-        gone: List[Tracked] = []
-        stack: List[Tracked] = [*reversed(found)]
         for named in found:
             named.reported = True
+        runs: Dict[Any, _Extends] = {}
+        kept: List[Suppressed] = []
+        unmade: List[Tracked] = []
+        lost: Sequence[Tracked] = found
+        while lost:
+            touched = self._forget_all(lost, kept)
+            runs.update(touched)
+            lost = [one for node in dict.fromkeys(touched.values()) for one in node.unmade() if not one.gone]
+            unmade += lost
+        kept.sort(key=_number)  # as they were tried, which the policy says
+        again: List[Tuple[TriesAgain, Tried]] = [
+            (node, result) for run, node in runs.items() for result in node.results_again(run)
+        ]
+        return unmade, again + [(each.node, each.what) for each in kept if each.free()]
+
+    @staticmethod
+    def _forget_all(found: Sequence[Tracked], kept: List[Suppressed]) -> Dict[Any, _Extends]:
+        """Take events, and all that came from them, out of what holds them.
+
+        Returns:
+            The runs and nodes that are to look again, each with its node; what was suppressed goes to ``kept``.
+        """
+        runs: Dict[Any, _Extends] = {}
+        stack: List[Tracked] = [*reversed(found)]
+        gone: List[Tracked] = []
         while stack:
             one = stack.pop()
             if not one.gone:
                 one.gone = True
                 gone.append(one)
                 stack += reversed(one.derived)
-        runs: Dict[Run, _Extends] = {}
-        kept: List[Suppressed] = []
         for one in gone:
             held, one.held = one.held, []
             for match in held:
@@ -206,18 +238,14 @@ class Tracker:
                     runs[match[1]] = match[0]
             kept += one.suppressed
             one.suppressed = []
-        kept.sort(key=_number)  # as they were tried, which the policy says
-        again: List[Tuple[TriesAgain, Tried]] = [
-            (node, result) for run, node in runs.items() for result in node.results_again(run)
-        ]
-        return again + [(each.node, each.what) for each in kept if each.free()]
+        return runs
 
     def _steps(
-        self, found: List[Occurrence], again: List[Tuple[TriesAgain, Tried]], start: int, end: int
+        self, found: Sequence[Tracked], again: List[Tuple[TriesAgain, Tried]], start: int, end: int
     ) -> Iterator[Again]:
         """Yield functions from a frame to a frame: what is to be done one after the other."""
         for occurrence in found:
-            for one in occurrence.following():
+            for one in following(occurrence):
                 yield self._dispatch_rev(one, start, end)
         for node, what in again:
             yield partial(self._retry, node, what)

@@ -29,13 +29,17 @@ from .pattern import (
     Absent,
     Action,
     Aggregate,
+    Awaited,
     Condition,
     Either,
     Occurs,
     Pair,
     Pattern,
     Repeated,
+    Shaped,
     Star,
+    Windowed,
+    WindowForm,
     Within,
     bound_by,
     children,
@@ -46,6 +50,7 @@ from .pattern import (
 from .reading import EventTerm, PatternReader, Spot
 from .schedules import TIMER, Schedule, schedule_fault, schedule_of, sets_timer
 from .stateforms import HOLDS, STATE, StateForm, asked_state, declares_state, state_form
+from .streaming import shape_term, window_term
 from .valuekinds import ValueKind, slot_kind
 
 __all__ = [
@@ -57,6 +62,7 @@ __all__ = [
     "ALARMS",
     "ARROWS",
     "asked_state",
+    "Awaited",
     "bound_by",
     "Subgoal",
     "called_by",
@@ -105,6 +111,8 @@ __all__ = [
     "SEQ",
     "sets_timer",
     "slot_kind",
+    "shape_term",
+    "Shaped",
     "SPELLINGS",
     "Spot",
     "Star",
@@ -121,5 +129,8 @@ __all__ = [
     "ValueKind",
     "VariableKinds",
     "walk",
+    "window_term",
+    "Windowed",
+    "WindowForm",
     "Within",
 ]

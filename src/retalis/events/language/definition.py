@@ -6,7 +6,7 @@ from typing import FrozenSet, Hashable, Mapping, NamedTuple, Optional
 from ...foundation import Place
 from ...prolog.terms import Term, Var
 from .occurrences import occurrences
-from .pattern import Aggregate, Pattern, Repeated, Star, same_rule_key, walk
+from .pattern import Aggregate, Pattern, Repeated, Star, Windowed, same_rule_key, walk
 
 
 class RuleDefinition(NamedTuple):
@@ -36,7 +36,10 @@ class RuleDefinition(NamedTuple):
     @property
     def unused(self) -> FrozenSet[Var]:
         """The variables that stand in one place of the rule only, where each place is matched once."""
-        if any(isinstance(part, (Repeated, Star, Aggregate)) for part in walk(self.pattern, negated=True)):
+        if any(
+            isinstance(part, (Repeated, Star, Aggregate, Windowed))
+            for part in walk(self.pattern, negated=True)
+        ):
             return frozenset()
         counts = occurrences([self.term], None)
         return frozenset(var for var, number in counts.items() if number == 1)

@@ -11,7 +11,7 @@ OPERATORS: Dict[str, EventOperator] = {
 }
 """The operators between two patterns, by name."""
 
-_RUNS = (OperatorKind.RUN, OperatorKind.AGGREGATE)
+_RUNS = (OperatorKind.RUN, OperatorKind.AGGREGATE, OperatorKind.DEADLINE)
 
 SPELLINGS: Dict[Functor, str] = {
     key: one.name

@@ -5,7 +5,19 @@ from typing import Any, Dict, Hashable, List, Mapping, NamedTuple, Optional, Set
 from ...prolog.terms import Functor, Term, Var, functor, rebuild, variables, variant_key
 
 Pattern = Union[
-    "Occurs", "Pair", "Repeated", "Either", "Absent", "Star", "Aggregate", "Condition", "Within", "Action"
+    "Occurs",
+    "Pair",
+    "Repeated",
+    "Either",
+    "Absent",
+    "Star",
+    "Aggregate",
+    "Condition",
+    "Within",
+    "Action",
+    "Windowed",
+    "Shaped",
+    "Awaited",
 ]
 
 
@@ -104,7 +116,89 @@ class Action(NamedTuple):
     every: bool
 
 
-PATTERNS = (Occurs, Pair, Repeated, Either, Absent, Star, Aggregate, Condition, Within, Action)
+class WindowForm(NamedTuple):
+    """Which matches are measured together, and when the result is given on.
+
+    Attributes:
+        kind: ``last`` for those of the last ``span`` ns, ``newest`` for the last ``most``, ``every`` for windows of
+            ``span`` ns one after the other, ``first`` for such that begin with a match, ``batch`` for ``most`` at
+            a time.
+        span: how long, in ns.
+        step: for ``every``, from one window's start to the next one's, in ns.
+        most: how many.
+        running: whether it is given on at each match, not only at a window's end.
+    """
+
+    kind: str
+    span: int = 0
+    step: int = 0
+    most: int = 0
+    running: bool = False
+
+
+class Windowed(NamedTuple):
+    """The matches of a pattern that are in a window, measured together.
+
+    Attributes:
+        collected: the pattern.
+        kinds: the names of the measures.
+        settings: what each of them is set to, a term or a tuple of terms; None for most.
+        values: what each of them is of; None where it is of no value.
+        results: a term for the result of each measure; with ``listed`` one for the list of all of them.
+        listed: see there.
+        window: the window.
+    """
+
+    collected: "Pattern"
+    kinds: Tuple[str, ...]
+    settings: Tuple[Any, ...]
+    values: Tuple[Optional[Term], ...]
+    results: Tuple[Term, ...]
+    listed: bool
+    window: WindowForm
+
+
+class Shaped(NamedTuple):
+    """A pattern, of whose matches some go on: ``by`` says which are looked at together.
+
+    Attributes:
+        pattern: the pattern.
+        shape: which ones: the name of a shape.
+        span: so many ns; 0 where it is about no time.
+        value: what has to change, or None.
+        by: terms; matches for which they are the same are looked at together.
+    """
+
+    pattern: "Pattern"
+    shape: str
+    span: int
+    value: Optional[Term]
+    by: Tuple[Term, ...]
+
+
+class Awaited(NamedTuple):
+    """A pattern, and no match of another one wholly within ``span`` ns after it."""
+
+    pattern: "Pattern"
+    negated: "Pattern"
+    span: int
+
+
+PATTERNS = (
+    Occurs,
+    Pair,
+    Repeated,
+    Either,
+    Absent,
+    Star,
+    Aggregate,
+    Condition,
+    Within,
+    Action,
+    Windowed,
+    Shaped,
+    Awaited,
+)
 """All kinds of patterns."""
 SEQ = "seq"
 MOST_TIMES = 10_000
@@ -164,6 +258,10 @@ def own_terms(part: Pattern) -> List[Term]:
         return [part.goal]
     if isinstance(part, Aggregate):
         return [part.result] if part.value is None else [part.value, part.result]
+    if isinstance(part, Windowed):
+        return [*(value for value in part.values if value is not None), *part.results]
+    if isinstance(part, Shaped):
+        return [*part.by] if part.value is None else [part.value, *part.by]
     return []
 
 
@@ -184,13 +282,15 @@ def children(part: Pattern, negated: bool = True) -> Tuple[Pattern, ...]:
         return (part.left, part.right)
     if isinstance(part, Either):
         return part.branches
-    if isinstance(part, Absent):
+    if isinstance(part, (Absent, Awaited)):
         return (part.pattern, part.negated) if negated else (part.pattern,)
     if isinstance(part, Star):
         return (part.first, part.repeated)
     if isinstance(part, Aggregate):
         return (part.first, part.collected)
-    if isinstance(part, (Repeated, Condition, Within, Action)):
+    if isinstance(part, Windowed):
+        return (part.collected,)
+    if isinstance(part, (Repeated, Condition, Within, Action, Shaped)):
         return (part.pattern,)
     return ()
 
@@ -203,21 +303,35 @@ def same_rule_key(head: Optional[Term], pattern: Pattern) -> Hashable:
 def _as_term(pattern: Pattern) -> Term:
     parts: List[Term] = []
     for part in walk(pattern, True):
-        kind = type(part).__name__
-        marks: Tuple[int, ...] = ()
-        if isinstance(part, Pair):
-            kind = part.operator
-        elif isinstance(part, Repeated):
-            marks = (part.times,)
-        elif isinstance(part, Either):
-            marks = (len(part.branches),)
-        elif isinstance(part, Absent):
-            marks = (int(part.inside),)
-        elif isinstance(part, Aggregate):
-            kind = part.kind
-        elif isinstance(part, Within):
-            marks = (part.span,)
-        elif isinstance(part, (Condition, Action)):
-            marks = (int(part.timed if isinstance(part, Condition) else part.every),)
+        kind, marks = _marked(part)
         parts.append((functor(kind, 0), *marks, *own_terms(part)))
     return (functor("pattern", 0), *parts)
+
+
+def _marked(part: Pattern) -> Tuple[str, Tuple[int, ...]]:
+    """Return a name and numbers that tell a part from others with the same terms."""
+    if isinstance(part, Pair):
+        return part.operator, ()
+    if isinstance(part, Aggregate):
+        return part.kind, ()
+    if isinstance(part, Shaped):
+        return part.shape, (part.span,)
+    if isinstance(part, Windowed):
+        settings = " ".join(map(repr, part.settings))
+        kind = f"{part.window.kind} {' '.join(part.kinds)} {settings}"
+        return kind, (*part.window[1:4], int(part.window.running), int(part.listed))
+    return type(part).__name__, _numbers(part)
+
+
+def _numbers(part: Pattern) -> Tuple[int, ...]:
+    if isinstance(part, Repeated):
+        return (part.times,)
+    if isinstance(part, Either):
+        return (len(part.branches),)
+    if isinstance(part, Absent):
+        return (int(part.inside),)
+    if isinstance(part, (Within, Awaited)):
+        return (part.span,)
+    if isinstance(part, Condition):
+        return (int(part.timed),)
+    return (int(part.every),) if isinstance(part, Action) else ()

@@ -16,17 +16,21 @@ from .pattern import (
     Absent,
     Action,
     Aggregate,
+    Awaited,
     Condition,
     Either,
     Occurs,
     Pair,
     Pattern,
     Repeated,
+    Shaped,
     Star,
+    Windowed,
     Within,
     bound_by,
     with_others,
 )
+from .streaming import is_event, read_shape, read_window
 
 Spot = Callable[..., Optional[Place]]
 """Gives the place of a compound term: that of its functor, or with a number that of an argument."""
@@ -86,39 +90,38 @@ class PatternReader:
             self.inner.append(term)
             return self._event(term, 1)
         name = SPELLINGS.get(head)
-        if name is None:
-            run = RUNS.get(head)
+        if name is None or is_event(term):
+            run = None if is_event(term) else RUNS.get(head)
             if run is None:
                 return self._event(parent, number)
-            what = f"an {run.name}" if run.kind is OperatorKind.AGGREGATE else run.name
-            raise self._error(f"{what} can only be the right side of a {SEQ}", term)
+            what = run.name if run.kind is OperatorKind.RUN else f"an {run.name}"
+            raise self.error(f"{what} can only be the right side of a {SEQ}", term)
         return self._forms[EVENT_OPERATOR[name].kind](self, name, term)
 
     def _pair(self, name: str, term: CompoundTerm) -> Pattern:
         if name == SEQ:
             return self._sequence(term)
-        return Pair(name, self._operand(term, 1, name), self._operand(term, 2, name))
+        return Pair(name, self.operand(term, 1, name), self.operand(term, 2, name))
 
     def _refused(self, name: str, term: CompoundTerm) -> Pattern:
-        raise self._error(f"there is no operator {name}; use {_ABSENCES} for the absence of an event", term)
+        raise self.error(f"there is no operator {name}; use {_ABSENCES} for the absence of an event", term)
 
     def _limited(self, name: str, term: CompoundTerm) -> Within:
-        return Within(self._operand(term, 1, name), self._span(name, term) - 1)
+        return Within(self.operand(term, 1, name), self.span(name, term) - 1)
 
     def _conditional(self, name: str, term: CompoundTerm) -> Condition:
-        pattern = self._operand(term, 1, name)
+        pattern = self.operand(term, 1, name)
         return Condition(pattern, self.goal(term, 2, name), EVENT_OPERATOR[name].timed)
 
     def _acting(self, name: str, term: CompoundTerm) -> Action:
-        pattern = self._operand(term, 1, name)
+        pattern = self.operand(term, 1, name)
         return Action(pattern, self.goal(term, 2, name), EVENT_OPERATOR[name].every)
 
-    def _operand(self, parent: CompoundTerm, number: int, operator: str) -> Pattern:
+    def operand(self, parent: CompoundTerm, number: int, operator: str) -> Pattern:
+        """Return the pattern that an operand is; see `read`."""
         term = deref(parent[number])
         if term.__class__ is tuple and term[0] in _GOALS_AS_PATTERN:
-            raise self._error(
-                f"{term[0].name}(Goal) can only stand beside {SEQ}, not beside {operator}", term
-            )
+            raise self.error(f"{term[0].name}(Goal) can only stand beside {SEQ}, not beside {operator}", term)
         return self.read(parent, number)
 
     def _event(self, parent: CompoundTerm, number: int) -> Occurs:
@@ -126,10 +129,10 @@ class PatternReader:
         if term.__class__ not in (tuple, Atom, Var):
             kind = "a string" if term.__class__ is String else "a number"
             message = f"an event is an atom or a compound term, not {kind}"
-            raise self._error(message, parent, number)
+            raise self.error(message, parent, number)
         doubted = doubt(term)
         if doubted is not None:
-            self._warn(self._error(doubted, *((parent, number) if term.__class__ is Atom else (term, 0))))
+            self._warn(self.error(doubted, *((parent, number) if term.__class__ is Atom else (term, 0))))
         self.events.append(EventTerm(term, parent, number))
         return Occurs(term)
 
@@ -138,17 +141,19 @@ class PatternReader:
         left_goal = self._called(left)
         right_goal = self._called(right)
         if left_goal is not None and right_goal is not None:
-            raise self._error("a sequence of two goals does not wait for any event", term)
+            raise self.error("a sequence of two goals does not wait for any event", term)
         if right_goal is not None:
             return Condition(self.read(term, 1), right_goal, False)
         if left_goal is not None:
             return Condition(self.read(term, 2), left_goal, False)
         first = self.read(term, 1)
-        if right.__class__ is tuple and right[0] in RUNS:
+        if right.__class__ is tuple and right[0] in RUNS and not is_event(right):
             run = RUNS[right[0]]
             if run.kind is OperatorKind.AGGREGATE:
                 return self._aggregate(first, right, run)
-            return Star(first, self._operand(right, 1, run.name))
+            if run.kind is OperatorKind.DEADLINE:
+                return Awaited(first, self.operand(right, 1, run.name), self.span(run.name, right))
+            return Star(first, self.operand(right, 1, run.name))
         return Pair(SEQ, first, self.read(term, 2))
 
     def _called(self, term: Term) -> Optional[Term]:
@@ -162,10 +167,10 @@ class PatternReader:
         arity = len(kind) - 1 if kind.__class__ is tuple else 0
         if name not in AGGREGATES or AGGREGATES[name].arity != arity:
             known = ", ".join(one.form for one in AGGREGATES.values())
-            raise self._error(
+            raise self.error(
                 f"there is no such aggregate; the aggregates are {known}", kind if arity else term
             )
-        collected = self._operand(term, 2, operator.name)
+        collected = self.operand(term, 2, operator.name)
         value = deref(kind[1]) if kind.__class__ is tuple else None
         found = Aggregate(first, name, value, collected, deref(term[3]))
         self.aggregates.append((found, term))
@@ -180,12 +185,18 @@ class PatternReader:
             if one.__class__ is tuple and SPELLINGS.get(one[0]) == name:
                 pending += [(one, 2), (one, 1)]
             else:
-                branches.append(self._operand(parent, number, name))
+                branches.append(self.operand(parent, number, name))
         return Either(tuple(branches))
 
+    def _windowed(self, name: str, term: CompoundTerm) -> Windowed:
+        return read_window(self, term)
+
+    def _shaped(self, name: str, term: CompoundTerm) -> Shaped:
+        return read_shape(self, term)
+
     def _absence(self, name: str, term: CompoundTerm) -> Absent:
-        pattern = self._operand(term, 1, name)
-        negated = self._operand(term, 2, name)
+        pattern = self.operand(term, 1, name)
+        negated = self.operand(term, 2, name)
         between = EVENT_OPERATOR[name].between
         inside = between and _is_sequence(pattern)
         if between and not inside:
@@ -193,16 +204,16 @@ class PatternReader:
                 f"P {name} R where P is not a sequence means that no R ended before P started (write {_BEFORE}); "
                 f"for no R between two events write (P {SEQ} Q) {name} R"
             )
-            self._warn(self._error(message, term))
+            self._warn(self.error(message, term))
         return Absent(pattern, negated, inside)
 
     def _repetition(self, name: str, term: CompoundTerm) -> Pattern:
         times = deref(term[2])
         if times.__class__ is not int or times < 1:
-            raise self._error(f"{name} needs a positive integer", term, 2)
+            raise self.error(f"{name} needs a positive integer", term, 2)
         if times > MOST_TIMES:
-            raise self._error(f"{name} takes at most {MOST_TIMES} repetitions", term, 2)
-        pattern = self._operand(term, 1, name)
+            raise self.error(f"{name} takes at most {MOST_TIMES} repetitions", term, 2)
+        pattern = self.operand(term, 1, name)
         if times == 1:
             return pattern
         own = tuple([var for var in bound_by(pattern, True) if var in self._anonymous])
@@ -212,13 +223,18 @@ class PatternReader:
         before = Repeated(pattern, times - 1, own)
         if times > MOST_COMPOSED and not before.is_of_single_events():
             message = f"{name} takes at most {MOST_COMPOSED} repetitions of a pattern of several events"
-            raise self._error(message, term, 2)
+            raise self.error(message, term, 2)
         return Pair(SEQ, pattern if times == 2 else before, last)
 
-    def _span(self, name: str, term: CompoundTerm) -> int:
+    def span(self, name: str, term: CompoundTerm) -> int:
+        """Return the nanoseconds that the second argument of a term says.
+
+        Raises:
+            RuleError: where they are none.
+        """
         span = deref(term[2])
         if span.__class__ not in (int, float) or not span > 0 or span == float("inf"):
-            raise self._error(f"{name} needs a positive number of seconds{bracketed(name, span)}", term, 2)
+            raise self.error(f"{name} needs a positive number of seconds{bracketed(name, span)}", term, 2)
         return from_seconds(span)
 
     def goal(self, parent: CompoundTerm, number: int, operator: str) -> Term:
@@ -229,13 +245,14 @@ class PatternReader:
         """
         for call in calls(parent, number):
             if call.term.__class__ not in (tuple, Atom, Var):
-                raise self._error(f"{operator} needs a goal", call.parent, call.number)
+                raise self.error(f"{operator} needs a goal", call.parent, call.number)
             self.goals.append(call)
         if operator not in EVENT_OPERATOR or not EVENT_OPERATOR[operator].timed:
             self.untimed += asking_interval(parent, number)
         return deref(parent[number])
 
-    def _error(self, message: str, term: Term, number: int = 0) -> RuleError:
+    def error(self, message: str, term: Term, number: int = 0) -> RuleError:
+        """Return an error at a term, or at an argument of it."""
         return RuleError(message, self.place(term, number))
 
     _forms: Dict[OperatorKind, Callable[["PatternReader", str, CompoundTerm], Pattern]] = {
@@ -247,6 +264,8 @@ class PatternReader:
         OperatorKind.LIMIT: _limited,
         OperatorKind.CONDITION: _conditional,
         OperatorKind.ACTION: _acting,
+        OperatorKind.WINDOW: _windowed,
+        OperatorKind.SHAPE: _shaped,
     }
     """What reads a term, by the kind of its operator."""
 

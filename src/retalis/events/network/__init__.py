@@ -1,9 +1,10 @@
 """The network: nodes for the parts of a rule's pattern, and the rule that they belong to."""
 
 from .nodes import NetworkNode
-from .owners import Network, RuleOwner, UnderWay
+from .owners import Network, RuleOwner, UnderWay, Woken
 from .rule import Rule
 from .rulestate import RuleState
+from .streambuilding import stream_of_shape
 
 __all__ = [
     "Network",
@@ -11,5 +12,7 @@ __all__ = [
     "RuleOwner",
     "Rule",
     "RuleState",
+    "stream_of_shape",
     "UnderWay",
+    "Woken",
 ]

@@ -4,8 +4,6 @@ from functools import partial
 from typing import Any, Dict, List, Optional, Sequence, Set, Tuple, TypeVar, Union
 
 from ...foundation import RuleError
-from ...prolog.database import CompiledGoal
-from ...prolog.machine import PrologError, keep_back
 from ...prolog.terms import NIL, Term, Var, functor, variables
 from ..dispatch import compile_builder
 from ..language import (
@@ -13,6 +11,7 @@ from ..language import (
     Absent,
     Action,
     Aggregate,
+    Awaited,
     Collector,
     Condition,
     Either,
@@ -20,7 +19,9 @@ from ..language import (
     Pair,
     Pattern,
     Repeated,
+    Shaped,
     Star,
+    Windowed,
     bound_by,
     occurrences,
     surely_bound_by,
@@ -45,13 +46,14 @@ from .parting import (
 )
 from .repeating import Repeating
 from .runs import Running
+from .streambuilding import StreamBuilding
 from .telling import Name, Telling
 
 _IS = functor("is", 2)
 N = TypeVar("N", bound=NetworkNode)
 
 
-class RuleCompiler:
+class RuleCompiler(StreamBuilding):
     """Builds the nodes of one rule.
 
     Args:
@@ -66,7 +68,7 @@ class RuleCompiler:
     """
 
     def __init__(self, rule: RuleOwner, head: List[Term], pattern: Pattern):
-        self.rule = rule
+        super().__init__(rule)
         self.pattern = pattern
         self.keep = used_twice(head, pattern)
         self._counts = occurrences(head, pattern)
@@ -134,6 +136,8 @@ class RuleCompiler:
             built = Built(self._add(node, None, inner), deferred, joined, single, in_order)
         elif isinstance(core, Absent):
             built = self._never(core, context, inner)
+        elif isinstance(core, (Windowed, Shaped, Awaited)):
+            built = self._streamed(core, context)
         else:
             assert isinstance(core, Action)
             below = self._build(core.pattern, context, inner)
@@ -169,6 +173,7 @@ class RuleCompiler:
         return self._telling.name(built.node.vars, pattern)
 
     def _add(self, node: N, span: Optional[int], limit: Limit) -> N:
+        node.place = len(self.nodes)
         self.nodes.append((node, span, limit))
         return node
 
@@ -281,7 +286,7 @@ class RuleCompiler:
             joined += negated.first.leaves
         return Built(node, deferred, joined, [])
 
-    def _negated(self, absent: Absent, context: VarSet, limit: Limit) -> Negated:
+    def _negated(self, absent: Union[Absent, Awaited], context: VarSet, limit: Limit) -> Negated:
         return Negated(lambda: self._build(absent.negated, context, limit), self.twins, self.nodes)
 
     def _test_joined(
@@ -337,15 +342,16 @@ class RuleCompiler:
     ) -> Built:
         here = context | frozenset(bound_by(core.first))
         pattern = core.repeated if isinstance(core, Star) else core.collected
-        repeated = self._build(pattern, here, limit)
         first = self._build(core.first, context, limit)
+        repeated = self._build(pattern, here, limit)
         naming = self._named(first, core.first), self._named(repeated, pattern)
         node = Running(self.rule, first.node, repeated.node, meet(first, repeated), naming, self.keep)
         node.revived = (may_be_revived(core.first), may_be_revived(pattern))
         self._add(node, wrapping.span, limit)
-        outside = self._outside(pattern, core.value if isinstance(core, Aggregate) else None)
-        if isinstance(core, Aggregate) and core.value is not None:
-            node.open([var for var in variables(core.value) if var in outside])
+        measured = [core.value] if isinstance(core, Aggregate) and core.value is not None else []
+        outside = self._outside(pattern, measured)
+        for value in measured:
+            node.open([var for var in variables(value) if var in outside])
         items = Items(outside)
         sure = surely_bound_by(core.first, False, True) | surely_bound_by(pattern, False, True)
         ready, further = ready_where(repeated.deferred, sure, context)
@@ -371,27 +377,13 @@ class RuleCompiler:
                 node.test(*found, late)
         return Built(node, [*deferred, *put_off], [*repeated.leaves, *first.joined], first.single)
 
-    def _outside(self, pattern: Pattern, value: Optional[Term] = None) -> Set[Var]:
+    def _outside(self, pattern: Pattern, values: Sequence[Term] = ()) -> Set[Var]:
         """Return the variables that stand in the rule elsewhere than in a pattern (and what an aggregate takes)."""
-        inside = occurrences([] if value is None else [value], pattern)
+        inside = occurrences(list(values), pattern)
         return {var for var, number in self._counts.items() if number > inside.get(var, 0)}
 
     def _collector(self, core: Aggregate, names: List[Var]) -> Collector:
-        logic = self.rule.network.logic
         if core.value is None:
             return Collector(core.kind, lambda values: NIL, lambda term: None)
         value = compile_builder(core.value, names, "value of an aggregate")
-        number, expression = Var(), Var()
-        goal: List[CompiledGoal] = []
-
-        def evaluate(term: Term) -> Optional[Term]:
-            if not goal:
-                goal.append(logic.compile_goal((_IS, number, expression), [expression], [number]))
-            try:
-                found = goal[0].test((term,))
-            except PrologError as error:
-                keep_back(error)
-                raise RuleError(f"aggregate {core.kind} needs numbers: {error.message}") from error
-            return None if found is None else found[0]
-
-        return Collector(core.kind, value, evaluate)
+        return Collector(core.kind, value, self._evaluating(core.kind))

@@ -19,11 +19,13 @@ class NetworkNode:
     """One part of a rule's pattern.
 
     Attributes:
+        place: among the nodes of the rule: it is after those below it.
         vars: whose values its matches carry, in their order.
         limit: how many nanoseconds a match below can be a part of; None for no bound.
     """
 
     vars: List[Var]
+    place = 0
     windowed = True
     """Whether the window of a label is tested here."""
     alone = False
@@ -45,6 +47,13 @@ class NetworkNode:
 
     def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
         """Set the longest interval of this node's matches, and how long those that wait can be of use."""
+
+    def clear(self) -> None:
+        """Forget what the node itself knows of the past."""
+
+    def held(self) -> int:
+        """Return how many matches are held in the node itself, beside those that wait in buffers."""
+        return 0
 
     def kept(self) -> Any:
         """Return what the node itself knows beside what waits in its buffers; see `restore`."""

@@ -3,6 +3,7 @@
 from typing import Any, Hashable, List, Optional, Protocol, Tuple
 
 from ...foundation import RetalisError, RuleError
+from ...prolog.machine import Frame
 from ...prolog.terms import Term
 from ..dispatch import EventAction, Lane, Listener
 from ..history import Fired, Remembered, Tracker
@@ -38,6 +39,25 @@ class Buffer(Protocol):
         """Put right what an interrupt may have left half done; return what waits, oldest first."""
 
 
+class Woken(Protocol):
+    """A node that the clock wakes.
+
+    Attributes:
+        woken: the instant at which it is to be woken.
+        place: its place among the nodes of the rule.
+    """
+
+    woken: Optional[int]
+    place: int
+
+    @property
+    def rule(self) -> "RuleOwner":
+        """The rule it belongs to."""
+
+    def ring(self, instant: int, after: Frame, /) -> Frame:
+        """Return the frame that does what is due, and goes on with ``after``."""
+
+
 class UnderWay:
     """What the conditions of all rules share while they are tested.
 
@@ -70,6 +90,15 @@ class Network(Remembered, Protocol):
     @property
     def tracker(self) -> Tracker:
         """What keeps what events came from."""
+
+    def time(self) -> int:
+        """Return the present instant, by which alarms ring."""
+
+    def wake(self, node: "Woken", instant: int) -> None:
+        """Have a node ring when an instant has come."""
+
+    def came_late(self, rule: "RuleOwner", what: str) -> None:
+        """Report that a match of a rule came too late to be taken."""
 
     def newest_allowed(self) -> int:
         """Return the newest stamp that may move the clock of a rule."""
@@ -104,10 +133,14 @@ class RuleOwner(Owner, Fired, Protocol):
         dropped: how many partial matches it has lost so far.
         alarms_dropped: how many alarms were not set.
         alarms_past: how many were for an instant that was over.
+        late: how many matches came too late to be taken.
+        serial: the place among the rules: older ones are served first.
     """
 
     mode: NetworkOptions
     window: Optional[int]
+    serial: int
+    late: int
     clock: int
     timed: bool
     double: bool

@@ -3,7 +3,19 @@
 from typing import FrozenSet, List, NamedTuple, Optional, Sequence, Set, Tuple, Union
 
 from ...prolog.terms import Term, Var, variables
-from ..language import Absent, Aggregate, Condition, Pattern, Star, Within, occurrences, walk
+from ..language import (
+    Absent,
+    Aggregate,
+    Awaited,
+    Condition,
+    Pattern,
+    Shaped,
+    Star,
+    Windowed,
+    Within,
+    occurrences,
+    walk,
+)
 from .deferred import Built, Deferred
 from .nodes import Leaf
 
@@ -22,7 +34,8 @@ class Wrapping(NamedTuple):
 
 def may_be_revived(pattern: Pattern) -> bool:
     """Tell whether taking an event back may make a match of a pattern, instead of only unmaking some."""
-    return any(isinstance(part, (Absent, Star, Aggregate)) for part in walk(pattern))
+    kinds = (Absent, Star, Aggregate, Windowed, Shaped, Awaited)
+    return any(isinstance(part, kinds) for part in walk(pattern))
 
 
 def in_goals(conditions: List[Condition]) -> VarSet:

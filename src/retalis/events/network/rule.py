@@ -15,6 +15,7 @@ from .nodes import Leaf
 from .owners import Listening, Network
 from .rulestate import Firings, RuleState
 from .skipping import Skipping, skipping_by
+from .streaming import Streaming
 
 _SPARE = 1000
 
@@ -53,6 +54,7 @@ class Rule:
         self.firings = Firings()
         self.alarms_dropped = 0
         self.alarms_past = 0
+        self.late = 0
         self.timed = False
         self._watched = False
         self.clock: int = -(1 << 63)
@@ -117,7 +119,7 @@ class Rule:
         return RuleState(
             (
                 *(firings.number, firings.last, firings.errors),
-                *(self.dropped, self.alarms_dropped, self.alarms_past),
+                *(self.dropped, self.alarms_dropped, self.alarms_past, self.late),
             ),
             (self.clock, self.order, self._collected_at, self.skipping and self.skipping.kept()),
             [(type(node).__name__, node.kept()) for node, _, _ in self.nodes],
@@ -134,7 +136,7 @@ class Rule:
         """Know, newly connected, what another rule knew."""
         firings = self.firings
         firings.number, firings.last, firings.errors = state.counts[:3]
-        self.dropped, self.alarms_dropped, self.alarms_past = state.counts[3:]
+        self.dropped, self.alarms_dropped, self.alarms_past, self.late = state.counts[3:]
         self.clock, self.order, self._collected_at, skipped = state.times
         if self.skipping is not None and skipped is not None:
             self.skipping.restore(skipped)
@@ -196,8 +198,15 @@ class Rule:
         if not node.alone:
             return 0
         while not isinstance(node, Leaf):
+            if isinstance(node, Streaming):  # what it gives on was not made of the event that is served
+                return 0
             node = node.child
         return len(node.vars)
+
+    @property
+    def held(self) -> int:
+        """How many matches wait in it, and are held by what looks at streams."""
+        return self.waiting + sum(node.held() for node, _, _ in self.nodes)
 
     @property
     def active(self) -> bool:
@@ -221,6 +230,8 @@ class Rule:
     def clear_matches(self) -> None:
         """Remove all partial matches: what waits, runs, and what rules others out."""
         self.later = []
+        for node, _, _ in self.nodes:
+            node.clear()
         for match in list(self.arrivals):
             match.leave()
         self.arrivals.clear()
@@ -228,7 +239,10 @@ class Rule:
         self._by_end = Expiries()
 
     def add_later(self, buffer: MatchBuffer, match: Match, key: Hashable) -> None:
-        """Let a match wait in a buffer when the next event comes."""
+        """Let a match wait in a buffer when the next event comes; at once where the clock has brought it."""
+        if self.network.dispatcher.current is None:
+            buffer.add(match, key)
+            return
         self._later_event = self.network.dispatcher.token()
         self.later.append((buffer, match, key))
 

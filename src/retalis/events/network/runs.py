@@ -301,6 +301,10 @@ class Running(RunValues):
                 results.append(result)
         return results if self.rule.active else []
 
+    def unmade(self) -> List[Held]:
+        """Return what does not hold any more though it was not made of what was forgotten: nothing."""
+        return []
+
     def retry(self, what: Union[Match, Tuple[Run, Match]], after: Frame) -> Frame:
         """Fire a result that was computed again, or extend a run by a repetition that something had ruled out."""
         result: Optional[Match]

@@ -135,8 +135,17 @@ class Skipping:
             self._now().starts.add(start)
             self._due.add(start)
 
+    def wakes(self) -> None:
+        """Have what is skipped go as the clock wakes a node: what that gives on is as of one event."""
+        self._served = [Served(0, self, set())]
+        self._sweep()
+
     def _now(self) -> Served:
-        self.begin(self._rule.network.dispatcher.token())
+        dispatcher = self._rule.network.dispatcher
+        if dispatcher.current is not None:
+            self.begin(dispatcher.token())
+        else:
+            del self._served[1:]
         return self._served[-1]
 
     def connect(self, root: NetworkNode, complete: Emit, mode: NetworkOptions) -> None:

@@ -8,7 +8,7 @@ from operator import itemgetter
 from typing import AbstractSet, Callable, Dict, FrozenSet, Hashable, List, Sequence, Set
 
 from ...prolog.terms import Values, Var, term_key, variables
-from ..language import Aggregate, Either, Pattern, Star, children, own_terms
+from ..language import Aggregate, Either, Pattern, Star, Windowed, children, own_terms
 from ..matches import Match, Named, identity
 
 Name = Callable[[Match], Hashable]
@@ -43,6 +43,8 @@ class Telling:
     def _given_by(self, pattern: Pattern) -> FrozenSet[Var]:
         if isinstance(pattern, (Star, Aggregate)):
             return self._by_events(pattern.first)
+        if isinstance(pattern, Windowed):
+            return frozenset()
         below = [self._by_events(child) for child in children(pattern, False)]
         if isinstance(pattern, Either):
             return frozenset.intersection(*below)

@@ -13,9 +13,10 @@ from ..dispatch import Dispatcher, Stage
 from ..history import Fired, Justifier, Occurrence, Store, Tracker
 from ..language import UNDECLARED, Property, RuleDefinition, called_by, is_absolute, is_rule
 from ..matches import NetworkOptions, with_property
-from ..network import Rule, RuleOwner, UnderWay
+from ..network import Rule, RuleOwner, UnderWay, Woken
 from ..program import FileChecker, Files, Loader, nowhere
 from .alarms import RuleAlarm
+from .deadlines import Deadlines
 from .declared import DeclaredEvents
 from .flags import Flags
 from .predicates import define_predicates
@@ -78,6 +79,7 @@ class Rules:
         self.tracker = Tracker(self)
         self.justifier = Justifier(self, self.tracker)
         self.store = Store(self)
+        self.deadlines = Deadlines(self)
         self.files = Files()
         self.loader = Loader(self)
         self._properties: Dict[Hashable, List[Property]] = {}
@@ -314,6 +316,7 @@ class Rules:
 
     def clear(self) -> None:
         """Drop all partial matches and what is kept of past events: time went back. Timers go on from there."""
+        self.deadlines.clear()
         for rule in self.rules:
             rule.clear()
         self.tracker.clear()
@@ -339,7 +342,7 @@ class Rules:
     @property
     def waiting(self) -> int:
         """How many partial matches there are."""
-        return sum(rule.waiting for rule in self.rules)
+        return sum(rule.held for rule in self.rules)
 
     # ---- alarms and reports --------------------------------------------------------------------------
 
@@ -353,6 +356,20 @@ class Rules:
             self._warn_seldom(rule, rule.alarms_dropped, text)
             return
         self.clock.call_at(instant, RuleAlarm(self, rule, term, start, instant, token))
+
+    def time(self) -> int:
+        """Return the present instant by which alarms ring; while one rings, its own."""
+        ringing = self.clock.ringing
+        return self.clock.reached() if ringing is None else ringing
+
+    def wake(self, node: Woken, instant: int) -> None:
+        """Have a node ring when an instant has come."""
+        self.deadlines.add(node, instant)
+
+    def came_late(self, rule: RuleOwner, what: str) -> None:
+        """Report that a match of a rule came too late to be taken."""
+        rule.late += 1
+        self._warn_seldom(rule, rule.late, f": {what}; {rule.late} so far")
 
     def look_at_alarm(self, rule: RuleOwner, head: Term, alarm: Optional[Tuple[Term, int, int]]) -> None:
         """Report an alarm for an instant that is over: one before its own start is None here, and rings never."""

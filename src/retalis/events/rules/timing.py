@@ -1,10 +1,16 @@
 """The clock, as rules know it."""
 
-from typing import Any, Callable, List, Protocol, Tuple
+from typing import Any, Callable, List, Optional, Protocol, Tuple
 
 
 class Timing(Protocol):
-    """A clock with alarms."""
+    """A clock with alarms.
+
+    Attributes:
+        ringing: the instant of the alarm that is being called; None between alarms.
+    """
+
+    ringing: Optional[int]
 
     @property
     def alarms(self) -> List[Tuple[int, int, Any]]:

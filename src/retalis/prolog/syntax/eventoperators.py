@@ -24,6 +24,9 @@ class OperatorKind(Enum):
     REPETITION = "a pattern, and how often"
     RUN = "a pattern any number of times"
     AGGREGATE = "a pattern any number of times, collected into a result"
+    WINDOW = "a pattern, of which those in a window are measured together"
+    SHAPE = "a pattern, and which of its matches go on"
+    DEADLINE = "a pattern that must not happen for some time"
 
 
 class Row(NamedTuple):
@@ -100,6 +103,8 @@ class EventOperator(NamedTuple):
     @property
     def spellings(self) -> Tuple[str, ...]:
         """How it may be spelled."""
+        if self.functors is not None and self.name not in self.functors and not self.priority:
+            return self.functors
         return (self.name, self.name.capitalize(), self.name.title(), self.name.upper())
 
     @property
@@ -128,6 +133,18 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         1124,
         patterns=_GOAL,
         rows=(Row("`P do G`", "P; G is called once and must not fail", "that of P"),),
+    ),
+    EventOperator(
+        "with",
+        OperatorKind.SHAPE,
+        1065,
+        patterns=_GOAL,
+        rows=(
+            Row("`P with throttle(N)`", "P, none of them less than N seconds after the last", "that of P"),
+            Row("`P with burst(N)`", "the first P after N seconds without any", "that of P"),
+            Row("`P with debounce(N)`", "P, and no further one for N seconds", "[s,e+N]"),
+            Row("`P with change(X)`", "P, where X is another than in the P before it", "that of P"),
+        ),
     ),
     EventOperator(
         "where",
@@ -324,6 +341,27 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
                 "[s1, end of the last Q]",
             ),
         ),
+    ),
+    EventOperator(
+        "aggregate_over",
+        OperatorKind.WINDOW,
+        patterns=(False, True, False, False),
+        functors=("aggregate",),
+        form="aggregate(Kind, Pattern, Result, Window)",
+        rows=(
+            Row(
+                "`aggregate(K,Q,R,W)`",
+                "each Q, or the end of window W; R collects those in the window",
+                "of those, or of the window",
+            ),
+        ),
+    ),
+    EventOperator(
+        "absent",
+        OperatorKind.DEADLINE,
+        patterns=(True, False),
+        form="absent(Pattern, Seconds)",
+        rows=(Row("`P seq absent(Q,N)`", "N seconds after P ended, with no Q between", "[s1,e1+N]"),),
     ),
 )
 """The loosest first, as ``current_op/3`` lists them."""

@@ -1,0 +1,342 @@
+"""From the parts of a pattern that look at streams to how their nodes are to make items and matches."""
+
+from functools import partial
+from typing import Any, Callable, Dict, Hashable, List, Optional, Sequence, Set, Tuple, Union
+
+from ...foundation import RuleError
+from ...prolog.database import CompiledGoal
+from ...prolog.machine import PrologError, keep_back
+from ...prolog.terms import (
+    Atom,
+    Term,
+    Values,
+    Var,
+    functor,
+    make_list,
+    positions,
+    resolve,
+    undo,
+    unify,
+    variables,
+)
+from ..dispatch import compile_builder
+from ..language import Awaited, Pattern, Shaped, Windowed, bound_by, surely_bound_by
+from ..matches import Match, NetworkOptions, key_function, unify_sides
+from ..streams import (
+    MEASURES,
+    Agreement,
+    Awaiting,
+    Batches,
+    Changing,
+    FromFirst,
+    Hopping,
+    Newest,
+    RunningWindow,
+    Settled,
+    Sliding,
+    Spaced,
+    StreamOperator,
+)
+from .deferred import Built, Negated, absence_of
+from .limits import UNLIMITED, Limit
+from .owners import RuleOwner
+from .parting import VarSet
+from .streaming import Making, Result, Streaming
+from .telling import Telling
+
+_IS = functor("is", 2)
+
+Evaluate = Callable[[Term], Optional[Term]]
+"""Gives the number of an expression, or None."""
+Folding = Callable[[Sequence[Term]], Optional[Term]]
+"""Gives the result of a program's own aggregate for values, oldest first."""
+
+_WINDOWS: Dict[str, Callable[[Any, Any], StreamOperator]] = {
+    "last": lambda make, form: Sliding(make, form.span),
+    "newest": lambda make, form: Newest(make, form.most),
+    "batch": lambda make, form: Batches(make, form.most, form.running),
+    "first": lambda make, form: FromFirst(make, form.span, form.running),
+    "every": lambda make, form: (
+        RunningWindow(make, form.span) if form.running else Hopping(make, form.span, form.step)
+    ),
+}
+_SHAPES: Dict[str, Callable[[int], StreamOperator]] = {
+    "throttle": lambda span: Spaced(span, False),
+    "burst": lambda span: Spaced(span, True),
+    "debounce": lambda span: Settled(span),
+    "change": lambda span: Changing(),
+}
+_LATE = "an event came when the window that it belongs to was over, and is not measured"
+_LATE_AWAITED = "an event came when the time was over in which something was not to happen after it"
+
+
+def stream_of_shape(part: Shaped) -> StreamOperator:
+    """Return the operator that ``P with S`` is."""
+    return _SHAPES[part.shape](part.span)
+
+
+def shaping(part: Shaped, names: Sequence[Var]) -> Making:
+    """Return how a node of ``P with S`` makes items, from the variables of P's matches."""
+    by = _builder(part.by, names)
+    value = _builder(() if part.value is None else (part.value,), names)
+
+    def item(values: Values) -> Tuple[Values, Values]:
+        return by(values), value(values)
+
+    return Making(lambda mode: stream_of_shape(part), item, None, False, _LATE)
+
+
+def measuring(
+    part: Windowed,
+    names: Sequence[Var],
+    groups: Sequence[Var],
+    result: Result,
+    evaluating: Callable[[str], Evaluate],
+    folded: Callable[[Any], Folding],
+) -> Making:
+    """Return how a node of ``aggregate(K, Q, R, W)`` makes items, from the variables of Q's matches.
+
+    Args:
+        part: the pattern.
+        names: the variables of Q's matches.
+        groups: those that stand elsewhere in the rule.
+        result: gives the values of its matches.
+        evaluating: gives what gives the number of an expression, for a kind of aggregate.
+        folded: gives what calls the predicates of a program's own aggregate.
+    """
+    places = positions(names)
+    at = [places[var] for var in groups]
+    only = at[0] if len(at) == 1 else None
+    taken = [value for value in part.values if value is not None]
+    build = _builder(taken, names)
+    of_values = [kind for kind, value in zip(part.kinds, part.values) if value is not None]
+    numeric = [evaluating(kind) if MEASURES[kind].numeric else None for kind in of_values]
+    numbers = any(numeric)
+
+    def item(values: Values) -> Tuple[Values, Values]:
+        found = build(values)
+        if numbers:
+            for value in found:
+                if value.__class__ not in (int, float):
+                    found = tuple([_number(*one) for one in zip(found, of_values, numeric)])
+                    break
+        return ((values[only],) if only is not None else tuple([values[place] for place in at])), found
+
+    measures = _measures(part, folded)
+    form = part.window
+    make = partial(_WINDOWS[form.kind], measures, form)
+    clocked = form.kind == "every" and not form.running
+    return Making(lambda mode: make(), item, result, clocked, _LATE)
+
+
+def _number(value: Term, kind: str, evaluate: Optional[Evaluate]) -> Term:
+    if evaluate is None or value.__class__ in (int, float):
+        return value
+    number = evaluate(value)
+    if number is None:
+        raise RuleError(f"aggregate {kind} needs numbers")
+    return number
+
+
+def _measures(part: Windowed, folded: Callable[[Any], Folding]) -> Callable[[], List[Any]]:
+    """Return what makes the measures of one group."""
+    made = []
+    place = 0
+    for kind, setting, value in zip(part.kinds, part.settings, part.values):
+        if kind == "rate":
+            setting = part.window.span / 10**9 if part.window.span else None
+        elif kind == "fold":
+            setting = folded(setting)
+        made.append(partial(MEASURES[kind].make, place, kind, setting))
+        place += value is not None
+    return lambda: [one() for one in made]
+
+
+def awaiting(
+    span: int,
+    names: Sequence[Var],
+    absent: Sequence[Var],
+    condition: Optional[Callable[[Values, Match], bool]],
+    name: Callable[[Match], Hashable],
+) -> Making:
+    """Return how a node of ``P seq absent(Q, N)`` makes items.
+
+    Args:
+        span: the time that has to pass, in ns.
+        names: the variables of P's matches.
+        absent: the variables of Q's matches.
+        condition: tests the values of P and a match of Q, where Q has conditions about P; else None.
+        name: names the matches of P.
+    """
+    places = positions(names)
+    shared = [(at, places[var]) for at, var in enumerate(absent) if var in places]
+    keys = [key_function(tuple(two for _, two in shared)), key_function(tuple(one for one, _ in shared))]
+
+    def key(match: Match, channel: int) -> Hashable:
+        try:
+            return keys[channel](match.values)
+        except ValueError:
+            return None
+
+    def rules_out(match: Match, other: Match) -> bool:
+        sides = unify_sides(other, match, tuple(shared))
+        if sides is None:
+            return False
+        return condition is None or condition(sides[1].values, sides[0])
+
+    def stream(mode: NetworkOptions) -> StreamOperator:
+        agreement = Agreement(key, rules_out, condition is None, name if mode.policy.replacing else None)
+        return Awaiting(span, agreement)
+
+    return Making(stream, lambda values: ((), ()), None, True, _LATE_AWAITED)
+
+
+def _builder(terms: Sequence[Term], names: Sequence[Var]) -> Callable[[Values], Values]:
+    """Return what gives the values of terms, from those of variables."""
+    built = [compile_builder(term, list(names), "operator on a stream") for term in terms]
+    if not built:
+        return lambda values: ()
+    if len(built) == 1:
+        only = built[0]
+        return lambda values: (only(values),)
+    return lambda values: tuple([one(values) for one in built])
+
+
+def resulting(part: Windowed, groups: Sequence[Var]) -> Tuple[List[Var], Result]:
+    """Return the variables of a window's matches, and what gives their values.
+
+    That takes the values of the groups and the results, and gives None where a term that is written for a result
+    does not fit it.
+    """
+    listed, terms, known = part.listed, part.results, set(groups)
+    fresh = [term for term in terms if term.__class__ is Var and term not in known]
+    if len(set(fresh)) == len(terms):
+        if listed:
+            return [*groups, *fresh], lambda by, found: (*by, make_list(list(found)))
+        return [*groups, *fresh], lambda by, found: (*by, *found)
+    new = [var for var in dict.fromkeys(one for term in terms for one in variables(term)) if var not in known]
+    names = [*groups, *new]
+    builders = [compile_builder(term, names, "result of an aggregate") for term in terms]
+
+    def fitted(by: Values, found: Values) -> Optional[Values]:
+        own = (*by, *(Var() for _ in new))
+        results = (make_list(list(found)),) if listed else found
+        trail: List[Any] = []
+        made = None
+        if all(unify(build(own), value, trail) for build, value in zip(builders, results)):
+            made = tuple([resolve(one) for one in own])
+        undo(trail, 0)
+        return made
+
+    return names, fitted
+
+
+class StreamBuilding:
+    """The part of what builds the nodes of a rule that builds those of operators on streams.
+
+    Args:
+        rule: the rule.
+    """
+
+    _telling: Telling
+
+    def __init__(self, rule: RuleOwner):
+        self.rule = rule
+
+    def _build(self, pattern: Pattern, context: VarSet, limit: Limit) -> Built:
+        raise NotImplementedError
+
+    def _add(self, node: Streaming, span: Optional[int], limit: Limit) -> Streaming:
+        raise NotImplementedError
+
+    def _outside(self, pattern: Pattern, values: Sequence[Term]) -> Set[Var]:
+        raise NotImplementedError
+
+    def _negated(self, absent: Awaited, context: VarSet, limit: Limit) -> Negated:
+        raise NotImplementedError
+
+    def _streamed(self, core: Union[Windowed, Shaped, Awaited], context: VarSet) -> Built:
+        """Build an operator on streams."""
+        if isinstance(core, Awaited):
+            return self._awaited(core, context)
+        pattern = core.collected if isinstance(core, Windowed) else core.pattern
+        below = self._build(pattern, context, UNLIMITED)
+        if below.deferred:
+            what = "what is measured" if isinstance(core, Windowed) else f"the pattern of {core.shape}"
+            raise RuleError(f"a condition in {what} looks at a pattern to the left of it", self.rule.place)
+        names = below.node.vars
+        if isinstance(core, Shaped):
+            node = Streaming(self.rule, [below.node], names, shaping(core, names))
+            built = below if core.shape != "debounce" else Built(node, [], below.leaves, [])
+            return built._replace(node=self._add(node, None, UNLIMITED))
+        values = [value for value in core.values if value is not None]
+        outside = self._outside(pattern, values)
+        groups = [var for var in names if var in outside]
+        own, result = resulting(core, groups)
+        making = measuring(core, names, groups, result, self._evaluating, self._folded)
+        node = self._add(Streaming(self.rule, [below.node], own, making), None, UNLIMITED)
+        return Built(node, [], below.leaves, [])
+
+    def _awaited(self, core: Awaited, context: VarSet) -> Built:
+        """Build a pattern after which another does not happen for some time."""
+        below = self._build(core.pattern, context, UNLIMITED)
+        here = context | frozenset(bound_by(core.pattern))
+        negated = self._negated(core, here, UNLIMITED)
+        sure = surely_bound_by(core.pattern, False, True)
+        names = below.node.vars
+        if negated.needs(here, set(names)) | negated.needs(context, sure):
+            message = (
+                "what must be absent looks at a variable that the pattern before it does not give a value"
+            )
+            raise RuleError(message, self.rule.place)
+        built = negated.make()
+        absence = absence_of(self.rule, built, names, False)
+        name = self._telling.name(names, core.pattern)
+        making = awaiting(core.span, names, built.node.vars, absence.condition, name)
+        node = Streaming(self.rule, [below.node, built.node], names, making)
+        node.carried = absence.carried
+        self._add(node, None, UNLIMITED)
+        return Built(node, below.deferred, [*negated.first.leaves, *below.leaves], [])
+
+    def _evaluating(self, kind: str) -> Evaluate:
+        """Return what gives the number of an expression, for an aggregate."""
+        number, expression = Var(), Var()
+        goal: List[CompiledGoal] = []
+
+        def evaluate(term: Term) -> Optional[Term]:
+            if not goal:
+                logic = self.rule.network.logic
+                goal.append(logic.compile_goal((_IS, number, expression), [expression], [number]))
+            try:
+                found = goal[0].test((term,))
+            except PrologError as error:
+                keep_back(error)
+                raise RuleError(f"aggregate {kind} needs numbers: {error.message}") from error
+            return None if found is None else found[0]
+
+        return evaluate
+
+    def _folded(self, names: Tuple[Atom, Atom, Atom]) -> Folding:
+        """Return what calls the predicates of a program's own aggregate; None where one of them fails.
+
+        The first gives a state, the second takes a value and a state and gives the next one, the third takes a state
+        and gives the result.
+        """
+        logic = self.rule.network.logic
+        value, state, found = Var(), Var(), Var()
+        begin = logic.compile_goal((functor(names[0].name, 1), found), [], [found])
+        step = logic.compile_goal((functor(names[1].name, 3), value, state, found), [value, state], [found])
+        show = logic.compile_goal((functor(names[2].name, 2), state, found), [state], [found])
+
+        def fold(values: Sequence[Term]) -> Optional[Term]:
+            try:
+                reached = begin.test(())
+                for one in values:
+                    reached = None if reached is None else step.test((one, reached[0]))
+                shown = None if reached is None else show.test((reached[0],))
+            except PrologError as error:
+                keep_back(error)
+                raise RuleError(f"aggregate fold: {error.message}") from error
+            return None if shown is None else shown[0]
+
+        return fold

@@ -1,0 +1,307 @@
+"""The node of an operator on streams: hands matches over, gives on what comes of them, is woken by the clock."""
+
+from typing import Any, Callable, Iterable, Iterator, List, NamedTuple, Optional, Sequence, Tuple
+
+from ...foundation import RuleError
+from ...prolog.machine import Frame
+from ...prolog.terms import Term, Values, Var, WholeSeconds
+from ..dispatch import Completion
+from ..history import known_in
+from ..matches import (
+    NOTHING_HELD,
+    Absence,
+    Emit,
+    Emitting,
+    Found,
+    Held,
+    Match,
+    NetworkOptions,
+    emit_each,
+    taken_back,
+)
+from ..streams import StreamItem, StreamOperator, StreamOutput
+from .nodes import NetworkNode
+from .owners import Buffer, RuleOwner
+from .replaying import Replay
+
+Result = Callable[[Values, Values], Optional[Values]]
+Take = Callable[[Optional[Match], Values, int, int], List[StreamOutput]]
+
+
+class Making(NamedTuple):
+    """How a node makes items of matches, and matches of outputs.
+
+    Attributes:
+        stream: makes the operator, for a policy.
+        item: gives the by and the values of an item from those of a match.
+        result: gives the values of a match from those of a group and the results, None where these do not fit;
+            None itself where matches are given on that came.
+        clocked: whether items are taken by the present instant.
+        past: what reports say of items that come too late to be taken.
+    """
+
+    stream: Callable[[NetworkOptions], StreamOperator]
+    item: Callable[[Values], Tuple[Values, Values]]
+    result: "Optional[Result]"
+    clocked: bool
+    past: str
+
+
+class Streaming(NetworkNode):
+    """Hands the matches of patterns to an operator on streams.
+
+    Args:
+        rule: the rule it belongs to.
+        children: the nodes of the patterns, by their channels; see `StreamOperator.take`.
+        names: the variables of its values.
+        making: how items and matches are made.
+
+    Attributes:
+        woken: the instant at which the clock is to wake it; None where none is.
+        late: how many matches came too late to be taken.
+        place: its place among the nodes of the rule.
+        carried: absences among the conditions of what must not happen, with the nodes of what they negate.
+    """
+
+    def __init__(
+        self, rule: RuleOwner, children: Sequence[NetworkNode], names: Sequence[Var], making: Making
+    ):
+        self.rule = rule
+        self.children = list(children)
+        self.vars = list(names)
+        self.making = making
+        self.carried: List[Tuple[Absence, Emitting]] = []
+        self.alone = len(self.children) == 1 and self.children[0].alone
+        self.place = 0
+        self.span: Optional[int] = None
+        self.woken: Optional[int] = None
+        self.late = 0
+        self._began: Optional[NetworkOptions] = None
+        self.stream = self._begin(NetworkOptions())
+        self.replay: Optional[Replay] = None
+        self.out: Emit = lambda match, after: after
+
+    def _begin(self, mode: NetworkOptions) -> StreamOperator:
+        stream = self.making.stream(mode)
+        stream.tracked = mode.tracked
+        stream.allowed = self.rule.network.newest_allowed
+        return stream
+
+    def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
+        """Set the bounds; see `NetworkNode.set_span`."""
+        self.span = span
+
+    def bind(self, out: Emit, mode: NetworkOptions) -> None:
+        """Connect the node; see `NetworkNode.bind`."""
+        self._connect(out, mode)
+        for channel, child in enumerate(self.children):
+            child.bind(self._arriving(channel, mode), mode)
+        for absence, node in self.carried:
+            absence.bind(node, mode)
+
+    def bind_alone(self, completion: Completion) -> None:
+        """Connect the node; see `NetworkNode.bind_alone`."""
+        complete = completion.action
+        self._connect(
+            lambda match, after: complete(match.term, match.values, match.start, match.end, after),
+            self.rule.mode,
+        )
+        result, take = self.making.result, self._taking(0, self.rule.mode)
+
+        def arrive(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+            match = Match(values, start, end, None, term, None) if result is None else None
+            outputs = take(match, values, start, end)
+            if not outputs:
+                return after
+            if result is None or len(outputs) > 1 or outputs[0].error is not None:
+                return self._give(outputs, after)
+            output = outputs[0]
+            found = result(output.items[-1].by, output.found)
+            if found is None or (self.span is not None and output.end - output.start > self.span):
+                return after
+            return complete(None, found, output.start, output.end, after)  # type: ignore[arg-type]
+
+        self.children[0].bind_alone(Completion(arrive))
+
+    def _connect(self, out: Emit, mode: NetworkOptions) -> None:
+        """Give matches on to ``out``, and run by a mode; what is held stays."""
+        self.out = out
+        if mode != self._began:
+            kept = self.stream.kept()
+            self.stream = self._begin(mode)
+            self.stream.restore(kept)
+            self._began = mode
+            self.replay = Replay(lambda: self._begin(mode)) if mode.revised else None
+        self.woken = None
+        self._wake()
+
+    def buffers(self) -> Sequence[Buffer]:
+        """Return where matches wait."""
+        return [buffer for absence, _ in self.carried for buffer in absence.buffers()]
+
+    def _arriving(self, channel: int, mode: NetworkOptions) -> Emit:
+        """Return what takes the matches of one of the patterns."""
+        take = self._taking(channel, mode)
+        with_match = mode.tracked or self.making.result is None
+
+        def arrive(match: Match, after: Frame) -> Frame:
+            outputs = take(match if with_match else None, match.values, match.start, match.end)
+            return self._give(outputs, after) if outputs else after
+
+        return arrive
+
+    def _taking(self, channel: int, mode: NetworkOptions) -> "Take":
+        """Return what takes a match, or only its values and interval, and gives what comes of it."""
+        make, clocked = self.making.item, self.making.clocked or mode.revised
+        network = self.rule.network
+
+        def take(match: Optional[Match], values: Values, start: int, end: int) -> List[StreamOutput]:
+            now = network.time() if clocked else 0
+            stream = self.stream
+            try:
+                item = StreamItem(match, start, end, *make(values))
+                outputs = stream.take(item, now, channel)
+            except RuleError as error:
+                network.rule_failed(self.rule, error)
+                return []
+            if self.replay is not None:
+                self._note(channel, item, now)
+            if stream.late != self.late:
+                self.late = stream.late
+                network.came_late(self.rule, self.making.past)
+            if len(stream) > network.cap:
+                self._drop()
+            if stream.next is not None:
+                self._wake()
+            return outputs
+
+        return take
+
+    def _drop(self) -> None:
+        """Have the oldest go, which is one too many."""
+        self.stream.drop_oldest()
+        self.rule.dropped += 1
+        self.rule.network.dropped(self.rule)
+
+    def _wake(self) -> None:
+        instant = self.stream.next
+        if instant is not None and (self.woken is None or instant < self.woken):
+            self.woken = instant
+            self.rule.network.wake(self, instant)
+
+    def ring(self, instant: int, after: Frame) -> Frame:
+        """Return the frame that gives on what is due, and goes on with ``after``."""
+        self.woken = None
+        if self.rule.skipping is not None:
+            self.rule.skipping.wakes()
+        outputs = self.stream.ring(instant)
+        self._wake()
+        came = self.rule.network.tracker.wakes() if self.stream.tracked else 0
+        return self._give(outputs, after, came)
+
+    def _give(self, outputs: List[StreamOutput], after: Frame, came: int = 0) -> Frame:
+        return emit_each(self._matches(outputs, came), self.out, after)
+
+    def _matches(self, outputs: Iterable[StreamOutput], came: int = 0) -> Iterator[Match]:
+        """Yield the matches of outputs, but for those that are too long or do not fit.
+
+        Args:
+            outputs: the outputs.
+            came: the number of the event at which they are there, where that is none of their own.
+        """
+        span = self.span
+        for output in outputs:
+            if span is None or output.end - output.start <= span:
+                match = self._match(output, came)
+                if match is not None:
+                    yield match
+
+    def _match(self, output: StreamOutput, came: int) -> Optional[Match]:
+        """Return the match of an output; None where its results do not fit what is written for them."""
+        if output.error is not None:
+            self.rule.network.rule_failed(self.rule, output.error)
+            return None
+        last = output.items[-1]
+        result = self.making.result
+        values = () if result is None else result(last.by, output.found)
+        if values is None:
+            return None
+        held = self._held(output, came) if self.stream.tracked else ()
+        if result is not None:
+            start, end = output.start, output.end
+            if end.__class__ is int:
+                start, end = WholeSeconds(start), WholeSeconds(end)
+            return Match(values, start, end, None, None, (Found(values), *held))
+        match: Match = last.match
+        if output.end != match.end:
+            return Match(match.values, match.start, WholeSeconds(output.end), None, None, (match, *held))
+        if not held:
+            return match
+        return Match(match.values, match.start, match.end, match.event, match.term, (match, *held))
+
+    def _held(self, output: StreamOutput, came: int) -> Tuple[Held, ...]:
+        """Return what stands for an output where events are tracked, and knows what it is made of."""
+        parts = tuple([item.match for item in output.items])
+        held = Held(Match((), output.start, output.end, None, None, parts), NOTHING_HELD)
+        held.number = max(held.number, came)
+        if self.replay is not None:
+            self.replay.gave(output, held)
+        return (held,)
+
+    # ---- what an event that is taken back changes ----------------------------------------------------
+
+    def _note(self, channel: int, item: StreamItem, now: int) -> None:
+        """Remember an item, and have its events know that it is one of them."""
+        assert self.replay is not None
+        self.replay.took(channel, item, now, self.stream)
+        for occurrence in known_in(item.match):
+            occurrence.held.append((self, self, item.match))
+
+    def forget(self, node: "Streaming", match: Match) -> bool:
+        """Forget a match whose events were taken back; tell whether what is given on may be another without it."""
+        return self.replay is not None and self.replay.forget(match)
+
+    def unmade(self) -> List[Held]:
+        """Return what stands for outputs that do not hold without what was forgotten."""
+        if self.replay is None:
+            return []
+        self.stream, lost = self.replay.run_again(self.rule.network.time())
+        self.late = self.stream.late
+        self._wake()
+        return lost
+
+    def results_again(self, node: "Streaming") -> List[Match]:
+        """Return the matches that are there without what was forgotten, and were not before."""
+        if self.replay is None or not self.rule.active:
+            return []
+        return list(self._matches(self.replay.take_new()))
+
+    def retry(self, what: Match, after: Frame) -> Frame:
+        """Give such a match on."""
+        return after if taken_back(what) else self.out(what, after)
+
+    # ---- what lasts ----------------------------------------------------------------------------------
+
+    def clear(self) -> None:
+        """Forget all."""
+        mode = self._began or NetworkOptions()
+        self.stream = self._begin(mode)
+        self.replay = Replay(lambda: self._begin(mode)) if mode.revised else None
+        self.woken = None
+        self.late = 0
+
+    def held(self) -> int:
+        """Return how many matches, or keys, are held."""
+        return len(self.stream)
+
+    def kept(self) -> Any:
+        """Return what it knows; see `NetworkNode.kept`."""
+        return (self.stream.kept(), self.late, None if self.replay is None else self.replay.kept())
+
+    def restore(self, kept: Any) -> None:
+        """Know that; see `NetworkNode.restore`."""
+        known, self.late, replayed = kept
+        self.stream.restore(known)
+        if self.replay is not None and replayed is not None:
+            self.replay.restore(replayed)
+        self._wake()

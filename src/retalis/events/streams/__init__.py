@@ -1,0 +1,26 @@
+"""Operators on streams of matches: windows and what they measure, and what lets some matches through only."""
+
+from .awaiting import Agreement, Awaiting
+from .items import KnownState, StreamItem, StreamOperator, StreamOutput
+from .measures import MEASURES
+from .shapes import Changing, Settled, Spaced
+from .windows import Batches, FromFirst, Hopping, Newest, RunningWindow, Sliding
+
+__all__ = [
+    "MEASURES",
+    "Agreement",
+    "Awaiting",
+    "Batches",
+    "Changing",
+    "FromFirst",
+    "Hopping",
+    "StreamItem",
+    "KnownState",
+    "Newest",
+    "StreamOutput",
+    "RunningWindow",
+    "Settled",
+    "Sliding",
+    "Spaced",
+    "StreamOperator",
+]

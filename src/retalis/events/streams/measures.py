@@ -1,0 +1,263 @@
+"""What windows measure of the items that are in them: one class for each kind of aggregate, and one table of them."""
+
+from typing import Any, Callable, Deque, Dict, Hashable, Iterator, NamedTuple, Optional, Protocol
+
+from ...prolog.terms import Term, make_list, term_key
+from .items import StreamItem
+from .numbers import ExactSum, Lowest, Ranked, check_finite, check_ordered, deviation
+
+Setting = Any
+"""What a measure is set to, by its kind: a number, or what calls the program's predicates; mostly None."""
+Members = Deque[StreamItem]
+"""The items of a window in the order in which they came; some of them may be gone."""
+
+
+def live(members: Members) -> Iterator[StreamItem]:
+    """Yield those that are in the window, the oldest first."""
+    return (item for item in members if not item.gone)
+
+
+class WindowMeasure(Protocol):
+    """A measure of the items in one window.
+
+    `check` comes before an item is taken, so that one with a wrong value leaves nothing half done.
+
+    Attributes:
+        picky: whether it refuses some values.
+    """
+
+    picky: bool
+
+    def check(self, item: StreamItem, /) -> None:
+        """Refuse the value of an item.
+
+        Raises:
+            RuleError: where the measure cannot take it.
+        """
+
+    def add(self, item: StreamItem, /) -> None:
+        """Take an item in."""
+
+    def remove(self, item: StreamItem, /) -> None:
+        """Take out an item that is gone."""
+
+    def result(self, members: Members, number: int, /) -> Optional[Term]:
+        """Return the result for a window of so many items, one at least; None where there is none."""
+
+
+class _Plain:
+    """A measure that is read off the items."""
+
+    picky = False
+
+    def __init__(self, at: int, name: str, setting: Setting):
+        self.at = at
+        self.name = name
+        self.setting = setting
+
+    def check(self, item: StreamItem) -> None:
+        """See `WindowMeasure.check`."""
+
+    def add(self, item: StreamItem) -> None:
+        """See `WindowMeasure.add`."""
+
+    def remove(self, item: StreamItem) -> None:
+        """See `WindowMeasure.remove`."""
+
+
+class _Count(_Plain):
+    def result(self, members: Members, number: int) -> Optional[Term]:
+        return number
+
+
+class _Sum(_Plain):
+    picky = True
+
+    def __init__(self, at: int, name: str, setting: Setting):
+        super().__init__(at, name, setting)
+        self.sum = ExactSum()
+
+    def check(self, item: StreamItem) -> None:
+        check_finite(item.values[self.at], self.name)
+
+    def add(self, item: StreamItem) -> None:
+        self.sum.change(item.values[self.at], 1)
+
+    def remove(self, item: StreamItem) -> None:
+        self.sum.change(item.values[self.at], -1)
+
+    def result(self, members: Members, number: int) -> Optional[Term]:
+        return self.sum.over(1)
+
+
+class _Average(_Sum):
+    def result(self, members: Members, number: int) -> Optional[Term]:
+        return self.sum.over(number)
+
+
+class _Deviation(_Sum):
+    def __init__(self, at: int, name: str, setting: Setting):
+        super().__init__(at, name, setting)
+        self.squares = ExactSum()
+
+    def _square(self, item: StreamItem, by: int) -> None:
+        over, under = item.values[self.at].as_integer_ratio()
+        self.squares.change_fraction(over * over, 2 * (under.bit_length() - 1), by)
+
+    def add(self, item: StreamItem) -> None:
+        super().add(item)
+        self._square(item, 1)
+
+    def remove(self, item: StreamItem) -> None:
+        super().remove(item)
+        self._square(item, -1)
+
+    def result(self, members: Members, number: int) -> Optional[Term]:
+        return deviation(self.sum, self.squares, number) if number > 1 else None
+
+
+class _Least(_Plain):
+    picky = True
+    sign = 1
+
+    def __init__(self, at: int, name: str, setting: Setting):
+        super().__init__(at, name, setting)
+        self.lowest = Lowest()
+
+    def check(self, item: StreamItem) -> None:
+        check_ordered(item.values[self.at], self.name)
+
+    def add(self, item: StreamItem) -> None:
+        self.lowest.add(self.sign * item.values[self.at], item)
+
+    def remove(self, item: StreamItem) -> None:
+        self.lowest.remove()
+
+    def result(self, members: Members, number: int) -> Optional[Term]:
+        top = self.lowest.top()
+        return None if top is None else top[2].values[self.at]
+
+
+class _Greatest(_Least):
+    sign = -1
+
+
+class _Quantile(_Plain):
+    picky = True
+
+    def __init__(self, at: int, name: str, setting: Setting):
+        super().__init__(at, name, setting)
+        self.ranked = Ranked(setting)
+
+    def check(self, item: StreamItem) -> None:
+        check_finite(item.values[self.at], self.name)
+
+    def add(self, item: StreamItem) -> None:
+        self.ranked.add(item.values[self.at], item)
+
+    def remove(self, item: StreamItem) -> None:
+        self.ranked.remove(item)
+
+    def result(self, members: Members, number: int) -> Optional[Term]:
+        return self.ranked.value()
+
+
+class _First(_Plain):
+    def result(self, members: Members, number: int) -> Optional[Term]:
+        value: Term = next(live(members)).values[self.at]
+        return value
+
+
+class _Last(_Plain):
+    def result(self, members: Members, number: int) -> Optional[Term]:
+        value: Term = next(item for item in reversed(members) if not item.gone).values[self.at]
+        return value
+
+
+class _List(_Plain):
+    def result(self, members: Members, number: int) -> Optional[Term]:
+        return make_list([item.values[self.at] for item in live(members)])
+
+
+class _CountDistinct(_Plain):
+    def __init__(self, at: int, name: str, setting: Setting):
+        super().__init__(at, name, setting)
+        self.numbers: Dict[Hashable, int] = {}
+
+    def add(self, item: StreamItem) -> None:
+        key = term_key(item.values[self.at])
+        self.numbers[key] = self.numbers.get(key, 0) + 1
+
+    def remove(self, item: StreamItem) -> None:
+        key = term_key(item.values[self.at])
+        self.numbers[key] -= 1
+        if not self.numbers[key]:
+            del self.numbers[key]
+
+    def result(self, members: Members, number: int) -> Optional[Term]:
+        return len(self.numbers)
+
+
+class _Distinct(_Plain):
+    def result(self, members: Members, number: int) -> Optional[Term]:
+        found: Dict[Hashable, Term] = {}
+        for item in live(members):
+            value = item.values[self.at]
+            found.setdefault(term_key(value), value)
+        return make_list(list(found.values()))
+
+
+class _Rate(_Plain):
+    def result(self, members: Members, number: int) -> Optional[Term]:
+        if self.setting:
+            rate: float = number / self.setting
+            return rate
+        ends = [item.end for item in live(members)]
+        span = max(ends) - min(ends)
+        return (number - 1) / (span / 10**9) if span else None
+
+
+class _Fold(_Plain):
+    """A program's own measure: ``setting`` gives the result of the values, oldest first."""
+
+    def result(self, members: Members, number: int) -> Optional[Term]:
+        found: Optional[Term] = self.setting([item.values[self.at] for item in live(members)])
+        return found
+
+
+class MeasureKind(NamedTuple):
+    """A kind of measure.
+
+    Attributes:
+        form: how rules write it; the last argument is what is measured.
+        settings: how many arguments come before that.
+        takes: whether it is of a value of each item.
+        numeric: whether values have to be numbers.
+        make: makes one from the place of its value among those of an item, its name, and what it is set to.
+    """
+
+    form: str
+    settings: int
+    takes: bool
+    numeric: bool
+    make: Callable[[int, str, Any], Any]
+
+
+MEASURES: Dict[str, MeasureKind] = {
+    "count": MeasureKind("count", 0, False, False, _Count),
+    "sum": MeasureKind("sum(X)", 0, True, True, _Sum),
+    "min": MeasureKind("min(X)", 0, True, True, _Least),
+    "max": MeasureKind("max(X)", 0, True, True, _Greatest),
+    "avg": MeasureKind("avg(X)", 0, True, True, _Average),
+    "stddev": MeasureKind("stddev(X)", 0, True, True, _Deviation),
+    "median": MeasureKind("median(X)", 0, True, True, lambda at, name, _: _Quantile(at, name, 0.5)),
+    "quantile": MeasureKind("quantile(P, X)", 1, True, True, _Quantile),
+    "first": MeasureKind("first(X)", 0, True, False, _First),
+    "last": MeasureKind("last(X)", 0, True, False, _Last),
+    "list": MeasureKind("list(X)", 0, True, False, _List),
+    "distinct": MeasureKind("distinct(X)", 0, True, False, _Distinct),
+    "count_distinct": MeasureKind("count_distinct(X)", 0, True, False, _CountDistinct),
+    "rate": MeasureKind("rate", 0, False, False, _Rate),
+    "fold": MeasureKind("fold(Init, Step, Result, X)", 3, True, False, _Fold),
+}
+"""By their names."""

@@ -1,0 +1,179 @@
+"""Sums of numbers that come and go: exact, however many have gone, and rounded once where they are asked for."""
+
+import heapq
+from math import isfinite, sqrt
+from typing import Any, List, Optional, Tuple, Union
+
+from ...foundation import RuleError
+
+Number = Union[int, float]
+
+
+class ExactSum:
+    """The sum of the numbers that are in, as an integer over a power of two.
+
+    Floats are such fractions themselves, so that nothing is lost when one is taken out again.
+    """
+
+    __slots__ = ("total", "scale", "floats")
+
+    def __init__(self) -> None:
+        self.total = 0
+        self.scale = 0
+        self.floats = 0
+
+    def change(self, value: Number, by: int) -> None:
+        """Add a number ``by`` times; -1 takes it out."""
+        if value.__class__ is int:
+            self.total += by * int(value) << self.scale
+            return
+        over, under = value.as_integer_ratio()
+        self.floats += by
+        self.change_fraction(over, under.bit_length() - 1, by)
+
+    def change_fraction(self, over: int, bits: int, by: int) -> None:
+        """Add ``over / 2 ** bits`` so many times."""
+        if bits > self.scale:
+            self.total <<= bits - self.scale
+            self.scale = bits
+        self.total += by * over << self.scale - bits
+
+    def over(self, number: int) -> Number:
+        """Return the sum divided by a number: an integer where there are no floats and it is one, else a float."""
+        whole = number << self.scale
+        if not self.floats:
+            quotient, rest = divmod(self.total, whole)
+            if not rest:
+                return quotient
+        return self.total / whole
+
+
+def deviation(total: ExactSum, squares: ExactSum, number: int) -> float:
+    """Return the standard deviation of a sample of two numbers and more, from their sum and that of their squares.
+
+    The square root of ``(n * squares - total ** 2) / (n * (n - 1))``, exact up to the root.
+    """
+    bits = max(2 * total.scale, squares.scale)
+    spread = number * squares.total << bits - squares.scale
+    spread -= total.total**2 << bits - 2 * total.scale
+    return sqrt(spread / (number * (number - 1) << bits))
+
+
+def check_finite(value: Number, name: str) -> None:
+    """Refuse a number that no sum can take.
+
+    Raises:
+        RuleError: for infinity and for what is no number.
+    """
+    if value.__class__ is float and not isfinite(value):
+        raise RuleError(f"aggregate {name} needs finite numbers, not {value}")
+
+
+def check_ordered(value: Number, name: str) -> None:
+    """Refuse what is neither more nor less than other numbers.
+
+    Raises:
+        RuleError: for what is no number (nan).
+    """
+    if value != value:
+        raise RuleError(f"aggregate {name} needs numbers, not {value}")
+
+
+RankedNumber = Tuple[Number, int, Any]
+"""A number, the order of its item, the item: of equal numbers the first that came is meant."""
+
+
+class Lowest:
+    """The lowest of the numbers whose items are in; what has gone is dropped when it comes to the top."""
+
+    __slots__ = ("heap", "live")
+
+    def __init__(self) -> None:
+        self.heap: List[RankedNumber] = []
+        self.live = 0
+
+    def add(self, value: Number, item: Any) -> None:
+        """Add the number of an item."""
+        self.live += 1
+        heapq.heappush(self.heap, (value, item.order, item))
+
+    def remove(self) -> None:
+        """Count one that has gone."""
+        self.live -= 1
+        if len(self.heap) > 2 * self.live + 64:
+            self.heap = [entry for entry in self.heap if not entry[2].gone]
+            heapq.heapify(self.heap)
+
+    def top(self) -> Optional[RankedNumber]:
+        """Return the lowest."""
+        heap = self.heap
+        while heap and heap[0][2].gone:
+            heapq.heappop(heap)
+        return heap[0] if heap else None
+
+    def pop(self) -> RankedNumber:
+        """Take out the lowest; there has to be one."""
+        self.top()
+        self.live -= 1
+        return heapq.heappop(self.heap)
+
+
+class Ranked:
+    """A quantile of the numbers whose items are in: those up to it in one heap, those above it in another.
+
+    Between two numbers it is interpolated linearly, as numpy does by default.
+
+    Args:
+        part: which quantile, 0 to 1; 0.5 for the median.
+    """
+
+    __slots__ = ("part", "below", "above", "_is_below")
+
+    def __init__(self, part: float):
+        self.part = part
+        self.below = Lowest()  # of the negated numbers: the highest is on top
+        self.above = Lowest()
+        self._is_below: Any = {}
+
+    def add(self, value: Number, item: Any) -> None:
+        """Add the number of an item."""
+        top = self.below.top()
+        low = top is None or value <= -top[0]
+        self._put(value, item, low)
+        self._balance()
+
+    def remove(self, item: Any) -> None:
+        """Take an item out that is gone."""
+        (self.below if self._is_below.pop(item.order) else self.above).remove()
+        self._balance()
+
+    def _put(self, value: Number, item: Any, low: bool) -> None:
+        self._is_below[item.order] = low
+        if low:
+            self.below.add(-value, item)
+        else:
+            self.above.add(value, item)
+
+    def _balance(self) -> None:
+        number = self.below.live + self.above.live
+        wanted = int(self.part * (number - 1)) + 1 if number else 0
+        while self.below.live < wanted:
+            value, _, item = self.above.pop()
+            self._put(value, item, True)
+        while self.below.live > wanted:
+            value, _, item = self.below.pop()
+            self._put(-value, item, False)
+
+    def value(self) -> Optional[Number]:
+        """Return the quantile; None of nothing."""
+        top = self.below.top()
+        if top is None:
+            return None
+        low = -top[0]
+        place = self.part * (self.below.live + self.above.live - 1)
+        part = place - int(place)
+        if not part:
+            return low
+        entry = self.above.top()
+        assert entry is not None  # there is one above a place between two
+        return low + (entry[0] - low) * part

@@ -1,0 +1,194 @@
+"""Operators that let some matches of a stream through: not too many, those that last, or where something changed."""
+
+import heapq
+from typing import Callable, Dict, Hashable, List, Optional, Tuple
+
+from ...prolog.terms import term_key
+from .items import KnownState, StreamItem, StreamOutput
+
+
+class StreamShape:
+    """What these operators have in common; see `StreamOperator`."""
+
+    def __init__(self) -> None:
+        self.next: Optional[int] = None
+        self.late = 0
+        self.tracked = False
+        self.allowed: Callable[[], int] = lambda: 1 << 64
+        self.clock = -(1 << 63)
+
+    def ring(self, instant: int) -> List[StreamOutput]:
+        """See `StreamOperator.ring`."""
+        return []
+
+    def _move_on(self, end: int) -> None:
+        if self.clock < end <= self.allowed():
+            self.clock = end
+
+
+class Spaced(StreamShape):
+    """Lets an item through where the last one of its key is ``span`` ns back and more, by the newest end.
+
+    Args:
+        span: how far.
+        every: whether the last one is any that came, so that the first of each burst is let through; else the last
+            that was let through.
+    """
+
+    def __init__(self, span: int, every: bool):
+        super().__init__()
+        self.span = span
+        self.every = every
+        self.last: Dict[Hashable, StreamItem] = {}
+        self._by_end: List[Tuple[int, int, StreamItem]] = []
+        self._order = 0
+
+    def __len__(self) -> int:
+        return len(self.last)
+
+    def drop_oldest(self) -> None:
+        """See `StreamOperator.drop_oldest`."""
+        while True:
+            item = heapq.heappop(self._by_end)[2]
+            if self.last.get(item.key) is item:
+                del self.last[item.key]
+                return
+
+    def take(self, item: StreamItem, now: int, channel: int) -> List[StreamOutput]:
+        """See `StreamOperator.take`."""
+        self._move_on(item.end)
+        self._forget()
+        before = self.last.get(item.key)
+        if before is None or (self.every and item.end > before.end):
+            self._note(item)
+        return [StreamOutput((item,), item.start, item.end)] if before is None else []
+
+    def _note(self, item: StreamItem) -> None:
+        noted = StreamItem(None, item.start, item.end, item.by, ())  # the match itself is not held
+        self._order += 1
+        noted.order = self._order
+        self.last[noted.key] = noted
+        heapq.heappush(self._by_end, (noted.end, noted.order, noted))
+        if len(self._by_end) > 2 * len(self.last) + 64:
+            self._by_end = [(one.end, one.order, one) for one in self.last.values()]
+            heapq.heapify(self._by_end)
+
+    def _forget(self) -> None:
+        before = self.clock - self.span
+        while self._by_end and self._by_end[0][0] <= before:
+            item = heapq.heappop(self._by_end)[2]
+            if self.last.get(item.key) is item:
+                del self.last[item.key]
+
+    def kept(self) -> KnownState:
+        """See `StreamOperator.kept`."""
+        return (self.clock, list(self.last.values()))
+
+    def restore(self, kept: KnownState) -> None:
+        """See `StreamOperator.restore`."""
+        self.clock, noted = kept
+        self.last, self._by_end = {}, []
+        for item in noted:
+            item.file()
+            self._note(item)
+
+
+class Changing(StreamShape):
+    """Lets an item through where what is looked at is another term than in the last one of its key, or the first."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.last: Dict[Hashable, Tuple[Hashable, StreamItem]] = {}
+
+    def __len__(self) -> int:
+        return len(self.last)
+
+    def drop_oldest(self) -> None:
+        """See `StreamOperator.drop_oldest`: the key that was first there."""
+        del self.last[next(iter(self.last))]
+
+    def take(self, item: StreamItem, now: int, channel: int) -> List[StreamOutput]:
+        """See `StreamOperator.take`."""
+        value = term_key(item.values[0])
+        before = self.last.get(item.key)
+        if before is not None and before[0] == value:
+            return []
+        self.last[item.key] = (value, StreamItem(None, item.start, item.end, item.by, item.values))
+        return [StreamOutput((item,), item.start, item.end)]
+
+    def kept(self) -> KnownState:
+        """See `StreamOperator.kept`."""
+        return ([item for _, item in self.last.values()],)
+
+    def restore(self, kept: KnownState) -> None:
+        """See `StreamOperator.restore`."""
+        for item in kept[0]:
+            item.file()
+        self.last = {item.key: (term_key(item.values[0]), item) for item in kept[0]}
+
+
+class Settled(StreamShape):
+    """Gives an item on ``span`` ns after its end, if no newer one of its key has come until then."""
+
+    def __init__(self, span: int):
+        super().__init__()
+        self.span = span
+        self.waiting: Dict[Hashable, StreamItem] = {}
+        self._due: List[Tuple[int, int, StreamItem]] = []
+        self._order = 0
+
+    def __len__(self) -> int:
+        return len(self.waiting)
+
+    def drop_oldest(self) -> None:
+        """See `StreamOperator.drop_oldest`."""
+        self._settle()
+        item = heapq.heappop(self._due)[2]
+        del self.waiting[item.key]
+        self._settle()
+
+    def take(self, item: StreamItem, now: int, channel: int) -> List[StreamOutput]:
+        """See `StreamOperator.take`."""
+        before = self.waiting.get(item.key)
+        if before is None or item.end >= before.end:
+            self._order += 1
+            item.order = self._order
+            self._note(item)
+            self._settle()
+        return []
+
+    def ring(self, instant: int) -> List[StreamOutput]:
+        """See `StreamOperator.ring`."""
+        outputs = []
+        while self.next is not None and self.next <= instant:
+            due, _, item = heapq.heappop(self._due)
+            del self.waiting[item.key]
+            outputs.append(StreamOutput((item,), item.start, due))
+            self._settle()
+        return outputs
+
+    def _note(self, item: StreamItem) -> None:
+        self.waiting[item.key] = item
+        heapq.heappush(self._due, (item.end + self.span, item.order, item))
+        if len(self._due) > 2 * len(self.waiting) + 64:
+            self._due = [(one.end + self.span, one.order, one) for one in self.waiting.values()]
+            heapq.heapify(self._due)
+
+    def _settle(self) -> None:
+        """Drop what was replaced from the top, and say when the next one is due."""
+        while self._due and self.waiting.get(self._due[0][2].key) is not self._due[0][2]:
+            heapq.heappop(self._due)
+        self.next = self._due[0][0] if self._due else None
+
+    def kept(self) -> KnownState:
+        """See `StreamOperator.kept`."""
+        return (self._order, list(self.waiting.values()))
+
+    def restore(self, kept: KnownState) -> None:
+        """See `StreamOperator.restore`."""
+        self._order, waiting = kept
+        self.waiting, self._due = {}, []
+        for item in waiting:
+            item.file()
+            self._note(item)
+        self._settle()
