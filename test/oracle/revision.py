@@ -12,7 +12,7 @@ In which order things are taken back is not defined: what follows from one event
 
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import Any, Dict, FrozenSet, Iterable, List, Optional, Sequence, Set, Tuple
+from typing import Any, Dict, FrozenSet, Iterable, Iterator, List, Optional, Sequence, Set, Tuple
 from typing import Counter as CounterOf
 
 from retalis.prolog.terms import Term, copy, functor
@@ -23,7 +23,19 @@ from .declarative import defined_for as defined_without_state
 from .evaluator import NOTHING, Fit, RuleState, Sides
 from .goals import first, instance, show
 from .matches import Event, Match, Run
-from .patterns import STREAMED, Both, Cnot, Fnot, Pattern, Rule, Within, take_out_subpatterns, walk
+from .patterns import (
+    STREAMED,
+    Aggregate,
+    Both,
+    Cnot,
+    Fnot,
+    Pattern,
+    Rule,
+    Star,
+    Within,
+    take_out_subpatterns,
+    walk,
+)
 
 REV = functor("rev", 1)
 Step = CounterOf[Tuple[str, Any, Any]]
@@ -35,6 +47,8 @@ def defined_for(rules: Sequence[Rule], policy: str, out_of_order: bool) -> bool:
     plain = take_out_subpatterns(list(rules))
     if any(has_outer_absence(rule) for rule in plain):
         return False
+    if any(rule.after_match != "keep" and len(list(coming_back(rule))) > 1 for rule in plain):
+        return False  # what comes back first skips the others, and the order is not defined
     nodes = [node for rule in rules for node in walk(rule.pattern)]
     if any(isinstance(node, STREAMED) for node in nodes):
         return False  # see test_streams.py of the network
@@ -46,6 +60,13 @@ def defined_for(rules: Sequence[Rule], policy: str, out_of_order: bool) -> bool:
         return not limited and len(policies) == 1 and combines(rules)
     late = any(rule.late_by(out_of_order) for rule in plain)
     return not limited and not (late and any(isinstance(node, Cnot) for node in nodes))
+
+
+def coming_back(rule: Rule) -> Iterator[Pattern]:
+    """Yield the parts of a rule of which something may come back when an event is taken back."""
+    for node in walk(rule.pattern):
+        if isinstance(node, (Cnot, Fnot, Star, Aggregate)):
+            yield node
 
 
 def combines(rules: Sequence[Rule]) -> bool:

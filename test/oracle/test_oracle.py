@@ -3,6 +3,8 @@
 Expected are the derived events, in order.
 """
 
+from dataclasses import replace
+
 import pytest
 from oracle.evaluator import run
 from oracle.matches import POLICIES
@@ -220,6 +222,43 @@ def test_out_of_order():
         == "out(1,1)@2-5 out(2,2)@3-9 out(3,2)@8-9"
     )
     assert fired("seq(seq(a,b),c)", "c@9 b@5 a@1", out_of_order=True) == "out@1-9"
+
+
+@pytest.mark.parametrize(
+    ("after_match", "pairs", "repeated", "results", "again"),
+    [
+        (
+            "keep",
+            "out(1)@1-3 out(2)@2-3 out(1)@1-4 out(2)@2-4",
+            "out@1-2 out@2-3 out@3-4",
+            "out@1 out@1-2",
+            "2-8 3-9",
+        ),
+        ("skip_past_last", "out(1)@1-3", "out@1-2 out@3-4", "out@1", "2-8"),
+        ("skip_to_next", "out(1)@1-3 out(2)@2-3", "out@1-2 out@2-3 out@3-4", "out@1", "2-8 3-9"),
+    ],
+)
+def test_after_a_match(after_match, pairs, repeated, results, again):
+    skipping = {"after_match": after_match}
+    several = fired("seq(a(X),b)", "a(1)@1 a(2)@2 b@3 b@4", "out(X)", "unrestricted", **skipping)
+    assert several == pairs
+    assert fired("ntimes(a,2)", "a@1 a@2 a@3 a@4", **skipping) == repeated
+    assert fired("seq(a,star_times(b))", "a@1 b@2", **skipping) == results
+    late = " ".join(f"out@{interval}" for interval in again.split())
+    assert fired("and(a,b)", "a@2 b@8 b@3 a@9", **skipping) == late
+
+
+def test_what_a_match_skips_has_used_up_its_partners():
+    pattern = "and(event_multiply(seq(a,b),member(X,[1,2])),c(X))"
+    assert fired(pattern, "c(2)@1 c(1)@1 a@2 b@3", "out(X)", after_match="skip_past_last") == "out(1)@1-3"
+
+
+def test_a_rule_has_a_policy_of_its_own():
+    own = rule("out(X)", "seq(a(X),b)", label="r", out_of_order=True)
+    derived = run(
+        [replace(own, policy="chronological")], stream("a(1)@1 a(2)@2 b@3 b@9 a(4)@8"), policy="recent"
+    )
+    assert brief(event for event in derived if "out" in event[0]) == "out(1)@1-3 out(2)@2-9 out(4)@8-9"
 
 
 def test_rules_feed_rules():

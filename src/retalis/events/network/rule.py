@@ -121,7 +121,7 @@ class Rule:
                 *(firings.number, firings.last, firings.errors),
                 *(self.dropped, self.alarms_dropped, self.alarms_past, self.late),
             ),
-            (self.clock, self.order, self._collected_at, self.skipping and self.skipping.kept()),
+            (self.clock, self.order, self._collected_at),
             [(type(node).__name__, node.kept()) for node, _, _ in self.nodes],
             [
                 (one, places.get(id(one.buffer), -1), one.order)
@@ -130,6 +130,7 @@ class Rule:
             ],
             [(places[id(buffer)], match) for buffer, match, _ in self.later],
             self._later_event,
+            None if self.skipping is None else self.skipping.kept(),
         )
 
     def restore(self, state: RuleState) -> None:
@@ -137,9 +138,9 @@ class Rule:
         firings = self.firings
         firings.number, firings.last, firings.errors = state.counts[:3]
         self.dropped, self.alarms_dropped, self.alarms_past, self.late = state.counts[3:]
-        self.clock, self.order, self._collected_at, skipped = state.times
-        if self.skipping is not None and skipped is not None:
-            self.skipping.restore(skipped)
+        self.clock, self.order, self._collected_at = state.times
+        if self.skipping is not None and state.skipped is not None:
+            self.skipping.restore(state.skipped)
         kinds = [type(node).__name__ for node, _, _ in self.nodes]
         if kinds != [kind for kind, _ in state.nodes]:
             raise UsageError(f"{self.name} is made of other parts than it was")

@@ -32,6 +32,7 @@ class RuleState(NamedTuple):
         arrivals: what waits, as it came: the match, its place among the buffers (-1: in a train), its order.
         later: what is to wait when another event comes: the place of its buffer and the match.
         later_event: the event that is meant by that.
+        skipped: what its matches have skipped; None where they skip nothing.
     """
 
     counts: Tuple[Any, ...]
@@ -40,3 +41,4 @@ class RuleState(NamedTuple):
     arrivals: List[Tuple[Match, int, int]]
     later: List[Tuple[int, Match]]
     later_event: object
+    skipped: Any
