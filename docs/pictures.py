@@ -138,11 +138,10 @@ def door(path: Path) -> None:
         with BagReader(bag) as reader:
             list(playback.run(reader))
     lanes = (
-        Lane("std_msgs/Bool: true", "open", MESSAGE),
-        Lane("std_msgs/Bool: false", "shut", MESSAGE),
-        Lane("opening", "opening(", EVENT),
-        Lane("waited (alarm)", "waited(", EVENT),
-        Lane("ten_seconds", "ten_seconds(", EVENT),
+        Lane("std_msgs/Bool: true", "std_msgs__0__Bool(true", MESSAGE),
+        Lane("std_msgs/Bool: false", "std_msgs__0__Bool(false", MESSAGE),
+        Lane("contact(true)", "contact(true", EVENT),
+        Lane("contact(false)", "contact(false", EVENT),
         Lane("left_open", "left_open", RESULT),
         Lane("was_open", "was_open(", RESULT),
     )
