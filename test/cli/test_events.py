@@ -209,6 +209,22 @@ def test_an_error_in_the_stream_stops_nothing_else(run, wrong, column):
     assert f"stream.txt:2:{column}" in error or not wrong.endswith(".")
 
 
+def test_an_event_that_is_not_as_it_is_declared_is_an_error_with_its_place(run):
+    rules = ":- event smoke(room:atom).\n" + RULES.replace("seq heat(X) ", "")
+    status, lines, said = run(
+        rules=rules, stream="event(smoke(a),[1,1]).\nevent(smoke(7),[2,2]).\nevent(smoke,[3,3]).\n"
+    )
+    assert (status, lines) == (1, ["event(smoke(a),[1,1]).", "event(alarm(a),[1,1])."])
+    assert (
+        "stream.txt:2:1: event refused: room of smoke/1 is an atom, found 7; declared as smoke(room:atom)"
+        in said
+    )
+    assert (
+        "stream.txt:3:1: event refused: smoke/0 is not as it is declared: smoke(room:atom) has 1 argument"
+        in said
+    )
+
+
 def test_an_error_of_a_rule_at_run_time_is_an_error(run):
     rules = "x <- a where 1 < foo.\ny <- a.\n"
     status, lines, error = run(rules=rules, stream="event(a,[1,1]).")
