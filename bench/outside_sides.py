@@ -1,0 +1,204 @@
+"""The sides of ``bench/outside.py``: what does each workload.
+
+A side makes events ready and gives the function that runs them; that calls ``emit`` for each result, with its values.
+Whatever a side needs, it imports itself: not all of it is everywhere.
+"""
+
+from collections import OrderedDict, deque
+from typing import Any, Callable, Deque, Dict, List, Tuple
+
+from outside_streams import SECOND, StreamEvent
+
+Emit = Callable[..., None]
+Run = Callable[[], None]
+NAP, TEN, MINUTE = SECOND // 20, 10 * SECOND, 60 * SECOND
+
+RULES = {
+    "keyed": "out(K) <- (a(K) seq b(K)) within 60.",
+    "absence": "out(K) <- ((a(K) seq b(K)) cnot c(K)) within 60.",
+    "sliding": "out(K, N, A) <- aggregate([count, avg(X)], x(K, X), [N, A], last(10)).",
+    "pairs": "out(I, J) <- (l(I) and r(J)) within 0.05.",
+}
+
+
+def rules(work: str, events: List[StreamEvent], emit: Emit) -> Run:
+    """The engine, with one rule. It gets terms."""
+    from retalis.engine import Engine, parts_of
+    from retalis.events.dispatch import Stage
+    from retalis.prolog.terms import Var, functor
+
+    engine = Engine()
+    engine.load(rules=RULES[work])
+    parts = parts_of(engine)
+    parts.rules.cap = 10**8
+
+    def heard(term: Any, values: Any, start: int, end: int, after: Any) -> Any:
+        emit(*term[1:])
+        return after
+
+    size = RULES[work].partition(")")[0].count(",") + 1
+    result = functor("out", size)(*(Var() for _ in range(size)))
+    parts.dispatcher.listen(Stage.SUBSCRIPTIONS, result, heard)
+    if work == "sliding":
+        x = functor("x", 2)
+        ready = [(x(key, value), time) for key, value, time in events]
+    else:
+        kinds = {kind: functor(kind, 1) for kind in "abclr"}
+        ready = [(kinds[kind](key), time) for kind, key, time in events]
+    enter, run, done = parts.dispatcher.dispatch, parts.logic.machine.run, parts.logic.machine.done
+
+    def all_of_them() -> None:
+        for term, time in ready:
+            run(enter(term, time, time, done, None, True))
+
+    return lambda: engine.do(all_of_them)
+
+
+def loop(work: str, events: List[StreamEvent], emit: Emit) -> Run:
+    """What somebody writes by hand for just that work."""
+    take = {"keyed": _sequence, "absence": _sequence, "sliding": _window, "pairs": _pairs}[work](emit)
+
+    def all_of_them() -> None:
+        for event in events:
+            take(event)
+
+    return all_of_them
+
+
+def _sequence(emit: Emit) -> Callable[[StreamEvent], None]:
+    """Return what takes a, b and c: a key's b less than a minute after its a, and no c between."""
+    begun: OrderedDict[int, int] = OrderedDict()  # by time, as each key has one a
+
+    def take(event: StreamEvent) -> None:
+        kind, key, time = event
+        while begun and time - begun[next(iter(begun))] >= MINUTE:
+            begun.popitem(last=False)
+        if kind == "a":
+            begun[key] = time
+        elif begun.pop(key, None) is not None and kind == "b":
+            emit(key)
+
+    return take
+
+
+def _window(emit: Emit) -> Callable[[StreamEvent], None]:
+    """Return what takes readings: how many of a key there were in ten seconds, and their mean."""
+    windows: Dict[int, Tuple[Deque[Tuple[int, float]], List[float]]] = {}
+
+    def take(event: StreamEvent) -> None:
+        key, value, time = event
+        if key not in windows:
+            windows[key] = (deque(), [0.0])
+        window, total = windows[key]
+        window.append((time, value))
+        total[0] += value
+        while time - window[0][0] >= TEN:
+            total[0] -= window.popleft()[1]
+        emit(key, len(window), total[0] / len(window))
+
+    return take
+
+
+def _pairs(emit: Emit) -> Callable[[StreamEvent], None]:
+    """Return what takes l and r: the newest of the other kind that is less than 50 ms old, each once."""
+    waiting: Dict[str, Deque[Tuple[int, int]]] = {"l": deque(), "r": deque()}
+
+    def take(event: StreamEvent) -> None:
+        kind, number, time = event
+        others = waiting["r" if kind == "l" else "l"]
+        while others and time - others[0][1] >= NAP:
+            others.popleft()
+        if not others:
+            waiting[kind].append((number, time))
+        elif kind == "l":
+            emit(number, others.pop()[0])
+        else:
+            emit(others.pop()[0], number)
+
+    return take
+
+
+def bytewax(work: str, events: List[StreamEvent], emit: Emit) -> Run:
+    """A dataflow that keeps a state for each key. It has no operator for pairs without keys."""
+    import bytewax.operators as op
+    from bytewax.dataflow import Dataflow
+    from bytewax.testing import TestingSource, run_main
+
+    if work == "sliding":
+        keyed = [(str(event[0]), event) for event in events]
+        step: Callable[[Any, StreamEvent], Tuple[Any, Any]] = _slide
+    elif work in ("keyed", "absence"):
+        keyed, step = [(str(event[1]), event) for event in events], _follow
+    else:
+        raise ImportError(f"bytewax has nothing for {work}")
+    flow = Dataflow("outside")
+    stream = op.input("events", flow, TestingSource(keyed, batch_size=1000))
+    results = op.stateful_flat_map("match", stream, step)
+    op.inspect("results", results, lambda _, result: emit(*result[1]))
+    op.output("nowhere", results, _nowhere())
+    return lambda: run_main(flow)
+
+
+def _follow(begun: Any, event: StreamEvent) -> Tuple[Any, Any]:
+    kind, key, time = event
+    if kind == "a":
+        return time, ()
+    in_time = kind == "b" and begun is not None and time - begun < MINUTE
+    return None, ((key,),) if in_time else ()
+
+
+def _slide(state: Any, event: StreamEvent) -> Tuple[Any, Any]:
+    key, value, time = event
+    window, total = state or (deque(), 0.0)
+    window.append((time, value))
+    total += value
+    while time - window[0][0] >= TEN:
+        total -= window.popleft()[1]
+    return (window, total), ((key, len(window), total / len(window)),)
+
+
+def _nowhere() -> Any:
+    from bytewax.outputs import DynamicSink, StatelessSinkPartition
+
+    class Part(StatelessSinkPartition):
+        def write_batch(self, items: Any) -> None:
+            """Do nothing."""
+
+    class Nowhere(DynamicSink):
+        def build(self, *_: Any) -> Part:
+            return Part()
+
+    return Nowhere()
+
+
+def filters(work: str, events: List[StreamEvent], emit: Emit) -> Run:
+    """ROS's own: the synchronizer of messages with headers, for pairs. It pairs what is nearest in time."""
+    if work != "pairs":
+        raise ImportError(f"message_filters has nothing for {work}")
+    import rospy
+    from message_filters import ApproximateTimeSynchronizer, SimpleFilter
+    from std_msgs.msg import Header
+
+    class Stamped:
+        def __init__(self, number: int, time: int):
+            self.header = Header(seq=number, stamp=rospy.Time(*divmod(time, SECOND)))
+
+    rospy.rostime.set_rostime_initialized(True)
+    inputs = {"l": SimpleFilter(), "r": SimpleFilter()}
+    both = ApproximateTimeSynchronizer([inputs["l"], inputs["r"]], 50, 0.05)
+    both.registerCallback(lambda left, right: emit(left.header.seq, right.header.seq))
+    ready = [(inputs[kind].signalMessage, Stamped(number, time)) for kind, number, time in events]
+
+    def all_of_them() -> None:
+        for signal, message in ready:
+            signal(message)
+
+    return all_of_them
+
+
+SIDES: Dict[str, Callable[[str, List[StreamEvent], Emit], Run]] = {
+    "retalis": rules,
+    "loop": loop,
+    "bytewax": bytewax,
+    "message_filters": filters,
+}

@@ -1,0 +1,80 @@
+"""The streams of ``bench/outside.py``: lists of plain tuples, the same for all sides and in each run.
+
+Times are integer nanoseconds. Each function takes how many events there shall be; they look like those that a robot's
+program gets: orders that are met after a while, readings of many motors, two sensors side by side.
+"""
+
+import random
+from heapq import heappop, heappush
+from typing import Any, Callable, Dict, List, Tuple
+
+SECOND = 10**9
+BEGIN = 1_500_000_000 * SECOND
+WAITING = 10_000
+"""How many sequences are open at a time, once the stream has lasted for a while."""
+
+StreamEvent = Tuple[Any, ...]
+
+
+def sequences(events: int, undone: bool = False) -> List[StreamEvent]:
+    """Return ``a``, ``b`` and ``c`` with their keys: ("a", key, time).
+
+    Most ``a`` have their ``b`` after half a minute; some after a minute and a half, too late, and some never.
+
+    Args:
+        events: how many.
+        undone: whether a quarter of the keys get a ``c`` after a quarter of a minute.
+    """
+    chance = random.Random(11)
+    step = 35 * SECOND // WAITING
+    found: List[StreamEvent] = []
+    due: List[Tuple[int, str, int]] = []
+    key = 0
+    while len(found) < events:
+        time = BEGIN + key * step
+        while due and due[0][0] <= time:
+            then, kind, whose = heappop(due)
+            found.append((kind, whose, then))
+        found.append(("a", key, time))
+        fate = chance.random()
+        if fate < 0.9:
+            heappush(due, (time + (30 if fate < 0.85 else 90) * SECOND + chance.randrange(1, 1000), "b", key))
+        if undone and chance.random() < 0.25:
+            heappush(due, (time + 15 * SECOND + chance.randrange(1, 1000), "c", key))
+        key += 1
+    return found[:events]
+
+
+def readings(events: int) -> List[StreamEvent]:
+    """Return readings of a hundred keys, a thousand a second: (key, value, time).
+
+    Sums of the values are exact in floats.
+    """
+    chance = random.Random(12)
+    return [
+        (chance.randrange(100), chance.randrange(1000) / 8, BEGIN + at * SECOND // 1000)
+        for at in range(events)
+    ]
+
+
+def sides(events: int) -> List[StreamEvent]:
+    """Return ``l`` and ``r``, each about 900 a second, of which a tenth is missing: ("l", number, time)."""
+    chance = random.Random(13)
+    found: List[StreamEvent] = []
+    number = 0
+    while len(found) < events:
+        time = BEGIN + number * SECOND // 1000
+        for kind, later in (("l", 0), ("r", 500_000)):
+            if chance.random() < 0.9:
+                found.append((kind, number, time + later + chance.randrange(300_000)))
+        number += 1
+    return found[:events]
+
+
+STREAMS: Dict[str, Callable[[int], List[StreamEvent]]] = {
+    "keyed": sequences,
+    "absence": lambda events: sequences(events, undone=True),
+    "sliding": readings,
+    "pairs": sides,
+}
+"""The stream of each workload."""
