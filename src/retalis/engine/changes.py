@@ -40,13 +40,13 @@ def _rules(old: Sequence[Rule], new: Sequence[Rule], kept: Dict[Rule, Rule]) -> 
     staying = set(kept.values())
     gone = [f"{rule.name}{_lost(rule)}" for rule in old if rule not in staying]
     fresh = [f"{rule.name}{_at(rule.place)}" for rule in new if rule not in kept]
-    waiting = sum(rule.waiting for rule in staying)
+    waiting = sum(rule.held for rule in staying)
     with_matches = f", with {_matches(waiting)}" if waiting else ""
     return _told("rules", fresh, gone, [], f"{len(staying)} kept{with_matches}")
 
 
 def _lost(rule: Rule) -> str:
-    return f", with {_matches(rule.waiting)}" if rule.waiting else ""
+    return f", with {_matches(rule.held)}" if rule.held else ""
 
 
 def _matches(number: int) -> str:

@@ -155,7 +155,7 @@ def _rules(
             firings.number,
             None if firings.last is None else int(firings.last),
             firings.errors,
-            rule.waiting,
+            rule.held,
             rule.dropped,
         )
 

@@ -239,5 +239,5 @@ class _ListingGoals:
     def see(self, machine: Machine) -> bool:
         logic = self.rules.logic
         for rule in self.rules.rules:
-            logic.output(f"{rule.name}: {rule.waiting} partial matches\n")
+            logic.output(f"{rule.name}: {rule.held} partial matches\n")
         return True
