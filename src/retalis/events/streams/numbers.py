@@ -1,12 +1,13 @@
 """Sums of numbers that come and go: exact, however many have gone, and rounded once where they are asked for."""
 
 import heapq
-from math import isfinite, sqrt
+from math import inf, isfinite, isqrt, sqrt
 from typing import Any, List, Optional, Tuple, Union
 
 from ...foundation import RuleError
 
 Number = Union[int, float]
+_SMALL, _LARGE = 1e-290, 1e290
 
 
 class ExactSum:
@@ -56,7 +57,20 @@ def deviation(total: ExactSum, squares: ExactSum, number: int) -> float:
     bits = max(2 * total.scale, squares.scale)
     spread = number * squares.total << bits - squares.scale
     spread -= total.total**2 << bits - 2 * total.scale
-    return sqrt(spread / (number * (number - 1) << bits))
+    under = number * (number - 1) << bits
+    try:
+        square = spread / under
+    except OverflowError:
+        square = inf
+    return sqrt(square) if _SMALL < square < _LARGE or not spread else _root(spread, under)
+
+
+def _root(over: int, under: int) -> float:
+    """Return the square root of a fraction that no float is near to, though one may be near to its root."""
+    bits = (under.bit_length() - over.bit_length()) // 2 + 64
+    if bits >= 0:
+        return isqrt((over << 2 * bits) // under) / (1 << bits)
+    return float(isqrt(over // (under << -2 * bits)) << -bits)
 
 
 def check_finite(value: Number, name: str) -> None:
