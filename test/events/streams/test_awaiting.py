@@ -127,6 +127,14 @@ def test_what_is_replaced_or_ruled_out_leaves_the_heap():
     assert entries(operator) <= 160
 
 
+def test_what_is_superfluous_is_not_counted_as_dropped():
+    arrivals = [Came(at, "a", at, at, 1, 1, at) for at in range(10)]
+    operator = taking(1000, arrivals)
+    for left in range(len(operator) - 1, -1, -1):
+        operator.drop_oldest()
+        assert len(operator) == left
+
+
 def test_the_oldest_that_waits_is_dropped_first():
     arrivals = [Came(at, f"k{at}", at, at, 1, int(at > 2), at) for at in range(5)]
     operator = taking(1000, arrivals)

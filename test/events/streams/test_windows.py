@@ -145,6 +145,18 @@ def test_the_oldest_can_be_dropped(kind):
 
 
 @pytest.mark.parametrize("kind", WINDOWS)
+def test_what_was_dropped_is_held_nowhere(kind):
+    """Where a window takes more than may be held, for as long as it takes."""
+    window = WINDOWS[kind]()
+    for at in range(1500):
+        window.take(item_of(Came(at, f"k{at // 3}", 10, 10, at, 0, 10)), 10, 0)
+        if len(window) > 5:
+            window.drop_oldest()
+    assert len(window) == 5
+    assert entries(window) <= 90
+
+
+@pytest.mark.parametrize("kind", WINDOWS)
 def test_ends_that_are_too_far_ahead_do_not_move_the_time_on(kind):
     """One stamp of a wrong clock neither empties a window nor makes what comes after it late."""
     window = WINDOWS[kind]()

@@ -81,6 +81,8 @@ class Awaiting(StreamShape):
             self._leave(self._due[0][2])
             self._settle()
         else:
+            while self._by_start[0][2].gone:
+                heapq.heappop(self._by_start)
             self._forget(self._by_start[0][0])
 
     def take(self, item: StreamItem, now: int, channel: int) -> List[StreamOutput]:

@@ -122,6 +122,10 @@ class Window:
         """See `StreamOperator.drop_oldest`: of the group that is there for the longest time."""
         group = next(iter(self.groups.values()))
         self._leave(next(one for one in group.members if not one.gone))
+        self._tidy()
+
+    def _tidy(self) -> None:
+        """Drop what has gone before its time from where it is filed, if that is the larger part."""
 
     def ring(self, instant: int) -> List[StreamOutput]:
         """See `StreamOperator.ring`."""
@@ -228,6 +232,11 @@ class Sliding(Window):
         else:
             heapq.heappush(self._heap, (item.start, item.order, item))
 
+    def _tidy(self) -> None:
+        if len(self._queue) + len(self._heap) > 2 * self.number + 64:
+            self._queue = deque([one for one in self._queue if not one.gone])
+            self._heap = _without_gone(self._heap)
+
     def _leave_before(self, before: int) -> None:
         queue, heap = self._queue, self._heap
         while queue and queue[0].start <= before:
@@ -317,6 +326,11 @@ class FromFirst(Window):
     def ring(self, instant: int) -> List[StreamOutput]:
         """See `StreamOperator.ring`."""
         return self._close(instant)
+
+    def _tidy(self) -> None:
+        if len(self._open) > 2 * len(self.groups) + 64:
+            self._open = [one for one in self._open if self.groups.get(one[2]) is one[3]]
+            heapq.heapify(self._open)
 
     def _close(self, instant: int) -> List[StreamOutput]:
         outputs: List[StreamOutput] = []
@@ -438,8 +452,18 @@ class Hopping(Window):
     def _note(self, item: StreamItem) -> None:
         heapq.heappush(self._by_end, (item.end, item.order, item))
 
+    def _tidy(self) -> None:
+        if len(self._by_end) > 2 * self.number + 64:
+            self._by_end = _without_gone(self._by_end)
+
     def _leave_before(self, before: int) -> None:
         while self._by_end and self._by_end[0][0] < before:
             item = heapq.heappop(self._by_end)[2]
             if not item.gone:
                 self._leave(item)
+
+
+def _without_gone(heap: List[Tuple[int, int, StreamItem]]) -> List[Tuple[int, int, StreamItem]]:
+    left = [entry for entry in heap if not entry[2].gone]
+    heapq.heapify(left)
+    return left
