@@ -41,6 +41,8 @@ class Streams(Repetitions):
         self.taken: Dict[Pattern, List[Taken]] = {}
         self.absences: Dict[Pattern, List[Match]] = {}
         self.begins: Dict[Pattern, Dict[Any, Any]] = {}
+        self.latest: Dict[Pattern, Any] = {}
+        """The newest present instant at which something came to an operator."""
         self.newest: Dict[Pattern, Any] = {}
         self.now: Any = 0
         self.ringing: Optional[Tuple[int, Any]] = None
@@ -57,6 +59,7 @@ class Streams(Repetitions):
             results += self._rung(node, self.ringing[1])
         if isinstance(node, Awaited):
             for q in self.arrive(node.absent, event):
+                self.now_at(node)
                 self.absences.setdefault(node, []).append(q)
             for p in self.arrive(node.pattern, event):
                 self._await(node, p)
@@ -67,6 +70,11 @@ class Streams(Repetitions):
                 self._measured(node, match) if isinstance(node, Windowed) else self._shaped(node, match)
             )
         return results
+
+    def now_at(self, node: Pattern) -> Any:
+        """Return the present instant for what comes to an operator; alarms of the past do not turn its time back."""
+        self.latest[node] = max(self.now, self.latest.get(node, self.now))
+        return self.latest[node]
 
     def due(self) -> List[Tuple[Any, int]]:
         """Return when something is due, and the rank of its operator."""
@@ -111,7 +119,7 @@ class Streams(Repetitions):
     def _await(self, node: Awaited, p: Match) -> None:
         taken = self.taken.setdefault(node, [])
         # Absence: a P that comes when its time is over is too late.
-        if p.end + node.seconds <= self.now:
+        if p.end + node.seconds <= self.now_at(node):
             return
         if self.policy == "recent":
             # Policies: under recent an arrival replaces the waiting variant at the same place.
@@ -163,7 +171,7 @@ class Streams(Repetitions):
             values = self._values(node, match)
         except GoalError:
             return []
-        one = Taken(match, self._group(node, match), values, self.now)
+        one = Taken(match, self._group(node, match), values, self.now_at(node))
         newest = max([match.end, *(other.match.end for other in taken)])
         return self._window[node.window](self, node, taken, one, newest)
 
@@ -234,7 +242,7 @@ class Streams(Repetitions):
         return results
 
     def _every(self, node: Windowed, taken: List[Taken], one: Taken, newest: Any) -> List[Match]:
-        one.over = not any(at > self.now for at in self._windows_of(node, one))
+        one.over = not any(at > one.now for at in self._windows_of(node, one))
         taken.append(one)
         return []
 

@@ -67,6 +67,7 @@ class Awaiting(StreamShape):
         self._waiting: Dict[Hashable, Dict[Hashable, StreamItem]] = {}
         self._absent: Dict[Hashable, _Forbidden] = {}
         self._number = 0
+        self._reached = -(1 << 63)
         self._due: List[Tuple[int, int, StreamItem]] = []
         self._by_start: List[Tuple[int, int, StreamItem]] = []
         self._order = 0
@@ -87,14 +88,18 @@ class Awaiting(StreamShape):
 
     def take(self, item: StreamItem, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.take`."""
-        self._forget(now - self.span)
+        if now > self._reached:
+            self._reached = (
+                now  # an event that an alarm of the past makes finds what was known then forgotten
+            )
+        self._forget(self._reached - self.span)
         self._order += 1
         item.order = self._order
         key = self.agreement.key(item.match, channel)
         if channel:
             self._rule_out(item, key)
             self._note_absent(item, key)
-        elif item.end + self.span <= now:
+        elif item.end + self.span <= self._reached:
             self.late += 1
         else:
             self._replace(item, key)
@@ -117,11 +122,11 @@ class Awaiting(StreamShape):
         """See `StreamOperator.kept`."""
         waiting = [item for _, _, item in self._due if not item.gone]
         absent = [item for _, _, item in self._by_start if not item.gone]
-        return (self._order, sorted(waiting, key=_order), sorted(absent, key=_order))
+        return (self._order, self._reached, sorted(waiting, key=_order), sorted(absent, key=_order))
 
     def restore(self, kept: KnownState) -> None:
         """See `StreamOperator.restore`."""
-        self._order, waiting, absent = kept
+        self._order, self._reached, waiting, absent = kept
         self._waiting, self._absent, self._due, self._by_start, self._number = {}, {}, [], [], 0
         for item in [*waiting, *absent]:
             item.file()

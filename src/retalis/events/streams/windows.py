@@ -380,6 +380,7 @@ class Hopping(Window):
         super().__init__(make)
         self.span = span
         self.every = every
+        self._reached = -(1 << 63)
         self._ahead: List[Tuple[int, int, StreamItem]] = []
         self._by_end: List[Tuple[int, int, StreamItem]] = []
 
@@ -395,20 +396,27 @@ class Hopping(Window):
 
     def kept(self) -> KnownState:
         """See `StreamOperator.kept`."""
-        return (*super().kept(), [item for _, _, item in sorted(self._ahead, key=lambda one: one[:2])])
+        return (
+            *super().kept(),
+            self._reached,
+            [item for _, _, item in sorted(self._ahead, key=lambda one: one[:2])],
+        )
 
     def restore(self, kept: KnownState) -> None:
         """See `StreamOperator.restore`."""
         super().restore(kept)
-        for item in kept[5]:
+        self._reached, ahead = kept[5:]
+        for item in ahead:
             item.file()
-        self._ahead = [(item.end, item.order, item) for item in kept[5]]
+        self._ahead = [(item.end, item.order, item) for item in ahead]
 
     def take(self, item: StreamItem, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.take`."""
         self._group_of(item)
         every = self.every
-        rung = now // every * every
+        if now > self._reached:
+            self._reached = now  # an alarm of the past may make an event when this has been reached
+        rung = self._reached // every * every
         if (item.end + self.span) // every * every <= rung:
             self.late += 1
             return []
