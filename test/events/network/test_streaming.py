@@ -1,0 +1,219 @@
+"""Operators on streams in rules: when they ring, what they hold, and what they report."""
+
+import pytest
+from events.streams.feeding import entries
+
+from retalis.engine import Engine, parts_of
+from retalis.engine.runtime import StreamClock
+from retalis.prolog.terms import SECOND
+
+
+class Run(Engine):
+    """An engine that notes the events of rules, and what is reported."""
+
+    def __init__(self, rules, cap=None, clock=None):
+        super().__init__(clock)
+        own = parts_of(self).rules
+        own.cap = own.cap if cap is None else cap
+        self.seen, self.reports = [], []
+        own.on_error = own.on_warning = lambda error: self.reports.append(error.message)
+        self.load(rules=rules)
+        self.on_event(self._note)
+
+    def _note(self, term, start, end):
+        shown = self.show(term)
+        if not shown.startswith(("in", "no", "tick")):
+            self.seen.append(f"{shown}@{start / SECOND:g}-{end / SECOND:g}")
+
+    def feed(self, text):
+        """Give events, each as ``event@end`` or ``event@start-end``; return what rules said."""
+        del self.seen[:]
+        for one in text.split():
+            event, stamp = one.rsplit("@", 1)
+            start, _, end = stamp.partition("-")
+            self.event(event, float(start), float(end or start))
+        return " ".join(self.seen)
+
+    @property
+    def rules(self):
+        return parts_of(self).rules.rules
+
+    def streams(self):
+        """Return the operators of all rules."""
+        return [node.stream for rule in self.rules for node, _, _ in rule.nodes if hasattr(node, "stream")]
+
+
+EVERY = "{0}(N) <- aggregate(count, in(_), N, every({1})).\n"
+
+
+def test_what_is_due_comes_in_the_order_of_instants_before_the_event_of_the_same():
+    rules = EVERY.format("b", 3) + EVERY.format("a", 2) + "c(X) <- in(X) seq absent(in(_), 4). d <- tick."
+    engine = Run(rules)
+    assert engine.feed("in(1)@1 tick@6") == "a(1)@0-2 b(1)@0-3 c(1)@1-5 d@6-6"
+    assert engine.feed("in(1)@7 tick@12") == "a(1)@6-8 b(1)@6-9 c(1)@7-11 d@12-12"
+
+
+def test_at_one_instant_the_older_rule_comes_first_and_in_a_rule_what_is_below():
+    rules = EVERY.format("b", 2) + EVERY.format("a", 2)
+    assert Run(rules).feed("in(1)@1 tick@2") == "b(1)@0-2 a(1)@0-2"
+    inner = "w(N) <- aggregate(count, (in(X) with debounce(1)), N, every(2))."
+    assert Run(inner).feed("in(1)@0.5 tick@9") == "w(1)@0-2"
+    assert Run(inner).feed("in(1)@1 tick@9") == "w(1)@2-4"
+
+
+@pytest.mark.parametrize(
+    "rule",
+    [
+        "bad(S) <- aggregate(fold(zero, add, add, X), in(X), S, every(2)). zero(0). add(_, S, T) :- T is S + x.",
+        "bad <- aggregate(count, in(_), _, every(2)) do throw(no).",
+        "bad <- aggregate(count, in(_), N, every(2)) where N > x.",
+    ],
+)
+def test_an_error_in_one_rule_does_not_keep_others_from_ringing(rule):
+    engine = Run(EVERY.format("a", 2) + rule + "\n" + EVERY.format("z", 2))
+    assert engine.feed("in(1)@1 in(2)@1.5 in(3)@3 tick@9") == "a(2)@0-2 z(2)@0-2 a(1)@2-4 z(1)@2-4"
+    assert engine.reports
+
+
+def test_a_rule_that_is_deleted_rings_no_more():
+    engine = Run(EVERY.format("a", 2) + EVERY.format("z", 2))
+    engine.feed("in(1)@1")
+    own = parts_of(engine).rules
+    own.remove(own.rules[0])
+    assert engine.feed("tick@9") == "z(1)@0-2"
+
+
+def test_a_clock_that_goes_back_clears_all():
+    rules = (
+        EVERY.format("a", 2)
+        + "w(X) <- aggregate(list(Y), in(Y), X, last(100)). t(X) <- in(X) with throttle(100). "
+        + "c(X) <- in(X) seq absent(no, 5). d(X) <- in(X) with debounce(1)."
+    )
+    engine = Run(rules)
+    engine.feed("in(1)@50")
+    assert sum(len(stream) for stream in engine.streams()) == 5
+    engine.clock.move_to(0, back=True)
+    engine.advance()
+    assert sum(len(stream) for stream in engine.streams()) == 0
+    assert sum(rule.held for rule in engine.rules) == 0
+    assert engine.feed("in(2)@1") == "w([2])@1-1 t(2)@1-1"
+    assert engine.feed("tick@20") == "a(1)@0-2 d(2)@1-2 c(2)@1-6"
+
+
+HOLDING = {
+    "last": "w(N) <- aggregate(list(X), in(X), N, last(1000)).",
+    "last events": "w(N) <- aggregate(list(X), in(X), N, last(100, events)).",
+    "every": "w(N) <- aggregate(list(X), in(X), N, every(1000)).",
+    "hopping": "w(N) <- aggregate(list(X), in(X), N, last(1000, every(500))).",
+    "first": "w(N) <- aggregate(list(X), in(X), N, every(1000, first)).",
+    "batch": "w(N) <- aggregate(list(X), in(X), N, every(100, events)).",
+    "running": "w(N) <- aggregate(list(X), in(X), N, running(every(1000))).",
+    "throttle": "w(X) <- in(X) with throttle(1000, X).",
+    "burst": "w(X) <- in(X) with burst(1000, X).",
+    "debounce": "w(X) <- in(X) with debounce(1000, X).",
+    "change": "w(X) <- in(X) with change(1, X).",
+    "awaited": "w(X) <- in(X) seq absent(no, 1000).",
+    "absent": "w(X) <- no(X) seq absent(in(Y) where Y > X, 1000).",
+}
+
+
+@pytest.mark.parametrize("name", HOLDING)
+@pytest.mark.parametrize("flags", ["", ":- set_etalis_flag(revision_flag, on).\n"])
+def test_no_more_is_held_than_may_be_and_the_oldest_goes(name, flags):
+    """What was dropped is counted, said seldom, and held nowhere."""
+    engine = Run(flags + HOLDING[name], cap=5)
+    for number in range(150):
+        engine.event(f"in({number})", number / 10)
+        assert engine.rules[0].held <= 5
+    (stream,) = engine.streams()
+    assert entries(stream) <= 100
+    assert engine.rules[0].dropped == 145
+    assert len(engine.reports) == 8
+    assert engine.reports[0].endswith("more than 5 partial matches; 1 of the oldest have been dropped so far")
+    if name in ("last", "running"):
+        assert engine.seen[-1] == "w([144,145,146,147,148,149])@14.4-14.9"
+    if name in ("debounce", "awaited"):
+        assert engine.feed("tick@2000") == " ".join(
+            f"w({n})@{n / 10:g}-{n / 10 + 1000:g}" for n in range(145, 150)
+        )
+
+
+def test_alarms_and_wishes_are_as_many_as_nodes_wait():
+    """However many matches wait: the clock holds an alarm or two, and each node asks once."""
+    engine = Run(
+        "w(X) <- in(X) seq absent(no, 10).\nv(X) <- in(X) with debounce(5, X).\n" + EVERY.format("a", 1)
+    )
+    own, clock = parts_of(engine).rules, engine.clock
+    for number in range(400):
+        engine.event(f"in({number})", number / 50)
+        assert len(clock.alarms) <= 3
+        assert len(own.deadlines) <= 2 * 3 + 64
+    assert sum(rule.held for rule in engine.rules) >= 650
+
+
+def test_what_comes_too_late_is_counted_and_said_seldom():
+    engine = Run("w(N) <- aggregate(count, in(_), N, last(2)).")
+    engine.feed("in(1)@10 " + "in(1)@5 " * 9)
+    assert engine.rules[0].late == 9
+    assert [one.rpartition("; ")[2] for one in engine.reports] == [
+        "1 so far",
+        "2 so far",
+        "4 so far",
+        "8 so far",
+    ]
+    assert "window that it belongs to was over" in engine.reports[0]
+
+
+def test_a_value_that_cannot_be_measured_is_reported_and_the_rest_is_measured():
+    engine = Run("w(S) <- aggregate(sum(X), in(X), S, last(100)).")
+    assert engine.feed("in(1)@1 in(a)@2 in(inf)@2.5 in(1+1)@3") == "w(1)@1-1 w(3)@1-3"
+    assert engine.rules[0].firings.errors == 2
+    assert ["aggregate sum needs" in one for one in engine.reports] == [True, True]
+
+
+def test_a_sum_that_is_too_large_is_reported_once_and_does_not_stand_in_the_way():
+    engine = Run("w(S) <- aggregate(sum(X), in(X), S, every(2, events)).")
+    assert engine.feed("in(1.0e308)@1 in(1.0e308)@2 in(1)@3 in(2)@4") == "w(3)@3-4"
+    assert [one.rpartition(": ")[2] for one in engine.reports] == [
+        "what is measured is too large for a float"
+    ]
+
+
+FLAGS = ("revision_flag", "out_of_order", "garbage_control")
+POLICIES = ("recent", "chronological", "unrestricted")
+ABOVE = {
+    "where": "({0}) where X > 0",
+    "do": "({0}) do true",
+    "within": "({0}) within 100",
+    "first": "({0}) seq end",
+    "second": "begin seq ({0})",
+    "negated": "({0}) fnot never",
+    "and": "({0}) and begin",
+    "or": "({0}) or never(X)",
+}
+RUNG = ("in(X) with debounce(1)", "in(X) seq absent(no, 1)", "aggregate(max(Y), in(Y), X, every(2))")
+
+
+@pytest.mark.parametrize("flag", FLAGS)
+@pytest.mark.parametrize("policy", POLICIES)
+def test_what_rings_is_taken_by_all_that_may_stand_above(policy, flag):
+    """It is there at an instant of the clock, with no event that is served."""
+    value = "general" if flag == "garbage_control" else "on"
+    rules = [f":- set_etalis_flag({flag}, {value}), set_etalis_flag(event_consumption_policy, {policy})."]
+    heads = [f"{name}{at}(3)" for name in ABOVE for at in range(3)]
+    for name, pattern in ABOVE.items():
+        rules += [f"{name}{at}(X) <- {pattern.format(below)}." for at, below in enumerate(RUNG)]
+    engine = Run("\n".join(rules))
+    engine.feed("begin@0.5 in(3)@3")
+    said = engine.feed("tick@6 end@7 tick@20")
+    assert engine.reports == []
+    assert sorted(one.partition("@")[0] for one in said.split() if one[:3] != "end") == sorted(heads)
+
+
+def test_the_clock_of_a_robot_rings_without_an_event():
+    clock = StreamClock()
+    engine = Run(EVERY.format("a", 2), clock=clock)
+    engine.event("in(1)", 1, 1)
+    clock.move_to(2 * SECOND)
+    engine.advance()
+    assert engine.seen == ["a(1)@0-2"]
