@@ -64,6 +64,13 @@ def test_oracle_with_conditions_over_what_may_be_open(case):
 
 @pytest.mark.slow
 @settings(quick, max_examples=150)
+@given(cases(streams=True))
+def test_oracle_with_operators_on_streams(case):
+    assert difference(affordable(case)) is None
+
+
+@pytest.mark.slow
+@settings(quick, max_examples=150)
 @given(cases())
 def test_oracle_with_every_partner_looked_up_by_time(case):
     with patch.multiple(places, FEW=0, FEWER=0), patch.object(timeindex, "FULL", 4):

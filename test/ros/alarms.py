@@ -18,6 +18,7 @@ from retalis import srv  # noqa: E402
 START = 1_000_000_000
 RULES = (
     "ins_event_rule((exceptionAlarm(rings(X), 5) <- starts(X)))",
+    "ins_event_rule((lost(X) <- heard(X) seq absent(heard(X), 8)))",
     "timer(beats(1), every(2))",
     "timer(beats(2), after(3))",
     "ins_event_rule((exceptionAlarmAbsoluteDatime(strikes(X), datime(2001,9,9,1,47,0,0)) <- sets(X)))",
@@ -31,7 +32,7 @@ class Alarms(unittest.TestCase):
         cls.to_engine = rospy.Publisher("retalisInputEvents", String, queue_size=5000)
         cls.clock = rospy.Publisher("/clock", Clock, queue_size=10)
         subscribe = service("add_output_subscription", srv.AddOutputSubscription)
-        for event in ("rings", "strikes", "seen", "beats"):
+        for event in ("rings", "strikes", "seen", "beats", "lost"):
             assert subscribe(f"{event}(X)", "", "_", "t", event).result == "ok"
         wait_until(lambda: cls.to_engine.get_num_connections() > 0, "node retalis")
         wait_until(lambda: cls.outputs.connected(), "its outputs")
@@ -69,11 +70,13 @@ class Alarms(unittest.TestCase):
         self.at(0, 0, 1)
         self.to_engine.publish("event(starts(a),[datime(2001,9,9,1,46,40,0),datime(2001,9,9,1,46,40,0)])")
         self.to_engine.publish("event(sets(b))")
+        self.to_engine.publish("event(heard(c),[datime(2001,9,9,1,46,40,0),datime(2001,9,9,1,46,40,0)])")
         self.at(4, 999_999_999, 2)
         self.assertFalse(self.has("event(rings(a),t,rings)"))
         self.at(5, 1_000_000, 3)
         self.move_until(range(6, 19), "event(rings(a),t,rings)")
         self.assertFalse(self.has("event(strikes(b),t,strikes)"))
+        self.move_until(range(7, 19), "event(lost(c),t,lost)")  # no event says that it is time
         beats = [one.data for one in self.outputs.messages if one.data.startswith("event(beats")]
         self.assertEqual(beats[:3], [f"event(beats({at}),t,beats)" for at in (1, 2, 1)])
         # no event comes: the node's own timer wakes it
