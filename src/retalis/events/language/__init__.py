@@ -3,7 +3,7 @@
 from .aggregates import AGGREGATES, Collector
 from .alarms import ALARMS, alarm_of, is_absolute
 from .calls import Subgoal, Unknown, called_by, calls, unknown_calls
-from .collecting import check_aggregate
+from .collecting import check_aggregate, check_window
 from .declarations import (
     STRICTLY,
     UNDECLARED,
@@ -68,6 +68,7 @@ __all__ = [
     "called_by",
     "calls",
     "check_aggregate",
+    "check_window",
     "check_head",
     "children",
     "Collector",

@@ -7,7 +7,7 @@ from ...prolog.arithmetic import EVALUABLE
 from ...prolog.terms import CONS, Atom, String, Term, Var, deref, variables
 from .aggregates import AGGREGATES
 from .occurrences import occurrences
-from .pattern import Aggregate, bound_by
+from .pattern import Aggregate, Windowed, bound_by
 from .reading import Spot
 
 
@@ -57,6 +57,36 @@ def check_aggregate(
             "which fires only where they are equal"
         )
         warn(RuleError(message, spot(term, 3)))
+
+
+def check_window(
+    part: Windowed,
+    term: Any,
+    rule: Term,
+    names: Mapping[Var, str],
+    spot: Spot,
+    warn: Callable[[RuleError], None],
+) -> None:
+    """Warn where what a window measures makes a window for each of its values.
+
+    Args:
+        part: the aggregate over a window.
+        term: as it is written.
+        rule: the rule as it is written.
+        names: of the variables.
+        spot: gives the places of parts of the term.
+        warn: takes the warnings.
+    """
+    measured = [value for value in part.values if value is not None]
+    inside = occurrences(measured, part.collected)
+    everywhere = occurrences([rule], None)
+    for var in dict.fromkeys(one for value in measured for one in variables(value)):
+        if everywhere.get(var, 0) > inside[var]:
+            name = names.get(var, "a variable")
+            message = (
+                f"{name} is measured and stands elsewhere too, so that there is a window for each value of it"
+            )
+            warn(RuleError(message, spot(deref(term[1])) or spot(term)))
 
 
 def _may_be_number(value: Term) -> bool:

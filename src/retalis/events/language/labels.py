@@ -1,11 +1,11 @@
 """Labels of rules and their properties: ``L : R`` and ``L([property(Name, Value), ...]) : R``."""
 
-from difflib import get_close_matches
 from math import isfinite
-from typing import Any, Dict, Iterable, NamedTuple, Optional, Tuple
+from typing import Any, Dict, NamedTuple, Optional, Tuple
 
 from ...foundation import RuleError
 from ...prolog.terms import COLON, Atom, CompoundTerm, Term, Var, deref, functor, list_items
+from .meant import near
 from .operators import ARROWS, SPELLINGS
 from .reading import Spot
 
@@ -50,11 +50,11 @@ class Property(NamedTuple):
         """What is wrong with it, or None."""
         if not self.known:
             known = ", ".join(KNOWN_PROPERTIES)
-            return f"there is no property {self.name}; the properties are {known}{_near(self.name, KNOWN_PROPERTIES)}"
+            return f"there is no property {self.name}; the properties are {known}{near(self.name, KNOWN_PROPERTIES)}"
         words = WORDS.get(self.name)
         if words is not None:
             said = self.value.name if isinstance(self.value, Atom) else ""
-            return None if said in words else f"property {self.name} is {_one_of(words)}{_near(said, words)}"
+            return None if said in words else f"property {self.name} is {_one_of(words)}{near(said, words)}"
         if self.value.__class__ not in (int, float) or not (self.value >= 0 and isfinite(self.value)):
             return f"property {self.name} needs a number of seconds"
         return None
@@ -62,12 +62,6 @@ class Property(NamedTuple):
 
 def _one_of(words: Tuple[str, ...]) -> str:
     return f"{', '.join(words[:-1])} or {words[-1]}"
-
-
-def _near(said: str, words: Iterable[str]) -> str:
-    """Return the question whether another word was meant; "" where none is like it."""
-    found = get_close_matches(said, words, 1)
-    return f"; did you mean {found[0]}?" if found else ""
 
 
 def is_rule(term: Term) -> bool:

@@ -1,7 +1,7 @@
 """What stands in rules that was hardly meant: terms that are events like others, and were to be something else."""
 
-from difflib import SequenceMatcher
-from typing import Any, Dict, Optional
+from difflib import SequenceMatcher, get_close_matches
+from typing import Any, Dict, Iterable, Optional
 
 from ...prolog.syntax import OperatorKind
 from ...prolog.terms import CONS, Atom, Term, deref, functor, list_items
@@ -98,6 +98,12 @@ def wrong_arity(term: Any) -> Optional[str]:
         return None
     form = FORMS.get(name, f"takes {takes} argument{'s' * (takes != 1)}")
     return f"this is an ordinary event; {name} {form}"
+
+
+def near(said: str, words: Iterable[str]) -> str:
+    """Return the question whether another word was meant; "" where none is like it."""
+    found = get_close_matches(said, list(words), 1)
+    return f"; did you mean {found[0]}?" if found else ""
 
 
 def bracketed(name: str, number: Any) -> str:

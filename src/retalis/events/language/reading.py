@@ -62,6 +62,7 @@ class PatternReader:
         events: the events that are waited for.
         untimed: calls of ``t1/1`` and ``t2/1`` that a goal cannot do without, where these do not hold.
         aggregates: the aggregates, each with its term.
+        windows: those over windows, each with its term.
     """
 
     def __init__(
@@ -75,6 +76,7 @@ class PatternReader:
         self.events: List[EventTerm] = []
         self.untimed: List[Subgoal] = []
         self.aggregates: List[Tuple[Aggregate, Term]] = []
+        self.windows: List[Tuple[Windowed, Term]] = []
 
     def read(self, parent: CompoundTerm, number: int) -> Pattern:
         """Return the pattern that an argument of a term is.
@@ -189,7 +191,9 @@ class PatternReader:
         return Either(tuple(branches))
 
     def _windowed(self, name: str, term: CompoundTerm) -> Windowed:
-        return read_window(self, term)
+        found = read_window(self, term)
+        self.windows.append((found, term))
+        return found
 
     def _shaped(self, name: str, term: CompoundTerm) -> Shaped:
         return read_shape(self, term)

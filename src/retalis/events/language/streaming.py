@@ -17,7 +17,7 @@ from ...prolog.terms import (
     variables,
 )
 from ..streams import MEASURES
-from .meant import bracketed
+from .meant import bracketed, near
 from .pattern import Pattern, Shaped, Windowed, WindowForm, bound_by
 
 _ABSENT, _AGGREGATE = functor("absent", 2), functor("aggregate", 4)
@@ -94,7 +94,7 @@ def read_shape(reader: FormReader, term: CompoundTerm) -> Shaped:
     if name not in SHAPES or len(shape) not in (2, 3):
         forms = "; ".join(one.form for one in SHAPES.values())
         at = (shape,) if shape.__class__ is tuple else (term, 2)
-        raise reader.error(f"with needs one of {forms}", *at)
+        raise reader.error(f"with needs one of {forms}{near(name, SHAPES)}", *at)
     span, value = 0, None
     if SHAPES[name].timed:
         span = _seconds(reader, name, shape, 1)
@@ -152,7 +152,9 @@ def _measure(reader: FormReader, kind: Any, term: CompoundTerm) -> Tuple[str, An
     found = MEASURES.get(name)
     if found is None or len(args) != found.settings + found.takes:
         known = ", ".join(one.form for one in MEASURES.values())
-        raise reader.error(f"there is no such aggregate; the aggregates are {known}", *at)
+        raise reader.error(
+            f"there is no such aggregate; the aggregates are {known}{near(name, MEASURES)}", *at
+        )
     settings = [deref(one) for one in args[: found.settings]]
     setting: Any = None
     if name == "quantile":

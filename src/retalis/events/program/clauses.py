@@ -42,6 +42,7 @@ from ..language import (
     calls,
     check_aggregate,
     check_head,
+    check_window,
     head_event,
     is_rule,
     label_error,
@@ -264,6 +265,8 @@ class FileChecker:
         heads = [] if definition.head is None else [head_event(rule, 1)]
         made = made_by_goals((*reader.goals, *query_goals(definition.head or TRUE)))
         self._declared.fit(chain(heads, reader.events, made), rule, self._names, spot, place)
+        for window, part in reader.windows:
+            check_window(window, part, rule, self._names, reader.place, self.warnings.append)
         for one in reader.inner:
             self.inner.append(self.definition(one, None, spot, spot(one) or place))
         return definition
