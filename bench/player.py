@@ -77,8 +77,11 @@ class Player:
                 due.setdefault(topics[at], []).append(self._frames[at])
                 sent[at] = now
             for topic, frames in due.items():
-                for link in links[topic]:
-                    link.sendall(b"".join(frames))
+                for link in list(links[topic]):
+                    try:
+                        link.sendall(b"".join(frames))
+                    except OSError:  # of a node that has ended; what a living one does not get counts as lost
+                        links[topic].remove(link)
             done = upto
             progress(done)
         return time.monotonic() - began
