@@ -1,0 +1,86 @@
+"""The items of one group that are in a window: over which interval they lie, and what is measured of them."""
+
+from collections import deque
+from typing import Deque, Optional, Sequence, Tuple
+
+from ...foundation import RuleError
+from .items import StreamItem, StreamOutput
+from .measures import WindowMeasure
+from .numbers import Lowest
+
+
+class WindowGroup:
+    """The items of one group that are in a window, and their measures."""
+
+    __slots__ = ("members", "number", "measures", "checks", "begin", "_starts", "_ends")
+
+    def __init__(self, measures: Sequence[WindowMeasure], begin: int = 0):
+        self.members: Deque[StreamItem] = deque()
+        self.number = 0
+        self.measures = measures
+        self.checks = [measure.check for measure in measures if measure.picky]
+        self.begin = begin
+        self._starts: Optional[Lowest] = None
+        self._ends: Optional[Lowest] = None
+
+    def add(self, item: StreamItem) -> None:
+        """Take an item in."""
+        members = self.members
+        if self._starts is not None and self._ends is not None:
+            self._starts.add(item.start, item)
+            self._ends.add(-item.end, item)
+        elif members and (item.start < members[-1].start or item.end < members[-1].end):
+            self._starts, self._ends = Lowest(), Lowest()  # from here on the first and last do not say it
+            for one in [one for one in members if not one.gone] + [item]:
+                self._starts.add(one.start, one)
+                self._ends.add(-one.end, one)
+        members.append(item)
+        self.number += 1
+        for measure in self.measures:
+            measure.add(item)
+
+    def remove(self, item: StreamItem) -> None:
+        """Take an item out."""
+        item.gone = True
+        self.number -= 1
+        members = self.members
+        while members and members[0].gone:
+            members.popleft()
+        while members and members[-1].gone:
+            members.pop()
+        if len(members) > 2 * self.number + 64:
+            self.members = deque([one for one in members if not one.gone])
+        if self._starts is not None and self._ends is not None:
+            self._starts.remove()
+            self._ends.remove()
+        for measure in self.measures:
+            measure.remove(item)
+
+    def output(
+        self, with_items: bool, start: Optional[int] = None, end: Optional[int] = None
+    ) -> Optional[StreamOutput]:
+        """Return what is measured, by default over the interval of the items; None where a measure has no result."""
+        found = []
+        error = None
+        try:
+            for measure in self.measures:
+                result = measure.result(self.members, self.number)
+                if result is None:
+                    return None
+                found.append(result)
+        except RuleError as raised:
+            error = raised
+        except OverflowError:
+            error = RuleError("aggregate: what is measured is too large for a float")
+        if start is None or end is None:
+            start, end = self._interval()
+        members = self.members
+        items = tuple([one for one in members if not one.gone]) if with_items else (members[-1],)
+        return StreamOutput(items, start, end, tuple(found), error)
+
+    def _interval(self) -> Tuple[int, int]:
+        if self._starts is None or self._ends is None:
+            return self.members[0].start, self.members[-1].end
+        low, high = self._starts.top(), self._ends.top()
+        assert low is not None and high is not None  # it is asked where there are items
+        return low[2].start, high[2].end
