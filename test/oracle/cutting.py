@@ -19,20 +19,23 @@ def cut_difference(case: Case, places: Collection[int]) -> Optional[Tuple[Any, A
     Here the order of events counts too.
     """
     try:
-        expected: Any = engine_steps([case.text()], case.goals(), case.stream)
+        clocked = case.has_streams()
+        expected: Any = engine_steps([case.text()], case.goals(), case.stream, clocked=clocked)
     except RetalisError:
         return None
     try:
-        got: Any = engine_steps([case.text()], case.goals(), case.stream, cuts=places)
+        got: Any = engine_steps([case.text()], case.goals(), case.stream, cuts=places, clocked=clocked)
     except Exception as error:  # noqa: BLE001 - an internal error is a difference too
         got = f"{type(error).__name__}: {error}"
     return None if got == expected else (expected, got)
 
 
-def cut_case(seed: int, depth: int, revision: bool, unsure: bool) -> Tuple[Case, List[int]]:
+def cut_case(
+    seed: int, depth: int, revision: bool = False, unsure: bool = False, streams: bool = False
+) -> Tuple[Case, List[int]]:
     """Return a random case, and one or two places at which its state is taken."""
     chance = random.Random(seed)
-    case = random_case(seed, depth, revision, unsure)
+    case = random_case(seed, depth, revision, unsure, streams)
     return case, sorted(
         {chance.randrange(1, max(2, len(case.stream))) for _ in range(chance.choice((1, 1, 2)))}
     )
@@ -42,7 +45,7 @@ def compare(options: argparse.Namespace) -> int:
     """Compare cases; print those that differ, shrunk where they do so cut everywhere."""
     begin, differing = time.time(), 0
     for seed in range(options.seed, options.seed + options.cases):
-        case, cuts = cut_case(seed, options.depth, options.revision, options.unsure)
+        case, cuts = cut_case(seed, options.depth, options.revision, options.unsure, options.streams)
         found = cut_difference(case, cuts)
         if found is None:
             continue

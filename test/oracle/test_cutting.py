@@ -6,11 +6,14 @@ from .cutting import cut_case, cut_difference
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("revision", "first", "number"), [(False, 0, 60), (True, 50_000, 25)])
-def test_goes_on_alike(revision, first, number):
+@pytest.mark.parametrize(
+    ("revision", "streams", "first", "number"),
+    [(False, False, 0, 60), (True, False, 50_000, 25), (False, True, 70_000, 25), (True, True, 80_000, 15)],
+)
+def test_goes_on_alike(revision, streams, first, number):
     cut = 0
     for seed in range(first, first + number):
-        case, places = cut_case(seed, 4, revision, seed % 3 == 0)
+        case, places = cut_case(seed, 4, revision, seed % 3 == 0, streams)
         assert cut_difference(case, places) is None, (seed, places, case.text())
         cut += bool(places)
     assert cut == number
