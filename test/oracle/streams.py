@@ -154,6 +154,8 @@ class Streams(Repetitions):
         elif node.shape == "change":
             # another value than in the last one
             one.on = not same or same[-1].values != value
+        elif match.end + node.seconds <= self.now_at(node):
+            one.over = True  # debounce: one that comes when its time is over is too late
         else:
             # debounce: waits for N seconds, and a newer one in its place
             waiting = [other for other in same if not other.over]

@@ -23,14 +23,13 @@ from .pattern import (
     Pair,
     Pattern,
     Repeated,
-    Shaped,
     Star,
     Windowed,
     Within,
     bound_by,
     with_others,
 )
-from .streaming import is_event, read_shape, read_window
+from .streaming import is_event, read_shape, read_window, what_follows
 
 Spot = Callable[..., Optional[Place]]
 """Gives the place of a compound term: that of its functor, or with a number that of an argument."""
@@ -195,8 +194,9 @@ class PatternReader:
         self.windows.append((found, term))
         return found
 
-    def _shaped(self, name: str, term: CompoundTerm) -> Shaped:
-        return read_shape(self, term)
+    def _shaped(self, name: str, term: CompoundTerm) -> Pattern:
+        parted = what_follows(term)
+        return read_shape(self, term) if parted is None else self.read((term[0], parted), 1)
 
     def _absence(self, name: str, term: CompoundTerm) -> Absent:
         pattern = self.operand(term, 1, name)

@@ -1,6 +1,6 @@
 """Windows and shapes of streams, read from terms: ``aggregate(K, Q, R, W)`` and ``P with S``."""
 
-from typing import Any, Dict, NamedTuple, Optional, Protocol, Sequence, Tuple
+from typing import Any, Dict, List, NamedTuple, Optional, Protocol, Sequence, Tuple
 
 from ...foundation import RuleError
 from ...prolog.terms import (
@@ -18,6 +18,7 @@ from ...prolog.terms import (
 )
 from ..streams import MEASURES
 from .meant import bracketed, near
+from .operators import SPELLINGS
 from .pattern import Pattern, Shaped, Windowed, WindowForm, bound_by
 
 _ABSENT, _AGGREGATE = functor("absent", 2), functor("aggregate", 4)
@@ -80,6 +81,24 @@ def is_event(term: CompoundTerm) -> bool:
     name = kind.name if kind.__class__ is Atom else kind[0].name if kind.__class__ is tuple else ""
     measured = name in MEASURES or list_items(kind) is not None
     return not measured and not (window.__class__ is tuple and window[0].name in _WINDOW_NAMES)
+
+
+def what_follows(term: CompoundTerm) -> Optional[CompoundTerm]:
+    """Return ``(P with S) op Q`` for ``P with (S op Q)``, which is how it is read without brackets; else None.
+
+    A shape is no pattern, so that what stands to the right of it can only be about all of ``P with S``.
+    """
+    path: List[CompoundTerm] = []
+    shape = deref(term[2])
+    while shape.__class__ is tuple and shape[0] in SPELLINGS:
+        path.append(shape)
+        shape = deref(shape[1])
+    if not path or shape.__class__ is not tuple or shape[0].name not in SHAPES:
+        return None
+    made: CompoundTerm = (term[0], term[1], shape)
+    for one in reversed(path):
+        made = (one[0], made, *one[2:])
+    return made
 
 
 def read_shape(reader: FormReader, term: CompoundTerm) -> Shaped:

@@ -67,6 +67,7 @@ _SHAPES: Dict[str, Callable[[int], StreamOperator]] = {
     "change": lambda span: Changing(),
 }
 _LATE = "an event came when the window that it belongs to was over, and is not measured"
+_LATE_DEBOUNCED = "an event came when the time was over in which a newer one could have come"
 _LATE_AWAITED = "an event came when the time was over in which something was not to happen after it"
 
 
@@ -83,7 +84,7 @@ def shaping(part: Shaped, names: Sequence[Var]) -> Making:
     def item(values: Values) -> Tuple[Values, Values]:
         return by(values), value(values)
 
-    return Making(lambda mode: stream_of_shape(part), item, None, False, _LATE)
+    return Making(lambda mode: stream_of_shape(part), item, None, part.shape == "debounce", _LATE_DEBOUNCED)
 
 
 def measuring(

@@ -133,6 +133,7 @@ class Settled(StreamShape):
     def __init__(self, span: int):
         super().__init__()
         self.span = span
+        self._reached = -(1 << 63)
         self.waiting: Dict[Hashable, StreamItem] = {}
         self._due: List[Tuple[int, int, StreamItem]] = []
         self._order = 0
@@ -149,6 +150,11 @@ class Settled(StreamShape):
 
     def take(self, item: StreamItem, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.take`."""
+        if now > self._reached:
+            self._reached = now
+        if item.end + self.span <= self._reached:
+            self.late += 1
+            return []
         before = self.waiting.get(item.key)
         if before is None or item.end >= before.end:
             self._order += 1
@@ -182,11 +188,11 @@ class Settled(StreamShape):
 
     def kept(self) -> KnownState:
         """See `StreamOperator.kept`."""
-        return (self._order, list(self.waiting.values()))
+        return (self._order, self._reached, list(self.waiting.values()))
 
     def restore(self, kept: KnownState) -> None:
         """See `StreamOperator.restore`."""
-        self._order, waiting = kept
+        self._order, self._reached, waiting = kept
         self.waiting, self._due = {}, []
         for item in waiting:
             item.file()
