@@ -5,7 +5,8 @@ from collections import Counter
 
 import pytest
 
-from retalis.engine import Engine
+from retalis.engine import Engine, parts_of
+from retalis.events.network import replaying
 
 RULES = {
     "last": "out(M, A) <- aggregate(list(T), t(M, T), A, last(5)).",
@@ -72,3 +73,24 @@ def test_what_is_joined_further_up_goes_with_it():
     found = standing(RULES["joined"], [("t(a,1)", 10), ("t(a,2)", 11)])
     assert found == {"out(a,1)": 1}
     assert not standing(RULES["joined"], [("t(a,1)", 10), ("rev(t(a,1))", 10)])
+
+
+def test_long_streams_are_settled_and_go_on(monkeypatch):
+    monkeypatch.setattr(replaying, "KEPT", 5)
+    events = [(f"t(a,{number})", 10 + number) for number in range(30)]
+    for name in ("last", "newest", "batch", "every", "hopping", "running"):
+        taken_back = [*events, ("rev(t(a,28))", 40)]
+        left = [event for event in events if event[0] != "t(a,28)"]
+        assert standing(RULES[name], taken_back) == standing(RULES[name], left), name
+
+
+def test_results_of_long_windows_name_no_more_than_a_hundred():
+    engine = Engine()
+    engine.load(
+        goals="set_etalis_flag(etalis_justification,on).",
+        rules=f"out(N) <- aggregate(count, t, N, last({10**6})).",
+    )
+    for number in range(300):
+        engine.event("t", number + 1)
+    known = [one for one in parts_of(engine).rules.tracker.all() if engine.show(one.term).startswith("out")]
+    assert len(known) == 300 and max(len(one.sources()) for one in known) == 100

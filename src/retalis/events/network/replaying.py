@@ -25,12 +25,15 @@ class Replay:
         self._given: List[Tuple[StreamOutput, Held]] = []
         self._new: List[StreamOutput] = []
 
-    def took(self, channel: int, item: StreamItem, now: int, stream: StreamOperator) -> None:
-        """Remember an item that was taken."""
-        self._taken.append((channel, _again(item), now))
-        if len(self._taken) >= KEPT:
+    def begin_step(self, stream: StreamOperator) -> None:
+        """Settle what has been, if it is much, before the operator takes an item or gives on what is due."""
+        if len(self._taken) >= KEPT or len(self._given) >= KEPT:
             self._base = _copied(stream.kept())
             self._taken, self._given = [], []
+
+    def took(self, channel: int, item: StreamItem, now: int) -> None:
+        """Remember an item that was taken."""
+        self._taken.append((channel, _again(item), now))
 
     def gave(self, output: StreamOutput, held: Held) -> None:
         """Remember what was given on, and what stands for it."""

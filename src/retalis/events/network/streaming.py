@@ -158,6 +158,8 @@ class Streaming(NetworkNode):
         def take(match: Optional[Match], values: Values, start: int, end: int) -> List[StreamOutput]:
             now = network.time() if clocked else 0
             stream = self.stream
+            if self.replay is not None:
+                self.replay.begin_step(stream)
             try:
                 item = StreamItem(match, start, end, *make(values))
                 outputs = stream.take(item, now, channel)
@@ -194,6 +196,8 @@ class Streaming(NetworkNode):
         self.woken = None
         if self.rule.skipping is not None:
             self.rule.skipping.wakes()
+        if self.replay is not None:
+            self.replay.begin_step(self.stream)
         outputs = self.stream.ring(instant)
         self._wake()
         came = self.rule.network.tracker.wakes() if self.stream.tracked else 0
@@ -253,7 +257,7 @@ class Streaming(NetworkNode):
     def _note(self, channel: int, item: StreamItem, now: int) -> None:
         """Remember an item, and have its events know that it is one of them."""
         assert self.replay is not None
-        self.replay.took(channel, item, now, self.stream)
+        self.replay.took(channel, item, now)
         for occurrence in known_in(item.match):
             occurrence.held.append((self, self, item.match))
 

@@ -1,12 +1,15 @@
 """The items of one group that are in a window: over which interval they lie, and what is measured of them."""
 
 from collections import deque
-from typing import Deque, Optional, Sequence, Tuple
+from typing import Deque, List, Optional, Sequence, Tuple
 
 from ...foundation import RuleError
 from .items import StreamItem, StreamOutput
 from .measures import WindowMeasure
 from .numbers import Lowest
+
+MOST_NAMED = 100
+"""How many items an output names where they are tracked: the newest, so that long windows take no more for each."""
 
 
 class WindowGroup:
@@ -75,8 +78,18 @@ class WindowGroup:
         if start is None or end is None:
             start, end = self._interval()
         members = self.members
-        items = tuple([one for one in members if not one.gone]) if with_items else (members[-1],)
+        items = self._newest() if with_items else (members[-1],)
         return StreamOutput(items, start, end, tuple(found), error)
+
+    def _newest(self) -> Tuple[StreamItem, ...]:
+        """Return the newest items, in the order in which they came."""
+        found: List[StreamItem] = []
+        for item in reversed(self.members):
+            if not item.gone:
+                found.append(item)
+                if len(found) == MOST_NAMED:
+                    break
+        return tuple(reversed(found))
 
     def _interval(self) -> Tuple[int, int]:
         if self._starts is None or self._ends is None:

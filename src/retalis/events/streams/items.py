@@ -70,7 +70,7 @@ class StreamOperator(Protocol):
     Attributes:
         next: the instant at which `ring` has something to give on; None where only items do.
         late: how many items came too late to be taken.
-        tracked: whether outputs name all the items that they are made of, else the newest only.
+        tracked: whether outputs name the items that they are made of, a hundred at most, else the newest only.
         allowed: gives the newest end that moves the time of the stream on; of later ones only the items are taken.
     """
 
