@@ -40,7 +40,8 @@ def test_the_engine_gives_what_the_loop_gives(outside, work):
 @pytest.mark.parametrize("work", ["keyed", "absence", "sliding"])
 def test_bytewax_gives_what_the_loop_gives(outside, work):
     pytest.importorskip("bytewax")
-    assert results(outside, "bytewax", work) == results(outside, "loop", work)
+    found, by_hand = results(outside, "bytewax", work), results(outside, "loop", work)
+    assert sorted(found) == sorted(by_hand)  # it has an order for each key, and none among keys
 
 
 def test_what_undoes_makes_fewer(outside):

@@ -14,12 +14,12 @@ PATIENCE = 60.0
 """Seconds after which a test gives up waiting."""
 
 
-def wait_until(condition, what):
+def wait_until(condition, what, patience=PATIENCE):
     """Wait for a condition in real time (simulated time stands still in most tests)."""
-    deadline = time.monotonic() + PATIENCE
+    deadline = time.monotonic() + patience
     while not condition():
         if time.monotonic() > deadline:
-            raise AssertionError(f"waited {PATIENCE:.0f} s in vain for {what}")
+            raise AssertionError(f"waited {patience:.0f} s in vain for {what}")
         if rospy.is_shutdown():
             raise AssertionError(f"shut down while waiting for {what}")
         time.sleep(0.01)

@@ -14,7 +14,7 @@ from std_msgs.msg import String
 HERE = Path(__file__).resolve().parent
 sys.path += [str(HERE), str(HERE.parent)]
 from fuzz.services import FIELDS, Inputs  # noqa: E402
-from harness import Collector, RawPublisher, open_the_way, service, wait_until  # noqa: E402
+from harness import PATIENCE, Collector, RawPublisher, open_the_way, service, wait_until  # noqa: E402
 
 from retalis import srv  # noqa: E402
 
@@ -121,7 +121,8 @@ class Hostile(unittest.TestCase):
         texts = RawPublisher("retalisInputEvents", self.inputs.known.find("std_msgs/String"))
         result = self.services["add_input_subscription"]("fuzz_messages", "fuzz/A").result
         self.assertEqual(result, "ok")
-        wait_until(lambda: publisher.connected() and texts.connected(), "the subscribers")
+        # One that has connected for a topic of the headers and says nothing holds up the others for a minute.
+        wait_until(lambda: publisher.connected() and texts.connected(), "the subscribers", 3 * PATIENCE)
         for number in range(self.count):
             publisher.publish(self.inputs.message(number))
             texts.publish(self.inputs.message(number))
