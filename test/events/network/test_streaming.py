@@ -4,7 +4,7 @@ import pytest
 from events.streams.feeding import entries
 
 from retalis.engine import Engine, parts_of
-from retalis.engine.runtime import StreamClock
+from retalis.engine.runtime import Clock, StreamClock
 from retalis.prolog.terms import SECOND
 
 
@@ -217,3 +217,88 @@ def test_the_clock_of_a_robot_rings_without_an_event():
     clock.move_to(2 * SECOND)
     engine.advance()
     assert engine.seen == ["a(1)@0-2"]
+
+
+def seen_of(engine):
+    found = []
+    engine.on_event(lambda term, start, end: found.append(engine.show(term)))
+    return found
+
+
+def test_what_was_held_is_there_after_a_change_of_flags():
+    engine = Engine()
+    engine.load(rules="w(S) <- aggregate(list(X), a(X), S, last(10, events)).")
+    seen = seen_of(engine)
+    for number in (1, 2, 3):
+        engine.event(f"a({number})", number)
+    engine.call("set_etalis_flag(revision_flag, on)")
+    for term in ("a(4)", "rev(a(4))"):
+        engine.event(term, 4)
+    engine.call("set_etalis_flag(event_consumption_policy, chronological)")
+    engine.event("a(5)", 5)
+    assert seen[-1] == "w([1,2,3,5])"
+
+
+def test_what_came_before_it_was_tracked_is_no_part_of_a_reason():
+    engine = Engine()
+    engine.load(rules="w(S) <- aggregate(list(X), a(X), S, last(4, events)).")
+    engine.event("a(1)", 1)
+    engine.call("set_etalis_flag(etalis_justification, on)")
+    engine.event("a(2)", 2)
+    assert engine.query("justify_event(w([1,2]), T, J)")
+
+
+def test_the_clock_goes_on_for_rules_that_are_read_again(tmp_path):
+    (tmp_path / "eventRules.txt").write_text(
+        "d(X) <- a(X) with debounce(3). l(X) <- a(X) seq absent(b, 4).\n"
+    )
+    (tmp_path / "goalPredicates.txt").write_text("compile_event_file('eventRules.txt').\n")
+    (tmp_path / "pub_sub.xml").write_text("<publish_subscribe></publish_subscribe>\n")
+    engine = Engine()
+    engine.load_program(tmp_path)
+    seen = seen_of(engine)
+    engine.event("a(1)", 1)
+    engine.event("a(2)", 2)
+    engine.reload(tmp_path)
+    engine.event("a(3)", 3)
+    engine.event("tick", 20)
+    assert seen == ["a(1)", "a(2)", "a(3)", "l(1)", "d(3)", "l(2)", "l(3)", "tick"]
+
+
+@pytest.mark.parametrize("shape", ["throttle(5)", "burst(2)", "debounce(2)"])
+def test_a_stamp_far_ahead_holds_nothing_up(shape):
+    now = [1000 * 10**9]
+    engine = Engine(Clock(lambda: now[0]))
+    engine.load(rules=f"d(X) <- a(X) with {shape}.")
+    engine.event("a(0)", 10**6)
+    seen = seen_of(engine)
+    for number in (1, 2):
+        engine.event(f"a({number})", now[0] // 10**9)
+        now[0] += 7 * 10**9
+        engine.advance()
+    assert [one for one in seen if one.startswith("d")] == ["d(1)", "d(2)"]
+
+
+@pytest.mark.parametrize(
+    "window", ["last(2, events)", "last(5)", "every(2, events)", "every(3, first)", "every(2)"]
+)
+def test_what_an_interrupt_left_half_done_is_put_right(window):
+    engine = Engine()
+    engine.load(rules=f"w(S, N, M) <- aggregate([sum(X), count, median(X)], a(X), [S, N, M], {window}).")
+    whole = Engine()
+    whole.load(rules=f"w(S, N, M) <- aggregate([sum(X), count, median(X)], a(X), [S, N, M], {window}).")
+    for number in range(1, 9):
+        for one in (engine, whole):
+            one.event(f"a({number})", number)
+        parts_of(engine).rules.mend()  # nothing was half done: it changes nothing
+    after, expected = seen_of(engine), seen_of(whole)
+    for number in range(9, 20):
+        for one in (engine, whole):
+            one.event(f"a({number})", number)
+    assert after == expected
+    for rule in parts_of(engine).rules.rules:  # counters that are wrong are counted anew
+        for node, _, _ in rule.nodes:
+            if hasattr(node, "stream"):
+                node.stream.number += 7
+    parts_of(engine).rules.mend()
+    assert parts_of(engine).rules.waiting == parts_of(whole).rules.waiting

@@ -22,6 +22,10 @@ from .operators import SPELLINGS
 from .pattern import Pattern, Shaped, Windowed, WindowForm, bound_by
 
 _ABSENT, _AGGREGATE = functor("absent", 2), functor("aggregate", 4)
+SHORTEST = 1_000_000
+"""The shortest time between two results of a window, in ns."""
+MOST_WINDOWS = 10_000
+"""In how many windows of ``last(N, every(M))`` an event may be."""
 MOST_ITEMS = 1_000_000
 """How many events a window of a number of events takes at most."""
 
@@ -208,13 +212,21 @@ def _window(reader: FormReader, form: Any, term: CompoundTerm) -> WindowForm:
         return WindowForm("newest" if name == "last" else "batch", most=most)
     elif len(form) == 2:
         span = _seconds(reader, name, form, 1)
-        return WindowForm(name, span, span)
+        return WindowForm(name, span, span) if name == "last" else _hopping(reader, form, span, span)
     elif name == "every" and word == "first":
         span = _seconds(reader, name, form, 1)
         return WindowForm("first", span, span)
     elif name == "last" and second.__class__ is tuple and second[0].name == "every" and len(second) == 2:
-        return WindowForm("every", _seconds(reader, name, form, 1), _seconds(reader, "every", second, 1))
+        return _hopping(reader, form, _seconds(reader, name, form, 1), _seconds(reader, "every", second, 1))
     raise reader.error(f"a window is {_WINDOWS}", *((form,) if form.__class__ is tuple else (term, 4)))
+
+
+def _hopping(reader: FormReader, form: CompoundTerm, span: int, step: int) -> WindowForm:
+    """Return windows that the clock ends, one after the other; one event can make it end so many of them."""
+    if step < SHORTEST or span > MOST_WINDOWS * step:
+        message = f"every needs 0.001 seconds at least, and last no more than {MOST_WINDOWS} times those of its every"
+        raise reader.error(message, form)
+    return WindowForm("every", span, step)
 
 
 def _seconds(reader: FormReader, name: str, term: CompoundTerm, number: int) -> int:

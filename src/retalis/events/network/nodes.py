@@ -51,6 +51,9 @@ class NetworkNode:
     def clear(self) -> None:
         """Forget what the node itself knows of the past."""
 
+    def mend(self) -> None:
+        """Put right what an interrupt may have left half done in the node itself."""
+
     def held(self) -> int:
         """Return how many matches are held in the node itself, beside those that wait in buffers."""
         return 0

@@ -16,11 +16,12 @@ class Replay:
 
     Args:
         begin: makes the operator anew.
+        known: what it knows already; that is settled.
     """
 
-    def __init__(self, begin: Callable[[], StreamOperator]):
+    def __init__(self, begin: Callable[[], StreamOperator], known: KnownState = ()):
         self._begin = begin
-        self._base: KnownState = ()
+        self._base: KnownState = _copied(known)
         self._taken: List[Tuple[int, StreamItem, int]] = []
         self._given: List[Tuple[StreamOutput, Held]] = []
         self._new: List[StreamOutput] = []

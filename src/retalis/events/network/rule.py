@@ -170,6 +170,8 @@ class Rule:
         self.waiting = len(waiting)
         self.arrivals = deque(waiting)
         self._resettle()
+        for node, _, _ in self.nodes:
+            node.mend()
 
     def _resettle(self) -> None:
         """File what waits already under the bounds that hold now."""

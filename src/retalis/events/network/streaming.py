@@ -127,11 +127,22 @@ class Streaming(NetworkNode):
         """Give matches on to ``out``, and run by a mode; what is held stays."""
         self.out = out
         if mode != self._began:
-            kept = self.stream.kept()
-            self.stream = self._begin(mode)
-            self.stream.restore(kept)
             self._began = mode
-            self.replay = Replay(lambda: self._begin(mode)) if mode.revised else None
+            self._rebuild()
+            self.replay = Replay(lambda: self._begin(mode), self.stream.kept()) if mode.revised else None
+        self.woken = None
+        self._wake()
+
+    def _rebuild(self) -> None:
+        """Have a new operator know what the one knew: in another mode, or after an interrupt."""
+        kept = self.stream.kept()
+        self.stream = self._begin(self._began or NetworkOptions())
+        self.stream.restore(kept)
+        self.stream.late = self.late
+
+    def mend(self) -> None:
+        """Put right what an interrupt may have left half done: what is held is counted and filed anew."""
+        self._rebuild()
         self.woken = None
         self._wake()
 
@@ -245,7 +256,9 @@ class Streaming(NetworkNode):
 
     def _held(self, output: StreamOutput, came: int) -> Tuple[Held, ...]:
         """Return what stands for an output where events are tracked, and knows what it is made of."""
-        parts = tuple([item.match for item in output.items])
+        parts = tuple(
+            [item.match for item in output.items if item.match is not None]
+        )  # else it came untracked
         held = Held(Match((), output.start, output.end, None, None, parts), NOTHING_HELD)
         held.number = max(held.number, came)
         if self.replay is not None:

@@ -83,12 +83,13 @@ class Deadlines:
         try:
             if heap and heap[0][0] <= instant:
                 at, *_, node = heapq.heappop(heap)
-                machine = self._rules.logic.machine
-                self._rules.dispatcher.apart(lambda: machine.run(node.ring(at, machine.done)))
+                node.woken = None
+                if node.rule.active:  # else it is woken anew where its rule is connected again
+                    machine = self._rules.logic.machine
+                    self._rules.dispatcher.apart(lambda: machine.run(node.ring(at, machine.done)))
         finally:
             self._arm()
 
 
 def _is_wanted(entry: _Deadline) -> bool:
-    node = entry[-1]
-    return node.woken == entry[0] and node.rule.active
+    return entry[-1].woken == entry[0]

@@ -222,6 +222,7 @@ class Rules:
         self._table.mend()
         self.flags.mend()
         chosen = set(self.tracker.listeners)
+        self.deadlines.clear()  # each node asks anew
         for rule in self.rules:
             rule.mend()
             if not rule.sound:

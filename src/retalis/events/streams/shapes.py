@@ -15,14 +15,20 @@ class StreamShape:
         self.late = 0
         self.tracked = False
         self.allowed: Callable[[], int] = lambda: 1 << 64
-        self.clock = -(1 << 63)
+        self.clock = self._until = -(1 << 63)
 
     def ring(self, instant: int) -> List[StreamOutput]:
         """See `StreamOperator.ring`."""
         return []
 
+    def _is_ahead(self, end: int) -> bool:
+        """Tell whether an end is further in the future than stamps may be: others do not wait for its time."""
+        if end > self._until:
+            self._until = self.allowed()  # which rises: it is asked where it may matter
+        return end > self._until
+
     def _move_on(self, end: int) -> None:
-        if self.clock < end <= self.allowed():
+        if self.clock < end and not self._is_ahead(end):
             self.clock = end
 
 
@@ -56,6 +62,8 @@ class Spaced(StreamShape):
 
     def take(self, item: StreamItem, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.take`."""
+        if self._is_ahead(item.end):
+            return [StreamOutput((item,), item.start, item.end)]
         self._move_on(item.end)
         self._forget()
         before = self.last.get(item.key)
@@ -152,7 +160,7 @@ class Settled(StreamShape):
         """See `StreamOperator.take`."""
         if now > self._reached:
             self._reached = now
-        if item.end + self.span <= self._reached:
+        if item.end + self.span <= self._reached or self._is_ahead(item.end):
             self.late += 1
             return []
         before = self.waiting.get(item.key)

@@ -224,6 +224,11 @@ class FromFirst(Window):
     def take(self, item: StreamItem, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.take`."""
         group: Optional[WindowGroup] = self._group_of(item)
+        if item.end > self._until:
+            self._until = self.allowed()
+        if item.end > self._until:  # nothing else may wait for its time
+            self.late += 1
+            return []
         self._move_on(item.end)
         outputs = self._close(self.clock)
         group = self.groups.get(item.key)
