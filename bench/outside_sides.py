@@ -22,12 +22,13 @@ RULES = {
 
 
 def rules(work: str, events: List[StreamEvent], emit: Emit) -> Run:
-    """The engine, with one rule. It gets terms."""
+    """The engine, with one rule. It gets terms, and its clock stands at the last of them: none is of the future."""
     from retalis.engine import Engine, parts_of
+    from retalis.engine.runtime import StreamClock
     from retalis.events.dispatch import Stage
     from retalis.prolog.terms import Var, functor
 
-    engine = Engine()
+    engine = Engine(StreamClock(events[-1][2]))
     engine.load(rules=RULES[work])
     parts = parts_of(engine)
     parts.rules.cap = 10**8
@@ -38,7 +39,7 @@ def rules(work: str, events: List[StreamEvent], emit: Emit) -> Run:
 
     size = RULES[work].partition(")")[0].count(",") + 1
     result = functor("out", size)(*(Var() for _ in range(size)))
-    parts.dispatcher.listen(Stage.SUBSCRIPTIONS, result, heard)
+    parts.dispatcher.listen(Stage.SUBSCRIPTIONS, result, heard, looks_on=True)  # as a plain subscription
     if work == "sliding":
         x = functor("x", 2)
         ready = [(x(key, value), time) for key, value, time in events]

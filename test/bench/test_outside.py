@@ -24,9 +24,9 @@ def outside(monkeypatch):
         sys.modules.pop(name, None)
 
 
-def results(outside, side, work):
+def results(outside, side, work, number=EVENTS):
     found = []
-    outside.SIDES[side](work, outside.STREAMS[work](EVENTS), lambda *values: found.append(values))()
+    outside.SIDES[side](work, outside.STREAMS[work](number), lambda *values: found.append(values))()
     return found
 
 
@@ -35,6 +35,12 @@ def test_the_engine_gives_what_the_loop_gives(outside, work):
     by_hand = results(outside, "loop", work)
     assert len(by_hand) > 200
     assert results(outside, "retalis", work) == by_hand
+
+
+def test_events_leave_the_window_of_the_engine(outside):
+    found = results(outside, "retalis", "sliding", 10_500)
+    assert found == results(outside, "loop", "sliding", 10_500)
+    assert max(number for _, number, _ in found) < 150
 
 
 @pytest.mark.parametrize("work", ["keyed", "absence", "sliding"])
