@@ -72,7 +72,9 @@ class EngineCore:
         self._files = self._rules.files
         self._files.door.allow(settings.folders, settings.write_folders)
         self._files.door.most = settings.max_file_megabytes * MEGABYTE
-        self._knowledge = Knowledge(self._logic, self._dispatcher, self.clock, self._deliver, reports.warning)
+        self._knowledge = Knowledge(
+            self._logic, self._dispatcher, self.clock, self._deliver, reports.warning, self._rules
+        )
         self._rules.flags.followers["max_gap"] = self._knowledge.gaps.limit
         if settings.max_gap is not None:
             self._rules.flags.set_default("max_gap", settings.max_gap)

@@ -192,8 +192,10 @@ def _subscriptions(
 
     def told(item: Any) -> SubscriptionStatus:
         (topic, _), one = item
+        pattern, rate = one.definition[1], one.rate
+        late, dropped = (0, 0) if rate is None else (rate.late, rate.dropped)
         return SubscriptionStatus(
-            beginning(topic), show(one.id), text(one.listener.pattern, None), one.tally.sent
+            beginning(topic), show(one.id), text(pattern, None), one.tally.sent, late, dropped
         )
 
     return _some(knowledge.subscriptions.items(), told, most)

@@ -105,19 +105,23 @@ class SubscriptionStatus(NamedTuple):
     >>> engine.load(goals="subscribe(fire(_), [], _, alarms, a)")
     >>> engine.event("fire(hall)", 1)
     >>> engine.status().subscriptions[0]
-    SubscriptionStatus(topic='alarms', id='a', event='fire(_)', sent=1)
+    SubscriptionStatus(topic='alarms', id='a', event='fire(_)', sent=1, late=0, dropped=0)
 
     Attributes:
         topic: where its events go.
         id: its id.
         event: their pattern.
         sent: how many have gone.
+        late: how many came too late for its shape, ``P with S``, to look at.
+        dropped: how many events or keys its shape had to forget because there were too many.
     """
 
     topic: str
     id: str
     event: str
     sent: int
+    late: int
+    dropped: int
 
 
 class AwaitedMemory(NamedTuple):

@@ -5,6 +5,7 @@ from typing import Any, Callable, Dict, List, NamedTuple, Tuple
 import rospy
 
 from ..engine import Engine
+from ..events.language import subscribed_event
 from ..foundation import RetalisError, SyntaxFault, UsageError, beginning, printable
 from ..messages import Definitions, Installed
 from ..prolog.syntax import Operators, ReadFlags, read_term
@@ -85,7 +86,8 @@ class EngineServices:
             fields = self._fields(request)
             self._engine.add_subscription(fields.event, fields.conditions, fields.form, topic, key)
             self._warn_of_free("subscribe", request.id, fields)
-            self._warn_of_silence("subscribe", request.id, fields)
+            taken = fields._replace(event=subscribed_event(fields.event))
+            self._warn_of_silence("subscribe", request.id, taken)
             self._text_only.look(request.topic.strip())
 
         return answer(lambda: self._engine.do(work))

@@ -60,3 +60,10 @@ def test_states_take_events_and_make_one():
         "state docked(_): nothing makes undock/1: no topic, rule or goal; did you mean dock/1?"
     ]
     assert said_of(never_taken, rules) == []
+
+
+def test_a_subscription_with_a_shape_takes_the_events_below_it():
+    goal = "subscribe({} with throttle(2), [], _, t, 1)"
+    assert said_of(never_taken, f":- {goal.format('noted')}.\nnoted <- std_msgs__0__String(_).") == []
+    (said,) = said_of(never_made, f":- {goal.format('notde')}.\nnoted <- std_msgs__0__String(_).")
+    assert said.endswith("nothing makes notde/0: no topic, rule or goal; did you mean noted/0?")

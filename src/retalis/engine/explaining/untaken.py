@@ -5,6 +5,7 @@ from typing import Any, Callable, Iterator, List, Optional, Sequence, Tuple
 
 from ...events.history import Occurrence
 from ...events.knowledge import Subscription, SubscriptionKey
+from ...events.language import subscribed_event
 from ...foundation import RetalisError, look
 from ...prolog.logic import Logic
 from ...prolog.terms import Term, Trail, copy, deref, functor, list_items, undo, unify
@@ -68,7 +69,9 @@ class Untaken:
 
     def _definitions(self) -> Iterator[Tuple[str, Any]]:
         for (topic, _), one in self._all:
-            yield f"subscription {self._show(one.id)} of topic {topic}", copy(one.definition)
+            made: Any = copy(one.definition)
+            event = subscribed_event(made[1])
+            yield f"subscription {self._show(one.id)} of topic {topic}", (made[0], event, *made[2:])
 
     def _why_not(self, definition: Any, event: Term) -> str:
         """Return why a subscription does not take an event, "" where it does."""

@@ -64,6 +64,7 @@ def keep_matches(
         "order": order,
         "waiting": [graph.write(one) for one in waiting],
         "held": [graph.write(one) for one in knowledge.states.kept()],
+        "rates": [graph.write(one) for one in knowledge.subscriptions.kept()],
         "timeouts": queries.timeouts.kept(),
         "timers": (rules.timers.kept(), rules.timers.left_out),
         "stored": rules.store.stored(),
@@ -109,5 +110,6 @@ def restore_matches(
         clock.put_back(instant, order, alarm)
     rules.timers.restore(*data["timers"])
     knowledge.states.restore([graph.read(one) for one in data["held"]])
+    knowledge.subscriptions.restore_rates([graph.read(one) for one in data["rates"]])
     rules.store.restore(data["stored"])
     rules.serial, rules.fired_before, rules.revs_of_nothing = data["counts"]

@@ -89,4 +89,5 @@ def events_of_goals(one: WrittenTerm) -> List[EventTerm]:
 
 def event_of_kept(kept: Kept) -> EventTerm:
     """Return the events that a memory or subscription takes."""
-    return EventTerm(kept.pattern, kept.term, 1)
+    event = kept.event
+    return EventTerm(event.term, event.parent, event.number)

@@ -49,8 +49,9 @@ def numerals(program: Overview) -> Iterator[RuleError]:
         whole = Inner(None, held(rule.definition.term), 1, rule.spot)
         yield from _compared(program, parts, whole, {**program.names, **rule.definition.names}, own)
     for kept in (*program.memories, *program.subscriptions):
-        part = Inner(kept.pattern, kept.term, 1, kept.spot)
-        for error in _compared(program, [part], Inner(None, kept.term, 2, kept.spot), program.names, own):
+        for error in _compared(
+            program, [kept.event], Inner(None, kept.term, 2, kept.spot), program.names, own
+        ):
             yield RuleError(f"{kept.who}{error.message}", error.place)
 
 

@@ -9,7 +9,18 @@ from ...prolog.logic import Logic
 from ...prolog.syntax import ReadTerm
 from ...prolog.terms import CompoundTerm, Term, Var, deref, functor, term_key
 from ..knowledge import Knowledge
-from ..language import SPELLINGS, Occurs, Spot, StateForm, calls, declares_state, own_terms, state_form, walk
+from ..language import (
+    SPELLINGS,
+    Occurs,
+    Spot,
+    StateForm,
+    calls,
+    declares_state,
+    own_terms,
+    state_form,
+    subscribed_event,
+    walk,
+)
 from ..program import Topics, TopicType
 from ..rules import Rules
 from .written import Inner, Written, WrittenRule, WrittenTerm, clause_at, everywhere, held, inners, read_again
@@ -34,7 +45,15 @@ class Kept(NamedTuple):
     @property
     def pattern(self) -> Term:
         """The events that it takes."""
-        return deref(self.term[1])
+        found: Term = self.event.term
+        return found
+
+    @property
+    def event(self) -> Inner:
+        """The same in its place, which may be within ``P with S``."""
+        whole = deref(self.term[1])
+        event = subscribed_event(whole) if self.term[0] is SUBSCRIBE else whole
+        return Inner(event, self.term if event is whole else _compound(whole), 1, self.spot)
 
     @property
     def form(self) -> Term:
@@ -136,7 +155,7 @@ class Overview:
                 if isinstance(node, Occurs):
                     yield _found(own, deref(node.term), rule.spot), ""
         for kept in (*self.memories, *self.subscriptions):
-            yield Inner(kept.pattern, kept.term, 1, kept.spot), kept.who
+            yield kept.event, kept.who
         for form, spot, who in self.states:
             for part in map(deref, _compound(form.term)[2:4]):
                 parent = _compound(part)

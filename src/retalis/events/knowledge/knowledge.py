@@ -8,11 +8,13 @@ from ...prolog.logic import Logic
 from ...prolog.machine import Frame, Machine, instantiation_error, type_error
 from ...prolog.terms import Atom, Term, Var, deref, functor
 from ..dispatch import Dispatcher
+from ..language import subscribed_event
 from .conditions import Behind
 from .declaring import States
 from .gaps import Gaps
 from .matching import define_matching
 from .memories import CREATED, DELETED, Memories, define_read_access, enumerate_records
+from .rates import RateClock
 from .recorder import UPDATED, Instance
 from .recording import Warn, key_of
 from .subscriptions import Deliver, Subscriptions
@@ -44,6 +46,7 @@ class Knowledge:
         clock: stamps events of the clock, and rings when queries have waited long enough.
         deliver: takes what a subscription lets through.
         warn: takes a warning as text.
+        rules: of the program, which ring for subscriptions that send later.
     """
 
     def __init__(
@@ -53,6 +56,7 @@ class Knowledge:
         clock: AlarmClock,
         deliver: Deliver,
         warn: Warn,
+        rules: RateClock,
     ):
         self._logic = logic
         self._warn = warn
@@ -62,7 +66,7 @@ class Knowledge:
         self.gaps = Gaps(logic.brief, warn)
         self.memories.on_create = self.gaps.watch
         self.waiting = WaitingQueries(logic, dispatcher, self.memories, warn, clock)
-        self.subscriptions = Subscriptions(logic, dispatcher, deliver, warn)
+        self.subscriptions = Subscriptions(logic, dispatcher, deliver, warn, rules)
         self.states = States(logic, dispatcher, clock, warn)
         self.states.on_event = lambda event: self.on_pattern(event)
         self._define()
@@ -72,6 +76,7 @@ class Knowledge:
         self.memories.clear()
         self.gaps.clear()
         self.waiting.clear()
+        self.subscriptions.clear()
         self.states.clear()
 
     def mend(self) -> None:
@@ -150,7 +155,7 @@ class Knowledge:
             return after
 
     def _subscribe(self, machine: Machine, *arguments: Term) -> bool:
-        self.on_pattern(arguments[0])
+        self.on_pattern(subscribed_event(arguments[0]))
         self.subscriptions.create((SUBSCRIBE, *arguments))
         self.on_conditions(arguments[1], f"subscription {self._logic.brief(arguments[4])}")
         return True

@@ -1,6 +1,6 @@
 """What memories and subscriptions share: from an event that matches to what is kept or sent of it."""
 
-from typing import Callable, Hashable, List, Optional, Set, Tuple
+from typing import Callable, Hashable, List, Optional, Sequence, Set, Tuple
 
 from ...prolog.logic import Logic
 from ...prolog.machine import PrologError, instantiation_error, keep_back, type_error
@@ -45,11 +45,11 @@ def is_whole(pattern: Term, conditions: Term, form: Term) -> bool:
     return form.__class__ is Var and form not in variables((COMMA, pattern, conditions))
 
 
-def unused_variables(pattern: Term, conditions: Term, form: Term) -> Set[Var]:
+def unused_variables(pattern: Term, conditions: Term, form: Term, others: Sequence[Term] = ()) -> Set[Var]:
     """Return the variables of a pattern whose values go nowhere: none where the event itself is kept or sent."""
     if form.__class__ is Var:
         return set()
-    return set(variables(pattern)).difference(variables(conditions), variables(form))
+    return set(variables(pattern)).difference(variables((COMMA, conditions, form, *others)))
 
 
 def recording(

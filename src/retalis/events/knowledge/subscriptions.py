@@ -1,12 +1,28 @@
 """Subscriptions: which events go out, in which form, to which topic."""
 
-from typing import Any, Callable, Dict, Hashable, Iterable, Iterator, List, NamedTuple, Sequence, Tuple
+from itertools import count
+from typing import (
+    Any,
+    Callable,
+    Dict,
+    Hashable,
+    Iterable,
+    Iterator,
+    List,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Tuple,
+)
 
+from ...foundation import UsageError
 from ...prolog.logic import Logic
-from ...prolog.machine import Frame, permission_error
-from ...prolog.terms import MINUS, Atom, Term, Values, copy, deref, term_key
-from ..dispatch import Dispatcher, Listener, Stage
-from .recording import Warn, itself, key_of, recording, unused_variables
+from ...prolog.machine import Frame, domain_error, permission_error
+from ...prolog.terms import MINUS, Atom, Term, Values, Var, copy, deref, term_key, variables
+from ..dispatch import Dispatcher, EventAction, Listener, Stage
+from ..language import Shaped, subscribed_event, subscribed_shape
+from .rates import KeptRate, RateClock, SubscriptionRate, looked_at
+from .recording import Recording, Warn, itself, key_of, recording, unused_variables
 
 Deliver = Callable[[Term, str, Term], None]
 
@@ -25,12 +41,16 @@ class Tally:
 
 
 class Subscription(NamedTuple):
-    """What listens for a subscription, its id as it was given, what it has sent, and what it was made of."""
+    """What listens for a subscription, its id as it was given, what it has sent, and what it was made of.
+
+    Where it has a shape, ``rate`` lets some of its events through only.
+    """
 
     listener: Listener
     id: Term
     tally: Tally
     definition: Term
+    rate: Optional[SubscriptionRate] = None
 
     @property
     def key(self) -> Hashable:
@@ -45,14 +65,19 @@ class Subscriptions:
         logic: where conditions are compiled.
         dispatcher: whose events are delivered.
         deliver: called with the term, the topic as text and the id of the subscription.
-        problem: takes a report about a condition that raised an error.
+        problem: takes a report about a condition that raised an error, and warnings.
+        clock: rings for those that send later.
     """
 
-    def __init__(self, logic: Logic, dispatcher: Dispatcher, deliver: Deliver, problem: Warn):
+    def __init__(
+        self, logic: Logic, dispatcher: Dispatcher, deliver: Deliver, problem: Warn, clock: RateClock
+    ):
         self._logic = logic
         self._dispatcher = dispatcher
         self._deliver = deliver
         self._problem = problem
+        self._clock = clock
+        self._places = count()
         self._all: Dict[Key, Subscription] = {}
         self._aside: Dict[Key, Subscription] = {}
 
@@ -74,51 +99,80 @@ class Subscriptions:
             PrologError: for a taken key or arguments that are not a subscription.
         """
         copied: Any = copy(definition)
-        pattern, conditions, form, topic, name = (deref(part) for part in copied[1:])
+        whole, conditions, form, topic, name = (deref(part) for part in copied[1:])
+        try:
+            part = subscribed_shape(whole)
+        except UsageError as error:
+            raise domain_error("subscription", whole, error.message) from None
+        pattern = subscribed_event(whole)
         topic_text = self._topic(topic)
         key = (topic_text, key_of(name))
         if key in self._all:
             raise permission_error("create", "subscription", (MINUS, topic, name), "one already exists")
-        shape, _ = recording(
-            self._logic,
-            self._dispatcher,
-            pattern,
-            conditions,
-            form,
-            f"subscription {self._logic.brief(name)}",
-            self._problem,
-        )
+        who = f"subscription {self._logic.brief(name)}"
+        shape, _ = recording(self._logic, self._dispatcher, pattern, conditions, form, who, self._problem)
         before = self._aside.get(key)
-        tally = before.tally if before is not None and before.key == term_key(copied) else Tally()
-        deliver = self._deliver
-        ground = self._dispatcher.ground
-
-        def send(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
-            tally.sent += 1
-            deliver(term, topic_text, name)
-            return after
-
-        def action(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
-            shaped = shape(term, values, ground())
-            if shaped is not None:
-                tally.sent += 1
-                deliver(shaped, topic_text, name)
-            return after
-
+        known = before if before is not None and before.key == term_key(copied) else None
+        tally = Tally() if known is None else known.tally
+        rate = None if part is None else self._rate(part, variables(pattern), who, known)
         listener = self._dispatcher.listen(
             Stage.SUBSCRIPTIONS,
             pattern,
-            send if shape is itself else action,
+            self._action(shape, tally, topic_text, name, rate),
             looks_on=shape is itself,
-            unused=unused_variables(pattern, conditions, form),
+            unused=unused_variables(pattern, conditions, form, () if part is None else looked_at(part)),
         )
-        self._all[key] = Subscription(listener, name, tally, copied)
+        self._all[key] = Subscription(listener, name, tally, copied, rate)
+
+    def _action(
+        self, shape: Recording, tally: Tally, topic: str, name: Term, rate: Optional[SubscriptionRate]
+    ) -> EventAction:
+        """Return what takes the events of a subscription."""
+        deliver, ground = self._deliver, self._dispatcher.ground
+
+        def send(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+            tally.sent += 1
+            deliver(term, topic, name)
+            return after
+
+        def send_shaped(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+            shaped = shape(term, values, ground())
+            if shaped is not None:
+                tally.sent += 1
+                deliver(shaped, topic, name)
+            return after
+
+        if rate is None:
+            return send if shape is itself else send_shaped
+        take = rate.take
+
+        def send_one(made: Term) -> None:
+            tally.sent += 1
+            deliver(made, topic, name)
+
+        def let_through(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+            shaped = shape(term, values, ground())
+            if shaped is not None:
+                take(shaped, values, start, end)
+            return after
+
+        rate.send = send_one
+        return let_through
+
+    def _rate(
+        self, part: Shaped, names: Sequence[Var], who: str, known: Optional[Subscription]
+    ) -> SubscriptionRate:
+        """Return what lets some events through only; it goes on where the same subscription was there before."""
+        rate = SubscriptionRate(part, names, who, self._clock, self._problem, next(self._places))
+        if known is not None and known.rate is not None:
+            rate.restore(known.rate.kept())
+        return rate
 
     def set_aside(self, keys: Iterable[Key]) -> None:
         """Take subscriptions out; those that are made again as they were go on counting what they have sent."""
         for key in keys:
             found = self._aside[key] = self._all.pop(key)
-            self._dispatcher.remove(found.listener)
+            self._end(found)
 
     def forget_aside(self) -> None:
         """Forget what was set aside."""
@@ -133,8 +187,10 @@ class Subscriptions:
         self.forget_aside()
 
     def mend(self) -> None:
-        """Have nothing delivered that no subscription asks for, which an interrupt may leave."""
+        """Have nothing delivered that no subscription asks for, which an interrupt may leave, and rates ring."""
         self._dispatcher.keep_only(Stage.SUBSCRIPTIONS, {one.listener for one in self._all.values()})
+        for rate in self._rates():
+            rate.mend()
 
     def has(self, topic: Term, name: Term) -> bool:
         """Tell whether there is a subscription of this topic and id."""
@@ -145,8 +201,31 @@ class Subscriptions:
         found = self._all.pop((self._topic(topic), key_of(name)), None)
         if found is None:
             return False
-        self._dispatcher.remove(found.listener)
+        self._end(found)
         return True
+
+    def _end(self, one: Subscription) -> None:
+        self._dispatcher.remove(one.listener)
+        if one.rate is not None:
+            one.rate.stop()
+
+    def clear(self) -> None:
+        """Have shapes forget what has come: time went back, or the program asks for it."""
+        for rate in self._rates():
+            rate.clear()
+
+    def kept(self) -> List[Optional[KeptRate]]:
+        """Return what the shape of each subscription knows, None where it has none; see `restore_rates`."""
+        return [None if one.rate is None else one.rate.kept() for one in self._all.values()]
+
+    def restore_rates(self, kept: Sequence[Optional[KeptRate]]) -> None:
+        """Have shapes know what those of others did that are made alike."""
+        for one, known in zip(self._all.values(), kept):
+            if one.rate is not None and known is not None:
+                one.rate.restore(known)
+
+    def _rates(self) -> List[SubscriptionRate]:
+        return [one.rate for one in self._all.values() if one.rate is not None]
 
     def _topic(self, topic: Term) -> str:
         """Return a topic as text; ``robot/marker1`` reads as a division, but is meant as a name."""

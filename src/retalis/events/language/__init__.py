@@ -51,6 +51,7 @@ from .reading import EventTerm, PatternReader, Spot
 from .schedules import TIMER, Schedule, schedule_fault, schedule_of, sets_timer
 from .stateforms import HOLDS, STATE, StateForm, asked_state, declares_state, state_form
 from .streaming import shape_term, window_term
+from .subscribed import subscribed_event, subscribed_shape
 from .valuekinds import ValueKind, slot_kind
 
 __all__ = [
@@ -121,6 +122,8 @@ __all__ = [
     "state_form",
     "StateForm",
     "STRICTLY",
+    "subscribed_event",
+    "subscribed_shape",
     "surely_bound_by",
     "SYNCHRONIZED",
     "TIMER",

@@ -4,7 +4,7 @@ from .nodes import NetworkNode
 from .owners import Network, RuleOwner, UnderWay, Woken
 from .rule import Rule
 from .rulestate import RuleState
-from .streambuilding import stream_of_shape
+from .streambuilding import shaping, stream_of_shape
 
 __all__ = [
     "Network",
@@ -12,6 +12,7 @@ __all__ = [
     "RuleOwner",
     "Rule",
     "RuleState",
+    "shaping",
     "stream_of_shape",
     "UnderWay",
     "Woken",

@@ -39,20 +39,34 @@ class Buffer(Protocol):
         """Put right what an interrupt may have left half done; return what waits, oldest first."""
 
 
+class Wakeful(Protocol):
+    """What nodes that the clock wakes belong to: a rule, or what stands beside rules.
+
+    Attributes:
+        serial: its place among them: lower ones are served first.
+    """
+
+    serial: int
+
+    @property
+    def active(self) -> bool:
+        """Whether it takes events."""
+
+
 class Woken(Protocol):
     """A node that the clock wakes.
 
     Attributes:
         woken: the instant at which it is to be woken.
-        place: its place among the nodes of the rule.
+        place: its place among the nodes of the same.
     """
 
     woken: Optional[int]
     place: int
 
     @property
-    def rule(self) -> "RuleOwner":
-        """The rule it belongs to."""
+    def rule(self) -> "Wakeful":
+        """What it belongs to."""
 
     def ring(self, instant: int, after: Frame, /) -> Frame:
         """Return the frame that does what is due, and goes on with ``after``."""
