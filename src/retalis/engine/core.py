@@ -75,6 +75,7 @@ class EngineCore:
         self._knowledge = Knowledge(
             self._logic, self._dispatcher, self.clock, self._deliver, reports.warning, self._rules
         )
+        self._rules.on_reset = self._knowledge.reset
         self._rules.flags.followers["max_gap"] = self._knowledge.gaps.limit
         if settings.max_gap is not None:
             self._rules.flags.set_default("max_gap", settings.max_gap)

@@ -129,8 +129,15 @@ def test_what_comes_too_late_or_is_too_much_is_counted_and_said():
     assert "with debounce(2" in one.event
 
 
-def test_a_clock_that_goes_back_has_them_forget():
+def test_a_clock_that_goes_back_and_a_program_that_resets_have_them_forget():
     goal = "subscribe(a(X) with throttle(100), [], _, t, 1)\nsubscribe(a(X) with debounce(2), [], _, t, 2)"
+    for reset in ("reset_db", "reset_etalis_state"):
+        engine = Watched(goals=goal)
+        engine.event("a(1)", 1)
+        engine.call(reset)
+        engine.event("b", 9)
+        engine.event("a(2)", 10)
+        assert [(term, name) for term, _, name in engine.outputs] == [("a(1)", "1"), ("a(2)", "1")]
     now = [1000 * SECOND]
     engine = Engine(Clock(lambda: now[0]))
     engine.load(goals=goal)

@@ -384,3 +384,23 @@ def test_nothing_is_said_of_a_program_that_is_right(caplog):
     with caplog.at_level(logging.WARNING):
         run()
     assert caplog.records == []
+
+
+@pytest.mark.parametrize(
+    ("goal", "known"),
+    [("reset_db", True), ("call_gc", True), ("reset_etalis_state", False), ("reset_etalis", False)],
+)
+def test_a_program_that_resets_has_nothing_hold(goal, known):
+    engine = Engine()
+    engine.load(rules=":- state(on(X), from(a(X)), until(b(X)), [within(5)]).")
+    seen = []
+    engine.on_event(lambda term, start, end: seen.append(engine.show(term)))
+    for text, at in (("a(1)", 1), ("b(1)", 2), ("a(2)", 3)):
+        engine.event(text, at)
+    assert engine.call("holds(on(2)), holds_at(on(1), datime(1970,1,1,0,0,2,0))")
+    assert engine.call(goal)
+    assert not engine.call("holds(_)")
+    assert engine.call("holds_at(on(1), datime(1970,1,1,0,0,2,0))") is known
+    for text, at in (("b(2)", 4), ("a(3)", 5), ("tick", 20)):
+        engine.event(text, at)
+    assert seen == ["a(1)", "b(1)", "on(1)", "a(2)", "b(2)", "a(3)", "on(3)", "tick"]

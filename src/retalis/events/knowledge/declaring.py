@@ -123,6 +123,11 @@ class States:
         for one in self._all.values():
             one.clear()
 
+    def close(self, past: bool) -> None:
+        """Forget what holds, and which are over where that is asked for; no event tells of it."""
+        for one in self._all.values():
+            one.close(past)
+
     def standing(self) -> Dict[Hashable, DeclaredState]:
         """Return all by their keys."""
         return dict(self._all)

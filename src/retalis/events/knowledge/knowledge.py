@@ -79,6 +79,15 @@ class Knowledge:
         self.subscriptions.clear()
         self.states.clear()
 
+    def reset(self, past: bool) -> None:
+        """Forget what began and is not over, as rules forget partial matches.
+
+        Args:
+            past: forget which states are over, too.
+        """
+        self.subscriptions.clear()
+        self.states.close(past)
+
     def mend(self) -> None:
         """Put right what an interrupt may have left half done."""
         self.memories.mend()

@@ -247,10 +247,15 @@ class DeclaredState:
 
     def clear(self) -> None:
         """Forget what held: time went back, or the declaration is gone."""
+        self.close(True)
+
+    def close(self, past: bool) -> None:
+        """Forget what holds, and with ``past`` what is over."""
         for found in (self.open, self._by_shared, self._by_order):
             found.clear()
-        self.past.clear()
         self._timeouts.clear()
+        if past:
+            self.past.clear()
 
     def mend(self) -> None:
         """Find all that is open in all ways, after an interrupt."""

@@ -108,11 +108,13 @@ class _RuleGoals:
     def reset_db(self, machine: Machine) -> bool:
         for rule in self.rules.rules:
             rule.clear_matches()
+        self.rules.on_reset(False)
         return True
 
     def reset_state(self, machine: Machine) -> bool:
         for rule in self.rules.rules:
             rule.clear()
+        self.rules.on_reset(True)
         self.rules.store.clear()
         self.rules.tracker.clear()
         return True

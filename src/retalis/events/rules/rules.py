@@ -45,6 +45,7 @@ class Rules:
 
     Attributes:
         on_error: called with each error of a rule or goal while events flow.
+        on_reset: called where a goal has partial matches dropped, and with True what is kept of past events.
         on_warning: called with each warning.
         warn_singletons: whether variables that stand in a clause only once are worth a warning.
         flags: the flags of ``set_etalis_flag/2``.
@@ -70,6 +71,7 @@ class Rules:
         self.warn_singletons = False
         self.revs_of_nothing = 0
         self.fired_before = 0
+        self.on_reset: Callable[[bool], None] = lambda past: None
         self.on_warning: Callable[[RetalisError], None] = lambda error: log.warning("%s", error)
         self.under_way = UnderWay()
         self._table = RuleTable()
@@ -327,6 +329,7 @@ class Rules:
         """Drop all rules, properties, partial matches, stored events and timers; set all flags to their defaults."""
         for rule in list(self.rules):
             self.remove(rule)
+        self.on_reset(True)
         self._properties.clear()
         self.declared.clear()
         self.store.clear()
