@@ -105,6 +105,19 @@ def test_cancelling_takes_all_whose_events_unify():
     assert engine.timers() == "[]" and engine.at(30) == [("e", 30)]
 
 
+def test_cancelling_looks_at_those_alone_that_may_unify(monkeypatch):
+    looked = []
+    unifies = timers.may_unify
+    monkeypatch.setattr(timers, "may_unify", lambda one, two: looked.append(one) or unifies(one, two))
+    engine = run("\n".join(f"timer(a({number}, b), after(9))" for number in range(50)))
+    engine.load(goals="timer(a(_, c), after(9))\ntimer(a(_, b), after(9))")
+    assert engine.query("cancel_timer(a(7, b), N)") == [{"N": 2}]
+    assert len(looked) == 2, "those with variables"
+    assert engine.query("cancel_timer(a(7, b), N)") == [{"N": 0}]
+    assert engine.query("cancel_timer(a(8, X), N)")[0]["N"] == 2
+    assert engine.query("cancel_timer(_, N)")[0]["N"] == 48
+
+
 @pytest.mark.parametrize(
     "goal", ["timer(3, every(1))", "timer(a, evry(1))", "timer(_, every(1))", "timer(a, _)"]
 )

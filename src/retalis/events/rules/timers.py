@@ -1,11 +1,11 @@
 """Timers that a program has set: events at instants that the clock reaches, once or again and again."""
 
-from typing import Any, Dict, Hashable, Iterator, List, Mapping, Optional, Protocol, Sequence, Tuple
+from typing import Any, Dict, Hashable, Iterable, Iterator, List, Mapping, Optional, Protocol, Sequence, Tuple
 
 from ...foundation import UsageError, counted
 from ...prolog.logic import Logic
 from ...prolog.machine import resource_error
-from ...prolog.terms import SECOND, Term, WholeSeconds, copy, may_unify, term_key
+from ...prolog.terms import SECOND, Term, WholeSeconds, copy, freeze, may_unify, term_key
 from ..dispatch import Dispatcher
 from ..language import TIMER, Schedule, schedule_of
 from .timing import Timing
@@ -50,18 +50,64 @@ class ProgramTimer:
 
     Attributes:
         key: tells it from others: its event and when it rings.
+        name: equal for those of the same event; None for events with variables.
         instant: when it rings next; None where there is no time yet.
         set_for: the instant of its alarm in the clock, which may be earlier; None where it has none.
     """
 
-    __slots__ = ("key", "event", "schedule", "instant", "set_for")
+    __slots__ = ("key", "name", "event", "schedule", "instant", "set_for")
 
     def __init__(self, event: Term, schedule: Schedule):
         self.key: Hashable = term_key((TIMER, event, schedule.term))
+        self.name = _name_of(event)
         self.event = event
         self.schedule = schedule
         self.instant: Optional[int] = None
         self.set_for: Optional[int] = None
+
+
+def _name_of(event: Term) -> Hashable:
+    try:
+        return freeze(event)
+    except ValueError:
+        return None
+
+
+class TimerTable:
+    """Timers by their keys, the oldest first, and by their events.
+
+    Args:
+        timers: that are there from the beginning.
+    """
+
+    def __init__(self, timers: Iterable[ProgramTimer] = ()):
+        self.by_key: Dict[Hashable, ProgramTimer] = {}
+        self._by_name: Dict[Hashable, Dict[Hashable, ProgramTimer]] = {}
+        for timer in timers:
+            self.add(timer)
+
+    def add(self, timer: ProgramTimer) -> None:
+        """Have a timer in the place of any with the same key."""
+        self.by_key[timer.key] = timer
+        self._by_name.setdefault(timer.name, {})[timer.key] = timer
+
+    def remove(self, key: Hashable) -> ProgramTimer:
+        """Take a timer out."""
+        timer = self.by_key.pop(key)
+        same = self._by_name[timer.name]
+        del same[key]
+        if not same:
+            del self._by_name[timer.name]
+        return timer
+
+    def unifying(self, event: Term) -> List[ProgramTimer]:
+        """Return those whose events unify with a term; of one without variables these are found by it."""
+        name = _name_of(event)
+        if name is None:
+            return [timer for timer in self.by_key.values() if may_unify(timer.event, event)]
+        general = self._by_name.get(None, {}).values()
+        found = list(self._by_name.get(name, {}).values())
+        return found + [timer for timer in general if may_unify(timer.event, event)]
 
 
 class Timers:
@@ -76,18 +122,18 @@ class Timers:
 
     def __init__(self, program: TimedProgram):
         self._program = program
-        self._all: Dict[Hashable, ProgramTimer] = {}
+        self._all = TimerTable()
         self._aside: Dict[Hashable, ProgramTimer] = {}
         self._jumps = 0
         self._dead = 0
         self.left_out = 0
 
     def __len__(self) -> int:
-        return len(self._all)
+        return len(self._all.by_key)
 
     def __iter__(self) -> Iterator[ProgramTimer]:
         """Yield those that are set, the oldest first."""
-        return iter(list(self._all.values()))
+        return iter(list(self._all.by_key.values()))
 
     # ---- what goals ask for --------------------------------------------------------------------------
 
@@ -100,32 +146,32 @@ class Timers:
         """
         program = self._program
         timer = ProgramTimer(copy(event), schedule_of(copy(when)))
-        known = self._all.get(timer.key) or self._aside.pop(timer.key, None)
+        known = self._all.by_key.get(timer.key) or self._aside.pop(timer.key, None)
         if known is None:
-            if len(self._all) >= MOST:
+            if len(self) >= MOST:
                 raise resource_error("timers", reason=f"more than {MOST} timers are set")
             now = program.clock.reached()
             if now > 0 and timer.schedule.next(now) is None:
                 self._over(timer)
                 return
             known = timer
-        elif known.key not in self._all and known.set_for is not None:  # as the program had it before
-            self._all[known.key] = known
+        elif known.key not in self._all.by_key and known.set_for is not None:  # as the program had it before
+            self._all.add(known)
             return
-        self._all[known.key] = known
+        self._all.add(known)
         self._count(known)
 
     def cancel(self, event: Term) -> int:
         """Take the timers out whose events unify with a term; return how many there were."""
-        found = [timer for timer in self._all.values() if may_unify(timer.event, event)]
+        found = self._all.unifying(event)
         for timer in found:
-            del self._all[timer.key]
+            self._all.remove(timer.key)
             self._left(timer)
         return len(found)
 
     def find(self, event: Term, when: Term) -> Optional[ProgramTimer]:
         """Return the timer of an event and a schedule, or None."""
-        return self._all.get(term_key((TIMER, event, when)))
+        return self._all.by_key.get(term_key((TIMER, event, when)))
 
     # ---- ringing -------------------------------------------------------------------------------------
 
@@ -134,7 +180,7 @@ class Timers:
         now = self._program.clock.reached()
         timer.instant = timer.schedule.next(now) if now > 0 else None
         if now > 0 and timer.instant is None:
-            del self._all[timer.key]
+            self._all.remove(timer.key)
             self._left(timer)
             self._over(timer)
             return
@@ -163,7 +209,7 @@ class Timers:
     def is_sound(self, alarm: "TimerAlarm") -> bool:
         """Tell whether an alarm is the one of a timer that is set."""
         timer = alarm.timer
-        there = self._all.get(timer.key) is timer or self._aside.get(timer.key) is timer
+        there = self._all.by_key.get(timer.key) is timer or self._aside.get(timer.key) is timer
         return there and timer.set_for == alarm.set_for
 
     def ring(self, alarm: "TimerAlarm") -> None:
@@ -183,7 +229,7 @@ class Timers:
                 timer.instant = instant + timer.schedule.period
                 self._set_alarm(timer)
             else:
-                del self._all[timer.key]
+                self._all.remove(timer.key)
             self._dispatch(timer.event, WholeSeconds(instant))
 
     def _skips(self, timer: ProgramTimer, instant: int) -> bool:
@@ -224,8 +270,8 @@ class Timers:
 
     def clear(self) -> None:
         """Drop all."""
-        for timer in list(self._all.values()):
-            del self._all[timer.key]
+        for timer in self:
+            self._all.remove(timer.key)
             self._left(timer)
 
     def start_anew(self) -> None:
@@ -234,33 +280,34 @@ class Timers:
         Those that wait for so many seconds are dropped, as alarms are: nothing of before is waited for.
         """
         self._dead = 0
-        for timer in list(self._all.values()):
+        for timer in self:
             timer.set_for = None
             if timer.schedule.is_relative:
-                del self._all[timer.key]
+                self._all.remove(timer.key)
             else:
                 self._count(timer)
 
     def mend(self) -> None:
         """Have each timer have its alarm, after an interrupt."""
+        self._all = TimerTable(self)
         alarms = {
             alarm.timer: alarm
             for _, _, alarm in self._program.clock.alarms
             if isinstance(alarm, TimerAlarm) and self.is_sound(alarm)
         }
-        for timer in list(self._all.values()):
+        for timer in self:
             if timer not in alarms:
                 timer.set_for = None
                 self._set_alarm(timer)
 
     def standing(self) -> Dict[Hashable, ProgramTimer]:
         """Return those that are set, by their keys."""
-        return dict(self._all)
+        return dict(self._all.by_key)
 
     def set_aside(self, timers: Mapping[Hashable, ProgramTimer]) -> None:
         """Take timers out; those that are set again as they were go on."""
         for key in timers:
-            self._aside[key] = self._all.pop(key)
+            self._aside[key] = self._all.remove(key)
 
     def forget_aside(self) -> None:
         """Forget what was set aside."""
@@ -270,8 +317,8 @@ class Timers:
 
     def restore_standing(self, timers: Mapping[Hashable, ProgramTimer]) -> None:
         """Have these timers, which have been set aside meanwhile or not, and no others."""
-        gone = [timer for key, timer in self._all.items() if timers.get(key) is not timer]
-        self._all, self._aside = dict(timers), {}
+        gone = [timer for timer in self if timers.get(timer.key) is not timer]
+        self._all, self._aside = TimerTable(timers.values()), {}
         for timer in gone:
             self._left(timer)
         self.mend()
@@ -290,7 +337,7 @@ class Timers:
         for event, when, instant, set_for, order in kept:
             timer = ProgramTimer(event, schedule_of(when))
             timer.instant, timer.set_for = instant, set_for
-            self._all[timer.key] = timer
+            self._all.add(timer)
             self._program.clock.put_back(set_for, order, TimerAlarm(self, timer, set_for))
 
 
