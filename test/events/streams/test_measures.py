@@ -5,7 +5,7 @@ import statistics
 from fractions import Fraction
 
 import pytest
-from events.streams.feeding import Came, item_of, stream
+from events.streams.feeding import Came, entries, item_of, stream
 from hypothesis import example, given
 from hypothesis import settings as example_settings
 from hypothesis import strategies as st
@@ -147,3 +147,26 @@ def test_several_measures_have_their_own_values():
     for at in range(3):
         outputs = window.take(StreamItem(None, at, at, (), (at, -at)), 0, 0)
     assert outputs[0].found == (3, 0, 3)
+
+
+@pytest.mark.parametrize(
+    "name", ["count", "sum", "avg", "stddev", "min", "max", "median", "count_distinct", "distinct", "rate"]
+)
+def test_what_is_in_is_not_looked_through_for_a_result(name):
+    """A result does not cost more where more is in the window; what has left is not held."""
+    measure, inside = of(name, 0.5 if name == "median" else None), []
+    for at in range(500):
+        item = item_of(Came(at, "a", at, at, at % 3, 0, at))
+        item.order = at
+        inside.append(item)
+        measure.add(item)
+        if len(inside) > 30:
+            inside[0].gone = True
+            measure.remove(inside.pop(0))
+        if len(inside) > 1:
+            assert measure.result(NOTHING, len(inside)) is not None
+    assert sum(entries(one) for one in getattr(measure, "alike", {}).values()) <= 3 * 36
+
+
+NOTHING = None
+"""In the place of the members, which are not looked at."""

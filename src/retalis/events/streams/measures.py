@@ -1,6 +1,6 @@
 """What windows measure of the items that are in them: one class for each kind of aggregate, and one table of them."""
 
-from typing import Any, Callable, Deque, Dict, Hashable, Iterator, NamedTuple, Optional, Protocol
+from typing import Any, Callable, Deque, Dict, Hashable, Iterator, List, NamedTuple, Optional, Protocol, Tuple
 
 from ...prolog.terms import Term, make_list, term_key
 from .items import StreamItem
@@ -198,22 +198,87 @@ class _CountDistinct(_Plain):
         return len(self.numbers)
 
 
+class _Alike:
+    """The items of one value, in the order in which they came in; the first that is not gone is at ``at``."""
+
+    __slots__ = ("items", "at", "live")
+
+    def __init__(self) -> None:
+        self.items: List[Tuple[int, StreamItem]] = []
+        self.at = 0
+        self.live = 0
+
+    def add(self, order: int, item: StreamItem) -> None:
+        self.items.append((order, item))
+        self.live += 1
+
+    def left(self) -> None:
+        """Take note that one of them is gone."""
+        self.live -= 1
+        items = self.items
+        if len(items) > 2 * self.live + 16:
+            self.items = items = [one for one in items if not one[1].gone]
+            self.at = 0
+        while self.at < len(items) and items[self.at][1].gone:
+            self.at += 1
+
+    def first(self) -> Tuple[int, StreamItem]:
+        """Return the oldest with its place among all that came in; there has to be one."""
+        return self.items[self.at]
+
+
 class _Distinct(_Plain):
+    """The values that are different; looks at each of them once, however many items have it."""
+
+    def __init__(self, at: int, name: str, setting: Setting):
+        super().__init__(at, name, setting)
+        self.alike: Dict[Hashable, _Alike] = {}
+        self._order = 0
+
+    def add(self, item: StreamItem) -> None:
+        self._order += 1
+        self.alike.setdefault(term_key(item.values[self.at]), _Alike()).add(self._order, item)
+
+    def remove(self, item: StreamItem) -> None:
+        key = term_key(item.values[self.at])
+        same = self.alike[key]
+        same.left()
+        if not same.live:
+            del self.alike[key]
+
     def result(self, members: Members, number: int) -> Optional[Term]:
-        found: Dict[Hashable, Term] = {}
-        for item in live(members):
-            value = item.values[self.at]
-            found.setdefault(term_key(value), value)
-        return make_list(list(found.values()))
+        firsts = sorted([same.first() for same in self.alike.values()], key=_place)
+        return make_list([item.values[self.at] for _, item in firsts])
+
+
+def _place(entry: Tuple[int, StreamItem]) -> int:
+    return entry[0]
 
 
 class _Rate(_Plain):
+    """How many a second: by the seconds of the window, else by those between the first end and the last."""
+
+    def __init__(self, at: int, name: str, setting: Setting):
+        super().__init__(at, name, setting)
+        self.first, self.last = Lowest(), Lowest()
+
+    def add(self, item: StreamItem) -> None:
+        if not self.setting:
+            self.first.add(item.end, item)
+            self.last.add(-item.end, item)
+
+    def remove(self, item: StreamItem) -> None:
+        if not self.setting:
+            self.first.remove()
+            self.last.remove()
+
     def result(self, members: Members, number: int) -> Optional[Term]:
         if self.setting:
             rate: float = number / self.setting
             return rate
-        ends = [item.end for item in live(members)]
-        span = max(ends) - min(ends)
+        low, high = self.first.top(), self.last.top()
+        assert low is not None and high is not None  # there is an item
+        span = high[2].end - low[2].end
         return (number - 1) / (span / 10**9) if span else None
 
 
