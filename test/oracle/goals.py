@@ -133,6 +133,8 @@ def number(term: Term, bindings: Bindings) -> Any:
         only = value_of(term[1], bindings)
         if only.__class__ is int:
             return only  # [X] is the code X
+        if only.__class__ is Atom and len(only.name) == 1:
+            return ord(only.name)  # [x] that of the character
     if term.__class__ is tuple and term[0] is functor("-", 1):
         return -number(term[1], bindings)
     raise GoalError(f"no number: {show(term, bindings)}")

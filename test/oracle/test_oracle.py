@@ -68,6 +68,8 @@ TABLE = [
     ("cnot(seq(a,b),c)", "a@1 c@2-9 b@5", "out@1-5"),
     ("cnot(seq(a,b),c)", "a@1 c@9 b@5", "out@1-5"),
     ("cnot(where(seq(a,b),true),c)", "a@1 c@2 b@3", ""),
+    # a list of one character is the character's code
+    ("where(seq(b,aggregate(list(X),a(X),L)),=<(L,120))", "b@1 a(x)@2 b@3 a(y)@4", "out@1-2"),
     ("cnot(seq(seq(a,b),e),c)", "a@1 c@2 b@3 e@4", "out@1-4"),
     ("cnot(seq(seq(a,b),e),c)", "a@1 b@3 c@4 e@5", ""),
     ("cnot(and(a,b),c)", "c@2 a@2 b@3", "out@2-3"),
