@@ -1,6 +1,6 @@
 """States that hold from one event until another: open ones, those that are over, and the events that these are."""
 
-from collections import deque
+from collections import OrderedDict, deque
 from itertools import count
 from typing import Any, Deque, Dict, Hashable, Iterator, List, NamedTuple, Optional, Set, Tuple
 
@@ -97,7 +97,8 @@ class DeclaredState:
         self._shared_of_begin = [begins.index(var) for var in shared]
         self._shared_of_end = [ends.index(var) for var in shared]
         self._unused: Tuple[Set[Var], Set[Var]] = (set(begins) - set(own), set(ends) - set(shared))
-        self.open: Dict[Hashable, OpenState] = {}
+        # the first of a plain dict is looked for among all that have gone before it
+        self.open: OrderedDict[Hashable, OpenState] = OrderedDict()
         self._by_shared: Dict[Hashable, Dict[Hashable, OpenState]] = {}
         self._by_order: Dict[int, OpenState] = {}
         self._order = count()

@@ -1,6 +1,7 @@
 """Operators that let some matches of a stream through: not too many, those that last, or where something changed."""
 
 import heapq
+from collections import OrderedDict
 from typing import Callable, Dict, Hashable, List, Optional, Tuple
 
 from ...prolog.terms import term_key
@@ -106,14 +107,15 @@ class Changing(StreamShape):
 
     def __init__(self) -> None:
         super().__init__()
-        self.last: Dict[Hashable, Tuple[Hashable, StreamItem]] = {}
+        # the first key of a plain dict is looked for among all that have been dropped before it
+        self.last: OrderedDict[Hashable, Tuple[Hashable, StreamItem]] = OrderedDict()
 
     def __len__(self) -> int:
         return len(self.last)
 
     def drop_oldest(self) -> None:
         """See `StreamOperator.drop_oldest`: the key that was first there."""
-        del self.last[next(iter(self.last))]
+        self.last.popitem(last=False)
 
     def take(self, item: StreamItem, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.take`."""
@@ -132,7 +134,7 @@ class Changing(StreamShape):
         """See `StreamOperator.restore`."""
         for item in kept[0]:
             item.file()
-        self.last = {item.key: (term_key(item.values[0]), item) for item in kept[0]}
+        self.last = OrderedDict((item.key, (term_key(item.values[0]), item)) for item in kept[0])
 
 
 class Settled(StreamShape):
