@@ -1,8 +1,12 @@
 """Tables of the figures that events.py measures."""
 
 import json
+import math
 from pathlib import Path
 from typing import Any, Dict, Iterator, List, Sequence, Tuple
+
+from event_streams import STREAMS
+from fitting import exponent
 
 Rows = Sequence[Dict[str, Any]]
 
@@ -24,17 +28,20 @@ def joined(files: Sequence[Path]) -> Dict[str, Any]:
 def plain(rows: Rows) -> Iterator[str]:
     """Yield the lines of a table: microseconds of each completing event, or of each result where it has many."""
     sizes = sorted({row["waiting"] for row in rows})
-    yield "setting  operator    policy          " + " ".join(f"{size:>9}" for size in sizes)
+    yield f"{'setting':<8} {'operator':<19} {'policy':<15} " + " ".join(f"{size:>9}" for size in sizes)
     for (setting, name, policy), found in _cells(rows).items():
         figures = [f"{per_result(found[size]):9.1f}" if size in found else " " * 9 for size in sizes]
         each = " a result" if any(row["results"] > 1 for row in found.values()) else ""
-        yield f"{setting:<8} {name:<11} {policy:<15} " + " ".join(figures) + each
+        yield f"{setting:<8} {name:<19} {policy:<15} " + " ".join(figures) + f"  {_power(found)}{each}"
 
 
 def markdown(rows: Rows) -> Iterator[str]:
     """Yield the lines of one table for each setting, in Markdown."""
     for setting in dict.fromkeys(row["setting"] for row in rows):
         mine = [row for row in rows if row["setting"] == setting]
+        if setting == "streams":
+            yield from _streams(mine)
+            continue
         sizes = sorted({row["waiting"] for row in mine})
         yield ""
         yield "| operator | policy | " + " | ".join(f"{size:,}" for size in sizes) + " |"
@@ -42,6 +49,25 @@ def markdown(rows: Rows) -> Iterator[str]:
         for (_, name, policy), found in sorted(_cells(mine).items(), key=lambda item: _place(mine, item[0])):
             figures = [_rounded(per_result(found[size])) if size in found else "" for size in sizes]
             yield f"| `{name}` | `{policy}` | " + " | ".join(figures) + " |"
+
+
+def _streams(rows: Rows) -> Iterator[str]:
+    """Yield the lines of the table of windows, shapes, timers, states and the like."""
+    sizes = sorted({row["waiting"] for row in rows})
+    yield ""
+    yield "| row | what | " + " | ".join(f"{size:,}" for size in sizes) + " | exponent |"
+    yield "| --- | --- |" + " ---: |" * (len(sizes) + 1)
+    cells = {name: found for (_, name, _), found in _cells(rows).items()}
+    for name in [one for one in STREAMS if one in cells]:
+        found = cells[name]
+        figures = [_rounded(per_result(found[size])) if size in found else "" for size in sizes]
+        yield f"| `{name}` | {STREAMS[name].about} | " + " | ".join(figures) + f" | {_power(found)} |"
+
+
+def _power(found: Dict[int, Dict[str, Any]]) -> str:
+    """Return the exponent by which a cost grows from a hundred on; nothing where that is not known."""
+    power = exponent([(size, per_result(row)) for size, row in found.items() if size >= 100])
+    return "" if math.isnan(power) else f"{power:.2f}"
 
 
 def keys(row: Dict[str, Any]) -> Tuple[str, str, str]:

@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 """What a completing event costs when many partial matches wait: each operator under each policy.
 
-    bench/events.py [--operator NAME ...] [--policy NAME ...] [--setting NAME ...] [--most N] [--seconds S]
-                    [--half N] [--json FILE] [--plot PREFIX] [--from FILE ...] [--markdown]
+    bench/events.py [--operator NAME ...] [--policy NAME ...] [--setting NAME ...] [--least N] [--most N]
+                    [--seconds S] [--half N] [--json FILE] [--plot PREFIX] [--from FILE ...] [--markdown]
 
 The settings say what tells the waiting partners apart:
 
@@ -11,11 +11,14 @@ The settings say what tells the waiting partners apart:
     times    their intervals only: it fits one of them, somewhere in the middle
     shuffled the same, but they have not arrived in the order of their times
 
+Setting ``streams`` has rows of its own: windows, shapes, absences for some time, timers, states and how rules
+run, each with N that are held (event_streams.py).
+
 Operator ``rules`` has N rules of which an event fits one that has fired before or, as ``rules_first``, one that has
-not; with ``expiry`` one of N matches that wait expires at each event. A cell grows from 10 to 10, 100, ... until
---most, or until the next size would take longer than --seconds. The figures are CPU time of dispatching terms,
-without reading text. Last, --half N half matches go into rules with and without bounds, and what the process
-holds is measured; 0 leaves that out.
+not; with ``expiry`` one of N matches that wait expires at each event. A cell grows from --least to ten times that
+and so on, until --most, or until the next size would take longer than --seconds. The figures are CPU time of
+dispatching terms, without reading text. Last, --half N half matches go into rules with and without bounds, and
+what the process holds is measured; 0 leaves that out.
 """
 
 import argparse
@@ -32,6 +35,7 @@ HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent / "src")]
 
 import event_memory  # noqa: E402
+import event_streams  # noqa: E402
 import event_tables  # noqa: E402
 from arguments import above_zero, existing, positive, target  # noqa: E402
 
@@ -103,7 +107,7 @@ CASES = {
     "where": Case("p(X, K) seq q(X, L) where (L >= 0)", (10, 20), (30, 40)),
     "within": Case("(p(X, K) seq q(X, L)) within 40", (10, 20), (30, 40), (_apart(10, 20), _apart(30, 40))),
 }
-SETTINGS = ("values", "alike", "times", "shuffled")
+SETTINGS = ("values", "alike", "times", "shuffled", "streams")
 MORE = ("rules", "rules_first", "expiry")
 
 
@@ -302,11 +306,16 @@ def bench_for(name: str, policy: str, setting: str) -> Any:
     return Expiring(policy) if name == "expiry" else Bench(name, policy, setting)
 
 
-def measure(name: str, policy: str, setting: str, most: int, seconds: float) -> Iterator[Dict[str, Any]]:
+def measure(
+    name: str, policy: str, setting: str, most: int, seconds: float, least: int = 10
+) -> Iterator[Dict[str, Any]]:
     """Yield what a cell of the table takes, for 10, 100, ... that wait."""
     gc.collect()  # what is left of the cell before
+    if setting == "streams":
+        yield from event_streams.measure(name, least, most, seconds)
+        return
     bench = bench_for(name, policy, setting)
-    size = 10
+    size = least
     while size <= most:
         began = time.thread_time()
         gc.disable()  # while it grows; the figures are taken with it
@@ -334,7 +343,11 @@ def measure(name: str, policy: str, setting: str, most: int, seconds: float) -> 
 def cells(options: argparse.Namespace) -> Iterator[Tuple[str, str, str]]:
     """Yield operator, policy and setting of what is asked for."""
     for setting in options.setting or SETTINGS:
-        for name in options.operator or [*CASES, *MORE]:
+        for name in options.operator or [*CASES, *MORE, *event_streams.STREAMS]:
+            if setting == "streams" or name in event_streams.STREAMS:
+                if setting == "streams" and name in event_streams.STREAMS:
+                    yield name, "", setting
+                continue
             if name in MORE:
                 possible = setting == "values"
             else:
@@ -351,7 +364,7 @@ def run(options: argparse.Namespace) -> Dict[str, Any]:
     """Measure what is asked for."""
     rows: List[Dict[str, Any]] = []
     for name, policy, setting in cells(options):
-        found = list(measure(name, policy, setting, options.most, options.seconds))
+        found = list(measure(name, policy, setting, options.most, options.seconds, options.least))
         rows += found
         figures = " ".join(f"{row['waiting']}:{event_tables.per_result(row):.1f}" for row in found)
         print(f"{setting} {name} {policy} {figures}", file=sys.stderr, flush=True)
@@ -365,9 +378,10 @@ def main(arguments: Optional[List[str]] = None) -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     add = parser.add_argument
-    add("--operator", action="append", choices=[*CASES, *MORE])
+    add("--operator", action="append", choices=[*CASES, *MORE, *event_streams.STREAMS])
     add("--policy", action="append", choices=POLICIES)
     add("--setting", action="append", choices=SETTINGS)
+    add("--least", type=positive, default=10, help="the smallest number that waits")
     add("--most", type=positive, default=10**5, help="the largest number that waits")
     add("--seconds", type=above_zero, default=2.0, help="how long the next size of a cell may take")
     add("--half", type=int, default=10**6, help="how many half matches the memory is measured with")

@@ -26,8 +26,8 @@ def test_every_cell_gives_figures(events, tmp_path, capsys):
     file = tmp_path / "figures.json"
     assert events.main(["--most", "100", "--half", "0", "--json", str(file)]) == 0
     rows = json.loads(file.read_text())["rows"]
-    assert {row["operator"] for row in rows} == {*events.CASES, *events.MORE}
-    assert {row["policy"] for row in rows} == set(events.POLICIES)
+    assert {row["operator"] for row in rows} == {*events.CASES, *events.MORE, *events.event_streams.STREAMS}
+    assert {row["policy"] for row in rows} == {*events.POLICIES, ""}
     assert {row["waiting"] for row in rows} == {10, 100}
     assert all(row["us"] > 0 for row in rows)
     table = capsys.readouterr().out.splitlines()
@@ -59,6 +59,29 @@ def test_completing_events_complete(events, setting):
             # Of ntimes, what completes one match is the beginning of the next where nothing is used up.
             least = 10 if every else 1
             assert row["results"] >= least if name == "ntimes" else row["results"] == least, (name, policy)
+
+
+@pytest.mark.slow
+def test_rows_of_streams_do_what_they_are_about(events):
+    streams = events.event_streams
+    for name, row in streams.STREAMS.items():
+        bench = streams.StreamBench(row, 10)
+        with streams.quiet():
+            bench.feed(10 * row.filled)
+            before = bench.results
+            bench.feed(40)
+        assert bool(bench.results - before) == row.fires, name
+
+
+@pytest.mark.slow
+def test_the_table_of_streams_has_exponents(events, capsys):
+    which = ["--setting", "streams", "--operator", "last_avg", "--operator", "throttle"]
+    assert events.main([*which, "--most", "1000", "--half", "0", "--markdown"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[1] == "| row | what | 10 | 100 | 1,000 | exponent |"
+    assert [line.split(" | ")[0] for line in lines[3:]] == ["| `last_avg`", "| `throttle`"]
+    for line in lines[3:]:
+        assert -1 < float(line.split(" | ")[-1].strip(" |")) < 1
 
 
 def arguments(setting):

@@ -1,0 +1,384 @@
+"""What an event costs in windows, shapes, absences, timers and states of any size: rows for ``bench/events.py``.
+
+A row is a program of which N things are held: items of a window, keys, what waits, timers, open states. It is fed
+until they are, and then for some time on, in which as many come as go; one step a second. The cost is that of a step
+divided by its events, by way of the engine's queue and its clock, with what rings in between.
+"""
+
+import logging
+import time
+from contextlib import contextmanager
+from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Tuple
+
+from retalis.engine import Engine, parts_of
+from retalis.engine.runtime import relax, tighten
+from retalis.events.dispatch import Stage
+from retalis.events.rules import timers
+from retalis.prolog.terms import SECOND, Term, Var, atom, functor
+
+MOST_STEPS = 100_000
+"""How many steps a figure is of, where a row does not go in periods."""
+
+BEGIN = 10**9
+"""The second of the first step."""
+
+P, Q, R, ONE = functor("p", 2), functor("q", 2), functor("r", 2), functor("e0", 1)
+Steps = List[Tuple[int, List[Term]]]
+"""Instants, each with its events."""
+Step = Callable[[int, int], List[Term]]
+"""From the number of a step and the size to its events."""
+
+
+def _always(at: int, size: int) -> List[Term]:
+    return [P(at, at * 7919 % 10_007)]
+
+
+def _few_values(at: int, size: int) -> List[Term]:
+    return [P(at, at % 10)]
+
+
+def _keys(at: int, size: int) -> List[Term]:
+    return [P(at % size, at)]
+
+
+def _pairs(at: int, size: int) -> List[Term]:
+    return [P(at, at)] if at < size else [P(at, at), Q(at - size, at)]
+
+
+def _one_and_many(at: int, size: int) -> List[Term]:
+    return [P(0, 0)] if not at else [Q(at, at)]
+
+
+def _at_first(at: int, size: int) -> List[Term]:
+    return [P(at, at)] if at < size else []
+
+
+def _with_last(at: int, size: int) -> List[Term]:
+    return [P(at, at), Q(at - 1, at)] if at % size == size - 1 else [P(at, at)]
+
+
+def _asked(at: int, size: int) -> List[Term]:
+    return [P(at, at)] if at < size else [R(at * 7919 % size, at)]
+
+
+def _opened_and_waited_for(at: int, size: int) -> List[Term]:
+    return [P(at, at), R(at, at)] if at < size else [P(at, at), R(at, at), Q(at - size, at)]
+
+
+def _ended_twice(at: int, size: int) -> List[Term]:
+    return [P(at, at), Q(at, at)]
+
+
+def _one_kind(at: int, size: int) -> List[Term]:
+    return [ONE(at)]
+
+
+class StreamRow(NamedTuple):
+    """A row.
+
+    Attributes:
+        about: what it is of, for the table; N is how many are held.
+        rules: the program; ``#`` stands for N, ``#2`` for its double and ``#10`` for a tenth of it.
+        step: the events of a step.
+        goals: called before.
+        filled: how many times N steps it takes until N are held.
+        periods: whether the cost is of N steps: something is done once in N.
+        fires: whether events come of it.
+        most: the largest N that means something.
+        capped: whether N is the most that may be held, so that the oldest go.
+        each: what is repeated for each of N, in the rules; ``@`` stands for its number.
+        as_program: whether events come as those of a program in Python, which are looked at first.
+    """
+
+    about: str
+    rules: str
+    step: Step
+    goals: str = ""
+    filled: int = 1
+    periods: bool = False
+    fires: bool = True
+    most: int = 10**9
+    capped: bool = False
+    each: str = ""
+    as_program: bool = False
+
+
+def _window(window: str, about: str, kind: str = "avg(K)", **more: Any) -> StreamRow:
+    return StreamRow(about, f"out(A) <- aggregate({kind}, p(_, K), A, {window}).", _always, **more)
+
+
+def _groups(window: str, about: str, **more: Any) -> StreamRow:
+    return StreamRow(about, f"out(X, A) <- aggregate(avg(K), p(X, K), A, {window}).", _keys, **more)
+
+
+def _shape(shape: str, about: str, step: Step, **more: Any) -> StreamRow:
+    return StreamRow(about, f"out(X) <- p(X, K) with {shape}.", step, **more)
+
+
+def _states(about: str, step: Step, rule: str = "", option: str = "open(1000000)", **more: Any) -> StreamRow:
+    declared = f":- state(s(X), from(p(X, _)), until(q(X, _)), [{option}]).\n"
+    return StreamRow(about, declared + (rule or "out(X) <- s(X)."), step, **more)
+
+
+def _own(policy: str) -> StreamRow:
+    label = f"own([property(policy, {policy})]) : "
+    return StreamRow(
+        f"`seq` under `property(policy, {policy})`, N wait",
+        f"{label}out(X) <- p(X, K) seq q(X, L).",
+        _pairs,
+        goals=f"set_etalis_flag(event_consumption_policy, {'recent' if policy != 'recent' else 'chronological'})",
+    )
+
+
+def _skipping(kind: str, step: Step, **more: Any) -> StreamRow:
+    label = f"own([property(policy, unrestricted), property(after_match, {kind})]) : "
+    return StreamRow(
+        f"`seq` under `property(after_match, {kind})`, N wait",
+        f"{label}out(X) <- p(X, K) seq q(X, L).",
+        step,
+        **more,
+    )
+
+
+STREAMS: Dict[str, StreamRow] = {
+    # Windows, and what is measured of them.
+    "last_count": _window("last(#)", "`last(N)`, N in it: `count`", "count"),
+    "last_sum": _window("last(#)", "`sum`", "sum(K)"),
+    "last_avg": _window("last(#)", "`avg`"),
+    "last_stddev": _window("last(#)", "`stddev`", "stddev(K)"),
+    "last_min": _window("last(#)", "`min`", "min(K)"),
+    "last_max": _window("last(#)", "`max`", "max(K)"),
+    "last_median": _window("last(#)", "`median`", "median(K)"),
+    "last_count_distinct": _window("last(#)", "`count_distinct`", "count_distinct(K)"),
+    "last_distinct": _window("last(#)", "`distinct` of ten values", "distinct(K)")._replace(step=_few_values),
+    "last_list": _window("last(#)", "`list`", "list(K)", most=1000),
+    "last_groups": _groups("last(#2)", "`last(N)`, N groups of two", filled=2),
+    "newest": _window("last(#, events)", "`last(N, events)`"),
+    "newest_rate": _window("last(#, events)", "`rate`", "rate"),
+    "newest_groups": _groups("last(2, events)", "N groups of two", filled=2),
+    "tumbling": _window("every(#)", "`every(N)`", periods=True),
+    "tumbling_groups": _groups("every(#)", "N groups of one", periods=True),
+    "first": _window("every(#, first)", "`every(N, first)`", periods=True),
+    "first_groups": _groups("every(#, first)", "N groups of one", periods=True),
+    "batch": _window("every(#, events)", "`every(N, events)`", periods=True),
+    "batch_groups": _groups("every(2, events)", "N groups of one or two"),
+    "hopping": _window("last(#, every(#10))", "`last(N, every(N/10))`", periods=True),
+    "hopping_groups": _groups("last(#, every(#10))", "N groups of one", periods=True),
+    "running": _window("running(every(#))", "`running(every(N))`", periods=True),
+    "running_groups": _groups("running(every(#))", "N groups of one", periods=True),
+    "last_full": _window("last(1000000000)", "a window with N, the most that may be held", capped=True),
+    "last_groups_full": StreamRow(
+        "N groups, the most that may be held",
+        "out(X, A) <- aggregate(avg(K), p(X, K), A, last(1000000000)).",
+        _always,
+        capped=True,
+    ),
+    # Absence for some time.
+    "absent": StreamRow(
+        "`P seq absent(Q, N)`, N wait, one is due at each P",
+        "out(X) <- p(X, K) seq absent(q(X, _), #).",
+        _always,
+    ),
+    "absent_ended": StreamRow(
+        "each Q rules out one of N",
+        "out(X) <- p(X, K) seq absent(q(X, _), 100000000).",
+        _pairs,
+        fires=False,
+    ),
+    "absent_remembered": StreamRow(
+        "with a condition, N of Q remembered",
+        "out(X) <- p(X, K) seq absent(q(_, L) where (L > K), #).",
+        _one_and_many,
+        fires=False,
+    ),
+    "absent_full": StreamRow(
+        "N wait, the most that may be held",
+        "out(X) <- p(X, K) seq absent(q(X, _), 100000000).",
+        _always,
+        fires=False,
+        capped=True,
+    ),
+    # Rates and changes.
+    "throttle": _shape("throttle(#2, X)", "`throttle`, N keys", _keys),
+    "throttle_new": _shape("throttle(#, X)", "each of another key than before", _always),
+    "burst": _shape("burst(#2, X)", "`burst`, N keys", _keys, fires=False),
+    "debounce": _shape("debounce(#, X)", "`debounce`, N keys wait, one is due at each event", _always),
+    "debounce_again": _shape("debounce(#2, X)", "N keys wait, one is set back by each", _keys, fires=False),
+    "change": _shape("change(K, X)", "`change`, N keys", _keys),
+    "change_full": _shape("change(K, X)", "N keys, the most that may be held", _always, capped=True),
+    "throttle_full": _shape(
+        "throttle(1000000000, X)", "`throttle`, N keys, the most that may be held", _always, capped=True
+    ),
+    # Timers.
+    "timers": StreamRow(
+        "`timer(E, every(...))`, N timers, one rings each time",
+        "null do timer(out(X), every(#, from_now)) <- p(X, _).",
+        _at_first,
+        most=100_000,
+    ),
+    "timers_again": StreamRow(
+        "`timer(E, after(...))`, set again by each event",
+        "null do timer(out(X), after(#2)) <- p(X, _).",
+        _keys,
+        fires=False,
+        most=100_000,
+    ),
+    "timers_cancelled": StreamRow(
+        "set, and another of N cancelled",
+        "null do timer(out(X), after(1000000)) <- p(X, _).\nnull do cancel_timer(out(X)) <- q(X, _).",
+        _pairs,
+        fires=False,
+        most=100_000,
+    ),
+    # States.
+    "states": _states("a state, N are open: one begins and one ends", _pairs),
+    "states_asked": _states("`where holds(S)`", _asked, "out(X) <- r(X, _) where holds(s(X))."),
+    "states_during": _states(
+        "`P during S`, N of P wait", _opened_and_waited_for, "out(X) <- r(X, _) during s(X)."
+    ),
+    "states_within": _states(
+        "`within(N)`: one begins, one ends by itself", _always, "", "open(1000000), within(#)"
+    ),
+    "states_full": _states(
+        "N are open, the most that may be: the oldest goes", _always, "", "open(#)", fires=False
+    ),
+    "states_before": _states(
+        "`where holds_at(S, T)`, N over",
+        _ended_twice,
+        "out(X) <- q(X, _) where (holds_at(s(X), 1000000000.5) ; true).",
+        "past(#)",
+    ),
+    # How rules run, and declared events.
+    **{
+        f"own_{policy}": _own(policy)
+        for policy in ("recent", "recent_2", "chronological", "chronological_2", "unrestricted")
+    },
+    "skip_past_last": _skipping("skip_past_last", _with_last, periods=True),
+    "skip_to_next": _skipping("skip_to_next", _pairs),
+    "declared": StreamRow(
+        "`:- event p(x:integer, k:integer)`, N wait",
+        ":- event p(x:integer, k:integer), q(x:integer, k:integer).\nout(X) <- p(X, K) seq q(X, L).",
+        _pairs,
+        as_program=True,
+    ),
+    "declarations": StreamRow(
+        "N events are declared",
+        "out(X) <- e0(X).",
+        _one_kind,
+        each=":- event e@(x:integer).",
+        as_program=True,
+    ),
+}
+
+
+class StreamBench:
+    """An engine with the program of a row, in which N things are held.
+
+    Args:
+        row: the row.
+        size: N.
+    """
+
+    def __init__(self, row: StreamRow, size: int):
+        self.row = row
+        self.size = size
+        self.engine = engine = Engine()
+        parts = parts_of(engine)
+        parts.rules.cap = size if row.capped else 10**8
+        timers.MOST = max(timers.MOST, size)
+        for at in range(0, size if row.each else 0, 1000):
+            numbers = range(at, min(at + 1000, size))
+            engine.load(rules="\n".join(row.each.replace("@", str(number)) for number in numbers))
+        text = row.rules.replace("#10", str(max(1, size // 10))).replace("#2", str(2 * size))
+        engine.load(rules=text.replace("#", str(size)) + "\n", goals=row.goals)
+        self.results = 0
+        parts.dispatcher.listen(Stage.SUBSCRIPTIONS, atom("out"), self._count)
+        parts.dispatcher.listen(Stage.SUBSCRIPTIONS, functor("out", 1)(Var()), self._count)
+        parts.dispatcher.listen(Stage.SUBSCRIPTIONS, functor("out", 2)(Var(), Var()), self._count)
+        self._steps = 0
+
+    def _count(self, term: Term, values: Any, start: int, end: int, after: Any) -> Any:
+        self.results += 1
+        return after
+
+    def feed(self, number: int) -> Tuple[float, int]:
+        """Feed steps; return their CPU seconds and how many events they had."""
+        engine, step, size = self.engine, self.row.step, self.size
+        enter = engine.event if self.row.as_program else None
+        spent, events = 0.0, 0
+        for first in range(self._steps, self._steps + number, 10_000):
+            steps = [
+                ((BEGIN + at) * SECOND, step(at, size))
+                for at in range(first, min(first + 10_000, self._steps + number))
+            ]
+            events += sum(max(1, len(terms)) for _, terms in steps)
+            spent += self._enter(steps) if enter is None else self._enter_as_program(steps)
+        self._steps += number
+        return spent, events
+
+    def _enter(self, steps: Steps) -> float:
+        post, advance, clock = self.engine.post, self.engine.advance, self.engine.clock
+        began = time.thread_time()
+        for instant, terms in steps:
+            for term in terms:
+                post(term, instant)
+            if not terms:
+                clock.move_to(instant)
+                advance()
+        return time.thread_time() - began
+
+    def _enter_as_program(self, steps: Steps) -> float:
+        event = self.engine.event
+        began = time.thread_time()
+        for instant, terms in steps:
+            stamp = instant // SECOND
+            for term in terms:
+                event(term, stamp)
+        return time.thread_time() - began
+
+
+def _one(bench: StreamBench) -> Tuple[float, int, int]:
+    """Return the CPU seconds, events and results of some steps, when N things are held."""
+    row, size = bench.row, bench.size
+    bench.feed(row.filled * size)
+    relax()
+    before = bench.results
+    spent, events = 0.0, 0
+    while spent < 0.01:
+        more, number = bench.feed(size if row.periods else min(max(size, 100), MOST_STEPS))
+        spent, events = spent + more, events + number
+    tighten()
+    return spent, events, bench.results - before
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Have nothing logged: that the oldest go is what some rows are about."""
+    before = logging.root.manager.disable
+    logging.disable(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        logging.disable(before)
+
+
+def measure(name: str, least: int, most: int, seconds: float) -> Iterator[Dict[str, Any]]:
+    """Yield what a row takes, for N of ``least``, ten times that, and so on."""
+    row = STREAMS[name]
+    size = least
+    while size <= min(most, row.most):
+        began = time.thread_time()
+        with quiet():
+            spent, events, results = _one(StreamBench(row, size))
+        yield {
+            "operator": name,
+            "policy": "",
+            "setting": "streams",
+            "waiting": size,
+            "us": spent / events * 1e6,
+            "results": round(results / events),
+            "fired": bool(results),
+        }
+        if (time.thread_time() - began) * 10 > seconds:
+            return
+        size *= 10
