@@ -157,12 +157,11 @@ class Streams(Repetitions):
         elif match.end + node.seconds <= self.now_at(node):
             one.over = True  # debounce: one that comes when its time is over is too late
         else:
-            # debounce: waits for N seconds, and a newer one in its place
+            # debounce: waits for N seconds from its end; one with an end within these, as late or later, rules it out
             waiting = [other for other in same if not other.over]
-            one.over = any(other.match.end > match.end for other in waiting)
-            if not one.over:
-                for other in waiting:
-                    other.over = True
+            one.over = any(match.end < other.match.end < match.end + node.seconds for other in waiting)
+            for other in waiting:
+                other.over = other.match.end <= match.end < other.match.end + node.seconds
         return [match] if one.on else []
 
     # Windows.

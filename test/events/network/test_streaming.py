@@ -265,6 +265,20 @@ def test_the_clock_goes_on_for_rules_that_are_read_again(tmp_path):
     assert seen == ["a(1)", "a(2)", "a(3)", "l(1)", "d(3)", "l(2)", "l(3)", "tick"]
 
 
+@pytest.mark.parametrize("order", [(1, 6), (6, 1), (1, 6, 0), (6, 0, 1)])
+def test_bursts_further_apart_than_a_debounce_are_two_in_whatever_order_they_come(order):
+    now = [1000 * SECOND]
+    engine = Engine(Clock(lambda: now[0]))
+    engine.load(rules="d(X) <- a(X) with debounce(2).")
+    seen = seen_of(engine)
+    for ahead in order:
+        engine.event(f"a({ahead})", 1000 + ahead)
+    for _ in range(10):
+        now[0] += SECOND
+        engine.advance()
+    assert [one for one in seen if one.startswith("d")] == ["d(1)", "d(6)"]
+
+
 @pytest.mark.parametrize("shape", ["throttle(5)", "burst(2)", "debounce(2)"])
 def test_a_stamp_far_ahead_holds_nothing_up(shape):
     now = [1000 * 10**9]

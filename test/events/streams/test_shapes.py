@@ -86,6 +86,29 @@ def test_debounce_of_what_comes_in_time(arrivals, span):
     assert [end for _, _, end in said] == sorted(end for _, _, end in said)
 
 
+AHEAD = st.lists(st.tuples(st.sampled_from("ab"), st.integers(0, 3), st.integers(-6, 12)), max_size=20)
+
+
+@some
+@given(AHEAD, CUTS, SPANS)
+def test_debounce_of_ends_ahead_of_the_clock(rows, cut, span):
+    """One waits a span from its end; another of the key with an end within that, as late or later, rules it out."""
+    now, arrivals, waiting, settled = 20, [], [], []
+    for at, (key, step, ahead) in enumerate(rows):
+        now += step
+        arrivals.append(Came(at, key, now + ahead, now + ahead, 1, 0, now))
+    for one in arrivals:
+        settled += [other for other in waiting if other.end + span <= one.now]
+        waiting = [other for other in waiting if other.end + span > one.now]
+        same = [other for other in waiting if other.key == one.key]
+        gone = [other for other in same if other.end <= one.end < other.end + span]
+        waiting = [other for other in waiting if other not in gone]
+        if one.end + span > one.now and not any(one.end < other.end < one.end + span for other in same):
+            waiting.append(one)
+    expected = [((one.at,), one.start, one.end + span) for one in settled + waiting]
+    assert sorted(Fed(lambda: Settled(span), cut).feed(arrivals)) == sorted(expected)
+
+
 def test_what_is_forgotten_is_the_oldest():
     for shape in (Spaced(100, False), Spaced(100, True), Changing(), Settled(100)):
         for at in range(5):

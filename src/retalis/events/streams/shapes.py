@@ -138,73 +138,92 @@ class Changing(StreamShape):
 
 
 class Settled(StreamShape):
-    """Gives an item on ``span`` ns after its end, if no newer one of its key has come until then."""
+    """Gives an item on ``span`` ns after its end, if none of its key has come that ends as late, within these ns.
+
+    Of one key more than one may wait where ends are ahead of the clock, each ``span`` after the other at least.
+    """
 
     def __init__(self, span: int):
         super().__init__()
         self.span = span
         self._reached = -(1 << 63)
-        self.waiting: Dict[Hashable, StreamItem] = {}
+        self.waiting: Dict[Hashable, List[StreamItem]] = {}
+        self._number = 0
         self._due: List[Tuple[int, int, StreamItem]] = []
         self._order = 0
 
     def __len__(self) -> int:
-        return len(self.waiting)
+        return self._number
 
     def drop_oldest(self) -> None:
         """See `StreamOperator.drop_oldest`."""
         self._settle()
-        item = heapq.heappop(self._due)[2]
-        del self.waiting[item.key]
+        self._leave(self._due[0][2])
         self._settle()
 
     def take(self, item: StreamItem, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.take`."""
         if now > self._reached:
             self._reached = now
-        if item.end + self.span <= self._reached or self._is_ahead(item.end):
+        end, span = item.end, self.span
+        if end + span <= self._reached or self._is_ahead(end):
             self.late += 1
             return []
-        before = self.waiting.get(item.key)
-        if before is None or item.end >= before.end:
+        overtaken = False
+        for one in list(self.waiting.get(item.key, ())):
+            if one.end <= end < one.end + span:
+                self._leave(one)
+            elif end < one.end < end + span:
+                overtaken = True
+        if not overtaken:
             self._order += 1
             item.order = self._order
-            self._note(item)
-            self._settle()
+            self._wait(item)
+        self._settle()
         return []
 
     def ring(self, instant: int) -> List[StreamOutput]:
         """See `StreamOperator.ring`."""
         outputs = []
         while self.next is not None and self.next <= instant:
-            due, _, item = heapq.heappop(self._due)
-            del self.waiting[item.key]
+            due, _, item = self._due[0]
+            self._leave(item)
             outputs.append(StreamOutput((item,), item.start, due))
             self._settle()
         return outputs
 
-    def _note(self, item: StreamItem) -> None:
-        self.waiting[item.key] = item
+    def _wait(self, item: StreamItem) -> None:
+        self.waiting.setdefault(item.key, []).append(item)
+        self._number += 1
         heapq.heappush(self._due, (item.end + self.span, item.order, item))
-        if len(self._due) > 2 * len(self.waiting) + 64:
-            self._due = [(one.end + self.span, one.order, one) for one in self.waiting.values()]
+        if len(self._due) > 2 * self._number + 64:
+            self._due = [entry for entry in self._due if not entry[2].gone]
             heapq.heapify(self._due)
 
+    def _leave(self, item: StreamItem) -> None:
+        item.gone = True
+        self._number -= 1
+        same = self.waiting[item.key]
+        same.remove(item)
+        if not same:
+            del self.waiting[item.key]
+
     def _settle(self) -> None:
-        """Drop what was replaced from the top, and say when the next one is due."""
-        while self._due and self.waiting.get(self._due[0][2].key) is not self._due[0][2]:
+        """Drop what has left from the top, and say when the next one is due."""
+        while self._due and self._due[0][2].gone:
             heapq.heappop(self._due)
         self.next = self._due[0][0] if self._due else None
 
     def kept(self) -> KnownState:
         """See `StreamOperator.kept`."""
-        return (self._order, self._reached, list(self.waiting.values()))
+        waiting = [item for same in self.waiting.values() for item in same]
+        return (self._order, self._reached, sorted(waiting, key=lambda one: one.order))
 
     def restore(self, kept: KnownState) -> None:
         """See `StreamOperator.restore`."""
         self._order, self._reached, waiting = kept
-        self.waiting, self._due = {}, []
+        self.waiting, self._due, self._number = {}, [], 0
         for item in waiting:
             item.file()
-            self._note(item)
+            self._wait(item)
         self._settle()
