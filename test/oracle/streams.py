@@ -210,6 +210,9 @@ class Streams(Repetitions):
         begins = self.begins.setdefault(node, {})
         end = one.match.end
         here = [other for other in taken if other.key == one.key and not other.over]
+        if not here and end + node.span <= max(newest, one.now):
+            self._see(node, one)  # its window is over before it begins
+            return results
         if not here:
             begins[one.key] = end
         elif not begins[one.key] <= end < begins[one.key] + node.span:

@@ -265,6 +265,17 @@ def test_the_clock_goes_on_for_rules_that_are_read_again(tmp_path):
     assert seen == ["a(1)", "a(2)", "a(3)", "l(1)", "d(3)", "l(2)", "l(3)", "tick"]
 
 
+@pytest.mark.parametrize(
+    ("window", "said"), [("every(3, first)", "w(1)@1-4"), ("running(every(3, first))", "w(1)@1-1")]
+)
+def test_a_window_that_would_be_over_by_the_clock_does_not_begin(window, said):
+    engine = Run(f"w(N) <- aggregate(count, in(_), N, {window}).")
+    assert engine.feed("in(1)@1 tick@10 in(2)@6 in(3)@7 tick@10.5") == said
+    assert [rule.late for rule in engine.rules] == [2]
+    assert "was over" in engine.reports[0]
+    assert engine.feed("in(4)@8 tick@20").startswith("w(1)@8-")
+
+
 @pytest.mark.parametrize("order", [(1, 6), (6, 1), (1, 6, 0), (6, 0, 1)])
 def test_bursts_further_apart_than_a_debounce_are_two_in_whatever_order_they_come(order):
     now = [1000 * SECOND]

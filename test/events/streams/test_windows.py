@@ -100,6 +100,9 @@ def test_from_the_first_of_a_group(arrivals, cut, span, running):
         found = opened.setdefault(one.key, [])
         if found and not found[0].end <= one.end < found[0].end + span:
             continue
+        if not found and one.end + span <= one.now:
+            del opened[one.key]  # its window is over
+            continue
         found.append(one)
         if running:
             expected.append(spanning(found))

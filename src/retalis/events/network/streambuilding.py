@@ -126,7 +126,7 @@ def measuring(
     measures = _measures(part, folded)
     form = part.window
     make = partial(_WINDOWS[form.kind], measures, form)
-    clocked = form.kind == "every" and not form.running
+    clocked = form.kind == "first" or (form.kind == "every" and not form.running)
     return Making(lambda mode: make(), item, result, clocked, _LATE)
 
 

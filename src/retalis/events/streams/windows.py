@@ -219,6 +219,7 @@ class FromFirst(Window):
         super().__init__(make)
         self.span = span
         self.running = running
+        self._reached = -(1 << 63)
         self._open: List[Tuple[int, int, Hashable, WindowGroup]] = []
 
     def take(self, item: StreamItem, now: int, channel: int) -> List[StreamOutput]:
@@ -230,9 +231,14 @@ class FromFirst(Window):
             self.late += 1
             return []
         self._move_on(item.end)
+        if now > self._reached:
+            self._reached = now
         outputs = self._close(self.clock)
         group = self.groups.get(item.key)
         if group is None:
+            if item.end + self.span <= max(self.clock, self._reached):  # its window is over before it begins
+                self.late += 1
+                return outputs
             group = WindowGroup(self.make(), item.end)
         elif not group.begin <= item.end < group.begin + self.span:
             self.late += 1
@@ -247,8 +253,13 @@ class FromFirst(Window):
     def restore(self, kept: KnownState) -> None:
         """See `StreamOperator.restore`."""
         super().restore(kept)
+        (self._reached,) = kept[5:]
         self._open = [(group.begin, group.members[0].order, key, group) for key, group in self.groups.items()]
         heapq.heapify(self._open)
+
+    def kept(self) -> KnownState:
+        """See `StreamOperator.kept`."""
+        return (*super().kept(), self._reached)
 
     def ring(self, instant: int) -> List[StreamOutput]:
         """See `StreamOperator.ring`."""
