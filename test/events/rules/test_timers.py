@@ -147,6 +147,36 @@ def test_the_instants_do_not_depend_on_the_steps_of_time(steps, when):
     assert [at for _, at in seen] == sorted(at for _, at in seen), "each in its place"
 
 
+@pytest.mark.parametrize(
+    ("rings", "at"),
+    [
+        ("exceptionAlarm(rung, 5) <- a.", 6),
+        ("rung <- aggregate(count, a, _, every(10)).", 10),
+        ("rung <- a with debounce(7).", 8),
+        (":- timer(rung, after(6)).", 7),
+        (":- state(rung, from(a), until(b), [within(9)]).", 10),
+    ],
+)
+def test_what_the_clock_rings_counts_from_that_instant_however_far_time_jumps(rings, at):
+    rules = (
+        rings + "\nnull do timer(later, after(3)) <- rung.\nnull do timer(tick, every(4, from_now)) <- rung."
+    )
+    engine = run(rules=rules)
+    engine.event("a", 1)
+    found = [one for one in engine.at(at + 10) if one[0] in ("later", "tick")]
+    assert found == [("later", at + 3), ("tick", at + 4), ("tick", at + 8)]
+
+
+def test_one_that_sets_itself_again_makes_up_for_a_jump_up_to_a_bound(monkeypatch):
+    monkeypatch.setattr(timers, "MOST_AT_ONCE", 100)
+    engine = run(rules=":- timer(t, after(1)).\nnull do timer(t, after(1)) <- t.")
+    engine.at(0.5)
+    assert [at for term, at in engine.at(50) if term == "t"] == [number + 0.5 for number in range(1, 50)]
+    rung = [at for term, at in engine.at(1000, 1001.5) if term == "t"]
+    assert len(rung) < 110
+    assert rung[-1] == 1001
+
+
 def test_an_instant_that_is_over_is_said_and_rings_never(caplog):
     engine = run("timer(a, at(2))")
     engine.at(5)

@@ -126,6 +126,7 @@ class Timers:
         self._aside: Dict[Hashable, ProgramTimer] = {}
         self._jumps = 0
         self._dead = 0
+        self._behind = 0
         self.left_out = 0
 
     def __len__(self) -> int:
@@ -144,13 +145,12 @@ class Timers:
             UsageError: what was expected.
             PrologError: where there are too many.
         """
-        program = self._program
         timer = ProgramTimer(copy(event), schedule_of(copy(when)))
         known = self._all.by_key.get(timer.key) or self._aside.pop(timer.key, None)
+        now = self._present()
         if known is None:
             if len(self) >= MOST:
                 raise resource_error("timers", reason=f"more than {MOST} timers are set")
-            now = program.clock.reached()
             if now > 0 and timer.schedule.next(now) is None:
                 self._over(timer)
                 return
@@ -159,7 +159,7 @@ class Timers:
             self._all.add(known)
             return
         self._all.add(known)
-        self._count(known)
+        self._count(known, now)
 
     def cancel(self, event: Term) -> int:
         """Take the timers out whose events unify with a term; return how many there were."""
@@ -175,9 +175,21 @@ class Timers:
 
     # ---- ringing -------------------------------------------------------------------------------------
 
-    def _count(self, timer: ProgramTimer) -> None:
+    def _present(self) -> int:
+        """Return the instant from which a goal counts: of what rings and has called it, though time may jump further.
+
+        Of goals of one jump only so many count so: one that sets itself again would go on for the whole of it.
+        """
+        clock = self._program.clock
+        reached, ringing = clock.reached(), clock.ringing
+        if ringing is None or reached - ringing <= SECOND:
+            self._behind = 0
+        else:
+            self._behind += 1
+        return reached if ringing is None or self._behind > MOST_AT_ONCE else ringing
+
+    def _count(self, timer: ProgramTimer, now: int) -> None:
         """Have a timer ring when its schedule says, counted from now or from when there is a time."""
-        now = self._program.clock.reached()
         timer.instant = timer.schedule.next(now) if now > 0 else None
         if now > 0 and timer.instant is None:
             self._all.remove(timer.key)
@@ -221,7 +233,7 @@ class Timers:
         timer.set_for = None
         instant = timer.instant
         if instant is None:
-            self._count(timer)
+            self._count(timer, self._program.clock.reached())  # that there is a time has rung
         elif instant > alarm.set_for or self._skips(timer, instant):
             self._set_alarm(timer)
         else:
@@ -285,7 +297,7 @@ class Timers:
             if timer.schedule.is_relative:
                 self._all.remove(timer.key)
             else:
-                self._count(timer)
+                self._count(timer, self._program.clock.reached())
 
     def mend(self) -> None:
         """Have each timer have its alarm, after an interrupt."""
