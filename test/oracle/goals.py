@@ -186,6 +186,10 @@ def solve(goal: Term, bindings: Bindings, facts: Optional[Dict[str, Term]] = Non
     elif name in ("==", "\\==") and len(args) == 2:
         if identical(instance(args[0], bindings), instance(args[1], bindings)) == (name == "=="):
             yield bindings
+    elif name in ("@<", "@>") and len(args) == 2:
+        one, other = (_standard(value_of(arg, bindings)) for arg in args)
+        if one < other if name == "@<" else one > other:
+            yield bindings
     elif name == "member" and len(args) == 2:
         rest = value_of(args[1], bindings)
         while rest.__class__ is tuple and rest[0] is CONS:
@@ -199,6 +203,13 @@ def solve(goal: Term, bindings: Bindings, facts: Optional[Dict[str, Term]] = Non
             yield extended
     else:
         raise GoalError(f"unknown goal {show(goal, bindings)}")
+
+
+def _standard(term: Term) -> Any:
+    """Return what puts numbers and atoms in the standard order: by value, a float before an equal integer."""
+    if term.__class__ is Atom:
+        return (1, term.name, 0)
+    return (0, term, int(term.__class__ is int))
 
 
 def first(goal: Term, bindings: Bindings, facts: Optional[Dict[str, Term]] = None) -> Optional[Bindings]:

@@ -8,7 +8,7 @@ from collections import Counter
 from dataclasses import dataclass, fields, replace
 from typing import Any, Dict, Iterable, Iterator, List, Optional, Tuple
 
-from retalis.prolog.terms import Term, Var, rebuild, variables
+from retalis.prolog.terms import NIL, Term, Var, rebuild, variables
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +136,8 @@ class Aggregate(Pattern):
 class Windowed(Pattern):
     """``aggregate(kinds, collected, results, window)``; kinds are words, values and results lists of terms.
 
-    The window is the name of one of `WINDOWS`, which says what span and step are.
+    The window is the name of one of `WINDOWS`, which says what span and step are, or ``steps``. A word may end with
+    the number of the step that it is of, as in ``max@1``.
     """
 
     kinds: str
@@ -146,6 +147,7 @@ class Windowed(Pattern):
     window: str
     span: Any
     step: Any = 0
+    steps: Term = NIL
 
 
 @dataclass(frozen=True, eq=False)

@@ -138,7 +138,8 @@ def certain(node: Pattern) -> Set[Var]:
     if isinstance(node, Aggregate):
         return certain(node.first) | set(variables(node.result))
     if isinstance(node, Windowed):
-        results = zip(node.kinds.split(), list_items(node.results) or [])  # lists are no numbers to look at
+        kinds = [word.partition("@")[0] for word in node.kinds.split()]
+        results = zip(kinds, list_items(node.results) or [])  # lists are no numbers to look at
         return {var for kind, term in results for var in variables(term) if kind not in ("list", "distinct")}
     if isinstance(node, (Cnot, Fnot, Within, Ntimes, Shaped, Awaited)):
         return certain(node.pattern)
@@ -292,7 +293,56 @@ class Generator:
         window = self.choice(list(WINDOWS))
         span: Any = self.choice([1, 2, 3] if window in ("newest", "batch", "running_batch") else SPANS)
         step = self.choice([span, span, *SPANS])
+        if self.chance(25):
+            steps = self.steps(sure)
+            kinds = [
+                f"{kind}@{self.choice(range(len(steps)))}" if self.chance(30) else kind for kind in kinds
+            ]
+            return Windowed(" ".join(kinds), below, values, results, "steps", 0, 0, make_list(steps))
         return Windowed(" ".join(kinds), below, values, results, window, span, step)
+
+    def steps(self, sure: List[Var]) -> List[Term]:
+        """Draw the steps of a window, by conditions that look at some variables."""
+        names = ["one", "two", "three"][: self.choice([1, 1, 2, 2, 3])]
+        found: List[Any] = []
+        for name in names:
+            least, more = self.choice([0, 1, 1, 2]), self.choice([0, 0, 1, "many"])
+            most: Any = atom("many") if more == "many" else max(least + more, 1)
+            until = [self.look(sure, names)] if self.chance(20) else []
+            reluctant = not until and self.chance(30)
+            goals = [self.look(sure, names)] if self.chance(75) else []
+            later = self.chance(35)
+            if later and most.__class__ is not int and not until:
+                reluctant = True  # else nothing might end it
+            found.append(
+                functor("step", 7)(
+                    atom(name),
+                    least,
+                    most,
+                    atom("reluctant" if reluctant else "greedy"),
+                    atom("later" if later else "next"),
+                    make_list(goals),
+                    make_list(until),
+                )
+            )
+        if not any(one[2] for one in found):
+            found[0] = (*found[0][:2], 1, *found[0][3:])
+        return found
+
+    def look(self, sure: List[Var], names: List[str]) -> Term:
+        """Draw a condition of a step, which asks for no numbers; it may look back."""
+        if not sure:
+            return atom(self.choice(["true", "true", "fail"]))
+        var = self.choice(sure)
+        kind = self.choice(["prev", "prev", "first", "last", "value", "value", "of"])
+        if kind == "value":
+            other: Term = self.value(2)
+        elif kind == "of":
+            other = functor(self.choice(["first", "last"]), 2)(atom(self.choice(names)), var)
+        else:
+            other = functor(kind, 1)(var)
+        goal = functor(self.choice(["==", "\\==", "@<", "@>", "@>"]), 2)(var, other)
+        return functor(",", 2)(goal, self.look(sure, names)) if self.chance(20) else goal
 
     def shaped(self, depth: int, left: Tuple[Var, ...]) -> Pattern:
         """Draw a pattern of which only some matches go on."""

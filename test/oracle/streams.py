@@ -5,15 +5,16 @@ What came to an operator is kept in a plain list for ever; who is in a window is
 
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from typing import Any, Callable, Dict, List, Optional, Tuple
+from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
-from retalis.prolog.terms import Term, Var, list_items, make_list, variables
+from retalis.prolog.terms import NIL, Term, Var, list_items, make_list, variables
 
 from .conditions import may_bind
 from .goals import Bindings, GoalError, instance, number, quotient, show, unbound, unify
 from .matches import Event, Match
 from .patterns import Awaited, Pattern, Shaped, Windowed, children
 from .repetition import Repetitions
+from .stepping import steps_of, whole_matches
 
 
 @dataclass(eq=False)
@@ -250,7 +251,23 @@ class Streams(Repetitions):
         taken.append(one)
         return []
 
+    def _steps(self, node: Windowed, taken: List[Taken], one: Taken, newest: Any) -> List[Match]:
+        """Those that one more decides, which have ended at its end then."""
+        taken.append(one)
+        same = [other for other in taken if other.key == one.key]
+        steps, items = steps_of(node.steps), [other.match.bindings for other in same]
+        results = []
+        for match in whole_matches(steps, items)[len(whole_matches(steps, items[:-1])) :]:
+            inside = [same[place] for place, _ in match]
+            interval = (
+                min(other.match.start for other in inside),
+                max(other.match.end for other in (*inside, one)),
+            )
+            results += self._given(node, inside, interval, [step for _, step in match])
+        return results
+
     _window: Dict[str, Callable[..., List[Match]]] = {
+        "steps": _steps,
         "last": _last,
         "newest": _newest,
         "batch": _batch,
@@ -302,13 +319,19 @@ class Streams(Repetitions):
 
     # What a window gives on.
 
-    def _given(self, node: Windowed, inside: List[Taken], interval: Any = None) -> List[Match]:
+    def _given(
+        self, node: Windowed, inside: List[Taken], interval: Any = None, steps: Sequence[int] = ()
+    ) -> List[Match]:
         """Return the match of a window: from the first start to the last end, or the window's own interval."""
         columns = list(zip(*(one.values for one in inside)))
         found: List[Term] = []
-        for kind in node.kinds.split():
+        for word in node.kinds.split():
+            kind, _, step = word.partition("@")
             values = [1] * len(inside) if kind in ("count", "rate") else list(columns.pop(0))
-            result = self._result_of_kind(kind, node, values, inside)
+            here = [place for place in range(len(inside)) if not step or steps[place] == int(step)]
+            result = self._result_of_kind(
+                kind, node, [values[at] for at in here], [inside[at] for at in here]
+            )
             if result is None:
                 return []
             found.append(result)
@@ -325,8 +348,10 @@ class Streams(Repetitions):
 
     @staticmethod
     def _result_of_kind(kind: str, node: Windowed, values: List[Any], inside: List[Taken]) -> Any:
+        if not inside:
+            return {"count": 0, "sum": 0, "count_distinct": 0, "list": NIL, "distinct": NIL}.get(kind)
         if kind == "rate":
-            if node.window not in ("newest", "batch", "running_batch"):
+            if node.window not in ("newest", "batch", "running_batch", "steps"):
                 return len(values) / float(node.span)
             ends = [one.match.end for one in inside]
             return (len(values) - 1) / float(max(ends) - min(ends)) if max(ends) > min(ends) else None
@@ -353,7 +378,8 @@ class Streams(Repetitions):
 
     @staticmethod
     def _values(node: Windowed, match: Match) -> List[Any]:
-        kinds = [kind for kind in node.kinds.split() if kind not in ("count", "rate")]
+        kinds = [word.partition("@")[0] for word in node.kinds.split()]
+        kinds = [kind for kind in kinds if kind not in ("count", "rate")]
         found = []
         for kind, term in zip(kinds, list_items(node.values) or []):
             value = instance(term, match.bindings)

@@ -38,6 +38,7 @@ from .patterns import (
     Within,
     walk,
 )
+from .stepping import steps_of
 
 _TOKEN = re.compile(r"\s*(-?\d+(?:\.\d+)?|[A-Z_]\w*|[a-z]\w*|'[^']*'|\[\]|[-+*/<>=\\:]+|.)")
 
@@ -182,12 +183,27 @@ def write_seconds(seconds: Any) -> str:
 def _kinds(node: Windowed, names: Names) -> Iterator[str]:
     """Yield the kinds of a window's aggregates as rules have them."""
     values = list_items(node.values) or []
-    for kind in node.kinds.split():
-        if kind in ("count", "rate"):
-            yield kind
-        else:
+    for word in node.kinds.split():
+        kind, _, step = word.partition("@")
+        if kind not in ("count", "rate"):
             setting = "0.25," if kind == "quantile" else ""
-            yield f"{kind}({setting}{write_term(values.pop(0), names)})"
+            kind = f"{kind}({setting}{write_term(values.pop(0), names)})"
+        yield f"of({steps_of(node.steps)[int(step)].name},{kind})" if step else kind
+
+
+def _steps(node: Windowed, names: Names) -> str:
+    """Write the steps of a window."""
+    found = []
+    for step in steps_of(node.steps):
+        limit = "many" if step.most is None else step.most
+        option = ",reluctant" if step.reluctant else ""
+        if step.until is not None:
+            option = f",until({write_term(step.until, names)})"
+        text = f"{step.name}({step.least},{limit}{option})"
+        if step.goal is not None:
+            text += f" where ({write_term(step.goal, names)})"
+        found.append(f"later({text})" if step.later else text)
+    return f"steps([{','.join(found)}])"
 
 
 def write_pattern(node: Pattern, names: Names) -> str:  # noqa: C901 - a case for each kind of pattern
@@ -224,7 +240,10 @@ def write_pattern(node: Pattern, names: Names) -> str:  # noqa: C901 - a case fo
         return f"{inner(node.pattern)} with {node.shape}({first}{key})"
     if isinstance(node, Windowed):
         kinds = ",".join(_kinds(node, names))
-        window = WINDOWS[node.window].format(write_seconds(node.span), write_seconds(node.step))
+        if node.window == "steps":
+            window = _steps(node, names)
+        else:
+            window = WINDOWS[node.window].format(write_seconds(node.span), write_seconds(node.step))
         return f"aggregate([{kinds}],{inner(node.collected)},{write_term(node.results, names)},{window})"
     if isinstance(node, Ntimes):
         return f"{inner(node.pattern)} ntimes {node.times}"

@@ -16,6 +16,8 @@ RULES = {
     "hopping": "out(M, A) <- aggregate(count, t(M, T), A, last(6, every(2))).",
     "first": "out(M, A) <- aggregate(list(T), t(M, T), A, every(4, first)).",
     "running": "out(M, A) <- aggregate(count, t(M, T), A, running(every(4))).",
+    "steps": "out(M, A) <- aggregate(list(T), t(M, T), A, steps([a(1, 2), later(b) where T > prev(T)])).",
+    "greedy": "out(M, A) <- aggregate(list(T), t(M, T), A, steps([a(1, many) where T >= prev(T)])).",
     "throttle": "out(M, T) <- t(M, T) with throttle(4, M).",
     "burst": "out(M, T) <- t(M, T) with burst(2, M).",
     "debounce": "out(M, T) <- t(M, T) with debounce(2, M).",

@@ -108,6 +108,7 @@ HOLDING = {
     "first": "w(N) <- aggregate(list(X), in(X), N, every(1000, first)).",
     "batch": "w(N) <- aggregate(list(X), in(X), N, every(100, events)).",
     "running": "w(N) <- aggregate(list(X), in(X), N, running(every(1000))).",
+    "steps": "w(X) <- aggregate(count, in(X), _, steps([a(2)])).",
     "throttle": "w(X) <- in(X) with throttle(1000, X).",
     "burst": "w(X) <- in(X) with burst(1000, X).",
     "debounce": "w(X) <- in(X) with debounce(1000, X).",

@@ -9,7 +9,7 @@ import io
 import pickle
 from typing import Any, Callable, Dict, List, Optional, Tuple
 
-from ...events.language import PATTERNS, Property, RuleDefinition, WindowForm
+from ...events.language import PATTERNS, Property, RuleDefinition, StepForm, WindowForm
 from ...events.matches import Found
 from ...foundation import Place, UsageError
 from ...prolog.terms import (
@@ -33,7 +33,7 @@ _DEEP = 50
 """How deep tuples may lie in each other where they have to be written flat."""
 
 _TUPLES: Dict[str, Any] = {
-    kind.__name__: kind for kind in (*PATTERNS, Found, Place, Property, RuleDefinition, WindowForm)
+    kind.__name__: kind for kind in (*PATTERNS, Found, Place, Property, RuleDefinition, StepForm, WindowForm)
 }
 """Tuples with names for their items that are written as such."""
 

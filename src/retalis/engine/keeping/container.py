@@ -4,7 +4,7 @@ import json
 from typing import Any, Dict, Tuple
 from zlib import crc32
 
-from ...events.language import PATTERNS, RuleDefinition, WindowForm
+from ...events.language import PATTERNS, RuleDefinition, StepForm, WindowForm
 from ...events.network import RuleState
 from ...foundation import UsageError
 from ...prolog.logic import KeptLogic, KeptValues
@@ -21,7 +21,7 @@ def _layout() -> int:
     kinds = [(name, *fields) for name, (_, fields) in FIELDS.items()]
     kinds += [
         (kind.__name__, *kind._fields)
-        for kind in (*PATTERNS, WindowForm, RuleDefinition, RuleState, KeptLogic, KeptValues)
+        for kind in (*PATTERNS, StepForm, WindowForm, RuleDefinition, RuleState, KeptLogic, KeptValues)
     ]
     return crc32(repr(kinds).encode())
 

@@ -242,10 +242,13 @@ def _describe_streamed(pattern: _Streamed, parts: Sequence[Any], show: Show) -> 
 def _kinds(pattern: Windowed) -> Term:
     """Return what a window measures: the list of its kinds, or the only one."""
     kinds = []
-    for name, setting, value in zip(pattern.kinds, pattern.settings, pattern.values):
+    measured = zip(pattern.kinds, pattern.settings, pattern.values, pattern.scopes)
+    for name, setting, value, scope in measured:
         settings = () if setting is None else setting if setting.__class__ is tuple else (setting,)
         args = settings if value is None else (*settings, copy(value))
-        kinds.append(functor(name, len(args))(*args) if args else atom(name))
+        kind = functor(name, len(args))(*args) if args else atom(name)
+        of_step = None if scope is None else atom(pattern.window.steps[scope].name)
+        kinds.append(kind if of_step is None else functor("of", 2)(of_step, kind))
     return kinds[0] if len(kinds) == 1 else make_list(kinds)
 
 

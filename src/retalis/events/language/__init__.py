@@ -38,6 +38,7 @@ from .pattern import (
     Repeated,
     Shaped,
     Star,
+    StepForm,
     Windowed,
     WindowForm,
     Within,
@@ -50,6 +51,7 @@ from .pattern import (
 from .reading import EventTerm, PatternReader, Spot
 from .schedules import TIMER, Schedule, schedule_fault, schedule_of, sets_timer
 from .stateforms import HOLDS, STATE, StateForm, asked_state, declares_state, state_form
+from .stepforms import conditions
 from .streaming import shape_term, window_term
 from .subscribed import subscribed_event, subscribed_shape
 from .valuekinds import ValueKind, slot_kind
@@ -68,6 +70,7 @@ __all__ = [
     "Subgoal",
     "called_by",
     "calls",
+    "conditions",
     "check_aggregate",
     "check_window",
     "check_head",
@@ -134,6 +137,7 @@ __all__ = [
     "VariableKinds",
     "walk",
     "window_term",
+    "StepForm",
     "Windowed",
     "WindowForm",
     "Within",

@@ -78,7 +78,9 @@ def check_window(
         warn: takes the warnings.
     """
     measured = [value for value in part.values if value is not None]
-    inside = occurrences(measured, part.collected)
+    asked = [goal for step in part.window.steps for goal in (step.goal, step.until) if goal is not None]
+    own = part._replace(window=part.window._replace(looked_at=()), results=())
+    inside = occurrences(asked, own)
     everywhere = occurrences([rule], None)
     for var in dict.fromkeys(one for value in measured for one in variables(value)):
         if everywhere.get(var, 0) > inside[var]:

@@ -116,17 +116,41 @@ class Action(NamedTuple):
     every: bool
 
 
+class StepForm(NamedTuple):
+    """A step of a window of steps: so many matches of its pattern for which a condition holds.
+
+    Attributes:
+        name: its name.
+        least: how many, at least.
+        most: how many, at most; None for any number.
+        reluctant: whether it takes as few as it can, not as many.
+        later: whether matches that fit no step are passed over before each of its own.
+        goal: the condition, or None; it may look back by ``prev/1`` and the like.
+        until: what holds for a match that ends it, or None.
+    """
+
+    name: str
+    least: int
+    most: Optional[int]
+    reluctant: bool
+    later: bool
+    goal: Optional[Term]
+    until: Optional[Term]
+
+
 class WindowForm(NamedTuple):
     """Which matches are measured together, and when the result is given on.
 
     Attributes:
         kind: ``last`` for those of the last ``span`` ns, ``newest`` for the last ``most``, ``every`` for windows of
             ``span`` ns one after the other, ``first`` for such that begin with a match, ``batch`` for ``most`` at
-            a time.
+            a time, ``steps`` for those that take steps.
         span: how long, in ns.
         step: for ``every``, from one window's start to the next one's, in ns.
         most: how many.
         running: whether it is given on at each match, not only at a window's end.
+        steps: the steps.
+        looked_at: the variables of the pattern that the conditions of steps look at.
     """
 
     kind: str
@@ -134,6 +158,8 @@ class WindowForm(NamedTuple):
     step: int = 0
     most: int = 0
     running: bool = False
+    steps: Tuple[StepForm, ...] = ()
+    looked_at: Tuple[Var, ...] = ()
 
 
 class Windowed(NamedTuple):
@@ -147,6 +173,7 @@ class Windowed(NamedTuple):
         results: a term for the result of each measure; with ``listed`` one for the list of all of them.
         listed: see there.
         window: the window.
+        scopes: for each measure the step that it looks at, or None for all.
     """
 
     collected: "Pattern"
@@ -156,6 +183,7 @@ class Windowed(NamedTuple):
     results: Tuple[Term, ...]
     listed: bool
     window: WindowForm
+    scopes: Tuple[Optional[int], ...]
 
 
 class Shaped(NamedTuple):
@@ -211,7 +239,7 @@ def with_others(part: Pattern, fresh: Mapping[Var, Var]) -> Any:
     """Return a pattern with other variables in the place of some."""
 
     def renamed(found: Any) -> Any:
-        if isinstance(found, PATTERNS):
+        if isinstance(found, (*PATTERNS, WindowForm, StepForm)):
             return found.__class__(*map(renamed, found))
         if found.__class__ is tuple and (not found or found[0].__class__ is not Functor):
             return tuple(map(renamed, found))  # the branches of an ``or``, the variables of repetitions
@@ -259,7 +287,8 @@ def own_terms(part: Pattern) -> List[Term]:
     if isinstance(part, Aggregate):
         return [part.result] if part.value is None else [part.value, part.result]
     if isinstance(part, Windowed):
-        return [*(value for value in part.values if value is not None), *part.results]
+        measured = [value for value in part.values if value is not None]
+        return [*measured, *part.window.looked_at, *part.results]
     if isinstance(part, Shaped):
         return [*part.by] if part.value is None else [part.value, *part.by]
     return []
@@ -304,8 +333,14 @@ def _as_term(pattern: Pattern) -> Term:
     parts: List[Term] = []
     for part in walk(pattern, True):
         kind, marks = _marked(part)
-        parts.append((functor(kind, 0), *marks, *own_terms(part)))
+        parts.append((functor(kind, 0), *marks, *own_terms(part), *_conditions_of_steps(part)))
     return (functor("pattern", 0), *parts)
+
+
+def _conditions_of_steps(part: Pattern) -> List[Term]:
+    steps = part.window.steps if isinstance(part, Windowed) else ()
+    none = functor("none", 1)(0)
+    return [none if goal is None else goal for one in steps for goal in (one.goal, one.until)]
 
 
 def _marked(part: Pattern) -> Tuple[str, Tuple[int, ...]]:
@@ -319,6 +354,7 @@ def _marked(part: Pattern) -> Tuple[str, Tuple[int, ...]]:
     if isinstance(part, Windowed):
         settings = " ".join(map(repr, part.settings))
         kind = f"{part.window.kind} {' '.join(part.kinds)} {settings}"
+        kind += "".join(map(repr, (*(one[:5] for one in part.window.steps), *part.scopes)))
         return kind, (*part.window[1:4], int(part.window.running), int(part.listed))
     return type(part).__name__, _numbers(part)
 

@@ -1,12 +1,13 @@
 """Windows and shapes of streams, read from terms: ``aggregate(K, Q, R, W)`` and ``P with S``."""
 
-from typing import Any, Dict, List, NamedTuple, Optional, Protocol, Sequence, Tuple
+from typing import Any, Dict, List, NamedTuple, Optional, Protocol, Sequence, Set, Tuple
 
 from ...foundation import RuleError
 from ...prolog.terms import (
     Atom,
     CompoundTerm,
     Term,
+    Var,
     atom,
     deref,
     from_seconds,
@@ -20,6 +21,7 @@ from ..streams import MEASURES
 from .meant import bracketed, near
 from .operators import SPELLINGS
 from .pattern import Pattern, Shaped, Windowed, WindowForm, bound_by
+from .stepforms import StepReader, read_steps, steps_term
 
 _ABSENT, _AGGREGATE = functor("absent", 2), functor("aggregate", 4)
 SHORTEST = 1_000_000
@@ -41,6 +43,10 @@ class FormReader(Protocol):
 
     def error(self, message: str, term: Term, number: int = 0) -> RuleError:
         """Return an error at a term, or at an argument of it."""
+
+
+class WindowReader(FormReader, StepReader, Protocol):
+    """The same, and goals that windows ask."""
 
 
 class ShapeForm(NamedTuple):
@@ -65,11 +71,12 @@ SHAPES: Dict[str, ShapeForm] = {
 
 _WINDOWS = (
     "last(Seconds), last(N, events), last(Seconds, every(Seconds)), every(Seconds), every(Seconds, first), "
-    "every(N, events), or running(every(...))"
+    "every(N, events), running(every(...)), or steps([Step, ...])"
 )
 
 
-_WINDOW_NAMES = frozenset(("last", "every", "running"))
+_WINDOW_NAMES = frozenset(("last", "every", "running", "steps"))
+_OF_STEP = "of"
 
 
 def is_event(term: CompoundTerm) -> bool:
@@ -83,7 +90,7 @@ def is_event(term: CompoundTerm) -> bool:
         return False
     kind, window = deref(term[1]), deref(term[4])
     name = kind.name if kind.__class__ is Atom else kind[0].name if kind.__class__ is tuple else ""
-    measured = name in MEASURES or list_items(kind) is not None
+    measured = name in MEASURES or name == _OF_STEP or list_items(kind) is not None
     return not measured and not (window.__class__ is tuple and window[0].name in _WINDOW_NAMES)
 
 
@@ -136,7 +143,7 @@ def read_shape(reader: FormReader, term: CompoundTerm) -> Shaped:
     return Shaped(pattern, name, span, value, by)
 
 
-def read_window(reader: FormReader, term: CompoundTerm) -> Windowed:
+def read_window(reader: WindowReader, term: CompoundTerm) -> Windowed:
     """Return the pattern that ``aggregate(K, Q, R, W)`` is.
 
     Raises:
@@ -147,10 +154,11 @@ def read_window(reader: FormReader, term: CompoundTerm) -> Windowed:
     if several is not None and not several:
         raise reader.error("an aggregate needs one kind at least", term, 1)
     kinds = [kind] if several is None else [deref(one) for one in several]
-    read = [_measure(reader, one, term) for one in kinds]
+    parted = [_of_step(one) for one in kinds]
+    read = [_measure(reader, one, term) for _, one in parted]
     collected = reader.operand(term, 2, "aggregate")
     given = set(bound_by(collected))
-    for one, (_, _, value) in zip(kinds, read):
+    for (_, one), (_, _, value) in zip(parted, read):
         if value is not None and any(var not in given for var in variables(value)):
             raise reader.error(
                 "what is measured has a variable that no event in the window gives a value", one
@@ -159,15 +167,36 @@ def read_window(reader: FormReader, term: CompoundTerm) -> Windowed:
     if items is not None and len(items) != len(kinds):
         raise reader.error(f"{len(kinds)} aggregates have {len(kinds)} results, not {len(items)}", term, 3)
     results = tuple([deref(term[3])] if items is None else [deref(one) for one in items])
-    window = _window(reader, deref(term[4]), term)
+    window = _window(reader, deref(term[4]), term, given)
+    scopes = _scopes(reader, [step for step, _ in parted], window, term)
     if "rate" in [name for name, _, _ in read] and window.kind == "batch" and window.most == 1:
         raise reader.error("one event has no rate", term, 4)
     names, settings, values = zip(*read)
     listed = several is not None and items is None
-    return Windowed(collected, names, settings, values, results, listed, window)
+    return Windowed(collected, names, settings, values, results, listed, window, scopes)
 
 
-def _measure(reader: FormReader, kind: Any, term: CompoundTerm) -> Tuple[str, Any, Optional[Term]]:
+def _of_step(kind: Any) -> Tuple[Any, Any]:
+    """Return the step that a measure is of, or None, and what it measures."""
+    if kind.__class__ is tuple and kind[0].name == _OF_STEP and len(kind) == 3:
+        return deref(kind[1]), deref(kind[2])
+    return None, kind
+
+
+def _scopes(
+    reader: WindowReader, steps: Sequence[Any], window: WindowForm, term: CompoundTerm
+) -> Tuple[Optional[int], ...]:
+    """Return the number of the step that each measure looks at, or None."""
+    known = [atom(one.name) for one in window.steps]
+    for step in steps:
+        if step is not None and step not in known:
+            there = f"; there are {', '.join(one.name for one in known)}" if known else ""
+            message = f"of(Step, Kind) needs the name of a step of a window of steps{there}"
+            raise reader.error(message, term, 1)
+    return tuple([None if step is None else known.index(step) for step in steps])
+
+
+def _measure(reader: WindowReader, kind: Any, term: CompoundTerm) -> Tuple[str, Any, Optional[Term]]:
     """Return the name of a measure, its setting, and what it is of."""
     name = kind.name if kind.__class__ is Atom else kind[0].name if kind.__class__ is tuple else ""
     args: Sequence[Term] = kind[1:] if kind.__class__ is tuple else ()
@@ -191,11 +220,14 @@ def _measure(reader: FormReader, kind: Any, term: CompoundTerm) -> Tuple[str, An
     return name, setting, deref(args[-1]) if found.takes else None
 
 
-def _window(reader: FormReader, form: Any, term: CompoundTerm) -> WindowForm:
-    """Return the window that a term says."""
+def _window(reader: WindowReader, form: Any, term: CompoundTerm, given: Set[Var]) -> WindowForm:
+    """Return the window that a term says, over a pattern that gives values to some variables."""
     name = form[0].name if form.__class__ is tuple else ""
+    if name == "steps" and len(form) == 2:
+        steps, looked_at = read_steps(reader, form, given)
+        return WindowForm("steps", steps=steps, looked_at=looked_at)
     if name == "running" and len(form) == 2:
-        inner = _window(reader, deref(form[1]), term)
+        inner = _window(reader, deref(form[1]), term, given)
         if inner.kind not in ("every", "first", "batch") or inner.span != inner.step:
             raise reader.error(
                 "running needs every(Seconds), every(Seconds, first) or every(N, events)", form
@@ -221,7 +253,7 @@ def _window(reader: FormReader, form: Any, term: CompoundTerm) -> WindowForm:
     raise reader.error(f"a window is {_WINDOWS}", *((form,) if form.__class__ is tuple else (term, 4)))
 
 
-def _hopping(reader: FormReader, form: CompoundTerm, span: int, step: int) -> WindowForm:
+def _hopping(reader: WindowReader, form: CompoundTerm, span: int, step: int) -> WindowForm:
     """Return windows that the clock ends, one after the other; one event can make it end so many of them."""
     if step < SHORTEST or span > MOST_WINDOWS * step:
         message = f"every needs 0.001 seconds at least, and last no more than {MOST_WINDOWS} times those of its every"
@@ -247,6 +279,8 @@ def shape_term(part: Shaped) -> Term:
 
 def window_term(form: WindowForm) -> Term:
     """Return the term that says a window."""
+    if form.kind == "steps":
+        return steps_term(form.steps)
     one, two = functor("every", 1), functor("every", 2)
     span = timestamps.to_seconds(form.span)
     if form.kind == "last":

@@ -117,8 +117,8 @@ class Network(Remembered, Protocol):
     def newest_allowed(self) -> int:
         """Return the newest stamp that may move the clock of a rule."""
 
-    def dropped(self, rule: "RuleOwner") -> None:
-        """Report that a rule has too many partial matches."""
+    def dropped(self, rule: "RuleOwner", ways: int = 0) -> None:
+        """Report that a rule has too many partial matches, or more ways to take steps than so many."""
 
     def set_alarm(self, rule: "RuleOwner", term: Term, start: int, instant: int, token: Any = None) -> None:
         """Have an event fire when its instant has come."""

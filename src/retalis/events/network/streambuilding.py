@@ -1,7 +1,7 @@
 """From the parts of a pattern that look at streams to how their nodes are to make items and matches."""
 
 from functools import partial
-from typing import Any, Callable, Dict, Hashable, List, Optional, Sequence, Set, Tuple, Union
+from typing import Any, Callable, Dict, Hashable, List, NamedTuple, Optional, Sequence, Set, Tuple, Union
 
 from ...foundation import RuleError
 from ...prolog.database import CompiledGoal
@@ -20,10 +20,21 @@ from ...prolog.terms import (
     variables,
 )
 from ..dispatch import compile_builder
-from ..language import Awaited, Pattern, Shaped, Windowed, bound_by, surely_bound_by
+from ..language import (
+    Awaited,
+    Pattern,
+    Shaped,
+    StepForm,
+    Windowed,
+    WindowForm,
+    bound_by,
+    conditions,
+    surely_bound_by,
+)
 from ..matches import Match, NetworkOptions, key_function, unify_sides
 from ..streams import (
     MEASURES,
+    MOST_WAYS,
     Agreement,
     Awaiting,
     Batches,
@@ -35,7 +46,13 @@ from ..streams import (
     Settled,
     Sliding,
     Spaced,
+    StepMark,
+    SteppedWindow,
+    StepPlan,
+    StepTest,
+    StreamItem,
     StreamOperator,
+    WindowStep,
 )
 from .deferred import Built, Negated, absence_of
 from .limits import UNLIMITED, Limit
@@ -50,6 +67,25 @@ Evaluate = Callable[[Term], Optional[Term]]
 """Gives the number of an expression, or None."""
 Folding = Callable[[Sequence[Term]], Optional[Term]]
 """Gives the result of a program's own aggregate for values, oldest first."""
+Holding = Callable[[Values], bool]
+"""Tells whether a goal holds for values."""
+
+
+class Asking(NamedTuple):
+    """What makes the goals that windows ask.
+
+    Attributes:
+        evaluating: gives what gives the number of an expression, for a kind of aggregate.
+        folded: gives what calls the predicates of a program's own aggregate.
+        holding: gives what asks a goal, given the values of some variables.
+        crowded: is called where there are more ways to take steps than are followed.
+    """
+
+    evaluating: Callable[[str], Evaluate]
+    folded: Callable[[Any], Folding]
+    holding: Callable[[Term, Sequence[Var]], Holding]
+    crowded: Callable[[], None]
+
 
 _WINDOWS: Dict[str, Callable[[Any, Any], StreamOperator]] = {
     "last": lambda make, form: Sliding(make, form.span),
@@ -92,8 +128,7 @@ def measuring(
     names: Sequence[Var],
     groups: Sequence[Var],
     result: Result,
-    evaluating: Callable[[str], Evaluate],
-    folded: Callable[[Any], Folding],
+    asking: "Asking",
 ) -> Making:
     """Return how a node of ``aggregate(K, Q, R, W)`` makes items, from the variables of Q's matches.
 
@@ -102,16 +137,16 @@ def measuring(
         names: the variables of Q's matches.
         groups: those that stand elsewhere in the rule.
         result: gives the values of its matches.
-        evaluating: gives what gives the number of an expression, for a kind of aggregate.
-        folded: gives what calls the predicates of a program's own aggregate.
+        asking: makes the goals that are asked of items.
     """
     places = positions(names)
     at = [places[var] for var in groups]
     only = at[0] if len(at) == 1 else None
     taken = [value for value in part.values if value is not None]
-    build = _builder(taken, names)
+    looked_at = part.window.looked_at
+    build, seen = _builder(taken, names), [places[var] for var in looked_at]
     of_values = [kind for kind, value in zip(part.kinds, part.values) if value is not None]
-    numeric = [evaluating(kind) if MEASURES[kind].numeric else None for kind in of_values]
+    numeric = [asking.evaluating(kind) if MEASURES[kind].numeric else None for kind in of_values]
     numbers = any(numeric)
 
     def item(values: Values) -> Tuple[Values, Values]:
@@ -121,13 +156,69 @@ def measuring(
                 if value.__class__ not in (int, float):
                     found = tuple([_number(*one) for one in zip(found, of_values, numeric)])
                     break
+        if seen:
+            found = (*found, *(values[place] for place in seen))
         return ((values[only],) if only is not None else tuple([values[place] for place in at])), found
 
-    measures = _measures(part, folded)
+    measures = _measures(part, asking.folded)
     form = part.window
+    if form.kind == "steps":
+        plan = planned(form, len(taken), asking.holding)
+        return Making(
+            lambda mode: SteppedWindow(measures, part.scopes, plan, asking.crowded),
+            item,
+            result,
+            False,
+            _LATE,
+        )
     make = partial(_WINDOWS[form.kind], measures, form)
     clocked = form.kind == "first" or (form.kind == "every" and not form.running)
     return Making(lambda mode: make(), item, result, clocked, _LATE)
+
+
+def planned(form: WindowForm, before: int, holding: Callable[[Term, Sequence[Var]], Holding]) -> StepPlan:
+    """Return the plan of the steps of a window.
+
+    Args:
+        form: the window.
+        before: how many values of an item come before those that conditions look at.
+        holding: gives what asks a goal, given the values of some variables.
+    """
+    places = {var: at for at, var in enumerate(form.looked_at, before)}
+    names = [one.name for one in form.steps]
+    marks: Dict[StepMark, int] = {}
+
+    def test(goal: Term, at: int) -> Tuple[StepTest, ...]:
+        made = []
+        for one in conditions(goal, names, at):
+            own = [var for var in variables(one.goal) if var in places]
+            holds = holding(one.goal, [*own, *(back.stands for back in one.back)])
+            back = [
+                marks.setdefault(StepMark(back.kind, -1 if back.kind == "prev" else back.step), len(marks))
+                for back in one.back
+            ]
+            values = [places[var] for var in own], [places[back.var] for back in one.back]
+            made.append(StepTest(tuple(back), partial(_holds, holds, *values)))
+        return tuple(made)
+
+    def step(at: int, one: StepForm) -> WindowStep:
+        tests, until = [() if goal is None else test(goal, at) for goal in (one.goal, one.until)]
+        return WindowStep(one.least, one.most, one.reluctant, one.later, tests, until)
+
+    steps = [step(at, one) for at, one in enumerate(form.steps)]
+    return StepPlan(steps, list(marks))
+
+
+def _holds(
+    holds: Holding, own: Sequence[int], backs: Sequence[int], item: StreamItem, asked: Sequence[StreamItem]
+) -> bool:
+    """Tell whether a goal holds for values of an item and of those that it looks back at."""
+    return holds(
+        (
+            *(item.values[at] for at in own),
+            *(one.values[at] for one, at in zip(asked, backs)),
+        )
+    )
 
 
 def _number(value: Term, kind: str, evaluate: Optional[Evaluate]) -> Term:
@@ -271,10 +362,11 @@ class StreamBuilding:
             built = below if core.shape != "debounce" else Built(node, [], below.leaves, [])
             return built._replace(node=self._add(node, None, UNLIMITED))
         values = [value for value in core.values if value is not None]
-        outside = self._outside(pattern, values)
+        outside = self._outside(pattern, [*values, *core.window.looked_at])
         groups = [var for var in names if var in outside]
         own, result = resulting(core, groups)
-        making = measuring(core, names, groups, result, self._evaluating, self._folded)
+        asking = Asking(self._evaluating, self._folded, self._holding, self._crowded)
+        making = measuring(core, names, groups, result, asking)
         node = self._add(Streaming(self.rule, [below.node], own, making), None, UNLIMITED)
         return Built(node, [], below.leaves, [])
 
@@ -316,6 +408,24 @@ class StreamBuilding:
             return None if found is None else found[0]
 
         return evaluate
+
+    def _holding(self, goal: Term, names: Sequence[Var]) -> Holding:
+        """Return what asks a goal, given the values of some variables."""
+        compiled = self.rule.network.logic.compile_goal(goal, list(names), [])
+
+        def holds(values: Values) -> bool:
+            try:
+                return compiled.test(values) is not None
+            except PrologError as error:
+                keep_back(error)
+                raise RuleError(f"the condition of a step: {error.message}") from error
+
+        return holds
+
+    def _crowded(self) -> None:
+        """Count a way to take steps that is not followed, as there are too many."""
+        self.rule.dropped += 1
+        self.rule.network.dropped(self.rule, MOST_WAYS)
 
     def _folded(self, names: Tuple[Atom, Atom, Atom]) -> Folding:
         """Return what calls the predicates of a program's own aggregate; None where one of them fails.

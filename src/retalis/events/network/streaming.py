@@ -16,6 +16,7 @@ from ..matches import (
     Held,
     Match,
     NetworkOptions,
+    arrival,
     emit_each,
     taken_back,
 )
@@ -157,7 +158,9 @@ class Streaming(NetworkNode):
 
         def arrive(match: Match, after: Frame) -> Frame:
             outputs = take(match if with_match else None, match.values, match.start, match.end)
-            return self._give(outputs, after) if outputs else after
+            if not outputs:
+                return after
+            return self._give(outputs, after, arrival(match) if mode.tracked else 0)
 
         return arrive
 

@@ -24,9 +24,11 @@ class WindowMeasure(Protocol):
 
     Attributes:
         picky: whether it refuses some values.
+        of_none: whether there is a result for no items.
     """
 
     picky: bool
+    of_none: bool
 
     def check(self, item: StreamItem, /) -> None:
         """Refuse the value of an item.
@@ -42,13 +44,14 @@ class WindowMeasure(Protocol):
         """Take out an item that is gone."""
 
     def result(self, members: Members, number: int, /) -> Optional[Term]:
-        """Return the result for a window of so many items, one at least; None where there is none."""
+        """Return the result for so many items, one at least but for `of_none`; None where there is none."""
 
 
 class _Plain:
     """A measure that is read off the items."""
 
     picky = False
+    of_none = False
 
     def __init__(self, at: int, name: str, setting: Setting):
         self.at = at
@@ -66,12 +69,15 @@ class _Plain:
 
 
 class _Count(_Plain):
+    of_none = True
+
     def result(self, members: Members, number: int) -> Optional[Term]:
         return number
 
 
 class _Sum(_Plain):
     picky = True
+    of_none = True
 
     def __init__(self, at: int, name: str, setting: Setting):
         super().__init__(at, name, setting)
@@ -91,11 +97,15 @@ class _Sum(_Plain):
 
 
 class _Average(_Sum):
+    of_none = False
+
     def result(self, members: Members, number: int) -> Optional[Term]:
         return self.sum.over(number)
 
 
 class _Deviation(_Sum):
+    of_none = False
+
     def __init__(self, at: int, name: str, setting: Setting):
         super().__init__(at, name, setting)
         self.squares = ExactSum()
@@ -175,11 +185,15 @@ class _Last(_Plain):
 
 
 class _List(_Plain):
+    of_none = True
+
     def result(self, members: Members, number: int) -> Optional[Term]:
         return make_list([item.values[self.at] for item in live(members)])
 
 
 class _CountDistinct(_Plain):
+    of_none = True
+
     def __init__(self, at: int, name: str, setting: Setting):
         super().__init__(at, name, setting)
         self.numbers: Dict[Hashable, int] = {}
@@ -229,6 +243,8 @@ class _Alike:
 
 class _Distinct(_Plain):
     """The values that are different; looks at each of them once, however many items have it."""
+
+    of_none = True
 
     def __init__(self, at: int, name: str, setting: Setting):
         super().__init__(at, name, setting)

@@ -1,0 +1,341 @@
+"""A window of steps: matches in which the items of a group take one step after the other.
+
+All ways that a match may go on are followed at once, the preferred ones first, and those that cannot be told apart by
+what comes are one. So an item takes the same time however many came before it, and nothing is tried again.
+"""
+
+from collections import deque
+from typing import Any, Callable, Deque, Dict, Hashable, List, NamedTuple, Optional, Sequence, Set, Tuple
+
+from ...foundation import RuleError
+from ...prolog.terms import Values
+from .groups import MOST_NAMED
+from .items import KnownState, StreamItem, StreamOutput
+from .measures import WindowMeasure
+from .steps import SCANNING, Marks, StepPlan, ends, passes
+
+MOST_WAYS = 100
+"""How many ways of one group are followed at once: those that are preferred."""
+
+_Pairs = Tuple[Tuple[StreamItem, int], ...]
+"""Items, and the steps that have taken them."""
+
+
+class _Taken(NamedTuple):
+    """The items of a match, the newest first."""
+
+    item: StreamItem
+    step: int
+    before: "Optional[_Taken]"
+
+
+class _Whole:
+    """A match that is whole; it is given on when no way that is preferred to it is left."""
+
+    __slots__ = ("pairs",)
+
+    def __init__(self, pairs: _Pairs):
+        self.pairs = pairs
+
+
+class StepWay:
+    """A way in which the items so far may be taken.
+
+    Attributes:
+        step: the step of its last item.
+        count: how many that step has taken, as far as that makes a difference.
+        left: after an item was passed over the steps that may still take one; else None.
+        marks: the items that conditions look back at.
+        taken: the items of the match that has begun.
+        start: the order of the first of these.
+        whole: the matches before that one which are not given on yet, the oldest first.
+    """
+
+    __slots__ = ("step", "count", "left", "marks", "taken", "start", "whole")
+
+    def __init__(
+        self,
+        step: int,
+        count: int,
+        left: Optional[Tuple[int, ...]],
+        marks: Marks,
+        taken: Optional[_Taken],
+        start: int,
+        whole: Tuple[_Whole, ...],
+    ):
+        self.step = step
+        self.count = count
+        self.left = left
+        self.marks = marks
+        self.taken = taken
+        self.start = start
+        self.whole = whole
+
+    def oldest(self) -> Optional[int]:
+        """Return the order of the oldest item that it holds."""
+        if self.whole:
+            return self.whole[0].pairs[0][0].order
+        return self.start if self.taken is not None else None
+
+    def key(self) -> Hashable:
+        """Return what tells it from other ways by what comes."""
+        return (self.step, self.count, self.left, tuple([id(one) for one in self.marks]))
+
+
+class StepGroup:
+    """The items of one group that some way holds, and those between them."""
+
+    __slots__ = ("items", "ways")
+
+    def __init__(self, ways: List[StepWay]):
+        self.items: Deque[StreamItem] = deque()
+        self.ways = ways
+
+
+class SteppedWindow:
+    """Gives on matches of steps, which do not overlap. See `StreamOperator`.
+
+    Args:
+        make: makes the measures of a match.
+        scopes: for each of them the step that it looks at, or None for all.
+        plan: the steps.
+        crowded: is called where there are more ways than are followed.
+    """
+
+    def __init__(
+        self,
+        make: Callable[[], Sequence[WindowMeasure]],
+        scopes: Sequence[Optional[int]],
+        plan: StepPlan,
+        crowded: Callable[[], None],
+    ):
+        self.make = make
+        self.scopes = scopes
+        self.plan = plan
+        self._crowded = crowded
+        self._checks = [measure.check for measure in make() if measure.picky]
+        self._groups: Dict[Hashable, StepGroup] = {}
+        self._number = 0
+        self._order = 0
+        self.tracked = False
+        self.allowed: Callable[[], int] = lambda: 1 << 64
+        self.next: Optional[int] = None
+        self.late = 0
+
+    def __len__(self) -> int:
+        return self._number
+
+    def _scanning(self, whole: Tuple[_Whole, ...] = ()) -> StepWay:
+        return StepWay(SCANNING, 0, None, (None,) * len(self.plan.marks), None, 0, whole)
+
+    def take(self, item: StreamItem, now: int, channel: int) -> List[StreamOutput]:
+        """See `StreamOperator.take`."""
+        for check in self._checks:
+            check(item)
+        group = self._groups.get(item.key)
+        if group is None:
+            group = StepGroup([self._scanning()])
+        item.order = self._order + 1
+        ways = self._go_on(group.ways, item)  # conditions may refuse it: nothing has changed until here
+        self._order += 1
+        self._number += 1
+        group.items.append(item)
+        found = self._decided(ways)
+        self._set(group, item.key, ways)
+        outputs = [self._output(one, item) for one in found]
+        return [output for output in outputs if output is not None]
+
+    def ring(self, instant: int) -> List[StreamOutput]:
+        """See `StreamOperator.ring`: the clock decides nothing."""
+        return []
+
+    def drop_oldest(self) -> None:
+        """See `StreamOperator.drop_oldest`: the match of the oldest group that holds its oldest item goes."""
+        key, group = next(iter(self._groups.items()))
+        oldest = group.items[0].order
+        left = [way for way in group.ways if way.oldest() != oldest]
+        if not left or left[-1].step != SCANNING:
+            left.append(self._scanning())
+        self._set(group, key, left)
+
+    def _set(self, group: StepGroup, key: Hashable, ways: List[StepWay]) -> None:
+        """Have a group go on in some ways; items that none of them holds are forgotten."""
+        group.ways = ways
+        held = [oldest for oldest in (way.oldest() for way in ways) if oldest is not None]
+        if held:
+            self._groups[key] = group
+            first = min(held)
+            while group.items[0].order < first:
+                group.items.popleft()
+                self._number -= 1
+        else:
+            self._number -= len(group.items)
+            self._groups.pop(key, None)
+
+    # ---- one item ------------------------------------------------------------------------------------
+
+    def _go_on(self, ways: Sequence[StepWay], item: StreamItem) -> List[StepWay]:
+        """Return how ways go on with an item, the preferred first."""
+        found: List[StepWay] = []
+        seen: Set[Hashable] = set()
+        for way in ways:
+            takers, passing = self._takers(way, item)
+            for at in takers:
+                if self._takes(way, at, item, found, seen):
+                    return found  # a whole match: what is less preferred than that is out
+            if way.step == SCANNING:
+                found.append(way)
+            elif not takers and passing:
+                self._add(
+                    StepWay(way.step, way.count, passing, way.marks, way.taken, way.start, way.whole),
+                    found,
+                    seen,
+                )
+        return found
+
+    def _takers(self, way: StepWay, item: StreamItem) -> Tuple[List[int], Tuple[int, ...]]:
+        """Return the steps that take an item, and those that may take a later one if none does."""
+        steps = self.plan.steps
+        choices = self.plan.choices(way.step, way.count)[0] if way.left is None else way.left
+        ending = [bool(steps[at].until) and ends(steps[at].until, way.marks, item) for at in choices]
+        open_ones = [at for at, ends in zip(choices, ending) if not ends]
+        takers = [at for at in open_ones if passes(steps[at].tests, way.marks, item)]
+        return takers, tuple([at for at in open_ones if steps[at].later])
+
+    def _takes(
+        self, way: StepWay, at: int, item: StreamItem, found: List[StepWay], seen: Set[Hashable]
+    ) -> bool:
+        """Add the way in which a step takes an item; tell whether the match is whole then."""
+        plan = self.plan
+        count = plan.counted(at, way.count + 1 if way.step == at else 1)
+        taken = _Taken(item, at, way.taken)
+        start = item.order if way.taken is None else way.start
+        made = StepWay(at, count, None, plan.marked(way.marks, at, item), taken, start, way.whole)
+        choices, whole = plan.choices(at, count)
+        if choices:
+            self._add(made, found, seen)
+        if whole:
+            found.append(self._scanning((*way.whole, _Whole(_in_order(taken)))))
+        return whole
+
+    def _add(self, way: StepWay, found: List[StepWay], seen: Set[Hashable]) -> None:
+        key = way.key()
+        if key in seen:
+            return
+        if len(found) >= MOST_WAYS:
+            self._crowded()
+            return
+        seen.add(key)
+        found.append(way)
+
+    @staticmethod
+    def _decided(ways: Sequence[StepWay]) -> List[_Whole]:
+        """Take from all ways the matches that are the first in each of them, and return these."""
+        found = []
+        while ways[0].whole:
+            first = ways[0].whole[0]
+            if any(not way.whole or way.whole[0] is not first for way in ways):
+                break
+            found.append(first)
+            for way in ways:
+                way.whole = way.whole[1:]
+        return found
+
+    # ---- what is given on ----------------------------------------------------------------------------
+
+    def _output(self, whole: _Whole, deciding: StreamItem) -> Optional[StreamOutput]:
+        """Return what is given on for a match; None where a measure has no result."""
+        items = [item for item, _ in whole.pairs]
+        start = min(item.start for item in items)
+        end = max(deciding.end, *(item.end for item in items))
+        named = tuple(items[-MOST_NAMED:]) if self.tracked else (items[-1],)
+        try:
+            found = self._measured(whole)
+        except RuleError as error:
+            return StreamOutput(named, start, end, (), error)
+        except OverflowError:
+            too_large = RuleError("aggregate: what is measured is too large for a float")
+            return StreamOutput(named, start, end, (), too_large)
+        return None if found is None else StreamOutput(named, start, end, found)
+
+    def _measured(self, whole: _Whole) -> Optional[Values]:
+        found = []
+        for measure, scope in zip(self.make(), self.scopes):
+            members = deque([item for item, step in whole.pairs if scope is None or step == scope])
+            for item in members:
+                measure.add(item)
+            result = measure.result(members, len(members)) if members or measure.of_none else None
+            if result is None:
+                return None
+            found.append(result)
+        return tuple(found)
+
+    # ---- what lasts ----------------------------------------------------------------------------------
+
+    def kept(self) -> KnownState:
+        """See `StreamOperator.kept`: the items of each group, and its ways by their orders."""
+        groups = [
+            (list(group.items), tuple([_numbers(way) for way in group.ways]))
+            for group in self._groups.values()
+        ]
+        return (self.late, self._order, groups)
+
+    def restore(self, kept: KnownState) -> None:
+        """See `StreamOperator.restore`: where items are missing, those that are left are taken again."""
+        self.late, self._order, groups = kept
+        self._groups, self._number = {}, 0
+        for items, ways in groups:
+            if items:
+                self._restore_group(items, ways)
+
+    def _restore_group(self, items: List[StreamItem], ways: Sequence[Tuple[object, ...]]) -> None:
+        known = {item.order: item for item in items}
+        group = StepGroup([])
+        for item in items:
+            item.file()
+            group.items.append(item)
+        self._number += len(items)
+        try:
+            found = [self._way_of(way, known) for way in ways]
+        except KeyError:
+            found = [self._scanning()]
+            for item in items:
+                found = self._go_on(found, item)
+                self._decided(found)
+        self._set(group, items[0].key, found)
+
+    def _way_of(self, numbers: Tuple[Any, ...], known: Dict[int, StreamItem]) -> StepWay:
+        """Return a way of which `_numbers` has told."""
+        step, count, left, marks, pairs, whole = numbers
+        taken: Optional[_Taken] = None
+        for order, at in pairs:
+            taken = _Taken(known[order], at, taken)
+        return StepWay(
+            step,
+            count,
+            left,
+            tuple([None if order is None else known[order] for order in marks]),
+            taken,
+            pairs[0][0] if pairs else 0,
+            tuple([_Whole(tuple([(known[order], at) for order, at in one])) for one in whole]),
+        )
+
+
+def _in_order(taken: Optional[_Taken]) -> _Pairs:
+    """Return the items of a match, the oldest first."""
+    found = []
+    while taken is not None:
+        found.append((taken.item, taken.step))
+        taken = taken.before
+    return tuple(reversed(found))
+
+
+def _numbers(way: StepWay) -> Tuple[Any, ...]:
+    """Return what a way knows, with the orders of items in their place."""
+    marks = tuple([None if one is None else one.order for one in way.marks])
+    whole = tuple([_orders(one.pairs) for one in way.whole])
+    return (way.step, way.count, way.left, marks, _orders(_in_order(way.taken)), whole)
+
+
+def _orders(pairs: _Pairs) -> Tuple[Tuple[int, int], ...]:
+    return tuple([(item.order, step) for item, step in pairs])

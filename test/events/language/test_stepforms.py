@@ -1,0 +1,66 @@
+"""Rules over windows of steps, as people write them."""
+
+import pytest
+from events.running import Program, fired
+
+RISING = "up(M) <- aggregate(count, r(M,V), _, steps([low where V < 3, high where V >= 3]))."
+STARS = "s(L) <- aggregate(list(X), e(X), L, steps([{}]))."
+
+
+@pytest.mark.parametrize(
+    "steps, found",
+    [
+        ("a(2) where X < 5", "s([1,2])@0-1 s([3,4])@2-3 s([1,2])@5-6"),
+        ("a(1, many) where X < 4", "s([1,2,3])@0-3"),
+        ("a(1, many, reluctant), b where X > 3", "s([1,2,3,4])@0-3"),
+        ("a, b(0, 1) where X = 9", "s([1])@0-1 s([2])@1-2 s([3])@2-3 s([4,9])@3-4 s([1])@5-6 s([2])@6-7"),
+        ("a where X = 1, later(b) where X > 3", "s([1,4])@0-3"),
+        ("later(a(1, many, until(X > 3)))", "s([1,2,3])@0-3"),
+        ("a(3) where X > prev(X)", "s([1,2,3])@0-2"),
+        ("a(2, many) where (X > prev(X), X - first(X) < 3)", "s([1,2,3])@0-3 s([1,2])@5-7"),
+        ("a where X = 9, b(2) where X < first(a, X)", "s([9,1,2])@4-6"),
+        ("a(2), b where X > last(a, X)", "s([1,2,3])@0-2 s([9,1,2])@4-6"),
+    ],
+)
+def test_of_one_stream(steps, found):
+    stream = [1, 2, 3, 4, 9, 1, 2, 0]
+    assert fired(STARS.format(steps), " ".join(f"e({x})@{at}" for at, x in enumerate(stream))) == found
+
+
+def test_each_value_that_stands_elsewhere_has_steps_of_its_own():
+    assert fired(RISING, "r(a,1)@1 r(b,5)@2 r(a,4)@3 r(b,1)@4 r(b,3)@5") == "up(a)@1-3 up(b)@4-5"
+
+
+def test_inside_other_patterns():
+    rule = "both(M) <- aggregate(count, r(M,V), _, steps([low where V < 3, high where V >= 3])) seq ok(M)."
+    assert fired(rule, "r(a,1)@1 ok(a)@2 r(a,4)@3 ok(b)@4 ok(a)@5") == "both(a)@1-5"
+    rule = "two(L) <- aggregate(list(A+B), (p(A) seq q(B)), L, steps([one(2)]))."
+    assert fired(rule, "p(1)@1 q(2)@2 p(3)@3 q(4)@4") == "two([+(1,2),+(3,4)])@1-4"
+
+
+@pytest.mark.parametrize("flag", ["revision_flag", "etalis_justification"])
+@pytest.mark.parametrize("policy", ["recent", "chronological", "unrestricted"])
+def test_the_same_under_every_flag_and_policy(flag, policy):
+    assert fired(RISING, "r(a,1)@1 r(a,4)@3", policy, [flag]) == "up(a)@1-3"
+
+
+def test_a_match_is_taken_back_with_what_decided_it():
+    program = Program(STARS.format("a(1, many) where X < 3"), ["revision_flag"])
+    assert program.feed("e(1)@1 e(2)@2 e(7)@3") == "s([1,2])@1-3"
+    assert program.feed("rev(e(7))@3") == "rev(s([1,2]))@3-3"
+    assert program.feed("e(8)@4") == "s([1,2])@1-4"
+
+
+def test_the_preferred_ways_are_followed_and_others_counted():
+    """Each could be the first of a match, and looks back at another first; so many that they are bounded."""
+    program = Program(STARS.format("a(1, many) where X >= first(X), b where X < first(a, X)"))
+    rising = [*range(150), 3]
+    program.feed(" ".join(f"e({x})@{at}" for at, x in enumerate(rising)))
+    assert ["more than 100 ways to take its steps" in str(one) for one in program.warnings][:1] == [True]
+    assert program.seen
+
+
+def test_a_condition_that_raises_refuses_that_event_alone():
+    program = Program("s(L) <- aggregate(list(X), e(X), L, steps([a, b where X > prev(X)])).")
+    assert program.feed("e(1)@1 e(x)@2 e(2)@3") == "s([1,2])@1-3"
+    assert ["the condition of a step" in str(error) for error in program.errors] == [True]

@@ -1,0 +1,69 @@
+"""Windows of steps against trying all ways in their order, as the oracle does."""
+
+from random import Random
+
+from hypothesis import given
+from hypothesis import settings as example_settings
+from hypothesis import strategies as st
+from oracle.patterns import Leaf, Rule, Windowed
+from oracle.stepping import steps_of, whole_matches
+from oracle.strategies import Generator
+from oracle.text import write_rule
+
+from retalis.engine import Engine
+from retalis.prolog.terms import Var, functor, make_list
+
+KEY, VALUE, RESULT = Var(), Var(), Var()
+READING, FOUND = functor("reading", 2), functor("found", 2)
+
+
+def rule_of(steps):
+    """Return the rule that gives the values of each match with their key."""
+    window = Windowed(
+        "list", Leaf(READING(KEY, VALUE)), make_list([VALUE]), make_list([RESULT]), "steps", 0, 0, steps
+    )
+    return write_rule(Rule(FOUND(KEY, RESULT), window))
+
+
+def expected(steps, readings):
+    """Return what is found at each reading, by the oracle."""
+    found = []
+    for end in range(1, len(readings) + 1):
+        key = readings[end - 1][0]
+        values = [value for other, value in readings[:end] if other == key]
+        items = [{VALUE: value} for value in values]
+        told = len(whole_matches(steps_of(steps), items[:-1]))
+        for match in whole_matches(steps_of(steps), items)[told:]:
+            found.append(f"found({key},[{','.join(str(values[place]) for place, _ in match)}])")
+    return found
+
+
+def fired(rule, readings, cut=None):
+    """Return what a rule finds; with ``cut`` another engine goes on after so many readings."""
+    seen = []
+
+    def listening(engine):
+        engine.on_event(lambda term, *interval: seen.append(engine.show(term)))
+        return engine
+
+    engine = listening(Engine())
+    engine.load(rules=rule)
+    for at, (key, value) in enumerate(readings):
+        if at == cut:
+            engine = listening(Engine.restore(engine.snapshot()))
+        engine.event(f"reading({key},{value})", at, at)
+    return [one for one in seen if one.startswith("found")]
+
+
+READINGS = st.lists(st.tuples(st.sampled_from("aab"), st.integers(0, 3)), max_size=14)
+STEPS = st.integers(0, 10**6).map(
+    lambda seed: make_list(Generator(Random(seed).choice).steps([VALUE]))  # drawn as the oracle draws them
+)
+
+
+@example_settings(max_examples=60)
+@given(STEPS, READINGS, st.integers(0, 14))
+def test_as_all_ways_tried_in_their_order(steps, readings, cut):
+    rule = rule_of(steps)
+    assert fired(rule, readings) == expected(steps, readings), rule
+    assert fired(rule, readings, cut) == expected(steps, readings), rule
