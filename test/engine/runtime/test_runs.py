@@ -147,6 +147,51 @@ def test_stamps_that_are_always_off_are_judged_by_how_much(node, ahead):
     assert node.since(11) == ["run", 1000.5 + ahead]
 
 
+@pytest.fixture(params=[(1000, 1001), (1001, 1002), (1000, 1001, 1002), (1003, 1004)])
+def busy(node, request):
+    """A node to which the clock came on time and some messages late, together, as on a busy machine."""
+    late = request.param
+    for stamp in BAG:
+        node.clock(stamp)
+        if stamp not in late:
+            node.send(stamp)
+        elif stamp == late[-1]:
+            node.clock(stamp + 0.3)
+            for one in late:
+                node.send(one)
+    return node
+
+
+def test_messages_before_the_clock_wait_for_it_after_some_that_were_held_up(busy):
+    busy.send(1000)
+    busy.clock(1000)
+    assert busy.taken == [*BAG, "run", 1000]
+
+
+def test_messages_of_the_run_before_are_dropped_after_some_that_were_held_up(busy):
+    busy.clock(1000)
+    for stamp in (1004.1, 1004.2, 1000.1):
+        busy.send(stamp)
+    assert busy.taken == [*BAG, "run", 1000.1]
+
+
+def test_messages_before_the_first_word_of_the_clock(node):
+    node.send(1000)
+    node.play(*BAG[1:])
+    node.send(1000)
+    assert node.taken == [*BAG]
+    node.clock(1000)
+    assert node.since(5) == ["run", 1000]
+
+
+def test_the_first_word_of_the_clock_is_no_time_that_passed(node):
+    node.send(1000)
+    node.clock(1002)
+    node.send(1002)
+    node.send(1000.9)
+    assert node.taken == [1000, 1002, 1000.9]
+
+
 STRANGE = {
     "out of order": (1003, 1007, 1000, 1005, 1001, 1006),
     "all the same": (1000, 1000, 1000, 1000, 1000, 1000),
@@ -305,13 +350,13 @@ def test_time_of_a_run_that_is_over_stands_still(node):
 
 
 @settings(max_examples=10, deadline=None)
-@given(st.integers(0, 2**32), st.integers(2, 4), st.booleans())
-def test_runs_are_never_mixed(seed, loops, is_late):
+@given(st.integers(0, 2**32), st.integers(2, 4), st.booleans(), st.integers(0, 20))
+def test_runs_are_never_mixed(seed, loops, is_late, held_up):
     """A bag in a loop, in which the clock or the messages come late by as much as they like."""
-    _loop(Node(), Random(seed), loops, is_late)
+    _loop(Node(), Random(seed), loops, is_late, held_up)
 
 
-def _loop(node, draw, loops, is_late):
+def _loop(node, draw, loops, is_late, held_up):
     """Play a bag of 6 s again and again; the milliseconds of a stamp are the number of the run."""
     for run in range(loops):
 
@@ -326,10 +371,14 @@ def _loop(node, draw, loops, is_late):
             node.clock(1000)
             for tenth in range(draw.randrange(1, 5)):
                 node.send(at(60 + tenth, run - 1))
+        last = draw.randrange(early + held_up, 60)
         for tenth in range(early, 60):
             node.pass_time(draw.random() / 10)
             node.clock(1000 + tenth / 10)
-            node.send(at(tenth))
+            if not last - held_up <= tenth < last:  # those come together, late
+                for one in range(tenth - held_up, tenth) if tenth == last else ():
+                    node.send(at(one))
+                node.send(at(tenth))
         begun = max(place for place, one in enumerate(["run", *node.taken]) if one == "run")
         assert node.taken.count("run") == run
         assert node.taken[begun:] == [at(tenth) for tenth in range(60)]

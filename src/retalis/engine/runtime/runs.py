@@ -7,7 +7,8 @@ may come before it, and those of the run before after it. The rule for them:
    events as text has told in their midst that its own has, too; who does not tell within `PATIENCE` is not waited
    for. What comes in between waits for the run. What was received before is worked off in the run before.
 2. A frame of a topic follows the clock if its stamps went on as the clock did, ahead of it or behind it, by however
-   much. Only such a frame tells anything about runs (`Skew`).
+   much; messages that were held up on their way count neither for nor against it. Only such a frame tells anything
+   about runs (`Skew`).
 3. It is early if it goes back, to further behind the clock than it ever was. Then all that its publisher sends waits
    until the run begins. Where the clock does not go back within `PATIENCE`, nothing was early: all is taken in order.
 4. It is left over if it goes on where the run before ended, ahead of the run at hand. It is dropped.

@@ -18,6 +18,12 @@ AGREEING = 10
 PACE = 10.0
 """How many times faster than time a bag may be played, where nothing else tells how far stamps should have got."""
 
+LONG_ENOUGH = SECOND // 2
+"""For how long stamps have to go on as time does, to count as such that do."""
+
+LOOKS = 100
+"""Messages of a frame that are all looked at while that is not known; afterwards one a second is."""
+
 FRAMES = 5000
 """Frames that are kept for a topic."""
 
@@ -51,9 +57,12 @@ class FrameTime:
         other: the first of those in a row that are far from the last one and agree among themselves.
         agreeing: how many these are.
         told: whether somebody has been warned.
-        begun: the node's time of the first receipt.
-        least: the least by which stamps were ahead of it at their receipt; less than 0 where they were behind it.
+        least: the least by which stamps were ahead of the node's time at receipt; below 0 where they were behind it.
         most: the most by which they were.
+        begun: the node's time of the receipt to which later ones are compared: 0 before that time is known.
+        ahead: by how much its stamp was ahead.
+        followed: whether stamps went on as the node's time did.
+        looks: how many fitted.
     """
 
     __slots__ = (
@@ -67,9 +76,12 @@ class FrameTime:
         "other",
         "agreeing",
         "told",
-        "begun",
         "least",
         "most",
+        "begun",
+        "ahead",
+        "followed",
+        "looks",
     )
 
     def __init__(self, stamp: int, now: int, wall: int, progress: int):
@@ -81,10 +93,10 @@ class FrameTime:
         self.pace: Optional[float] = None
         self.since = stamp, wall
         self.other: Optional[FrameTime] = None
-        self.agreeing = 0
-        self.told = False
+        self.agreeing = self.looks = 0
+        self.told = self.followed = False
         self.begun = now
-        self.least = self.most = stamp - now
+        self.least = self.most = self.ahead = stamp - now
 
     def distance(self, stamp: int, now: int, wall: int, progress: int) -> int:
         """Return how far a stamp is from the nearest one that could be expected, later ones as positive numbers.
@@ -104,30 +116,40 @@ class FrameTime:
         if passed >= SECOND // 2:
             self.pace = max(self.pace or 1.0, min((stamp - self.since[0]) / passed, PACE))
             self.since = stamp, wall
+        self._compare(stamp, now)
         self.progress += stamp - self.stamp
         self.stamp, self.now, self.wall = stamp, now, wall
-        self.second = _UNKNOWN if exact else stamp // SECOND
+        self.looks += 1
+        self.second = _UNKNOWN if exact or not (self.followed or self.looks > LOOKS) else stamp // SECOND
         self.other, self.agreeing = None, 0
-        ahead = stamp - now
-        if ahead < self.least:
-            self.least = ahead
-        elif ahead > self.most:
-            self.most = ahead
 
-    def follows(self) -> bool:
-        """Tell whether the stamps went on as the node's time did, for as long as it takes to say so."""
-        passed = self.now - self.begun
-        return passed >= JUMP and self.most - self.least <= passed / 4
+    def _compare(self, stamp: int, now: int) -> None:
+        """Note by how much a stamp is ahead, and see whether they go on as the node's time does.
+
+        A busy machine holds messages up, which makes them look as if their stamps lagged. So a stamp that lags tells
+        nothing; one that is further ahead than before tells that those before it were held up, or go on too fast.
+        """
+        ahead = stamp - now
+        if not self.begun:  # there was no time yet
+            self.begun = now
+            self.least = self.most = self.ahead = ahead
+        passed = now - self.begun
+        self.least, self.most = min(self.least, ahead), max(self.most, ahead)
+        if stamp < self.stamp - JUMP:  # taken, so time did not go back
+            self.begun, self.ahead, self.followed = now, ahead, False
+        elif not self.followed and ahead > self.ahead + passed / 4:
+            self.begun, self.ahead = now, ahead
+        elif not self.followed and passed >= LONG_ENOUGH:
+            self.followed = ahead >= self.ahead - passed / 4
 
     def is_early(self, stamp: int, now: int) -> bool:
         """Tell whether a stamp goes back to where it fits an earlier time only."""
-        slack = JUMP + self.most - self.least
-        return stamp < self.stamp - JUMP and stamp - now < self.least - slack and self.follows()
+        return stamp < self.stamp - JUMP and stamp - now < self.least - JUMP and self.followed
 
     def is_left_over(self, stamp: int, end: int, now: int) -> bool:
         """Tell whether a stamp goes on where this run ended, at an instant, and is ahead of the present one."""
-        slack = JUMP + self.most - self.least
-        return stamp >= self.stamp and stamp - end <= self.most + slack < stamp - now and self.follows()
+        goes_on = self.stamp <= stamp <= end + self.most + JUMP + (self.most - self.least)
+        return goes_on and stamp - now > self.most + JUMP and self.followed
 
     def agree(self, stamp: int, now: int, wall: int, progress: int, most: int) -> bool:
         """Note a stamp that is far away; tell whether enough of them in a row agree."""
