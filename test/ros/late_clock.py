@@ -10,12 +10,14 @@ from pathlib import Path
 import rospy
 import rostest
 from rosgraph_msgs.msg import Clock
+from std_msgs.msg import String
 
 sys.path.append(str(Path(__file__).resolve().parent))
 sys.path.append(str(Path(__file__).resolve().parents[2] / "examples" / "nao"))
-from harness import DEFINITIONS, Collector, RawPublisher, open_the_way, wait_until  # noqa: E402
+from harness import DEFINITIONS, Collector, RawPublisher, open_the_way, service, wait_until  # noqa: E402
 from make_bag import make_bag  # noqa: E402
 
+from retalis import srv  # noqa: E402
 from retalis.engine.playback import BagReader, Playback  # noqa: E402
 
 PROGRAM = Path(__file__).resolve().parents[2] / "application_source"
@@ -50,6 +52,12 @@ class LateClock(unittest.TestCase):
             lambda: all(one.connected() for one in self.markers.values()), "the publishers of the markers"
         )
         open_the_way()
+        added = service("add_memory", srv.AddMemory)(
+            "std_msgs__0__String('\"probe\"')", "", "_", "probes", "1"
+        )
+        self.assertEqual(added.result, "ok")
+        self.query = service("retalis/query", srv.Query)
+        self.probe = rospy.Publisher("probe", String, queue_size=10)
 
     def test_poses_are_those_of_each_run(self):
         (first, first_poses), (second, second_poses) = self.bags
@@ -58,13 +66,12 @@ class LateClock(unittest.TestCase):
         self.play(first)
         self.expect(first_poses)
         early = self.until(second, LATE)  # the clock comes late
-        self.play(second[:early], ticks=False)
+        self.send(second[:early])
         self.play(second[early:])
         self.expect(second_poses)
         self.tick(first[0][0])  # the messages come late
-        time.sleep(0.1)
-        for _, topic, data in second[-LEFT_OVER:]:
-            self.publishers[topic].publish(data)
+        wait_until(self.clock_is_heard, "time to go back")
+        self.send(second[-LEFT_OVER:])
         self.play(first)
         self.expect(first_poses)
 
@@ -72,20 +79,32 @@ class LateClock(unittest.TestCase):
         self.now = instant
         self.clock.publish(Clock(rospy.Time(*divmod(instant, 10**9))))
 
+    def clock_is_heard(self):
+        """Tell whether all nodes on the way of messages have the time: what has no stamp is stamped by it."""
+        self.probe.publish("probe")
+        found = self.query(srv.QueryRequest(goal=f"access_mem(probes, _, [_, T]), T < {self.now / 1e9 + 1}"))
+        self.assertEqual(found.result, "ok")
+        return bool(found.solutions)
+
     @staticmethod
     def until(records, seconds):
         """Return how many messages a bag has up to a time."""
         return sum(one[0] < records[0][0] + seconds * 1e9 for one in records)
 
-    def play(self, records, ticks=True):
+    def play(self, records):
         """Publish messages at their times, as ``rosbag play --clock`` does."""
         began = time.monotonic()
         for instant, topic, data in records:
             wait = (instant - records[0][0]) / 1e9 / SPEED - (time.monotonic() - began)
             if wait > 0:
                 time.sleep(wait)
-            if ticks and abs(instant - self.now) > 10_000_000:
+            if abs(instant - self.now) > 10_000_000:
                 self.tick(instant)
+            self.publishers[topic].publish(data)
+
+    def send(self, records):
+        """Publish messages at once: the clock must not come more than a second later than the first of them."""
+        for _, topic, data in records:
             self.publishers[topic].publish(data)
 
     def expect(self, poses):
