@@ -10,6 +10,7 @@ from . import (  # noqa: F401  (imported for what they register)
     comparing,
     coroutines,
     datimes,
+    directives,
     input,
     lambdas,
     lists,
@@ -20,6 +21,7 @@ from . import (  # noqa: F401  (imported for what they register)
     recorded,
     reports,
     sets,
+    singlesided,
     solutions,
     state,
     strings,
@@ -33,6 +35,7 @@ from .dcg import translate_rule
 from .portraying import OutputCapture
 from .recorded import records_of
 from .registry import ENTRIES, control
+from .singlesided import SINGLE_SIDED, is_behind, translate_single_sided
 from .state import default_flags
 from .tabled import declare_as
 from .tabling import tables_of
@@ -42,6 +45,9 @@ __all__ = [
     "OutputCapture",
     "control",
     "declare_as",
+    "is_behind",
+    "SINGLE_SIDED",
+    "translate_single_sided",
     "default_flags",
     "ENTRIES",
     "instant_of",

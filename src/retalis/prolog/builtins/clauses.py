@@ -183,7 +183,7 @@ def abolish(machine: Machine, term: Term) -> bool:
     predicate = _check_rights(machine, key, "modify", "static_procedure")
     if predicate.defined and not predicate.dynamic and machine.logic.flags["iso"] is atom("true"):
         raise permission_error("modify", "static_procedure", indicator(key))
-    predicate.clear()
+    predicate.abolish()
     return True
 
 

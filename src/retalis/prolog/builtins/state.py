@@ -44,7 +44,7 @@ def default_flags() -> Dict[str, Term]:
 
 
 _CHANGEABLE: Dict[str, Tuple[str, ...]] = {
-    "debug": ("on", "off"),
+    "debug": ("on", "off", "true", "false"),
     "unknown": ("error", "fail", "warning"),
     "double_quotes": ("codes", "chars", "atom", "string"),
     "back_quotes": ("codes", "chars", "string", "symbol_char"),
@@ -65,12 +65,22 @@ def set_prolog_flag(machine: Machine, flag: Term, value: Term) -> bool:
     if allowed is None:
         if name.name in flags and name.name in default_flags():
             raise permission_error("modify", "flag", name)
-        if name.name not in flags:
+        if name.name not in flags and is_iso(machine):
             raise domain_error("prolog_flag", name)
+        value = copy(value)  # of another Prolog: kept, and nothing here asks for it
     elif value.__class__ is not Atom or value.name not in allowed:
         raise domain_error("flag_value", (functor("+", 2), name, value))
     flags[name.name] = value
     return True
+
+
+@deterministic("unknown/2")
+def unknown(machine: Machine, old: Term, new: Term) -> bool:
+    """Give and set what a call of a predicate that nobody has defined does."""
+    before = machine.logic.flags["unknown"]
+    if not machine.unify(old, before):
+        return False
+    return deref(new) is deref(before) or set_prolog_flag(machine, atom("unknown"), new)
 
 
 @deterministic("create_prolog_flag/3")

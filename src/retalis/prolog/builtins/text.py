@@ -240,6 +240,9 @@ def parse_number(text: str, operators: Operators) -> Optional[Term]:
     body = stripped[1:] if stripped[:1] in ("-", "+") else stripped
     if not body or not (body[0].isdigit() or body[:3] in ("inf", "nan")) or body[-1].isspace():
         return None
+    after = body[3:] if body.startswith("0'") else body
+    if "%" in after or "/*" in after:  # a comment is no part of a number
+        return None
     try:
         term = read_term(body, operators, positions=False).term
     except SyntaxFault:

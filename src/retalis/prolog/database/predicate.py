@@ -65,6 +65,7 @@ class Predicate:
         known: the deterministic built-in that it is where its first argument is known, if there is one.
         dynamic: clauses may be asserted and retracted by the program.
         library: belongs to the system; programs may redefine it unless it is ``locked``.
+        missed: whether it was warned of a call of it, where nobody has defined it.
     """
 
     def __init__(self, database: OwnDatabase, functor: Functor):
@@ -80,6 +81,7 @@ class Predicate:
         self.multifile = False
         self.locked = False
         self.library = False
+        self.missed = False
         self.compiled = False
         self.tabled: Optional[Predicate] = None
         self.direct: Optional[Direct] = None
@@ -156,6 +158,13 @@ class Predicate:
         """Remove all clauses."""
         for clause in list(self.live()):
             self.remove(clause)
+
+    def abolish(self) -> None:
+        """Remove all clauses and what was declared: calling it is an error from now on."""
+        self.clear()
+        self.dynamic = self.discontiguous = self.multifile = False
+        if self.kind == "user":
+            self.kind = "undefined"
 
     def changed(self) -> None:
         """Go back to interpretation: the clauses are not what was compiled."""

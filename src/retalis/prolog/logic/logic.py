@@ -23,7 +23,7 @@ from ..compiler import CALL
 from ..database import COMPILE_AFTER, Clause, CompiledGoal, Predicate, check_body, functor_of, split_clause
 from ..machine import Frame, Limits, PrologError
 from ..syntax import Operators, by_name, write_term
-from ..terms import Functor, Term, Var, copy, deref, functor
+from ..terms import CompoundTerm, Functor, Term, Var, copy, deref, functor
 from . import ports  # noqa: F401  (it registers trace/1)
 from .predicates import Predicates
 from .unknown import similar, undefined
@@ -44,7 +44,6 @@ class Logic(Predicates):
         output: called with text that the program prints.
         column: where that stands in its line.
         now: gives the present in nanoseconds.
-        message: called with kind (error, warning, informational, ...) and text of ``print_message/2``.
         error_output: called with text printed to ``user_error``, and with warnings.
         foreign_modules: the Python modules that the program has asked for, names or paths.
         new_goals: what has been compiled since `preparing` began; None outside of that.
@@ -57,7 +56,7 @@ class Logic(Predicates):
         self.column = 0
         self.output: Callable[[str], None] = _print
         self.error_output: Callable[[str], None] = _print_error
-        self.message: Callable[[str, str], None] = self._to_error_output
+        self.message = self._to_error_output
         self.state: Dict[str, Any] = {}
         self.now: Callable[[], int] = time_ns
         self.new_goals: Optional[List[CompiledGoal]] = None
@@ -77,7 +76,7 @@ class Logic(Predicates):
     # Clauses
 
     def add_clause(self, term: Term, place: Optional[Place] = None, first: bool = False) -> Clause:
-        """Add a clause (its variables are copied); DCG rules are translated.
+        """Add a clause (its variables are copied); DCG rules and single-sided rules are translated.
 
         Raises:
             PrologError: where the term is not a clause, or belongs to a predicate of the system.
@@ -85,6 +84,24 @@ class Logic(Predicates):
         term = deref(term)
         if term.__class__ is tuple and term[0] is _ARROW:
             term = builtins.translate_rule(term)
+        if term.__class__ is tuple and term[0] is builtins.SINGLE_SIDED:
+            return self._add_single_sided(term, place, first)
+        return self._add(term, place, first)
+
+    def _add_single_sided(self, rule: CompoundTerm, place: Optional[Place], first: bool) -> Clause:
+        """Add a rule; the clause behind all rules of its predicate stays the last one."""
+        term, behind = builtins.translate_single_sided(rule)
+        clause = self._add(term, place, first)
+        predicate = self.database.writable(clause.predicate.functor, "modify")
+        last = predicate.clauses[-1]
+        if not builtins.is_behind(last.body):
+            for other in list(predicate.live())[-2:]:
+                if builtins.is_behind(other.body):
+                    predicate.remove(other)
+            self._add(behind, None, False)
+        return clause
+
+    def _add(self, term: Term, place: Optional[Place], first: bool) -> Clause:
         head, body = split_clause(copy(term))
         predicate = self.database.writable(functor_of(head), "modify")
         clause = Clause(predicate, head, body, place)

@@ -24,7 +24,10 @@ class Predicates:
         database: predicates by functor.
         operators: operator table, changed by ``op/3``.
         flags: Prolog flags by name, as terms.
+        message: called with kind (error, warning, informational, ...) and text of ``print_message/2``.
     """
+
+    message: Callable[[str, str], None]
 
     def __init__(self, operators: Optional[Operators] = None, compile_after: int = COMPILE_AFTER):
         self.machine = Machine()
@@ -191,6 +194,11 @@ class Predicates:
         if predicate is not None and predicate.defined:
             return bool(predicate.library)
         return (key.name, key.arity) in self._library
+
+    def is_added(self, key: Functor) -> bool:
+        """Tell whether a predicate is the system's and none of Prolog's: those above have defined it."""
+        known = (key.name, key.arity)
+        return self.is_of_system(key) and known not in builtins.ENTRIES and known not in self._library
 
     def names(self) -> Iterator[Functor]:
         """Yield the functors of all defined predicates."""

@@ -10,11 +10,16 @@ from .predicates import Predicates
 
 
 def undefined(logic: Predicates, predicate: Predicate, frame: Frame) -> Optional[Frame]:
-    """Raise the existence error of a procedure (or fail, as the flag ``unknown`` says)."""
+    """Raise the existence error of a procedure, or fail, as the flag ``unknown`` says; with a first warning."""
     flag = deref(logic.flags["unknown"])
     if flag is atom("fail") or flag is FALSE:
         return None
     key = predicate.functor
+    if flag is atom("warning"):
+        if not predicate.missed:
+            predicate.missed = True
+            logic.message("warning", f"Unknown procedure: {key}")
+        return None
     notes = []
     callers = _callers(logic, predicate, frame)
     if callers:
