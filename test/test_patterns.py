@@ -64,6 +64,19 @@ CASES: Dict[str, Case] = {
     ),
     r"\b_G\d+\b": Case("search", "one run of digits", ("",), ("_G1", "_G", "1", "_")),
     r"(,|\)(?=\w))": Case("search", "two characters", ("",), (",", ")", "a")),
+    # events/program/ofevents.py
+    r"<-|'rule:'|'?\b(?:do|iff|IFF|event_rule_property|include)\b": Case(
+        "search",
+        "a word that begins as one of these",
+        ("",),
+        ("<", "'", "d", "do_", "'rule", "event_rule_propert "),
+    ),
+    r"[:?]-\s*(?:\(\s*)?([a-z]\w*)": Case(
+        "search",
+        "the blanks before and behind a bracket once more",
+        ("", ":-", ":- ("),
+        (" ", ":-", ":- ", ":- (", "(", "A", "a"),
+    ),
     # prolog/syntax/eventreader.py
     r"([(,\[|] *)"
     r"(-?(?:[0-9]{1,200}(?:\.[0-9]{1,200}(?:[eE](?:-[0-9]{1,3}|\+?[0-9]{1,2}))?)?|inf|nan))"

@@ -37,6 +37,7 @@ if TYPE_CHECKING:  # for type checkers; a program gets them by `__getattr__`
     from .events.program import TopicType
     from .foundation import (
         MessageError,
+        Omission,
         Place,
         ProgramErrors,
         RetalisError,
@@ -80,6 +81,7 @@ __all__ = [
     "make_list",
     "MemoryStatus",
     "MessageError",
+    "Omission",
     "OnEvent",
     "OnOutput",
     "Operators",

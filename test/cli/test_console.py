@@ -116,7 +116,7 @@ def test_files(tmp_path, ask, caplog):
 
 def test_wrong_file_shows_all_errors(tmp_path, capsys):
     path = tmp_path / "wrong.pl"
-    path.write_text("p(.\nq(1).\nr(]).\n")
+    path.write_text("p(.\nq(1) <- a.\nr(]).\n")
     report = Report()
     assert not Console(report).load(path)
     assert report.errors == 2

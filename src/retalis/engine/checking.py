@@ -7,7 +7,7 @@ from typing import Dict, Iterable, List, Optional, Tuple
 
 from ..events.checks import ERROR, WARNING, Finding, Overview, look_through, without_maker
 from ..events.program import TOPICS, Topics, TopicType, read_topics
-from ..foundation import Place, ProgramErrors, RetalisError, RuleError
+from ..foundation import Omission, Place, ProgramErrors, RetalisError, RuleError
 from ..messages import Definitions
 from ..prolog.terms import Term
 from .core import parts_of
@@ -31,7 +31,7 @@ class Problems(Reports):
     def warning(self, problem: object, kind: object = None, texts: int = 1, once: bool = False) -> None:
         """Keep a warning."""
         self.warnings += 1
-        self._keep(WARNING, problem)
+        self._keep(ERROR if isinstance(problem, Omission) else WARNING, problem)
 
     def _keep(self, severity: str, problem: object) -> None:
         one = problem if isinstance(problem, RetalisError) else RuleError(str(problem))

@@ -79,7 +79,8 @@ class Engine(Lasting):
         >>> Engine().load_rules("alarm <- fire seq smoke.", "mine")
 
         Raises:
-            ProgramErrors: all errors; nothing of the text is active then.
+            ProgramErrors: all errors; nothing of the text is active then. What is wrong in a text without event rules
+                is left out, with a warning (an `Omission`), where anything of it is left.
         """
         self._own_files.load_rules(text, source, folder)
 

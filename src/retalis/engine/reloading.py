@@ -96,7 +96,8 @@ def reload_folder(engine: EngineCore, folder: Path, new_engine: Callable[[], Eng
     def work() -> List[str]:
         exchange = Exchange(engine, parts.programs.get(key, NOTHING), tried)
         try:
-            return exchange.run(lambda: _load(engine, folder))
+            with parts.rules.files.loading_again(parts.rules.files.omitted):
+                return exchange.run(lambda: _load(engine, folder))
         finally:
             parts.programs[key] = exchange.made
 
@@ -117,7 +118,8 @@ def try_program(engine: EngineCore, trial: EngineCore, made: Standing, folder: P
     """
     logic = parts_of(trial).logic
     logic.output = logic.error_output = lambda text: None
-    parts_of(trial).runner.call(lambda: _load(trial, folder), (_LOADING,))
+    with parts_of(trial).rules.files.loading_again(parts_of(engine).rules.files.omitted):
+        parts_of(trial).runner.call(lambda: _load(trial, folder), (_LOADING,))
     found = standing_of(trial)
     now = parts_of(engine).runner.call(lambda: standing_of(engine))
     taken = Errors()

@@ -172,6 +172,22 @@ class RuleError(RetalisError):
     """
 
 
+class Omission(RetalisError):
+    """What a Prolog file was loaded without: a term that does not read, a clause or directive that is wrong.
+
+    >>> found = []
+    >>> class Told(Reports):
+    ...     def warning(self, problem, kind=None, texts=1, once=False):
+    ...         found.append(problem)
+    >>> Engine(reports=Told()).load(rules="a(1). a(2. a(3).")
+    >>> [(type(problem) is Omission, problem.place.column) for problem in found]
+    [(True, 10)]
+    """
+
+    def __init__(self, error: RetalisError):
+        super().__init__(f"{error.message}; this is left out", error.place)
+
+
 MOST_ERRORS = 100
 """Errors of a file that are kept and shown."""
 

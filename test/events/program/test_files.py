@@ -272,7 +272,7 @@ def test_persistent_events_that_cannot_be_written_stop_nothing(tmp_path, monkeyp
 def test_a_refused_file_leaves_the_librarys_predicates(program):
     for rules in (
         "memberchk(zz, _) :- true. c <- a ntimes z.",
-        "memberchk(zz, _) :- true. min(1, 2, 3) :- true. :- no_such_goal.",
+        "memberchk(zz, _) :- true. min(1, 2, 3) :- true. d <- a. :- no_such_goal.",
     ):
         errors_of(lambda rules=rules: program.engine.load(rules=rules))
         assert program.engine.call("memberchk(1, [1]), min(1, 2, 1)")

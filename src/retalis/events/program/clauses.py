@@ -4,6 +4,7 @@ from itertools import chain
 from typing import Any, Callable, Dict, List, NamedTuple, Optional
 
 from ...foundation import Errors, Place, RetalisError, RuleError
+from ...prolog.builtins import SINGLE_SIDED, translate_single_sided
 from ...prolog.database import split_clause
 from ...prolog.logic import Logic
 from ...prolog.machine import PrologError
@@ -57,7 +58,7 @@ from .directives import Goals, goals_of
 _CLAUSE = functor(":-", 2)
 _GRAMMAR = functor("-->", 2)
 DIRECTIVES = frozenset((functor(":-", 1), functor("?-", 1)))
-_PROPERTY_FACT = functor("event_rule_property", 3)
+PROPERTY_FACT = functor("event_rule_property", 3)
 _LESS = functor("<", 2)
 _MINUS = functor("-", 1)
 _RENAMED = {
@@ -71,6 +72,10 @@ _USING = {
     functor("use_module", 2): "use",
     functor("ensure_loaded", 1): "ensure",
 }
+_INITIALIZATION_AT = functor("initialization", 2)
+_INITIALIZATION = frozenset((functor("initialization", 1), _INITIALIZATION_AT))
+_NOW, _AFTER, _MAIN = atom("now"), atom("after_load"), atom("main")
+_LATER = (_AFTER, atom("restore"), atom("restore_state"), atom("program"))
 _REV = functor("rev", 1)
 _INSERT = functor("ins_event_rule", 2)
 _DASH = functor("-", 2)
@@ -148,7 +153,7 @@ class FileChecker:
             self._directive(term, spot, place)
         elif head in _USING:
             self.steps.append(FileEntry(_USING[head], deref(term[1]), place))
-        elif head is _PROPERTY_FACT:
+        elif head is PROPERTY_FACT:
             self._property(Property(deref(term[1]), _name(term[2]), deref(term[3])), term, spot, place)
             self.steps.append(FileEntry("clause", term, place))
         else:
@@ -165,6 +170,9 @@ class FileChecker:
         goal, at = deref(term[1]), spot(term, 1) or place
         if is_rule(goal):
             raise RuleError("an event rule is written without :- before it", at)
+        if goal.__class__ is tuple and goal[0] in _INITIALIZATION:
+            self._later(goal, spot, at)
+            return
         kind = _USING.get(goal[0]) if goal.__class__ is tuple else None
         if kind is None or goal.__class__ is not tuple:
             goals = goals_of(term, spot)
@@ -173,6 +181,24 @@ class FileChecker:
             self._declared.take(goals, spot)
         else:
             self.steps.append(FileEntry(kind, deref(goal[1]), at))
+
+    def _later(self, term: CompoundTerm, spot: Spot, place: Optional[Place]) -> None:
+        """Take a goal that is called when the file has been loaded, or at another time that the term says."""
+        when = deref(term[2]) if term[0] is _INITIALIZATION_AT else _AFTER
+        goals = goals_of(term, spot)
+        if when is _MAIN:
+            self._warn(
+                "initialization(Goal, main) is not called: nothing here is started as a program of its own",
+                place,
+            )
+        elif when is _NOW:
+            self.steps.append(FileEntry("directive", deref(term[1]), place, goals))
+        elif when in _LATER:
+            self.steps.append(FileEntry("later", deref(term[1]), place, goals))
+        else:
+            raise RuleError(
+                "initialization/2 takes now, after_load, restore, restore_state, program or main", place
+            )
 
     def _no_rule(self, term: Term, spot: Spot, place: Optional[Place]) -> None:
         """Look whether a clause was meant as an event rule."""
@@ -355,6 +381,8 @@ def clause_error(logic: Logic, term: Term) -> Optional[str]:
     try:
         if term.__class__ is tuple and term[0] is _GRAMMAR:
             return None
+        if term.__class__ is tuple and term[0] is SINGLE_SIDED:
+            term, _ = translate_single_sided(term)
         head, _ = split_clause(copy(term))
         if head.__class__ is tuple and head[0] is _LESS and _is_negative(deref(head[2])):
             return "this compares two terms; the arrow of an event rule is <-, without a space"

@@ -3,7 +3,7 @@
 import os
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Iterator, List, Optional, Set, Tuple, Union
+from typing import Dict, Iterator, List, Optional, Set, Tuple, Union
 
 from ...foundation import UsageError
 from ...prolog.terms import Term
@@ -20,11 +20,14 @@ class Files:
     Attributes:
         door: opens them.
         loaded: those that have been loaded, or are being loaded.
+        omitted: of those that were loaded without some of their terms, how many these were.
     """
 
     def __init__(self) -> None:
         self.door = Door()
         self.loaded: Set[Path] = set()
+        self.omitted: Dict[str, int] = {}
+        self._again = False
         self._folder: Optional[Path] = None
         self._open: List[Path] = []
 
@@ -44,6 +47,25 @@ class Files:
             yield
         finally:
             self._folder = before
+
+    @contextmanager
+    def loading_again(self, before: Dict[str, int]) -> Iterator[None]:
+        """Refuse files meanwhile of which more has to be left out than before."""
+        self.omitted, self._again = dict(before), True
+        try:
+            yield
+        finally:
+            self._again = False
+
+    def may_omit(self, source: str) -> Optional[int]:
+        """Return how many terms of a file may be left out; None for any number."""
+        return self.omitted.get(source, 0) if self._again else None
+
+    def note_omitted(self, source: str, number: int) -> None:
+        """Note how many terms of a file were left out."""
+        self.omitted.pop(source, None)
+        if number:
+            self.omitted[source] = number
 
     def state(self) -> State:
         """Return where relative paths are and what is allowed, for `restore`."""

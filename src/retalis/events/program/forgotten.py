@@ -9,6 +9,7 @@ from .clauses import FileEntry
 
 _CLAUSE = functor(":-", 2)
 _GRAMMAR = functor("-->", 2)
+_SINGLE_SIDED = functor("=>", 2)
 _GIVING_WAY: Dict[Functor, Callable[[Term], bool]] = {
     TIMER: sets_timer,
     functor("timers", 1): lambda term: False,
@@ -33,10 +34,22 @@ def defined_in(steps: Sequence[FileEntry]) -> Set[Functor]:
     return found
 
 
-def fact_error(logic: Logic, term: Term, defined: Set[Functor]) -> Optional[str]:
-    """Return why a fact of a file that defines these predicates is refused, or None."""
+def fact_error(
+    logic: Logic,
+    term: Term,
+    defined: Set[Functor],
+    is_guarded: Optional[Callable[[Functor], bool]] = None,
+) -> Optional[str]:
+    """Return why a fact of a file that defines these predicates is refused, or None.
+
+    Args:
+        logic: knows the predicates.
+        term: the fact.
+        defined: what the file defines in earnest.
+        is_guarded: which predicates of the system such a fact may not replace; by default all.
+    """
     key = None if _has_body(term) else _key(term)
-    if key is None or key in defined or not logic.is_of_system(key):
+    if key is None or key in defined or not (is_guarded or logic.is_of_system)(key):
         return None
     if key in _GIVING_WAY and not _GIVING_WAY[key](term):
         return None
@@ -47,7 +60,7 @@ def fact_error(logic: Logic, term: Term, defined: Set[Functor]) -> Optional[str]
 
 
 def _has_body(term: Term) -> bool:
-    return term.__class__ is tuple and (term[0] is _CLAUSE or term[0] is _GRAMMAR)
+    return term.__class__ is tuple and term[0] in (_CLAUSE, _GRAMMAR, _SINGLE_SIDED)
 
 
 def _key(term: Term) -> Optional[Functor]:

@@ -2,42 +2,45 @@
 
 from os import PathLike
 from pathlib import Path
-from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple, Union
+from typing import Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple, Union
 
 from ...foundation import Errors, Place, ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
 from ...prolog.machine import PrologError
 from ...prolog.syntax import Operators, Program, ReadTerm, read_program
-from ...prolog.terms import Atom, Term, conjuncts, copy, deref, functor, list_items
+from ...prolog.terms import Term, copy, deref
 from ..language import Property, RuleDefinition, Unknown, unknown_calls
 from ..network import Rule
 from .clauses import DIRECTIVES, TOO_DEEP, FileChecker, FileEntry, clause_error, nowhere
+from .conditions import Conditions
+from .consulting import Consulted, Consulting
 from .directives import Directives
+from .expanding import Expansion
 from .files import Files
 from .forgotten import defined_in, fact_error
+from .included import included
 from .libraries import LIBRARY, require_library
+from .ofevents import is_of_events
 from .owners import Loaded
+from .reading import change_reading
 from .restoring import Beginning, Snapshot
-
-_INCLUDE = functor("include", 1)
-_OP = functor("op", 3)
-_SET_FLAG = functor("set_prolog_flag", 2)
 
 
 class CheckedProgram(NamedTuple):
     """A file that has no errors in itself: what to do, the rules to add then, what these call, and its folder.
 
-    The folder is None for the file that was asked for: there that is set already.
+    Folder and path are None for the file that was asked for: there they are set already.
     """
 
-    steps: "List[Union[FileEntry, CheckedProgram]]"
+    steps: "List[Union[FileEntry, Consulted, CheckedProgram]]"
     rules: List[Rule]
     calls: List[Unknown]
     folder: Optional[Path] = None
+    path: Optional[Path] = None
 
     @property
     def may_stop_half_way(self) -> bool:
         """Whether something may be left to undo when it raises an error; not rules, labels, or one clause."""
-        kinds = ["" if isinstance(step, CheckedProgram) else step.kind for step in self.steps]
+        kinds = [step.kind if isinstance(step, FileEntry) else "" for step in self.steps]
         return kinds != ["clause"] and any(kind != "property" for kind in kinds)
 
 
@@ -47,6 +50,7 @@ class _Reading(NamedTuple):
     checker: FileChecker
     operators: Operators
     errors: Errors
+    conditions: Conditions
 
 
 class Loader:
@@ -56,6 +60,8 @@ class Loader:
         self._rules = rules
         self._files: Files = rules.files
         self._directives = Directives(rules.logic)
+        self._consulting = Consulting(rules, self._directives, self.use)
+        self._expansion = Expansion(rules.logic)
         self._acting: List[CheckedProgram] = []
         """The files whose terms are being taken in, the outer ones first."""
         self._begun: List[Union[Beginning, Snapshot]] = []
@@ -114,15 +120,13 @@ class Loader:
     def load_terms(self, terms: Sequence[Tuple[Term, Optional[Place]]]) -> None:
         """Load terms; see `Rules.load_terms`."""
         logic = self._rules.logic
-        reading = _Reading(
-            FileChecker(logic.brief, self._rules.declared.now()), logic.operators.copy(), Errors()
-        )
+        reading = self._reading(FileChecker(logic.brief, self._rules.declared.now()), Errors())
         for term, place in terms:
-            included = _included(term)
-            if included is None:
+            name = included(term)
+            if name is None:
                 reading.checker.term(copy(term), nowhere, place)
             else:
-                self._include(included, place, reading)
+                self._include(name, place, reading)
         self._finish(lambda errors: self._checked(reading.checker, errors), reading.errors)
 
     def load_read(self, read: ReadTerm) -> None:
@@ -148,29 +152,64 @@ class Loader:
             self._finish(lambda errors: self._accept(text, source, errors), Errors())
 
     def _accept(self, text: str, source: str, errors: Errors) -> CheckedProgram:
-        reading = _Reading(
-            FileChecker(declared=self._rules.declared.now()), self._rules.logic.operators.copy(), errors
-        )
+        if not is_of_events(text, self._rules.logic, self._opened):
+            return CheckedProgram([Consulted(text, source)], [], [])
+        reading = self._reading(FileChecker(declared=self._rules.declared.now()), errors)
         self._read(read_program(text, reading.operators, source), reading)
+        errors.extend(reading.conditions.unclosed())
         return self._checked(reading.checker, errors)
+
+    def _opened(self, name: Term) -> Tuple[str, str]:
+        path = self._files.find(name)
+        return self._files.text(path), str(path)
+
+    def _reading(self, checker: FileChecker, errors: Errors) -> _Reading:
+        def holds(goal: Term, place: Optional[Place]) -> bool:
+            try:
+                return self._rules.logic.once(goal)
+            except PrologError as error:
+                raise RuleError(f"this condition raises an error: {error.message}", place) from error
+
+        return _Reading(checker, self._rules.logic.operators.copy(), errors, Conditions(holds))
 
     def _read(self, program: Program, reading: _Reading) -> None:
         """Read the terms of a text, and in their places those of files that it includes."""
         for read in program:
             if isinstance(read, SyntaxFault):
-                reading.errors.append(read)
+                if not reading.conditions.skip:
+                    reading.errors.append(read)
                 continue
-            included = _included(read.term)
-            if included is not None:
-                self._include(included, read.place_of(read.term, 1), reading, program)
-                continue
+            try:
+                self._read_one(read, program, reading)
+            except RetalisError as error:
+                reading.errors.append(error if error.place else RuleError(error.message, read.place))
+
+    def _read_one(self, read: ReadTerm, program: Program, reading: _Reading) -> None:
+        term = deref(read.term)
+        directive = term[1] if term.__class__ is tuple and term[0] in DIRECTIVES else None
+        if directive is not None and reading.conditions.take(directive, read.place_of(term, 1)):
+            return
+        if reading.conditions.skip:
+            return
+        name = included(term)
+        if name is not None:
+            self._include(name, read.place_of(term, 1), reading, program)
+            return
+        found = self._expansion.terms(term)
+        if found is not None:
+            for one in found:
+                reading.checker.term(self._expansion.goals(one), nowhere, read.place)
+            return
+        expanded = self._expansion.goals(term)
+        if expanded is term:
             reading.checker.read(read)
-            if read.singletons and self._rules.warn_singletons:
-                names = ", ".join(read.singletons)
-                self._rules.on_warning(RuleError(f"singleton variables: {names}", read.place))
-            term = deref(read.term)
-            if term.__class__ is tuple and term[0] in DIRECTIVES:
-                self._change_reading(term[1], program)
+        else:
+            reading.checker.term(expanded, nowhere, read.place)
+        if read.singletons and self._rules.warn_singletons:
+            names = ", ".join(read.singletons)
+            self._rules.on_warning(RuleError(f"singleton variables: {names}", read.place))
+        if directive is not None:
+            change_reading(directive, program)
 
     def _include(
         self, name: Term, place: Optional[Place], reading: _Reading, outer: Optional[Program] = None
@@ -189,29 +228,11 @@ class Loader:
         except (UsageError, PrologError) as error:
             reading.errors.append(RuleError(error.message, place))
 
-    def _change_reading(self, goal: Term, program: Program) -> None:
-        """Have operators and flags that a directive sets hold for the rest of the file."""
-        for one in conjuncts(goal):
-            if one.__class__ is not tuple:
-                continue
-            arguments = [deref(argument) for argument in one[1:]]
-            if one[0] is _OP and arguments[0].__class__ is int and arguments[1].__class__ is Atom:
-                for name in _names(arguments[2]):
-                    try:
-                        program.operators.add(arguments[0], arguments[1].name, name)
-                    except (RetalisError, ValueError):
-                        continue  # the directive itself reports it when it is run
-            elif one[0] is _SET_FLAG and arguments[0].__class__ is Atom and arguments[1].__class__ is Atom:
-                name = arguments[0].name
-                if name in ("double_quotes", "back_quotes"):
-                    changed: Any = {name: arguments[1].name}
-                    program.flags = program.flags._replace(**changed)
-
     def _checked(self, checker: FileChecker, errors: Errors) -> CheckedProgram:
         """Check what needs the logic: clauses, goals of rules, files that are used."""
         errors.extend(checker.errors)
         logic = self._rules.logic
-        steps: List[Union[FileEntry, CheckedProgram]] = []
+        steps: List[Union[FileEntry, Consulted, CheckedProgram]] = []
         defined = defined_in(checker.steps)
         for step in checker.steps:
             if step.kind == "clause":
@@ -259,7 +280,8 @@ class Loader:
                 return None
             text = self._files.text(path)
             with self._files.inside(path), self._files.relative_to(path.parent):
-                return self._accept(text, str(path), errors)._replace(folder=path.parent)
+                accepted = self._accept(text, str(path), errors)
+            return accepted._replace(folder=path.parent, path=path)
         except (UsageError, PrologError) as error:
             errors.append(RuleError(error.message, step.place))
             return None
@@ -321,26 +343,36 @@ class Loader:
             self._rules.on_warning(warning)
 
     def _take_in(self, accepted: CheckedProgram) -> None:
-        rules = self._rules
+        rules, late = self._rules, []
         for step in accepted.steps:
             if isinstance(step, CheckedProgram):
                 self._act(step)
+            elif isinstance(step, Consulted):
+                self._consult(step, accepted)
+            elif step.kind == "later":
+                late.append(step)
             elif step.kind == "clause":
                 rules.logic.add_clause(step.term, step.place)
             elif isinstance(step.term, Property):
                 rules.set_property(step.term)
             else:
-                warning = self._directives.run(step.term, step.goals, step.place)
-                if warning is not None:
-                    rules.on_warning(warning)
+                self._run(step)
         for rule in accepted.rules:
             rules.activate(rule)
+        for step in late:
+            self._run(step)
 
+    def _consult(self, one: Consulted, accepted: CheckedProgram) -> None:
+        if accepted.path is None:
+            self._consulting.load(one, accepted.calls.extend)
+            return
+        with self._files.inside(accepted.path):
+            self._consulting.load(one, accepted.calls.extend)
 
-def _names(term: Term) -> List[str]:
-    items = list_items(term)
-    found = [deref(item) for item in items] if items else [term]
-    return [item.name for item in found if item.__class__ is Atom]
+    def _run(self, step: FileEntry) -> None:
+        warning = self._directives.run(step.term, step.goals, step.place)
+        if warning is not None:
+            self._rules.on_warning(warning)
 
 
 def _in_order(errors: Errors) -> Errors:
@@ -355,12 +387,3 @@ def _in_order(errors: Errors) -> Errors:
 
     errors.sort(key=where)
     return errors
-
-
-def _included(term: Term) -> Optional[Term]:
-    """Return the name of the file in ``:- include(File)``, None for another term."""
-    term = deref(term)
-    if term.__class__ is not tuple or term[0] not in DIRECTIVES:
-        return None
-    goal = deref(term[1])
-    return deref(goal[1]) if goal.__class__ is tuple and goal[0] is _INCLUDE else None

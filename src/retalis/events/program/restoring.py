@@ -26,7 +26,7 @@ class Beginning:
 
 
 class Snapshot:
-    """What the program was before a file was loaded: clauses, rules and properties."""
+    """What the program was before a file was loaded: clauses, rules, properties and operators."""
 
     def __init__(self, rules: Loaded):
         self._rules = rules
@@ -35,10 +35,12 @@ class Snapshot:
         self._library = [predicate for predicate in found if predicate.library]
         self._clauses = {predicate: set(predicate.live()) for predicate in found if predicate.kind == "user"}
         self._properties = rules.all_properties()
+        self._operators = rules.logic.operators.copy()
 
     def restore(self) -> None:
         """Take back what has come since."""
         rules = self._rules
+        rules.logic.operators.become(self._operators)
         for rule in list(rules.rules):
             if rule not in self._active:
                 rules.remove(rule)

@@ -132,6 +132,17 @@ class Operators:
         table.slots = self.slots
         return table
 
+    def become(self, other: "Operators") -> None:
+        """Have the operators of another table, and no others.
+
+        >>> operators = Operators.prolog()
+        >>> operators.become(Operators.iso())
+        >>> "seq" in operators
+        False
+        """
+        self.prefix, self.infix, self.postfix = dict(other.prefix), dict(other.infix), dict(other.postfix)
+        self._patterns = None
+
     def add(self, priority: int, kind: str, name: str) -> None:
         """Define an operator, or remove it where ``priority`` is 0.
 

@@ -1,0 +1,288 @@
+"""Prolog files: loaded clause by clause, as other Prologs do, so that what is wrong costs itself and nothing else.
+
+A file of event rules is read and checked as a whole, and accepted or refused as a whole (see `loading`). A file that
+has none is a Prolog program: each of its directives runs before the next term is read, so that operators, flags and
+``term_expansion/2`` hold from there on, and a term that does not read, a clause that cannot be added or a directive
+that raises an error is left out, with a warning. A file of which nothing is left is refused.
+"""
+
+from contextlib import contextmanager
+from typing import Callable, Iterator, List, NamedTuple, Optional
+
+from ...foundation import Errors, Omission, Place, ProgramErrors, RetalisError, RuleError, SyntaxFault
+from ...prolog.machine import LimitError, PrologError
+from ...prolog.syntax import Program, ReadTerm, read_program
+from ...prolog.terms import Atom, Term, atom, deref
+from ..language import Property, Unknown
+from .clauses import DIRECTIVES, FileChecker, FileEntry, clause_error, nowhere
+from .conditions import Conditions
+from .directives import Directives, Goals
+from .expanding import Expansion
+from .files import Files
+from .forgotten import fact_error
+from .included import included
+from .owners import Loaded
+
+_END = atom("end_of_file")
+_OF_FILES = ("double_quotes", "back_quotes")
+"""Flags that hold to the end of the file that sets them."""
+
+Use = Callable[[Term, bool], None]
+
+
+class Consulted(NamedTuple):
+    """The text of a Prolog file, to be loaded when its turn comes."""
+
+    text: str
+    source: str
+
+
+class Consulting:
+    """Loads Prolog files.
+
+    Args:
+        rules: takes what they say.
+        directives: runs directives.
+        use: loads another file, or does so once.
+    """
+
+    def __init__(self, rules: Loaded, directives: Directives, use: Use):
+        self._rules = rules
+        self._directives = directives
+        self._use = use
+
+    def load(self, one: Consulted, note_calls: Callable[[List[Unknown]], None]) -> None:
+        """Load a file.
+
+        Raises:
+            ProgramErrors: all errors, where nothing of the file is left.
+            LimitError: where it takes longer than it may.
+        """
+        flags = self._rules.logic.flags
+        kept = {name: flags[name] for name in _OF_FILES}
+        try:
+            _PrologFile(self._rules, self._directives, self._use, note_calls).load(one)
+        finally:
+            flags.update(kept)
+
+
+class _Omissions:
+    """What is left out of a file: told as it is found, as soon as something of the file is not.
+
+    Args:
+        tell: takes warnings.
+        most: how much may be left out; None for any number.
+    """
+
+    def __init__(self, tell: Callable[[RetalisError], None], most: Optional[int]):
+        self._tell = tell
+        self._most = most
+        self._found = Errors()
+        self._left = False
+
+    def __len__(self) -> int:
+        return len(self._found) + self._found.more
+
+    def append(self, error: RetalisError) -> None:
+        """Take a problem."""
+        before = len(self._found)
+        self._found.append(error)
+        if self._left and len(self._found) > before:
+            self._tell(Omission(error))
+
+    def accept(self) -> None:
+        """Note that something of the file is left."""
+        if not self._left:
+            self._left = True
+            for error in self._found:
+                self._tell(Omission(error))
+
+    def end(self) -> None:
+        """Refuse the file where nothing is left of it, or more is left out than may be.
+
+        Raises:
+            ProgramErrors: all that is wrong with it.
+        """
+        too_many = self._most is not None and len(self) > self._most
+        if too_many or self._found and not self._left:
+            raise ProgramErrors(self._found)
+        if self._found.more:
+            self._tell(self._found.with_rest()[-1])
+
+
+class _PrologFile:
+    """A Prolog file that is being loaded."""
+
+    def __init__(
+        self,
+        rules: Loaded,
+        directives: Directives,
+        use: Use,
+        note_calls: Callable[[List[Unknown]], None],
+    ):
+        self._rules = rules
+        self._logic = rules.logic
+        self._files: Files = rules.files
+        self._directives = directives
+        self._use = use
+        self._note_calls = note_calls
+        self._omitted = _Omissions(rules.on_warning, None)
+        self._conditions = Conditions(self._holds)
+        self._expansion = Expansion(rules.logic)
+        self._checker = FileChecker(rules.logic.brief, rules.declared.now())
+        self._late: List[FileEntry] = []
+
+    def load(self, one: Consulted) -> None:
+        """Load its text, then run the goals that are called when it has been loaded."""
+        omitted = self._omitted = _Omissions(self._rules.on_warning, self._files.may_omit(one.source))
+        program = read_program(one.text, self._logic.operators, one.source)
+        self._terms(program)
+        for unclosed in self._conditions.unclosed():
+            self._omitted.append(unclosed)
+        self._expanded(_END, None, None)
+        for step in self._late:
+            with self._costing_itself(step.place):
+                self._run(step.term, step.goals, step.place)
+        omitted.end()
+        self._files.note_omitted(one.source, len(omitted))
+
+    def _terms(self, program: Program) -> None:
+        """Take in the terms of a text, and in their places those of files that it includes."""
+        for read in program:
+            if isinstance(read, SyntaxFault):
+                if not self._conditions.skip:
+                    self._omitted.append(read)
+                continue
+            if deref(read.term) is _END:
+                return
+            with self._costing_itself(read.place):
+                self._read(read, program)
+            self._follow_flags(program)
+
+    def _read(self, read: ReadTerm, program: Program) -> None:
+        term = deref(read.term)
+        if term.__class__ is tuple and term[0] in DIRECTIVES:
+            place = read.place_of(term, 1)
+            if self._conditions.take(term[1], place) or self._conditions.skip:
+                return
+            name = included(term)
+            if name is not None:
+                with self._costing_itself(place):
+                    self._include(name, program)
+                return
+        elif self._conditions.skip:
+            return
+        if self._expanded(term, read, read.place):
+            return
+        if read.singletons and self._rules.warn_singletons:
+            self._rules.on_warning(
+                RuleError(f"singleton variables: {', '.join(read.singletons)}", read.place)
+            )
+        self._take(self._expansion.goals(term), read, read.place)
+
+    def _expanded(self, term: Term, read: Optional[ReadTerm], place: Optional[Place]) -> bool:
+        """Take in what the program puts in the place of a term; return whether it does."""
+        with self._costing_itself(place):
+            found = self._expansion.terms(term)
+            for one in found or ():
+                if one is not _END:
+                    self._take(self._expansion.goals(one), read if one is term else None, place)
+            return found is not None
+        return True
+
+    def _take(self, term: Term, read: Optional[ReadTerm], place: Optional[Place]) -> None:
+        """Take a term in; where it was read itself, the places of its parts are known."""
+        checker = self._checker
+        if read is not None and term is deref(read.term):
+            checker.read(read)
+        else:
+            checker.term(term, nowhere, place)
+        wrong, warnings, steps = checker.errors[:], checker.warnings[:], checker.steps[:]
+        rules, calls = [*checker.rules, *checker.inner], checker.calls[:]
+        for done in (checker.errors, checker.warnings, checker.steps, checker.rules, checker.inner):
+            done.clear()
+        checker.calls.clear()
+        for warning in warnings:
+            self._rules.on_warning(warning)
+        for error in wrong:
+            self._omitted.append(error)
+        if wrong:
+            return
+        for definition in rules:
+            self._rules.activate(self._rules.compile(definition))
+            self._omitted.accept()
+        for step in steps:
+            with self._costing_itself(step.place or place):
+                self._do(step)
+        self._note_calls(calls)
+
+    def _do(self, step: FileEntry) -> None:
+        if step.kind == "clause":
+            problem = clause_error(self._logic, step.term)
+            if problem is None:
+                problem = fact_error(self._logic, step.term, set(), self._logic.is_added)
+            if problem is not None:
+                raise RuleError(problem, step.place)
+            self._logic.add_clause(step.term, step.place)
+            self._omitted.accept()
+        elif isinstance(step.term, Property):
+            self._rules.set_property(step.term)
+        elif step.kind in ("use", "ensure"):
+            self._use(step.term, step.kind == "ensure")
+            self._omitted.accept()
+        elif step.kind == "later":
+            self._late.append(step)
+        else:
+            self._run(step.term, step.goals, step.place)
+
+    def _run(self, goal: Term, goals: Goals, place: Optional[Place]) -> None:
+        warning = self._directives.run(goal, goals, place)
+        self._omitted.accept()
+        if warning is not None:
+            self._rules.on_warning(warning)
+
+    def _include(self, name: Term, outer: Program) -> None:
+        path = self._files.find(name)
+        text = self._files.text(path)
+        with self._files.inside(path), self._files.relative_to(path.parent):
+            program = read_program(text, self._logic.operators, str(path))
+            program.flags = outer.flags
+            self._terms(program)
+            outer.flags = program.flags
+
+    def _holds(self, goal: Term, place: Optional[Place]) -> bool:
+        """Tell whether the goal of an ``if`` is true; one that raises an error is not."""
+        try:
+            return self._logic.once(goal)
+        except LimitError:
+            raise
+        except PrologError as error:
+            self._omitted.append(RuleError(f"this condition raises an error: {error.message}", place))
+            return False
+
+    def _follow_flags(self, program: Program) -> None:
+        """Have the flags that a directive has set hold for what is read next."""
+        flags = self._logic.flags
+        quotes, back = deref(flags["double_quotes"]), deref(flags["back_quotes"])
+        if not isinstance(quotes, Atom) or not isinstance(back, Atom):
+            return
+        if (quotes.name, back.name) != (program.flags.double_quotes, program.flags.back_quotes):
+            program.flags = program.flags._replace(double_quotes=quotes.name, back_quotes=back.name)
+
+    @contextmanager
+    def _costing_itself(self, place: Optional[Place]) -> Iterator[None]:
+        """Have what goes wrong meanwhile be a problem of the term at a place, which is left out."""
+        try:
+            yield
+        except ProgramErrors as errors:  # of another file
+            for error in errors.errors:
+                self._omitted.append(error)
+        except RetalisError as error:
+            if _is_final(error):
+                raise
+            self._omitted.append(error if error.place else RuleError(error.message, place))
+
+
+def _is_final(error: RetalisError) -> bool:
+    """Tell whether an error, or what caused it, is that a limit has run out."""
+    return isinstance(error, LimitError) or isinstance(error.__cause__, LimitError)

@@ -1,0 +1,51 @@
+"""Conditional compilation."""
+
+import pytest
+from events.running import Program
+
+CASES = [
+    (":- if(true). a. :- else. b. :- endif.", "a"),
+    (":- if(fail). a. :- else. b. :- endif.", "b"),
+    (":- if(fail). a. :- elif(true). b. :- elif(true). c. :- else. d. :- endif.", "b"),
+    (":- if(fail). a. :- elif(fail). b. :- else. c. :- endif.", "c"),
+    (":- if(fail). :- if(true). a. :- else. b. :- endif. :- else. c. :- endif.", "c"),
+    (":- if(true). :- if(fail). a. :- else. b. :- endif. :- else. c. :- endif.", "b"),
+    (":- if(true). :- if(fail). a. :- endif. b. :- elif(no_such_goal). c. :- endif.", "b"),
+    (":- if(\\+ catch(current_predicate(no_such/1), _, fail)). a. :- endif. b.", "ab"),
+    (":- if(fail). a(. :- no_such_goal. :- endif. b.", "b"),
+]
+
+
+def there(program):
+    return "".join(name for name in "abcd" if program.engine.call(f"current_predicate({name}/0)"))
+
+
+@pytest.mark.parametrize("rule", ["", " out <- in."], ids=["prolog", "rules"])
+@pytest.mark.parametrize(("text", "expected"), CASES)
+def test_branches(text, expected, rule):
+    program = Program(text + rule)
+    assert there(program) == expected
+    assert program.warnings == []
+
+
+def test_rules_in_a_branch_that_does_not_count_are_none():
+    program = Program(":- if(fail). c <- a. :- else. d <- a. :- endif.")
+    assert program.feed("a@1") == "d@1-1"
+
+
+@pytest.mark.parametrize(
+    ("text", "part"),
+    [
+        ("a. :- else.", "no if before this else"),
+        ("a. :- endif.", "no if before this endif"),
+        ("a. :- elif(true).", "no if before this elif"),
+        ("a. :- if(true).", "this if has no endif"),
+        ("a. :- if(true). :- else. :- else. :- endif.", "an else before this else"),
+        ("a. :- if(true). :- else. :- elif(true). :- endif.", "an else before this elif"),
+        ("a. :- if(no_such_goal). b. :- endif.", "this condition raises an error"),
+    ],
+)
+def test_what_is_wrong_is_told_at_its_place(text, part):
+    program = Program(text)
+    assert [part in one.message and one.place.line == 1 for one in program.warnings] == [True]
+    assert there(program) == "a"
