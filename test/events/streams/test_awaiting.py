@@ -121,6 +121,21 @@ def test_what_must_not_happen_is_held_no_longer_than_it_may_rule_out():
     assert len(operator) == 0
 
 
+def test_many_that_are_not_superfluous_are_held_no_longer_either():
+    """Where it depends on a condition which of them rules something out, all are held, and few more."""
+    arrivals = [Came(at, "a", at, at, 1, 1, at) for at in range(2000)]
+    operator = Awaiting(300, agreement_of(arrivals, False))
+    for came in arrivals:
+        operator.take(item_of(came), came.now, came.channel)
+        assert len(operator) == min(came.at + 1, 300)
+    (border,) = operator._absent.values()  # noqa: SLF001
+    assert border.number == 300 and len(border.items) <= 600
+    operator.take(item_of(arrivals[0]), 2270, 0)
+    assert len(operator) == len(border.items) == 29
+    operator.take(item_of(arrivals[0]), 9000, 0)
+    assert len(operator) == 0 and not operator._absent  # noqa: SLF001
+
+
 def test_what_is_replaced_or_ruled_out_leaves_the_heap():
     arrivals = [Came(at, "a", at, at, 1, at % 2, at) for at in range(2000)]
     operator = taking(1 << 30, arrivals)

@@ -6,6 +6,8 @@ from typing import Any, Callable, Dict, Hashable, Iterator, List, NamedTuple, Op
 from .items import KnownState, StreamItem, StreamOutput
 from .shapes import StreamShape
 
+_FEW = 32
+
 
 class Agreement(NamedTuple):
     """How what is awaited and what must not happen are put together.
@@ -29,10 +31,11 @@ class Agreement(NamedTuple):
 class _Forbidden:
     """What must not have happened, under one key; one goes where others rule out all that it does."""
 
-    __slots__ = ("items", "newest")
+    __slots__ = ("items", "number", "newest")
 
     def __init__(self) -> None:
-        self.items: List[StreamItem] = []
+        self.items: List[StreamItem] = []  # some may be gone, where they are many
+        self.number = 0
         self.newest = -(1 << 63)
 
     def add(self, item: StreamItem, span: int, thin: bool) -> List[StreamItem]:
@@ -42,11 +45,18 @@ class _Forbidden:
         if thin and len(items) > 1:
             first, middle = items[-2], items[-1]
             rising = first.start <= middle.start <= item.start and first.end <= middle.end <= item.end
-            if rising and item.end - first.start < span:
+            if rising and item.end - first.start < span and not (first.gone or middle.gone):
                 items[-1] = item
                 return [middle]
         items.append(item)
+        self.number += 1
         return []
+
+    def left(self) -> None:
+        """Take note that one is gone; of many not each is taken out by itself."""
+        self.number -= 1
+        if self.number < _FEW or len(self.items) > 2 * self.number:
+            self.items = [one for one in self.items if not one.gone]
 
 
 class Awaiting(StreamShape):
@@ -186,6 +196,7 @@ class Awaiting(StreamShape):
             for border in borders
             if border.newest > item.end
             for absent in border.items
+            if not absent.gone
         )
 
     def _lies_after(self, absent: StreamItem, item: StreamItem) -> bool:
@@ -215,8 +226,8 @@ class Awaiting(StreamShape):
                 item.gone = True
                 self._number -= 1
                 border = self._absent[item.key]
-                border.items.remove(item)
-                if not border.items:
+                border.left()
+                if not border.number:
                     del self._absent[item.key]
 
 
