@@ -4,6 +4,7 @@ import pytest
 
 from retalis import Engine, PrologError
 from retalis.engine import add_rule, parts_of
+from retalis.events.rules import declared
 from retalis.foundation import ProgramErrors, UsageError
 
 DECLARED = ":- event temperature(motor:atom, value:number).\n"
@@ -133,3 +134,22 @@ def test_it_is_exchanged_where_the_program_is_read_again(engine, tmp_path):
     engine.event("heat(left, 3)", 2)
     with pytest.raises(UsageError, match="room of smoke/1 is an atom"):
         engine.event("smoke(3)", 3)
+
+
+def test_a_declaration_is_read_once_and_none_is_looked_at_for_an_event(monkeypatch):
+    read, looked = [], []
+    reading, found = declared._read, declared.DeclaredEvents._found  # noqa: SLF001
+    monkeypatch.setattr(declared, "_read", lambda clause: read.append(1) or reading(clause))
+    monkeypatch.setattr(declared.DeclaredEvents, "_found", lambda self: looked.append(1) or found(self))
+    engine = Engine()
+    for number in range(30):
+        engine.load(rules=f":- event e{number}(x:integer).")
+    engine.event("e7(1)", 1)
+    assert len(read) == 30
+    looked.clear()
+    for number in range(100):
+        engine.event(f"e{number % 30}(1)", number + 1)
+    assert not looked
+    engine.load(rules=":- event more.")
+    engine.event("more", 200)
+    assert len(read) == 31

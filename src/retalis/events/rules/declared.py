@@ -1,6 +1,6 @@
 """The events that a program has declared: kept as clauses, so that they come and go with the program's others."""
 
-from typing import Any, Callable, Iterable, List
+from typing import Any, Callable, Dict, Iterable, List
 
 from ...foundation import RuleError, UsageError
 from ...messages import type_name
@@ -14,6 +14,7 @@ from ..program import nowhere
 
 _DECLARED = functor("$declared_event", 1)
 _NEED_NONE = frozenset(functor(name, arity) for name, arity in (("null", 0), ("null_event", 0)))
+_NONE: List[Clause] = []
 
 
 class DeclaredEvents:
@@ -32,8 +33,9 @@ class DeclaredEvents:
         logic: Logic = rules.logic
         self._logic = logic
         self._flags = rules.flags
-        self._clauses: List[Clause] = []
-        self._dead = 0
+        self._clauses: List[Clause] = _NONE
+        self._number = self._dead = 0
+        self._read: Dict[Clause, List[Declaration]] = {}
         self._strict = False
         self._known = Declarations(logic.brief)
         self.in_use = False
@@ -51,12 +53,13 @@ class DeclaredEvents:
 
     def _found(self) -> Iterable[Declaration]:
         predicate = self._logic.database.predicates.get(_DECLARED)
+        before, self._read = self._read, {}  # what has gone since is not kept
         for clause in () if predicate is None else predicate.live():
-            assert isinstance(clause.head, tuple)
-            try:
-                yield from [one for one, _ in declared_in(clause.head, nowhere)]
-            except RuleError:  # asserted by the program, and no declaration
-                continue
+            known = before.get(clause)
+            if known is None:
+                known = _read(clause)
+            self._read[clause] = known
+            yield from known
 
     def _needs_none(self, key: Functor) -> bool:
         return key in _NEED_NONE or type_name(key.name) is not None or self.others(key)
@@ -82,10 +85,18 @@ class DeclaredEvents:
     def refusal(self, term: Term) -> str:
         """Return why an event that has come does not fit its declaration, "" where it does."""
         predicate = self._logic.database.predicates.get(_DECLARED)
-        clauses, dead = ([], 0) if predicate is None else (predicate.clauses, predicate.dead)
+        clauses, dead = (_NONE, 0) if predicate is None else (predicate.clauses, predicate.dead)
         strict = self._flags.get(UNDECLARED.name) is STRICTLY
-        if clauses != self._clauses or dead != self._dead or strict != self._strict:
-            self._clauses, self._dead, self._strict = list(clauses), dead, strict
+        number = len(
+            clauses
+        )  # a list of clauses is only ever added to; else there is another one in its place
+        if (
+            clauses is not self._clauses
+            or number != self._number
+            or dead != self._dead
+            or strict != self._strict
+        ):
+            self._clauses, self._number, self._dead, self._strict = clauses, number, dead, strict
             self._known = self.now()
         return self._known.refusal(term)
 
@@ -98,3 +109,11 @@ class DeclaredEvents:
         wrong = self.refusal(pattern) if self.in_use else ""
         if wrong:
             raise domain_error("declared_event", pattern, wrong)
+
+
+def _read(clause: Clause) -> List[Declaration]:
+    assert isinstance(clause.head, tuple)
+    try:
+        return [one for one, _ in declared_in(clause.head, nowhere)]
+    except RuleError:  # asserted by the program, and no declaration
+        return []
