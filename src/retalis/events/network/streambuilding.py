@@ -173,7 +173,7 @@ def measuring(
         )
     make = partial(_WINDOWS[form.kind], measures, form)
     clocked = form.kind == "first" or (form.kind == "every" and not form.running)
-    return Making(lambda mode: make(), item, result, clocked, _LATE)
+    return Making(lambda mode: make(), item, result, clocked, _LATE, "fold" in part.kinds)
 
 
 def planned(form: WindowForm, before: int, holding: Callable[[Term, Sequence[Var]], Holding]) -> StepPlan:
@@ -280,7 +280,7 @@ def awaiting(
         agreement = Agreement(key, rules_out, condition is None, name if mode.policy.replacing else None)
         return Awaiting(span, agreement)
 
-    return Making(stream, lambda values: ((), ()), None, True, _LATE_AWAITED)
+    return Making(stream, lambda values: ((), ()), None, True, _LATE_AWAITED, condition is not None)
 
 
 def _builder(terms: Sequence[Term], names: Sequence[Var]) -> Callable[[Values], Values]:

@@ -1,6 +1,6 @@
 """The node of an operator on streams: hands matches over, gives on what comes of them, is woken by the clock."""
 
-from typing import Any, Callable, Iterable, Iterator, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, Iterable, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
 from ...foundation import RuleError
 from ...prolog.machine import Frame
@@ -23,6 +23,7 @@ from ..matches import (
 from ..streams import StreamItem, StreamOperator, StreamOutput
 from .nodes import NetworkNode
 from .owners import Buffer, RuleOwner
+from .postponing import Postponing
 from .replaying import Replay
 
 Result = Callable[[Values, Values], Optional[Values]]
@@ -39,6 +40,7 @@ class Making(NamedTuple):
             None itself where matches are given on that came.
         clocked: whether items are taken by the present instant.
         past: what reports say of items that come too late to be taken.
+        calls: whether the operator calls goals of the program.
     """
 
     stream: Callable[[NetworkOptions], StreamOperator]
@@ -46,6 +48,7 @@ class Making(NamedTuple):
     result: "Optional[Result]"
     clocked: bool
     past: str
+    calls: bool = False
 
 
 class Streaming(NetworkNode):
@@ -72,7 +75,9 @@ class Streaming(NetworkNode):
         self.vars = list(names)
         self.making = making
         self.carried: List[Tuple[Absence, Emitting]] = []
-        self.alone = len(self.children) == 1 and self.children[0].alone
+        self.alone = len(self.children) == 1 and self.children[0].alone and not making.calls
+        self._postponing = Postponing(rule.network.dispatcher) if making.calls else None
+        self._arrivals: Dict[int, Emit] = {}
         self.place = 0
         self.span: Optional[int] = None
         self.woken: Optional[int] = None
@@ -128,11 +133,29 @@ class Streaming(NetworkNode):
         """Give matches on to ``out``, and run by a mode; what is held stays."""
         self.out = out
         if mode != self._began:
+            self._change(mode)
+        self.woken = None
+        self._wake()
+
+    def _change(self, mode: NetworkOptions) -> None:
+        """Run by another mode."""
+        if not self._is_put_off(lambda: self._change(mode)):
             self._began = mode
             self._rebuild()
             self.replay = Replay(lambda: self._begin(mode), self.stream.kept()) if mode.revised else None
-        self.woken = None
-        self._wake()
+
+    def _is_put_off(self, work: Callable[[], None]) -> bool:
+        """Tell whether something has to wait for the operator, which is at work; it is done then."""
+        postponing = self._postponing
+        if postponing is None or not postponing.at_work:
+            return False
+
+        def step(after: Frame) -> Frame:
+            work()
+            return after
+
+        postponing.put_off(step)
+        return True
 
     def _rebuild(self) -> None:
         """Have a new operator know what the one knew: in another mode, or after an interrupt."""
@@ -143,6 +166,10 @@ class Streaming(NetworkNode):
 
     def mend(self) -> None:
         """Put right what an interrupt may have left half done: what is held is counted and filed anew."""
+        if self._postponing is not None:
+            self._postponing.clear()
+            if self._began not in (None, self.rule.mode):
+                self._change(self.rule.mode)
         self._rebuild()
         self.woken = None
         self._wake()
@@ -162,7 +189,21 @@ class Streaming(NetworkNode):
                 return after
             return self._give(outputs, after, arrival(match) if mode.tracked else 0)
 
-        return arrive
+        postponing = self._postponing
+        if postponing is None:
+            return arrive
+
+        def arrive_or_wait(match: Match, after: Frame) -> Frame:
+            if postponing.at_work:
+                postponing.put_off(lambda frame: self._arrivals[channel](match, frame))
+                return after
+            taken = match if with_match else None
+            outputs = postponing.while_at_work(lambda: take(taken, match.values, match.start, match.end))
+            after = postponing.before(after)
+            return self._give(outputs, after) if outputs else after
+
+        self._arrivals[channel] = arrive_or_wait
+        return arrive_or_wait
 
     def _taking(self, channel: int, mode: NetworkOptions) -> "Take":
         """Return what takes a match, or only its values and interval, and gives what comes of it."""
@@ -212,7 +253,12 @@ class Streaming(NetworkNode):
             self.rule.skipping.wakes()
         if self.replay is not None:
             self.replay.begin_step(self.stream)
-        outputs = self.stream.ring(instant)
+        postponing = self._postponing
+        if postponing is None:
+            outputs = self.stream.ring(instant)
+        else:
+            outputs = postponing.while_at_work(lambda: self.stream.ring(instant))
+            after = postponing.before(after)
         self._wake()
         came = self.rule.network.tracker.wakes() if self.stream.tracked else 0
         return self._give(outputs, after, came)
@@ -304,6 +350,8 @@ class Streaming(NetworkNode):
 
     def clear(self) -> None:
         """Forget all."""
+        if self._is_put_off(self.clear):
+            return
         mode = self._began or NetworkOptions()
         self.stream = self._begin(mode)
         self.replay = Replay(lambda: self._begin(mode)) if mode.revised else None
