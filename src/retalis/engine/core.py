@@ -1,5 +1,6 @@
 """What stands behind an engine: its parts, put together, and what they call."""
 
+import os
 from contextlib import closing
 from typing import Callable, Dict, List, NamedTuple, Optional, Tuple, Union
 
@@ -116,6 +117,8 @@ class EngineCore:
         define_new_event(self._logic, self._dispatcher)
         self._input_topics = InputTopics(self._logic, self._slots, reports)
         define_use_foreign(self._logic, self._runner, self._files, settings.allow_foreign)
+        if settings.allow_foreign:  # Python may read it all the same
+            self._logic.environment = os.environ
 
     def _take_fitting(self, term: Term, start: Optional[int], end: Optional[int]) -> None:
         """Take an event that is no message of a topic.

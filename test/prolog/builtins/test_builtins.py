@@ -266,3 +266,35 @@ def test_listing_of_tabled_predicates():
     assert "".join(written).count("path(A, B) :-") == 2
     assert answers(logic, "predicate_property(path(_, _), number_of_clauses(N))") == [{"N": "2"}]
     assert answers(logic, "nth_clause(path(_, _), 2, (H :- _)), H = path(A, A)")
+
+
+def test_retract_gives_the_clauses_that_were_there_at_the_call():
+    logic = prolog(":- dynamic(insect/1). insect(ant). insect(bee).")
+    written = []
+    logic.output = written.append
+    assert answers(logic, "retract(insect(I)), write(I), retract(insect(bee)), fail") == []
+    assert "".join(written) == "antbee"
+    assert answers(logic, "insect(X)") == []
+
+
+@pytest.mark.parametrize(
+    ("options", "term"),
+    [
+        ("[]", '"ab"'),
+        ("[double_quotes(atom)]", "ab"),
+        ("[double_quotes(codes)]", "[97,98]"),
+        ("[double_quotes(chars), other(x)]", "[a,b]"),
+        ("[double_quotes(none)]", "domain_error(double_quotes,none)"),
+    ],
+)
+def test_quotes_of_a_text_that_is_read(options, term):
+    assert first(prolog(), f"read_term_from_atom('\"ab\"', T, {options})") == term
+
+
+@pytest.mark.parametrize(
+    ("form", "text"), [("~I", "1_234_567"), ("~2I", "1_23_45_67"), ("x~Iy", "x1_234_567y")]
+)
+def test_digits_in_groups(form, text):
+    assert first(prolog(), f"format(atom(A), '{form}', [1234567])") == f"'{text}'".strip(
+        "'" if text[0] == "x" else ""
+    )

@@ -150,3 +150,13 @@ def test_there_is_no_input(logic, goal, found):
 )
 def test_types_of_what_is_hardly_there(logic, goal, found):
     assert answers(logic, goal) == found
+
+
+def test_a_variable_before_a_goal_is_one_like_all_others(logic):
+    assert answers(logic, "X^member(X, [1,2])") == [{"X": "1"}, {"X": "2"}]
+    assert answers(logic, "_^G") == ["instantiation_error"]
+
+
+def test_solutions_that_are_distinct(logic):
+    assert answers(logic, "distinct(X, member(X-_, [1-a,1-b,2-c]))") == [{"X": "1"}, {"X": "2"}]
+    assert answers(logic, "distinct(member(X, [b,b,a]))") == [{"X": "b"}, {"X": "a"}]

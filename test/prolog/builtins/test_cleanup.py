@@ -69,3 +69,9 @@ def test_a_goal_left_by_python_is_cleaned_up(logic, written):
     assert written == []
     solutions.close()
     assert written == ["c"]
+
+
+def test_the_setup_may_give_the_cleanup(logic, written):
+    assert answers(logic, "setup_call_cleanup(G = write(x), true, G)") == [{"G": "write(x)"}]
+    assert written == ["x"]
+    assert answers(logic, "setup_call_cleanup(true, true, _)") == ["instantiation_error"]

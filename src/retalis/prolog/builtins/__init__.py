@@ -25,8 +25,10 @@ from . import (  # noqa: F401  (imported for what they register)
     solutions,
     state,
     strings,
+    surroundings,
     tabled,
     taking_apart,
+    testing,
     timing,
 )
 from .arguments import callable_of, integer

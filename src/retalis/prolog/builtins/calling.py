@@ -1,14 +1,14 @@
 """Calls with conditions: grammars, limits, the n-th solution."""
 
 from time import monotonic
-from typing import Optional
+from typing import Hashable, Optional, Set
 
 from ...foundation import watched_by
 from ..arithmetic import evaluate
 from ..compiler import CALL, NOT
 from ..database import add_arguments, check_body
 from ..machine import Budget, Code, Frame, Guard, LimitPassed, PrologError, domain_error, type_error
-from ..terms import CONS, NIL, TRUE, String, Values, Var, atom, deref, functor, unify
+from ..terms import CONS, NIL, TRUE, String, Values, Var, atom, deref, functor, term_key, unify
 from .arguments import callable_of, integer, items
 from .dcg import translate_body
 from .program import Machine
@@ -40,6 +40,12 @@ def apply(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
     extra = tuple(items(args[1]))
     goal = add_arguments(goal, extra) if extra else goal
     return machine.logic.control.call(goal, after)
+
+
+@control("^/2")
+def existential(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+    """Call the goal of ``Variable^Goal``: outside of bagof and setof the variable is one like all others."""
+    return machine.logic.control.call(args[1], after)
 
 
 # Grammars
@@ -208,6 +214,26 @@ def _skipped(frame: Frame) -> Optional[Frame]:
 
 
 _SKIPPED = Code("offset", _skipped)
+
+
+@control("distinct/1", "distinct/2")
+def distinct(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+    """Give the solutions for which a term, or else the goal, has not been a variant of what it was before."""
+    seen: Set[Hashable] = set()
+    return machine.logic.control.call(args[-1], (_DISTINCT, args[0], seen, after))
+
+
+def _distinct(frame: Frame) -> Optional[Frame]:
+    after: Frame
+    _, witness, seen, after = frame
+    key = term_key(witness)
+    if key in seen:
+        return None
+    seen.add(key)
+    return after
+
+
+_DISTINCT = Code("distinct", _distinct)
 
 
 @control("call_nth/2")

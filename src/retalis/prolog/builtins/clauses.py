@@ -106,7 +106,7 @@ def retract(machine: Machine, term: Term) -> Outcome:
 def _each_clause(
     trail: Trail, predicate: Predicate, head: Term, body: Term, action: Optional[Callable[[Clause], object]]
 ) -> Outcome:
-    """Go through the clauses that unify with a head and a body; ``action`` is for those that are still there."""
+    """Go through the clauses that unify with a head and a body, as they were at the call; do ``action`` for each."""
     found = list(_candidates(predicate, head))
     if len(found) > 1:
         return _clauses(trail, found, head, body, action)
@@ -128,12 +128,10 @@ def _clauses(
 def _is_clause(
     trail: Trail, clause: Clause, head: Term, body: Term, action: Optional[Callable[[Clause], object]]
 ) -> bool:
-    if action is not None and clause.died != NEVER:
-        return False
     own_head, own_body = _renamed(clause)
     if not unify(own_head, head, trail) or not unify(own_body, body, trail):
         return False
-    if action is not None:
+    if action is not None and clause.died == NEVER:  # else it went meanwhile, and is a solution all the same
         action(clause)
     return True
 

@@ -45,8 +45,6 @@ class _Cleanup:
 def setup_call_cleanup(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
     """Run a goal, and a cleanup once it has failed, thrown, exited without choice points, or been cut."""
     setup, goal, cleanup = args
-    if deref(cleanup).__class__ is Var:
-        raise instantiation_error()
     return machine.logic.control.once(setup, (_GUARDED, machine, goal, cleanup, after))
 
 
@@ -60,6 +58,8 @@ def _guarded(frame: Frame) -> Optional[Frame]:
     machine: Machine
     after: Frame
     _, machine, goal, cleanup, after = frame
+    if deref(cleanup).__class__ is Var:  # not before: the setup may give it
+        raise instantiation_error()
     height = len(machine.choices)
     machine.choices.append((_CLEANUP, _Cleanup(machine, cleanup), len(machine.trail)))
     return machine.logic.control.call(goal, (_LEFT, machine, height, after))

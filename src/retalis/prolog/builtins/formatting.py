@@ -236,6 +236,12 @@ def group(digits: str, size: int, mark: str) -> str:
     return mark.join([digits[:first], *[digits[at : at + size] for at in range(first, len(digits), size)]])
 
 
+def _grouped(machine: Machine, term: Term, number: Optional[int]) -> str:
+    """Return an integer with its digits in groups, which reads back."""
+    value = _integer("I", term)
+    return ("-" if value < 0 else "") + group(number_text(abs(value)), number or 3, "_")
+
+
 def _decimal(mark: str) -> Callable[..., str]:
     def convert(machine: Machine, term: Term, number: Optional[int]) -> str:
         value = _integer("d", term)
@@ -299,6 +305,7 @@ _CONVERSIONS: Dict[str, Callable[..., str]] = {
     "s": _text,
     "d": _decimal(""),
     "D": _decimal(","),
+    "I": _grouped,
     "e": _float("e"),
     "f": _float("f"),
     "g": _float("g"),

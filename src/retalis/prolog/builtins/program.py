@@ -1,6 +1,6 @@
 """What built-ins are called with: the machine, and the program that it runs, as far as they need to know them."""
 
-from typing import Any, Callable, Dict, Iterator, List, Optional, Protocol, Tuple, Union
+from typing import Any, Callable, Dict, Iterator, List, Mapping, Optional, Protocol, Tuple, Union
 
 from ...foundation import Place
 from ..database import Clause, Control, Database, Predicate
@@ -29,6 +29,7 @@ class MachineProgram(Protocol):
     error_output: Callable[[str], None]
     message: Callable[[str, str], None]
     now: Callable[[], int]
+    environment: Optional[Mapping[str, str]]
 
     def once(self, goal: Term) -> bool:
         """Run a goal for its first solution, whose bindings stay."""

@@ -1,9 +1,9 @@
 """Reading terms from text."""
 
-from typing import List
+from typing import List, Optional
 
 from ...foundation import SyntaxFault
-from ..machine import ERROR, PrologError, instantiation_error, type_error
+from ..machine import ERROR, PrologError, domain_error, instantiation_error, type_error
 from ..syntax import ReadFlags, ReadTerm, read_term
 from ..terms import CompoundTerm, String, Term, Var, atom, deref, functor, make_list, unify, variables
 from .arguments import atom_of, option_values, partial_items
@@ -14,6 +14,11 @@ from .text import text_of
 _EQUAL = functor("=", 2)
 _SYNTAX = functor("syntax_error", 1)
 _POSITION = functor("string", 2)
+_QUOTES = {
+    "double_quotes": ("codes", "chars", "atom", "string"),
+    "back_quotes": ("codes", "chars", "string", "symbol_char"),
+}
+"""What the text in quotes may become."""
 
 
 def read_flags(machine: Machine) -> ReadFlags:
@@ -35,12 +40,13 @@ def parse(machine: Machine, text: str) -> Term:
     return read(machine, text).term
 
 
-def read(machine: Machine, text: str) -> ReadTerm:
+def read(machine: Machine, text: str, flags: Optional[ReadFlags] = None) -> ReadTerm:
     """Return the `ReadTerm` of a text; of one without a term, that of ``end_of_file``."""
+    flags = read_flags(machine) if flags is None else flags
     try:
         if not text.strip():
             text = "end_of_file"
-        return read_term(text, machine.logic.operators, flags=read_flags(machine), positions=False)
+        return read_term(text, machine.logic.operators, flags=flags, positions=False)
     except SyntaxFault as fault:
         column = fault.place.column if fault.place is not None else 0
         raise PrologError(
@@ -84,8 +90,22 @@ def read_term_from_atom(machine: Machine, text: Term, term: Term, options: Term)
         if option.__class__ is not tuple:
             raise type_error("option", option)
         asked.append(option)
-    found = read(machine, whole)
+    found = read(machine, whole, _flags_of(machine, asked))
     return unify(term, found.term, machine.trail) and _unify_options(machine, found, asked)
+
+
+def _flags_of(machine: Machine, options: List[CompoundTerm]) -> ReadFlags:
+    """Return how quotes read: by the options, else by the program's flags."""
+    flags = read_flags(machine)
+    quotes = {"double_quotes": flags.double_quotes, "back_quotes": flags.back_quotes}
+    for option in options:
+        name = option[0].name
+        if name in quotes:
+            how = atom_of(option[1])
+            if how.name not in _QUOTES[name]:
+                raise domain_error(name, how)
+            quotes[name] = how.name
+    return flags._replace(double_quotes=quotes["double_quotes"], back_quotes=quotes["back_quotes"])
 
 
 def _unify_options(machine: Machine, found: ReadTerm, options: List[CompoundTerm]) -> bool:

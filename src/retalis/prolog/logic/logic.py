@@ -46,6 +46,7 @@ class Logic(Predicates):
         now: gives the present in nanoseconds.
         error_output: called with text printed to ``user_error``, and with warnings.
         foreign_modules: the Python modules that the program has asked for, names or paths.
+        environment: the variables of the process's environment; None where the program may not know them.
         new_goals: what has been compiled since `preparing` began; None outside of that.
     """
 
@@ -61,6 +62,7 @@ class Logic(Predicates):
         self.now: Callable[[], int] = time_ns
         self.new_goals: Optional[List[CompiledGoal]] = None
         self.foreign_modules: Dict[str, None] = {}
+        self.environment: Optional[Mapping[str, str]] = None
 
     # Limits
 

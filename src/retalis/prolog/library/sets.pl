@@ -1,0 +1,189 @@
+% More of ordered sets, pairs and lists.
+%
+% defines: ord_empty/1 ord_symdiff/3 ord_seteq/2 ord_disjoint/2 ord_intersect/2 ord_intersect/3 ord_selectchk/3
+% defines: is_ordset/1 ord_intersection/2 ord_intersection/4 ord_union/4 ord_product/3 ord_max/2
+% defines: group_pairs_by_key/2 max_member/3 min_member/3 selectchk/4 foldr/4 scanl/4 scanl/5 scanl/6 scanl/7
+% defines: merge/3 merge_set/3 sublist/3 checklist/2 proper_list/1
+% defines: get_assoc/5 del_min_assoc/4 del_max_assoc/4 order_by/2
+
+ord_empty([]).
+
+is_ordset(Set) :-
+    is_list(Set),
+    sort(Set, Sorted),
+    Sorted == Set.
+
+ord_seteq(One, Other) :-
+    One == Other.
+
+ord_symdiff(One, Other, Difference) :-
+    ord_subtract(One, Other, Left),
+    ord_subtract(Other, One, Right),
+    ord_union(Left, Right, Difference).
+
+ord_disjoint(One, Other) :-
+    ord_intersection(One, Other, []).
+
+ord_intersect(One, Other) :-
+    \+ ord_disjoint(One, Other).
+
+ord_intersect(One, Other, Common) :-
+    ord_intersection(One, Other, Common).
+
+ord_intersection([First|Sets], Common) :-
+    foldl(ord_intersection, Sets, First, Common).
+
+ord_intersection(One, Other, Common, Rest) :-
+    ord_intersection(One, Other, Common),
+    ord_subtract(Other, One, Rest).
+
+ord_union(One, Other, Union, New) :-
+    ord_subtract(Other, One, New),
+    ord_union(One, New, Union).
+
+ord_selectchk(Element, Set, Rest) :-
+    ord_memberchk(Element, Set),
+    ord_del_element(Set, Element, Rest).
+
+ord_max(Set, Max) :-
+    last(Set, Max).
+
+ord_product(One, Other, Product) :-
+    findall(A-B, (member(A, One), member(B, Other)), Product).
+
+group_pairs_by_key([], []).
+group_pairs_by_key([K-V|Pairs], [K-[V|Vs]|Groups]) :-
+    group_values_(Pairs, K, Vs, Rest),
+    group_pairs_by_key(Rest, Groups).
+
+group_values_([K1-V|Pairs], K, [V|Vs], Rest) :-
+    K1 == K, !,
+    group_values_(Pairs, K, Vs, Rest).
+group_values_(Rest, _, [], Rest).
+
+max_member(Goal, Max, [First|Items]) :-
+    foldl(greater_member_(Goal), Items, First, Max).
+
+greater_member_(Goal, Item, Max0, Max) :-
+    (   call(Goal, Max0, Item)
+    ->  Max = Item
+    ;   Max = Max0
+    ).
+
+min_member(Goal, Min, [First|Items]) :-
+    foldl(lesser_member_(Goal), Items, First, Min).
+
+lesser_member_(Goal, Item, Min0, Min) :-
+    (   call(Goal, Item, Min0)
+    ->  Min = Item
+    ;   Min = Min0
+    ).
+
+selectchk(X, Xs, Y, Ys) :-
+    select(X, Xs, Y, Ys), !.
+
+foldr(Goal, List, V0, V) :-
+    foldr_(List, Goal, V0, V).
+
+foldr_([], _, V, V).
+foldr_([X|Xs], Goal, V0, V) :-
+    foldr_(Xs, Goal, V0, V1),
+    call(Goal, X, V1, V).
+
+scanl(Goal, List, V, [V|Vs]) :-
+    scanl_(List, Goal, V, Vs).
+
+scanl_([], _, _, []).
+scanl_([X|Xs], Goal, V0, [V|Vs]) :-
+    call(Goal, X, V0, V),
+    scanl_(Xs, Goal, V, Vs).
+
+scanl(Goal, L1, L2, V, [V|Vs]) :-
+    scanl_(L1, L2, Goal, V, Vs).
+
+scanl_([], [], _, _, []).
+scanl_([X|Xs], [Y|Ys], Goal, V0, [V|Vs]) :-
+    call(Goal, X, Y, V0, V),
+    scanl_(Xs, Ys, Goal, V, Vs).
+
+scanl(Goal, L1, L2, L3, V, [V|Vs]) :-
+    scanl_(L1, L2, L3, Goal, V, Vs).
+
+scanl_([], [], [], _, _, []).
+scanl_([X|Xs], [Y|Ys], [Z|Zs], Goal, V0, [V|Vs]) :-
+    call(Goal, X, Y, Z, V0, V),
+    scanl_(Xs, Ys, Zs, Goal, V, Vs).
+
+scanl(Goal, L1, L2, L3, L4, V, [V|Vs]) :-
+    scanl_(L1, L2, L3, L4, Goal, V, Vs).
+
+scanl_([], [], [], [], _, _, []).
+scanl_([X|Xs], [Y|Ys], [Z|Zs], [U|Us], Goal, V0, [V|Vs]) :-
+    call(Goal, X, Y, Z, U, V0, V),
+    scanl_(Xs, Ys, Zs, Us, Goal, V, Vs).
+
+% Merging keeps what is in both lists twice, merging sets once.
+
+merge(One, Other, Merged) :-
+    append(One, Other, All),
+    msort(All, Merged).
+
+merge_set(One, Other, Merged) :-
+    append(One, Other, All),
+    sort(All, Merged).
+
+sublist(Goal, List, Kept) :-
+    include(Goal, List, Kept).
+
+checklist(Goal, List) :-
+    maplist(Goal, List).
+
+proper_list(List) :-
+    is_list(List).
+
+% Association lists
+
+get_assoc(Key, Assoc0, Old, Assoc, New) :-
+    get_assoc(Key, Assoc0, Old),
+    put_assoc(Key, Assoc0, New, Assoc).
+
+del_min_assoc(Assoc0, Key, Value, Assoc) :-
+    min_assoc(Assoc0, Least, _),
+    del_assoc(Least, Assoc0, Value, Assoc),
+    Key = Least.
+
+del_max_assoc(Assoc0, Key, Value, Assoc) :-
+    max_assoc(Assoc0, Greatest, _),
+    del_assoc(Greatest, Assoc0, Value, Assoc),
+    Key = Greatest.
+
+% Solutions in an order: asc(Term) and desc(Term), the first one counting most.
+
+order_by(Specs, Goal) :-
+    must_be(list, Specs),
+    term_variables(Goal, Variables),
+    findall(Specs-Variables, Goal, Found),
+    length(Specs, Count),
+    order_keys_(Count, Specs, Found, Sorted),
+    member(Specs-Variables, Sorted).
+
+order_keys_(0, _, Sorted, Sorted) :- !.
+order_keys_(N, Specs, Found, Sorted) :-
+    nth1(N, Specs, Spec),
+    must_be(nonvar, Spec),
+    maplist(order_key_(N), Found, Keyed),
+    order_sort_(Spec, Keyed, Ordered),
+    pairs_values(Ordered, Found1),
+    M is N - 1,
+    order_keys_(M, Specs, Found1, Sorted).
+
+order_key_(N, Specs-Variables, Key-(Specs-Variables)) :-
+    nth1(N, Specs, Spec),
+    arg(1, Spec, Key).
+
+order_sort_(asc(_), Keyed, Ordered) :- !,
+    sort(1, @=<, Keyed, Ordered).
+order_sort_(desc(_), Keyed, Ordered) :- !,
+    sort(1, @>=, Keyed, Ordered).
+order_sort_(Spec, _, _) :-
+    throw(error(domain_error(order_specifier, Spec), _)).

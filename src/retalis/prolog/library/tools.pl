@@ -1,0 +1,248 @@
+% Measuring goals, old ways of writing, more of random numbers, texts read line by line.
+%
+% defines: time/1 writef/1 writef/2
+% defines: random/3 randseq/3 randset/3 random_select/3 random_subseq/3 random_perm2/4 random_numlist/4
+% defines: maybe/0 maybe/1 maybe/2
+% defines: read_line_to_codes/2 read_line_to_codes/3 read_line_to_string/2 read_stream_to_codes/2
+% defines: read_stream_to_codes/3 string_lines/2
+
+time(Goal) :-
+    must_be(callable, Goal),
+    time_now_(Start),
+    (   catch(Goal, Error, time_threw_(Start, Error))
+    *-> time_report_(Start)
+    ;   time_report_(Start),
+        fail
+    ).
+
+time_now_(at(Inferences, Cpu, Wall)) :-
+    statistics(inferences, Inferences),
+    statistics(cputime, Cpu),
+    statistics(walltime, [Wall|_]).
+
+time_threw_(Start, Error) :-
+    time_report_(Start),
+    throw(Error).
+
+time_report_(at(Inferences0, Cpu0, Wall0)) :-
+    time_now_(at(Inferences1, Cpu1, Wall1)),
+    Inferences is Inferences1 - Inferences0,
+    Cpu is Cpu1 - Cpu0,
+    Wall is (Wall1 - Wall0) / 1000,
+    Percent is round(100 * Cpu / max(Wall, 0.001)),
+    Speed is round(Inferences / max(Cpu, 0.000001)),
+    format(user_error, "% ~D inferences, ~3f CPU in ~3f seconds (~d% CPU, ~d Lips)~n",
+           [Inferences, Cpu, Wall, Percent, Speed]).
+
+% writef: %w and %d write an argument, %p prints it, %s writes a text, %Nl, %Nc and %Nr do so in N columns.
+
+writef(Format) :-
+    writef(Format, []).
+
+writef(Format, Arguments) :-
+    atom_codes(Format, Codes),
+    writef_(Codes, Arguments).
+
+writef_([], _).
+writef_([C|Codes], Arguments) :-
+    (   C =:= 0'\\,
+        writef_escape_(Codes, Code, Codes1)
+    ->  put_char(Code),
+        writef_(Codes1, Arguments)
+    ;   C =:= 0'%,
+        Arguments = [Argument|Arguments1],
+        writef_directive_(Codes, Argument, Codes1)
+    ->  writef_(Codes1, Arguments1)
+    ;   char_code(Char, C),
+        put_char(Char),
+        writef_(Codes, Arguments)
+    ).
+
+writef_escape_([C|Codes], Char, Codes) :-
+    writef_escaped_(C, Char).
+
+writef_escaped_(0'n, '\n').
+writef_escaped_(0'l, '\n').
+writef_escaped_(0't, '\t').
+writef_escaped_(0'r, '\r').
+writef_escaped_(0'\\, \).
+
+writef_directive_([0'w|Codes], Argument, Codes) :-
+    write(Argument).
+writef_directive_([0'd|Codes], Argument, Codes) :-
+    write(Argument).
+writef_directive_([0'p|Codes], Argument, Codes) :-
+    print(Argument).
+writef_directive_([0's|Codes], Argument, Codes) :-
+    format("~s", [Argument]).
+writef_directive_([D|Codes0], Argument, Codes) :-
+    writef_digits_([D|Codes0], Digits, [Side|Codes]),
+    Digits = [_|_],
+    writef_columns_(Side, Form),
+    number_codes(Width, Digits),
+    format(Form, [Argument, Width]).
+
+writef_digits_([D|Codes0], [D|Digits], Codes) :-
+    code_type(D, digit), !,
+    writef_digits_(Codes0, Digits, Codes).
+writef_digits_(Codes, [], Codes).
+
+writef_columns_(0'l, "~w~t~*+").
+writef_columns_(0'L, "~w~t~*+").
+writef_columns_(0'r, "~t~w~*+").
+writef_columns_(0'R, "~t~w~*+").
+writef_columns_(0'c, "~t~w~t~*+").
+writef_columns_(0'C, "~t~w~t~*+").
+
+% An integer below a limit, or a float between two.
+
+random(Low, High, Value) :-
+    (   integer(Low),
+        integer(High)
+    ->  Low < High,
+        Last is High - 1,
+        random_between(Low, Last, Value)
+    ;   must_be(number, Low),
+        must_be(number, High),
+        random(Fraction),
+        Value is Low + (High - Low) * Fraction
+    ).
+
+maybe :-
+    random_between(0, 1, 0).
+
+maybe(Probability) :-
+    must_be(between(0.0, 1.0), Probability),
+    random(Fraction),
+    Fraction < Probability.
+
+maybe(Count, Of) :-
+    random_between(1, Of, Number),
+    Number =< Count.
+
+random_select(Item, List, Rest) :-
+    (   is_list(List)
+    ->  length(List, Places)
+    ;   must_be(list, Rest),
+        length(Rest, Length),
+        Places is Length + 1
+    ),
+    Places > 0,
+    random_between(1, Places, Number),
+    nth1(Number, List, Item, Rest).
+
+random_subseq([], [], []).
+random_subseq([Item|Items], Taken, Left) :-
+    (   maybe
+    ->  Taken = [Item|Taken1],
+        Left = Left1
+    ;   Taken = Taken1,
+        Left = [Item|Left1]
+    ),
+    random_subseq(Items, Taken1, Left1).
+
+random_perm2(A, B, X, Y) :-
+    (   maybe
+    ->  X = A,
+        Y = B
+    ;   X = B,
+        Y = A
+    ).
+
+random_numlist(Probability, Low, High, List) :-
+    must_be(between(0.0, 1.0), Probability),
+    findall(N, (between(Low, High, N), maybe(Probability)), List).
+
+% Some of the integers from 1 to Most, each once.
+
+randset(Count, Most, Set) :-
+    randseq(Count, Most, Sequence),
+    sort(Sequence, Set).
+
+randseq(Count, Most, Sequence) :-
+    must_be(nonneg, Count),
+    (   Count > Most
+    ->  throw(error(domain_error(not_greater_than(Most), Count), _))
+    ;   random_distinct_(Count, Most, [], Sequence)
+    ).
+
+random_distinct_(0, _, Sequence, Sequence) :- !.
+random_distinct_(Count, Most, Sequence0, Sequence) :-
+    random_between(1, Most, Number),
+    (   memberchk(Number, Sequence0)
+    ->  random_distinct_(Count, Most, Sequence0, Sequence)
+    ;   Left is Count - 1,
+        random_distinct_(Left, Most, [Number|Sequence0], Sequence)
+    ).
+
+% Lines without their ends; -1 at the end of a stream.
+
+read_line_to_codes(Stream, Codes) :-
+    get_code(Stream, Code),
+    (   Code =:= -1
+    ->  Codes = -1
+    ;   line_codes_(Code, Stream, Line),
+        Codes = Line
+    ).
+
+line_codes_(-1, _, []) :- !.
+line_codes_(0'\n, _, []) :- !.
+line_codes_(0'\r, Stream, Line) :- !,
+    get_code(Stream, Code),
+    (   Code =:= 0'\n
+    ->  Line = []
+    ;   Line = [0'\r|Line1],
+        line_codes_(Code, Stream, Line1)
+    ).
+line_codes_(Code, Stream, [Code|Line]) :-
+    get_code(Stream, Next),
+    line_codes_(Next, Stream, Line).
+
+read_line_to_codes(Stream, Codes, Tail) :-
+    get_code(Stream, Code),
+    line_whole_(Code, Stream, Codes, Tail).
+
+line_whole_(-1, _, Tail, Tail) :- !.
+line_whole_(0'\n, _, [0'\n|Tail], Tail) :- !.
+line_whole_(Code, Stream, [Code|Codes], Tail) :-
+    get_code(Stream, Next),
+    line_whole_(Next, Stream, Codes, Tail).
+
+read_line_to_string(Stream, String) :-
+    read_line_to_codes(Stream, Codes),
+    (   Codes == -1
+    ->  String = -1
+    ;   string_codes(Line, Codes),
+        String = Line
+    ).
+
+read_stream_to_codes(Stream, Codes) :-
+    read_stream_to_codes(Stream, Codes, []).
+
+read_stream_to_codes(Stream, Codes, Tail) :-
+    get_code(Stream, Code),
+    stream_codes_(Code, Stream, Codes, Tail).
+
+stream_codes_(-1, _, Tail, Tail) :- !.
+stream_codes_(Code, Stream, [Code|Codes], Tail) :-
+    get_code(Stream, Next),
+    stream_codes_(Next, Stream, Codes, Tail).
+
+string_lines(String, Lines) :-
+    (   nonvar(String)
+    ->  split_string(String, "\n", "", Parts0),
+        (   append(Parts, [""], Parts0)
+        ->  Lines = Parts
+        ;   Lines = Parts0
+        )
+    ;   must_be(list, Lines),
+        maplist(line_ended_, Lines, Ended),
+        atomics_to_string_(Ended, String)
+    ).
+
+line_ended_(Line, Ended) :-
+    string_concat(Line, "\n", Ended).
+
+atomics_to_string_(Parts, String) :-
+    atomic_list_concat(Parts, Atom),
+    atom_string(Atom, String).

@@ -1,0 +1,42 @@
+"""The libraries against what SWI-Prolog 9.0.4 answers: goals and the bindings of their first solutions, recorded."""
+
+from pathlib import Path
+
+import pytest
+from prolog.support import show
+
+from retalis.prolog.logic import Logic
+from retalis.prolog.machine import PrologError
+from retalis.prolog.syntax import read_term
+from retalis.prolog.terms import atom, copy, functor, make_list
+
+ROWS = [
+    line.split("\t")
+    for line in (Path(__file__).parent / "answers.tsv").read_text(encoding="utf-8").splitlines()
+]
+MOST = 5
+
+
+@pytest.fixture(scope="module")
+def logic():
+    return Logic(compile_after=1 << 60)  # what is asked once is not worth compiling
+
+
+@pytest.mark.parametrize(("goal", "answer"), ROWS, ids=[goal for goal, _ in ROWS])
+def test_answer(logic, goal, answer):
+    assert answered(logic, goal) == answer
+
+
+def answered(logic, goal):
+    read = read_term(goal, logic.operators)
+    names = [name for name in read.names if name[0] != "_"]
+    found = []
+    try:
+        for _ in logic.solutions(read.term):
+            bindings = [(functor("=", 2), atom(name), read.names[name]) for name in names]
+            found.append(copy(make_list(bindings)))
+            if len(found) == MOST:
+                break
+    except PrologError as error:
+        return f"error({show(error.term[1])})"
+    return show(make_list(found))

@@ -1,0 +1,77 @@
+"""What measures goals, draws by chance, reports by topic."""
+
+import re
+
+from prolog.support import answers, first, prolog
+
+
+def test_time_reports_and_keeps_solutions():
+    logic = prolog()
+    written = []
+    logic.error_output = written.append
+    assert answers(logic, "time(member(X, [1,2]))") == [{"X": "1"}, {"X": "2"}]
+    line = r"% [\d,]+ inferences, \d+\.\d{3} CPU in \d+\.\d{3} seconds \(\d+% CPU, \d+ Lips\)\n"
+    assert re.fullmatch(f"({line}){{2,3}}", "".join(written))
+
+
+def test_time_reports_errors_and_failures():
+    logic = prolog()
+    written = []
+    logic.error_output = written.append
+    assert answers(logic, "time(throw(oops))") == ["oops"]
+    assert answers(logic, "time(fail)") == []
+    assert "".join(written).count(" inferences, ") == 2
+
+
+def test_writef():
+    logic = prolog()
+    written = []
+    logic.output = written.append
+    assert answers(logic, r"writef('%w and %d\n', [a,b]), writef('|%5L|%5R|%5C|%s', [x,x,x,abc])") == [{}]
+    assert "".join(written) == "a and b\n|x    |    x|  x  |abc"
+
+
+def test_choices_by_chance():
+    logic = prolog()
+    assert first(logic, "set_random(seed(1)), randseq(3, 3, S), msort(S, M)")["M"] == "[1,2,3]"
+    assert first(logic, "random_select(X, [a,b], [R]), X \\== R") is not None
+    assert first(logic, "random(1.0, 2.0, X), X >= 1.0, X < 2.0") is not None
+    assert first(logic, "random_subseq([a,b,c], T, L), append(T, L, A), msort(A, M)")["M"] == "[a,b,c]"
+
+
+def test_topics():
+    logic = prolog()
+    written = []
+    logic.error_output = written.append
+    goal = "debug(plan), debug(plan, 'step ~w', [1]), debug(other, 'no', []), nodebug(plan), debug(plan, 'no', [])"
+    assert answers(logic, goal) == [{}]
+    assert "".join(written) == "% step 1\n"
+
+
+def test_a_program_may_have_predicates_of_these_names():
+    logic = prolog("edges(G, mine(G)). option(a, b).")
+    assert first(logic, "edges(1, E)") == "mine(1)"
+    assert first(logic, "option(a, X)") == "b"
+    assert first(logic, "select_option(a(X), [a(1)], _)") == "1"
+
+
+def test_trees_stay_balanced():
+    logic = prolog("""
+        depth(t, 0).
+        depth(t(_,_,_,L,R), D) :- depth(L, DL), depth(R, DR), D is max(DL, DR) + 1.
+        odd_gone(T0, T) :- findall(N, (between(1, 64, N), N mod 2 =:= 1), Ns), foldl(without, Ns, T0, T).
+        without(N, T0, T) :- rb_delete(T0, N, T).
+    """)
+    made = "findall(N-N, between(1, 64, N), _P), list_to_rbtree(_P, _T), depth(_T, D)"
+    found = first(logic, f"{made}, odd_gone(_T, _U), depth(_U, E), rb_size(_U, S)")
+    assert int(found["D"]) <= 10
+    assert int(found["E"]) <= 8
+    assert found["S"] == "32"
+
+
+def test_the_environment_is_refused_unless_it_is_given():
+    logic = prolog()
+    assert answers(logic, "getenv('HOME', H)") == ["permission_error(access,environment_variable,'HOME')"]
+    logic.environment = {"HOME": "/home/robot"}
+    assert answers(logic, "getenv('HOME', H)") == [{"H": "'/home/robot'"}]
+    assert answers(logic, 'getenv("OTHER", H)') == []
