@@ -104,11 +104,11 @@ class Window:
             del self.groups[item.key]
 
     def _empty(self, group: WindowGroup, key: Hashable) -> None:
-        """Have all items of a group leave at once."""
+        """Have all items of a group leave at once, also where an interrupt comes meanwhile."""
+        del self.groups[key]
         self.number -= group.number
         for item in group.members:
             item.gone = True
-        del self.groups[key]
 
     def _move_on(self, end: int) -> None:
         if self.clock < end:
@@ -183,7 +183,7 @@ class Newest(Window):
         group = self._group_of(item)
         self._came(item)
         self._enter(item, group)
-        if group.number > self.most:
+        while group.number > self.most:  # more than one where an interrupt came before it left
             self._leave(group.members[0])
         return self._given(group)
 
@@ -199,6 +199,9 @@ class Batches(Window):
     def take(self, item: StreamItem, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.take`."""
         group = self._group_of(item)
+        if group.number >= self.most:  # it was full when an interrupt came
+            self._empty(group, item.key)
+            group = self._group_of(item)
         self._came(item)
         self._enter(item, group)
         full = group.number >= self.most

@@ -1,0 +1,111 @@
+"""Operators on streams that are interrupted between any two lines, and mended: they go on as if all was well."""
+
+import contextlib
+import sys
+from pathlib import Path
+
+import pytest
+from events.streams.feeding import Came, item_of, listing
+
+from retalis.events import streams
+from retalis.events.streams import (
+    Batches,
+    Changing,
+    FromFirst,
+    Newest,
+    RunningWindow,
+    Settled,
+    Sliding,
+    Spaced,
+)
+
+from .injection import Interrupt
+
+_SOURCE = str(Path(streams.__file__).parent)
+
+
+class AtLine:
+    """Raises an interrupt before the n-th line of operators on streams."""
+
+    def __init__(self, at):
+        self.left = at
+
+    def __enter__(self):
+        self._before = sys.gettrace()
+        sys.settrace(self._call)
+        return self
+
+    def __exit__(self, *exception):
+        sys.settrace(self._before)
+
+    def _call(self, frame, event, argument):
+        return self._line if frame.f_code.co_filename.startswith(_SOURCE) else None
+
+    def _line(self, frame, event, argument):
+        if event == "line":
+            self.left -= 1
+            if not self.left:
+                sys.settrace(None)
+                raise Interrupt
+        return self._line
+
+
+OPERATORS = {
+    "last seconds": lambda: Sliding(listing, 5),
+    "last items": lambda: Newest(listing, 2),
+    "batches": lambda: Batches(listing, 3, False),
+    "from the first": lambda: FromFirst(listing, 4, False),
+    "present": lambda: RunningWindow(listing, 6),
+    "throttle": lambda: Spaced(4, False),
+    "burst": lambda: Spaced(2, True),
+    "debounce": lambda: Settled(4),
+    "change": Changing,
+}
+BEFORE = [(10, "a"), (11, "b"), (12, "a")]
+AFTER = [(16, "a"), (17, "b"), (19, "a"), (30, "b")]
+
+
+def taken(stream, rows):
+    """Return what is given on at each of these instants, and of which items."""
+    found = []
+    for at, key in rows:
+        outputs = stream.ring(at) + stream.take(item_of(Came(at, key, at, at, at, 0, at)), at, 0)
+        found += [(one.start, one.end, repr(one.found)) for one in outputs]
+    return found
+
+
+def one_more(make, ring, take):
+    """Return an operator that has taken some items, what is to be interrupted, and how to go on."""
+    stream = make()
+    taken(stream, BEFORE)
+
+    def work():
+        stream.ring(ring)
+        if take:
+            stream.take(item_of(Came(15, "a", 15, 15, 15, 0, 15)), 15, 0)
+
+    return stream, work
+
+
+@pytest.mark.parametrize("kind", OPERATORS)
+def test_what_was_interrupted_is_taken_whole_or_not_at_all(kind):
+    make = OPERATORS[kind]
+    allowed = []
+    for ring, take in ((13, False), (14, False), (15, False), (15, True)):
+        stream, work = one_more(make, ring, take)
+        work()
+        allowed.append(taken(stream, AFTER))
+    at = 0
+    while True:
+        at += 1
+        stream, work = one_more(make, 15, True)
+        with contextlib.suppress(Interrupt), AtLine(at) as injected:
+            work()
+        mended = make()
+        mended.restore(stream.kept())
+        members = [item for group in getattr(mended, "groups", {}).values() for item in group.members]
+        assert getattr(mended, "number", len(members)) == len(members)
+        assert taken(mended, AFTER) in allowed, at
+        if injected.left > 0:
+            break
+    assert at > 5
