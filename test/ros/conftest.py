@@ -11,6 +11,9 @@ import pytest
 
 SPACES = ("devel", "install")
 
+PATIENCE = 120.0
+"""Seconds after which what has not come is missing: most of it is for a machine that is busy."""
+
 
 @pytest.fixture
 def port():
@@ -45,7 +48,12 @@ class Space:
     def run(self, *words):
         """Run to the end and return what was printed."""
         return subprocess.run(
-            self.command(*words), env=self.env, check=True, stdout=subprocess.PIPE, text=True, timeout=60
+            self.command(*words),
+            env=self.env,
+            check=True,
+            stdout=subprocess.PIPE,
+            text=True,
+            timeout=PATIENCE,
         ).stdout
 
     def start(self, *words):
@@ -57,6 +65,24 @@ class Space:
             )
         self.started.append(process)
         return process
+
+    def start_master(self):
+        """Start a master and return its process when it answers.
+
+        A roslaunch or roscore that starts one by itself gives it 10 s, which a busy machine may take longer for.
+        """
+        process = self.start("rosmaster", "--core", "-p", str(self.port))
+        master = ServerProxy(self.env["ROS_MASTER_URI"])
+        end = time.monotonic() + PATIENCE
+        while process.poll() is None and time.monotonic() < end:
+            try:
+                master.getPid("/test")
+                return process
+            except OSError:
+                time.sleep(0.1)
+        code = process.poll()
+        what = "does not answer" if code is None else f"has ended with {code}"
+        return pytest.fail(f"the master {what}\n{self.printed()}")
 
     def printed(self):
         """Return what the started processes have printed."""
@@ -80,7 +106,7 @@ class Space:
         except OSError:
             return None
 
-    def expect(self, condition, seconds=30):
+    def expect(self, condition, seconds=PATIENCE):
         """Wait until the master's nodes and services fulfil the condition."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
@@ -95,7 +121,7 @@ class Space:
             if process.poll() is None:
                 process.send_signal(signal.SIGINT)
             try:
-                process.wait(timeout=20)
+                process.wait(timeout=PATIENCE / 2)
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()

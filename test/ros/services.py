@@ -14,7 +14,7 @@ from rosgraph_msgs.msg import Log
 from std_msgs.msg import Float64, String
 
 sys.path.append(str(Path(__file__).resolve().parent))
-from harness import Collector, open_the_way, service, wait_until  # noqa: E402
+from harness import PATIENCE, Collector, open_the_way, service, wait_until  # noqa: E402
 
 from retalis import srv  # noqa: E402
 
@@ -177,7 +177,7 @@ class Services(unittest.TestCase):
         self.assertEqual(
             self.add_subscription("std_msgs__0__Float64(X)", "", "number(X)", "t", "n").result, "ok"
         )
-        deadline = time.monotonic() + 30
+        deadline = time.monotonic() + PATIENCE
         while not self.has_output("event(number(2.5),t,n)"):
             self.assertLess(time.monotonic(), deadline, "the number never came")
             number.publish(2.5)
@@ -199,7 +199,7 @@ class Services(unittest.TestCase):
             self.assertEqual(query(goal=goal).result, "ok")
         self.assertIn("subscribed already", query(goal="subscribe_to(asked, 'std_msgs/Int8')").result)
         self.assertEqual(self.add_subscription("asked_number(X)", "", "asked(X)", "t", "q").result, "ok")
-        deadline = time.monotonic() + 30
+        deadline = time.monotonic() + PATIENCE
         while not self.has_output("event(asked(2.5),t,q)"):
             self.assertLess(time.monotonic(), deadline, "the number never came")
             asked.publish(2.5)

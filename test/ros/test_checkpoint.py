@@ -26,7 +26,7 @@ def program(tmp_path):
 def node(devel, program, tmp_path):
     """Return a function that starts the node and waits for it."""
     devel.env["PYTHONUNBUFFERED"] = "1"
-    devel.start("rosmaster", "--core", "-p", str(devel.port))
+    devel.start_master()
 
     def start():
         before = devel.printed().count(READY)
@@ -54,7 +54,7 @@ def tell(space, event):
 def kill(space, process):
     """End the node as the kernel would where memory is short."""
     os.kill(space.pid("/retalis"), signal.SIGKILL)
-    process.wait(30)
+    process.wait(60)
 
 
 def written(path):
@@ -82,7 +82,7 @@ def test_goes_on_after_it_was_killed(devel, node, tmp_path):
     tell(devel, "in(2)")
     devel.expect(lambda found, services: "pair(1,2)" in solutions(devel, "access_mem(pairs, P, _)"))
     os.kill(devel.pid("/retalis"), signal.SIGINT)
-    assert process.wait(30) == 0
+    assert process.wait(60) == 0
     node()
     assert "pair(1,2)" in solutions(devel, "access_mem(pairs, P, _)")
     assert "Traceback" not in devel.printed()

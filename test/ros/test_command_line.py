@@ -12,8 +12,7 @@ LIVE = ("rosrun", "retalis", "retalis")
 @pytest.fixture
 def node(space):
     """Node retalis, on a master of its own."""
-    space.start("roscore", "-p", str(space.port))
-    space.expect(lambda found, services: "/rosout" in found)
+    space.start_master()
     space.start("rosrun", "retalis", "retalis_node", "_explain:=true")
     space.expect(lambda found, services: "/retalis/delete_rule" in services)
     return space
@@ -29,8 +28,7 @@ def said(space, *words, wrong=False, text=None):
 
 def test_without_a_master_or_a_node(space):
     assert "no master answers at http://localhost" in said(space, "query", "true", wrong=True)
-    space.start("roscore", "-p", str(space.port))
-    space.expect(lambda found, services: "/rosout" in found)
+    space.start_master()
     assert said(space, "query", "true", wrong=True) == "retalis: no node retalis runs\n"
 
 
@@ -98,7 +96,7 @@ def test_a_status_and_what_is_watched_go_on_with_a_new_master(node):
         master.send_signal(signal.SIGINT)
         master.wait(timeout=60)
         assert "unable to contact master" in status.stderr.readline()
-        node.start("roscore", "-p", str(node.port))
+        node.start_master()
         status.stdout.readline()
         node.expect(lambda found, services: any(name.startswith("/retalis_watch") for name in found))
         node.start("rostopic", "pub", "-r", "5", "/retalisInputEvents", "std_msgs/String", "event(fever_(1))")

@@ -13,6 +13,7 @@ LISTENS = "0A"
 
 
 def launch(space, *arguments):
+    space.start_master()
     space.start(
         "roslaunch", "-p", str(space.port), "retalis", "retalis.launch", "use_sim_time:=false", *arguments
     )
@@ -50,7 +51,7 @@ def free():
 
 def opened(port, path="/"):
     opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
-    return opener.open(f"http://127.0.0.1:{port}{path}", timeout=30)
+    return opener.open(f"http://127.0.0.1:{port}{path}", timeout=60)
 
 
 def next_look(stream):

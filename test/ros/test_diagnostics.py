@@ -37,7 +37,7 @@ def published(monkeypatch):
 def test_each_thing_is_a_status_of_the_node(published):
     made, messages, come = published
     Diagnostics(0.001, HEALTH)
-    assert come.wait(30)
+    assert come.wait(60)
     made[1]()  # as at shutdown
     status = messages[0].status[0]
     assert made[0] == "/diagnostics" and messages[0].header.stamp == rospy.Time(1, 2)
@@ -72,7 +72,7 @@ def test_a_fault_of_one_look_does_not_end_it(published, monkeypatch):
 
     monkeypatch.setattr(rospy, "logerr_throttle", lambda period, text: told.append(text))
     Diagnostics(0.001, NodeHealth(list, list, look))
-    assert come.wait(30)
+    assert come.wait(60)
     published[0][1]()
     assert "changed size" in told[0]
     assert diagnostics.TOPIC == "/diagnostics"

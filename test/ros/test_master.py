@@ -38,8 +38,7 @@ class Master:
         self.start()
 
     def start(self):
-        self._process = self._space.start("rosmaster", "--core", "-p", str(self._space.port))
-        self.wait_until(lambda: self.uri.getPid("/test"))
+        self._process = self._space.start_master()
 
     def kill(self):
         self._process.kill()
@@ -52,7 +51,7 @@ class Master:
             except OSError:
                 return False
 
-        self._space.expect(holds, 60)
+        self._space.expect(holds)
 
     def known(self):
         """Return what the nodes have registered."""
@@ -126,5 +125,5 @@ def test_a_node_that_is_ended_is_not_registered_again(devel, nodes):
     master.start()
     node = devel.started[1]
     node.terminate()
-    assert node.wait(20) == 0
+    assert node.wait(60) == 0
     assert master.known() == [[], [], []]

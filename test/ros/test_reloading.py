@@ -23,8 +23,7 @@ def folder(tmp_path):
 
 def start(space, folder, *words):
     """Start node retalis with a program, on a master of its own."""
-    space.start("roscore", "-p", str(space.port))
-    space.expect(lambda found, services: "/rosout" in found)
+    space.start_master()
     space.start("rosrun", "retalis", "retalis_node", f"_program:={folder}", *words)
     space.expect(lambda found, services: "/retalis/reload" in services)
 

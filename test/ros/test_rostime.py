@@ -78,7 +78,7 @@ def clock(warnings, monkeypatch):
 
     def move(seconds, back=False):
         callbacks[0](rostime.ClockMessage(rospy.Time(seconds)))
-        assert not back or begun.acquire(timeout=10)
+        assert not back or begun.acquire(timeout=60)
 
     simulated.begin([threading.Lock()], note)
     simulated.move, simulated.ended = move, ended

@@ -1,7 +1,6 @@
 """One signal ends a node, whatever it is doing; its exit status says whether it could be set up."""
 
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -12,7 +11,7 @@ import pytest
 NODES = ("retalis_node", "retalis_ros_converter.py")
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 XML = '<publish_subscribe><publish_to name="out" msg_type="std_msgs/String"/></publish_subscribe>'
-SECONDS = 30
+SECONDS = 60
 """Time for an end: most of it is for a machine that is busy."""
 
 
@@ -40,14 +39,7 @@ def node(devel):
 
 @pytest.fixture
 def master(devel):
-    process = devel.start("rosmaster", "--core", "-p", str(devel.port))
-    devel.expect(lambda found, services: answers(devel))
-    return process
-
-
-def answers(space):
-    with socket.socket() as probe:
-        return probe.connect_ex(("localhost", space.port)) == 0
+    return devel.start_master()
 
 
 def said(space, text):
@@ -71,7 +63,7 @@ def test_where_there_is_no_master(devel, node, program, name, number):
 def test_a_master_that_comes_late_is_waited_for(devel, node, program):
     process = node("retalis_node", program())
     said(devel, "no master answers")
-    devel.start("rosmaster", "--core", "-p", str(devel.port))
+    devel.start_master()
     devel.expect(lambda found, services: "/add_memory" in services)
     assert ended(process, signal.SIGINT) == 0
 

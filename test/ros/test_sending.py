@@ -27,7 +27,7 @@ class Link:
     def __init__(self):
         self.socket, self.other = socket.socketpair()
         self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 5000)
-        self.other.settimeout(20)
+        self.other.settimeout(60)
         self.stat_bytes = self.stat_num_msg = 0
         self.endpoint_id = "/listener"
         self.closed = False
@@ -236,7 +236,7 @@ def test_a_connection_that_ends_while_it_is_slow_is_closed(outlet, link):
     assert writing
     link.other.close()
     for one in writing:
-        one.join(20)
+        one.join(60)
     assert link.closed
 
 
@@ -313,7 +313,7 @@ def test_texts_go_out_together_in_order(outlet, link, monkeypatch):
     link.other.setblocking(False)
     with pytest.raises(BlockingIOError):
         link.other.recv(100)
-    link.other.settimeout(20)
+    link.other.settimeout(60)
     with turn:
         it.flush()
     assert link.other.recv(100) == text_frame("a") + pack("<II", 6, 2) + b"b\xff"

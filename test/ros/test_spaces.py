@@ -35,6 +35,7 @@ def test_everything_in_the_sources_is_there(space):
 
 
 def test_launch_file_starts_both_nodes_and_six_services(space):
+    space.start_master()
     space.start("roslaunch", "-p", str(space.port), "retalis", "retalis.launch")
     wanted = {"/" + name for name in SERVICES}
     nodes = {"/retalis", "/retalis_ros_interface"}
@@ -43,6 +44,7 @@ def test_launch_file_starts_both_nodes_and_six_services(space):
 
 
 def test_embedded_is_one_process_with_six_services(space):
+    space.start_master()
     space.start("roslaunch", "-p", str(space.port), "retalis", "retalis.launch", "embedded:=true")
     wanted = {"/" + name for name in SERVICES}
     space.expect(lambda found, services: "/retalis" in found and wanted <= services)
@@ -50,6 +52,7 @@ def test_embedded_is_one_process_with_six_services(space):
 
 
 def test_nodes_that_end_are_started_again_where_that_is_wanted(space):
+    space.start_master()
     space.start("roslaunch", "-p", str(space.port), "retalis", "retalis.launch", "respawn:=true")
     nodes = {"/retalis", "/retalis_ros_interface"}
     space.expect(lambda found, services: nodes <= found)
@@ -60,8 +63,7 @@ def test_nodes_that_end_are_started_again_where_that_is_wanted(space):
 
 
 def test_node_names_without_a_launch_file(space):
-    space.start("roscore", "-p", str(space.port))
-    space.expect(lambda found, services: "/rosout" in found)
+    space.start_master()
     space.start("rosrun", "retalis", "retalis_node")
     space.start("rosrun", "retalis", "retalis_ros_converter.py")
     wanted = {"/retalis", "/retalis_ros_converter"}
@@ -100,6 +102,7 @@ def test_goals_of_a_node_open_files_in_the_folders_of_its_parameters_only(space,
     (program / "goalPredicates.txt").write_text("compile_event_file('rules.txt')\nconsult('../other/some')\n")
     (program / "rules.txt").write_text(RULES)
     space.env["ROS_HOME"] = str(tmp_path / "home")
+    space.start_master()
     space.start(
         *("roslaunch", "-p", str(space.port), "retalis", "retalis.launch", f"program:={program}"),
         *("use_sim_time:=false", f"folders:=[{data}]", f"write_folders:=[{out}]"),

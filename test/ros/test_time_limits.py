@@ -21,7 +21,7 @@ def start(devel, tmp_path):
     (tmp_path / "rules.txt").write_text(RULES)
     (tmp_path / "goalPredicates.txt").write_text(STARTS)
     devel.env["PYTHONUNBUFFERED"] = "1"
-    devel.start("rosmaster", "--core", "-p", str(devel.port))
+    devel.start_master()
 
     def start(*parameters):
         devel.start("rosrun", "retalis", "retalis_node", f"_program:={tmp_path}", *parameters)

@@ -13,7 +13,15 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 
 sys.path.append(str(Path(__file__).resolve().parent))
-from harness import DEFINITIONS, Collector, RawPublisher, open_the_way, service, wait_until  # noqa: E402
+from harness import (  # noqa: E402
+    DEFINITIONS,
+    PATIENCE,
+    Collector,
+    RawPublisher,
+    open_the_way,
+    service,
+    wait_until,
+)
 
 from retalis import srv  # noqa: E402
 from retalis.prolog.syntax import Operators, read_term  # noqa: E402
@@ -135,7 +143,7 @@ class Texts(unittest.TestCase):
         self.assertEqual(self.add_input("plain", "std_msgs/String").result, "ok")
         wait_until(lambda: plain.get_num_connections() > 0, "the subscriber")
         wanted = "datime(2001,9,9,1,46,40,5)"
-        deadline = time.monotonic() + 30
+        deadline = time.monotonic() + PATIENCE
         while not any(wanted in message.data for message in self.inputs.messages):
             self.assertLess(time.monotonic(), deadline, "simulated time was not used")
             self.clock.publish(Clock(rospy.Time(1_000_000_000, 5)))
