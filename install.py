@@ -57,6 +57,9 @@ _NOETIC = """
     rosmsg rosnode rosout rosparam rospy rosservice rostest rostopic std-msgs std-srvs tf tf2-msgs tf2-py
     """
 
+SWI = "swi-prolog-nox"
+"""The package of SWI-Prolog, for those who ask for it: without what draws windows."""
+
 DEBIAN_12 = Platform("Debian 12", [*_COMMON.split(), *_DEBIAN.split()])
 
 UBUNTU_20_04 = Platform(
@@ -244,6 +247,7 @@ def own_options() -> argparse.ArgumentParser:
         help="catkin workspace (default: in ~/.cache/retalis)",
     )
     add("--no-system", action="store_true", help="install no system packages; stop where some are missing")
+    add("--with-swi", action="store_true", help="install SWI-Prolog too, for use_swi/1 (docs/prolog.md)")
     add("--install", action="store_true", help="also build the install space (catkin_make install)")
     add("--dry-run", action="store_true", help="print what would be done and do nothing")
     return parser
@@ -362,6 +366,8 @@ def main(argv: Sequence[str]) -> int:
         return 0
     shell = Shell(options.workspace / "log", options.dry_run)
     platform = choose_platform(parse_os_release(Path("/etc/os-release").read_text()))
+    if options.with_swi:
+        platform = platform._replace(packages=[*platform.packages, SWI])
     installation = Installation(platform, options.workspace, shell, not options.no_system)
     develop = ["requirements-dev.txt"] if options.command in ("test", "lint") else []
     installation.system_packages()

@@ -20,6 +20,7 @@ ORDER = (
     "prolog.builtins",
     "prolog.logic",
     "prolog.foreign",
+    "prolog.swi",
     "messages",
     "events.streams",
     "events.language",

@@ -285,6 +285,25 @@ def test_options_may_stand_before_the_command_and_behind_it(install, command, pl
     assert vars(install.arguments(["--dry-run", command, *place])) == vars(before)
 
 
+def test_swi_prolog_is_installed_for_who_asks_for_it(install, monkeypatch, tmp_path):
+    asked = []
+
+    class Stopped(Exception):
+        pass
+
+    def made(platform, *rest):
+        asked.append(platform.packages)
+        raise Stopped
+
+    monkeypatch.setattr(install, "Installation", made)
+    for options in ([], ["--with-swi"]):
+        with pytest.raises(Stopped):
+            install.main(["--workspace", str(tmp_path / "ws"), *options])
+    without, among = asked
+    assert [*without, "swi-prolog-nox"] == among
+    assert "swi-prolog-nox" not in without
+
+
 def test_what_is_not_for_the_installation_goes_on(install):
     options = install.arguments(["test", "-k", "a or b", "--dry-run", "--no-summary", "--inst"])
     assert (options.dry_run, options.no_system, options.install) == (True, False, False)

@@ -31,6 +31,9 @@ _OPTIONS: Tuple[Tuple[str, Callable[[str], float], Optional[int], str, str], ...
 
 def add_limits(parser: argparse.ArgumentParser) -> None:
     """Add the options to the parser of a command."""
+    parser.add_argument(
+        "--allow-swi", action="store_true", help="let the program have SWI-Prolog load files with use_swi/1"
+    )
     group = parser.add_argument_group(
         "limits",
         "Whatever exceeds a limit ends with a resource error, and the rest goes on; 0 means no limit. "
@@ -52,4 +55,9 @@ def limited(settings: Settings, options: argparse.Namespace) -> Settings:
     limits = Limits(
         options.max_seconds or None, options.max_inferences or None, options.max_megabytes or None
     )
-    return settings._replace(limits=limits, watchdog=options.watchdog or None, max_depth=options.max_depth)
+    return settings._replace(
+        limits=limits,
+        watchdog=options.watchdog or None,
+        max_depth=options.max_depth,
+        allow_swi=options.allow_swi,
+    )

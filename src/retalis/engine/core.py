@@ -12,6 +12,7 @@ from ..foundation import UsageError
 from ..messages import Definitions, SlotNames
 from ..prolog.foreign import define_use_foreign
 from ..prolog.logic import Logic
+from ..prolog.swi import define_use_swi
 from ..prolog.syntax import ReadFlags, read_term
 from ..prolog.terms import Term, Var, copy
 from .callbacks import OnOutput
@@ -119,6 +120,7 @@ class EngineCore:
         define_use_foreign(self._logic, self._runner, self._files, settings.allow_foreign)
         if settings.allow_foreign:  # Python may read it all the same
             self._logic.environment = os.environ
+        define_use_swi(self._logic, self._files, settings.allow_swi, reports.warning)
 
     def _take_fitting(self, term: Term, start: Optional[int], end: Optional[int]) -> None:
         """Take an event that is no message of a topic.

@@ -22,6 +22,7 @@ class Settings(NamedTuple):
         queue: how many events may wait for the one that is being worked on.
         allow_goals: whether any goal is taken as input, not only events.
         allow_foreign: whether programs may load Python modules with ``use_foreign/1``.
+        allow_swi: whether programs may have SWI-Prolog load files with ``use_swi/1``.
         folders: where goals of events, queries and services may read files, besides the program's own folders;
             None means anywhere. What a program does while it is loaded (`Engine.load` and its sisters) is free.
         patience: how many seconds a call from another thread waits for one callback, see `Engine`.
@@ -39,6 +40,7 @@ class Settings(NamedTuple):
     queue: int = 5000
     allow_goals: bool = False
     allow_foreign: bool = False
+    allow_swi: bool = False
     folders: Optional[Tuple[str, ...]] = ()
     patience: float = 10.0
     write_folders: Optional[Tuple[str, ...]] = ()

@@ -7,6 +7,7 @@ from ..events.network import Rule
 from ..foundation import RetalisError, UsageError
 from ..prolog.foreign import define_foreign, load_module
 from ..prolog.logic import KeptLogic, KeptValues, keep_logic, keep_values, restore_logic, restore_values
+from ..prolog.swi import SwiFile, use_swi
 from .core import EngineCore, parts_of
 from .inputtopics import AskedTopic
 from .keeping import (
@@ -99,6 +100,7 @@ class StateKeeper:
             set(rules.files.loaded),
             rules.files.door.own,
             list(parts.logic.foreign_modules),
+            list(parts.logic.swi_files),
             sorted(parts.programs),
             list(parts.programs.values()),
         )
@@ -115,6 +117,7 @@ class StateKeeper:
             "topics": [tuple(one) for one in parts.input_topics.kept()],
             "events": dict(parts.slots.events),
             "foreign": list(parts.logic.foreign_modules),
+            "swi": [tuple(one) for one in parts.logic.swi_files.values()],
         }
 
     def records(self) -> List[Any]:
@@ -140,6 +143,7 @@ class StateKeeper:
         program, run = sections["program"], sections["run"]
         parts.slots.events.update(program["events"])
         self._load_foreign(program["foreign"], folder)
+        self._load_swi([SwiFile(*one) for one in program.get("swi", ())], folder)
         restore_logic(logic, KeptLogic(*sections["clauses"]))
         restore_values(logic, KeptValues(*sections["values"]))
         with logic.preparing(lambda: [rule.definition.term for rule in rules.rules]):
@@ -179,6 +183,23 @@ class StateKeeper:
             with files.loading(folder):
                 define_foreign(parts.logic, parts.runner, load_module(name, files))
             parts.logic.foreign_modules[name] = None
+
+    def _load_swi(self, found: Sequence[SwiFile], folder: Optional[Path]) -> None:
+        """Have SWI-Prolog load the files again that the program had it load, from its folder only."""
+        engine, parts = self._engine, self._parts
+        for one in found:
+            if not engine.settings.allow_swi:
+                raise UsageError(f"the program has SWI-Prolog load {one.name}: the setting allow_swi is off")
+            if one.is_path and (folder is None or folder.resolve() not in Path(one.name).resolve().parents):
+                raise UsageError(
+                    f"the program has SWI-Prolog load {one.name}, which is not in a folder of its own"
+                )
+            with parts.rules.files.loading(folder):
+                use_swi(parts.logic, one, parts.reports.warning)
+            text = (
+                f"SWI-Prolog has loaded {one.name}, and knows nothing of what its clauses had asserted before"
+            )
+            parts.reports.warning(text, ("swi", one.name))
 
 
 def clock_for(run: Dict[str, Any]) -> Optional[StreamClock]:

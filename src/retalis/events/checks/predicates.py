@@ -17,11 +17,13 @@ _ADDS = frozenset(
     )
 )
 _DECLARES = frozenset(
-    functor(name, 1) for name in ("dynamic", "discontiguous", "multifile", "table", "use_foreign")
+    functor(name, 1) for name in ("dynamic", "discontiguous", "multifile", "table", "use_foreign", "use_swi")
 )
 _RETRACTS = frozenset(functor(name, 1) for name in ("retract", "retractall"))
 _CUT = functor("!", 0)
-_FOREIGN = functor("use_foreign", 1)
+_ANYTHING = frozenset((functor("use_foreign", 1), functor("use_swi", 1)))
+_SWI = functor("use_swi", 2)
+_AS = functor("as", 2)
 _HOOKS = frozenset((functor("t1", 1), functor("t2", 1)))
 
 
@@ -35,8 +37,10 @@ class _Defined:
         for inner in program.calls():
             term = inner.term
             if term.__class__ is tuple and (term[0] in _ADDS or term[0] in _DECLARES):
-                self.anything = self.anything or term[0] is _FOREIGN
+                self.anything = self.anything or term[0] in _ANYTHING
                 self._add(term[1])
+            elif term.__class__ is tuple and term[0] is _SWI:
+                self._add(term[2])
 
     def __contains__(self, key: Functor) -> bool:
         return self.anything or key in self.keys or self._logic.defines(key)
@@ -52,6 +56,8 @@ class _Defined:
                 stack += [deref(item[1]), deref(item[2])]
             elif key is NECK:
                 stack.append(deref(item[1]))
+            elif key is _AS:  # a predicate of SWI-Prolog under another name
+                self.anything = True
             elif key is SLASH:
                 name, arity = deref(item[1]), deref(item[2])
                 if isinstance(name, Atom) and isinstance(arity, int):

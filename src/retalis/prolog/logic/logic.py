@@ -45,6 +45,7 @@ class Logic(Predicates):
         column: where that stands in its line.
         now: gives the present in nanoseconds.
         error_output: called with text printed to ``user_error``, and with warnings.
+        swi_files: what the program has had SWI-Prolog load, by their names.
         foreign_modules: the Python modules that the program has asked for, names or paths.
         environment: the variables of the process's environment; None where the program may not know them.
         new_goals: what has been compiled since `preparing` began; None outside of that.
@@ -63,6 +64,7 @@ class Logic(Predicates):
         self.new_goals: Optional[List[CompiledGoal]] = None
         self.foreign_modules: Dict[str, None] = {}
         self.environment: Optional[Mapping[str, str]] = None
+        self.swi_files: Dict[str, Tuple[Any, ...]] = {}
 
     # Limits
 

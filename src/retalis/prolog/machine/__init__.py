@@ -1,7 +1,7 @@
 """The machine: frames, choice points and budgets, and the errors that goals end with."""
 
 from ..terms import Frame, Runs, Step
-from .budget import Budget, BudgetState, Turn, resident_bytes
+from .budget import Budget, BudgetState, Left, Turn, resident_bytes
 from .codes import BAIL, DEAD, LAST, RESUME, CatchMark, Code, Guard, Takes
 from .describing import CONTEXT, ERROR, describe
 from .faults import (
@@ -45,6 +45,7 @@ __all__ = [
     "instantiation_error",
     "keep_back",
     "LAST",
+    "Left",
     "LimitError",
     "LimitPassed",
     "Limits",

@@ -4,7 +4,7 @@ import os
 from contextlib import contextmanager
 from threading import get_ident
 from time import monotonic
-from typing import Any, Callable, Dict, Iterator, List, Optional, Protocol, Tuple, TypeVar, Union
+from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Protocol, Tuple, TypeVar, Union
 
 from ...foundation import WATCH, watch_for
 from .faults import resource_error
@@ -268,6 +268,25 @@ class Budget:
             if self._bounded and self._past(monotonic()) is not None:
                 self.closed = True
 
+    def left(self) -> "Optional[Left]":
+        """Return what a step that cannot look at the limits by itself may use; None where nothing is limited.
+
+        Raises:
+            PrologError: where a limit has been passed already.
+        """
+        if not (self._bounded or self.alarms or self.ceilings):
+            return None
+        self._enforce()
+        if self._memory is None and self.limits.megabytes is not None:
+            self._memory = resident_bytes() + (self.limits.megabytes << 20)
+        times = [at for at, _ in self.alarms]
+        if self._deadline is not None:
+            times.append(self._deadline)
+        inferences = [ceiling - self.inferences for ceiling in self.ceilings]
+        if self.limits.inferences is not None:
+            inferences.append(self.limits.inferences - self._spent)
+        return Left(min(times, default=None), min(inferences, default=None), self._memory)
+
     def _use(self) -> None:
         """Note that there is something to forget at the end of the entry."""
         if not self.used:
@@ -345,6 +364,14 @@ class Budget:
         error = LimitError(resource_error(what).term)
         error.budget, error.what = self, what
         return error
+
+
+class Left(NamedTuple):
+    """What may still be used: up to an instant of the monotonic clock, inferences, bytes of the whole process."""
+
+    until: Optional[float]
+    inferences: Optional[int]
+    memory: Optional[int]
 
 
 class _Inside:

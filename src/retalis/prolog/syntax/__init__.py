@@ -26,6 +26,7 @@ terms without arguments (``f()``), and a blank between groups of digits (``1 000
 from .eventoperators import EVENT_OPERATOR, EVENT_OPERATORS, EventOperator, OperatorKind
 from .eventreader import EventReader
 from .eventtext import event_text, float_text, to_text
+from .numerals import integer
 from .operators import DECLARE_EVENT, Operators
 from .reader import Program, ReadTerm, read_program, read_term
 from .shownslots import by_name
@@ -42,6 +43,7 @@ __all__ = [
     "EventOperator",
     "EventReader",
     "float_text",
+    "integer",
     "OperatorKind",
     "Meant",
     "MessageSlot",

@@ -1,0 +1,385 @@
+"""Goals in SWI-Prolog: an engine of it for each program, which any thread takes up for a call and leaves after it."""
+
+from contextlib import closing
+from ctypes import byref, c_void_p
+from threading import get_ident
+from time import monotonic
+from typing import Callable, Iterator, List, Optional, Union
+from weakref import finalize
+
+from ...foundation import RetalisError
+from ..logic import Logic
+from ..machine import LAST, Left, LimitError, Machine, PrologError, from_python, resource_error
+from ..terms import COLON, Term, Values, atom, copy, functor, make_list, variant_key
+from .binding import ASK, FAILED, LAST_SOLVED, RAISED, SOLVED
+from .interrupter import Watched
+from .starting import BRIDGE, Started
+from .values import Bindings, Refs, SwiTerms
+
+_LIMITED = functor("limited", 2)
+_FAILURE = atom("$retalis_failure")
+
+_CLEANING = 1.0
+"""Seconds that the cleanup of a goal may take whose other solutions nobody wants."""
+
+_MOST_ANSWERS = 100_000
+"""Solutions that a goal may have which SWI-Prolog asks back."""
+
+
+class OpenGoal:
+    """A goal that may have more solutions.
+
+    Attributes:
+        query: what SWI-Prolog calls it.
+        frame: what is given up with it.
+        refs: of its variables.
+        over: whether nobody wants the others.
+        closed: whether it is given up.
+    """
+
+    __slots__ = ("query", "frame", "refs", "over", "closed")
+
+    def __init__(self, query: int, frame: int, refs: Refs):
+        self.query = query
+        self.frame = frame
+        self.refs = refs
+        self.over = self.closed = False
+
+
+class SwiEngine:
+    """An engine of SWI-Prolog's that runs goals for a program.
+
+    Goals that may have more solutions stay open in it, each above the one that was opened before; the machine of
+    the program has its choice points in the same order. What SWI-Prolog asks back runs on that machine, inside.
+
+    Args:
+        logic: of the program.
+        started: SWI-Prolog.
+
+    Attributes:
+        watched: the goal that runs, where it has limits.
+        number: what SWI-Prolog calls the engine.
+    """
+
+    def __init__(self, logic: Logic, started: Started):
+        self._logic = logic
+        self._budget = logic.machine.budget
+        self._started = started
+        self._swi = swi = started.swi
+        self._interrupter = started.interrupter
+        self.watched: Optional[Watched] = None
+        self._thread = 0
+        self._depth = 0
+        self._busy = False
+        self._before = c_void_p()
+        self._to_before = byref(self._before)
+        self._open: List[OpenGoal] = []
+        self._base = 0
+        self._failure: Optional[BaseException] = None
+        self._engine = swi.create_engine(None)
+        finalize(self, swi.destroy_engine, self._engine).atexit = False
+        self._enter()
+        try:
+            self.number: int = swi.thread_self()
+            self._terms = SwiTerms(swi)
+            self._limited = swi.predicate(b"limited", 2, BRIDGE.encode())
+            self._count = swi.predicate(b"statistics", 2, b"system")
+        finally:
+            self._leave()
+        started.engines[self.number] = self
+        self._interrupter.add(self)
+        megabytes = logic.limits.megabytes
+        if megabytes is not None:
+            self.ask("limit_stacks", megabytes << 20)
+
+    def predicate(self, module: str, name: str, arity: int) -> Callable[..., Union[bool, Iterator[object]]]:
+        """Return what calls a predicate of a module, for `Logic.define_nondeterministic`."""
+        self._enter()
+        try:
+            handle = self._handle(module, name, arity)
+        finally:
+            self._leave()
+        key = functor(name, arity)
+        where = atom(module)
+
+        def call(machine: Machine, *arguments: Term) -> Union[bool, Iterator[object]]:
+            left = self._budget.left()
+            if left is not None and left.inferences is not None:
+                goal = (COLON, where, (key, *arguments) if arguments else atom(name))
+                return self._call(machine, self._limited, (goal, max(left.inferences, 0)), left)
+            return self._call(machine, handle, arguments, left)
+
+        return call
+
+    def ask(self, name: str, *arguments: Term) -> bool:
+        """Call a predicate of the bridge once; its bindings stay."""
+        found = self.predicate(BRIDGE, name, len(arguments))(self._logic.machine, *arguments)
+        if isinstance(found, bool):
+            return found
+        with closing(found) as solutions:  # type: ignore[type-var]
+            return next(solutions, FAILED) is not FAILED
+
+    def _handle(self, module: str, name: str, arity: int) -> int:
+        """Return what SWI-Prolog knows a predicate by."""
+        swi = self._swi
+        frame = swi.open_frame()
+        try:
+            place = swi.new_module(self._terms.handle(atom(module)))
+            return swi.predicate_of(swi.new_functor(self._terms.handle(atom(name)), arity), place)  # type: ignore
+        finally:
+            swi.discard_frame(frame)
+
+    # Threads
+
+    def _enter(self) -> None:
+        """Have this thread use the engine."""
+        me = get_ident()
+        if self._thread != me:
+            if self._swi.set_engine(self._engine, self._to_before):
+                raise RetalisError("goals of a program run in SWI-Prolog in one thread at a time")
+            self._thread = me
+        self._depth += 1
+
+    def _leave(self) -> None:
+        self._depth -= 1
+        if not self._depth:
+            self._thread = 0
+            self._swi.set_engine(self._before.value, None)
+
+    # Goals
+
+    def _call(
+        self, machine: Machine, predicate: int, arguments: Values, left: Optional[Left]
+    ) -> Union[bool, Iterator[object]]:
+        swi, terms = self._swi, self._terms
+        self._enter()
+        self._busy = True
+        query = 0
+        opened: Optional[OpenGoal] = None
+        try:
+            if self._open:
+                self._close_over()
+            frame = swi.open_frame()
+            try:
+                status = SOLVED
+                refs: Refs = {}
+                first = ref = swi.new_refs(len(arguments) or 1)
+                for argument in arguments:
+                    terms.put(ref, argument, refs)
+                    ref += 1
+                query = swi.open_query(None, ASK, predicate, first)
+                status = self._next(query, left)
+                if status == RAISED:
+                    raise self._raised(query)
+                if status == FAILED:
+                    return False
+                bindings = terms.read_values(refs)
+                if status != LAST_SOLVED:
+                    opened = OpenGoal(query, frame, refs)
+                    self._open.append(opened)
+            finally:
+                if opened is None:
+                    if status in (LAST_SOLVED, FAILED):
+                        swi.close_done(query)
+                    elif query:
+                        self._close(query)
+                    swi.discard_frame(frame)
+        finally:
+            self._busy = False
+            self._leave()
+        if opened is not None:
+            return self._solutions(machine, opened, bindings)
+        return not bindings or machine.unify_all(*bindings)
+
+    def _solutions(self, machine: Machine, opened: OpenGoal, bindings: Bindings) -> Iterator[object]:
+        try:
+            while True:
+                if machine.unify_all(*bindings):
+                    yield LAST if opened.closed else None
+                if opened.closed:
+                    return
+                found = self._following(opened)
+                if found is None:
+                    return
+                bindings = found
+        finally:
+            if not opened.closed:
+                self._drop(opened)
+
+    def _following(self, opened: OpenGoal) -> Optional[Bindings]:
+        """Return what the next solution makes of the variables; None where there is none."""
+        left = self._budget.left()
+        self._enter()
+        self._busy = True
+        try:
+            if self._open[-1] is not opened:
+                self._close_over()
+            if not self._open or self._open[-1] is not opened:
+                raise RetalisError(
+                    "solutions of an outer goal were requested while an inner one is still open"
+                )
+            status = self._next(opened.query, left)
+            if status == RAISED:
+                raise self._raised(opened.query)
+            if status == FAILED:
+                return None
+            found = self._terms.read_values(opened.refs)
+            if status == LAST_SOLVED:
+                opened.over = True
+                self._close_over()
+            return found
+        finally:
+            self._busy = False
+            self._leave()
+
+    def _next(self, query: int, left: Optional[Left]) -> int:
+        """Look for a solution; say what came of it.
+
+        Raises:
+            PrologError: where a limit has been passed.
+        """
+        self._failure = None
+        if left is None:
+            status: int = self._swi.next_solution(query)
+        else:
+            before = 0 if left.inferences is None else self._inferences()
+            outer = self.watched
+            watched = self.watched = Watched(left, self.number, before)
+            if self._interrupter.asleep:
+                self._interrupter.wake()
+            try:
+                status = self._swi.next_solution(query)
+            finally:
+                self.watched = outer
+            if watched.fired:
+                self._interrupter.settle()
+                raise self._exceeded(watched.fired)
+            if left.inferences is not None:
+                self._budget.look(self._inferences() - before)
+        failure = self._failure
+        if failure is not None and not isinstance(failure, Exception):
+            self._failure = None
+            raise failure
+        return status
+
+    def _exceeded(self, what: str) -> PrologError:
+        failure, self._failure = self._failure, None
+        if isinstance(failure, LimitError):
+            return failure
+        self._budget.look(0)  # it has an error of its own, if it is past the limit too
+        return resource_error(what)
+
+    def _inferences(self) -> int:
+        swi = self._swi
+        frame = swi.open_frame()
+        try:
+            ref = swi.new_refs(2)
+            self._terms.put(ref, atom("inferences"), {})
+            swi.call_predicate(None, ASK, self._count, ref)
+            return self._terms.read(ref + 1)  # type: ignore
+        finally:
+            swi.discard_frame(frame)
+
+    def _raised(self, query: int) -> BaseException:
+        """Return the error that a goal has ended with."""
+        terms = self._terms
+        terms.begin(lenient=True)
+        ball = terms.read(self._swi.exception(query))
+        failure, self._failure = self._failure, None
+        if failure is not None and (ball is _FAILURE or _is_of(failure, ball)):
+            return failure
+        return PrologError(ball)
+
+    # The end of goals
+
+    def _drop(self, opened: OpenGoal) -> None:
+        """Give a goal up, at once or, where something else is under way, before the next one."""
+        opened.over = True
+        if self._busy:
+            return
+        try:
+            self._enter()
+        except RetalisError:  # another thread is at it
+            return
+        try:
+            self._close_over()
+        finally:
+            self._leave()
+
+    def _close_over(self) -> None:
+        while len(self._open) > self._base and self._open[-1].over:
+            self._close_last()
+
+    def _close_last(self) -> None:
+        opened = self._open.pop()
+        opened.closed = True
+        self._close(opened.query)
+        self._swi.discard_frame(opened.frame)
+
+    def _close(self, query: int) -> None:
+        """Close a query; it may have cleanups to call, which are given a moment."""
+        outer = self.watched
+        watched = self.watched = Watched(Left(monotonic() + _CLEANING, None, None), self.number)
+        if self._interrupter.asleep:
+            self._interrupter.wake()
+        try:
+            self._swi.close_query(query)
+        finally:
+            self.watched = outer
+        if watched.fired:
+            self._interrupter.settle()
+
+    # The way back
+
+    def answer(self, goal_ref: int, ref: int) -> bool:
+        """Have a variable be the list of all solutions of a goal that SWI-Prolog asks; errors are thrown there."""
+        swi, terms = self._swi, self._terms
+        kept = self._busy, self._base
+        self._busy, self._base = False, len(self._open)
+        try:
+            frame = swi.open_frame()
+            try:
+                terms.begin()
+                goal = terms.read(goal_ref)
+            finally:
+                swi.discard_frame(frame)  # which takes the marks back
+            found = make_list(self._solved(goal))
+            self._close_all()
+            terms.put(ref, found, {})
+            return True
+        except BaseException as error:  # whatever it is: there is C between it and who has called
+            self._close_all()
+            self._throw(error)
+            return False
+        finally:
+            self._busy, self._base = kept
+
+    def _close_all(self) -> None:
+        while len(self._open) > self._base:
+            self._close_last()
+
+    def _solved(self, goal: Term) -> List[Term]:
+        found = []
+        with closing(self._logic.solutions(goal)) as solutions:
+            for _ in solutions:
+                found.append(copy(goal))
+                if len(found) > _MOST_ANSWERS:
+                    raise resource_error("solutions")
+        return found
+
+    def _throw(self, error: BaseException) -> None:
+        """Throw an error in SWI-Prolog; what is no error of a goal is thrown on when SWI-Prolog is left."""
+        known = from_python(error)
+        self._failure = error if known is None or isinstance(known, LimitError) else None
+        swi, terms = self._swi, self._terms
+        ref = swi.new_refs(1)
+        try:
+            terms.put(ref, _FAILURE if known is None else known.term, {})
+        except RetalisError:  # too large
+            self._failure = known
+            terms.put(ref := swi.new_refs(1), _FAILURE, {})
+        swi.raise_exception(ref)
+
+
+def _is_of(failure: BaseException, ball: Term) -> bool:
+    return isinstance(failure, PrologError) and variant_key(failure.term) == variant_key(ball)

@@ -1,0 +1,192 @@
+"""``use_swi/1,2``: files for SWI-Prolog, whose predicates a program calls as its own."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Callable, List, NamedTuple, Optional, Protocol, Tuple
+
+from ...foundation import UsageError
+from ..foreign import to_python
+from ..logic import Logic
+from ..machine import Machine, existence_error, indicator, instantiation_error, permission_error, type_error
+from ..terms import NIL, SLASH, Atom, Functor, Term, Var, atom, copy, deref, functor, list_items
+
+if TYPE_CHECKING:
+    from .session import SwiEngine
+
+_AS = functor("as", 2)
+_LIBRARY = functor("library", 1)
+_STATE = "swi"
+"""Where a logic has its engine."""
+
+
+class Loading(Protocol):
+    """What knows whether the program's own files are being loaded, a `Door`."""
+
+    is_loading: bool
+
+
+class FoundFiles(Protocol):
+    """The files that a program names, see `Files`."""
+
+    @property
+    def door(self) -> Loading:
+        """What opens them."""
+
+    def find(self, name: Term) -> Path:
+        """Return the path of a file that a program names."""
+
+
+class SwiFile(NamedTuple):
+    """What SWI-Prolog is to load.
+
+    Attributes:
+        name: the whole path, or how a library is called.
+        source: the same as a term.
+        wanted: the list of predicates; the empty one stands for those that it exports.
+    """
+
+    name: str
+    source: Term
+    wanted: Term
+
+    @property
+    def is_path(self) -> bool:
+        """Whether it is a file that the program names, and no library."""
+        return isinstance(self.source, Atom)
+
+
+class Wanted(NamedTuple):
+    """A predicate that a program asks for, and what it calls it."""
+
+    name: str
+    arity: int
+    key: Functor
+
+
+def define_use_swi(logic: Logic, files: FoundFiles, allowed: bool, warn: Callable[[object], None]) -> None:
+    """Define ``use_swi(File)`` and ``use_swi(File, Predicates)``.
+
+    Args:
+        logic: where they are defined.
+        files: of the program.
+        allowed: whether its own files may do that, while they are loaded; goals that run later never may.
+        warn: called with what is doubtful in a file.
+    """
+
+    def use_all(machine: Machine, spec: Term) -> bool:
+        return use(machine, spec, NIL)
+
+    def use(machine: Machine, spec: Term, wanted: Term) -> bool:
+        reason = "" if allowed else "the setting allow_swi is off"
+        if not files.door.is_loading:
+            reason = "SWI-Prolog loads only what the program's own files ask for, while they are being loaded"
+        if reason:
+            raise permission_error("load", "swi_file", deref(spec), reason)
+        source = _source(spec, files)
+        name = source.name if isinstance(source, Atom) else logic.show(source)
+        use_swi(logic, SwiFile(name, source, copy(wanted)), warn)
+        return True
+
+    logic.define("use_swi", 1, use_all).locked = True
+    logic.define("use_swi", 2, use).locked = True
+
+
+def use_swi(logic: Logic, file: SwiFile, warn: Callable[[object], None]) -> None:
+    """Load a file into SWI-Prolog and define its predicates.
+
+    Args:
+        logic: where they are defined.
+        file: what to load.
+        warn: called with what is doubtful in it.
+
+    Raises:
+        UsageError: where SWI-Prolog is not installed, or the file has errors.
+        PrologError: where there is no such predicate, or one of the system has its name.
+    """
+    names = _wanted(file.wanted)
+    engine = _engine(logic)
+    module, exported = _load(engine, file, warn)
+    names = names or exported
+    if not names:
+        raise UsageError(f"{file.name} exports nothing: name its predicates, as in use_swi(File, [near/2])")
+    for one in names:
+        _check(logic, engine, module, one)
+    for one in names:
+        function = engine.predicate(module, one.name, one.arity)
+        logic.define_nondeterministic(one.key.name, one.key.arity, function)
+    logic.swi_files[file.name] = file
+
+
+def _engine(logic: Logic) -> "SwiEngine":
+    """Return the engine of a program; only those that ask for it have SWI-Prolog loaded, and ctypes."""
+    from .session import SwiEngine  # noqa: PLC0415 - only those that use it load it
+    from .starting import start  # noqa: PLC0415
+
+    found: Optional[SwiEngine] = logic.state.get(_STATE)
+    if found is None:
+        found = logic.state[_STATE] = SwiEngine(logic, start())
+    return found
+
+
+def _source(spec: Term, files: FoundFiles) -> Term:
+    """Return what SWI-Prolog is to load: a library of its own as it is, a file by its path."""
+    spec = deref(spec)
+    if spec.__class__ is Var:
+        raise instantiation_error()
+    if spec.__class__ is tuple and spec[0] is _LIBRARY:
+        return spec
+    path = files.find(spec).absolute()
+    if not path.is_file():
+        raise existence_error("source_sink", atom(str(path)))
+    return atom(str(path))
+
+
+def _wanted(term: Term) -> List[Wanted]:
+    """Return the predicates of a list."""
+    items = list_items(deref(term))
+    if items is None:
+        raise type_error("list", deref(term))
+    return [_one(item) for item in items]
+
+
+def _one(indicator_of: Term) -> Wanted:
+    item: Any = deref(indicator_of)
+    new: Optional[Term] = None
+    if item.__class__ is tuple and item[0] is _AS:
+        item, new = deref(item[1]), deref(item[2])
+    parts: List[Any] = list(map(deref, item[1:])) if item.__class__ is tuple and item[0] is SLASH else []
+    if not parts or not isinstance(parts[0], Atom) or not isinstance(parts[1], int) or parts[1] < 0:
+        raise type_error("predicate_indicator", item)
+    if new is not None and not isinstance(new, Atom):
+        raise type_error("atom", new)
+    name, arity = parts[0].name, parts[1]
+    return Wanted(name, arity, functor(name if new is None else new.name, arity))
+
+
+def _load(engine: "SwiEngine", file: SwiFile, warn: Callable[[object], None]) -> Tuple[str, List[Wanted]]:
+    """Load a file; return its module and what that exports.
+
+    Raises:
+        UsageError: for what is wrong in it; what is doubtful is a warning.
+    """
+    module, exports, problems = Var(), Var(), Var()
+    if not engine.ask("load", file.source, module, exports, problems):
+        raise UsageError(f"SWI-Prolog cannot load {file.name}")
+    errors: List[str] = []
+    for problem in to_python(problems):
+        kind, text = problem.args
+        if kind == "error":
+            errors.append(text)
+        else:
+            warn(text)
+    if errors:
+        raise UsageError(f"SWI-Prolog cannot load {file.name}: {'; '.join(errors)}")
+    return to_python(module), [_one(item) for item in list_items(exports) or []]
+
+
+def _check(logic: Logic, engine: "SwiEngine", module: str, one: Wanted) -> None:
+    """Refuse a predicate that is not there, or whose name the system has."""
+    known = logic.database.predicates.get(one.key)
+    if known is not None and known.locked:
+        raise permission_error("modify", "static_procedure", indicator(one.key))
+    if not engine.ask("defined", atom(module), atom(one.name), one.arity):
+        raise existence_error("procedure", (SLASH, atom(one.name), one.arity))

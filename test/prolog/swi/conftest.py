@@ -1,0 +1,78 @@
+"""SWI-Prolog for these tests: where it is not installed, they say so and are left out."""
+
+import pytest
+
+from retalis import Engine, Limits, Settings
+from retalis.foundation import UsageError
+from retalis.prolog.swi.binding import find_library
+
+KB = """\
+:- module(kb, [inc/2, upto/2, echo/2, forever/0, stubborn/0, retrying/0, sleeps/0, bad/1, hard/1, piles/0,
+               third/1, stream/1, constrained/1, curious/1, cyclic/1, asks/2, asks_safely/2, marks/2, noted/1,
+               halts/0, swi_dict/1, both/2, half_open/2, reach/2, count/2, forgets/0, fd/2]).
+:- use_module(library(clpfd)).
+:- dynamic noted/1.
+inc(X, Y) :- Y is X + 1.
+upto(N, X) :- between(1, N, X).
+echo(X, X).
+both(X, X).
+half_open(X, f(X, Y, Y)).
+forever :- forever.
+stubborn :- catch(forever, _, true), stubborn.
+retrying :- repeat, catch(forever, _, fail).
+sleeps :- sleep(60).
+bad(X) :- throw(my_ball(X, "text", _)).
+hard(X) :- atom_length(X, _).
+piles :- between(1, inf, X), assertz(noted(f(X, "some text that takes room", g(X)))), fail.
+third(X) :- X is 1 rdiv 3.
+stream(X) :- current_output(X).
+constrained(X) :- X #> 3.
+curious(X) :- X = f().
+cyclic(X) :- X = f(X).
+asks(Goal, Found) :- findall(Goal, retalis(Goal), Found).
+asks_safely(Goal, Error) :- catch(retalis(Goal), Error, true).
+marks(X, Y) :- setup_call_cleanup(true, member(X, [1, 2, 3]), assertz(noted(Y))).
+halts :- halt.
+swi_dict(X) :- X = _{a: 1}.
+fd(X, Y) :- [X, Y] ins 1..3, X #< Y, label([X, Y]).
+edge(X, Y) :- between(1, 40, X), Y is X + 1.
+:- table reach/2.
+reach(X, Y) :- edge(X, Y).
+reach(X, Y) :- reach(X, Z), edge(Z, Y).
+count(X, N) :- aggregate_all(count, reach(X, _), N).
+forgets :- retractall(noted(_)).
+"""
+
+
+@pytest.fixture(scope="session")
+def swi():
+    """Skip the test where there is no SWI-Prolog."""
+    try:
+        return find_library()
+    except UsageError as error:
+        pytest.skip(str(error))
+
+
+@pytest.fixture(scope="session")
+def folder(swi, tmp_path_factory):
+    """Return the folder of a file for SWI-Prolog: one for all tests, as SWI-Prolog is one for the process."""
+    found = tmp_path_factory.mktemp("swi")
+    (found / "kb.pl").write_text(KB)
+    return found
+
+
+@pytest.fixture
+def program(folder):
+    """Return what makes an engine with that file and rules."""
+
+    def make(rules="", settings=None, **limits):
+        engine = Engine(settings=settings or Settings(allow_swi=True, limits=Limits(**limits)))
+        engine.load(rules=f":- use_swi('kb.pl').\n{rules}", folder=folder)
+        return engine
+
+    return make
+
+
+@pytest.fixture
+def engine(program):
+    return program("near(a, b).\nnear(a, c).\n")
