@@ -42,6 +42,7 @@ from ..streams import (
     FromFirst,
     Hopping,
     Newest,
+    QuickForm,
     RunningWindow,
     Settled,
     Sliding,
@@ -53,6 +54,7 @@ from ..streams import (
     StreamItem,
     StreamOperator,
     WindowStep,
+    is_quick,
 )
 from .deferred import Built, Negated, absence_of
 from .limits import UNLIMITED, Limit
@@ -173,7 +175,8 @@ def measuring(
         )
     make = partial(_WINDOWS[form.kind], measures, form)
     clocked = form.kind == "first" or (form.kind == "every" and not form.running)
-    return Making(lambda mode: make(), item, result, clocked, _LATE, "fold" in part.kinds)
+    calls, quick = "fold" in part.kinds, _quick_form(part, places, groups)
+    return Making(lambda mode: make(), item, result, clocked, _LATE, calls, quick)
 
 
 def planned(form: WindowForm, before: int, holding: Callable[[Term, Sequence[Var]], Holding]) -> StepPlan:
@@ -219,6 +222,24 @@ def _holds(
             *(one.values[at] for one, at in zip(asked, backs)),
         )
     )
+
+
+def _quick_form(part: Windowed, places: Dict[Var, int], groups: Sequence[Var]) -> Optional[QuickForm]:
+    """Return the form of a window that `quick_sliding` knows, for measures of variables; None for others."""
+    if part.window.kind != "last" or part.listed or not is_quick(part.kinds) or _fresh(part, groups) is None:
+        return None
+    values: List[Optional[int]] = []
+    for value in part.values:
+        if value is not None and (value.__class__ is not Var or value not in places):
+            return None
+        values.append(None if value is None else places[value])
+    return QuickForm(part.window.span, [places[var] for var in groups], part.kinds, values)
+
+
+def _fresh(part: Windowed, groups: Sequence[Var]) -> Optional[List[Var]]:
+    """Return what is written for the results where that is a new variable for each; else None."""
+    fresh = [term for term in part.results if term.__class__ is Var and term not in groups]
+    return fresh if len(set(fresh)) == len(part.results) else None
 
 
 def _number(value: Term, kind: str, evaluate: Optional[Evaluate]) -> Term:
@@ -301,8 +322,8 @@ def resulting(part: Windowed, groups: Sequence[Var]) -> Tuple[List[Var], Result]
     does not fit it.
     """
     listed, terms, known = part.listed, part.results, set(groups)
-    fresh = [term for term in terms if term.__class__ is Var and term not in known]
-    if len(set(fresh)) == len(terms):
+    fresh = _fresh(part, groups)
+    if fresh is not None:
         if listed:
             return [*groups, *fresh], lambda by, found: (*by, make_list(list(found)))
         return [*groups, *fresh], lambda by, found: (*by, *found)

@@ -5,7 +5,7 @@ from typing import Any, Callable, Dict, Iterable, Iterator, List, NamedTuple, Op
 from ...foundation import RuleError
 from ...prolog.machine import Frame
 from ...prolog.terms import Term, Values, Var, WholeSeconds
-from ..dispatch import Completion
+from ..dispatch import Completion, EventAction
 from ..history import known_in
 from ..matches import (
     NOTHING_HELD,
@@ -20,7 +20,7 @@ from ..matches import (
     emit_each,
     taken_back,
 )
-from ..streams import StreamItem, StreamOperator, StreamOutput
+from ..streams import QuickForm, StreamItem, StreamOperator, StreamOutput, WindowGroup, quick_sliding
 from .nodes import NetworkNode
 from .owners import Buffer, RuleOwner
 from .postponing import Postponing
@@ -41,6 +41,7 @@ class Making(NamedTuple):
         clocked: whether items are taken by the present instant.
         past: what reports say of items that come too late to be taken.
         calls: whether the operator calls goals of the program.
+        quick: how a window looks whose common case has a way of its own; None for others.
     """
 
     stream: Callable[[NetworkOptions], StreamOperator]
@@ -49,6 +50,7 @@ class Making(NamedTuple):
     clocked: bool
     past: str
     calls: bool = False
+    quick: Optional[QuickForm] = None
 
 
 class Streaming(NetworkNode):
@@ -127,7 +129,15 @@ class Streaming(NetworkNode):
                 return after
             return complete(None, found, output.start, output.end, after)  # type: ignore[arg-type]
 
-        self.children[0].bind_alone(Completion(arrive))
+        def too_large(group: WindowGroup, after: Frame) -> Frame:
+            output = group.output(False)
+            return after if output is None else self._give([output], after)
+
+        quick = self.making.quick
+        action: EventAction = arrive
+        if quick is not None and not self.rule.mode.revised:  # twice the time of the whole event without it
+            action = quick_sliding(quick, self.span, self, arrive, complete, too_large)
+        self.children[0].bind_alone(Completion(action))
 
     def _connect(self, out: Emit, mode: NetworkOptions) -> None:
         """Give matches on to ``out``, and run by a mode; what is held stays."""

@@ -1,8 +1,10 @@
 """Operators on streams of matches: windows and what they measure, and what lets some matches through only."""
 
 from .awaiting import Agreement, Awaiting
+from .groups import WindowGroup
 from .items import KnownState, StreamItem, StreamOperator, StreamOutput
 from .measures import MEASURES
+from .quick import QuickForm, is_quick, quick_sliding
 from .shapes import Changing, Settled, Spaced
 from .stepping import MOST_WAYS, SteppedWindow
 from .steps import StepMark, StepPlan, StepTest, WindowStep
@@ -21,6 +23,7 @@ __all__ = [
     "KnownState",
     "StepMark",
     "Newest",
+    "QuickForm",
     "StreamOutput",
     "RunningWindow",
     "Settled",
@@ -31,4 +34,7 @@ __all__ = [
     "StepTest",
     "SteppedWindow",
     "StreamOperator",
+    "WindowGroup",
+    "is_quick",
+    "quick_sliding",
 ]

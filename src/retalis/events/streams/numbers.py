@@ -1,26 +1,35 @@
 """Sums of numbers that come and go: exact, however many have gone, and rounded once where they are asked for."""
 
 import heapq
-from math import inf, isfinite, isqrt, sqrt
+from math import inf, isfinite, isqrt, nan, sqrt
 from typing import Any, List, Optional, Tuple, Union
 
 from ...foundation import RuleError
 
 Number = Union[int, float]
 _SMALL, _LARGE = 1e-290, 1e290
+_MOST_BITS = 1024
 
 
 class ExactSum:
     """The sum of the numbers that are in, as an integer over a power of two.
 
     Floats are such fractions themselves, so that nothing is lost when one is taken out again.
+
+    Attributes:
+        total: the sum times two to the ``scale``.
+        scale: the power of two, which only grows.
+        factor: the same as a float; that times a float is exact where it is an integer. Where it would be too large
+            it is no number.
+        floats: how many of the numbers are floats.
     """
 
-    __slots__ = ("total", "scale", "floats")
+    __slots__ = ("total", "scale", "factor", "floats")
 
     def __init__(self) -> None:
         self.total = 0
         self.scale = 0
+        self.factor = 1.0
         self.floats = 0
 
     def change(self, value: Number, by: int) -> None:
@@ -37,6 +46,7 @@ class ExactSum:
         if bits > self.scale:
             self.total <<= bits - self.scale
             self.scale = bits
+            self.factor = 2.0**bits if bits < _MOST_BITS else nan
         self.total += by * over << self.scale - bits
 
     def over(self, number: int) -> Number:
