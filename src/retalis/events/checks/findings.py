@@ -12,7 +12,7 @@ from .messages import values, wrong_messages
 from .numerals import numerals
 from .outputs import outputs, unpublished
 from .overview import Overview
-from .predicates import retracted, slipped_arrows, undefined
+from .predicates import redefined, retracted, slipped_arrows, undefined
 from .states import unknown_states
 from .style import labels, singletons
 from .timers import timers
@@ -52,6 +52,7 @@ CHECKS: Tuple[Check, ...] = (
     Check("records", wrong_records, whole=True),
     Check("slipped-arrow", slipped_arrows),
     Check("undefined", undefined, whole=True),
+    Check("redefined", redefined, whole=True),
     Check("retracted", retracted, whole=True),
     Check("cycle", cycles),
     Check("never-meets", never_meet, whole=True),

@@ -87,6 +87,18 @@ def _goals(one: WrittenTerm) -> Iterator[Inner]:
         yield Inner(call.term, call.parent, call.number, one.spot)
 
 
+def redefined(program: Overview) -> Iterator[RuleError]:
+    """Yield where a program defines what the system has: its own takes the place of that."""
+    kept = program.logic.database.library.kept
+    said: Set[Functor] = set()
+    for clause in program.clauses:
+        key = None if clause.head is None else key_of(clause.head)
+        if key is None or key in said or key not in kept or not kept[key].system:
+            continue
+        said.add(key)
+        yield RuleError(f"{key} is built in: for this program its own takes the place of that", clause.place)
+
+
 def undefined(program: Overview) -> Iterator[RuleError]:
     """Yield what clauses call and nothing defines."""
     defined = _Defined(program)

@@ -81,7 +81,7 @@ class Gaps:
             before, after = instance.memory.at_or_before(instant), instance.memory.at_or_after(instant)
             return None if before is None or after is None else (int(after[2]) - int(before[2])) / SECOND
 
-        logic.define_function("datime_interpolate", 4, interpolate).locked = True
+        logic.define_function("datime_interpolate", 4, interpolate).system = True
         logic.define_function("memory_gap", 3, gap)
 
     def _interpolated(self, start: int, end: int) -> None:

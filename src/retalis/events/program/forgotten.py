@@ -2,7 +2,7 @@
 
 from typing import Callable, Dict, Optional, Sequence, Set
 
-from ...prolog.logic import Logic
+from ...prolog.logic import Logic, is_replaceable
 from ...prolog.terms import COMMA, CONS, SLASH, Atom, Functor, Term, deref, functor
 from ..language import HOLDS, STATE, TIMER, declares_state, sets_timer
 from .clauses import FileEntry
@@ -22,13 +22,22 @@ _DECLARES = frozenset(functor(name, 1) for name in ("dynamic", "discontiguous", 
 
 
 def defined_in(steps: Sequence[FileEntry]) -> Set[Functor]:
-    """Return the predicates that a file defines in earnest: by clauses with a body, or by declaring them."""
+    """Return the predicates that a file defines in earnest: by clauses with a body, several facts, or declaring them.
+
+    Several facts count where nobody would write a goal so: not for what the standard has, nor for goals about events.
+    """
     found: Set[Functor] = set()
+    facts: Set[Optional[Functor]] = set()
     for step in steps:
         if step.kind == "clause" and step.term.__class__ is tuple and _has_body(step.term):
             key = _key(step.term[1])
             if key is not None:
                 found.add(key)
+        elif step.kind == "clause":
+            key = _key(step.term)
+            if key is not None and key in facts and is_replaceable(key):
+                found.add(key)
+            facts.add(key)
         elif step.kind == "directive":
             found |= _declared(step.term)
     return found

@@ -35,7 +35,7 @@ def _check_rights(machine: Machine, key: Functor, action: str, kind: str) -> Pre
     """Return a predicate whose clauses may be changed or looked at."""
     predicate: Predicate = machine.logic.database.predicate(key)
     if key in CONTROL or (
-        predicate.library and (predicate.locked or action == "modify") and not predicate.dynamic
+        predicate.library and (predicate.system or action == "modify") and not predicate.dynamic
     ):
         raise permission_error(action, kind, indicator(key))
     return predicate
@@ -44,7 +44,7 @@ def _check_rights(machine: Machine, key: Functor, action: str, kind: str) -> Pre
 def _assert(first: bool) -> Callable[[Machine, Term], bool]:
     def run(machine: Machine, term: Term) -> bool:
         logic = machine.logic
-        clause = logic.add_clause(_strip(term), first=first)
+        clause = logic.add_clause(_strip(term), first=first, asserted=True)
         predicate = clause.predicate
         if not predicate.compiled and len(predicate) == 1:
             predicate.dynamic = True

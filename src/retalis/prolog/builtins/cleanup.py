@@ -2,9 +2,9 @@
 
 from typing import Optional
 
-from ..compiler import IGNORE
+from ..compiler import ARROW, CALL, SEMICOLON
 from ..machine import Code, Frame, Guard, PrologError, instantiation_error, keep_back
-from ..terms import Term, Values, Var, atom, deref, undo
+from ..terms import TRUE, Term, Values, Var, atom, deref, undo
 from .program import Machine
 from .registry import control
 
@@ -73,7 +73,8 @@ def _left(frame: Frame) -> Optional[Frame]:
         return after
     cleanup: _Cleanup = machine.choices.pop()[1]
     cleanup.done = True
-    return machine.logic.control.once((IGNORE, cleanup.goal), after)
+    goal = (SEMICOLON, (ARROW, (CALL, cleanup.goal), TRUE), TRUE)
+    return machine.logic.control.once(goal, after)
 
 
 _GUARDED = Code("setup_call_cleanup", _guarded)

@@ -40,7 +40,9 @@ class MachineProgram(Protocol):
     def show(self, term: Term, quoted: bool = True) -> str:
         """Return a term as text."""
 
-    def add_clause(self, term: Term, place: Optional[Place] = None, first: bool = False) -> Clause:
+    def add_clause(
+        self, term: Term, place: Optional[Place] = None, first: bool = False, asserted: bool = False
+    ) -> Clause:
         """Add a clause."""
 
     def defines(self, key: Functor) -> bool:

@@ -20,7 +20,7 @@ class Entry(NamedTuple):
     Attributes:
         kind: "deterministic", "function", "nondeterministic" or "control".
         function: see `Logic.define` and its sisters.
-        locked: programs may not define it themselves.
+        locked: goals that look its clauses up, or assert some, get an error; see `Predicate.system`.
     """
 
     kind: str

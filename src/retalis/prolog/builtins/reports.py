@@ -245,8 +245,8 @@ def _properties(predicate: Predicate) -> Iterator[Term]:
     yield atom("visible")
     yield atom("dynamic" if predicate.dynamic else "static")
     if predicate.library:
-        yield atom("system" if predicate.locked else "library")
-        if predicate.locked:
+        yield atom("system" if predicate.system else "library")
+        if predicate.system:
             yield atom("built_in")
     own = _with_clauses(predicate)
     if own.kind != "user" and not predicate.dynamic:

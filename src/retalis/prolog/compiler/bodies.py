@@ -96,8 +96,11 @@ class Bodies:
     def _is_known(self, scope: Scope, nodes: Sequence[GoalNode], at: int) -> bool:
         """Tell whether a goal is ``arg/3`` whose number has most likely been given a value."""
         node = nodes[at]
-        if not isinstance(node, CallNode) or node.key is not ARG or self.unit.database.is_library:
+        database = self.unit.database
+        if not isinstance(node, CallNode) or node.key is not ARG or database.is_library:
             return False
+        if not database.predicate(ARG).library:
+            return False  # the program has one of its own
         number = deref(node.args[0])
         known = number.__class__ is Var and number in scope.names and number not in scope.fresh
         return known and all(_is_callable(other.source) for other in nodes[at:])

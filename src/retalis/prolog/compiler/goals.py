@@ -62,13 +62,17 @@ class GoalGenerator:
         self._nodes = BodyParser(self._database, self._entry).parse(self._term)
 
     def call(self) -> Optional[KnownPredicate]:
-        """Return the predicate, where the goal is one call of it with the inputs as they are; else None."""
+        """Return the predicate, where the goal is one call of it with the inputs as they are; else None.
+
+        None for a predicate of the system, too: one of the program may take its place.
+        """
         if len(self._nodes) != 1:
             return None
         node = self._nodes[0]
         if not isinstance(node, CallNode) or node.inline or tuple(map(deref, node.args)) != self._inputs:
             return None
-        return self._database.predicate(node.key)
+        predicate = self._database.predicate(node.key)
+        return None if predicate.library and predicate.system else predicate
 
     def _scope(self, unit: Unit) -> Scope:
         # Inputs count as used twice: a value is never void.

@@ -68,6 +68,7 @@ class KnownPredicate(Protocol):
     steady: bool
     dynamic: bool
     library: bool
+    system: bool
     ground: bool
 
     @property

@@ -248,7 +248,7 @@ class BodyParser:
             inner = deref(goal[2])
             several = inner.__class__ is tuple and inner[0] is COMMA
             return Interpret(inner, cut) if several else self._node(inner, cut, depth)
-        if key in _STRUCTURES:
+        if key in _STRUCTURES and (key is not IGNORE or self._database.predicate(IGNORE).library):
             if depth > _DEEPEST:
                 return Interpret(goal, cut)
             return self._control(key, goal, cut, depth + 1)
@@ -269,7 +269,7 @@ class BodyParser:
         form = _FORMS.get(key)
         if form is not None:
             return CallNode(form, key, args, True)
-        if key is ARG and deref(args[0]).__class__ is int:
+        if key is ARG and deref(args[0]).__class__ is int and self._database.predicate(ARG).library:
             key = KNOWN_ARG
         inline = self._database.is_inline(key)
         if not inline and args and deref(args[0]).__class__ is not Var:
@@ -333,3 +333,15 @@ _FORMS: Dict[Functor, str] = {
     **dict.fromkeys(ORDERS, "order"),
     **dict.fromkeys(TYPE_TESTS, "type"),
 }
+
+FIXED = frozenset(
+    (
+        *CONTROL,
+        *_FORMS,
+        *(functor("call", arity) for arity in range(1, 9)),
+        *(functor("catch", 3), functor("throw", 1), functor("fail", 0), FALSE.functor, ONCE),
+        *(functor("unify_with_occurs_check", 2), functor("subsumes_term", 2), functor("ground", 1)),
+        *(functor("$arg", 3), functor("$no_rule", 2), functor("$within", 3)),
+    )
+)
+"""What no program may define: control, unification, comparison and tests of types, which are written in line."""

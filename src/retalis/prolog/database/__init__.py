@@ -6,6 +6,7 @@ from .database import Database
 from .functional import functional
 from .goal import CompiledGoal
 from .predicate import COMPILE_AFTER, Predicate
+from .standard import STANDARD
 
 __all__ = [
     "add_arguments",
@@ -22,4 +23,5 @@ __all__ = [
     "NEVER",
     "Predicate",
     "split_clause",
+    "STANDARD",
 ]

@@ -173,6 +173,9 @@ class Control:
         return self.once(goal[1], after)
 
     def _ignore(self, goal: CompoundTerm, height: int, after: Frame) -> Optional[Frame]:
+        predicate = self._database.predicate(IGNORE)
+        if not predicate.library:
+            return (predicate, goal[1], after)
         here = len(self._choices)
         self._choices.append((RESUME, after, len(self._trail)))
         return self.call(goal[1], (self._cut_code, here, after))

@@ -1,13 +1,14 @@
 """All predicates of a program and of the system."""
 
 from typing import Any, Callable, Dict, Iterable, Optional, Set
-from weakref import WeakValueDictionary
+from weakref import WeakSet, WeakValueDictionary
 
-from ..compiler import Direct
+from ..compiler import FIXED, Direct
 from ..machine import Code, Frame, Machine, Step, indicator, permission_error
 from ..terms import Functor, Term, deref
 from .clause import NEVER
 from .predicate import COMPILE_AFTER, Predicate
+from .standard import STANDARD
 
 _SPARE = 1000
 """Predicates from which on, and then at twice as many, it is looked which of them are none."""
@@ -38,6 +39,8 @@ class Database:
         """Predicates that nobody has defined: they stay as long as something refers to them."""
         self._many = _SPARE
         self.library = Library(self)
+        self.goals: WeakSet[Any] = WeakSet()
+        """The goals that have been compiled for Python code, see `CompiledGoal`."""
         self.interpret: Optional[Code] = None
         self.solve: Callable[[Term, int, Frame], Optional[Frame]] = lambda goal, height, after: None
         self.undefined: Callable[[Predicate, Frame], Optional[Frame]] = lambda predicate, frame: None
@@ -109,15 +112,23 @@ class Database:
         """Drop compiled code that may refer to a predicate that is being redefined."""
         for predicate in self.predicates.values():
             predicate.forget()
+        for goal in list(self.goals):
+            goal.forget()
 
-    def require_writable(self, key: Functor, action: str) -> None:
+    def require_writable(self, key: Functor, action: str, asserted: bool = False) -> None:
         """Check that the program may change the clauses of a predicate.
+
+        Args:
+            key: of the predicate.
+            action: what is done, for the error.
+            asserted: whether a goal does it, not a file or a declaration.
 
         Raises:
             PrologError: a permission error for the system's predicates.
         """
         predicate = self.predicate(key)
-        if predicate.library and predicate.locked:
+        locked = predicate.library and (predicate.locked or (asserted and key in STANDARD))
+        if locked or key in FIXED:
             raise permission_error(action, "static_procedure", indicator(key))
 
     def give_back(self, predicate: Predicate) -> None:
@@ -137,15 +148,13 @@ class Database:
             self.predicates[key] = own
             self.forget()
 
-    def writable(self, key: Functor, action: str) -> Predicate:
+    def writable(self, key: Functor, action: str, asserted: bool = False) -> Predicate:
         """Return a predicate whose clauses the program may change.
 
         A program that defines a predicate of the library gets one of its own; the library keeps using its.
-
-        Raises:
-            PrologError: a permission error for the system's predicates.
+        Arguments and errors are those of `require_writable`.
         """
-        self.require_writable(key, action)
+        self.require_writable(key, action, asserted)
         predicate = self.predicate(key)
         if not predicate.library:
             return predicate if predicate.tabled is None else predicate.tabled
@@ -181,7 +190,8 @@ class Library:
 
     def predicate(self, key: Functor) -> Predicate:
         """Return the library's predicate, else the program's."""
-        return self.kept.get(key) or self._database.predicate(key)
+        found = self.kept.get(key)  # one without clauses, as of Python, counts as false
+        return self._database.predicate(key) if found is None else found
 
     def is_inline(self, key: Functor) -> bool:
         """Tell whether the library's predicate is a deterministic built-in."""

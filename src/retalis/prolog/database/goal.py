@@ -40,12 +40,13 @@ class CompiledGoal:
         self._inputs = tuple(inputs)
         self._outputs = tuple(outputs)
         self._source = GoalGenerator(database, term, self._inputs, self._outputs, place, name)
+        self._source.parse()
         self._compile()
+        database.goals.add(self)
 
     def _compile(self) -> None:
         """Set up code that is generated when it is first run."""
         source = self._source
-        source.parse()
         self.straight: Any = self._first_straight
         self._bailed = 0
         self._handing_over = Code(self.name, self._first_enter)
@@ -53,6 +54,17 @@ class CompiledGoal:
         self.code: Union[Code, KnownPredicate] = (
             Code(self.name, self._first_plain) if called is None else called
         )
+
+    def forget(self) -> None:
+        """Drop code whose references to predicates are out of date."""
+        self._source.parse()
+        self.straight = self._first_straight
+        self._handing_over.run = self._first_enter
+        code: Any = self.code
+        if code.__class__ is Code:  # others may have it
+            code.run, code.steady = self._first_plain, False
+        else:
+            self.code = self._source.call() or Code(self.name, self._first_plain)
 
     def _first_straight(self, *values: Term) -> Any:
         # Not before it is first called: the predicates that it calls may be defined after it.

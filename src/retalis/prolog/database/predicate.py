@@ -66,6 +66,7 @@ class Predicate:
         dynamic: clauses may be asserted and retracted by the program.
         library: belongs to the system; programs may redefine it unless it is ``locked``.
         missed: whether it was warned of a call of it, where nobody has defined it.
+        system: a program that looks its clauses up, or changes them one by one, gets an error.
     """
 
     def __init__(self, database: OwnDatabase, functor: Functor):
@@ -80,6 +81,7 @@ class Predicate:
         self.discontiguous = False
         self.multifile = False
         self.locked = False
+        self.system = False
         self.library = False
         self.missed = False
         self.compiled = False

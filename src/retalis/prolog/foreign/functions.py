@@ -161,7 +161,7 @@ def _is_marked(value: object) -> bool:
 def _define(logic: Logic, runner: Caller, function: Callable[..., Any], spec: _Spec) -> Functor:
     key = functor(spec.name, spec.arity)
     known = logic.database.predicates.get(key)
-    if known is not None and known.locked:
+    if known is not None and (known.locked or known.library and known.system):
         raise permission_error("modify", "static_procedure", _indicator(key))
     if spec.many:
         logic.define_nondeterministic(spec.name, spec.arity, _generator(runner, function, spec, key))

@@ -10,11 +10,13 @@ from .keeping import (
     restore_values,
 )
 from .logic import Logic
+from .predicates import is_replaceable
 from .recovery import go_back, mend, state_of
 from .tracing import Tracer
 
 __all__ = [
     "go_back",
+    "is_replaceable",
     "keep_logic",
     "keep_values",
     "KeptLogic",

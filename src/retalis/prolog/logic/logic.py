@@ -79,8 +79,16 @@ class Logic(Predicates):
 
     # Clauses
 
-    def add_clause(self, term: Term, place: Optional[Place] = None, first: bool = False) -> Clause:
+    def add_clause(
+        self, term: Term, place: Optional[Place] = None, first: bool = False, asserted: bool = False
+    ) -> Clause:
         """Add a clause (its variables are copied); DCG rules and single-sided rules are translated.
+
+        Args:
+            term: the clause.
+            place: where it was read.
+            first: whether it comes before the others.
+            asserted: whether a goal adds it, not a file.
 
         Raises:
             PrologError: where the term is not a clause, or belongs to a predicate of the system.
@@ -89,25 +97,27 @@ class Logic(Predicates):
         if term.__class__ is tuple and term[0] is _ARROW:
             term = builtins.translate_rule(term)
         if term.__class__ is tuple and term[0] is builtins.SINGLE_SIDED:
-            return self._add_single_sided(term, place, first)
-        return self._add(term, place, first)
+            return self._add_single_sided(term, place, first, asserted)
+        return self._add(term, place, first, asserted)
 
-    def _add_single_sided(self, rule: CompoundTerm, place: Optional[Place], first: bool) -> Clause:
+    def _add_single_sided(
+        self, rule: CompoundTerm, place: Optional[Place], first: bool, asserted: bool
+    ) -> Clause:
         """Add a rule; the clause behind all rules of its predicate stays the last one."""
         term, behind = builtins.translate_single_sided(rule)
-        clause = self._add(term, place, first)
+        clause = self._add(term, place, first, asserted)
         predicate = self.database.writable(clause.predicate.functor, "modify")
         last = predicate.clauses[-1]
         if not builtins.is_behind(last.body):
             for other in list(predicate.live())[-2:]:
                 if builtins.is_behind(other.body):
                     predicate.remove(other)
-            self._add(behind, None, False)
+            self._add(behind, None, False, asserted)
         return clause
 
-    def _add(self, term: Term, place: Optional[Place], first: bool) -> Clause:
+    def _add(self, term: Term, place: Optional[Place], first: bool, asserted: bool) -> Clause:
         head, body = split_clause(copy(term))
-        predicate = self.database.writable(functor_of(head), "modify")
+        predicate = self.database.writable(functor_of(head), "modify", asserted)
         clause = Clause(predicate, head, body, place)
         predicate.add(clause, first)
         return clause

@@ -3,13 +3,19 @@
 from typing import Any, Callable, Dict, Iterable, Iterator, Optional, Tuple, Union
 
 from .. import builtins
-from ..database import COMPILE_AFTER, Control, Database, Predicate, control_predicates, functional
+from ..compiler import FIXED
+from ..database import COMPILE_AFTER, STANDARD, Control, Database, Predicate, control_predicates, functional
 from ..machine import LAST, Code, Frame, Machine
 from ..syntax import Operators
 from ..terms import Functor, Term, Values, Var, deref, functor
 from .library import library_index, load_library
 
 _END = object()
+
+
+def is_replaceable(key: Functor) -> bool:
+    """Tell whether the Prolog has a predicate that is none of the standard's, so that several facts replace it."""
+    return (key.name, key.arity) in builtins.ENTRIES and key not in STANDARD and key not in FIXED
 
 
 class Predicates:
@@ -37,7 +43,7 @@ class Predicates:
         self.control = Control(self.database)
         self.flags: Dict[str, Term] = builtins.default_flags()
         for (name, arity), function in control_predicates(self.control).items():
-            self.define_control(name, arity, function).locked = True
+            self._of_system(self.define_control(name, arity, function))
         ways: Dict[str, Callable[..., Predicate]] = {
             "deterministic": self.define,
             "function": self.define_function,
@@ -45,8 +51,15 @@ class Predicates:
             "control": self.define_control,
         }
         for (name, arity), entry in builtins.ENTRIES.items():
-            ways[entry.kind](name, arity, entry.function).locked = entry.locked
+            predicate = ways[entry.kind](name, arity, entry.function)
+            if entry.locked:
+                self._of_system(predicate)
         self._library = library_index()
+
+    @staticmethod
+    def _of_system(predicate: Predicate) -> None:
+        predicate.system = True
+        predicate.locked = predicate.functor in FIXED
 
     def define(self, name: str, arity: int, function: Callable[..., bool]) -> Predicate:
         """Define a deterministic predicate: ``function(machine, *args)`` says whether it succeeds.

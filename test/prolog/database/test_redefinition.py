@@ -1,0 +1,128 @@
+"""Predicates of the system that a program defines anew: its own take their place, but not for the library."""
+
+import pytest
+from prolog.support import answers, first, prolog
+
+from retalis import Engine
+from retalis.engine import parts_of
+from retalis.foundation import ProgramErrors
+from retalis.prolog import builtins
+from retalis.prolog.compiler import FIXED
+from retalis.prolog.database import NEVER
+from retalis.prolog.machine import PrologError
+from retalis.prolog.terms import Var, atom, functor
+
+
+def rule_for(key):
+    return (
+        functor(":-", 2),
+        (key, *[Var() for _ in range(key.arity)]) if key.arity else atom(key.name),
+        atom("true"),
+    )
+
+
+FREE = sorted({functor(*key) for key in builtins.ENTRIES} - FIXED, key=str)
+
+
+def test_all_but_control_unification_comparison_and_type_tests_can_be_defined():
+    logic = prolog()
+    for key in FREE:
+        logic.add_clause(rule_for(key))
+    assert len(FREE) > 200
+
+
+@pytest.mark.parametrize("key", sorted(FIXED, key=str), ids=str)
+def test_those_cannot(key):
+    with pytest.raises(PrologError, match="modify"):
+        prolog().add_clause(rule_for(key))
+
+
+@pytest.mark.parametrize("compile_after", [0, NEVER], ids=["compiled", "interpreted"])
+@pytest.mark.parametrize(
+    ("program", "goal", "expected"),
+    [
+        ("not(X) :- X = mine.", "not(X)", [{"X": "mine"}]),
+        ("between(a, b, own).", "between(a, b, X)", [{"X": "own"}]),
+        ("arg(1, _, own).", "arg(1, f(x), X)", [{"X": "own"}]),
+        ("arg(1, _, own). a(N, X) :- integer(N), arg(N, f(x), X).", "a(1, X)", [{"X": "own"}]),
+        ("ignore(own).", "ignore(X)", [{"X": "own"}]),
+        ("ignore(own). a(X) :- ignore(X).", "a(X)", [{"X": "own"}]),
+        ("atom_length(_, own). a(X) :- atom_length(abc, X).", "a(X)", [{"X": "own"}]),
+        ("forall(X, X).", "forall(X, one)", [{"X": "one"}]),
+    ],
+)
+def test_the_program_gets_its_own(program, goal, expected, compile_after):
+    logic = prolog(program, compile_after)
+    assert answers(logic, goal) == expected
+    assert answers(logic, goal) == expected
+
+
+def test_the_library_keeps_the_one_of_the_system():
+    logic = prolog("length(_, own). msort(_, []). between(_, _, none).")
+    assert first(logic, "last([1, 2], X)") == "2"
+    assert first(logic, "list_to_assoc([a-1], T)") == "t(a,1,-,t,t)"
+    assert first(logic, "numlist(1, 3, X)") == "[1,2,3]"
+
+
+def test_what_was_compiled_before_sees_it():
+    logic = prolog("a(X) :- succ(1, X).")
+    for _ in range(20):
+        assert answers(logic, "a(X)") == [{"X": "2"}]
+    wanted = Var()
+    goal = logic.compile_goal((functor("succ", 2), 1, wanted), outputs=[wanted])
+    assert goal.test(()) == (2,)
+    logic.add_clause((functor("succ", 2), 1, atom("own")))
+    assert answers(logic, "a(X)") == [{"X": "own"}]
+    assert goal.test(()) == (atom("own"),)
+    assert goal.all(()) == [(atom("own"),)]
+
+
+def test_a_clause_that_is_asserted_does_not_replace_one_of_the_standard():
+    logic = prolog()
+    with pytest.raises(PrologError, match="modify"):
+        logic.once(goal := (functor("assertz", 1), (functor("atom_length", 2), 1, 2)))
+    logic.once((functor("dynamic", 1), (functor("/", 2), atom("atom_length"), 2)))
+    assert logic.once(goal)
+    assert answers(logic, "atom_length(1, X)") == [{"X": "2"}]
+    assert answers(logic, "assertz(instance(a, b)), instance(a, X)") == [{"X": "b"}]
+
+
+def test_rules_of_the_same_file_call_its_own():
+    engine = Engine()
+    heard = []
+    engine.on_output(lambda term, topic, name: heard.append(engine.show(term)))
+    engine.load(
+        rules="b(X) <- a(X) where not(X).\nc(X) <- a(X) where between(1, 2, X).\n"
+        "not(X) :- X == yes.\nbetween(_, _, yes) :- true.\n",
+        goals="subscribe(b(_), [], _, t, b), subscribe(c(_), [], _, t, c)",
+    )
+    engine.event("a(yes)", 1)
+    engine.event("a(fail)", 2)
+    assert heard == ["b(yes)", "c(yes)"]
+
+
+def test_a_file_that_is_refused_leaves_those_of_the_system():
+    engine = Engine()
+    with pytest.raises(ProgramErrors):
+        engine.load(rules="succ(1, own) :- true.\n:- throw(no).\n")
+    assert engine.call("succ(1, 2)")
+    assert parts_of(engine).logic.is_of_system(functor("succ", 2))
+
+
+@pytest.mark.parametrize(
+    ("program", "refused"),
+    [
+        ("instance(rex, dog).\ninstance(tom, cat).", False),
+        ("instance(rex, dog).", True),
+        ("write(a).\nwrite(b).", True),
+        ("reset_db.\nreset_db.", True),
+    ],
+)
+def test_several_facts_are_a_definition_where_nobody_would_write_goals_so(program, refused):
+    engine = Engine()
+    if refused:
+        with pytest.raises(ProgramErrors, match="would replace"):
+            engine.load(rules=f"c <- b.\n{program}")
+    else:
+        engine.load(rules=f"c <- b.\n{program}")
+        assert engine.call("instance(tom, cat)")
