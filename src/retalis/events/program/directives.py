@@ -49,6 +49,7 @@ class Directives:
             RuleError: what it raised, at the goal that did.
         """
         before = self._last, self._many
+        goal, goals = self._logic.of_file(goal), [(self._logic.of_file(one), at) for one, at in goals]
         wrong = [at for at, (one, _) in enumerate(goals) if not _is_callable(one)]
         noting = len(goals) > 1 and not wrong  # else it raises an error that shows all of it
         self._last, self._many = wrong[0] if wrong else 0, len(goals)

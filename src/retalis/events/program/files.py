@@ -21,6 +21,7 @@ class Files:
         door: opens them.
         loaded: those that have been loaded, or are being loaded.
         omitted: of those that were loaded without some of their terms, how many these were.
+        modules: the names of those that are modules.
     """
 
     def __init__(self) -> None:
@@ -28,6 +29,7 @@ class Files:
         self.loaded: Set[Path] = set()
         self.omitted: Dict[str, int] = {}
         self._again = False
+        self.modules: Dict[Path, str] = {}
         self._folder: Optional[Path] = None
         self._open: List[Path] = []
 
@@ -117,6 +119,16 @@ class Files:
     def has_loaded(self, path: Path) -> bool:
         """Tell whether a file has been loaded, or is being loaded."""
         return _real(path) in self.loaded
+
+    def note_module(self, name: str) -> None:
+        """Note that the file that is being loaded is a module."""
+        if self._open:
+            self.modules[self._open[-1]] = name
+
+    def module(self, path: Path) -> str:
+        """Return the name of the module that a file is, once it has begun to be loaded; "" for another file."""
+        real = _real(path)
+        return self.modules.get(real, "") if real in self.loaded else ""
 
     @contextmanager
     def inside(self, place: Path) -> Iterator[None]:

@@ -13,6 +13,7 @@ _SINGLE_SIDED = functor("=>", 2)
 _GIVING_WAY: Dict[Functor, Callable[[Term], bool]] = {
     TIMER: sets_timer,
     functor("timers", 1): lambda term: False,
+    functor("module", 2): lambda term: False,
     **dict.fromkeys(STATE, declares_state),
     **dict.fromkeys(HOLDS, lambda term: False),
 }

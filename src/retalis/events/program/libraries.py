@@ -1,9 +1,10 @@
 """Files and libraries as ``use_module/1``, ``ensure_loaded/1`` and ``include/1`` name them."""
 
-from ...prolog.machine import existence_error, instantiation_error, type_error
-from ...prolog.terms import SLASH, Atom, String, Term, Var, deref, functor
+from ...prolog.machine import CONTEXT, existence_error, instantiation_error, type_error
+from ...prolog.terms import SLASH, Atom, String, Term, Var, atom, deref, functor
 
 LIBRARY = functor("library", 1)
+_ELSEWHERE = "what the program calls of it has to be defined elsewhere"
 
 LIBRARIES = frozenset(
     (
@@ -45,7 +46,7 @@ def require_library(term: Term) -> None:
     if name.__class__ is Var:
         raise instantiation_error()
     if name.__class__ is not Atom or name.name not in LIBRARIES:
-        raise existence_error("library", name)
+        raise existence_error("library", name, (CONTEXT, Var(), atom(_ELSEWHERE)))
 
 
 def file_name(term: Term) -> str:

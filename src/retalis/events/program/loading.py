@@ -67,6 +67,8 @@ class Loader:
         self._begun: List[Union[Beginning, Snapshot]] = []
         """What takes a load back that is under way; what comes after the first two is of loads inside it."""
         self._gathered: Optional[List[Unknown]] = None
+        self._modules = rules.logic.database.modules
+        self._modules.on_begin = self._files.note_module
 
     def note_calls(self, found: List[Unknown]) -> None:
         """Warn of calls of what is not there: at the end of the file that is being loaded, or now."""
@@ -114,8 +116,9 @@ class Loader:
             require_library(name)
             return
         path = self._files.find(name)
-        if not once or not self._files.has_loaded(path):
+        if not self._files.has_loaded(path) or not (once or self._files.module(path)):
             self._load_file(path)
+        self._modules.bring_in(self._files.module(path))
 
     def load_terms(self, terms: Sequence[Tuple[Term, Optional[Place]]]) -> None:
         """Load terms; see `Rules.load_terms`."""
@@ -276,7 +279,7 @@ class Loader:
                 require_library(name)
                 return None
             path = self._files.find(name)
-            if step.kind == "ensure" and self._files.has_loaded(path):
+            if self._files.module(path) or (step.kind == "ensure" and self._files.has_loaded(path)):
                 return None
             text = self._files.text(path)
             with self._files.inside(path), self._files.relative_to(path.parent):
@@ -343,10 +346,15 @@ class Loader:
             self._rules.on_warning(warning)
 
     def _take_in(self, accepted: CheckedProgram) -> None:
+        with self._modules.of_file(not accepted.rules):
+            self._take_all(accepted)
+
+    def _take_all(self, accepted: CheckedProgram) -> None:
         rules, late = self._rules, []
         for step in accepted.steps:
             if isinstance(step, CheckedProgram):
                 self._act(step)
+                self._modules.bring_in(self._modules.last)
             elif isinstance(step, Consulted):
                 self._consult(step, accepted)
             elif step.kind == "later":

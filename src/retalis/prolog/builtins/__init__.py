@@ -14,6 +14,7 @@ from . import (  # noqa: F401  (imported for what they register)
     input,
     lambdas,
     lists,
+    modules,
     numbering,
     output,
     poses,

@@ -8,7 +8,7 @@ from ..arithmetic import evaluate
 from ..compiler import CALL, NOT
 from ..database import add_arguments, check_body
 from ..machine import Budget, Code, Frame, Guard, LimitPassed, PrologError, domain_error, type_error
-from ..terms import CONS, NIL, TRUE, String, Values, Var, atom, deref, functor, term_key, unify
+from ..terms import COLON, CONS, NIL, TRUE, String, Values, Var, atom, deref, functor, term_key, unify
 from .arguments import callable_of, integer, items
 from .dcg import translate_body
 from .program import Machine
@@ -37,8 +37,9 @@ def not_provable(machine: Machine, args: Values, after: Frame) -> Optional[Frame
 def apply(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
     """Call a goal with the items of a list as further arguments."""
     goal = callable_of(args[0])
+    modules = machine.logic.database.modules
     extra = tuple(items(args[1]))
-    goal = add_arguments(goal, extra) if extra else goal
+    goal = add_arguments(goal, extra, modules) if extra else goal
     return machine.logic.control.call(goal, after)
 
 
@@ -63,10 +64,14 @@ def phrase(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
             and (kind.__class__ is not tuple or kind[0] is not CONS)
         ):
             raise type_error("list", kind)
-    body = deref(args[0])
+    body, module = deref(args[0]), None
+    while body.__class__ is tuple and body[0] is COLON:
+        module, body = machine.logic.database.modules.named(body[1]), deref(body[2])
     if body.__class__ is not String:
         callable_of(body)
     goal = translate_body(body, args[1], rest)
+    if module is not None:
+        goal = machine.logic.database.modules.body(module, goal)
     check_body(goal)
     return machine.logic.control.call(goal, after)
 

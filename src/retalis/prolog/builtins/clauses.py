@@ -44,7 +44,7 @@ def _check_rights(machine: Machine, key: Functor, action: str, kind: str) -> Pre
 def _assert(first: bool) -> Callable[[Machine, Term], bool]:
     def run(machine: Machine, term: Term) -> bool:
         logic = machine.logic
-        clause = logic.add_clause(_strip(term), first=first, asserted=True)
+        clause = logic.add_clause(term, first=first, asserted=True)
         predicate = clause.predicate
         if not predicate.compiled and len(predicate) == 1:
             predicate.dynamic = True
@@ -65,10 +65,11 @@ deterministic("assertz/1", "assert/1")(_assert(False))
 deterministic("asserta/1")(_assert(True))
 
 
-def _split(term: Term) -> Tuple[Term, Term]:
-    term = _strip(term)
+def _split(machine: Machine, term: Term) -> Tuple[Term, Term]:
+    modules = machine.logic.database.modules
+    term = modules.looked_for(term)
     if term.__class__ is tuple and term[0] is _NECK:
-        return _strip(term[1]), term[2]
+        return modules.looked_for(term[1]), term[2]
     return term, atom("true")
 
 
@@ -98,38 +99,63 @@ def _candidates(predicate: Predicate, head: Term) -> Iterator[Clause]:
 @nondeterministic("retract/1")
 def retract(machine: Machine, term: Term) -> Outcome:
     """Remove the clauses that unify, one at each solution."""
-    head, body = _split(term)
+    head, body = _split(machine, term)
     predicate = _check_rights(machine, _key(head), "modify", "static_procedure")
-    return _each_clause(machine.trail, predicate, head, body, predicate.remove)
+    return _each_clause(machine, predicate, head, body, predicate.remove)
+
+
+Shown = Callable[[Term], Term]
+"""Gives a body as it is unified: with the names that hold in its module."""
 
 
 def _each_clause(
-    trail: Trail, predicate: Predicate, head: Term, body: Term, action: Optional[Callable[[Clause], object]]
+    machine: Machine,
+    predicate: Predicate,
+    head: Term,
+    body: Term,
+    action: Optional[Callable[[Clause], object]],
 ) -> Outcome:
     """Go through the clauses that unify with a head and a body, as they were at the call; do ``action`` for each."""
     found = list(_candidates(predicate, head))
+    trail, modules = machine.trail, machine.logic.database.modules
+    of_module = action is None and modules.plain_of(predicate.functor) is not None
+    shown: Shown = modules.plain if of_module else _as_it_is
     if len(found) > 1:
-        return _clauses(trail, found, head, body, action)
-    return bool(found) and _is_clause(trail, found[0], head, body, action)
+        return _clauses(trail, found, head, body, action, shown)
+    return bool(found) and _is_clause(trail, found[0], head, body, action, shown)
+
+
+def _as_it_is(body: Term) -> Term:
+    return body
 
 
 def _clauses(
-    trail: Trail, found: List[Clause], head: Term, body: Term, action: Optional[Callable[[Clause], object]]
+    trail: Trail,
+    found: List[Clause],
+    head: Term,
+    body: Term,
+    action: Optional[Callable[[Clause], object]],
+    shown: Shown,
 ) -> Solutions:
     last = found[-1]
     for clause in found:
         mark = len(trail)
-        if _is_clause(trail, clause, head, body, action):
+        if _is_clause(trail, clause, head, body, action, shown):
             yield LAST if clause is last else None
         else:
             undo(trail, mark)
 
 
 def _is_clause(
-    trail: Trail, clause: Clause, head: Term, body: Term, action: Optional[Callable[[Clause], object]]
+    trail: Trail,
+    clause: Clause,
+    head: Term,
+    body: Term,
+    action: Optional[Callable[[Clause], object]],
+    shown: Shown,
 ) -> bool:
     own_head, own_body = _renamed(clause)
-    if not unify(own_head, head, trail) or not unify(own_body, body, trail):
+    if not unify(own_head, head, trail) or not unify(shown(own_body), body, trail):
         return False
     if action is not None and clause.died == NEVER:  # else it went meanwhile, and is a solution all the same
         action(clause)
@@ -146,7 +172,7 @@ def _renamed(clause: Clause) -> Tuple[Term, Term]:
 @deterministic("retractall/1")
 def retractall(machine: Machine, head: Term) -> bool:
     """Remove all clauses whose heads unify; the predicate is dynamic afterwards."""
-    head = _strip(head)
+    head = machine.logic.database.modules.looked_for(head)
     key = _key(head)
     predicate = _check_rights(machine, key, "modify", "static_procedure")
     if not predicate.defined:
@@ -165,19 +191,19 @@ def retractall(machine: Machine, head: Term) -> bool:
 @nondeterministic("clause/2")
 def clause_of(machine: Machine, head: Term, body: Term) -> Outcome:
     """Enumerate the clauses of a predicate."""
-    head = _strip(head)
+    head = machine.logic.database.modules.looked_for(head)
     key = _key(head)
     body = deref(body)
     if body.__class__ not in (Var, Atom, tuple):
         raise type_error("callable", body)
     predicate = _check_rights(machine, key, "access", "private_procedure")
-    return _each_clause(machine.trail, predicate, head, body, None)
+    return _each_clause(machine, predicate, head, body, None)
 
 
 @deterministic("abolish/1")
 def abolish(machine: Machine, term: Term) -> bool:
     """Remove a predicate."""
-    key = indicator_of(term)
+    key = indicator_of(machine.logic.database.modules.names_of(term))
     predicate = _check_rights(machine, key, "modify", "static_procedure")
     if predicate.defined and not predicate.dynamic and machine.logic.flags["iso"] is atom("true"):
         raise permission_error("modify", "static_procedure", indicator(key))
@@ -213,7 +239,7 @@ def declared(term: Term) -> Iterator[Term]:
 
 def _declaration(attribute: str) -> Callable[[Machine, Term], bool]:
     def run(machine: Machine, term: Term) -> bool:
-        for key in _each(term):
+        for key in _each(machine.logic.database.modules.names_of(term)):
             predicate = machine.logic.database.writable(key, "modify")
             setattr(predicate, attribute, True)
             machine.logic.database.changes += 1
@@ -225,15 +251,14 @@ def _declaration(attribute: str) -> Callable[[Machine, Term], bool]:
 deterministic("dynamic/1")(_declaration("dynamic"))
 deterministic("discontiguous/1")(_declaration("discontiguous"))
 deterministic("multifile/1")(_declaration("multifile"))
-deterministic("module_transparent/1", "meta_predicate/1", "volatile/1", "public/1")(
-    lambda machine, term: True
-)
+deterministic("module_transparent/1", "volatile/1", "public/1")(lambda machine, term: True)
 
 
 @nondeterministic("current_predicate/1")
 def current_predicate(machine: Machine, term: Term) -> Solutions:
     """Enumerate the program's predicates that have clauses."""
-    term = _strip(term)
+    modules = machine.logic.database.modules
+    term = _strip(modules.names_of(term))
     if term.__class__ is Var:
         term = (SLASH, Var(), Var())
     if term.__class__ is not tuple or term[0] is not SLASH:
@@ -251,7 +276,11 @@ def current_predicate(machine: Machine, term: Term) -> Solutions:
         return
     for key, predicate in list(database.predicates.items()):
         there = predicate.kind == "user" and not predicate.library and len(predicate)
-        if there and machine.unify_all((name, atom(key.name)), (arity, key.arity)):
+        if (
+            there
+            and modules.plain_of(key) is None
+            and machine.unify_all((name, atom(key.name)), (arity, key.arity))
+        ):
             yield None
 
 

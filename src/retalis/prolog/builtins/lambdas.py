@@ -28,7 +28,7 @@ def call_lambda(machine: Machine, args: Values, after: Frame) -> Optional[Frame]
     body = deref(body)
     if body.__class__ is tuple and body[0] is SLASH and given:
         body = deref(body[2])
-    goal = add_arguments(body, tuple(given)) if given else body
+    goal = add_arguments(body, tuple(given), machine.logic.database.modules) if given else body
     return machine.logic.control.call(goal, after)
 
 

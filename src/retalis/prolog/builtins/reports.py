@@ -167,7 +167,7 @@ class _BodyLayout:
 @deterministic("listing/1")
 def listing(machine: Machine, which: Term) -> bool:
     """Write the clauses of a predicate, by name or ``Name/Arity``, or of a list of them."""
-    which = deref(which)
+    which = deref(machine.logic.database.modules.names_of(which))
     found = list_items(which)
     for item in found if found is not None and which.__class__ is tuple else [which]:
         for predicate in _named(machine, deref(item)):
@@ -181,7 +181,12 @@ def _named(machine: Machine, which: Term) -> List[Predicate]:
         key = indicator_of(which)
         return [database.predicate(key)] if key in database.predicates else []
     name = atom_of(which[1] if which.__class__ is tuple and which[0] is SLASH else which).name
-    found = [predicate for key, predicate in database.predicates.items() if key.name == name]
+    plain_of = database.modules.plain_of
+    found = [
+        predicate
+        for key, predicate in database.predicates.items()
+        if key.name == name or (plain_of(key) or key).name == name
+    ]
     return sorted(found, key=lambda predicate: predicate.functor.arity)
 
 
@@ -207,10 +212,12 @@ def _list_predicate(machine: Machine, predicate: Predicate) -> None:
         return
     logic = machine.logic
     declared = "table" if own is not predicate else "dynamic" if predicate.dynamic else None
+    modules = logic.database.modules
     if declared is not None:
-        logic.write(f":- {declared} {logic.show(indicator(predicate.functor))}.\n\n")
+        key = modules.plain_of(predicate.functor) or predicate.functor
+        logic.write(f":- {declared} {logic.show(indicator(key))}.\n\n")
     for clause in own.live():
-        logic.write(clause_text(machine, (_NECK, clause.head, clause.body)))
+        logic.write(clause_text(machine, modules.plain((_NECK, clause.head, clause.body))))
     logic.write("\n")
 
 
@@ -220,13 +227,12 @@ def _list_predicate(machine: Machine, predicate: Predicate) -> None:
 @nondeterministic("predicate_property/2")
 def predicate_property(machine: Machine, head: Term, prop: Term) -> Solutions:
     """Enumerate what is known of a predicate."""
-    head = deref(head)
     logic = machine.logic
-    if head.__class__ is tuple and head[0].name == ":" and len(head) == 3:
-        head = deref(head[2])
+    modules = logic.database.modules
+    head = modules.looked_for(head)
     if head.__class__ is Var:
         for key, predicate in list(logic.database.predicates.items()):
-            if not predicate.defined or predicate.library:
+            if not predicate.defined or predicate.library or modules.plain_of(key) is not None:
                 continue
             general = (key, *[Var() for _ in range(key.arity)]) if key.arity else atom(key.name)
             for found in _properties(predicate):
@@ -235,6 +241,9 @@ def predicate_property(machine: Machine, head: Term, prop: Term) -> Solutions:
         return
     key = head[0] if head.__class__ is tuple else atom_of(head).functor
     known = logic.lookup(key)
+    plain = modules.plain_of(key)
+    if known is None and plain is not None:
+        known = logic.lookup(plain)
     for found in [] if known is None else _properties(known):
         if machine.unify(prop, found):
             yield None

@@ -5,6 +5,7 @@ from typing import Any, Callable, Dict, List, Optional, Tuple
 from ..arithmetic import EVALUABLE, Number, add, evaluate
 from ..machine import Code, Frame, domain_error, instantiation_error, type_error
 from ..terms import (
+    COLON,
     COMMA,
     MINUS,
     NIL,
@@ -32,14 +33,16 @@ _HAT = functor("^", 2)
 _MAX, _MIN = EVALUABLE[functor("max", 2)], EVALUABLE[functor("min", 2)]
 
 
-def _strip(goal: Term) -> Tuple[Term, List[Term]]:
+def _strip(machine: Machine, goal: Term) -> Tuple[Term, List[Term]]:
     """Return the goal inside ``Var^Goal`` and the terms before the hats."""
     bound = []
     goal = deref(goal)
-    while goal.__class__ is tuple and (goal[0] is _HAT or (goal[0].name == ":" and len(goal) == 3)):
+    while goal.__class__ is tuple and (goal[0] is _HAT or goal[0] is COLON):
         if goal[0] is _HAT:
             bound.append(goal[1])
-        goal = deref(goal[2])
+            goal = deref(goal[2])
+        else:
+            goal = deref(machine.logic.database.modules.hatted(goal))
     return goal, bound
 
 
@@ -48,7 +51,7 @@ def _grouped(sort: bool) -> Callable[[Machine, Values, Frame], Optional[Frame]]:
         template, goal, result = args
         if is_iso(machine):
             partial_items(result)
-        inner, bound = _strip(goal)
+        inner, bound = _strip(machine, goal)
         if inner.__class__ is Var:
             raise instantiation_error()
         local = set(variables((COMMA, template, *bound)))
@@ -188,7 +191,7 @@ def aggregate_all_distinct(machine: Machine, args: Values, after: Frame) -> Opti
         value = finish([pair[2] for pair in pairs])
         return after if value is not None and unify(result, value, machine.trail) else None
 
-    inner, _ = _strip(goal)
+    inner, _ = _strip(machine, goal)
     return machine.logic.control.collect(inner, (MINUS, discriminator, template), done)
 
 
@@ -202,7 +205,7 @@ def aggregate_all(machine: Machine, args: Values, after: Frame) -> Optional[Fram
         value = finish(found)
         return after if value is not None and unify(result, value, machine.trail) else None
 
-    inner, _ = _strip(goal)
+    inner, _ = _strip(machine, goal)
     return machine.logic.control.collect(inner, template, done)
 
 

@@ -15,7 +15,7 @@ from .tabling import tables_of
 @deterministic("table/1")
 def table_declaration(machine: Machine, which: Term) -> bool:
     """Declare predicates tabled."""
-    for item in declared(which):
+    for item in declared(machine.logic.database.modules.names_of(which)):
         if item.__class__ is tuple and item[0].name == ":" and len(item) == 3:
             item = deref(item[2])
         declare_as(machine, item)

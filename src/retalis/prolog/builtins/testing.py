@@ -65,6 +65,7 @@ def begin_tests_with(machine: Machine, name: Term, options: Term) -> bool:
     if units.open:
         raise permission_error("begin", "test_unit", unit)
     units.open[unit.name] = _TestUnit(copy(options), tuple(_clauses(machine)), ())
+    machine.logic.database.modules.shared.update(_HEADS)
     for key in _HEADS:  # a unit mixes the two
         machine.logic.database.writable(key, "modify").discontiguous = True
     return True
@@ -77,6 +78,7 @@ def end_tests(machine: Machine, name: Term) -> bool:
     opened = units.open.pop(unit.name, None)
     if opened is None:
         raise error((functor("context_error", 2), atom("end_tests"), unit))
+    machine.logic.database.modules.shared.difference_update(_HEADS)
     before = set(map(id, opened.before))
     found = [clause for clause in _clauses(machine) if id(clause) not in before]
     found.sort(key=lambda clause: 0 if clause.place is None else clause.place.line)

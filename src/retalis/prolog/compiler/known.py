@@ -4,7 +4,7 @@ from typing import Any, Callable, Iterator, Optional, Protocol, Tuple
 
 from ...foundation import Place
 from ..machine import Machine, Step
-from ..terms import Functor, Term
+from ..terms import CompoundTerm, Functor, Term
 
 Finder = Callable[..., Optional[bool]]
 """A predicate as a function of its arguments: whether there is a solution, None where it cannot tell."""
@@ -92,10 +92,24 @@ class KnownPredicate(Protocol):
     def __len__(self) -> int: ...
 
 
+class KnownModules(Protocol):
+    """The modules of a program; see `Modules`."""
+
+    def named(self, term: Term, /) -> Optional[object]:
+        """Return the module that a term names."""
+
+    def goal(self, goal: CompoundTerm, /) -> Term:
+        """Return what ``Module:Goal`` calls."""
+
+
 class KnownDatabase(Protocol):
     """All predicates; see `Database` and `Library`."""
 
     machine: Machine
+
+    @property
+    def modules(self) -> KnownModules:
+        """The modules of the program."""
 
     @property
     def is_library(self) -> bool:

@@ -244,8 +244,10 @@ class BodyParser:
         if goal.__class__ is not tuple:
             raise type_error("callable", goal)
         key = goal[0]
-        if key is COLON:  # there is one module
-            inner = deref(goal[2])
+        if key is COLON:
+            if deref(goal[1]).__class__ is Var or deref(goal[2]).__class__ is Var:
+                return CallNode("call", CALL, (goal,), False)
+            inner = self._database.modules.goal(goal)
             several = inner.__class__ is tuple and inner[0] is COMMA
             return Interpret(inner, cut) if several else self._node(inner, cut, depth)
         if key in _STRUCTURES and (key is not IGNORE or self._database.predicate(IGNORE).library):

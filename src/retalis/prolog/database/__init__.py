@@ -5,6 +5,8 @@ from .control import Control, add_arguments, check_body, control_predicates, fun
 from .database import Database
 from .functional import functional
 from .goal import CompiledGoal
+from .metas import declared_kinds
+from .modulenames import indicated
 from .predicate import COMPILE_AFTER, Predicate
 from .standard import STANDARD
 
@@ -16,9 +18,11 @@ __all__ = [
     "Control",
     "control_predicates",
     "Database",
+    "declared_kinds",
     "functional",
     "functor_of",
     "CompiledGoal",
+    "indicated",
     "may_match",
     "NEVER",
     "Predicate",

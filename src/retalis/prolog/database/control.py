@@ -36,6 +36,7 @@ from ..terms import (
     make_list,
 )
 from .database import Database
+from .modules import Modules
 
 _CUT = functor("!", 0)
 _FAIL = functor("fail", 0)
@@ -94,7 +95,7 @@ class Control:
                 if control is not None:
                     return control(goal, height, after)
                 if key is _COLON:
-                    goal = goal[2]
+                    goal = self._database.modules.goal(goal)
                     continue
                 return (self._database.predicate(key), *goal[1:], after)
             if kind is Atom:
@@ -274,15 +275,14 @@ def check_partial_list(term: Term) -> None:
         raise type_error("list", term)
 
 
-def add_arguments(goal: Term, extra: Values) -> Term:
+def add_arguments(goal: Term, extra: Values, modules: Optional[Modules] = None) -> Term:
     """Return a goal with more arguments, as ``call/N`` makes it."""
     found: Any = deref(goal)
     kind = found.__class__
     if kind is tuple:
-        while found[0] is _COLON:
-            found = deref(found[2])
-            if found.__class__ is not tuple:
-                return add_arguments(found, extra)
+        if found[0] is _COLON:
+            inner = deref(found[2]) if modules is None else modules.closure_of(found, len(extra))
+            return add_arguments(inner, extra, modules)
         return (functor(found[0].name, len(found) - 1 + len(extra)), *found[1:], *extra)
     if kind is Atom:
         return (functor(found.name, len(extra)), *extra)
@@ -303,7 +303,9 @@ def control_predicates(control: Control) -> Dict[Tuple[str, int], Controls]:
     """Return the control built-ins: functions ``(machine, args, next) -> frame``."""
 
     def call(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
-        return control.call(args[0] if len(args) == 1 else add_arguments(args[0], args[1:]), after)
+        if len(args) == 1:
+            return control.call(args[0], after)
+        return control.call(add_arguments(args[0], args[1:], machine.logic.database.modules), after)
 
     def catch(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
         return control.catch(args[0], args[1], args[2], after)

@@ -7,6 +7,7 @@ from ..compiler import FIXED, Direct
 from ..machine import Code, Frame, Machine, Step, indicator, permission_error
 from ..terms import Functor, Term, deref
 from .clause import NEVER
+from .modules import Modules
 from .predicate import COMPILE_AFTER, Predicate
 from .standard import STANDARD
 
@@ -38,6 +39,9 @@ class Database:
         self._unused: WeakValueDictionary[Functor, Predicate] = WeakValueDictionary()
         """Predicates that nobody has defined: they stay as long as something refers to them."""
         self._many = _SPARE
+        self.modules = Modules()
+        self.modules.is_there = self._is_there
+        self.modules.on_change = self.forget
         self.library = Library(self)
         self.goals: WeakSet[Any] = WeakSet()
         """The goals that have been compiled for Python code, see `CompiledGoal`."""
@@ -53,6 +57,10 @@ class Database:
                 self.put_aside()
             found = self.predicates[key] = self._unused.get(key) or Predicate(self, key)
         return found
+
+    def _is_there(self, key: Functor) -> bool:
+        found = self.predicates.get(key)
+        return found is not None and not found.is_blank
 
     def put_aside(self) -> None:
         """Keep predicates that nobody has defined no longer than something refers to them."""
@@ -173,6 +181,11 @@ class Library:
         self._database = database
         self.machine = database.machine
         self.kept: Dict[Functor, Predicate] = {}
+
+    @property
+    def modules(self) -> Modules:
+        """The modules of the program."""
+        return self._database.modules
 
     @property
     def interpret(self) -> Optional[Code]:

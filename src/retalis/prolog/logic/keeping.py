@@ -10,6 +10,7 @@ from ..terms import Functor, Term
 from .logic import Logic
 
 _COUNTED = ("counters", "flags", "flag", "gensym", "counters of events", "flags of events")
+_MODULES, _METAS = "modules", "arguments of predicates"
 """What built-ins keep by name."""
 
 KeptClauses = Tuple[Functor, Tuple[bool, bool, bool, bool], List[Tuple[Term, Term, Optional[Place]]]]
@@ -59,11 +60,15 @@ def keep_logic(logic: Logic) -> KeptLogic:
 
 def keep_values(logic: Logic) -> KeptValues:
     """Return what goals have left, while none runs."""
+    modules = logic.database.modules
+    counted = {name: dict(logic.state[name]) for name in _COUNTED if name in logic.state}
+    if modules.table or modules.metas:
+        counted.update({_MODULES: modules.kept(), _METAS: dict(modules.metas)})
     return KeptValues(
         dict(logic.flags),
         dict(logic.globals),
         logic.column,
-        {name: dict(logic.state[name]) for name in _COUNTED if name in logic.state},
+        counted,
         records_of(logic.machine).kept(),
         tables_of(logic.machine).kept(),
     )
@@ -109,6 +114,9 @@ def restore_values(logic: Logic, kept: KeptValues) -> None:
     for name in _COUNTED:
         if name in kept.counted:
             logic.state.setdefault(name, {}).update(kept.counted[name])
+    modules = logic.database.modules
+    modules.restore(kept.counted.get(_MODULES, {}))
+    modules.metas.update(kept.counted.get(_METAS, {}))
     records_of(logic.machine).restore(kept.records)
     tables_of(logic.machine).restore(kept.answers)
 

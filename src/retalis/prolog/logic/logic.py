@@ -23,7 +23,7 @@ from ..compiler import CALL
 from ..database import COMPILE_AFTER, Clause, CompiledGoal, Predicate, check_body, functor_of, split_clause
 from ..machine import Frame, Limits, PrologError
 from ..syntax import Operators, by_name, write_term
-from ..terms import CompoundTerm, Functor, Term, Var, copy, deref, functor
+from ..terms import COLON, CompoundTerm, Functor, Term, Var, copy, deref, functor
 from . import ports  # noqa: F401  (it registers trace/1)
 from .predicates import Predicates
 from .unknown import similar, undefined
@@ -93,9 +93,7 @@ class Logic(Predicates):
         Raises:
             PrologError: where the term is not a clause, or belongs to a predicate of the system.
         """
-        term = deref(term)
-        if term.__class__ is tuple and term[0] is _ARROW:
-            term = builtins.translate_rule(term)
+        term = self._of_module(deref(term), asserted)
         if term.__class__ is tuple and term[0] is builtins.SINGLE_SIDED:
             return self._add_single_sided(term, place, first, asserted)
         return self._add(term, place, first, asserted)
@@ -121,6 +119,26 @@ class Logic(Predicates):
         clause = Clause(predicate, head, body, place)
         predicate.add(clause, first)
         return clause
+
+    def _of_module(self, term: Term, asserted: bool) -> Term:
+        """Return a clause as it is added: of the module that it names, or whose file is being loaded."""
+        modules = self.database.modules
+        module = None if asserted else modules.current
+        while term.__class__ is tuple and term[0] is COLON:
+            named = modules.named(term[1])
+            module, term = (module if named is None else named), deref(term[2])
+        if term.__class__ is tuple and term[0] is _ARROW:
+            term = builtins.translate_rule(term)
+        if module is not None and term.__class__ is not Var:
+            return modules.clause(module, term, name=modules.stored if asserted else None)
+        if modules.table and term.__class__ is tuple and term[0].arity == 2 and term[0].name == ":-":
+            return modules.of_another(term)
+        return term
+
+    def of_file(self, goal: Term) -> Term:
+        """Return a goal of the file that is being loaded as it means the same everywhere; see `Modules.body`."""
+        modules = self.database.modules
+        return goal if modules.current is None else modules.body(modules.current, goal)
 
     def load(
         self, terms: Sequence[Tuple[Term, Optional[Place]]], problem: Callable[[str, Optional[Place]], None]
@@ -153,7 +171,7 @@ class Logic(Predicates):
     ) -> bool:
         """Run a directive; tell ``problem`` where it fails or raises. Return whether it succeeded."""
         try:
-            if self.once(goal):
+            if self.once(self.of_file(goal)):
                 return True
             problem(f"Goal (directive) failed: {self.show(goal)}", place)
         except PrologError as error:
@@ -273,6 +291,10 @@ class Logic(Predicates):
         key = predicate.functor
         if predicate.dynamic:
             return None
+        plain = self.database.modules.plain_of(key)
+        found = None if plain is None else self.lookup(plain)
+        if found is not None:
+            return found.run((found, *frame[1:]))
         part = self._library.get((key.name, key.arity))
         if part is not None:
             self._load_library(part)

@@ -55,6 +55,7 @@ class Predicates:
             if entry.locked:
                 self._of_system(predicate)
         self._library = library_index()
+        self.database.modules.is_of_system = self.is_of_system
 
     @staticmethod
     def _of_system(predicate: Predicate) -> None:

@@ -38,6 +38,7 @@ def mend(logic: Any) -> None:
     while isinstance(logic.output, OutputCapture):
         logic.output, logic.column = logic.output.before
     logic.new_goals = None
+    logic.database.modules.mend()
     vars(logic.control).pop("solve", None)  # a tracer's
     logic.database.solve = logic.control.solve
     for predicate in list(logic.database.predicates.values()):

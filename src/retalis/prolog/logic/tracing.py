@@ -81,7 +81,7 @@ class Tracer:
             after = (self._control.code, goal[2], height, after)
             goal = deref(goal[1])
         if goal.__class__ is tuple and goal[0] is COLON:
-            return self.solve(goal[2], height, after)
+            return self.solve(self._logic.database.modules.goal(goal), height, after)
         key = _key(goal)
         if key is None or key in _SILENT or key in _CONTROL:
             return self._plain(goal, height, after)

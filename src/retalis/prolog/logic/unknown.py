@@ -24,11 +24,12 @@ def undefined(logic: Predicates, predicate: Predicate, frame: Frame) -> Optional
     callers = _callers(logic, predicate, frame)
     if callers:
         notes.append(f"called from {', '.join(callers)}")
-    meant = similar(logic, key)
+    meant = similar(logic, logic.database.modules.plain_of(key) or key)
     if meant:
         notes.append(f"did you mean {' or '.join(meant)}?")
-    context = (CONTEXT, indicator(key), atom("; ".join(notes))) if notes else indicator(key)
-    raise existence_error("procedure", indicator(key), context)
+    shown = logic.database.modules.shown(key) or indicator(key)
+    context = (CONTEXT, shown, atom("; ".join(notes))) if notes else shown
+    raise existence_error("procedure", shown, context)
 
 
 def _callers(logic: Predicates, predicate: Predicate, frame: Frame) -> List[str]:
