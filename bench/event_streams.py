@@ -173,6 +173,27 @@ STREAMS: Dict[str, StreamRow] = {
         _always,
         capped=True,
     ),
+    # Steps.
+    "steps": _window("steps([one(#)])", "`steps([one(N)])`", periods=True),
+    "steps_back": StreamRow(
+        "`steps([up(N) where X > prev(X)])`",
+        "out(A) <- aggregate(count, p(X, _), A, steps([up(#) where X > prev(X)])).",
+        _always,
+        periods=True,
+    ),
+    "steps_later": StreamRow(
+        "`steps([one, later(last) where X >= first(one, X) + N])`: N passed over",
+        "out(A) <- aggregate(count, p(X, _), A, steps([one, later(last) where X >= first(one, X) + #])).",
+        _always,
+        periods=True,
+    ),
+    "steps_many": StreamRow(
+        "`steps([up(1, many) where G])`, matches of N",
+        "out(A) <- aggregate(count, p(X, K), A, steps([up(1, many) where X mod # > prev(X) mod #])).",
+        _always,
+        periods=True,
+    ),
+    "steps_groups": _groups("steps([up(2) where K > prev(K)])", "N groups of one", filled=1),
     # Absence for some time.
     "absent": StreamRow(
         "`P seq absent(Q, N)`, N wait, one is due at each P",

@@ -5,7 +5,7 @@ what comes are one. So an item takes the same time however many came before it, 
 """
 
 from collections import deque
-from typing import Any, Callable, Deque, Dict, Hashable, List, NamedTuple, Optional, Sequence, Set, Tuple
+from typing import Any, Callable, Deque, Dict, Hashable, List, NamedTuple, Optional, Sequence, Tuple
 
 from ...foundation import RuleError
 from ...prolog.terms import Values
@@ -29,13 +29,11 @@ class _Taken(NamedTuple):
     before: "Optional[_Taken]"
 
 
-class _Whole:
-    """A match that is whole; it is given on when no way that is preferred to it is left."""
+class _Whole(NamedTuple):
+    """A match that is whole: its items, and the order of the first. It is given on when no preferred way is left."""
 
-    __slots__ = ("pairs",)
-
-    def __init__(self, pairs: _Pairs):
-        self.pairs = pairs
+    taken: _Taken
+    start: int
 
 
 class StepWay:
@@ -74,12 +72,12 @@ class StepWay:
     def oldest(self) -> Optional[int]:
         """Return the order of the oldest item that it holds."""
         if self.whole:
-            return self.whole[0].pairs[0][0].order
+            return self.whole[0].start
         return self.start if self.taken is not None else None
 
-    def key(self) -> Hashable:
-        """Return what tells it from other ways by what comes."""
-        return (self.step, self.count, self.left, tuple([id(one) for one in self.marks]))
+    def key(self, counted: Hashable) -> Hashable:
+        """Return what tells it from other ways by what comes; ``counted`` is what its count means for that."""
+        return (self.step, counted, self.left, tuple([id(one) for one in self.marks]))
 
 
 class StepGroup:
@@ -177,7 +175,7 @@ class SteppedWindow:
     def _go_on(self, ways: Sequence[StepWay], item: StreamItem) -> List[StepWay]:
         """Return how ways go on with an item, the preferred first."""
         found: List[StepWay] = []
-        seen: Set[Hashable] = set()
+        seen: Dict[Hashable, int] = {}
         for way in ways:
             takers, passing = self._takers(way, item)
             for at in takers:
@@ -203,29 +201,33 @@ class SteppedWindow:
         return takers, tuple([at for at in open_ones if steps[at].later])
 
     def _takes(
-        self, way: StepWay, at: int, item: StreamItem, found: List[StepWay], seen: Set[Hashable]
+        self, way: StepWay, at: int, item: StreamItem, found: List[StepWay], seen: Dict[Hashable, int]
     ) -> bool:
         """Add the way in which a step takes an item; tell whether the match is whole then."""
         plan = self.plan
         count = plan.counted(at, way.count + 1 if way.step == at else 1)
         taken = _Taken(item, at, way.taken)
         start = item.order if way.taken is None else way.start
-        made = StepWay(at, count, None, plan.marked(way.marks, at, item), taken, start, way.whole)
         choices, whole = plan.choices(at, count)
         if choices:
-            self._add(made, found, seen)
+            left = (
+                choices if all(plan.steps[one].later for one in choices) else None
+            )  # as after one passed over
+            marks = plan.marked(way.marks, at, item)
+            self._add(StepWay(at, count, left, marks, taken, start, way.whole), found, seen)
         if whole:
-            found.append(self._scanning((*way.whole, _Whole(_in_order(taken)))))
+            found.append(self._scanning((*way.whole, _Whole(taken, start))))
         return whole
 
-    def _add(self, way: StepWay, found: List[StepWay], seen: Set[Hashable]) -> None:
-        key = way.key()
-        if key in seen:
+    def _add(self, way: StepWay, found: List[StepWay], seen: Dict[Hashable, int]) -> None:
+        """Add a way, unless one that is preferred turns out a match whenever it does."""
+        key = way.key(self.plan.meaning(way.step, way.count))
+        if seen.get(key, -1) >= way.count:
             return
         if len(found) >= MOST_WAYS:
             self._crowded()
             return
-        seen.add(key)
+        seen[key] = way.count
         found.append(way)
 
     @staticmethod
@@ -245,12 +247,13 @@ class SteppedWindow:
 
     def _output(self, whole: _Whole, deciding: StreamItem) -> Optional[StreamOutput]:
         """Return what is given on for a match; None where a measure has no result."""
-        items = [item for item, _ in whole.pairs]
+        pairs = _in_order(whole.taken)
+        items = [item for item, _ in pairs]
         start = min(item.start for item in items)
         end = max(deciding.end, *(item.end for item in items))
         named = tuple(items[-MOST_NAMED:]) if self.tracked else (items[-1],)
         try:
-            found = self._measured(whole)
+            found = self._measured(pairs)
         except RuleError as error:
             return StreamOutput(named, start, end, (), error)
         except OverflowError:
@@ -258,10 +261,10 @@ class SteppedWindow:
             return StreamOutput(named, start, end, (), too_large)
         return None if found is None else StreamOutput(named, start, end, found)
 
-    def _measured(self, whole: _Whole) -> Optional[Values]:
+    def _measured(self, pairs: _Pairs) -> Optional[Values]:
         found = []
         for measure, scope in zip(self.make(), self.scopes):
-            members = deque([item for item, step in whole.pairs if scope is None or step == scope])
+            members = deque([item for item, step in pairs if scope is None or step == scope])
             for item in members:
                 measure.add(item)
             result = measure.result(members, len(members)) if members or measure.of_none else None
@@ -307,18 +310,20 @@ class SteppedWindow:
     def _way_of(self, numbers: Tuple[Any, ...], known: Dict[int, StreamItem]) -> StepWay:
         """Return a way of which `_numbers` has told."""
         step, count, left, marks, pairs, whole = numbers
-        taken: Optional[_Taken] = None
-        for order, at in pairs:
-            taken = _Taken(known[order], at, taken)
-        return StepWay(
-            step,
-            count,
-            left,
-            tuple([None if order is None else known[order] for order in marks]),
-            taken,
-            pairs[0][0] if pairs else 0,
-            tuple([_Whole(tuple([(known[order], at) for order, at in one])) for one in whole]),
-        )
+        found = tuple([None if order is None else known[order] for order in marks])
+        wholes = tuple([_Whole(_taken_of(one, known), one[0][0]) for one in whole])
+        if not pairs:
+            return StepWay(step, count, left, found, None, 0, wholes)
+        return StepWay(step, count, left, found, _taken_of(pairs, known), pairs[0][0], wholes)
+
+
+def _taken_of(pairs: Sequence[Tuple[int, int]], known: Dict[int, StreamItem]) -> _Taken:
+    """Return the items of a match by their orders."""
+    found: Optional[_Taken] = None
+    for order, step in pairs:
+        found = _Taken(known[order], step, found)
+    assert found is not None  # a match has an item at least
+    return found
 
 
 def _in_order(taken: Optional[_Taken]) -> _Pairs:
@@ -333,7 +338,7 @@ def _in_order(taken: Optional[_Taken]) -> _Pairs:
 def _numbers(way: StepWay) -> Tuple[Any, ...]:
     """Return what a way knows, with the orders of items in their place."""
     marks = tuple([None if one is None else one.order for one in way.marks])
-    whole = tuple([_orders(one.pairs) for one in way.whole])
+    whole = tuple([_orders(_in_order(one.taken)) for one in way.whole])
     return (way.step, way.count, way.left, marks, _orders(_in_order(way.taken)), whole)
 
 

@@ -1,6 +1,6 @@
 """Steps that the items of a group may take: so many that pass the same tests, then so many that pass others."""
 
-from typing import Callable, NamedTuple, Optional, Sequence, Tuple
+from typing import Callable, NamedTuple, Optional, Sequence, Tuple, Union
 
 from .items import StreamItem
 
@@ -69,6 +69,7 @@ class StepPlan:
             for at in range(len(steps))
         ]
         self._begin = self._from(0)
+        self._last = [self._from(at + 1)[1] for at in range(len(steps))]
 
     def choices(self, at: int, count: int) -> Choices:
         """Return what may come after a step has taken so many; what is less preferred than the end is left out."""
@@ -82,6 +83,14 @@ class StepPlan:
         """Return how many a step has taken, as far as that makes a difference."""
         step = self.steps[at]
         return min(count, step.least) if step.most is None else count
+
+    def meaning(self, at: int, count: int) -> Union[int, Choices]:
+        """Return what a count means for what comes.
+
+        Of two ways in a step that turns out a match when it has taken enough, and that have the same choices, the one
+        that has taken more turns it out first: for these it is the choices.
+        """
+        return self.choices(at, count) if self._last[at] else count
 
     def marked(self, marks: Marks, at: int, item: StreamItem) -> Marks:
         """Return the marks of a match of which a step takes an item."""
