@@ -5,6 +5,7 @@ from events.running import Program
 
 from retalis import Engine, Limits, Omission, PrologError, Settings
 from retalis.engine import check_program, parts_of
+from retalis.events.program.ofevents import _OF_LANGUAGE
 from retalis.foundation import ProgramErrors
 from retalis.messages import Definitions
 
@@ -51,6 +52,11 @@ def test_a_file_of_event_rules_is_accepted_as_a_whole_or_not_at_all(program, res
         program.engine.load(rules=f"p(1).\np(2.\n{rest}\n")
     assert not program.engine.call("catch(p(_), _, fail)")
     assert parts_of(program.engine).rules.rules == []
+
+
+def test_goals_of_the_event_language_are_known(program):
+    names = {key.name for key in parts_of(program.engine).logic.names()}
+    assert sorted(_OF_LANGUAGE - names) == []
 
 
 def test_words_of_rules_in_clauses_and_comments_make_no_event_file(program):
@@ -203,3 +209,46 @@ def test_a_refused_file_leaves_no_operators(program):
     with pytest.raises(ProgramErrors):
         program.engine.load(rules=":- op(700, xfx, ===>). c <- a. :- throw(x).")
     assert "===>" not in program.engine.operators
+
+
+def test_a_first_line_that_names_an_interpreter_is_none_of_the_program(program):
+    program.engine.load(rules="#!/usr/bin/env swipl\np(1).\nq(.\n")
+    assert [(line, column) for line, column, _ in told(program)] == [(3, 3)]
+    assert program.engine.call("p(1)")
+
+
+def test_quotes_may_go_on_in_the_next_line(program):
+    program.engine.load(rules="p(\"a\nb.\nc\"). q('d\n''e').\n")
+    assert program.warnings == []
+    assert program.engine.call("p(\"a\\nb.\\nc\"), q('d\\n\\'e')")
+
+
+def test_a_quote_that_is_not_closed_is_told_at_its_place_and_costs_its_clause(program):
+    program.engine.load(rules="p(1).\np('2).\np(3).\nq('it''s', 'here').\np(4).\np(\"5).\nq(\"a\", b).\n")
+    assert [(line, column) for line, column, _ in told(program)] == [(2, 3), (6, 3)]
+    assert all("not closed on its line" in message for _, _, message in told(program))
+    assert [one["X"] for one in answers(program, "p(X)")] == ["1", "3", "4"]
+    assert program.engine.call("q(_, here), q(_, b)")
+
+
+def test_a_library_that_is_not_there_is_one_warning_and_its_operators_hold(program):
+    program.engine.load(rules=":- use_module(library(clpfd)).\np(X) :- X #> 3, X in 0..9.\nq(1).\n")
+    assert [line for line, _, _ in told(program)] in ([1], [])
+    assert program.engine.call("q(1), clause(p(_), _)")
+
+
+def test_a_file_knows_where_it_is(program, tmp_path):
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "sub" / "one.pl").write_text(":- prolog_load_context(directory, D), assertz(folder(D)). one.")
+    assert program.engine.call(
+        "load_files([sub/one], [if(not_loaded)]), load_files(sub/one, [if(not_loaded)])"
+    )
+    assert answers(program, "folder(D)") == [{"D": f"'{tmp_path}/sub'"}]
+    assert program.engine.call("reconsult('sub/one'), \\+ prolog_load_context(directory, _)")
+
+
+def test_a_name_with_a_point_may_lack_its_ending(program, tmp_path):
+    (tmp_path / "kb-1.2.pl").write_text("p(1).")
+    (tmp_path / "more.prolog").write_text("q(1).")
+    program.engine.load(rules=":- ['kb-1.2', more]. r.")
+    assert program.engine.call("p(1), q(1)")

@@ -6,7 +6,7 @@ from typing import Any, Iterable, Iterator, List, NamedTuple, Optional, Set, Tup
 
 from ...foundation import Place, SyntaxFault, UsageError
 from ...prolog.logic import Logic
-from ...prolog.syntax import ReadTerm, read_program
+from ...prolog.syntax import OF_FILES, ReadTerm, read_program
 from ...prolog.terms import TRUE, Atom, CompoundTerm, Functor, String, Term, Var, deref, functor
 from ..language import RuleDefinition, Spot
 from ..program import GOALS, FileChecker, goal_of, nowhere, read_goals, read_text
@@ -124,7 +124,7 @@ def read_again(logic: Logic, folder: Path, loaded: Iterable[Path]) -> Written:
             text = _text(path)
             if text:
                 found.sources.add(str(path))
-                _add_file(found, read_program(text, logic.operators.copy(), str(path)))
+                _add_file(found, read_program(text, logic.operators.copy(), str(path), OF_FILES))
     return found
 
 

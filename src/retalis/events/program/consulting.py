@@ -11,7 +11,7 @@ from typing import Callable, Iterator, List, NamedTuple, Optional
 
 from ...foundation import Errors, Omission, Place, ProgramErrors, RetalisError, RuleError, SyntaxFault
 from ...prolog.machine import LimitError, PrologError
-from ...prolog.syntax import Program, ReadTerm, read_program
+from ...prolog.syntax import OF_FILES, Program, ReadTerm, read_program
 from ...prolog.terms import Atom, Term, atom, deref
 from ..language import Property, Unknown
 from .clauses import DIRECTIVES, FileChecker, FileEntry, clause_error, nowhere
@@ -21,6 +21,7 @@ from .expanding import Expansion
 from .files import Files
 from .forgotten import fact_error
 from .included import included
+from .libraryoperators import declare_operators
 from .owners import Loaded
 
 _END = atom("end_of_file")
@@ -135,7 +136,7 @@ class _PrologFile:
     def load(self, one: Consulted) -> None:
         """Load its text, then run the goals that are called when it has been loaded."""
         omitted = self._omitted = _Omissions(self._rules.on_warning, self._files.may_omit(one.source))
-        program = read_program(one.text, self._logic.operators, one.source)
+        program = read_program(one.text, self._logic.operators, one.source, OF_FILES)
         self._terms(program)
         for unclosed in self._conditions.unclosed():
             self._omitted.append(unclosed)
@@ -228,6 +229,7 @@ class _PrologFile:
         elif isinstance(step.term, Property):
             self._rules.set_property(step.term)
         elif step.kind in ("use", "ensure"):
+            declare_operators(step.term, self._logic.operators)
             self._use(step.term, step.kind == "ensure")
             self._omitted.accept()
         elif step.kind == "later":

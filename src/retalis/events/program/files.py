@@ -10,6 +10,9 @@ from ...prolog.terms import Term
 from .door import Door, check_name
 from .libraries import file_name
 
+_ENDINGS = (".pl", ".prolog", ".pro")
+"""What may be left out of the name of a file."""
+
 State = Tuple[Optional[Path], int, bool]
 """Where relative paths are, how many files are open, and whether they are the program's own."""
 
@@ -98,10 +101,10 @@ class Files:
         """
         text = file_name(name)
         path = self.resolve(text)
-        if path.suffix or self.door.is_file(str(path), text):
+        if self.door.is_file(str(path), text):
             return path
-        longer = f"{path}.pl"
-        return Path(longer) if self.door.is_file(longer, text) else path
+        endings = [ending for ending in _ENDINGS if self.door.is_file(f"{path}{ending}", text)]
+        return Path(f"{path}{endings[0]}") if endings else path
 
     def is_file(self, path: Path) -> bool:
         """Tell whether there is such a file; errors are those of `resolve`."""
@@ -115,6 +118,11 @@ class Files:
             UsageError: where it cannot be read.
         """
         return self.door.read(str(path), str(path))
+
+    @property
+    def innermost(self) -> Optional[Path]:
+        """The file that is being loaded, that of the others in which it is."""
+        return self._open[-1] if self._open else None
 
     def has_loaded(self, path: Path) -> bool:
         """Tell whether a file has been loaded, or is being loaded."""

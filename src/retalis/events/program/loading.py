@@ -6,7 +6,7 @@ from typing import Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple, 
 
 from ...foundation import Errors, Place, ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
 from ...prolog.machine import PrologError
-from ...prolog.syntax import Operators, Program, ReadTerm, read_program
+from ...prolog.syntax import OF_FILES, Operators, Program, ReadTerm, read_program
 from ...prolog.terms import Term, copy, deref
 from ..language import Property, RuleDefinition, Unknown, unknown_calls
 from ..network import Rule
@@ -158,7 +158,7 @@ class Loader:
         if not is_of_events(text, self._rules.logic, self._opened):
             return CheckedProgram([Consulted(text, source)], [], [])
         reading = self._reading(FileChecker(declared=self._rules.declared.now()), errors)
-        self._read(read_program(text, reading.operators, source), reading)
+        self._read(read_program(text, reading.operators, source, OF_FILES), reading)
         errors.extend(reading.conditions.unclosed())
         return self._checked(reading.checker, errors)
 
@@ -222,7 +222,7 @@ class Loader:
             path = self._files.find(name)
             text = self._files.text(path)
             with self._files.inside(path), self._files.relative_to(path.parent):
-                program = read_program(text, reading.operators, str(path))
+                program = read_program(text, reading.operators, str(path), OF_FILES)
                 if outer is not None:
                     program.flags = outer.flags
                 self._read(program, reading)

@@ -5,8 +5,8 @@ from typing import Callable, Optional, Tuple
 
 from ...foundation import RetalisError, SyntaxFault
 from ...prolog.logic import Logic
-from ...prolog.syntax import Program, read_program
-from ...prolog.terms import Atom, Functor, Term, conjuncts, deref, functor
+from ...prolog.syntax import OF_FILES, Program, read_program
+from ...prolog.terms import Atom, Functor, Term, conjuncts, deref
 from ..language import RULE, is_rule
 from .clauses import DIRECTIVES, PROPERTY_FACT
 from .included import included
@@ -18,19 +18,17 @@ _WORDS = re.compile(r"<-|'rule:'|'?\b(?:do|iff|IFF|event_rule_property|include)\
 _NAMES = re.compile(r"[:?]-\s*(?:\(\s*)?([a-z]\w*)")
 """What the directives of a text call first."""
 
-_LOADING = frozenset(
-    (functor(name, arity))
-    for name, arity in (
-        ("consult", 1),
-        ("[|]", 2),
-        ("use_module", 1),
-        ("use_module", 2),
-        ("ensure_loaded", 1),
-        ("use_foreign", 1),
-        ("use_foreign", 2),
+_OF_LANGUAGE = frozenset(
+    (
+        "event", "declare_event", "new_event", "timer", "cancel_timer", "state", "delete_state",
+        "memorize", "memorize_diactive", "delete_memory", "subscribe", "delete_subscription",
+        "subscribe_to", "ins_event_rule", "del_event_rule", "del_all_event_rules",
+        "compile_event_file", "compile_events", "compile_event_rules", "execute_event_stream_file",
+        "fire_event_list", "fire_event_list_return_external_events", "set_etalis_flag", "reset_db",
+        "reset_etalis", "reset_etalis_state",
     )
-)
-"""Goals that a Prolog program may have as well."""
+)  # fmt: skip
+"""Goals of the event language that no Prolog program has."""
 
 Opened = Callable[[Term], Optional[Tuple[str, str]]]
 """Gives the text of a file and what errors call it."""
@@ -44,20 +42,19 @@ def is_of_events(text: str, logic: Logic, opened: Opened) -> bool:
         logic: knows predicates and operators.
         opened: gives the text of a file that this one includes, None where there is none.
     """
-    if not _may_be(text, logic):
+    if not _may_be(text):
         return False
-    return _has_rules(read_program(text, logic.operators.copy()), logic, opened, 0)
+    return _has_rules(read_program(text, logic.operators.copy(), flags=OF_FILES), logic, opened, 0)
 
 
-def _may_be(text: str, logic: Logic) -> bool:
+def _may_be(text: str) -> bool:
     if _WORDS.search(text):
         return True
-    names = {match.group(1) for match in _NAMES.finditer(text)}
-    return bool(names) and any(key.name in names and _is_of_language(logic, key) for key in logic.names())
+    return any(match.group(1) in _OF_LANGUAGE for match in _NAMES.finditer(text))
 
 
 def _is_of_language(logic: Logic, key: Functor) -> bool:
-    return key not in _LOADING and logic.is_added(key)
+    return key.name in _OF_LANGUAGE and logic.is_added(key)
 
 
 _DEEPEST = 50

@@ -26,6 +26,7 @@ from ..history import solutions
 from .arguments import EVENT2, items_of, path_of
 from .firing import define_firing
 from .flags import FLAGS
+from .loadgoals import define_load_goals
 from .timergoals import define_timers
 
 
@@ -35,6 +36,7 @@ def define_predicates(rules: Any) -> None:
     _RuleGoals(rules).define(logic)
     _FlagGoals(rules).define(logic)
     define_firing(rules)
+    define_load_goals(rules)
     define_timers(logic, rules.timers, rules.declared.require)
     _ListingGoals(rules).define(logic)
 

@@ -13,7 +13,9 @@ _MAIN = atom("main")
 _TIMES = ("now", "after_load", "restore", "restore_state", "program", "main")
 
 
-@deterministic("style_check/1", "mode/1", "license/1", "encoding/1", "noprofile/1", "non_terminal/1")
+@deterministic(
+    "style_check/1", "no_style_check/1", "mode/1", "license/1", "encoding/1", "noprofile/1", "non_terminal/1"
+)
 def declaration(machine: Machine, given: Term) -> bool:
     """Take a declaration that changes nothing here."""
     if deref(given).__class__ is Var:

@@ -28,7 +28,7 @@ from .eventreader import EventReader
 from .eventtext import event_text, float_text, to_text
 from .numerals import integer
 from .operators import DECLARE_EVENT, Operators
-from .reader import Program, ReadTerm, read_program, read_term
+from .reader import OF_FILES, Program, ReadTerm, read_program, read_term
 from .shownslots import by_name
 from .slots import Meant, MessageSlot, NamedForm
 from .tokens import ReadFlags
@@ -44,6 +44,7 @@ __all__ = [
     "EventReader",
     "float_text",
     "integer",
+    "OF_FILES",
     "OperatorKind",
     "Meant",
     "MessageSlot",

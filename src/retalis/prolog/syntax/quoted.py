@@ -26,11 +26,11 @@ _PLAIN = {
 }  # fmt: skip
 
 
-def closing(text: str, start: int) -> Optional[int]:
+def closing(text: str, start: int, multiline: bool = False) -> Optional[int]:
     """Return where the quoted text that begins at ``start`` ends; None where it is not closed on its line.
 
-    A new line may stand inside only after a backslash. (A regular expression for the whole would take a kilobyte
-    of memory for every escape.)
+    A new line may stand inside only after a backslash, but where it is ``multiline``. (A regular expression for the
+    whole would take a kilobyte of memory for every escape.)
     """
     quote = text[start]
     run = _RUNS[quote]
@@ -42,6 +42,9 @@ def closing(text: str, start: int) -> Optional[int]:
             if text[at + 1 : at + 2] != quote:
                 return at + 1
             at += 2
+            continue
+        if multiline and char == "\n":
+            at += 1
             continue
         escape = _ESCAPE_END.match(text, at)
         if escape is None:

@@ -7,10 +7,13 @@ from ..terms import Term, Var
 from .faults import starts_line
 from .operators import Operators
 from .parser import Parser
+from .quoted import closing, unclosed_end
 from .rules import MARKERS, NO_RULES, layout
-from .tokens import END, NAME, QUOTED, VARIABLE, AnyToken, ReadFlags, Source, tokens
+from .tokens import END, NAME, QUOTED, TEXT, VARIABLE, AnyToken, ReadFlags, Source, tokens, unclosed
 
 DEFAULT = ReadFlags()
+OF_FILES = ReadFlags(multiline=True)
+"""How the files of a program are read."""
 
 _FEW = 16
 """Tokens that are looked at first where a full stop was missing."""
@@ -94,7 +97,7 @@ class Program:
         self.operators = operators
         self._source = Source(source, text, first_line)
         self.flags = flags
-        self._stream = tokens(self._source, lambda: self.flags)
+        self._stream = self._tokens_from(_after_interpreter(text))
         self._again: Optional[Tuple[List[AnyToken], int]] = None
         self.end = 0
 
@@ -106,7 +109,8 @@ class Program:
             clause = self._clause()
             if not clause:
                 return
-            yield self._read(clause, 0, len(clause)) or self._no_clause(clause)
+            read = self._read(clause, 0, len(clause)) or self._no_clause(clause)
+            yield self._without_lines(clause) or read if isinstance(read, SyntaxFault) else read
 
     def _clause(self) -> List[AnyToken]:
         """Return the tokens up to the next full stop; none at the end of the text."""
@@ -117,6 +121,27 @@ class Program:
                 self.end = token[3]
                 break
         return clause
+
+    def _tokens_from(self, start: int) -> Iterator[AnyToken]:
+        return tokens(self._source, lambda: self.flags, start)
+
+    def _without_lines(self, clause: List[AnyToken]) -> Optional[SyntaxFault]:
+        """Return the fault of the first quote that goes on in the next line, and go on behind its own; None for none.
+
+        Of a clause that does not read, such a quote was most often meant to end on its line.
+        """
+        text = self._source.text
+        for kind, _, start, end in clause if self.flags.multiline else ():
+            if kind in (QUOTED, TEXT) and "\n" in text[start:end] and closing(text, start) is None:
+                self._again = None
+                self._stream = self._tokens_from(unclosed_end(text, start))
+                return self._rest_of_clause(self._source.fault(unclosed(text[start], start, text), start))
+        return None
+
+    def _rest_of_clause(self, fault: SyntaxFault) -> SyntaxFault:
+        """Pass over the rest of a clause that has a fault."""
+        self._clause()
+        return fault
 
     def _read_rest(self, clause: List[AnyToken], start: int) -> Union[ReadTerm, SyntaxFault]:
         """Read the tokens of a clause from ``start`` on, where a full stop was missing.
@@ -156,6 +181,14 @@ class Program:
         """Tell whether a token that is an error begins a clause: a full stop was missing before its line."""
         kind, _, start, _ = token
         return kind in (NAME, QUOTED, VARIABLE) and starts_line(self._source.text, start)
+
+
+def _after_interpreter(text: str) -> int:
+    """Return where a program begins whose first line may name what runs it."""
+    if not text.startswith("#!"):
+        return 0
+    end = text.find("\n")
+    return len(text) if end < 0 else end
 
 
 def read_program(

@@ -33,6 +33,7 @@ class ReadFlags(NamedTuple):
             floats wherever they stand as arguments, ``"text"`` is the atom ``'"text"'``, and ``True`` and
             ``False`` are ``true`` and ``false``.
         made: the term is made and matches nothing: slots of messages that are not named are zero or empty.
+        multiline: quoted text may go on in the next line.
     """
 
     double_quotes: str = "string"
@@ -40,6 +41,7 @@ class ReadFlags(NamedTuple):
     iso: bool = False
     event_text: bool = False
     made: bool = False
+    multiline: bool = False
 
 
 class Source:
@@ -94,15 +96,15 @@ def _matcher() -> Callable[[str, int], Any]:
 _LAYOUT = frozenset(("LAYOUT", "LINE_COMMENT", "BLOCK_COMMENT"))
 
 
-def tokens(source: Source, flags: Callable[[], ReadFlags]) -> Iterator[AnyToken]:
-    """Yield the tokens of a text; a bad one as ``("bad", message, start, end)``, never an exception.
+def tokens(source: Source, flags: Callable[[], ReadFlags], start: int = 0) -> Iterator[AnyToken]:
+    """Yield the tokens of a text from ``start`` on; a bad one as ``("bad", message, start, end)``, no exception.
 
     ``flags`` is asked for each token, as a program may change them between its clauses.
     """
     text = source.text
     match = _matcher()
     size = len(text)
-    start = count = 0
+    count = 0
     last = -1
     while start < size:
         count += 1
@@ -127,10 +129,10 @@ def tokens(source: Source, flags: Callable[[], ReadFlags]) -> Iterator[AnyToken]
         elif kind == "END":
             yield END, None, start, end
         elif kind == "QUOTE":
-            end = closing(text, start)
+            end = closing(text, start, flags().multiline)
             if end is None:
                 end = unclosed_end(text, start)
-                yield "bad", _unclosed(text[start], start, text), start, end
+                yield "bad", unclosed(text[start], start, text), start, end
             else:
                 yield _quoted(text[start:end], start, end, flags())
         else:
@@ -150,7 +152,8 @@ def _valued(kind: str, found: str, start: int, end: int, text: str, flags: ReadF
     return "bad", _stray(found), start, end
 
 
-def _unclosed(quote: str, start: int, text: str) -> str:
+def unclosed(quote: str, start: int, text: str) -> str:
+    """Return what is wrong with a quote that begins at an offset."""
     message = f"this quote {quote} is not closed on its line"
     if quote == "'" and text[start - 1 : start].isalnum():
         message += "; a name with an apostrophe must be quoted, as in 'it''s'"
