@@ -104,7 +104,7 @@ def test_rules_of_the_same_file_call_its_own():
 def test_a_file_that_is_refused_leaves_those_of_the_system():
     engine = Engine()
     with pytest.raises(ProgramErrors):
-        engine.load(rules="succ(1, own) :- true.\n:- throw(no).\n")
+        engine.load(rules="succ(1, own) :- true.\nc <- a.\n:- throw(no).\n")
     assert engine.call("succ(1, 2)")
     assert parts_of(engine).logic.is_of_system(functor("succ", 2))
 
