@@ -18,6 +18,7 @@ from ..machine import (
 )
 from ..terms import (
     CONS,
+    LATE,
     MOST,
     NIL,
     SECOND,
@@ -30,6 +31,7 @@ from ..terms import (
     Var,
     deref,
     functor,
+    refuse_cycles,
     timestamps,
 )
 from .instants import WholeInstant, is_instant_number, of_instant, plain
@@ -109,6 +111,8 @@ def _evaluate_deep(term: Term) -> Number:
         steps += 1
         if not steps & 1023:
             look()
+            if steps == LATE:
+                refuse_cycles(term)
         item: Any = stack.pop()
         if item.__class__ is _Apply:
             arity = item.arity

@@ -8,6 +8,8 @@ from ..compiler import COMPARISONS, ORDERS
 from ..machine import domain_error, instantiation_error, type_error
 from ..terms import (
     CONS,
+    LATE,
+    MINUS,
     MOST,
     NIL,
     Atom,
@@ -21,6 +23,7 @@ from ..terms import (
     is_ground,
     list_parts,
     make_list,
+    refuse_cycles,
     undo,
     unify,
     unlike,
@@ -241,9 +244,7 @@ def is_variant(left: Term, right: Term) -> bool:
     while stack:
         steps += 1
         if not steps & 1023:
-            look()
-            if steps > MOST:
-                raise TermTooLarge
+            _check_steps(steps, left, right)
         left, right = stack.pop()
         left, right = deref(left), deref(right)
         if left.__class__ is not right.__class__:
@@ -258,3 +259,11 @@ def is_variant(left: Term, right: Term) -> bool:
         elif compare(left, right):
             return False
     return True
+
+
+def _check_steps(steps: int, left: Term, right: Term) -> None:
+    look()
+    if steps > MOST:
+        raise TermTooLarge
+    if steps == LATE:
+        refuse_cycles((MINUS, left, right))

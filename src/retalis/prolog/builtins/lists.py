@@ -17,6 +17,7 @@ from ..machine import (
 )
 from ..terms import (
     CONS,
+    LATE_ROUND,
     MINUS,
     MOST,
     NIL,
@@ -33,6 +34,7 @@ from ..terms import (
     list_items,
     list_parts,
     make_list,
+    refuse_cycles,
     undo,
     unify,
 )
@@ -196,6 +198,8 @@ def memberchk(machine: Machine, item: Term, given: Term) -> bool:
         else:
             look()
             seen += 1
+            if seen == LATE_ROUND:
+                refuse_cycles(tail)
             if seen > len(ROUNDS):
                 raise TermTooLarge
     if tail.__class__ is not Var and tail is not NIL:

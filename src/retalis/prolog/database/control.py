@@ -18,6 +18,7 @@ from ..machine import (
 from ..terms import (
     COMMA,
     FALSE,
+    LATE_ROUND,
     NIL,
     ROUNDS,
     TRUE,
@@ -34,6 +35,7 @@ from ..terms import (
     is_ground,
     list_parts,
     make_list,
+    refuse_cycles,
 )
 from .database import Database
 from .modules import Modules
@@ -232,7 +234,7 @@ def check_body(goal: Term) -> Term:
     """
     stack = [goal]
     open_goals = False
-    for _ in ROUNDS:
+    for done in ROUNDS:
         for _ in BULK:
             if not stack:
                 return _called(goal) if open_goals else goal
@@ -245,6 +247,8 @@ def check_body(goal: Term) -> Term:
             elif item.__class__ is not Atom:
                 raise type_error("callable", goal)
         look()
+        if done == LATE_ROUND:
+            refuse_cycles(goal)
     raise TermTooLarge
 
 

@@ -13,11 +13,13 @@ Plain tuples, because nothing else in Python is built and taken apart as fast, a
 time goes there. Compound terms are immutable; ground ones are shared and never copied.
 
 Everything here works without recursion: a list of a million elements is as safe as one of three. Unification
-does not look for cycles, so a program can make a term that contains itself; walking one raises `TermTooLarge`
-after `MOST` steps, instead of going on forever.
+does not look for cycles, so a program can make a term that contains itself. Comparing, unifying and looking for
+variables see after `LATE` steps whether they walk one, and go on with each part once; all other walks raise
+`TermTooLarge` then.
 """
 
 from . import timestamps
+from .cycles import LATE, LATE_ROUND, refuse_cycles
 from .keys import term_key, variant_key
 from .kinds import (
     COLON,
@@ -113,6 +115,8 @@ __all__ = [
     "is_larger",
     "is_plain",
     "LAST",
+    "LATE",
+    "LATE_ROUND",
     "Lazy",
     "list_items",
     "list_parts",
@@ -123,6 +127,7 @@ __all__ = [
     "NIL",
     "positions",
     "rebuild",
+    "refuse_cycles",
     "resolve",
     "ROUNDS",
     "Runs",

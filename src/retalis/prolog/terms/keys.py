@@ -3,6 +3,7 @@
 from typing import Any, Dict, Hashable, List
 
 from ...foundation import BULK, TermTooLarge, look
+from .cycles import LATE_ROUND, refuse_cycles
 from .kinds import Atom, String, Term, Var, deref
 from .steps import ROUNDS
 from .walking import freeze
@@ -33,7 +34,7 @@ def variant_key(term: Term) -> Hashable:
     flat: List[Hashable] = [Var]
     numbers: Dict[Var, int] = {}
     stack = [term]
-    for _ in ROUNDS:
+    for done in ROUNDS:
         for _ in BULK:
             if not stack:
                 return tuple(flat)
@@ -49,4 +50,6 @@ def variant_key(term: Term) -> Hashable:
             else:
                 flat.append(item)
         look()
+        if done == LATE_ROUND:
+            refuse_cycles(term)
     raise TermTooLarge

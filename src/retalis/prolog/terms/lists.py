@@ -3,6 +3,7 @@
 from typing import Iterable, Iterator, List, Optional, Tuple
 
 from ...foundation import BULK, TermTooLarge, look
+from .cycles import LATE_ROUND, refuse_cycles
 from .kinds import COMMA, CONS, NIL, TRUE, Term, deref
 from .steps import ROUNDS
 
@@ -39,7 +40,7 @@ def list_parts(term: Term) -> Tuple[List[Term], Term]:
     """Return the items of a list, proper or partial, and its tail."""
     items: List[Term] = []
     term = deref(term)
-    for _ in ROUNDS:
+    for done in ROUNDS:
         for _ in BULK:
             if term.__class__ is not tuple or term[0] is not CONS:
                 return items, term
@@ -48,13 +49,15 @@ def list_parts(term: Term) -> Tuple[List[Term], Term]:
             if term.__class__ is not tuple:
                 term = deref(term)
         look()
+        if done == LATE_ROUND:
+            refuse_cycles(term)
     raise TermTooLarge
 
 
 def conjuncts(term: Term) -> Iterator[Term]:
     """Yield the goals of a conjunction from left to right."""
     stack = [term]
-    for _ in ROUNDS:
+    for done in ROUNDS:
         for _ in BULK:
             if not stack:
                 return
@@ -64,6 +67,8 @@ def conjuncts(term: Term) -> Iterator[Term]:
             else:
                 yield goal
         look()
+        if done == LATE_ROUND:
+            refuse_cycles(term)
     raise TermTooLarge
 
 

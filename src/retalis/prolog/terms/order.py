@@ -1,8 +1,9 @@
 """The standard order of terms."""
 
-from typing import Any, Callable, List
+from typing import Any, Callable, List, Optional
 
 from ...foundation import BULK, TermTooLarge, look
+from .cycles import LATE_ROUND, MetPairs, contains_itself
 from .kinds import Atom, String, Term, Var, deref, serial
 from .steps import ROUNDS
 
@@ -37,7 +38,8 @@ def compare(  # noqa: C901 -- the loop of sorting: a call for each pair of terms
     value), strings and atoms alphabetically, compound terms by arity, name and arguments.
     """
     stack: List[Any] = [right, left]
-    for _ in ROUNDS:
+    met: Optional[MetPairs] = None
+    for done in ROUNDS:
         for _ in BULK:
             if not stack:
                 return 0
@@ -58,6 +60,8 @@ def compare(  # noqa: C901 -- the loop of sorting: a call for each pair of terms
                     return -1 if len(one) < len(two) else 1
                 if one[0] is not two[0]:
                     return -1 if one[0].name < two[0].name else 1
+                if met is not None and not met.is_new(one, two):
+                    continue
                 if len(one) > len(BULK):
                     look(len(one))
                 for at in range(len(one) - 1, 0, -1):
@@ -68,6 +72,8 @@ def compare(  # noqa: C901 -- the loop of sorting: a call for each pair of terms
             if result:
                 return result
         look()
+        if done == LATE_ROUND and (contains_itself(left) or contains_itself(right)):
+            met = MetPairs()
     raise TermTooLarge
 
 

@@ -5,7 +5,7 @@ from ...foundation import BULK, TermTooLarge, look
 MOST = 5_000_000
 """Steps after which walking a term is given up."""
 
-ROUNDS = (None,) * (MOST // len(BULK))
+ROUNDS = range(MOST // len(BULK))
 """Rounds of `BULK` steps in a walk; after each there is a look at the limits of the goal that walks."""
 
 MASK = len(BULK) - 1

@@ -3,7 +3,8 @@
 from typing import Any, List
 
 from ...foundation import look
-from .kinds import Atom, Lazy, Term, Trail, Var
+from .cycles import LATE, MetPairs, contains_itself
+from .kinds import Atom, Lazy, Term, Trail, Var, deref
 from .steps import MASK, check_steps
 from .walking import copy
 
@@ -61,6 +62,8 @@ def unify(  # noqa: C901 -- the innermost loop of all: no calls, no second look 
                         steps += 1
                         if not steps & MASK:
                             check_steps(steps)
+                            if steps == LATE and contains_itself((left[0], left, right, *stack[-4:])):
+                                return _unify_met([*stack, right, left], trail)
                         if size > MASK:
                             look(size)
                         for at in range(size - 1, 1, -1):
@@ -75,6 +78,24 @@ def unify(  # noqa: C901 -- the innermost loop of all: no calls, no second look 
             return True
         left = stack.pop()
         right = stack.pop()
+
+
+def _unify_met(stack: List[Any], trail: Trail) -> bool:
+    """Go on with what is left of a unification, where a term contains itself: each pair once."""
+    met = MetPairs()
+    while stack:
+        left = deref(stack.pop())
+        right = deref(stack.pop())
+        if left.__class__ is not tuple or right.__class__ is not tuple:
+            if not unify(left, right, trail):
+                return False
+        elif left[0] is not right[0]:
+            return False
+        elif left is not right and met.is_new(left, right):
+            for at in range(len(left) - 1, 0, -1):
+                stack.append(right[at])
+                stack.append(left[at])
+    return True
 
 
 def _is_older(left: Var, right: Var) -> bool:

@@ -3,6 +3,7 @@
 from typing import Any, Callable, Dict, Hashable, List, Optional, Sequence, overload
 
 from ...foundation import BULK, TermTooLarge, look
+from .cycles import LATE, LATE_ROUND, MetPairs, contains_itself, refuse_cycles
 from .kinds import Atom, CompoundTerm, Lazy, String, Term, Var, deref
 from .steps import MASK, MOST, ROUNDS, check_steps
 
@@ -11,7 +12,7 @@ def variables(term: Term) -> List[Var]:
     """Return the unbound variables of a term, each once, in the order they are met from left to right."""
     seen: Dict[Var, None] = {}
     stack = [term]
-    for _ in ROUNDS:
+    for done in ROUNDS:
         for _ in BULK:
             if not stack:
                 return list(seen)
@@ -26,7 +27,21 @@ def variables(term: Term) -> List[Var]:
             if kind is tuple:
                 stack.extend(item[:0:-1])
         look()
+        if done == LATE_ROUND and contains_itself(term):
+            return _variables_met(stack, seen)
     raise TermTooLarge
+
+
+def _variables_met(stack: List[Term], seen: Dict[Var, None]) -> List[Var]:
+    """Go on with what is left of a term that contains itself: each part once."""
+    met = MetPairs()
+    while stack:
+        item = _follow(stack.pop())
+        if item.__class__ is Var:
+            seen.setdefault(item)
+        elif item.__class__ is tuple and met.is_new(item, item):
+            stack.extend(item[:0:-1])
+    return list(seen)
 
 
 def positions(names: Sequence[Var]) -> Dict[Var, int]:
@@ -51,7 +66,7 @@ def is_larger(term: Term, most: int) -> bool:
 def is_ground(term: Term) -> bool:
     """Tell whether a term has no unbound variable (a lazy term has none, and is not looked into)."""
     stack = [term]
-    for _ in ROUNDS:
+    for done in ROUNDS:
         for _ in BULK:
             if not stack:
                 return True
@@ -67,6 +82,8 @@ def is_ground(term: Term) -> bool:
                     look(len(item))
                 stack.extend(item[1:])
         look()
+        if done == LATE_ROUND and contains_itself(term):
+            return not _variables_met(stack, {})
     raise TermTooLarge
 
 
@@ -91,6 +108,8 @@ def is_plain(term: Term) -> bool:
     for done, compound in enumerate(pending, 1):
         if not done & MASK:
             check_steps(done)
+            if done == LATE:
+                refuse_cycles(term)
         for item in compound:
             kind = item.__class__
             if kind is tuple:
@@ -209,7 +228,7 @@ def freeze(term: Term) -> Hashable:
         return term
     flat: List[Hashable] = []
     stack = [term]
-    for _ in ROUNDS:
+    for done in ROUNDS:
         for _ in BULK:
             if not stack:
                 return flat[0] if len(flat) == 1 else tuple(flat)
@@ -228,4 +247,6 @@ def freeze(term: Term) -> Hashable:
             else:
                 flat.append(item)
         look()
+        if done == LATE_ROUND:
+            refuse_cycles(term)
     raise TermTooLarge
