@@ -160,3 +160,22 @@ def test_a_variable_before_a_goal_is_one_like_all_others(logic):
 def test_solutions_that_are_distinct(logic):
     assert answers(logic, "distinct(X, member(X-_, [1-a,1-b,2-c]))") == [{"X": "1"}, {"X": "2"}]
     assert answers(logic, "distinct(member(X, [b,b,a]))") == [{"X": "b"}, {"X": "a"}]
+
+
+@pytest.mark.parametrize(
+    ("goal", "values"),
+    [
+        ("maplist([X,Y]>>(Y is X * 2), [1,2], L)", ["[2,4]"]),
+        ("N = 3, maplist([X,Y]>>(Y is X * N), [1,2], L)", ["[3,6]"]),
+        ("maplist([X-Y,Y]>>true, [1-a,2-b], L)", ["[a,b]"]),
+        ("maplist([X,X]>>true, [1,2], L)", ["[1,2]"]),
+        ("maplist([X]>>(X = f(Z)), [A,B]), A == B", []),
+        ("maplist(Z/[X]>>(X = f(Z)), [A,B]), A == B, Z = 1, L = A", ["f(1)"]),
+        ("call([X]>>plus(X), 1, 2, L)", ["3"]),
+        ("call([X,Y]>>(Y = X), L, 1)", ["1"]),
+        ("maplist(X/[X]>>true, [1,1]), L = X", ["1"]),
+    ],
+)
+def test_lambda(logic, goal, values):
+    found = answers(logic, goal)
+    assert [one["L"] if isinstance(one, dict) else one for one in found] == values
