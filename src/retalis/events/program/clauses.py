@@ -124,10 +124,10 @@ class FileChecker:
         self.untimed: List[Unknown] = []
         self._names: Dict[Var, str] = {}
 
-    def read(self, read: ReadTerm) -> None:
-        """Check a term that was read from a text."""
+    def read(self, read: ReadTerm, place: Optional[Place] = None) -> None:
+        """Check a term that was read from a text; ``place`` is where it begins, if that is known."""
         self._names = {var: name for name, var in read.names.items()}
-        self.term(read.term, read.place_of, read.place)
+        self.term(read.term, read.place_of, place or read.place)
         self._names = {}
 
     def term(self, term: Term, spot: Spot, place: Optional[Place]) -> None:

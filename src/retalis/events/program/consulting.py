@@ -6,8 +6,7 @@ has none is a Prolog program: each of its directives runs before the next term i
 that raises an error is left out, with a warning. A file of which nothing is left is refused.
 """
 
-from contextlib import contextmanager
-from typing import Callable, Iterator, List, NamedTuple, Optional
+from typing import Any, Callable, List, NamedTuple, Optional
 
 from ...foundation import Errors, Omission, Place, ProgramErrors, RetalisError, RuleError, SyntaxFault
 from ...prolog.machine import LimitError, PrologError
@@ -140,12 +139,21 @@ class _PrologFile:
         self._terms(program)
         for unclosed in self._conditions.unclosed():
             self._omitted.append(unclosed)
-        self._expanded(_END, None, None)
-        for step in self._late:
-            with self._costing_itself(step.place):
-                self._run(step.term, step.goals, step.place)
+        self._at_end()
         omitted.end()
         self._files.note_omitted(one.source, len(omitted))
+
+    def _at_end(self) -> None:
+        """Take in what the program puts at the end of its files, and call what was put off until then."""
+        try:
+            self._expanded(_END, None, None)
+        except RetalisError as error:
+            self._omit(error, None)
+        for step in self._late:
+            try:
+                self._run(step.term, step.goals, step.place)
+            except RetalisError as error:
+                self._omit(error, step.place)
 
     def _terms(self, program: Program) -> None:
         """Take in the terms of a text, and in their places those of files that it includes."""
@@ -154,68 +162,85 @@ class _PrologFile:
                 if not self._conditions.skip:
                     self._omitted.append(read)
                 continue
-            if deref(read.term) is _END:
+            term = deref(read.term)
+            if term is _END:
                 return
-            with self._costing_itself(read.place):
-                self._read(read, program)
-            self._follow_flags(program)
+            place = read.place
+            try:
+                if term.__class__ is tuple and term[0] in DIRECTIVES:
+                    self._directive(read, program)
+                    self._follow_flags(program)
+                elif not self._conditions.skip:
+                    self._read(read, place)
+            except RetalisError as error:
+                self._omit(error, place)
 
-    def _read(self, read: ReadTerm, program: Program) -> None:
-        term = deref(read.term)
-        if term.__class__ is tuple and term[0] in DIRECTIVES:
-            place = read.place_of(term, 1)
-            if self._conditions.take(term[1], place) or self._conditions.skip:
-                return
-            name = included(term)
-            if name is not None:
-                with self._costing_itself(place):
-                    self._include(name, program)
-                return
-        elif self._conditions.skip:
+    def _directive(self, read: ReadTerm, program: Program) -> None:
+        term: Any = deref(read.term)
+        place = read.place_of(term, 1)
+        if self._conditions.take(term[1], place) or self._conditions.skip:
             return
-        if self._expanded(term, read, read.place):
+        name = included(term)
+        if name is None:
+            self._read(read, read.place)
+            return
+        try:
+            self._include(name, program)
+        except RetalisError as error:
+            self._omit(error, place)
+
+    def _read(self, read: ReadTerm, place: Place) -> None:
+        term = deref(read.term)
+        if self._expanded(term, read, place):
             return
         if read.singletons and self._rules.warn_singletons:
-            self._rules.on_warning(
-                RuleError(f"singleton variables: {', '.join(read.singletons)}", read.place)
-            )
-        self._take(self._expansion.goals(term), read, read.place)
+            self._rules.on_warning(RuleError(f"singleton variables: {', '.join(read.singletons)}", place))
+        self._take(self._expansion.goals(term), read, place)
 
     def _expanded(self, term: Term, read: Optional[ReadTerm], place: Optional[Place]) -> bool:
         """Take in what the program puts in the place of a term; return whether it does."""
-        with self._costing_itself(place):
-            found = self._expansion.terms(term)
-            for one in found or ():
-                if one is not _END:
-                    self._take(self._expansion.goals(one), read if one is term else None, place)
-            return found is not None
-        return True
+        found = self._expansion.terms(term)
+        for one in found or ():
+            if one is not _END:
+                self._take(self._expansion.goals(one), read if one is term else None, place)
+        return found is not None
 
     def _take(self, term: Term, read: Optional[ReadTerm], place: Optional[Place]) -> None:
         """Take a term in; where it was read itself, the places of its parts are known."""
         checker = self._checker
         if read is not None and term is deref(read.term):
-            checker.read(read)
+            checker.read(read, place)
         else:
             checker.term(term, nowhere, place)
-        wrong, warnings, steps = checker.errors[:], checker.warnings[:], checker.steps[:]
-        rules, calls = [*checker.rules, *checker.inner], checker.calls[:]
-        for done in (checker.errors, checker.warnings, checker.steps, checker.rules, checker.inner):
-            done.clear()
-        checker.calls.clear()
-        for warning in warnings:
-            self._rules.on_warning(warning)
+        steps = checker.steps[:]
+        checker.steps.clear()
+        if not self._accepted(checker):
+            return
+        for step in steps:
+            try:
+                self._do(step)
+            except RetalisError as error:
+                self._omit(error, step.place or place)
+
+    def _accepted(self, checker: FileChecker) -> bool:
+        """Tell what was found about a term, take in the rules made of it; return whether nothing is wrong with it."""
+        if checker.warnings:
+            for warning in checker.warnings:
+                self._rules.on_warning(warning)
+            checker.warnings.clear()
+        if checker.calls:
+            self._note_calls(checker.calls[:])
+            checker.calls.clear()
+        wrong, rules = checker.errors[:], [*checker.rules, *checker.inner]
+        if wrong or rules:
+            for found in (checker.errors, checker.rules, checker.inner):
+                found.clear()
         for error in wrong:
             self._omitted.append(error)
-        if wrong:
-            return
-        for definition in rules:
+        for definition in () if wrong else rules:
             self._rules.activate(self._rules.compile(definition))
             self._omitted.accept()
-        for step in steps:
-            with self._costing_itself(step.place or place):
-                self._do(step)
-        self._note_calls(calls)
+        return not wrong
 
     def _do(self, step: FileEntry) -> None:
         if step.kind == "clause":
@@ -271,17 +296,18 @@ class _PrologFile:
         if (quotes.name, back.name) != (program.flags.double_quotes, program.flags.back_quotes):
             program.flags = program.flags._replace(double_quotes=quotes.name, back_quotes=back.name)
 
-    @contextmanager
-    def _costing_itself(self, place: Optional[Place]) -> Iterator[None]:
-        """Have what goes wrong meanwhile be a problem of the term at a place, which is left out."""
-        try:
-            yield
-        except ProgramErrors as errors:  # of another file
-            for error in errors.errors:
-                self._omitted.append(error)
-        except RetalisError as error:
-            if _is_final(error):
-                raise
+    def _omit(self, error: RetalisError, place: Optional[Place]) -> None:
+        """Leave out the term at a place for an error, or what was wrong in another file that it loads.
+
+        Raises:
+            RetalisError: that error, where it is that a limit has run out.
+        """
+        if isinstance(error, ProgramErrors):
+            for one in error.errors:
+                self._omitted.append(one)
+        elif _is_final(error):
+            raise error
+        else:
             self._omitted.append(error if error.place else RuleError(error.message, place))
 
 
