@@ -252,3 +252,17 @@ def test_a_name_with_a_point_may_lack_its_ending(program, tmp_path):
     (tmp_path / "more.prolog").write_text("q(1).")
     program.engine.load(rules=":- ['kb-1.2', more]. r.")
     assert program.engine.call("p(1), q(1)")
+
+
+def test_a_module_may_be_called_as_its_file(program, tmp_path):
+    (tmp_path / "named.pl").write_text(":- module(_, [p/1]).\np(1).\nhidden(1).\n")
+    program.engine.load(rules=":- autoload(named). :- reexport(named, [p/1]). q(X) :- p(X). hidden(2).")
+    assert program.warnings == []
+    assert program.engine.call("q(1), current_module(named), findall(X, hidden(X), [2])")
+
+
+def test_libraries_whose_predicates_are_there_may_be_used(program):
+    program.engine.load(
+        rules=":- use_module(library(dcg/basics)). :- use_module(library(ugraphs)). :- autoload(library(plunit)). p."
+    )
+    assert program.warnings == []

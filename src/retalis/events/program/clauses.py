@@ -71,6 +71,7 @@ _USING = {
     functor("use_module", 1): "use",
     functor("use_module", 2): "use",
     functor("ensure_loaded", 1): "ensure",
+    **{functor(name, arity): "use" for name in ("autoload", "reexport") for arity in (1, 2)},
 }
 _INITIALIZATION_AT = functor("initialization", 2)
 _INITIALIZATION = frozenset((functor("initialization", 1), _INITIALIZATION_AT))

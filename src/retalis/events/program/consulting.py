@@ -11,7 +11,7 @@ from typing import Any, Callable, List, NamedTuple, Optional
 from ...foundation import Errors, Omission, Place, ProgramErrors, RetalisError, RuleError, SyntaxFault
 from ...prolog.machine import LimitError, PrologError
 from ...prolog.syntax import OF_FILES, Program, ReadTerm, read_program
-from ...prolog.terms import Atom, Term, atom, deref
+from ...prolog.terms import Atom, Term, Var, atom, deref, functor
 from ..language import Property, Unknown
 from .clauses import DIRECTIVES, FileChecker, FileEntry, clause_error, nowhere
 from .conditions import Conditions
@@ -24,6 +24,7 @@ from .libraryoperators import declare_operators
 from .owners import Loaded
 
 _END = atom("end_of_file")
+_MODULE = functor("module", 2)
 _OF_FILES = ("double_quotes", "back_quotes")
 """Flags that hold to the end of the file that sets them."""
 
@@ -182,12 +183,21 @@ class _PrologFile:
             return
         name = included(term)
         if name is None:
+            self._name_module(term[1])
             self._read(read, read.place)
             return
         try:
             self._include(name, program)
         except RetalisError as error:
             self._omit(error, place)
+
+    def _name_module(self, goal: Term) -> None:
+        """Give a module whose name is a variable that of its file."""
+        goal, path = deref(goal), self._files.innermost
+        if goal.__class__ is tuple and goal[0] is _MODULE and path is not None:
+            name = deref(goal[1])
+            if isinstance(name, Var):
+                name.ref = atom(path.stem)
 
     def _read(self, read: ReadTerm, place: Place) -> None:
         term = deref(read.term)

@@ -1,6 +1,6 @@
 """Files and libraries as ``use_module/1``, ``ensure_loaded/1`` and ``include/1`` name them."""
 
-from ...prolog.machine import CONTEXT, existence_error, instantiation_error, type_error
+from ...prolog.machine import CONTEXT, PrologError, existence_error, instantiation_error, type_error
 from ...prolog.terms import SLASH, Atom, String, Term, Var, atom, deref, functor
 
 LIBRARY = functor("library", 1)
@@ -15,21 +15,33 @@ LIBRARIES = frozenset(
         "basics",
         "between",
         "date",
+        "dcg/basics",
+        "dcg/high_order",
         "debug",
+        "dif",
         "error",
         "gensym",
         "format",
+        "heaps",
         "listing",
         "lists",
+        "occurs",
+        "option",
         "ordsets",
         "pairs",
+        "plunit",
+        "prolog_code",
         "random",
+        "rbtrees",
         "readutil",
         "solution_sequences",
         "system",
         "tabling",
         "terms",
         "time",
+        "ugraphs",
+        "varnumbers",
+        "when",
         "yall",
     )
 )
@@ -45,8 +57,16 @@ def require_library(term: Term) -> None:
     name = deref(term[1])  # type: ignore[index]
     if name.__class__ is Var:
         raise instantiation_error()
-    if name.__class__ is not Atom or name.name not in LIBRARIES:
+    if library_path(name) not in LIBRARIES:
         raise existence_error("library", name, (CONTEXT, Var(), atom(_ELSEWHERE)))
+
+
+def library_path(name: Term) -> str:
+    """Return the name of a library as a text, with slashes between its parts; "" for what is none."""
+    try:
+        return file_name(name)
+    except PrologError:
+        return ""
 
 
 def file_name(term: Term) -> str:

@@ -3,8 +3,8 @@
 from typing import Dict
 
 from ...prolog.syntax import Operators
-from ...prolog.terms import Atom, Term, deref
-from .libraries import LIBRARY
+from ...prolog.terms import Term, deref
+from .libraries import LIBRARY, library_path
 
 _META = "1150 fx rdf_meta"
 _EXPORTED: Dict[str, str] = {
@@ -45,20 +45,7 @@ def declare_operators(name: Term, operators: Operators) -> None:
     name = deref(name)
     if name.__class__ is not tuple or name[0] is not LIBRARY:
         return
-    for line in _EXPORTED.get(_path(name[1]), "").strip().split("\n"):
+    for line in _EXPORTED.get(library_path(name[1]), "").strip().split("\n"):
         priority, kind, *names = line.split() or ("0", "fx")
         for one in names:
             operators.add(int(priority), kind, one)
-
-
-def _path(name: Term) -> str:
-    """Return the name of a library: an atom, or two with a slash between them."""
-    parts = []
-    while True:
-        name = deref(name)
-        if name.__class__ is tuple and name[0].name == "/" and len(name) == 3:
-            parts.append(deref(name[2]))
-            name = name[1]
-            continue
-        parts.append(name)
-        return "/".join(part.name for part in reversed(parts) if isinstance(part, Atom))

@@ -33,8 +33,15 @@ def define_load_goals(rules: Any) -> None:
                 yield True
             undo(machine.trail, mark)
 
+    def use(machine: Machine, name: Term, imports: Term = NIL) -> bool:
+        loader.use(name, once=False)
+        return True
+
     for name in ("reconsult", "compile", "load_files"):
         logic.define(name, 1, load)
+    for name in ("autoload", "reexport"):
+        logic.define(name, 1, use)
+        logic.define(name, 2, use)
     logic.define("load_files", 2, load)
     logic.define_nondeterministic("prolog_load_context", 2, context)
 

@@ -248,7 +248,7 @@ def _declaration(attribute: str) -> Callable[[Machine, Term], bool]:
     return run
 
 
-deterministic("dynamic/1")(_declaration("dynamic"))
+deterministic("dynamic/1", "thread_local/1")(_declaration("dynamic"))
 deterministic("discontiguous/1")(_declaration("discontiguous"))
 deterministic("multifile/1")(_declaration("multifile"))
 deterministic("module_transparent/1", "volatile/1", "public/1")(lambda machine, term: True)

@@ -14,7 +14,14 @@ _TIMES = ("now", "after_load", "restore", "restore_state", "program", "main")
 
 
 @deterministic(
-    "style_check/1", "no_style_check/1", "mode/1", "license/1", "encoding/1", "noprofile/1", "non_terminal/1"
+    "style_check/1",
+    "no_style_check/1",
+    "mode/1",
+    "license/1",
+    "encoding/1",
+    "noprofile/1",
+    "non_terminal/1",
+    "expects_dialect/1",
 )
 def declaration(machine: Machine, given: Term) -> bool:
     """Take a declaration that changes nothing here."""
