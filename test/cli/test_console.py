@@ -292,3 +292,34 @@ def test_goals_that_are_typed_open_files_anywhere(ask, tmp_path, monkeypatch):
     )
     assert (shown.out, shown.err) == ("X = 1.\ntrue.\ntrue.\n", "")
     assert (tmp_path / "here" / "persistent.txt").read_text() == "event(a,[1,1]).\n"
+
+
+class Typing:
+    """A terminal at which lines are typed."""
+
+    is_terminal = True
+
+    def __init__(self, *lines):
+        self.rest = ""
+        self.asked = []
+        self._lines = list(lines)
+
+    def line(self, prompt):
+        self.asked.append(prompt)
+        return self._lines.pop(0) if self._lines else None
+
+    def wants_more(self):
+        return False
+
+
+def test_a_goal_asks_who_types(capsys):
+    typing = Typing("write('Fever? '), read(X), read(Y).\n", "yes.\n", "39.\n", "get_char(X).\n", "\n", "z\n")
+    Console(Report()).goals(typing)
+    printed = capsys.readouterr().out
+    assert "X = yes,\nY = 39." in printed
+    assert typing.asked[:4] == ["?- ", "|: ", "|: ", "?- "]
+    assert "X = '\\n'." in printed
+
+
+def test_a_goal_from_a_pipe_finds_the_end_of_its_input(ask):
+    assert ask("read(X).\nfoo.\n").out.startswith("X = end_of_file.")

@@ -564,3 +564,54 @@ def test_goals_of_events_open_nothing_but_files_of_the_programs_folder(place):
     program = place / "program"
     assert files == {str(program / "in.pl"), str(program / "sub" / "in.pl")}
     assert {event for event, _ in opened} == {"open"}
+
+
+# ---- streams ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("goal", ["open(F, read, S), read(S, _), close(S)", "see(F), read(_), seen"])
+def test_a_goal_reads_where_it_may_load(place, goal):
+    engine = engine_of(place)
+    for name, (wanted, _) in cases(place).items():
+        if wanted is None:
+            assert engine.query(goal.replace("F", engine.show(atom(name)))), name[:50]
+        elif wanted != "any" and chr(0xD800) not in name and chr(0xDC80) not in name and "\0" not in name:
+            text = told(lambda: engine.query(goal.replace("F", engine.show(atom(name)))))  # noqa: B023
+            assert text is not None and KINDS[wanted] in text, name[:50]
+
+
+WRITING = [
+    "open(F, write, S), write(S, x), close(S)",
+    "open(F, append, S), close(S)",
+    "tell(F), write(x), told",
+]
+
+
+@pytest.mark.parametrize("goal", WRITING)
+def test_a_goal_writes_only_where_a_folder_is_named(place, goal):
+    (place / "out").mkdir()
+    (place / "out" / "way.txt").symlink_to(place / "outside" / "in.pl")
+    (place / "out" / "away").symlink_to(place / "outside")
+    goal = (
+        goal.replace("tell(", "append(") if "tell" in goal else goal
+    )  # the program here has a tell/1 of its own
+    refused, allowed = engine_of(place), engine_of(place, write_folders=[place / "out"])
+    for name in ("new.txt", str(place / "out" / "new.txt")):
+        assert KINDS[REFUSED] in str(told(lambda: refused.query(goal.replace("F", f"'{name}'"))))  # noqa: B023
+    for name in ("new.txt", "../outside/in.pl", "../out/way.txt", "../out/away/new.txt", "/dev/null"):
+        assert KINDS[REFUSED] in str(told(lambda: allowed.query(goal.replace("F", f"'{name}'"))))  # noqa: B023
+    assert not (place / "program" / "new.txt").exists()
+    assert allowed.query(goal.replace("F", "'../out/new.txt'"))
+    assert (place / "out" / "new.txt").read_text() == (
+        "" if "close(S)" in goal and "write(S" not in goal else "x"
+    )
+
+
+def test_a_text_that_is_read_is_bounded(place):
+    (place / "program" / "large.txt").write_text("p(1).\n" * 1000)
+    engine = engine_of(place)
+    parts_of(engine).rules.files.door.most = 5999
+    text = told(lambda: engine.query("open('large.txt', read, _)"))
+    assert text is not None and "more than 5999 bytes" in text
+    parts_of(engine).rules.files.door.most = 6000
+    assert engine.query("open('large.txt', read, _)")

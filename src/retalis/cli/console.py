@@ -147,6 +147,8 @@ class Console:
     def goals(self, lines: Union[Lines, Terminal]) -> None:
         """Read goals and answer them until the end of the input or ``halt``."""
         self._lines = lines
+        if lines.is_terminal:
+            self.logic.ask = self._asked
         while True:
             try:
                 read = read_clause(lines, self.logic, "?- ")
@@ -159,6 +161,12 @@ class Console:
             except KeyboardInterrupt:
                 lines.rest = ""
                 print("\n% interrupted", flush=True)
+
+    def _asked(self) -> Optional[str]:
+        """Return the line that somebody types for a goal that reads."""
+        self.logic.column = 0
+        with self.logic.machine.budget.paused():
+            return self._lines.line("|: ")
 
     def _goal(self, read: ReadTerm) -> bool:
         """Answer a goal; False where it ends the console."""

@@ -139,6 +139,30 @@ class Door:
             raise UsageError(f"cannot read {path}: {undecodable(error)}") from error
         return text.replace("\r\n", "\n").replace("\r", "\n")
 
+    def begin(self, path: str, name: str, empty: bool) -> None:
+        """Make a file that may be written, where there is none.
+
+        Args:
+            path: where it is.
+            name: how the program calls it, for errors.
+            empty: whether what it has goes.
+
+        Raises:
+            PrologError: permission errors.
+            UsageError: where it cannot be written.
+        """
+        folders = self._writable
+        real = _resolved(path, name, folders)
+        try:
+            opened = _open_to_write(real, name, folders)
+            try:
+                if empty:
+                    os.ftruncate(opened, 0)
+            finally:
+                os.close(opened)
+        except OSError as error:
+            raise _fault("write", error, path, name) from error
+
     def append(self, path: str, text: str) -> None:
         """Write a text to the end of a file, all of it or nothing.
 

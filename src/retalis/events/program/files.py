@@ -124,6 +124,35 @@ class Files:
         """The file that is being loaded, that of the others in which it is."""
         return self._open[-1] if self._open else None
 
+    # For `StreamFiles`
+
+    def to_read(self, name: Term) -> Tuple[str, str]:
+        """Return the path of a file that a goal reads, and its text.
+
+        Raises:
+            PrologError: permission, existence and resource errors.
+            UsageError: where it cannot be read.
+        """
+        path = self.resolve(file_name(name))
+        return str(path), self.text(path)
+
+    def to_write(self, name: Term, more: bool) -> str:
+        """Return the path of a file that a goal writes, empty but where ``more`` is added to it.
+
+        Raises:
+            PrologError: permission and resource errors.
+            UsageError: where it cannot be written.
+        """
+        text = file_name(name)
+        check_name(text)
+        path = str((self.door.start if self._folder is None else self._folder) / Path(text))
+        self.door.begin(path, text, not more)
+        return path
+
+    def add(self, path: str, text: str) -> None:
+        """Write a text to the end of a file; errors are those of `to_write`."""
+        self.door.append(path, text)
+
     def has_loaded(self, path: Path) -> bool:
         """Tell whether a file has been loaded, or is being loaded."""
         return _real(path) in self.loaded

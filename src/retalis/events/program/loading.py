@@ -69,6 +69,7 @@ class Loader:
         self._gathered: Optional[List[Unknown]] = None
         self._modules = rules.logic.database.modules
         self._modules.on_begin = self._files.note_module
+        rules.logic.files = self._files
 
     def note_calls(self, found: List[Unknown]) -> None:
         """Warn of calls of what is not there: at the end of the file that is being loaded, or now."""

@@ -36,6 +36,7 @@ from .arguments import callable_of, integer
 from .datimes import instant_of, weight_of_first
 from .dcg import translate_rule
 from .portraying import OutputCapture
+from .program import StreamFiles
 from .recorded import records_of
 from .registry import ENTRIES, control
 from .singlesided import SINGLE_SIDED, is_behind, translate_single_sided
@@ -57,6 +58,7 @@ __all__ = [
     "weight_of_first",
     "integer",
     "records_of",
+    "StreamFiles",
     "tables_of",
     "translate_rule",
 ]

@@ -172,7 +172,6 @@ deterministic("compound/1")(_type_test(tuple))
 deterministic("atomic/1")(_type_test(Atom, int, float, String))
 deterministic("nonvar/1")(_type_test(Atom, int, float, String, tuple))
 deterministic("callable/1")(_type_test(Atom, tuple))
-deterministic("is_stream/1")(lambda machine, *args: False)
 
 
 @deterministic("blob/2")

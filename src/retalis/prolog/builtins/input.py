@@ -1,81 +1,285 @@
-"""Input: a program has none, so every stream of it is at its end."""
+"""Input and streams as predicates: open and close, read terms and characters, see and tell."""
 
-from ..machine import domain_error, existence_error, instantiation_error, permission_error
-from ..terms import Atom, Term, Var, atom, deref, unify
-from .arguments import option_values
+from typing import Callable, Iterator, List, Optional
+
+from ...foundation import SyntaxFault
+from ..machine import PrologError, domain_error, instantiation_error, type_error
+from ..terms import Atom, CompoundTerm, Term, Var, atom, deref, functor, unify
+from .arguments import atom_of, option_values
 from .program import Machine, Solutions
+from .reading import flags_of, nothing, unify_options
 from .registry import deterministic, nondeterministic
+from .streams import InputStream, OpenStream, OutputStream, mode_of, streams_of, syntax_error_in
 
-_END = atom("end_of_file")
-_INPUT, _OUTPUT, _ERROR = (atom(name) for name in ("user_input", "user_output", "user_error"))
+_END, _OUTPUT = atom("end_of_file"), atom("user_output")
+_STREAM = functor("$stream", 1)
 
 
-def _check(stream: Term) -> None:
-    """Raise an error for what is not an input stream."""
-    stream = deref(stream)
-    if stream.__class__ is Var:
+# Files
+
+
+@deterministic("open/3")
+def open_stream(machine: Machine, name: Term, mode: Term, stream: Term) -> bool:
+    """Open a file to read, write or append."""
+    return _open(machine, name, mode, stream, [])
+
+
+@deterministic("open/4")
+def open_with(machine: Machine, name: Term, mode: Term, stream: Term, options: Term) -> bool:
+    """Open a file; the options ``alias`` and ``type`` are looked at."""
+    return _open(machine, name, mode, stream, option_values(options))
+
+
+def _open(machine: Machine, name: Term, mode: Term, stream: Term, options: List[Term]) -> bool:
+    how, alias = mode_of(mode), None
+    if deref(name).__class__ is Var:
         raise instantiation_error()
-    if stream.__class__ is not Atom:
-        raise domain_error("stream_or_alias", stream)
-    if stream in (_OUTPUT, _ERROR):
-        raise permission_error("input", "stream", stream)
-    if stream is not _INPUT:
-        raise existence_error("stream", stream)
+    if deref(stream).__class__ is not Var:
+        raise type_error("var", deref(stream))
+    for option in options:
+        if not isinstance(option, tuple) or len(option) != 2:
+            raise domain_error("stream_option", option)
+        if option[0].name == "alias":
+            alias = atom_of(option[1]).name
+        elif option[0].name == "type" and atom_of(option[1]).name != "text":
+            raise domain_error("stream_option", option, "only texts are read and written")
+    return unify(stream, streams_of(machine).open(deref(name), how, alias), machine.trail)
 
 
-def _define(names: str, end: Term) -> None:
-    for name in names.split():
-
-        @deterministic(f"{name}/1")
-        def read(machine: Machine, value: Term) -> bool:
-            return unify(value, end, machine.trail)
-
-        @deterministic(f"{name}/2")
-        def read_from(machine: Machine, stream: Term, value: Term) -> bool:
-            _check(stream)
-            return unify(value, end, machine.trail)
+@deterministic("close/1")
+def close(machine: Machine, stream: Term) -> bool:
+    """Close a stream; those that are always there stay."""
+    streams = streams_of(machine)
+    found = streams.find(stream)
+    if not isinstance(found, str):
+        streams.close(found)
+    return True
 
 
-_define("read get_char peek_char", _END)
-_define("get_code peek_code get_byte peek_byte", -1)
+@deterministic("close/2")
+def close_with(machine: Machine, stream: Term, options: Term) -> bool:
+    """Close a stream."""
+    option_values(options)
+    return close(machine, stream)
+
+
+@deterministic("set_input/1")
+def set_input(machine: Machine, stream: Term) -> bool:
+    """Read from a stream from now on."""
+    streams = streams_of(machine)
+    streams.input = streams.to_read(stream)
+    return True
+
+
+@deterministic("set_output/1")
+def set_output(machine: Machine, stream: Term) -> bool:
+    """Write to a stream from now on."""
+    streams = streams_of(machine)
+    streams.set_output(streams.to_write(stream))
+    return True
+
+
+@deterministic("see/1")
+def see(machine: Machine, name: Term) -> bool:
+    """Read from a stream, or a file, from now on."""
+    return set_input(machine, _opened(machine, name, "read"))
+
+
+@deterministic("tell/1")
+def tell(machine: Machine, name: Term) -> bool:
+    """Write to a stream, or a file, from now on."""
+    return set_output(machine, _opened(machine, name, "write"))
+
+
+@deterministic("append/1")
+def append(machine: Machine, name: Term) -> bool:
+    """Write to the end of a file from now on."""
+    return set_output(machine, _opened(machine, name, "append"))
+
+
+def _opened(machine: Machine, name: Term, mode: str) -> Term:
+    """Return a stream by its term or alias, or that of a file by its name, which is opened where it is not open."""
+    streams, name = streams_of(machine), deref(name)
+    if isinstance(name, tuple) and name[0].name == "$stream":
+        return name
+    known = atom_of(name).name if name.__class__ is Atom else ""
+    if known in streams.aliases or known in ("user", "user_input", "user_output", "user_error"):
+        return name
+    names = {one.asked: one for one in streams.opened.values() if one.mode == mode}
+    if known in names:
+        return streams.term_of(names[known])
+    opened = streams.open(name, mode, None)
+    streams.find_open(opened).asked = known
+    return opened
+
+
+@deterministic("seen/0")
+def seen(machine: Machine) -> bool:
+    """Close what is read; read the user's input from now on."""
+    streams = streams_of(machine)
+    if streams.input is not streams.user:
+        streams.close(streams.input)
+    return True
+
+
+@deterministic("told/0")
+def told(machine: Machine) -> bool:
+    """Close what is written; write the user's output from now on."""
+    streams = streams_of(machine)
+    if streams.output is not None:
+        streams.close(streams.output)
+    return True
+
+
+@deterministic("current_input/1", "seeing/1")
+def current_input(machine: Machine, stream: Term) -> bool:
+    """Give the stream that is read."""
+    streams = streams_of(machine)
+    return unify(stream, streams.term_of(streams.input), machine.trail)
+
+
+@deterministic("current_output/1", "telling/1")
+def current_output(machine: Machine, stream: Term) -> bool:
+    """Give the stream that is written."""
+    streams = streams_of(machine)
+    found = _OUTPUT if streams.output is None else streams.term_of(streams.output)
+    return unify(stream, found, machine.trail)
+
+
+@deterministic("is_stream/1")
+def is_stream(machine: Machine, term: Term) -> bool:
+    """Succeed for a stream that is open."""
+    try:
+        streams_of(machine).find(term)
+    except PrologError:
+        return False
+    return True
+
+
+@nondeterministic("stream_property/2")
+def stream_property(machine: Machine, stream: Term, wanted: Term) -> Solutions:
+    """Enumerate the streams that are open, and what is known of them."""
+    streams = streams_of(machine)
+    for number, one in list(streams.opened.items()):
+        for found in _properties(one, [alias for alias, at in streams.aliases.items() if at == number]):
+            if machine.unify_all((stream, (_STREAM, number)), (wanted, found)):
+                yield None
+
+
+def _properties(stream: OpenStream, aliases: List[str]) -> Iterator[Term]:
+    is_input = isinstance(stream, InputStream)
+    yield atom("input" if is_input else "output")
+    yield (functor("mode", 1), atom(stream.mode))
+    yield (functor("file_name", 1), atom(stream.name))
+    for alias in aliases:
+        yield (functor("alias", 1), atom(alias))
+    if isinstance(stream, InputStream):
+        yield (functor("end_of_stream", 1), atom("not" if stream.character(False) else "at"))
+
+
+@deterministic("line_count/2")
+def line_count(machine: Machine, stream: Term, line: Term) -> bool:
+    """Give the number of the line that is read next."""
+    return unify(line, streams_of(machine).to_read(stream).line, machine.trail)
+
+
+@deterministic("flush_output/1")
+def flush_output_of(machine: Machine, stream: Term) -> bool:
+    """Write what is held back of a line."""
+    found = streams_of(machine).to_write(stream)
+    if isinstance(found, OutputStream):
+        found.flush()
+    return True
+
+
+@deterministic("set_stream/2")
+def set_stream(machine: Machine, stream: Term, setting: Term) -> bool:
+    """Take a setting of a stream; only an alias changes something."""
+    streams, wanted = streams_of(machine), deref(setting)
+    found = streams.find(stream)
+    if isinstance(wanted, tuple) and wanted[0].name == "alias" and not isinstance(found, str):
+        number = next(number for number, one in streams.opened.items() if one is found)
+        streams.aliases[atom_of(wanted[1]).name] = number
+    return True
+
+
+# Terms
+
+
+def _read(machine: Machine, stream: Optional[Term], options: List[CompoundTerm], term: Term) -> bool:
+    source = streams_of(machine).to_read(stream)
+    found = source.term(machine.logic.operators, flags_of(machine, options))
+    if isinstance(found, SyntaxFault):
+        raise syntax_error_in(source, streams_of(machine).term_of(source), found)
+    if found is None:
+        found = nothing(machine)
+    return unify(term, found.term, machine.trail) and unify_options(machine, found, options)
+
+
+@deterministic("read/1")
+def read(machine: Machine, term: Term) -> bool:
+    """Read a term."""
+    return _read(machine, None, [], term)
+
+
+@deterministic("read/2")
+def read_from(machine: Machine, stream: Term, term: Term) -> bool:
+    """Read a term from a stream."""
+    return _read(machine, stream, [], term)
 
 
 @deterministic("read_term/2")
 def read_term(machine: Machine, term: Term, options: Term) -> bool:
-    """Find the end of input."""
-    option_values(options)
-    return unify(term, _END, machine.trail)
+    """Read a term with options."""
+    return _read(machine, None, _options(options), term)
 
 
 @deterministic("read_term/3")
 def read_term_from(machine: Machine, stream: Term, term: Term, options: Term) -> bool:
-    """Find the end of input."""
-    _check(stream)
-    return read_term(machine, term, options)
+    """Read a term from a stream with options."""
+    wanted = _options(options)
+    return _read(machine, stream, wanted, term)
+
+
+def _options(options: Term) -> List[CompoundTerm]:
+    found = option_values(options)
+    return [one for one in found if isinstance(one, tuple)]
+
+
+# Characters
+
+
+def _define(name: str, take: bool, as_term: Callable[[str], Term]) -> None:
+    @deterministic(f"{name}/1")
+    def one(machine: Machine, value: Term) -> bool:
+        return unify(value, as_term(streams_of(machine).input.character(take)), machine.trail)
+
+    @deterministic(f"{name}/2")
+    def two(machine: Machine, stream: Term, value: Term) -> bool:
+        found = streams_of(machine).to_read(stream)
+        return unify(value, as_term(found.character(take)), machine.trail)
+
+
+def _code(character: str) -> Term:
+    return ord(character) if character else -1
+
+
+def _atom(character: str) -> Term:
+    return atom(character) if character else _END
+
+
+for _name, _made in (("char", _atom), ("code", _code), ("byte", _code)):
+    _define(f"get_{_name}", True, _made)
+    _define(f"peek_{_name}", False, _made)
 
 
 @deterministic("at_end_of_stream/0")
 def at_end(machine: Machine) -> bool:
-    """Succeed: there is no input."""
-    return True
+    """Succeed where nothing more can be read."""
+    return not streams_of(machine).input.character(False)
 
 
 @deterministic("at_end_of_stream/1")
 def at_end_of(machine: Machine, stream: Term) -> bool:
-    """Succeed for the input stream."""
-    _check(stream)
-    return True
-
-
-@nondeterministic("current_input/1")
-def current_input(machine: Machine, stream: Term) -> Solutions:
-    """Give the alias of the input stream."""
-    if machine.unify(stream, _INPUT):
-        yield None
-
-
-@nondeterministic("current_output/1")
-def current_output(machine: Machine, stream: Term) -> Solutions:
-    """Give the alias of the output stream."""
-    if machine.unify(stream, _OUTPUT):
-        yield None
+    """Succeed where nothing more can be read from a stream."""
+    return not streams_of(machine).to_read(stream).character(False)

@@ -10,7 +10,6 @@ from ..machine import (
     domain_error,
     existence_error,
     instantiation_error,
-    permission_error,
     resource_error,
     type_error,
 )
@@ -21,30 +20,19 @@ from .formatting import Formatter
 from .portraying import OutputCapture, portray_of, printed
 from .program import Machine, MachineProgram
 from .registry import control, deterministic
+from .streams import is_stream_term, streams_of
 from .text import LARGEST_CODE, fill_sink, is_sink, make_text, whole_text
 
 _WIDEST = 10_000_000
 
 
 def write_to(machine: Machine, stream: Term, text: str) -> None:
-    """Write text to a stream by its alias.
+    """Write text to a stream.
 
     Raises:
         PrologError: where it is not an output stream.
     """
-    name = deref(stream)
-    if name.__class__ is Var:
-        raise instantiation_error()
-    if name.__class__ is not Atom:
-        raise domain_error("stream_or_alias", name)
-    if name.name == "user_error":
-        machine.logic.error_output(text)
-    elif name.name in ("user_output", "current_output"):
-        machine.logic.write(text)
-    elif name.name == "user_input":
-        raise permission_error("output", "stream", name)
-    else:
-        raise existence_error("stream", name)
+    streams_of(machine).write(stream, text)
 
 
 def _writer(**options: bool) -> Callable[[Machine, Term], str]:
@@ -178,13 +166,10 @@ def put_char_to(machine: Machine, stream: Term, char: Term) -> bool:
 
 @deterministic("flush_output/0", "ttyflush/0")
 def flush_output(machine: Machine) -> bool:
-    """Do nothing: output is not held back."""
-    return True
-
-
-@deterministic("flush_output/1")
-def flush_output_of(machine: Machine, stream: Term) -> bool:
-    """Do nothing: output is not held back."""
+    """Write what is held back of a line."""
+    found = streams_of(machine).output
+    if found is not None:
+        found.flush()
     return True
 
 
@@ -314,7 +299,7 @@ def format_3(machine: Machine, sink: Term, form: Term, arguments: Term) -> bool:
     sink = deref(sink)
     if is_sink(sink):
         return fill_sink(machine, sink, formatted(machine, form, arguments, 0))
-    if sink.__class__ not in (Var, Atom):
+    if sink.__class__ not in (Var, Atom) and not is_stream_term(sink):
         raise type_error("output", sink)
     write_to(machine, sink, "")
     write_to(machine, sink, formatted(machine, form, arguments, 0))

@@ -15,6 +15,19 @@ Outcome = Union[bool, Solutions]
 """The same, or whether there is a solution where the arguments leave one at most."""
 
 
+class StreamFiles(Protocol):
+    """Opens the files that goals may open."""
+
+    def to_read(self, name: Term) -> Tuple[str, str]:
+        """Return the path of a file and its text."""
+
+    def to_write(self, name: Term, more: bool) -> str:
+        """Return the path of a file that may be written; it is empty but where ``more`` is added to it."""
+
+    def add(self, path: str, text: str) -> None:
+        """Write a text to the end of a file."""
+
+
 class MachineProgram(Protocol):
     """The program that a machine runs, see `Logic`."""
 
@@ -28,6 +41,8 @@ class MachineProgram(Protocol):
     output: Callable[[str], None]
     error_output: Callable[[str], None]
     message: Callable[[str, str], None]
+    files: Optional[StreamFiles]
+    ask: Optional[Callable[[], Optional[str]]]
     now: Callable[[], int]
     environment: Optional[Mapping[str, str]]
 

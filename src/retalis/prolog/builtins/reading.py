@@ -54,6 +54,11 @@ def read(machine: Machine, text: str, flags: Optional[ReadFlags] = None) -> Read
         ) from fault
 
 
+def nothing(machine: Machine) -> ReadTerm:
+    """Return what is read at the end of a text."""
+    return read(machine, "")
+
+
 @deterministic("term_string/2")
 def term_string(machine: Machine, term: Term, text: Term) -> bool:
     """Relate a term with its text as a string."""
@@ -90,11 +95,11 @@ def read_term_from_atom(machine: Machine, text: Term, term: Term, options: Term)
         if option.__class__ is not tuple:
             raise type_error("option", option)
         asked.append(option)
-    found = read(machine, whole, _flags_of(machine, asked))
-    return unify(term, found.term, machine.trail) and _unify_options(machine, found, asked)
+    found = read(machine, whole, flags_of(machine, asked))
+    return unify(term, found.term, machine.trail) and unify_options(machine, found, asked)
 
 
-def _flags_of(machine: Machine, options: List[CompoundTerm]) -> ReadFlags:
+def flags_of(machine: Machine, options: List[CompoundTerm]) -> ReadFlags:
     """Return how quotes read: by the options, else by the program's flags."""
     flags = read_flags(machine)
     quotes = {"double_quotes": flags.double_quotes, "back_quotes": flags.back_quotes}
@@ -108,7 +113,7 @@ def _flags_of(machine: Machine, options: List[CompoundTerm]) -> ReadFlags:
     return flags._replace(double_quotes=quotes["double_quotes"], back_quotes=quotes["back_quotes"])
 
 
-def _unify_options(machine: Machine, found: ReadTerm, options: List[CompoundTerm]) -> bool:
+def unify_options(machine: Machine, found: ReadTerm, options: List[CompoundTerm]) -> bool:
     """Unify what the options of ``read_term`` ask for."""
     for option in options:
         name = option[0].name

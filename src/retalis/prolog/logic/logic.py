@@ -47,6 +47,8 @@ class Logic(Predicates):
         error_output: called with text printed to ``user_error``, and with warnings.
         swi_files: what the program has had SWI-Prolog load, by their names.
         foreign_modules: the Python modules that the program has asked for, names or paths.
+        files: opens the files that goals may open; None where there are none.
+        ask: gives the next line that the user types, None at the end; None where nobody is there.
         environment: the variables of the process's environment; None where the program may not know them.
         new_goals: what has been compiled since `preparing` began; None outside of that.
     """
@@ -59,6 +61,8 @@ class Logic(Predicates):
         self.output: Callable[[str], None] = _print
         self.error_output: Callable[[str], None] = _print_error
         self.message = self._to_error_output
+        self.files: Optional[builtins.StreamFiles] = None
+        self.ask: Optional[Callable[[], Optional[str]]] = None
         self.state: Dict[str, Any] = {}
         self.now: Callable[[], int] = time_ns
         self.new_goals: Optional[List[CompiledGoal]] = None

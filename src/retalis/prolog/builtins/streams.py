@@ -1,0 +1,336 @@
+"""Streams: texts that a program reads, and files that it writes.
+
+A file that is read is read whole, as far as files may be large; one that is written is opened for each line
+of it. So no file stays open, whatever becomes of the goal, and nothing that was written to the end of a line is lost.
+"""
+
+from typing import Callable, Dict, List, NamedTuple, Optional, Union
+
+from ...foundation import SyntaxFault
+from ..machine import (
+    ERROR,
+    PrologError,
+    domain_error,
+    existence_error,
+    instantiation_error,
+    permission_error,
+    resource_error,
+    type_error,
+)
+from ..syntax import Operators, Program, ReadFlags, ReadTerm, read_program
+from ..terms import Atom, Term, Var, atom, deref, functor
+from .program import Machine, MachineProgram
+
+MOST = 64
+"""ProgramStreams that may be open at once."""
+
+_HELD = 4096
+"""Characters of a line that are held back at most."""
+
+_STREAM = functor("$stream", 1)
+_SYNTAX, _AT = functor("syntax_error", 1), functor("stream", 4)
+_USER = ("user_input", "user_output", "user_error")
+
+
+class InputStream:
+    """A text that is read.
+
+    Args:
+        name: what errors call it.
+        text: what is known of it.
+        more: gives the next line, None at the end.
+    """
+
+    mode = "read"
+
+    def __init__(self, name: str, text: str = "", more: Optional[Callable[[], Optional[str]]] = None):
+        self.name = name
+        self.asked = ""
+        self.text = text
+        self.at = 0
+        self.more = more
+        self._program: Optional[Program] = None
+        self._base = 0
+        self._next = 0
+
+    def _fill(self) -> bool:
+        """Take the next line; return whether there was one."""
+        line = None if self.more is None else self.more()
+        if line is None:
+            return False
+        self.text, self.at, self._program = self.text[self.at :] + line, 0, None
+        return True
+
+    def character(self, take: bool) -> str:
+        """Return the next character, "" at the end."""
+        if self.at >= len(self.text) and not self._fill():
+            return ""
+        found = self.text[self.at]
+        self.at += take
+        return found
+
+    @property
+    def line(self) -> int:
+        """The number of the line that it is in."""
+        return self.text.count("\n", 0, self.at) + 1
+
+    def term(self, operators: Operators, flags: ReadFlags) -> Union[ReadTerm, SyntaxFault, None]:
+        """Read a term; return what is wrong where it does not read, and None at the end."""
+        while True:
+            found = self._term(operators, flags)
+            if self.more is None or not self._goes_on(found):
+                self.at = self._next
+                return found
+            if not self._fill():
+                self.at = self._next
+                return found
+
+    def _term(self, operators: Operators, flags: ReadFlags) -> Union[ReadTerm, SyntaxFault, None]:
+        program = self._program
+        if program is None or self._next != self.at:
+            program = read_program(self.text[self.at :], operators, self.name, flags, self.line)
+            self._program, self._base = program, self.at
+        program.operators, program.flags = operators, flags
+        before = program.end
+        found = next(iter(program), None)
+        self._next = self._base + program.end if program.end > before else len(self.text)
+        if isinstance(found, SyntaxFault):
+            self._program = None
+        return found
+
+    def _goes_on(self, found: Union[ReadTerm, SyntaxFault, None]) -> bool:
+        """Tell whether more lines have to be seen."""
+        rest = self.text[self.at :].rstrip()
+        if found is None or not rest:
+            return True
+        if not isinstance(found, SyntaxFault) or rest.endswith("."):
+            return False
+        return found.place is None or found.place.line >= self.line + rest.count("\n")
+
+
+class OutputStream:
+    """A file that is written, a line at a time."""
+
+    def __init__(self, name: str, mode: str, add: Callable[[str], None]):
+        self.name = name
+        self.asked = ""
+        self.mode = mode
+        self.column = 0
+        self._add = add
+        self._held: List[str] = []
+        self._size = 0
+
+    def write(self, text: str) -> None:
+        """Write a text."""
+        self._held.append(text)
+        self._size += len(text)
+        if self._size > _HELD or "\n" in text:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write what has been held back."""
+        text = "".join(self._held)
+        self._held, self._size = [], 0
+        if text:
+            self._add(text)
+
+
+OpenStream = Union[InputStream, OutputStream]
+
+
+class _Outer(NamedTuple):
+    """Where the program writes when it writes to no stream, and where that stands in its line."""
+
+    output: Callable[[str], None]
+    column: int
+
+
+class ProgramStreams:
+    """The streams of a program."""
+
+    def __init__(self, logic: MachineProgram):
+        self._logic = logic
+        self.opened: Dict[int, OpenStream] = {}
+        self.aliases: Dict[str, int] = {}
+        self.user = InputStream("user_input", more=self._ask)
+        self.input = self.user
+        self.output: Optional[OutputStream] = None
+        self._outer: Optional[_Outer] = None
+        self._number = 0
+
+    def _ask(self) -> Optional[str]:
+        ask = self._logic.ask
+        return None if ask is None else ask()
+
+    def open(self, name: Term, mode: str, alias: Optional[str]) -> Term:
+        """Open a file; return the stream's term.
+
+        Raises:
+            PrologError: where that is not allowed, or not there; and for too many.
+        """
+        files = self._logic.files
+        if alias is not None and (alias in self.aliases or alias in _USER):
+            raise permission_error("open", "source_sink", (functor("alias", 1), atom(alias)))
+        if len(self.opened) >= MOST:
+            raise resource_error("streams", reason=f"{MOST} streams are open; close/1 closes one")
+        if files is None:
+            raise permission_error("open", "source_sink", name, "there are no files")
+        if mode == "read":
+            stream: OpenStream = InputStream(*files.to_read(name))
+        else:
+            path = files.to_write(name, mode == "append")
+            stream = OutputStream(path, mode, lambda text: files.add(path, text))
+        self._number += 1
+        self.opened[self._number] = stream
+        if alias is not None:
+            self.aliases[alias] = self._number
+        return (_STREAM, self._number)
+
+    def term_of(self, stream: OpenStream) -> Term:
+        """Return the term of a stream."""
+        if stream is self.user:
+            return atom("user_input")
+        return (_STREAM, next(number for number, one in self.opened.items() if one is stream))
+
+    def find(self, term: Term) -> Union[OpenStream, str]:
+        """Return the stream that a term or alias names; the name itself for the streams that are always there.
+
+        Raises:
+            PrologError: where there is none.
+        """
+        term = deref(term)
+        number: Optional[int] = None
+        if term.__class__ is Var:
+            raise instantiation_error()
+        if isinstance(term, Atom):
+            number = self.aliases.get(term.name)
+            if number is None and term.name in (*_USER, "user", "current_output"):
+                return term.name
+        elif isinstance(term, tuple) and term[0] is _STREAM:
+            at = deref(term[1])
+            number = at if isinstance(at, int) else None
+        else:
+            raise domain_error("stream_or_alias", term)
+        found = None if number is None else self.opened.get(number)
+        if found is None:
+            raise existence_error("stream", term)
+        return found
+
+    def find_open(self, term: Term) -> OpenStream:
+        """Return a stream that has been opened, by its term."""
+        found = self.find(term)
+        assert not isinstance(found, str)
+        return found
+
+    def to_read(self, term: Optional[Term]) -> InputStream:
+        """Return a stream that is read; the current one for None.
+
+        Raises:
+            PrologError: where it is none.
+        """
+        if term is None:
+            return self.input
+        found = self.find(term)
+        if found in ("user_input", "user"):
+            return self.user
+        if not isinstance(found, InputStream):
+            raise permission_error("input", "stream", deref(term))
+        return found
+
+    def to_write(self, term: Term) -> Union[OutputStream, str]:
+        """Return a stream that is written, by its name where it is always there.
+
+        Raises:
+            PrologError: where it is none.
+        """
+        found = self.find(term)
+        if found == "user_input" or isinstance(found, InputStream):
+            raise permission_error("output", "stream", deref(term))
+        return found
+
+    def write(self, term: Term, text: str) -> None:
+        """Write a text to a stream."""
+        found, logic = self.to_write(term), self._logic
+        if found == "user_error":
+            logic.error_output(text)
+        elif (
+            found == "current_output"
+            or found is self.output
+            or self._outer is None
+            and isinstance(found, str)
+        ):
+            logic.write(text)
+        elif isinstance(found, OutputStream):
+            newline = text.rfind("\n")
+            found.column = found.column + len(text) if newline < 0 else len(text) - newline - 1
+            found.write(text)
+        elif self._outer is not None:
+            self._outer.output(text)
+
+    def set_output(self, stream: Union[OutputStream, str]) -> None:
+        """Have what the program writes go to a stream."""
+        logic = self._logic
+        if self.output is not None and self._outer is not None:
+            self.output.column = logic.column
+            logic.output, logic.column = self._outer
+            self.output = self._outer = None
+        if isinstance(stream, OutputStream):
+            self._outer = _Outer(logic.output, logic.column)
+            self.output = stream
+            logic.output, logic.column = stream.write, stream.column
+
+    def close(self, stream: OpenStream) -> None:
+        """Close a stream; the current ones are those of before then."""
+        if stream is self.input:
+            self.input = self.user
+        if stream is self.output:
+            self.set_output("user_output")
+        for number, one in list(self.opened.items()):
+            if one is stream:
+                del self.opened[number]
+                self.aliases = {alias: at for alias, at in self.aliases.items() if at != number}
+        if isinstance(stream, OutputStream):
+            stream.flush()
+
+    def mend(self) -> None:
+        """Close all: the goal that had opened them has been interrupted."""
+        self.set_output("user_output")
+        self.input = self.user
+        self.opened.clear()
+        self.aliases.clear()
+
+
+def is_stream_term(term: Term) -> bool:
+    """Tell whether a term is that of a stream, open or not."""
+    return isinstance(term, tuple) and term[0] is _STREAM
+
+
+def streams_of(machine: Machine) -> ProgramStreams:
+    """Return the streams of the program that a machine runs."""
+    state = machine.logic.state
+    found: Optional[ProgramStreams] = state.get("streams")
+    if found is None:
+        found = state["streams"] = ProgramStreams(machine.logic)
+    return found
+
+
+def syntax_error_in(stream: InputStream, term: Term, fault: SyntaxFault) -> PrologError:
+    """Return the error for a term of a stream that does not read."""
+    line, column = (0, 0) if fault.place is None else (fault.place.line, fault.place.column)
+    return PrologError((ERROR, (_SYNTAX, atom(fault.message)), (_AT, term, line, column - 1, stream.at)))
+
+
+def mode_of(term: Term) -> str:
+    """Return how a file is opened.
+
+    Raises:
+        PrologError: where that is none.
+    """
+    mode = deref(term)
+    if mode.__class__ is Var:
+        raise instantiation_error()
+    if not isinstance(mode, Atom):
+        raise type_error("atom", mode)
+    if mode.name not in ("read", "write", "append"):
+        raise domain_error("io_mode", mode)
+    return mode.name

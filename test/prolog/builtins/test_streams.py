@@ -1,0 +1,242 @@
+"""Streams: texts of files that are read and written, and a user who types."""
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from prolog.support import answers, first, prolog
+
+from retalis.foundation import SyntaxFault
+from retalis.prolog.builtins import streams
+from retalis.prolog.builtins.streams import MOST, InputStream, streams_of
+from retalis.prolog.logic import mend
+from retalis.prolog.machine import existence_error, permission_error
+from retalis.prolog.syntax import Operators, ReadFlags, read_program, write_term
+
+
+class Folder:
+    """Files in a dictionary; those whose names begin with ``no`` are not allowed."""
+
+    def __init__(self, **files):
+        self.files = files
+
+    def to_read(self, name):
+        self._require(name)
+        if name.name not in self.files:
+            raise existence_error("source_sink", name)
+        return name.name, self.files[name.name]
+
+    def to_write(self, name, more):
+        self._require(name)
+        if not more or name.name not in self.files:
+            self.files[name.name] = ""
+        return name.name
+
+    def add(self, path, text):
+        self.files[path] += text
+
+    @staticmethod
+    def _require(name):
+        if name.name.startswith("no"):
+            raise permission_error("open", "source_sink", name)
+
+
+@pytest.fixture
+def logic():
+    made = prolog(
+        "copy(S) :- get_char(S,C), (C = end_of_file -> true ; open(out, append, O), write(O, C), close(O), copy(S))."
+    )
+    made.written = []
+    made.output = made.written.append
+    made.files = Folder(
+        terms="a(1). b(X, Y, X).\nfoo bar. c.\nrest\nlast line", empty="", facts="p(1).\np(2).\n"
+    )
+    return made
+
+
+@pytest.mark.parametrize(
+    ("goal", "expected"),
+    [
+        ("open(terms, read, S), read(S, T), close(S)", "a(1)"),
+        (
+            "open(terms, read, S), read(S, _), read_term(S, T, [variable_names(['X' = 7, 'Y' = y])])",
+            "b(7,y,7)",
+        ),
+        (
+            "open(terms, read, S), read(S, _), read(S, _), catch(read(S, _), error(E, _), true), read(S, T)",
+            "c",
+        ),
+        ("open(empty, read, S), read(S, T)", "end_of_file"),
+        ("open(empty, read, S), get_char(S, T), at_end_of_stream(S)", "end_of_file"),
+        ("open(empty, read, S), peek_code(S, T)", "-1"),
+        ("open(terms, read, S), get_char(S, _), peek_char(S, T), get_char(S, T)", "'('"),
+        (
+            "open(facts, read, S), read(S, _), read_line_to_codes(S, []), read_line_to_codes(S, T)",
+            "[112,40,50,41,46]",
+        ),
+        ("open(facts, read, S), read(S, _), get_char(S, _), line_count(S, T)", "2"),
+        ("see(facts), read(p(T)), seen, read(end_of_file)", "1"),
+        ("see(facts), read(_), seeing(S), see(user), read(end_of_file), see(facts), read(p(T)), seen", "2"),
+        ("open(facts, read, S, [alias(in)]), read(in, p(T)), close(in)", "1"),
+        (
+            "open(facts, read, S), set_input(S), read(p(T)), current_input(S), close(S), current_input(user_input)",
+            "1",
+        ),
+        ("open(facts, read, S), stream_property(S, file_name(T))", "facts"),
+        ("open(facts, read, S, [alias(x)]), stream_property(S, alias(T))", "x"),
+        ("open(facts, read, S), findall(X, (repeat, read(S, X), X == end_of_file, !), [T])", "end_of_file"),
+    ],
+)
+def test_reading(logic, goal, expected):
+    (found,) = answers(logic, goal, 1)
+    assert found["T"] == expected
+
+
+@pytest.mark.parametrize(
+    ("goal", "text"),
+    [
+        ("open(out, write, S), write(S, a), nl(S), close(S)", "a\n"),
+        ("open(out, write, S), format(S, '~w-~q~n', [x, 'Y']), close(S)", "x-'Y'\n"),
+        ("open(out, write, S), writeq(S, 'A b'), put_char(S, '.'), close(S)", "'A b'."),
+        (
+            "open(facts, append, S), write(S, more), close(S), open(facts, read, R), copy(R)",
+            "p(1).\np(2).\nmore",
+        ),
+        ("tell(out), write(a), print(b), told, write(c)", "ab"),
+        ("tell(out), write(a), tell(user), write(b), tell(out), write(c), told", "ac"),
+        ("append(facts), write(x), told, open(facts, read, R), copy(R)", "p(1).\np(2).\nx"),
+        ("open(out, write, S), with_output_to(string(_), write(a)), write(S, b), close(S)", "b"),
+        ("with_output_to(string(_), (write(a), tell(out), write(b), told, write(c)))", "b"),
+        ("open(out, write, S), set_output(S), write(a), write(user_output, u), close(S), write(b)", "a"),
+        ("open(out, write, S), write(S, a), flush_output(S)", "a"),
+        ("open(out, write, S), portray_clause(S, f(X)), print_message_lines(S, '', []), close(S)", "f(_).\n"),
+    ],
+)
+def test_writing(logic, goal, text):
+    assert answers(logic, goal)
+    assert logic.files.files["out"] == text
+
+
+def test_what_is_written_elsewhere_goes_to_the_user(logic):
+    answers(logic, "tell(out), write(a), write(user_output, u), told, write(b)")
+    assert "".join(logic.written) == "ub"
+
+
+def test_a_line_is_written_when_it_ends(logic):
+    answers(logic, "open(out, write, S, [alias(out)]), write(S, one), nl(S), write(S, two)")
+    assert logic.files.files["out"] == "one\n"
+    answers(logic, "close(out)")
+    assert logic.files.files["out"] == "one\ntwo"
+
+
+def test_columns_are_those_of_each_stream(logic):
+    answers(logic, "write(abc), tell(out), format('x~t~5|y~n'), told, format('~t~5|y')")
+    assert logic.files.files["out"] == "x    y\n"
+    assert "".join(logic.written) == "abc  y"
+
+
+@pytest.mark.parametrize(
+    ("goal", "error"),
+    [
+        ("open(_, read, _)", "instantiation_error"),
+        ("open(f, _, _)", "instantiation_error"),
+        ("open(f, 1, _)", "type_error(atom,1)"),
+        ("open(f, up, _)", "domain_error(io_mode,up)"),
+        ("open(f, read, s)", "type_error(var,s)"),
+        ("open(f, read, _, [type(binary)])", "domain_error(stream_option,type(binary))"),
+        ("open(none, read, _)", "permission_error(open,source_sink,none)"),
+        ("open(missing, read, _)", "existence_error(source_sink,missing)"),
+        ("open(facts, read, _, [alias(user_input)])", "permission_error(open,source_sink,alias(user_input))"),
+        ("see(none)", "permission_error(open,source_sink,none)"),
+        ("tell(none)", "permission_error(open,source_sink,none)"),
+        ("close(_)", "instantiation_error"),
+        ("close(x)", "existence_error(stream,x)"),
+        ("close(1)", "domain_error(stream_or_alias,1)"),
+        ("read('$stream'(77), _)", "existence_error(stream,'$stream'(77))"),
+        ("write('$stream'(77), x)", "existence_error(stream,'$stream'(77))"),
+        ("read(user_output, _)", "permission_error(input,stream,user_output)"),
+        ("write(user_input, x)", "permission_error(output,stream,user_input)"),
+        ("set_output(user_input)", "permission_error(output,stream,user_input)"),
+        ("open(facts, read, S), write(S, x)", "permission_error(output,stream,'$stream'(1))"),
+        ("open(out, write, S), read(S, _)", "permission_error(input,stream,'$stream'(1))"),
+        ("open(facts, read, S), close(S), read(S, _)", "existence_error(stream,'$stream'(1))"),
+    ],
+)
+def test_errors(logic, goal, error):
+    assert answers(logic, goal) == [error]
+
+
+def test_there_are_so_many_at_most(logic):
+    goal = "forall(between(1, {}, _), open(facts, read, _))"
+    assert answers(logic, goal.format(MOST)) == [{}]
+    assert answers(logic, goal.format(1)) == ["resource_error(streams)"]
+
+
+def test_an_interrupt_closes_all(logic):
+    answers(logic, "open(facts, read, _, [alias(in)]), tell(out), write(a)")
+    mend(logic)
+    assert answers(logic, "write(b), stream_property(_, _)") == []
+    assert answers(logic, "read(in, _)") == ["existence_error(stream,in)"]
+    assert logic.written == ["b"]
+
+
+def test_who_types_is_asked_until_a_term_ends(logic):
+    lines = iter(["\n", "point(1,\n", "  2). % so\n", "next. 'it''s'\n", ".\n", "wrong wrong.\n", "x"])
+    logic.ask = lambda: next(lines, None)
+    assert first(logic, "read(X)") == "point(1,2)"
+    assert first(logic, "read(X)") == "next"
+    assert first(logic, "read(X)") == "'it\\'s'"
+    (found,) = answers(logic, "read(X)")
+    assert found.startswith("syntax_error")
+    assert first(logic, "get_char(_), get_char(X)") == "x"
+    assert first(logic, "read(X)") == "end_of_file"
+
+
+def test_a_text_of_many_terms_is_cut_only_once(monkeypatch):
+    cut = []
+    monkeypatch.setattr(streams, "read_program", lambda *args: cut.append(1) or read_program(*args))
+    stream = InputStream("many", "p(1).\n" * 2000)
+    operators, read = Operators.prolog(), 0
+    while stream.term(operators, ReadFlags()) is not None:
+        read += 1
+    assert (read, len(cut)) == (2000, 1)
+
+
+TERMS = st.sampled_from(
+    ["a", "f(X, 'b c')", "[1, 2]", '"text"', "- 1", "a :- b, c", "'it''s'", "0'a", "{x}", "% no\nq"]
+)
+
+
+@settings(max_examples=60)
+@given(
+    st.lists(st.tuples(TERMS, st.sampled_from([".\n", ". ", ".\n\n% c\n", " .\n"])), max_size=8), st.data()
+)
+def test_terms_and_characters_are_read_from_one_text(parts, data):
+    text = "".join(term + end for term, end in parts)
+    whole, mixed = InputStream("whole", text), InputStream("mixed", text)
+    operators, flags = Operators.prolog(), ReadFlags()
+
+    def shown(found):
+        assert not isinstance(found, SyntaxFault)
+        return (
+            None
+            if found is None
+            else write_term(found.term, operators, quoted=True, numbervars=True).split("_")[0]
+        )
+
+    for term, _ in parts:
+        found = shown(whole.term(operators, flags))
+        assert found is not None
+        if data.draw(st.booleans()):  # to the end of the term by characters
+            while mixed.at < whole.at:
+                assert mixed.character(True) == text[mixed.at - 1]
+        else:
+            assert shown(mixed.term(operators, flags)) == found
+        assert mixed.at == whole.at, term
+    assert whole.term(operators, flags) is None
+    assert mixed.character(False) == text[mixed.at : mixed.at + 1]
+
+
+def test_streams_belong_to_their_program(logic):
+    answers(logic, "open(facts, read, _)")
+    assert len(streams_of(logic.machine).opened) == 1
+    assert not streams_of(prolog().machine).opened
