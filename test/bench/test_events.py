@@ -75,7 +75,7 @@ def test_rows_of_streams_do_what_they_are_about(events):
 
 @pytest.mark.slow
 def test_the_table_of_streams_has_exponents(events, capsys):
-    which = ["--setting", "streams", "--operator", "last_avg", "--operator", "throttle"]
+    which = ["--setting", "streams", "--operator", "last_avg", "--operator", "throttle", "--seconds", "300"]
     assert events.main([*which, "--most", "1000", "--half", "0", "--markdown"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[1] == "| row | what | 10 | 100 | 1,000 | exponent |"

@@ -3,6 +3,8 @@
 import pytest
 from events.running import Program, fired
 
+from retalis.engine import parts_of
+
 RISING = "up(M) <- aggregate(count, r(M,V), _, steps([low where V < 3, high where V >= 3]))."
 STARS = "s(L) <- aggregate(list(X), e(X), L, steps([{}]))."
 
@@ -49,6 +51,14 @@ def test_a_match_is_taken_back_with_what_decided_it():
     assert program.feed("e(1)@1 e(2)@2 e(7)@3") == "s([1,2])@1-3"
     assert program.feed("rev(e(7))@3") == "rev(s([1,2]))@3-3"
     assert program.feed("e(8)@4") == "s([1,2])@1-4"
+
+
+def test_what_is_passed_over_is_not_held():
+    program = Program(STARS.format("a, later(b) where X > 5"))
+    program.feed(" ".join(f"e(1)@{at}" for at in range(50)))
+    (rule,) = parts_of(program.engine).rules.rules
+    assert rule.held == 1
+    assert program.feed("e(6)@50") == "s([1,6])@0-50"
 
 
 def test_the_preferred_ways_are_followed_and_others_counted():

@@ -4,7 +4,7 @@ All ways that a match may go on are followed at once, the preferred ones first, 
 what comes are one. So an item takes the same time however many came before it, and nothing is tried again.
 """
 
-from collections import deque
+from collections import OrderedDict, deque
 from typing import Any, Callable, Deque, Dict, Hashable, List, NamedTuple, Optional, Sequence, Tuple
 
 from ...foundation import RuleError
@@ -75,13 +75,19 @@ class StepWay:
             return self.whole[0].start
         return self.start if self.taken is not None else None
 
+    def holds(self, item: StreamItem) -> bool:
+        """Tell whether the newest item that it holds is this one."""
+        if self.taken is not None:
+            return self.taken.item is item
+        return bool(self.whole) and self.whole[-1].taken.item is item
+
     def key(self, counted: Hashable) -> Hashable:
         """Return what tells it from other ways by what comes; ``counted`` is what its count means for that."""
         return (self.step, counted, self.left, tuple([id(one) for one in self.marks]))
 
 
 class StepGroup:
-    """The items of one group that some way holds, and those between them."""
+    """The items of one group that some way holds, and such as others have held since the oldest of them."""
 
     __slots__ = ("items", "ways")
 
@@ -112,7 +118,7 @@ class SteppedWindow:
         self.plan = plan
         self._crowded = crowded
         self._checks = [measure.check for measure in make() if measure.picky]
-        self._groups: Dict[Hashable, StepGroup] = {}
+        self._groups: OrderedDict[Hashable, StepGroup] = OrderedDict()  # whose oldest is found at once
         self._number = 0
         self._order = 0
         self.tracked = False
@@ -136,8 +142,9 @@ class SteppedWindow:
         item.order = self._order + 1
         ways = self._go_on(group.ways, item)  # conditions may refuse it: nothing has changed until here
         self._order += 1
-        self._number += 1
-        group.items.append(item)
+        if any(way.holds(item) for way in ways):
+            self._number += 1
+            group.items.append(item)
         found = self._decided(ways)
         self._set(group, item.key, ways)
         outputs = [self._output(one, item) for one in found]
@@ -180,7 +187,7 @@ class SteppedWindow:
             takers, passing = self._takers(way, item)
             for at in takers:
                 if self._takes(way, at, item, found, seen):
-                    return found  # a whole match: what is less preferred than that is out
+                    return found
             if way.step == SCANNING:
                 found.append(way)
             elif not takers and passing:
@@ -189,6 +196,8 @@ class SteppedWindow:
                     found,
                     seen,
                 )
+                if self.plan.is_sure(passing):
+                    return found
         return found
 
     def _takers(self, way: StepWay, item: StreamItem) -> Tuple[List[int], Tuple[int, ...]]:
@@ -203,7 +212,7 @@ class SteppedWindow:
     def _takes(
         self, way: StepWay, at: int, item: StreamItem, found: List[StepWay], seen: Dict[Hashable, int]
     ) -> bool:
-        """Add the way in which a step takes an item; tell whether the match is whole then."""
+        """Add the way in which a step takes an item; tell whether no way that is less preferred matters then."""
         plan = self.plan
         count = plan.counted(at, way.count + 1 if way.step == at else 1)
         taken = _Taken(item, at, way.taken)
@@ -215,6 +224,8 @@ class SteppedWindow:
             )  # as after one passed over
             marks = plan.marked(way.marks, at, item)
             self._add(StepWay(at, count, left, marks, taken, start, way.whole), found, seen)
+            if not whole and plan.is_sure(choices):
+                return True
         if whole:
             found.append(self._scanning((*way.whole, _Whole(taken, start))))
         return whole
@@ -286,7 +297,7 @@ class SteppedWindow:
     def restore(self, kept: KnownState) -> None:
         """See `StreamOperator.restore`: where items are missing, those that are left are taken again."""
         self.late, self._order, groups = kept
-        self._groups, self._number = {}, 0
+        self._groups, self._number = OrderedDict(), 0
         for items, ways in groups:
             if items:
                 self._restore_group(items, ways)

@@ -84,6 +84,10 @@ class StepPlan:
         step = self.steps[at]
         return min(count, step.least) if step.most is None else count
 
+    def is_sure(self, choices: Tuple[int, ...]) -> bool:
+        """Tell whether a match that has these choices cannot fail any more, however long it takes."""
+        return all(one.later and not one.until for one in self.steps[min(choices) :])
+
     def meaning(self, at: int, count: int) -> Union[int, Choices]:
         """Return what a count means for what comes.
 

@@ -5,8 +5,8 @@ is measured is the same for all of them.
 """
 
 import heapq
-from collections import deque
-from typing import Callable, Deque, Dict, Hashable, List, Optional, Sequence, Tuple
+from collections import OrderedDict, deque
+from typing import Callable, Deque, Hashable, List, Optional, Sequence, Tuple
 
 from .groups import WindowGroup
 from .items import KnownState, StreamItem, StreamOutput
@@ -28,7 +28,7 @@ class Window:
 
     def __init__(self, make: Make):
         self.make = make
-        self.groups: Dict[Hashable, WindowGroup] = {}
+        self.groups: OrderedDict[Hashable, WindowGroup] = OrderedDict()  # whose oldest is found at once
         self.tracked = False
         self.allowed: Callable[[], int] = lambda: 1 << 64
         self.clock = self._until = -(1 << 63)
@@ -67,7 +67,7 @@ class Window:
     def restore(self, kept: KnownState) -> None:
         """See `StreamOperator.restore`."""
         self.clock, self.next, self.late, self._order, groups = kept[:5]
-        self.groups, self.number = {}, 0
+        self.groups, self.number = OrderedDict(), 0
         for begin, members in groups:
             group = WindowGroup(self.make(), begin)
             for item in members:
