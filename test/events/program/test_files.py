@@ -136,7 +136,8 @@ def test_a_cycle_is_one_error(program, tmp_path, form):
 
 
 @pytest.mark.parametrize(
-    "name", ["lists", "apply", "assoc", "pairs", "ordsets", "aggregate", "random", "yall"]
+    "name",
+    ["lists", "apply", "assoc", "pairs", "ordsets", "aggregate", "random", "yall", "dcg/basics", "plunit"],
 )
 def test_libraries_are_there(program, name):
     program.engine.load(rules=f":- use_module(library({name})). use_module(library({name})). c <- a.")

@@ -298,3 +298,14 @@ def test_digits_in_groups(form, text):
     assert first(prolog(), f"format(atom(A), '{form}', [1234567])") == f"'{text}'".strip(
         "'" if text[0] == "x" else ""
     )
+
+
+@pytest.mark.parametrize(
+    ("form", "text"), [("a~Nb", "a\nb"), ("a~n~Nb", "a\nb"), ("~Na", "a"), ("a~N~n~Nb", "a\n\nb")]
+)
+def test_a_line_is_ended_where_one_has_begun(form, text):
+    logic = prolog()
+    written = []
+    logic.output = written.append
+    assert answers(logic, f"format('{form}', [])") == [{}]
+    assert "".join(written) == text

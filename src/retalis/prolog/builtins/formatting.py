@@ -141,6 +141,9 @@ class Formatter:
             self._lay_out(letter, number)
         elif letter == "i":
             self._next()
+        elif letter == "N":
+            if self.line.column:
+                self.line.add("\n")
         else:
             self.line.add(self._written(letter, number))
         return at + 1

@@ -6,7 +6,8 @@
 % defines: occurrences_of_term/3 occurrences_of_var/3 term_singletons/2 numbervars/4 copy_term/3 term_attvars/2
 % defines: varnumbers/2 varnumbers/3 max_var_number/3
 % defines: comma_list/2 semicolon_list/2 mkconj/3 mkdisj/3 pi_head/2 head_name_arity/3 most_general_goal/2
-% defines: extend_goal/3 is_control_goal/1 is_lambda/1 concat_atom/2 concat_atom/3
+% defines: extend_goal/3 is_control_goal/1 is_lambda/1 concat_atom/2 concat_atom/3 concat/3
+% defines: same_term/2 is_callable/1 is_most_general_term/1
 
 subsumes(General, Specific) :-
     subsumes_term(General, Specific),
@@ -115,6 +116,23 @@ same_functor(One, Other, Name, Arity) :-
     ;   functor(Other, Name, Arity),
         functor(One, Name, Arity)
     ).
+
+same_term(One, Other) :-
+    One == Other.
+
+is_callable(Term) :-
+    callable(Term).
+
+is_most_general_term(Term) :-
+    (   is_list(Term)
+    ->  Args = Term
+    ;   callable(Term),
+        Term =.. [_|Args]
+    ),
+    maplist(var, Args),
+    term_variables(Args, Variables),
+    length(Args, Count),
+    length(Variables, Count).
 
 % Parts
 
@@ -332,3 +350,6 @@ concat_atom(List, Atom) :-
 
 concat_atom(List, Separator, Atom) :-
     atomic_list_concat(List, Separator, Atom).
+
+concat(One, Other, Atom) :-
+    atomic_list_concat([One, Other], Atom).

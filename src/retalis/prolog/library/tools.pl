@@ -1,6 +1,6 @@
 % Measuring goals, old ways of writing, more of random numbers, texts read line by line.
 %
-% defines: time/1 writef/1 writef/2
+% defines: time/1 writef/1 writef/2 ansi_format/3
 % defines: random/3 randseq/3 randset/3 random_select/3 random_subseq/3 random_perm2/4 random_numlist/4
 % defines: maybe/0 maybe/1 maybe/2
 % defines: read_line_to_codes/2 read_line_to_codes/3 read_line_to_string/2 read_stream_to_codes/2
@@ -93,6 +93,11 @@ writef_columns_(0'r, "~t~w~*+").
 writef_columns_(0'R, "~t~w~*+").
 writef_columns_(0'c, "~t~w~t~*+").
 writef_columns_(0'C, "~t~w~t~*+").
+
+% Colours are left out.
+
+ansi_format(_, Format, Arguments) :-
+    format(Format, Arguments).
 
 % An integer below a limit, or a float between two.
 
