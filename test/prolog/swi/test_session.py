@@ -6,8 +6,9 @@ import threading
 import pytest
 
 from retalis import PrologError, RetalisError
+from retalis.engine import parts_of
 from retalis.prolog.machine import LimitError
-from retalis.prolog.terms import deref
+from retalis.prolog.terms import Var, deref, functor
 
 
 def shown(engine, goal):
@@ -222,6 +223,38 @@ def test_threads_take_turns(engine):
     for one in threads:
         one.join()
     assert (found, faults) == ([["2", "3"]] * 10, [])
+
+
+def test_threads_have_stacks_of_their_own(engine):
+    """What looks how much of the C stack is left, as tabling does, works in each thread, also in those before."""
+    found = []
+    deeper = [threading.Thread(target=lambda: found.append(values(engine, "count(2, X)"))) for _ in range(4)]
+    found.append(values(engine, "count(1, X)"))
+    for one in deeper:
+        one.start()
+        one.join()
+    found.append(values(engine, "reach(39, X)"))
+    assert sorted(found.pop()) == ["40", "41"]
+    assert found == [["40"], *[["39"]] * 4]
+
+
+def test_solutions_belong_to_a_thread(program):
+    logic = parts_of(program()).logic
+    solutions = logic.solutions((functor("upto", 2), 3, Var()))
+    next(solutions)
+    faults = []
+
+    def go_on():
+        with pytest.raises(RetalisError, match="another thread"):
+            next(solutions)
+        faults.append(True)
+
+    other = threading.Thread(target=go_on)
+    other.start()
+    other.join()
+    solutions.close()
+    assert faults == [True]
+    assert logic.once((functor("inc", 2), 1, 2))
 
 
 def test_solutions_are_given_up_in_another_thread(engine):

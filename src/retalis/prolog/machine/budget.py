@@ -279,6 +279,8 @@ class Budget:
         self._enforce()
         if self._memory is None and self.limits.megabytes is not None:
             self._memory = resident_bytes() + (self.limits.megabytes << 20)
+        if not self.alarms and not self.ceilings and self.limits.inferences is None:
+            return Left(self._deadline, None, self._memory)
         times = [at for at, _ in self.alarms]
         if self._deadline is not None:
             times.append(self._deadline)

@@ -38,12 +38,11 @@ class Watched:
         fired: what it has used up, once it has been interrupted for that.
     """
 
-    __slots__ = ("until", "memory", "ceiling", "engine", "thread", "fired", "again", "times")
+    __slots__ = ("left", "done", "engine", "thread", "fired", "again", "times")
 
     def __init__(self, left: Left, engine: int, done: int = 0):
-        self.until = left.until
-        self.memory = left.memory
-        self.ceiling = None if left.inferences is None else done + left.inferences
+        self.left = left
+        self.done = done
         self.engine = engine
         self.thread = get_ident()
         self.fired = ""
@@ -52,11 +51,12 @@ class Watched:
 
     def exceeded(self, now: float, inferences: Callable[[int], int]) -> str:
         """Return what it has used up; nothing where it may go on."""
-        if self.ceiling is not None and inferences(self.engine) > self.ceiling + _SLACK:
+        until, most, memory = self.left
+        if most is not None and inferences(self.engine) > self.done + most + _SLACK:
             return "inferences"
-        if self.until is not None and now > self.until:
+        if until is not None and now > until:
             return "seconds"
-        if self.memory is not None and resident_bytes() > self.memory:
+        if memory is not None and resident_bytes() > memory:
             return "memory"
         return self.fired
 

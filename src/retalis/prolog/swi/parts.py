@@ -29,21 +29,29 @@ class TermParts:
 
 
 class ListParts(TermParts):
-    """A list, whose tail is read as what follows the last item."""
+    """A list, whose tail is read as what follows the last item.
 
-    __slots__ = ("_swi", "_item", "_ended")
+    Attributes:
+        pending: whether an item has been taken off it that is to be read.
+    """
+
+    __slots__ = ("_swi", "_item", "_ended", "pending")
 
     def __init__(self, swi: SwiLibrary, item: int):
         super().__init__()
         self._swi = swi
         self._item = item
         self._ended = False
+        self.pending = False
 
     def following(self) -> Optional[int]:
         """Return where the next part is, see `TermParts`."""
         item = self._item
         if self._ended:
             return None
+        if self.pending:
+            self.pending = False
+            return item
         if self._swi.get_list(item + 1, item, item + 1):
             return item
         self._ended = True

@@ -1,8 +1,8 @@
-"""Goals in SWI-Prolog: an engine of it for each program, which any thread takes up for a call and leaves after it."""
+"""Goals in SWI-Prolog: an engine of it for each program and thread, taken up for a call and left after it."""
 
 from contextlib import closing
 from ctypes import byref, c_void_p
-from threading import get_ident
+from threading import get_ident, local
 from time import monotonic
 from typing import Callable, Iterator, List, Optional, Union
 from weakref import finalize
@@ -11,7 +11,7 @@ from ...foundation import RetalisError
 from ..logic import Logic
 from ..machine import LAST, Left, LimitError, Machine, PrologError, from_python, resource_error
 from ..terms import COLON, Term, Values, atom, copy, functor, make_list, variant_key
-from .binding import ASK, FAILED, LAST_SOLVED, RAISED, SOLVED
+from .binding import ASK, FAILED, LAST_SOLVED, RAISED, SOLVED, SwiLibrary
 from .interrupter import Watched
 from .starting import BRIDGE, Started
 from .values import Bindings, Refs, SwiTerms
@@ -46,8 +46,63 @@ class OpenGoal:
         self.over = self.closed = False
 
 
+class SwiProgram:
+    """What a program has of SWI-Prolog: an engine for each thread that runs its goals.
+
+    SWI-Prolog notes with an engine where the stack of its thread lies, and ends the process where that is elsewhere
+    later. So an engine goes with its thread.
+
+    Args:
+        logic: of the program.
+        started: SWI-Prolog.
+    """
+
+    def __init__(self, logic: Logic, started: Started):
+        self._logic = logic
+        self._started = started
+        self._threads = local()
+
+    def predicate(self, module: str, name: str, arity: int) -> Callable[..., Union[bool, Iterator[object]]]:
+        """Return what calls a predicate of a module, for `Logic.define_nondeterministic`."""
+        threads, budget = self._threads, self._logic.machine.budget
+        handle = self.engine().handle(module, name, arity)
+        key = functor(name, arity)
+        where = atom(module)
+
+        def call(machine: Machine, *arguments: Term) -> Union[bool, Iterator[object]]:
+            try:
+                engine: SwiEngine = threads.engine
+            except AttributeError:
+                engine = self.engine()
+            left = budget.left()
+            if left is not None and left.inferences is not None:
+                goal = (COLON, where, (key, *arguments) if arguments else atom(name))
+                return engine.call(machine, engine.limited, (goal, max(left.inferences, 0)), left)
+            return engine.call(machine, handle, arguments, left)
+
+        return call
+
+    def engine(self) -> "SwiEngine":
+        """Return the engine of this thread."""
+        found: Optional[SwiEngine] = getattr(self._threads, "engine", None)
+        if found is None:
+            found = self._threads.engine = SwiEngine(self._logic, self._started)
+            megabytes = self._logic.limits.megabytes
+            if megabytes is not None:
+                self.ask("limit_stacks", megabytes << 20)
+        return found
+
+    def ask(self, name: str, *arguments: Term) -> bool:
+        """Call a predicate of the bridge once; its bindings stay."""
+        found = self.predicate(BRIDGE, name, len(arguments))(self._logic.machine, *arguments)
+        if isinstance(found, bool):
+            return found
+        with closing(found) as solutions:  # type: ignore[type-var]
+            return next(solutions, FAILED) is not FAILED
+
+
 class SwiEngine:
-    """An engine of SWI-Prolog's that runs goals for a program.
+    """An engine of SWI-Prolog's that runs goals for a program in one thread.
 
     Goals that may have more solutions stay open in it, each above the one that was opened before; the machine of
     the program has its choice points in the same order. What SWI-Prolog asks back runs on that machine, inside.
@@ -59,6 +114,7 @@ class SwiEngine:
     Attributes:
         watched: the goal that runs, where it has limits.
         number: what SWI-Prolog calls the engine.
+        limited: the predicate that calls another with a limit of inferences.
     """
 
     def __init__(self, logic: Logic, started: Started):
@@ -68,7 +124,7 @@ class SwiEngine:
         self._swi = swi = started.swi
         self._interrupter = started.interrupter
         self.watched: Optional[Watched] = None
-        self._thread = 0
+        self._thread = get_ident()
         self._depth = 0
         self._busy = False
         self._before = c_void_p()
@@ -77,80 +133,52 @@ class SwiEngine:
         self._base = 0
         self._failure: Optional[BaseException] = None
         self._engine = swi.create_engine(None)
-        finalize(self, swi.destroy_engine, self._engine).atexit = False
         self._enter()
         try:
             self.number: int = swi.thread_self()
             self._terms = SwiTerms(swi)
-            self._limited = swi.predicate(b"limited", 2, BRIDGE.encode())
+            finalize(self, _end, swi, self._engine, self._terms).atexit = False
+            self.limited: int = swi.predicate(b"limited", 2, BRIDGE.encode())
             self._count = swi.predicate(b"statistics", 2, b"system")
         finally:
             self._leave()
         started.engines[self.number] = self
         self._interrupter.add(self)
-        megabytes = logic.limits.megabytes
-        if megabytes is not None:
-            self.ask("limit_stacks", megabytes << 20)
 
-    def predicate(self, module: str, name: str, arity: int) -> Callable[..., Union[bool, Iterator[object]]]:
-        """Return what calls a predicate of a module, for `Logic.define_nondeterministic`."""
-        self._enter()
-        try:
-            handle = self._handle(module, name, arity)
-        finally:
-            self._leave()
-        key = functor(name, arity)
-        where = atom(module)
-
-        def call(machine: Machine, *arguments: Term) -> Union[bool, Iterator[object]]:
-            left = self._budget.left()
-            if left is not None and left.inferences is not None:
-                goal = (COLON, where, (key, *arguments) if arguments else atom(name))
-                return self._call(machine, self._limited, (goal, max(left.inferences, 0)), left)
-            return self._call(machine, handle, arguments, left)
-
-        return call
-
-    def ask(self, name: str, *arguments: Term) -> bool:
-        """Call a predicate of the bridge once; its bindings stay."""
-        found = self.predicate(BRIDGE, name, len(arguments))(self._logic.machine, *arguments)
-        if isinstance(found, bool):
-            return found
-        with closing(found) as solutions:  # type: ignore[type-var]
-            return next(solutions, FAILED) is not FAILED
-
-    def _handle(self, module: str, name: str, arity: int) -> int:
+    def handle(self, module: str, name: str, arity: int) -> int:
         """Return what SWI-Prolog knows a predicate by."""
         swi = self._swi
+        self._enter()
         frame = swi.open_frame()
         try:
             place = swi.new_module(self._terms.handle(atom(module)))
             return swi.predicate_of(swi.new_functor(self._terms.handle(atom(name)), arity), place)  # type: ignore
         finally:
             swi.discard_frame(frame)
-
-    # Threads
+            self._leave()
 
     def _enter(self) -> None:
         """Have this thread use the engine."""
-        me = get_ident()
-        if self._thread != me:
+        if not self._depth:
+            if self._thread != get_ident():
+                raise RetalisError(
+                    "solutions in SWI-Prolog were requested by another thread than the first of them"
+                )
             if self._swi.set_engine(self._engine, self._to_before):
-                raise RetalisError("goals of a program run in SWI-Prolog in one thread at a time")
-            self._thread = me
+                raise RetalisError("an engine of SWI-Prolog is in use elsewhere")
         self._depth += 1
 
     def _leave(self) -> None:
         self._depth -= 1
         if not self._depth:
-            self._thread = 0
             self._swi.set_engine(self._before.value, None)
 
     # Goals
 
-    def _call(
+    def call(
         self, machine: Machine, predicate: int, arguments: Values, left: Optional[Left]
     ) -> Union[bool, Iterator[object]]:
+        """Call a predicate: return whether it succeeds, or its solutions where there may be several."""
         swi, terms = self._swi, self._terms
         self._enter()
         self._busy = True
@@ -295,12 +323,9 @@ class SwiEngine:
     def _drop(self, opened: OpenGoal) -> None:
         """Give a goal up, at once or, where something else is under way, before the next one."""
         opened.over = True
-        if self._busy:
+        if self._busy or self._thread != get_ident():
             return
-        try:
-            self._enter()
-        except RetalisError:  # another thread is at it
-            return
+        self._enter()
         try:
             self._close_over()
         finally:
@@ -379,6 +404,15 @@ class SwiEngine:
             self._failure = known
             terms.put(ref := swi.new_refs(1), _FAILURE, {})
         swi.raise_exception(ref)
+
+
+def _end(swi: SwiLibrary, engine: int, terms: SwiTerms) -> None:
+    """Give an engine up, and the atoms that were held for it; any thread may do that."""
+    before = c_void_p()
+    if not swi.set_engine(engine, byref(before)):
+        terms.let_go()
+        swi.set_engine(before.value, None)
+    swi.destroy_engine(engine)
 
 
 def _is_of(failure: BaseException, ball: Term) -> bool:

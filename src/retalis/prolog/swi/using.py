@@ -10,12 +10,12 @@ from ..machine import Machine, existence_error, indicator, instantiation_error, 
 from ..terms import NIL, SLASH, Atom, Functor, Term, Var, atom, copy, deref, functor, list_items
 
 if TYPE_CHECKING:
-    from .session import SwiEngine
+    from .session import SwiProgram
 
 _AS = functor("as", 2)
 _LIBRARY = functor("library", 1)
 _STATE = "swi"
-"""Where a logic has its engine."""
+"""Where a logic has its `SwiProgram`."""
 
 
 class Loading(Protocol):
@@ -103,27 +103,27 @@ def use_swi(logic: Logic, file: SwiFile, warn: Callable[[object], None]) -> None
         PrologError: where there is no such predicate, or one of the system has its name.
     """
     names = _wanted(file.wanted)
-    engine = _engine(logic)
-    module, exported = _load(engine, file, warn)
+    program = _program(logic)
+    module, exported = _load(program, file, warn)
     names = names or exported
     if not names:
         raise UsageError(f"{file.name} exports nothing: name its predicates, as in use_swi(File, [near/2])")
     for one in names:
-        _check(logic, engine, module, one)
+        _check(logic, program, module, one)
     for one in names:
-        function = engine.predicate(module, one.name, one.arity)
+        function = program.predicate(module, one.name, one.arity)
         logic.define_nondeterministic(one.key.name, one.key.arity, function)
     logic.swi_files[file.name] = file
 
 
-def _engine(logic: Logic) -> "SwiEngine":
-    """Return the engine of a program; only those that ask for it have SWI-Prolog loaded, and ctypes."""
-    from .session import SwiEngine  # noqa: PLC0415 - only those that use it load it
+def _program(logic: Logic) -> "SwiProgram":
+    """Return what a program has of SWI-Prolog; only those that ask for it have SWI-Prolog loaded, and ctypes."""
+    from .session import SwiProgram  # noqa: PLC0415 - only those that use it load it
     from .starting import start  # noqa: PLC0415
 
-    found: Optional[SwiEngine] = logic.state.get(_STATE)
+    found: Optional[SwiProgram] = logic.state.get(_STATE)
     if found is None:
-        found = logic.state[_STATE] = SwiEngine(logic, start())
+        found = logic.state[_STATE] = SwiProgram(logic, start())
     return found
 
 
@@ -162,14 +162,14 @@ def _one(indicator_of: Term) -> Wanted:
     return Wanted(name, arity, functor(name if new is None else new.name, arity))
 
 
-def _load(engine: "SwiEngine", file: SwiFile, warn: Callable[[object], None]) -> Tuple[str, List[Wanted]]:
+def _load(program: "SwiProgram", file: SwiFile, warn: Callable[[object], None]) -> Tuple[str, List[Wanted]]:
     """Load a file; return its module and what that exports.
 
     Raises:
         UsageError: for what is wrong in it; what is doubtful is a warning.
     """
     module, exports, problems = Var(), Var(), Var()
-    if not engine.ask("load", file.source, module, exports, problems):
+    if not program.ask("load", file.source, module, exports, problems):
         raise UsageError(f"SWI-Prolog cannot load {file.name}")
     errors: List[str] = []
     for problem in to_python(problems):
@@ -183,10 +183,10 @@ def _load(engine: "SwiEngine", file: SwiFile, warn: Callable[[object], None]) ->
     return to_python(module), [_one(item) for item in list_items(exports) or []]
 
 
-def _check(logic: Logic, engine: "SwiEngine", module: str, one: Wanted) -> None:
+def _check(logic: Logic, program: "SwiProgram", module: str, one: Wanted) -> None:
     """Refuse a predicate that is not there, or whose name the system has."""
     known = logic.database.predicates.get(one.key)
     if known is not None and known.locked:
         raise permission_error("modify", "static_procedure", indicator(one.key))
-    if not engine.ask("defined", atom(module), atom(one.name), one.arity):
+    if not program.ask("defined", atom(module), atom(one.name), one.arity):
         raise existence_error("procedure", (SLASH, atom(one.name), one.arity))

@@ -63,6 +63,11 @@ class SwiTerms:
         self._marked: List[Var] = []
         self._lenient = False
 
+    def let_go(self) -> None:
+        """Hold no atoms any more."""
+        self._handles.clear()
+        self._atoms.clear()
+
     # Ours to SWI-Prolog's
 
     def put(self, ref: int, term: Term, refs: Refs) -> None:
@@ -272,7 +277,9 @@ class SwiTerms:
         if kind == self._pair:
             items = require(swi.new_refs(2))
             swi.copy_ref(items + 1, ref)
-            return ListParts(swi, items)
+            found = ListParts(swi, items)
+            found.pending = self._read_constants(items, found.values)
+            return found
         swi.get_functor(ref, self._to_word)
         handle = self._word.value
         argument = require(swi.new_refs(1))
@@ -285,6 +292,21 @@ class SwiTerms:
             key = self._named(ref)
             self._names.keep(handle, key, len(key.name))
         return ArgumentParts(swi, ref, argument, key)
+
+    def _read_constants(self, item: int, values: List[Term]) -> bool:
+        """Read the items with which a list begins as long as they are constants; tell whether another one follows."""
+        reads, kind_of, get_list = self._reads, self._swi.term_type, self._swi.get_list
+        tail = item + 1
+        while len(values) <= MOST:
+            for _ in BULK:
+                if not get_list(tail, item, tail):
+                    return False
+                read = reads.get(kind_of(item))
+                if read is None:
+                    return True
+                values.append(read(item))
+            look()
+        raise TermTooLarge
 
     def _named(self, ref: int) -> Functor:
         self._swi.get_name(ref, self._to_word, self._to_arity)
