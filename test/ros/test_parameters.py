@@ -102,6 +102,8 @@ def test_numbers_and_flags(read):
     assert (found.queue, found.settings.queue, found.settings.max_depth) == (7, 7, 5)
     assert (found.settings.limits.seconds, found.settings.limits.inferences) == (2.0, 1000)
     assert found.settings.allow_goals
+    assert not found.settings.allow_swi
+    assert read(allow_swi=True).settings.allow_swi
     assert found.embedded
 
 

@@ -6,12 +6,13 @@ import sys
 from pathlib import Path
 from typing import Callable, Dict
 
-from ..engine import check_program
+from ..engine import Settings, check_program
 from ..engine.playback import BagReader
 from ..events.checks import ERROR, Finding
 from ..events.program import DIRECT
 from ..foundation import MessageError, counted, printable
 from ..messages import Definitions, Installed
+from .limits import add_swi
 
 DESCRIPTION = """\
 Load a program's folder as a node does, without ROS, and say all that is wrong with it or hardly meant, each thing
@@ -28,6 +29,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
     add = parser.add_argument
     add("folder", nargs="?", type=Path, default=Path(), metavar="FOLDER", help="the program's (this one)")
     add("--format", choices=("text", "json"), default="text", help="lines for people, or one JSON object")
+    add_swi(parser)
     add("--strict", action="store_true", help="end with status 2 where there are warnings")
     add("--bag", type=Path, action="append", default=[], metavar="BAG", help="a bag that has message types")
     add(
@@ -46,7 +48,7 @@ def run(options: argparse.Namespace) -> int:
     definitions = Definitions(Installed(further=[_package(path) for path in options.msg]))
     for path in options.bag:
         _learn(definitions, path)
-    found = check_program(options.folder, definitions, DIRECT)
+    found = check_program(options.folder, definitions, DIRECT, Settings(allow_swi=options.allow_swi))
     errors = sum(one.severity == ERROR for one in found)
     warnings = len(found) - errors
     if options.format == "json":

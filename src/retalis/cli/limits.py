@@ -31,9 +31,7 @@ _OPTIONS: Tuple[Tuple[str, Callable[[str], float], Optional[int], str, str], ...
 
 def add_limits(parser: argparse.ArgumentParser) -> None:
     """Add the options to the parser of a command."""
-    parser.add_argument(
-        "--allow-swi", action="store_true", help="let the program have SWI-Prolog load files with use_swi/1"
-    )
+    add_swi(parser)
     group = parser.add_argument_group(
         "limits",
         "Whatever exceeds a limit ends with a resource error, and the rest goes on; 0 means no limit. "
@@ -48,6 +46,12 @@ def add_limits(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help=f"longest chain of events derived one from another ({Settings().max_depth})",
     )
+
+
+def add_swi(parser: argparse.ArgumentParser) -> None:
+    """Add the option that lets a program use SWI-Prolog."""
+    text = "let the program have SWI-Prolog load files with use_swi/1"
+    parser.add_argument("--allow-swi", action="store_true", help=text)
 
 
 def limited(settings: Settings, options: argparse.Namespace) -> Settings:

@@ -1,0 +1,57 @@
+"""Node ``retalis`` with a program that has SWI-Prolog load a file."""
+
+import pytest
+
+from retalis.foundation import UsageError
+from retalis.prolog.swi.binding import find_library
+
+KB = """\
+:- module(doors, [way/2, forever/0]).
+:- table way/2.
+way(X, Y) :- door(X, Y).
+way(X, Y) :- way(X, Z), door(Z, Y).
+door(hall, kitchen).
+door(kitchen, cellar).
+forever :- forever.
+"""
+RULES = ":- use_swi('doors.pl').\nreached(Y) <- asked(X, Y) where way(X, Y).\n"
+
+
+@pytest.fixture
+def program(tmp_path):
+    folder = tmp_path / "program"
+    folder.mkdir()
+    goals = "compile_event_file('rules.txt')\nmemorize(reached(_), [], _, m, 5)\n"
+    for name, text in (
+        ("pub_sub.xml", "<publish_subscribe/>"),
+        ("goalPredicates.txt", goals),
+        ("rules.txt", RULES),
+        ("doors.pl", KB),
+    ):
+        (folder / name).write_text(text)
+    return folder
+
+
+def start(space, program, *words):
+    space.env["PYTHONUNBUFFERED"] = "1"
+    space.start_master()
+    return space.start("rosrun", "retalis", "retalis_node", f"_program:={program}", "_direct:=false", *words)
+
+
+def solutions(space, goal):
+    return space.run("rosservice", "call", "/retalis/query", f"{{goal: '{goal}'}}")
+
+
+def test_its_predicates_are_goals_of_rules_and_services(devel, program):
+    try:
+        find_library()
+    except UsageError as error:
+        pytest.skip(str(error))
+    start(devel, program, "_allow_swi:=true", "_max_seconds:=0.5")
+    devel.expect(lambda found, services: "/retalis/query" in services)
+    words = ("pub", "-1", "/retalisInputEvents", "std_msgs/String", "data: 'event(asked(hall,cellar))'")
+    devel.run("rostopic", *words)
+    devel.expect(lambda found, services: "reached(cellar)" in solutions(devel, "access_mem(m, R, _)"))
+    assert "kitchen" in solutions(devel, "way(hall, kitchen), X = kitchen")
+    assert "seconds" in solutions(devel, "forever")
+    assert "cellar" in solutions(devel, "way(kitchen, X)")
