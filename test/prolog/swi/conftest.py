@@ -3,6 +3,7 @@
 import pytest
 
 from retalis import Engine, Limits, Settings
+from retalis.engine import parts_of
 from retalis.foundation import UsageError
 from retalis.prolog.swi.binding import find_library
 
@@ -65,9 +66,10 @@ def folder(swi, tmp_path_factory):
 def program(folder):
     """Return what makes an engine with that file and rules."""
 
-    def make(rules="", settings=None, **limits):
-        engine = Engine(settings=settings or Settings(allow_swi=True, limits=Limits(**limits)))
+    def make(rules="", **limits):
+        engine = Engine(settings=Settings(allow_swi=True))
         engine.load(rules=f":- use_swi('kb.pl').\n{rules}", folder=folder)
+        parts_of(engine).logic.limits = Limits(**limits)  # not for the loading: a machine may be busy
         return engine
 
     return make
