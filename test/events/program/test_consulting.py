@@ -259,6 +259,9 @@ def test_a_module_may_be_called_as_its_file(program, tmp_path):
     program.engine.load(rules=":- autoload(named). :- reexport(named, [p/1]). q(X) :- p(X). hidden(2).")
     assert program.warnings == []
     assert program.engine.call("q(1), current_module(named), findall(X, hidden(X), [2])")
+    (tmp_path / "other.pl").write_text(":- module(_, [r/1], [assertions]).\nr(1).\n")
+    program.engine.load(rules=":- use_module(other). s(X) :- r(X).")
+    assert program.engine.call("s(1), current_module(other)")
 
 
 def test_libraries_whose_predicates_are_there_may_be_used(program):

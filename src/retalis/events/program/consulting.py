@@ -24,7 +24,7 @@ from .libraryoperators import declare_operators
 from .owners import Loaded
 
 _END = atom("end_of_file")
-_MODULE = functor("module", 2)
+_MODULES = frozenset((functor("module", 2), functor("module", 3)))
 _OF_FILES = ("double_quotes", "back_quotes")
 """Flags that hold to the end of the file that sets them."""
 
@@ -194,7 +194,7 @@ class _PrologFile:
     def _name_module(self, goal: Term) -> None:
         """Give a module whose name is a variable that of its file."""
         goal, path = deref(goal), self._files.innermost
-        if goal.__class__ is tuple and goal[0] is _MODULE and path is not None:
+        if goal.__class__ is tuple and goal[0] in _MODULES and path is not None:
             name = deref(goal[1])
             if isinstance(name, Var):
                 name.ref = atom(path.stem)

@@ -28,6 +28,12 @@ def module(machine: Machine, name: Term, exports: Term) -> bool:
     return True
 
 
+@deterministic("module/3")
+def module_of_dialect(machine: Machine, name: Term, exports: Term, _: Term) -> bool:
+    """Begin a module of another Prolog."""
+    return module(machine, name, exports)
+
+
 def _exported(exports: Term) -> Tuple[List[Functor], List[CompoundTerm]]:
     """Return the functors and the operators of a list of exports."""
     keys: List[Functor] = []
