@@ -4,7 +4,7 @@
 % defines: random/3 randseq/3 randset/3 random_select/3 random_subseq/3 random_perm2/4 random_numlist/4
 % defines: maybe/0 maybe/1 maybe/2
 % defines: read_line_to_codes/2 read_line_to_codes/3 read_line_to_string/2 read_stream_to_codes/2
-% defines: read_stream_to_codes/3 string_lines/2
+% defines: read_stream_to_codes/3 read_file_to_codes/3 read_file_to_string/3 read_file_to_terms/3 string_lines/2
 
 time(Goal) :-
     must_be(callable, Goal),
@@ -232,6 +232,27 @@ stream_codes_(-1, _, Tail, Tail) :- !.
 stream_codes_(Code, Stream, [Code|Codes], Tail) :-
     get_code(Stream, Next),
     stream_codes_(Next, Stream, Codes, Tail).
+
+% Whole files; options of how to open them are not looked at.
+
+read_file_to_codes(File, Codes, _) :-
+    setup_call_cleanup(open(File, read, Stream), read_stream_to_codes(Stream, Codes), close(Stream)).
+
+read_file_to_string(File, String, Options) :-
+    read_file_to_codes(File, Codes, Options),
+    string_codes(Text, Codes),
+    String = Text.
+
+read_file_to_terms(File, Terms, _) :-
+    setup_call_cleanup(open(File, read, Stream), stream_terms_(Stream, Terms), close(Stream)).
+
+stream_terms_(Stream, Terms) :-
+    read(Stream, Term),
+    (   Term == end_of_file
+    ->  Terms = []
+    ;   Terms = [Term|Terms1],
+        stream_terms_(Stream, Terms1)
+    ).
 
 string_lines(String, Lines) :-
     (   nonvar(String)
