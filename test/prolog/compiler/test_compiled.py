@@ -241,3 +241,11 @@ if __name__ == "__main__":
     import sys
 
     look(int(sys.argv[1]), int(sys.argv[2]))
+
+
+@pytest.mark.parametrize("left", [0, 7, -7, 3.0, "a", 1 << 70, -(1 << 70)])
+@pytest.mark.parametrize("right", [0, 2, -2, 2.0, 1 << 64, (1 << 64) - 1, 1 << 66])
+def test_integer_division_in_line_is_that_of_terms(left, right):
+    program = "div(X, Y, R) :- catch(Z is X // Y, error(E, _), Z = E), R = Z."
+    goal = f"div({left}, {right}, R)"
+    assert answers(prolog(program, 0), goal) == answers(prolog(program, NEVER), goal)

@@ -18,6 +18,7 @@ _INTEGRAL = {
     functor("<<", 2),
 }
 _FLOORED = {functor("mod", 2): "%", functor("div", 2): "//"}
+_TRUNCATED = functor("//", 2)
 _FUNCTIONS_OF_INTEGERS = {*_INTEGRAL, *_BITS, functor("\\", 1), functor("gcd", 2), functor("msb", 1)}
 _TO_INTEGER = {functor(name, 1) for name in ("integer", "truncate", "round", "floor", "ceiling")}
 _GIVING_AN_OPERAND = {
@@ -96,12 +97,14 @@ def _operation(scope: Scope, expression: CompoundTerm, depth: int) -> Operand:
     names = ", ".join(name for name, _ in operands)
     call = f"{scope.unit.constant(EVALUABLE[key])}({names})"
     target = scope.temp()
-    symbol = _BITS.get(key) or _FLOORED.get(key)
+    symbol = "//" if key is _TRUNCATED else _BITS.get(key) or _FLOORED.get(key)
     if symbol is not None:
         unknown = [name for name, kind in operands if kind != "int"]
         test = " and ".join(f"{name}.__class__ is int" for name in unknown) or "True"
         if key in _FLOORED:
             test = f"{operands[1][0]} and {test}"
+        elif key is _TRUNCATED:  # rounded down is truncated there; what is larger may take too long
+            test += f" and {operands[0][0]} >= 0 < {operands[1][0]} < {1 << 64}"
         scope.line(f"{target} = {operands[0][0]} {symbol} {operands[1][0]} if {test} else {call}")
     else:
         scope.line(f"{target} = {call}")
