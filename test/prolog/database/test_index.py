@@ -3,7 +3,7 @@
 from random import Random
 
 import pytest
-from prolog.support import answers, prolog
+from prolog.support import NEVER, answers, prolog
 
 from retalis.prolog.database import index
 from retalis.prolog.database.index import Index
@@ -49,3 +49,30 @@ def test_clauses_with_a_variable_that_are_asserted_between_calls():
     assert answers(logic, "fill(50), p(7, 7), go(50)")
     assert answers(logic, "findall(X, p(7, X), [7, v(50), v(49) | Rest]), length(Rest, 48)")
     assert answers(logic, "findall(X, p(51, X), [v(50) | Rest]), length(Rest, 49)")
+
+
+FACTS = "p(7, X, X). p(8, X, f(X, _)). p(_, none, none). " + " ".join(
+    f"p({at}, {at}, a)." for at in range(10, 60)
+)
+CALLS = [
+    "p(7, 1, X)",
+    "p(7, 1, 2)",
+    "p(8, 1, f(X, Y))",
+    "p(8, 1, 2)",
+    "p(7, none, X)",
+    "p(10, X, b)",
+    "p(X, 12, Y)",
+]
+
+
+@pytest.mark.parametrize("call", CALLS)
+def test_facts_with_variables_among_many_are_the_same_compiled(call):
+    found = [answers(prolog(FACTS, after), call) for after in (0, NEVER)]
+    assert found[0] == found[1]
+
+
+@pytest.mark.parametrize("call", ["p(7, 7)", "p(7, 8)", "p(7, X)", "p(X, 7)", "p(70, X)", "p(7, f(X))"])
+def test_a_fact_that_is_alone_under_its_key_is_compared_whole(call):
+    many = prolog(" ".join(f"p({at}, {at})." for at in range(40)))
+    few = prolog("p(7, 7).")
+    assert answers(many, call) == answers(few, call)

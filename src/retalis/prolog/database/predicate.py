@@ -10,7 +10,7 @@ from typing import Any, Callable, Dict, Iterator, List, Optional, Protocol, Tupl
 from ...foundation import look
 from ..compiler import ClauseParts, Direct, Generator, KnownDatabase, fact_search, key_of
 from ..machine import Code, Frame, Machine, PrologError, Step
-from ..terms import Functor, Term, Trail, Values, Var, copy, undo, unify
+from ..terms import Atom, Functor, Term, Trail, Values, Var, copy, undo, unify
 from .clause import NEVER, Clause, keys_of, match_head, may_match
 from .functional import Functional
 from .index import Index
@@ -222,10 +222,12 @@ class Predicate:
         if len(clauses) > _MANY:
             look(0)  # to find a clause among these may take long
         generation = self.database.generation
-        keys = keys_of(frame, position)
         if self.ground:
+            # The keys tell whether another fact may match, which there is none of.
+            keys = keys_of(frame, position) if len(clauses) > 1 else None
             search = self._searches.get(position) or self._search(position)
             return search(frame, clauses, 0, len(clauses), generation, keys)
+        keys = keys_of(frame, position)
         return self._advance(frame, clauses, 0, len(clauses), generation, keys)
 
     def fact_finder(self, once: bool) -> Callable[..., Optional[bool]]:
@@ -262,7 +264,8 @@ class Predicate:
             return clauses, None
         best, by = clauses, None
         for position in range(min(self.functor.arity, 4)):
-            key = key_of(frame[position + 1])
+            arg = frame[position + 1]
+            key = arg if arg.__class__ is Atom else key_of(arg)
             if key is None:
                 continue
             found = self.indexes.get(position)
@@ -321,7 +324,8 @@ class Predicate:
                 at += 1
             height = len(machine.choices)
             mark = len(trail)
-            if clause.fact:
+            # What is surely the last one to try goes the way of rules, which has it compiled.
+            if clause.fact and (at < end or clause.ground or self.dynamic):
                 if match_head(frame, clause, {}, trail):
                     if at < end:
                         machine.choices.append((self._retry, frame, clauses, at, end, generation, keys, mark))
