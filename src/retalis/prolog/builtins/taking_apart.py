@@ -16,11 +16,12 @@ _MOST_ARGUMENTS = 1_000_000
 def functor_of(machine: Machine, term: Term, name: Term, arity: Term) -> bool:
     """Relate a term with its name and arity."""
     term = deref(term)
+    trail = machine.trail
     if term.__class__ is tuple:
-        return machine.unify_all((name, atom(term[0].name)), (arity, len(term) - 1))
+        return unify(name, atom(term[0].name), trail) and unify(arity, len(term) - 1, trail)
     if term.__class__ is not Var:
-        return machine.unify_all((name, term), (arity, 0))
-    return unify(term, _blank(deref(name), deref(arity)), machine.trail)
+        return unify(name, term, trail) and unify(arity, 0, trail)
+    return unify(term, _blank(deref(name), deref(arity)), trail)
 
 
 def _blank(name: Term, arity: Term) -> Term:
