@@ -37,6 +37,11 @@ def compare(  # noqa: C901 -- the loop of sorting: a call for each pair of terms
     Variables by age (or as ``variables`` says), then numbers by value (a float before an integer of the same
     value), strings and atoms alphabetically, compound terms by arity, name and arguments.
     """
+    left, right = deref(left), deref(right)
+    if left is right:
+        return 0
+    if left.__class__ is Atom and right.__class__ is Atom:
+        return -1 if left.name < right.name else 1
     stack: List[Any] = [right, left]
     met: Optional[MetPairs] = None
     for done in ROUNDS:
