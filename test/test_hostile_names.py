@@ -215,6 +215,8 @@ def test_variables_flags_modules_and_files_do_no_harm(name, tmp_path):
         f"use_module(library({it}))",
         f"{it}:foo(1)",
         f"use_foreign({it})",
+        f"use_swi({it})",
+        f"use_swi({it}, [{it}/1])",
         f"{name}",
         f"{name} = 1",
         f"read_term_from_atom({it}, T, [])",

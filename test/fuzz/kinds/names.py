@@ -333,6 +333,7 @@ class Inputs(Kind):
             "use_module({})",
             "use_module(library({}))",
             "use_foreign({})",
+            "use_swi({0}, [{0}/1])",
             "module({0}, [{0}/1])",
             "{}:true",
         ):
