@@ -67,3 +67,13 @@ def test_as_all_ways_tried_in_their_order(steps, readings, cut):
     rule = rule_of(steps)
     assert fired(rule, readings) == expected(steps, readings), rule
     assert fired(rule, readings, cut) == expected(steps, readings), rule
+
+
+def test_matches_that_wait_for_one_that_is_preferred_go_on_waiting_in_another_engine():
+    """Several ways hold the first of them, and are told apart by what comes."""
+    steps = "p where V == 0, later(y(0, 1, until(V == 8))) where V == 9, later(z(0, 1, until(V == 7))) where V == 6"
+    rule = f"found(K, L) <- aggregate(list(V), reading(K, V), L, steps([{steps}]))."
+    readings = [("a", value) for value in [0, 0, 0, 9, 1, 8, 8, 2, 0, 1, 7, 7]]
+    alone = fired(rule, readings)
+    assert alone == ["found(a,[0,9])"]
+    assert all(fired(rule, readings, cut) == alone for cut in range(len(readings)))

@@ -242,16 +242,15 @@ class SteppedWindow:
         found.append(way)
 
     @staticmethod
-    def _decided(ways: Sequence[StepWay]) -> List[_Whole]:
-        """Take from all ways the matches that are the first in each of them, and return these."""
-        found = []
-        while ways[0].whole:
-            first = ways[0].whole[0]
-            if any(not way.whole or way.whole[0] is not first for way in ways):
-                break
-            found.append(first)
+    def _decided(ways: Sequence[StepWay]) -> Tuple[_Whole, ...]:
+        """Take the matches of the preferred way from all ways, and return these: a match ends what is less preferred.
+
+        So each way begins with the matches of those before it.
+        """
+        found = ways[0].whole
+        if found:
             for way in ways:
-                way.whole = way.whole[1:]
+                way.whole = way.whole[len(found) :]
         return found
 
     # ---- what is given on ----------------------------------------------------------------------------
