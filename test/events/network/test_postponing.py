@@ -61,6 +61,25 @@ def test_what_goals_of_a_fold_do_to_its_window_waits_until_the_event_is_taken(wi
     assert reports == []
 
 
+@pytest.mark.parametrize(
+    ("goal", "said"),
+    [
+        (EVENT, "w([1,2,9]) w([9,3,4])"),  # two ways ask: one goes on, in another the match would begin
+        (RESET, "w([3,4,5])"),
+        (FLAG, "w([1,2,3])"),
+        (f"{RESET}, {EVENT}", "w([9,3,4])"),
+    ],
+)
+def test_what_a_condition_of_a_step_does_to_its_window_waits_until_the_event_is_taken(goal, said):
+    engine, seen, reports = run(
+        f"w(S) <- aggregate(list(X), a(X), S, steps([s(3) where (X =\\= 2 ; {goal})]))."
+    )
+    for number in range(1, 6):
+        engine.event(f"a({number})", number)
+    assert " ".join(seen) == said
+    assert reports == []
+
+
 @pytest.mark.parametrize("goal", ["del_event_rule(own)", "reset_etalis"])
 def test_a_rule_that_is_taken_out_by_its_own_goal_says_what_it_had_found(goal):
     engine, seen, _ = run("own : " + FOLD.format(window="last(10)", goal=goal).lstrip())

@@ -172,6 +172,7 @@ def measuring(
             result,
             False,
             _LATE,
+            any(one.tests or one.until for one in plan.steps),
         )
     make = partial(_WINDOWS[form.kind], measures, form)
     clocked = form.kind == "first" or (form.kind == "every" and not form.running)
