@@ -312,7 +312,7 @@ class Generator:
             reluctant = not until and self.chance(30)
             goals = [self.look(sure, names)] if self.chance(75) else []
             later = self.chance(35)
-            if later and most.__class__ is not int and not until:
+            if (later or not goals) and most.__class__ is not int and not until:
                 reluctant = True  # else nothing might end it
             found.append(
                 functor("step", 7)(

@@ -4,6 +4,7 @@ import pytest
 from events.running import Program, fired
 
 from retalis.engine import parts_of
+from retalis.foundation import ProgramErrors
 
 RISING = "up(M) <- aggregate(count, r(M,V), _, steps([low where V < 3, high where V >= 3]))."
 STARS = "s(L) <- aggregate(list(X), e(X), L, steps([{}]))."
@@ -73,4 +74,29 @@ def test_the_preferred_ways_are_followed_and_others_counted():
 def test_a_condition_that_raises_refuses_that_event_alone():
     program = Program("s(L) <- aggregate(list(X), e(X), L, steps([a, b where X > prev(X)])).")
     assert program.feed("e(1)@1 e(x)@2 e(2)@3") == "s([1,2])@1-3"
-    assert ["the condition of a step" in str(error) for error in program.errors] == [True]
+    assert ["the condition of the step b: " in str(error) for error in program.errors] == [True]
+
+
+def test_an_error_in_until_says_so():
+    program = Program("s(L) <- aggregate(list(X), e(X), L, steps([a(1, many, until(X > nine))])).")
+    assert program.feed("e(1)@1") == ""
+    assert ["until of the step a: " in str(error) for error in program.errors] == [True]
+
+
+def test_parts_of_a_condition_share_the_variables_that_are_its_own():
+    steps = "a(2, many) where (X > 1, span(N), X < 9, X - first(X) < N)"
+    stream = "e(1)@1 e(2)@2 e(5)@3 e(6)@4 e(9)@5"
+    assert fired("span(4).\n" + STARS.format(steps), stream) == "s([2,5])@2-4"
+
+
+def test_a_condition_does_not_look_at_patterns_to_the_left():
+    with pytest.raises(ProgramErrors, match="a condition of a step looks at a pattern to the left"):
+        Program("s(L) <- x(Y) seq aggregate(list(X), e(X), L, steps([a where X > Y])).")
+
+
+@pytest.mark.parametrize(
+    "steps", ["a(1, many)", "a where X = 1, b(0, many), c where X = 2", "later(a(2, many))"]
+)
+def test_a_step_that_takes_all_and_never_ends_is_refused(steps):
+    with pytest.raises(ProgramErrors, match="nothing ends the step"):
+        Program(STARS.format(steps))

@@ -1,6 +1,6 @@
 """Windows of steps, read from terms: ``steps([low, high(2, 5) where T > prev(T)])``."""
 
-from typing import Any, Iterator, List, NamedTuple, Optional, Protocol, Sequence, Set, Tuple
+from typing import Any, Container, Iterator, List, NamedTuple, Optional, Protocol, Sequence, Set, Tuple
 
 from ...foundation import RuleError
 from ...prolog.terms import (
@@ -95,7 +95,7 @@ def read_steps(
     for at, one in enumerate(steps):
         for goal in (one.goal, one.until):
             if goal is not None:
-                parts = conditions(goal, names, at)
+                parts = conditions(goal, names, at, given)
                 for back in (back for part in parts for back in part.back):
                     if back.var not in given or back.step < 0:
                         raise _nothing_there(reader, back, names, form)
@@ -152,9 +152,11 @@ def _are_counts(least: Any, most: Any) -> bool:
 def _check_ends(reader: StepReader, steps: Sequence[StepForm], form: CompoundTerm) -> None:
     """Refuse a step that goes on for ever, so that no match would ever be whole."""
     for at, one in enumerate(steps):
-        endless = one.later and one.most is None and not one.reluctant and one.until is None
-        if endless and not any(other.least for other in steps[at + 1 :]):
-            message = f"nothing ends the step {one.name}: give it a largest number, reluctant, or until(Goal)"
+        endless = one.most is None and not one.reluctant and one.until is None
+        takes_all = one.goal is None
+        if endless and (takes_all or (one.later and not any(other.least for other in steps[at + 1 :]))):
+            what = "a condition, a largest number" if takes_all and not one.later else "a largest number"
+            message = f"nothing ends the step {one.name}: give it {what}, reluctant, or until(Goal)"
             raise reader.error(message, form, 1)
 
 
@@ -164,15 +166,29 @@ def _nothing_there(reader: StepReader, back: LookBack, names: Sequence[str], for
     return reader.error(f"{back.kind} needs a variable that the pattern gives a value", form, 1)
 
 
-def conditions(goal: Term, names: Sequence[str], at: int) -> List[StepCondition]:
+def conditions(goal: Term, names: Sequence[str], at: int, given: Container[Var]) -> List[StepCondition]:
     """Return the parts of a condition, and at what each of them looks back.
+
+    What stands between commas is a part; those that share a variable of their own are one, with what is between them.
 
     Args:
         goal: the condition.
         names: those of the steps.
         at: the step whose condition it is.
+        given: the variables that the pattern gives values to; others are the condition's own.
     """
-    return [_looking_back(one, names, at) for one in _conjuncts(goal)]
+    conjuncts = list(_conjuncts(goal))
+    own = [[var for var in variables(one) if var not in given] for one in conjuncts]
+    last = {var: place for place, mentioned in enumerate(own) for var in mentioned}
+    parts: List[Term] = []
+    end = -1
+    for place, one in enumerate(conjuncts):
+        if place > end:
+            parts.append(one)
+        else:
+            parts[-1] = (COMMA, parts[-1], one)
+        end = max([end, *(last[var] for var in own[place])])
+    return [_looking_back(one, names, at) for one in parts]
 
 
 def _conjuncts(goal: Term) -> Iterator[Term]:

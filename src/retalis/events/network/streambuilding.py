@@ -71,6 +71,8 @@ Folding = Callable[[Sequence[Term]], Optional[Term]]
 """Gives the result of a program's own aggregate for values, oldest first."""
 Holding = Callable[[Values], bool]
 """Tells whether a goal holds for values."""
+GivenGoal = Callable[[Term, Sequence[Var], str], Holding]
+"""Gives what asks a goal, given the values of some variables and what reports call it."""
 
 
 class Asking(NamedTuple):
@@ -79,13 +81,13 @@ class Asking(NamedTuple):
     Attributes:
         evaluating: gives what gives the number of an expression, for a kind of aggregate.
         folded: gives what calls the predicates of a program's own aggregate.
-        holding: gives what asks a goal, given the values of some variables.
+        holding: gives what asks a goal, given the values of some variables and what it is called.
         crowded: is called where there are more ways to take steps than are followed.
     """
 
     evaluating: Callable[[str], Evaluate]
     folded: Callable[[Any], Folding]
-    holding: Callable[[Term, Sequence[Var]], Holding]
+    holding: GivenGoal
     crowded: Callable[[], None]
 
 
@@ -180,23 +182,23 @@ def measuring(
     return Making(lambda mode: make(), item, result, clocked, _LATE, calls, quick)
 
 
-def planned(form: WindowForm, before: int, holding: Callable[[Term, Sequence[Var]], Holding]) -> StepPlan:
+def planned(form: WindowForm, before: int, holding: GivenGoal) -> StepPlan:
     """Return the plan of the steps of a window.
 
     Args:
         form: the window.
         before: how many values of an item come before those that conditions look at.
-        holding: gives what asks a goal, given the values of some variables.
+        holding: gives what asks a goal.
     """
     places = {var: at for at, var in enumerate(form.looked_at, before)}
     names = [one.name for one in form.steps]
     marks: Dict[StepMark, int] = {}
 
-    def test(goal: Term, at: int) -> Tuple[StepTest, ...]:
+    def test(goal: Term, at: int, called: str) -> Tuple[StepTest, ...]:
         made = []
-        for one in conditions(goal, names, at):
+        for one in conditions(goal, names, at, places):
             own = [var for var in variables(one.goal) if var in places]
-            holds = holding(one.goal, [*own, *(back.stands for back in one.back)])
+            holds = holding(one.goal, [*own, *(back.stands for back in one.back)], called)
             back = [
                 marks.setdefault(StepMark(back.kind, -1 if back.kind == "prev" else back.step), len(marks))
                 for back in one.back
@@ -206,7 +208,10 @@ def planned(form: WindowForm, before: int, holding: Callable[[Term, Sequence[Var
         return tuple(made)
 
     def step(at: int, one: StepForm) -> WindowStep:
-        tests, until = [() if goal is None else test(goal, at) for goal in (one.goal, one.until)]
+        tests, until = [
+            () if goal is None else test(goal, at, f"{called} of the step {one.name}")
+            for goal, called in ((one.goal, "the condition"), (one.until, "until"))
+        ]
         return WindowStep(one.least, one.most, one.reluctant, one.later, tests, until)
 
     steps = [step(at, one) for at, one in enumerate(form.steps)]
@@ -383,6 +388,11 @@ class StreamBuilding:
             node = Streaming(self.rule, [below.node], names, shaping(core, names))
             built = below if core.shape != "debounce" else Built(node, [], below.leaves, [])
             return built._replace(node=self._add(node, None, UNLIMITED))
+        asked = [goal for one in core.window.steps for goal in (one.goal, one.until) if goal is not None]
+        if any(var in context and var not in names for goal in asked for var in variables(goal)):
+            raise RuleError(
+                "a condition of a step looks at a pattern to the left of what is measured", self.rule.place
+            )
         values = [value for value in core.values if value is not None]
         outside = self._outside(pattern, [*values, *core.window.looked_at])
         groups = [var for var in names if var in outside]
@@ -431,7 +441,7 @@ class StreamBuilding:
 
         return evaluate
 
-    def _holding(self, goal: Term, names: Sequence[Var]) -> Holding:
+    def _holding(self, goal: Term, names: Sequence[Var], called: str) -> Holding:
         """Return what asks a goal, given the values of some variables."""
         compiled = self.rule.network.logic.compile_goal(goal, list(names), [])
 
@@ -440,7 +450,7 @@ class StreamBuilding:
                 return compiled.test(values) is not None
             except PrologError as error:
                 keep_back(error)
-                raise RuleError(f"the condition of a step: {error.message}") from error
+                raise RuleError(f"{called}: {error.message}") from error
 
         return holds
 
