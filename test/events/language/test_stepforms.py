@@ -100,3 +100,10 @@ def test_a_condition_does_not_look_at_patterns_to_the_left():
 def test_a_step_that_takes_all_and_never_ends_is_refused(steps):
     with pytest.raises(ProgramErrors, match="nothing ends the step"):
         Program(STARS.format(steps))
+
+
+def test_a_match_that_cannot_fail_is_given_up_where_there_are_too_many_ways_before_it():
+    steps = "a(1, many) where X >= first(X), b where X =:= first(a, X), later(c) where X = 500"
+    program = Program(STARS.format(steps))
+    program.feed(" ".join(f"e({x})@{x}" for x in range(100)) + " e(99)@200 e(-1)@300")
+    assert program.feed("e(5)@301 e(5)@302 e(500)@303 e(-2)@304") == "s([5,5,500])@301-304"

@@ -191,12 +191,8 @@ class SteppedWindow:
             if way.step == SCANNING:
                 found.append(way)
             elif not takers and passing:
-                self._add(
-                    StepWay(way.step, way.count, passing, way.marks, way.taken, way.start, way.whole),
-                    found,
-                    seen,
-                )
-                if self.plan.is_sure(passing):
+                further = StepWay(way.step, way.count, passing, way.marks, way.taken, way.start, way.whole)
+                if self._add(further, found, seen) and self.plan.is_sure(passing):
                     return found
         return found
 
@@ -223,23 +219,24 @@ class SteppedWindow:
                 choices if all(plan.steps[one].later for one in choices) else None
             )  # as after one passed over
             marks = plan.marked(way.marks, at, item)
-            self._add(StepWay(at, count, left, marks, taken, start, way.whole), found, seen)
-            if not whole and plan.is_sure(choices):
+            added = self._add(StepWay(at, count, left, marks, taken, start, way.whole), found, seen)
+            if added and not whole and plan.is_sure(choices):
                 return True
         if whole:
             found.append(self._scanning((*way.whole, _Whole(taken, start))))
         return whole
 
-    def _add(self, way: StepWay, found: List[StepWay], seen: Dict[Hashable, int]) -> None:
-        """Add a way, unless one that is preferred turns out a match whenever it does."""
+    def _add(self, way: StepWay, found: List[StepWay], seen: Dict[Hashable, int]) -> bool:
+        """Add a way, unless one that is preferred turns out a match whenever it does; tell if either is there."""
         key = way.key(self.plan.meaning(way.step, way.count))
         if seen.get(key, -1) >= way.count:
-            return
+            return True
         if len(found) >= MOST_WAYS:
             self._crowded()
-            return
+            return False
         seen[key] = way.count
         found.append(way)
+        return True
 
     @staticmethod
     def _decided(ways: Sequence[StepWay]) -> Tuple[_Whole, ...]:
