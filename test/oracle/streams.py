@@ -12,7 +12,7 @@ from retalis.prolog.terms import NIL, Term, Var, list_items, make_list, variable
 from .conditions import may_bind
 from .goals import Bindings, GoalError, instance, number, quotient, show, unbound, unify
 from .matches import Event, Match
-from .patterns import Awaited, Pattern, Shaped, Windowed, children
+from .patterns import Aggregate, Awaited, Both, Pattern, Shaped, Star, Windowed, children
 from .repetition import Repetitions
 from .stepping import steps_of, whole_matches
 
@@ -388,8 +388,11 @@ class Streams(Repetitions):
 
 
 def from_below(node: Pattern) -> List[Pattern]:
-    """Return a pattern and all below it: what is further left or below comes first."""
-    return [one for child in children(node) for one in from_below(child)] + [node]
+    """Return a pattern and all below it: what is further right in a pair, or below, comes first."""
+    parted = children(node)
+    if isinstance(node, (Both, Star, Aggregate)):
+        parted.reverse()
+    return [one for child in parted for one in from_below(child)] + [node]
 
 
 def quantile(part: Fraction, values: List[Any]) -> Any:

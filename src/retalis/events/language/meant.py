@@ -36,6 +36,12 @@ _MEANT: Dict[Any, str] = {
         ",", 2
     ): "a comma between patterns makes them a single event; use and or seq (for a condition, where)",
     functor(";", 2): "a semicolon between patterns makes them a single event; use or",
+    functor("=>", 2): "=> is no comparison, and makes all of this a single event; at least is >=",
+    functor("|", 2): "a bar between patterns makes them a single event; use or",
+    **{
+        functor(name, 2): f"{name} between patterns makes them a single event; use and or seq"
+        for name in "+-*/"
+    },
     functor("->", 2): "an arrow between patterns makes them a single event; use seq",
     functor("\\+", 1): _ABSENCE,
     functor("not", 1): _ABSENCE,
@@ -97,6 +103,8 @@ def wrong_arity(term: Any) -> Optional[str]:
     if takes is None or takes == count or (count == takes + 1 and name in _WITH_OPTIONS):
         return None
     form = FORMS.get(name, f"takes {takes} argument{'s' * (takes != 1)}")
+    if name == "aggregate":
+        form += ", or a window as the fourth"
     return f"this is an ordinary event; {name} {form}"
 
 

@@ -46,6 +46,9 @@ class EventTerm(NamedTuple):
     number: int
 
 
+_ABSENT = "absent"
+
+
 class PatternReader:
     """Turns the body of one rule into a pattern.
 
@@ -96,7 +99,10 @@ class PatternReader:
             if run is None:
                 return self._event(parent, number)
             what = run.name if run.kind is OperatorKind.RUN else f"an {run.name}"
-            raise self.error(f"{what} can only be the right side of a {SEQ}", term)
+            message = f"{what} can only be the right side of a {SEQ}"
+            if run.kind is OperatorKind.AGGREGATE:
+                message += ", or has a window: aggregate(K, Q, R, last(60))"
+            raise self.error(message, term)
         return self._forms[EVENT_OPERATOR[name].kind](self, name, term)
 
     def _pair(self, name: str, term: CompoundTerm) -> Pattern:
@@ -155,6 +161,9 @@ class PatternReader:
             if run.kind is OperatorKind.DEADLINE:
                 return Awaited(first, self.operand(right, 1, run.name), self.span(run.name, right))
             return Star(first, self.operand(right, 1, run.name))
+        if right.__class__ is tuple and right[0].name == _ABSENT:
+            form = f"{_ABSENT}(Pattern, Seconds) has two arguments, the second a number"
+            self._warn(self.error(f"this is an ordinary event; {form}", right))
         return Pair(SEQ, first, self.read(term, 2))
 
     def _called(self, term: Term) -> Optional[Term]:

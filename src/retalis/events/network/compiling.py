@@ -47,6 +47,7 @@ from .parting import (
 from .repeating import Repeating
 from .runs import Running
 from .streambuilding import StreamBuilding
+from .streaming import Streaming
 from .telling import Name, Telling
 
 _IS = functor("is", 2)
@@ -64,6 +65,8 @@ class RuleCompiler(StreamBuilding):
     Attributes:
         nodes: all nodes, each with the bound on its own interval and the shortest bound there is from it
             upwards.
+        ringing: the operators on streams, in the order in which the clock wakes them. As for events, the right side
+            of a pair comes before the left one: what completes something is taken before it replaces what waits.
         twins: what negated patterns were built anew, and what they were built as first.
     """
 
@@ -74,6 +77,7 @@ class RuleCompiler(StreamBuilding):
         self._counts = occurrences(head, pattern)
         self._telling = Telling(self.keep)
         self.nodes: List[Tuple[NetworkNode, Optional[int], Limit]] = []
+        self.ringing: List[Streaming] = []
         self.twins: List[Tuple[Built, Built]] = []
         self._bound_by: Dict[int, VarSet] = {}
 
@@ -84,6 +88,8 @@ class RuleCompiler(StreamBuilding):
             raise RuleError("a condition uses variables that no pattern to its left binds", self.rule.place)
         for rank, leaf in enumerate(built.leaves):
             leaf.rank = rank
+        for place, stream in enumerate(self.ringing):
+            stream.place = place
         for built_again, first in self.twins:
             for leaf, other in zip(built_again.leaves, first.leaves):
                 leaf.rank = other.rank
@@ -102,6 +108,7 @@ class RuleCompiler(StreamBuilding):
             limit: the shortest interval bound above it; None for none.
         """
         pairs: List[Tuple[Pair, Wrapping, Limit]] = []
+        begun = len(self.ringing)
         while True:
             wrapping = unwrap(pattern)
             span = wrapping.span
@@ -114,7 +121,7 @@ class RuleCompiler(StreamBuilding):
         built = self._build_core(core, wrapping, context, inner)
         while pairs:  # a long sequence is not a deep recursion
             pair, wrapping, inner = pairs.pop()
-            built = self._joining(pair, wrapping, context, inner, built)
+            built = self._joining(pair, wrapping, context, inner, built, begun)
         return built
 
     def _build_core(self, core: Pattern, wrapping: Wrapping, context: VarSet, inner: Limit) -> Built:
@@ -173,7 +180,8 @@ class RuleCompiler(StreamBuilding):
         return self._telling.name(built.node.vars, pattern)
 
     def _add(self, node: N, span: Optional[int], limit: Limit) -> N:
-        node.place = len(self.nodes)
+        if isinstance(node, Streaming):
+            self.ringing.append(node)
         self.nodes.append((node, span, limit))
         return node
 
@@ -243,9 +251,19 @@ class RuleCompiler(StreamBuilding):
         """Have a node's interval carried on for a condition."""
         return self._add(Capture(node, one.start, one.end), None, UNLIMITED)
 
-    def _joining(self, core: Pair, wrapping: Wrapping, context: VarSet, limit: Limit, left: Built) -> Built:
+    def _to_the_right(self, pattern: Pattern, context: VarSet, limit: Limit, begun: int) -> Built:
+        """Build the right side of a pair, whose left one has the operators on streams from ``begun`` on."""
+        left = self.ringing[begun:]
+        del self.ringing[begun:]
+        built = self._build(pattern, context, limit)
+        self.ringing += left
+        return built
+
+    def _joining(
+        self, core: Pair, wrapping: Wrapping, context: VarSet, limit: Limit, left: Built, begun: int
+    ) -> Built:
         here = context | self._bound(core.left)
-        right = self._build(core.right, here, limit)
+        right = self._to_the_right(core.right, here, limit, begun)
         below = [*left.deferred, *right.deferred]
         sure: Set[Var] = set()
         if below or wrapping.absent is not None:  # it walks all that is on the left
@@ -342,8 +360,9 @@ class RuleCompiler(StreamBuilding):
     ) -> Built:
         here = context | frozenset(bound_by(core.first))
         pattern = core.repeated if isinstance(core, Star) else core.collected
+        begun = len(self.ringing)
         first = self._build(core.first, context, limit)
-        repeated = self._build(pattern, here, limit)
+        repeated = self._to_the_right(pattern, here, limit, begun)
         naming = self._named(first, core.first), self._named(repeated, pattern)
         node = Running(self.rule, first.node, repeated.node, meet(first, repeated), naming, self.keep)
         node.revived = (may_be_revived(core.first), may_be_revived(pattern))

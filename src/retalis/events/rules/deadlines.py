@@ -17,7 +17,7 @@ _Deadline = Tuple[int, int, int, int, Woken]
 class Deadlines:
     """The instants for which nodes have asked.
 
-    At one instant the nodes of older rules ring first, and of one rule those that stand further left or below. Each
+    At one instant the nodes of older rules ring first, and of one rule those that stand further right or below. Each
     rings by itself: where the limits of one are met, or its goals raise an error, the others ring all the same.
 
     Args:
