@@ -88,6 +88,8 @@ def logic():
         ),
         ("open(facts, read, S), stream_property(S, file_name(T))", "facts"),
         ("open(facts, read, S, [alias(x)]), stream_property(S, alias(T))", "x"),
+        ("see(facts), skip(0'(), get0(C), get(_), skip('\\n'), get(T), seen", "112"),
+        ("open(facts, read, S), skip(S, x), get_char(S, T)", "end_of_file"),
         ("open(facts, read, S), findall(X, (repeat, read(S, X), X == end_of_file, !), [T])", "end_of_file"),
     ],
 )

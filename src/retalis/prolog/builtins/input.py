@@ -2,10 +2,11 @@
 
 from typing import Callable, Iterator, List, Optional
 
-from ...foundation import SyntaxFault
+from ...foundation import SyntaxFault, look
 from ..machine import PrologError, domain_error, instantiation_error, type_error
 from ..terms import Atom, CompoundTerm, Term, Var, atom, deref, functor, unify
 from .arguments import atom_of, option_values
+from .output import character_of
 from .program import Machine, Solutions
 from .reading import flags_of, nothing, unify_options
 from .registry import deterministic, nondeterministic
@@ -271,6 +272,44 @@ def _atom(character: str) -> Term:
 for _name, _made in (("char", _atom), ("code", _code), ("byte", _code)):
     _define(f"get_{_name}", True, _made)
     _define(f"peek_{_name}", False, _made)
+
+
+@deterministic("get0/1")
+def get_any(machine: Machine, code: Term) -> bool:
+    """Read a character as its code."""
+    return unify(code, _code(streams_of(machine).input.character(True)), machine.trail)
+
+
+@deterministic("get/1")
+def get_visible(machine: Machine, code: Term) -> bool:
+    """Read the next character that is no layout, as its code."""
+    source = streams_of(machine).input
+    found = source.character(True)
+    while found and found.isspace():
+        found = source.character(True)
+    return unify(code, _code(found), machine.trail)
+
+
+@deterministic("skip/1")
+def skip(machine: Machine, character: Term) -> bool:
+    """Read up to a character, and that."""
+    return _skip(machine, None, character)
+
+
+@deterministic("skip/2")
+def skip_in(machine: Machine, stream: Term, character: Term) -> bool:
+    """Read up to a character of a stream, and that."""
+    return _skip(machine, stream, character)
+
+
+def _skip(machine: Machine, stream: Optional[Term], character: Term) -> bool:
+    source, wanted = streams_of(machine).to_read(stream), character_of(machine, character)
+    steps = 0
+    while source.character(True) not in (wanted, ""):
+        steps += 1
+        if not steps & 1023:
+            look()
+    return True
 
 
 @deterministic("at_end_of_stream/0")

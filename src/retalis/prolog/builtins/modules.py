@@ -1,10 +1,10 @@
 """Modules as predicates: their declaration, what arguments are goals, and names in front of goals."""
 
-from typing import List, Tuple
+from typing import List
 
 from ..database import declared_kinds, indicated
 from ..machine import instantiation_error, type_error
-from ..terms import COLON, SLASH, CompoundTerm, Functor, Term, Var, atom, deref, functor, unify
+from ..terms import COLON, SLASH, Functor, Term, Var, atom, deref, functor, unify
 from .arguments import atom_of, items
 from .clauses import declared
 from .program import Machine, Solutions
@@ -18,12 +18,27 @@ _OP, _GRAMMAR_NAME = functor("op", 3), functor("//", 2)
 @deterministic("module/2")
 def module(machine: Machine, name: Term, exports: Term) -> bool:
     """Begin a module: its other predicates get names of their own for the rest of the file."""
-    keys, operators = _exported(exports)
-    for one in operators:
-        op(machine, one[1], one[2], one[3])
+    keys: List[Functor] = []
+    wrong: List[Term] = []
+    for item in items(exports):
+        one = deref(item)
+        if isinstance(one, tuple) and one[0] is _OP:
+            op(machine, one[1], one[2], one[3])
+            continue
+        key = indicated(one) if isinstance(one, tuple) and one[0] in (SLASH, _GRAMMAR_NAME) else None
+        if key is None:
+            wrong.append(one)
+        else:
+            keys.append(key)
     if not machine.logic.database.modules.begin(atom_of(name).name, keys):
         machine.logic.message(
             "warning", "Warning: a file of event rules is no module: what it defines has its plain names\n"
+        )
+    if wrong:  # it is one all the same
+        raise (
+            instantiation_error()
+            if wrong[0].__class__ is Var
+            else type_error("predicate_indicator", wrong[0])
         )
     return True
 
@@ -32,24 +47,6 @@ def module(machine: Machine, name: Term, exports: Term) -> bool:
 def module_of_dialect(machine: Machine, name: Term, exports: Term, _: Term) -> bool:
     """Begin a module of another Prolog."""
     return module(machine, name, exports)
-
-
-def _exported(exports: Term) -> Tuple[List[Functor], List[CompoundTerm]]:
-    """Return the functors and the operators of a list of exports."""
-    keys: List[Functor] = []
-    operators: List[CompoundTerm] = []
-    for item in items(exports):
-        one = deref(item)
-        if one.__class__ is Var:
-            raise instantiation_error()
-        if isinstance(one, tuple) and one[0] is _OP:
-            operators.append(one)
-            continue
-        key = indicated(one) if one.__class__ is tuple and one[0] in (SLASH, _GRAMMAR_NAME) else None
-        if key is None:
-            raise type_error("predicate_indicator", one)
-        keys.append(key)
-    return keys, operators
 
 
 @deterministic("meta_predicate/1")

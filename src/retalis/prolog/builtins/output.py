@@ -150,7 +150,7 @@ def character_of(machine: Machine, char: Term) -> str:
     return str(found.name)
 
 
-@deterministic("put_char/1")
+@deterministic("put_char/1", "put/1")
 def put_char(machine: Machine, char: Term) -> bool:
     """Write a character."""
     machine.logic.write(character_of(machine, char))
