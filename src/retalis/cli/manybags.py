@@ -39,6 +39,7 @@ _OPTIONS = (
     "explain",
     "json",
     "quiet",
+    "allow_swi",
     "max_seconds",
     "max_inferences",
     "max_megabytes",

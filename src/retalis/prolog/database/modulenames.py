@@ -60,7 +60,7 @@ class ModuleNames:
     Attributes:
         table: by their names.
         metas: what arguments of the program's own predicates are, see `metas`.
-        current: the module whose file is being loaded.
+        loading: the module whose file is being loaded.
         last: the name of that whose file was loaded last, "" where that was none.
         is_there: tells whether the program has a predicate of a functor.
         is_of_system: tells whether the system has one.
@@ -73,7 +73,7 @@ class ModuleNames:
         self.table: Dict[str, Module] = {}
         self.shared: Set[Functor] = set()
         self.metas: Dict[Functor, ArgumentKinds] = {}
-        self.current: Optional[Module] = None
+        self.loading: Optional[Module] = None
         self.last = ""
         self.is_there: Callable[[Functor], bool] = lambda key: False
         self.is_of_system: Callable[[Functor], bool] = lambda key: False
@@ -90,16 +90,16 @@ class ModuleNames:
             may_be_one: whether it may be one, and goes on with that of the file that loads it: not one of event
                 rules, whose goals belong to nobody.
         """
-        before = self.current
+        before = self.loading
         if not may_be_one:
-            self.current = None
+            self.loading = None
         self._files.append(may_be_one)
         depth = len(self._files)
         try:
             yield
-            self.last = "" if self.current is None or self.current is before else self.current.name
+            self.last = "" if self.loading is None or self.loading is before else self.loading.name
         finally:
-            self.current = before
+            self.loading = before
             del self._files[depth - 1 :]
 
     def begin(self, name: str, exports: Iterable[Functor]) -> bool:
@@ -115,7 +115,7 @@ class ModuleNames:
         new = name not in self.table
         module = self.table.setdefault(name, Module(name))
         module.exports = set(exports)
-        self.current = module
+        self.loading = module
         self.on_begin(name)
         if new:
             self.on_change()  # what has been compiled has calls of it without its names
@@ -124,12 +124,12 @@ class ModuleNames:
     def bring_in(self, name: str) -> None:
         """Have the names that a module exports mean its predicates in the file that is being loaded."""
         found = self.table.get(name)
-        if found is not None and self.current is not None and found is not self.current:
-            self.current.imports |= found.exports
+        if found is not None and self.loading is not None and found is not self.loading:
+            self.loading.imports |= found.exports
 
     def mend(self) -> None:
         """Go back to where no file is being loaded."""
-        self.current = None
+        self.loading = None
         self.shared.clear()
         self._files.clear()
 

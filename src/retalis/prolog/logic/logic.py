@@ -127,7 +127,7 @@ class Logic(Predicates):
     def _of_module(self, term: Term, asserted: bool) -> Term:
         """Return a clause as it is added: of the module that it names, or whose file is being loaded."""
         modules = self.database.modules
-        module = None if asserted else modules.current
+        module = None if asserted else modules.loading
         while term.__class__ is tuple and term[0] is COLON:
             named = modules.named(term[1])
             module, term = (module if named is None else named), deref(term[2])
@@ -142,7 +142,7 @@ class Logic(Predicates):
     def of_file(self, goal: Term) -> Term:
         """Return a goal of the file that is being loaded as it means the same everywhere; see `Modules.body`."""
         modules = self.database.modules
-        return goal if modules.current is None else modules.body(modules.current, goal)
+        return goal if modules.loading is None else modules.body(modules.loading, goal)
 
     def load(
         self, terms: Sequence[Tuple[Term, Optional[Place]]], problem: Callable[[str, Optional[Place]], None]
