@@ -20,6 +20,7 @@ from events.knowledge.test_states import ALARM, Definition
 from events.knowledge.test_states import run as watching
 from events.network.test_replaying import RULES, standing
 from events.network.test_replaying import stream as events_to_take_back
+from events.streams.test_stepping import VALUE, expected, fired, rule_of
 
 from retalis.engine import Engine
 from retalis.engine.runtime import Clock
@@ -38,13 +39,16 @@ from retalis.events.streams import (
     Settled,
     Sliding,
     Spaced,
+    SteppedWindow,
+    StepPlan,
+    stepping,
 )
 from retalis.events.streams.items import StreamItem, StreamOutput
-from retalis.prolog.terms import SECOND, list_items
+from retalis.prolog.terms import SECOND, list_items, make_list
 
 from .comparison import difference
 from .patterns import Awaited, Shaped, Windowed, pattern_variables, walk
-from .strategies import random_case
+from .strategies import Generator, random_case
 
 Notices = Callable[[int], Optional[bool]]
 """Tells for a seed whether its case differs; None where it is not about that."""
@@ -195,6 +199,14 @@ def ahead(seed: int) -> bool:
     return seen[0] != seen[1]
 
 
+def steps(seed: int) -> bool:
+    """Compare windows of steps over readings with trying all ways in their order."""
+    chance = Random(seed)
+    drawn = make_list(Generator(chance.choice).steps([VALUE]))
+    readings = [(chance.choice("aab"), chance.randrange(4)) for _ in range(14)]
+    return bool(fired(rule_of(drawn), readings) != expected(drawn, readings))
+
+
 # ---- what is switched off ----------------------------------------------------------------------------
 
 
@@ -268,6 +280,31 @@ def younger_first(deadlines: Deadlines, node: Any, instant: int) -> None:
     deadlines._arm()
 
 
+takers = SteppedWindow._takers
+listed, planned = StepPlan._listed, StepPlan.__init__
+
+
+def never_later(plan: Any, own: Any, marks: Any) -> None:
+    """Have no step wait for a later item."""
+    planned(plan, [one._replace(later=False) for one in own], marks)
+
+
+def later_steps_first(window: Any, way: Any, item: StreamItem) -> Any:
+    """Have what is preferred least be tried first."""
+    found, passing = takers(window, way, item)
+    return found[::-1], passing
+
+
+def never_reluctant(plan: Any, at: int, enough: bool, more: bool) -> Any:
+    """Have all steps take as many as they can."""
+    own = plan.steps
+    plan.steps = tuple([one._replace(reluctant=False) for one in own])
+    try:
+        return listed(plan, at, enough, more)
+    finally:
+        plan.steps = own
+
+
 def never_over(stream: Any, instant: int) -> List[StreamOutput]:
     """Have no window be over."""
     stream.next = None
@@ -312,6 +349,13 @@ MECHANISMS: Dict[str, Mechanism] = {
     "time ends a state": Mechanism(method(DeclaredState, "_time_over", nothing), states(3)),
     "timers of one instant ring as they were set": Mechanism(method(Clock, "call_at", later_first), timers),
     "timers ring before an event of their instant": Mechanism(method(Clock, "due", after_the_event), timers),
+    "later steps pass over": Mechanism(method(StepPlan, "__init__", never_later), steps),
+    "steps are tried in their order": Mechanism(method(SteppedWindow, "_takers", later_steps_first), steps),
+    "reluctant steps take few": Mechanism(method(StepPlan, "_listed", never_reluctant), steps),
+    "steps end": Mechanism(lambda: patch.object(stepping, "ends", lambda *_: False), steps),
+    "conditions of steps look back": Mechanism(
+        method(StepPlan, "marked", lambda plan, marks, at, item: (item,) * len(marks)), steps
+    ),
 }
 
 

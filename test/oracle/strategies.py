@@ -11,7 +11,7 @@ from typing import Any, Callable, Dict, List, Optional, Sequence, Set, Tuple
 
 from hypothesis import strategies as st
 
-from retalis.prolog.terms import Term, Var, atom, functor, list_items, make_list, variables
+from retalis.prolog.terms import NIL, Term, Var, atom, functor, list_items, make_list, variables
 
 from .evaluator import run
 from .goals import show
@@ -327,6 +327,11 @@ class Generator:
             )
         if not any(one[2] for one in found):
             found[0] = (*found[0][:2], 1, *found[0][3:])
+        for at in range(len(found) - 1, -1, -1):  # a later one at the end would wait for more
+            if found[at][5].name == "later" and found[at][2] != found[at][3] and found[at][7] is NIL:
+                found[at] = (*found[at][:4], atom("reluctant"), *found[at][5:])
+            if found[at][2]:
+                break
         return found
 
     def look(self, sure: List[Var], names: List[str]) -> Term:

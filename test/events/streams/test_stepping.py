@@ -2,6 +2,7 @@
 
 from random import Random
 
+import pytest
 from hypothesis import given
 from hypothesis import settings as example_settings
 from hypothesis import strategies as st
@@ -61,7 +62,8 @@ STEPS = st.integers(0, 10**6).map(
 )
 
 
-@example_settings(max_examples=60)
+@pytest.mark.slow
+@example_settings(max_examples=40)
 @given(STEPS, READINGS, st.integers(0, 14))
 def test_as_all_ways_tried_in_their_order(steps, readings, cut):
     rule = rule_of(steps)

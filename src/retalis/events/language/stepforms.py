@@ -152,10 +152,14 @@ def _are_counts(least: Any, most: Any) -> bool:
 def _check_ends(reader: StepReader, steps: Sequence[StepForm], form: CompoundTerm) -> None:
     """Refuse a step that goes on for ever, so that no match would ever be whole."""
     for at, one in enumerate(steps):
-        endless = one.most is None and not one.reluctant and one.until is None
-        takes_all = one.goal is None
-        if endless and (takes_all or (one.later and not any(other.least for other in steps[at + 1 :]))):
-            what = "a condition, a largest number" if takes_all and not one.later else "a largest number"
+        if one.reluctant or one.until is not None:
+            continue
+        what = ""
+        if one.most is None and one.goal is None:
+            what = "a condition, a largest number" if not one.later else "a largest number"
+        elif one.later and one.most != one.least and not any(other.least for other in steps[at + 1 :]):
+            what = "a single number"  # else it would wait for more, which may never come
+        if what:
             message = f"nothing ends the step {one.name}: give it {what}, reluctant, or until(Goal)"
             raise reader.error(message, form, 1)
 

@@ -4,7 +4,10 @@ from ...prolog.machine import CONTEXT, PrologError, existence_error, instantiati
 from ...prolog.terms import SLASH, Atom, String, Term, Var, atom, deref, functor
 
 LIBRARY = functor("library", 1)
-_ELSEWHERE = "what the program calls of it has to be defined elsewhere"
+_ELSEWHERE = (
+    "what the program calls of it has to be defined elsewhere, or the file to be given to SWI-Prolog: "
+    ":- use_swi(File), see docs/prolog.md"
+)
 
 LIBRARIES = frozenset(
     (
