@@ -23,6 +23,11 @@ def port():
         return probe.getsockname()[1]
 
 
+def _interruptible():
+    """Have SIGINT end a process also where the tests were started in the background of a shell, which ignores it."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 class Space:
     """The package as built into one of the workspace's spaces, with a master of its own."""
 
@@ -61,7 +66,11 @@ class Space:
         log = self.logs / f"{len(self.started)}.out"
         with log.open("wb") as output:
             process = subprocess.Popen(
-                self.command(*words), env=self.env, stdout=output, stderr=subprocess.STDOUT
+                self.command(*words),
+                env=self.env,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                preexec_fn=_interruptible,
             )
         self.started.append(process)
         return process
