@@ -1,5 +1,7 @@
 """SWI-Prolog for these tests: where it is not installed, they say so and are left out."""
 
+import os
+
 import pytest
 
 from retalis import Engine, Limits, Settings
@@ -78,3 +80,13 @@ def program(folder):
 @pytest.fixture
 def engine(program):
     return program("near(a, b).\nnear(a, c).\n")
+
+
+def pytest_collection_modifyitems(items):
+    """Leave these tests to a process of their own: SWI-Prolog stays in it, with its signals, until it ends."""
+    if os.environ.get("RETALIS_TEST_SWI"):
+        return
+    alone = pytest.mark.skip(reason="in a process of their own: RETALIS_TEST_SWI=1 pytest test/prolog/swi")
+    for item in items:
+        if "prolog/swi/" in item.nodeid:
+            item.add_marker(alone)
