@@ -1,6 +1,7 @@
 """Operators on streams in rules: when they ring, what they hold, and what they report."""
 
 import pytest
+from events.running import fired
 from events.streams.feeding import entries
 
 from retalis.engine import Engine, parts_of
@@ -328,3 +329,12 @@ def test_what_an_interrupt_left_half_done_is_put_right(window):
                 node.stream.number += 7
     parts_of(engine).rules.mend()
     assert parts_of(engine).rules.waiting == parts_of(whole).rules.waiting
+
+
+@pytest.mark.parametrize("flags", [(), ("revision_flag",), ("etalis_justification",)])
+@pytest.mark.parametrize("steps", ["high(1, many) where X > 0", "one, two(1, many) where X > 0"])
+def test_what_a_condition_decides_has_come_with_the_event_that_decides_it(steps, flags):
+    """Not with its last event: what has come in between came before it, also where events may be taken back."""
+    rules = f"out(L) <- aggregate(list(X), in(X), L, steps([{steps}])) seq end."
+    assert fired(rules, "in(1)@1 in(2)@2 end@7 in(-1)@3", flags=flags) == ""
+    assert fired(rules, "in(1)@1 in(2)@2 end@7 in(-1)@3 end@8", flags=flags) == "out([1,2])@1-8"

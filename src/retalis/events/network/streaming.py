@@ -192,28 +192,24 @@ class Streaming(NetworkNode):
         """Return what takes the matches of one of the patterns."""
         take = self._taking(channel, mode)
         with_match = mode.tracked or self.making.result is None
+        postponing = self._postponing
 
         def arrive(match: Match, after: Frame) -> Frame:
-            outputs = take(match if with_match else None, match.values, match.start, match.end)
+            taken = match if with_match else None
+            if postponing is None:
+                outputs = take(taken, match.values, match.start, match.end)
+            elif postponing.at_work:
+                postponing.put_off(lambda frame: self._arrivals[channel](match, frame))
+                return after
+            else:
+                outputs = postponing.while_at_work(lambda: take(taken, match.values, match.start, match.end))
+                after = postponing.before(after)
             if not outputs:
                 return after
             return self._give(outputs, after, arrival(match) if mode.tracked else 0)
 
-        postponing = self._postponing
-        if postponing is None:
-            return arrive
-
-        def arrive_or_wait(match: Match, after: Frame) -> Frame:
-            if postponing.at_work:
-                postponing.put_off(lambda frame: self._arrivals[channel](match, frame))
-                return after
-            taken = match if with_match else None
-            outputs = postponing.while_at_work(lambda: take(taken, match.values, match.start, match.end))
-            after = postponing.before(after)
-            return self._give(outputs, after) if outputs else after
-
-        self._arrivals[channel] = arrive_or_wait
-        return arrive_or_wait
+        self._arrivals[channel] = arrive
+        return arrive
 
     def _taking(self, channel: int, mode: NetworkOptions) -> "Take":
         """Return what takes a match, or only its values and interval, and gives what comes of it."""
