@@ -79,8 +79,7 @@ def check_window(
     """
     measured = [value for value in part.values if value is not None]
     asked = [goal for step in part.window.steps for goal in (step.goal, step.until) if goal is not None]
-    own = part._replace(window=part.window._replace(looked_at=()), results=())
-    inside = occurrences(asked, own)
+    inside = occurrences([*measured, *asked], part.collected)
     everywhere = occurrences([rule], None)
     for var in dict.fromkeys(one for value in measured for one in variables(value)):
         if everywhere.get(var, 0) > inside[var]:
