@@ -78,8 +78,7 @@ def check_window(
         warn: takes the warnings.
     """
     measured = [value for value in part.values if value is not None]
-    asked = [goal for step in part.window.steps for goal in (step.goal, step.until) if goal is not None]
-    inside = occurrences([*measured, *asked], part.collected)
+    inside = occurrences([*measured, *part.window.goals], part.collected)
     everywhere = occurrences([rule], None)
     for var in dict.fromkeys(one for value in measured for one in variables(value)):
         if everywhere.get(var, 0) > inside[var]:

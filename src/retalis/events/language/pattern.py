@@ -137,6 +137,11 @@ class StepForm(NamedTuple):
     goal: Optional[Term]
     until: Optional[Term]
 
+    @property
+    def goals(self) -> List[Term]:
+        """What it asks of matches."""
+        return [goal for goal in (self.goal, self.until) if goal is not None]
+
 
 class WindowForm(NamedTuple):
     """Which matches are measured together, and when the result is given on.
@@ -160,6 +165,11 @@ class WindowForm(NamedTuple):
     running: bool = False
     steps: Tuple[StepForm, ...] = ()
     looked_at: Tuple[Var, ...] = ()
+
+    @property
+    def goals(self) -> List[Term]:
+        """What its steps ask of matches."""
+        return [goal for step in self.steps for goal in step.goals]
 
 
 class Windowed(NamedTuple):

@@ -93,14 +93,13 @@ def read_steps(
     _check_ends(reader, steps, form)
     looked_at: List[Var] = []
     for at, one in enumerate(steps):
-        for goal in (one.goal, one.until):
-            if goal is not None:
-                parts = conditions(goal, names, at, given)
-                for back in (back for part in parts for back in part.back):
-                    if back.var not in given or back.step < 0:
-                        raise _nothing_there(reader, back, names, form)
-                mentioned = [*variables(goal), *(back.var for part in parts for back in part.back)]
-                looked_at += [var for var in mentioned if var in given]
+        for goal in one.goals:
+            parts = conditions(goal, names, at, given)
+            for back in (back for part in parts for back in part.back):
+                if back.var not in given or back.step < 0:
+                    raise _nothing_there(reader, back, names, form)
+            mentioned = [*variables(goal), *(back.var for part in parts for back in part.back)]
+            looked_at += [var for var in mentioned if var in given]
     return tuple(steps), tuple(dict.fromkeys(looked_at))
 
 

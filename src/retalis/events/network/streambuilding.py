@@ -388,8 +388,7 @@ class StreamBuilding:
             node = Streaming(self.rule, [below.node], names, shaping(core, names))
             built = below if core.shape != "debounce" else Built(node, [], below.leaves, [])
             return built._replace(node=self._add(node, None, UNLIMITED))
-        asked = [goal for one in core.window.steps for goal in (one.goal, one.until) if goal is not None]
-        if any(var in context and var not in names for goal in asked for var in variables(goal)):
+        if any(var in context and var not in names for goal in core.window.goals for var in variables(goal)):
             raise RuleError(
                 "a condition of a step looks at a pattern to the left of what is measured", self.rule.place
             )
