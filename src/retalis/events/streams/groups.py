@@ -1,15 +1,26 @@
 """The items of one group that are in a window: over which interval they lie, and what is measured of them."""
 
 from collections import deque
-from typing import Deque, List, Optional, Sequence, Tuple
+from typing import Callable, Deque, List, Optional, Sequence, Tuple
 
 from ...foundation import RuleError
+from ...prolog.terms import Values
 from .items import StreamItem, StreamOutput
 from .measures import WindowMeasure
 from .numbers import Lowest
 
 MOST_NAMED = 100
 """How many items an output names where they are tracked: the newest, so that long windows take no more for each."""
+
+
+def measured(results: Callable[[], Optional[Values]]) -> Tuple[Optional[Values], Optional[RuleError]]:
+    """Return the results of measures, and what is reported in their place where something cannot be measured."""
+    try:
+        return results(), None
+    except RuleError as error:
+        return (), error
+    except OverflowError:
+        return (), RuleError("aggregate: what is measured is too large for a float")
 
 
 class WindowGroup:
@@ -63,23 +74,25 @@ class WindowGroup:
         self, with_items: bool, start: Optional[int] = None, end: Optional[int] = None
     ) -> Optional[StreamOutput]:
         """Return what is measured, by default over the interval of the items; None where a measure has no result."""
-        found = []
-        error = None
-        try:
-            for measure in self.measures:
-                result = measure.result(self.members, self.number)
-                if result is None:
-                    return None
-                found.append(result)
-        except RuleError as raised:
-            error = raised
-        except OverflowError:
-            error = RuleError("aggregate: what is measured is too large for a float")
+        found, error = measured(self._results)
+        if found is None:
+            return None
         if start is None or end is None:
             start, end = self._interval()
         members = self.members
         items = self._newest() if with_items else (members[-1],)
-        return StreamOutput(items, start, end, tuple(found), error)
+        return StreamOutput(items, start, end, found, error)
+
+    def _results(self) -> Optional[Values]:
+        """Return the results of the measures; None where one has none."""
+        found = []
+        members, number = self.members, self.number
+        for measure in self.measures:
+            result = measure.result(members, number)
+            if result is None:
+                return None
+            found.append(result)
+        return tuple(found)
 
     def _newest(self) -> Tuple[StreamItem, ...]:
         """Return the newest items, in the order in which they came."""

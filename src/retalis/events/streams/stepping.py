@@ -7,9 +7,8 @@ what comes are one. So an item takes the same time however many came before it, 
 from collections import OrderedDict, deque
 from typing import Any, Callable, Deque, Dict, Hashable, List, NamedTuple, Optional, Sequence, Tuple
 
-from ...foundation import RuleError
 from ...prolog.terms import Values
-from .groups import MOST_NAMED
+from .groups import MOST_NAMED, measured
 from .items import KnownState, StreamItem, StreamOutput
 from .measures import WindowMeasure
 from .steps import SCANNING, Marks, StepPlan, ends, passes
@@ -259,16 +258,11 @@ class SteppedWindow:
         start = min(item.start for item in items)
         end = max(deciding.end, *(item.end for item in items))
         named = tuple(items[-MOST_NAMED:]) if self.tracked else (items[-1],)
-        try:
-            found = self._measured(pairs)
-        except RuleError as error:
-            return StreamOutput(named, start, end, (), error)
-        except OverflowError:
-            too_large = RuleError("aggregate: what is measured is too large for a float")
-            return StreamOutput(named, start, end, (), too_large)
-        return None if found is None else StreamOutput(named, start, end, found)
+        found, error = measured(lambda: self._results(pairs))
+        return None if found is None else StreamOutput(named, start, end, found, error)
 
-    def _measured(self, pairs: _Pairs) -> Optional[Values]:
+    def _results(self, pairs: _Pairs) -> Optional[Values]:
+        """Return the results of the measures of a match; None where one has none."""
         found = []
         for measure, scope in zip(self.make(), self.scopes):
             members = deque([item for item, step in pairs if scope is None or step == scope])
