@@ -198,9 +198,8 @@ class SteppedWindow:
     def _takers(self, way: StepWay, item: StreamItem) -> Tuple[List[int], Tuple[int, ...]]:
         """Return the steps that take an item, and those that may take a later one if none does."""
         steps = self.plan.steps
-        choices = self.plan.choices(way.step, way.count)[0] if way.left is None else way.left
-        ending = [bool(steps[at].until) and ends(steps[at].until, way.marks, item) for at in choices]
-        open_ones = [at for at, ends in zip(choices, ending) if not ends]
+        choices = self.plan.choices(way.step, way.count).steps if way.left is None else way.left
+        open_ones = [at for at in choices if not (steps[at].until and ends(steps[at].until, way.marks, item))]
         takers = [at for at in open_ones if passes(steps[at].tests, way.marks, item)]
         return takers, tuple([at for at in open_ones if steps[at].later])
 
@@ -212,11 +211,8 @@ class SteppedWindow:
         count = plan.counted(at, way.count + 1 if way.step == at else 1)
         taken = _Taken(item, at, way.taken)
         start = item.order if way.taken is None else way.start
-        choices, whole = plan.choices(at, count)
-        if choices:
-            left = (
-                choices if all(plan.steps[one].later for one in choices) else None
-            )  # as after one passed over
+        choices, whole, left = plan.choices(at, count)
+        if choices:  # where all pass items over, they are left as after one that is passed over
             marks = plan.marked(way.marks, at, item)
             added = self._add(StepWay(at, count, left, marks, taken, start, way.whole), found, seen)
             if added and not whole and plan.is_sure(choices):

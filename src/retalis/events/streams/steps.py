@@ -8,8 +8,6 @@ LookedBack = Sequence[StreamItem]
 """The items that a condition looks back at."""
 Marks = Tuple[Optional[StreamItem], ...]
 """The item at each mark of a match, or None where there is none yet."""
-Choices = Tuple[Tuple[int, ...], bool]
-"""The steps that may take the next item, the preferred first, and whether the match may end instead."""
 SCANNING = -1
 """The step of a way in which no match has begun."""
 
@@ -46,11 +44,28 @@ class WindowStep(NamedTuple):
     until: Tuple[StepTest, ...]
 
 
+class Choices(NamedTuple):
+    """What may come next in a match.
+
+    Attributes:
+        steps: the steps that may take the next item, the preferred first.
+        ends: whether the match may end instead.
+        left: the steps again, where each of them passes over what fits nowhere; else None.
+    """
+
+    steps: Tuple[int, ...]
+    ends: bool
+    left: Optional[Tuple[int, ...]]
+
+
 class StepMark(NamedTuple):
     """An item of a match that conditions look back at: its last one, or the first or last of a step."""
 
     kind: str
     step: int
+
+
+_NOTHING = Choices((), False, ())
 
 
 class StepPlan:
@@ -69,7 +84,8 @@ class StepPlan:
             for at in range(len(steps))
         ]
         self._begin = self._from(0)
-        self._last = [self._from(at + 1)[1] for at in range(len(steps))]
+        self._last = [self._from(at + 1).ends for at in range(len(steps))]
+        self._sure = [all(one.later and not one.until for one in self.steps[at:]) for at in range(len(steps))]
 
     def choices(self, at: int, count: int) -> Choices:
         """Return what may come after a step has taken so many; what is less preferred than the end is left out."""
@@ -86,7 +102,7 @@ class StepPlan:
 
     def is_sure(self, choices: Tuple[int, ...]) -> bool:
         """Tell whether a match that has these choices cannot fail any more, however long it takes."""
-        return all(one.later and not one.until for one in self.steps[min(choices) :])
+        return self._sure[min(choices)]
 
     def meaning(self, at: int, count: int) -> Union[int, Choices]:
         """Return what a count means for what comes.
@@ -106,18 +122,21 @@ class StepPlan:
 
     def _listed(self, at: int, enough: bool, more: bool) -> Choices:
         """Return as `choices`, for a step that has taken enough and may take more."""
-        further, ends = self._from(at + 1) if enough else ((), False)
+        further, over, _ = self._from(at + 1) if enough else _NOTHING
         if not more:
-            return further, ends
+            return self._choices(further, over)
         if self.steps[at].reluctant:
-            return (further, True) if ends else ((*further, at), False)
-        return (at, *further), ends
+            return self._choices(further if over else (*further, at), over)
+        return self._choices((at, *further), over)
 
     def _from(self, at: int) -> Choices:
         """Return as `choices`, before a step has taken anything."""
         if at == len(self.steps):
-            return (), True
+            return self._choices((), True)
         return self._listed(at, self.steps[at].least == 0, True)
+
+    def _choices(self, steps: Tuple[int, ...], ends: bool) -> Choices:
+        return Choices(steps, ends, steps if all(self.steps[at].later for at in steps) else None)
 
 
 def passes(tests: Sequence[StepTest], marks: Marks, item: StreamItem) -> bool:
