@@ -65,6 +65,17 @@ def test_what_may_be_written(door, tmp_path):
     assert door.output == str(tmp_path / "write")
 
 
+def test_bytes_are_characters_of_latin_1(door, tmp_path):
+    path = str(tmp_path / "bytes")
+    with door.loading():
+        door.add_own(tmp_path)
+        door.begin(path, path, True)
+        door.append(path, "\xff\r\n", "latin-1")
+        assert door.read(path, path, "latin-1") == "\xff\r\n"
+        with pytest.raises(UsageError):
+            door.append(path, "\u0400", "latin-1")
+
+
 @pytest.mark.parametrize("is_error", [False, True])
 def test_a_full_disk_leaves_no_half_of_a_text(door, tmp_path, monkeypatch, is_error):
     path = tmp_path / "write" / "a.txt"

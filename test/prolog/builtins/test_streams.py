@@ -19,11 +19,12 @@ class Folder:
     def __init__(self, **files):
         self.files = files
 
-    def to_read(self, name):
+    def to_read(self, name, encoding="utf-8"):
         self._require(name)
         if name.name not in self.files:
             raise existence_error("source_sink", name)
-        return name.name, self.files[name.name]
+        text = self.files[name.name]
+        return name.name, text if encoding == "utf-8" else text.encode().decode(encoding)
 
     def to_write(self, name, more):
         self._require(name)
@@ -31,8 +32,8 @@ class Folder:
             self.files[name.name] = ""
         return name.name
 
-    def add(self, path, text):
-        self.files[path] += text
+    def add(self, path, text, encoding="utf-8"):
+        self.files[path] += text.encode(encoding).decode()
 
     @staticmethod
     def _require(name):
@@ -48,7 +49,10 @@ def logic():
     made.written = []
     made.output = made.written.append
     made.files = Folder(
-        terms="a(1). b(X, Y, X).\nfoo bar. c.\nrest\nlast line", empty="", facts="p(1).\np(2).\n"
+        terms="a(1). b(X, Y, X).\nfoo bar. c.\nrest\nlast line",
+        empty="",
+        facts="p(1).\np(2).\n",
+        accents="\u00e9",
     )
     return made
 
@@ -88,6 +92,31 @@ def logic():
         ),
         ("open(facts, read, S), stream_property(S, file_name(T))", "facts"),
         ("open(facts, read, S, [alias(x)]), stream_property(S, alias(T))", "x"),
+        ("open(facts, read, S), stream_property(S, position(T))", "'$stream_position'(0,1,0,0)"),
+        (
+            "open(facts, read, S), read(S, _), get_char(S, _), get_char(S, _), stream_property(S, position(T))",
+            "'$stream_position'(7,2,1,7)",
+        ),
+        (
+            "open(facts, read, S), read(S, _), stream_property(S, position(P)), read(S, _), "
+            "set_stream_position(S, P), read(S, T)",
+            "p(2)",
+        ),
+        ("open(facts, read, S), stream_property(S, end_of_stream(T))", "not"),
+        ("open(empty, read, S), stream_property(S, end_of_stream(T))", "at"),
+        ("open(empty, read, S), get_char(S, _), stream_property(S, end_of_stream(T))", "past"),
+        ("open(empty, read, S, [eof_action(reset)]), stream_property(S, eof_action(T))", "reset"),
+        ("open(accents, read, S, [type(binary)]), get_byte(S, _), peek_byte(S, T)", "169"),
+        ("open(accents, read, S, [encoding(octet)]), get_char(S, _), peek_code(S, T)", "169"),
+        ("open(accents, read, S, [type(binary)]), stream_property(S, type(T))", "binary"),
+        ("findall(A, stream_property(_, alias(A)), T)", "[user_input,user_output,user_error]"),
+        ("stream_property(user_input, eof_action(T))", "reset"),
+        ("stream_property(user_output, mode(T))", "append"),
+        ("open(facts, read, S), read(S, _), character_count(S, T)", "5"),
+        ("open(facts, read, S), read(S, _), line_position(S, T)", "5"),
+        ("open(out, write, S), write(S, abc), line_position(S, T)", "3"),
+        ("write(abc), line_position(user_output, T)", "3"),
+        ("line_position(user_input, T)", "0"),
         ("see(facts), skip(0'(), get0(C), get(_), skip('\\n'), get(T), seen", "112"),
         ("open(facts, read, S), skip(S, x), get_char(S, T)", "end_of_file"),
         ("open(facts, read, S), findall(X, (repeat, read(S, X), X == end_of_file, !), [T])", "end_of_file"),
@@ -115,6 +144,11 @@ def test_reading(logic, goal, expected):
         ("with_output_to(string(_), (write(a), tell(out), write(b), told, write(c)))", "b"),
         ("open(out, write, S), set_output(S), write(a), write(user_output, u), close(S), write(b)", "a"),
         ("open(out, write, S), write(S, a), flush_output(S)", "a"),
+        ("open(out, write, S), put_code(S, 0'a), set_output(S), put_code(0'b), close(S)", "ab"),
+        (
+            "open(out, write, S, [type(binary)]), put_byte(S, 195), set_output(S), put_byte(169), close(S)",
+            "\u00e9",
+        ),
         ("open(out, write, S), portray_clause(S, f(X)), print_message_lines(S, '', []), close(S)", "f(_).\n"),
     ],
 )
@@ -148,8 +182,40 @@ def test_columns_are_those_of_each_stream(logic):
         ("open(f, _, _)", "instantiation_error"),
         ("open(f, 1, _)", "type_error(atom,1)"),
         ("open(f, up, _)", "domain_error(io_mode,up)"),
-        ("open(f, read, s)", "type_error(var,s)"),
-        ("open(f, read, _, [type(binary)])", "domain_error(stream_option,type(binary))"),
+        ("open(f, read, s)", "uninstantiation_error(s)"),
+        ("open(f, read, _, [type(pictures)])", "domain_error(stream_option,type(pictures))"),
+        ("open(f, read, _, [eof_action(sing)])", "domain_error(stream_option,eof_action(sing))"),
+        ("close(user_input, [softly(true)])", "domain_error(close_option,softly(true))"),
+        ("get_byte(_)", "permission_error(input,text_stream,user_input)"),
+        ("get_byte(user_input, 256)", "type_error(in_byte,256)"),
+        ("get_char(1)", "type_error(character,1)"),
+        ("peek_code(x)", "type_error(integer,x)"),
+        ("get_code(-2)", "representation_error(character_code)"),
+        ("put_code(-1)", "representation_error(character_code)"),
+        ("put_byte(97)", "permission_error(output,text_stream,current_output)"),
+        ("put_byte(user_output, 97)", "permission_error(output,text_stream,user_output)"),
+        ("put_byte(user_output, 256)", "type_error(byte,256)"),
+        ("put_byte(user_output, _)", "instantiation_error"),
+        ("current_input(a)", "existence_error(stream,a)"),
+        ("current_output(1)", "domain_error(stream_or_alias,1)"),
+        ("stream_property(1, _)", "domain_error(stream,1)"),
+        ("stream_property(a, _)", "domain_error(stream,a)"),
+        ("stream_property(_, colour(_))", "domain_error(stream_property,colour(A))"),
+        ("stream_property(_, 7)", "domain_error(stream_property,7)"),
+        ("set_stream_position(user_input, _)", "instantiation_error"),
+        ("set_stream_position(user_input, a)", "domain_error(stream_position,a)"),
+        (
+            "open(out, write, S), set_stream_position(S, '$stream_position'(0,1,0,0))",
+            "permission_error(reposition,stream,'$stream'(1))",
+        ),
+        (
+            "open(empty, read, S, [eof_action(error)]), get_char(S, _), peek_char(S, _)",
+            "permission_error(input,past_end_of_stream,'$stream'(1))",
+        ),
+        (
+            "open(empty, read, S, [eof_action(error)]), read(S, _), read(S, _)",
+            "permission_error(input,past_end_of_stream,'$stream'(1))",
+        ),
         ("open(none, read, _)", "permission_error(open,source_sink,none)"),
         ("open(missing, read, _)", "existence_error(source_sink,missing)"),
         ("open(facts, read, _, [alias(user_input)])", "permission_error(open,source_sink,alias(user_input))"),
@@ -181,7 +247,7 @@ def test_there_are_so_many_at_most(logic):
 def test_an_interrupt_closes_all(logic):
     answers(logic, "open(facts, read, _, [alias(in)]), tell(out), write(a)")
     mend(logic)
-    assert answers(logic, "write(b), stream_property(_, _)") == []
+    assert answers(logic, "write(b), stream_property(_, file_name(_))") == []
     assert answers(logic, "read(in, _)") == ["existence_error(stream,in)"]
     assert logic.written == ["b"]
 

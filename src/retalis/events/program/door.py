@@ -116,8 +116,8 @@ class Door:
         except OSError:  # not there, or in a folder that is closed for us
             return False
 
-    def read(self, path: str, name: str) -> str:
-        """Return the text of a file (UTF-8).
+    def read(self, path: str, name: str, encoding: str = "utf-8") -> str:
+        """Return the text of a file; in latin-1, each byte is a character.
 
         Raises:
             PrologError: permission, existence and resource errors.
@@ -134,9 +134,11 @@ class Door:
         if len(data) > self.most:
             raise resource_error("file_size", reason=f"{path} has more than {self.most} bytes")
         try:
-            text = data.decode("utf-8")
+            text = data.decode(encoding)
         except UnicodeDecodeError as error:
             raise UsageError(f"cannot read {path}: {undecodable(error)}") from error
+        if encoding != "utf-8":
+            return text
         return text.replace("\r\n", "\n").replace("\r", "\n")
 
     def begin(self, path: str, name: str, empty: bool) -> None:
@@ -163,7 +165,7 @@ class Door:
         except OSError as error:
             raise _fault("write", error, path, name) from error
 
-    def append(self, path: str, text: str) -> None:
+    def append(self, path: str, text: str, encoding: str = "utf-8") -> None:
         """Write a text to the end of a file, all of it or nothing.
 
         Raises:
@@ -173,7 +175,7 @@ class Door:
         folders = self._writable
         real = _resolved(path, path, folders)
         try:
-            data = text.encode("utf-8")
+            data = text.encode(encoding)
             opened = _open_to_write(real, path, folders)
             try:
                 self._append(opened, data, path)

@@ -126,15 +126,15 @@ class Files:
 
     # For `StreamFiles`
 
-    def to_read(self, name: Term) -> Tuple[str, str]:
+    def to_read(self, name: Term, encoding: str = "utf-8") -> Tuple[str, str]:
         """Return the path of a file that a goal reads, and its text.
 
         Raises:
             PrologError: permission, existence and resource errors.
             UsageError: where it cannot be read.
         """
-        path = self.resolve(file_name(name))
-        return str(path), self.text(path)
+        path = str(self.resolve(file_name(name)))
+        return path, self.door.read(path, path, encoding)
 
     def to_write(self, name: Term, more: bool) -> str:
         """Return the path of a file that a goal writes, empty but where ``more`` is added to it.
@@ -149,9 +149,9 @@ class Files:
         self.door.begin(path, text, not more)
         return path
 
-    def add(self, path: str, text: str) -> None:
+    def add(self, path: str, text: str, encoding: str = "utf-8") -> None:
         """Write a text to the end of a file; errors are those of `to_write`."""
-        self.door.append(path, text)
+        self.door.append(path, text, encoding)
 
     def has_loaded(self, path: Path) -> bool:
         """Tell whether a file has been loaded, or is being loaded."""

@@ -24,7 +24,7 @@ from ..terms import (
     undo,
     unify,
 )
-from .arguments import indicator_of
+from .arguments import indicator_of, is_iso
 from .program import Machine, Outcome, Solutions
 from .registry import control, deterministic, nondeterministic
 
@@ -264,10 +264,9 @@ def current_predicate(machine: Machine, term: Term) -> Solutions:
     if term.__class__ is not tuple or term[0] is not SLASH:
         raise type_error("predicate_indicator", term)
     name, arity = deref(term[1]), deref(term[2])
-    if name.__class__ not in (Var, Atom):
-        raise type_error("atom", name)
-    if arity.__class__ not in (Var, int):
-        raise type_error("integer", arity)
+    for part, kind, classes in ((name, "atom", (Var, Atom)), (arity, "integer", (Var, int))):
+        if part.__class__ not in classes:
+            raise type_error(kind, part) if is_iso(machine) else type_error("predicate_indicator", term)
     database = machine.logic.database
     if name.__class__ is Atom and arity.__class__ is int:
         predicate = database.predicates.get(functor(name.name, arity))

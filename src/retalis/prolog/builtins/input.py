@@ -1,19 +1,26 @@
 """Input and streams as predicates: open and close, read terms and characters, see and tell."""
 
-from typing import Callable, Iterator, List, Optional
+from typing import Callable, List, Optional
 
 from ...foundation import SyntaxFault, look
-from ..machine import PrologError, domain_error, instantiation_error, type_error
-from ..terms import Atom, CompoundTerm, Term, Var, atom, deref, functor, unify
+from ..machine import (
+    domain_error,
+    instantiation_error,
+    permission_error,
+    representation_error,
+    type_error,
+    uninstantiation_error,
+)
+from ..terms import Atom, CompoundTerm, Term, Var, atom, deref, unify
 from .arguments import atom_of, option_values
 from .output import character_of
-from .program import Machine, Solutions
+from .program import Machine
 from .reading import flags_of, nothing, unify_options
-from .registry import deterministic, nondeterministic
-from .streams import InputStream, OpenStream, OutputStream, mode_of, streams_of, syntax_error_in
+from .registry import deterministic
+from .streams import InputStream, OutputStream, mode_of, streams_of, syntax_error_in
+from .text import LARGEST_CODE
 
 _END, _OUTPUT = atom("end_of_file"), atom("user_output")
-_STREAM = functor("$stream", 1)
 
 
 # Files
@@ -27,24 +34,35 @@ def open_stream(machine: Machine, name: Term, mode: Term, stream: Term) -> bool:
 
 @deterministic("open/4")
 def open_with(machine: Machine, name: Term, mode: Term, stream: Term, options: Term) -> bool:
-    """Open a file; the options ``alias`` and ``type`` are looked at."""
+    """Open a file; the options ``alias``, ``type``, ``encoding`` and ``eof_action`` are looked at."""
     return _open(machine, name, mode, stream, option_values(options))
 
 
 def _open(machine: Machine, name: Term, mode: Term, stream: Term, options: List[Term]) -> bool:
-    how, alias = mode_of(mode), None
+    how, values = mode_of(mode), dict(_OPEN_OPTIONS)
     if deref(name).__class__ is Var:
         raise instantiation_error()
     if deref(stream).__class__ is not Var:
-        raise type_error("var", deref(stream))
+        raise uninstantiation_error(deref(stream))
     for option in options:
         if not isinstance(option, tuple) or len(option) != 2:
             raise domain_error("stream_option", option)
-        if option[0].name == "alias":
-            alias = atom_of(option[1]).name
-        elif option[0].name == "type" and atom_of(option[1]).name != "text":
-            raise domain_error("stream_option", option, "only texts are read and written")
-    return unify(stream, streams_of(machine).open(deref(name), how, alias), machine.trail)
+        if option[0].name in values:
+            values[option[0].name] = atom_of(option[1]).name
+    kind, encoding, eof_action = values["type"], values["encoding"], values["eof_action"]
+    if kind not in ("text", "binary") or eof_action not in ("", "error", "eof_code", "reset"):
+        raise domain_error("stream_option", options[-1])
+    streams = streams_of(machine)
+    python = "latin-1" if kind == "binary" else _ENCODINGS.get(encoding, "utf-8")
+    opened = streams.open(deref(name), how, values["alias"] or None, kind, python)
+    source = streams.find_open(opened)
+    if eof_action and isinstance(source, InputStream):
+        source.eof_action = eof_action
+    return unify(stream, opened, machine.trail)
+
+
+_OPEN_OPTIONS = {"alias": "", "type": "text", "encoding": "", "eof_action": ""}
+_ENCODINGS = {"octet": "latin-1", "iso_latin_1": "latin-1", "ascii": "latin-1"}
 
 
 @deterministic("close/1")
@@ -60,7 +78,9 @@ def close(machine: Machine, stream: Term) -> bool:
 @deterministic("close/2")
 def close_with(machine: Machine, stream: Term, options: Term) -> bool:
     """Close a stream."""
-    option_values(options)
+    for option in option_values(options):
+        if not isinstance(option, tuple) or option[0].name != "force":
+            raise domain_error("close_option", option)
     return close(machine, stream)
 
 
@@ -109,7 +129,7 @@ def _opened(machine: Machine, name: Term, mode: str) -> Term:
     names = {one.asked: one for one in streams.opened.values() if one.mode == mode}
     if known in names:
         return streams.term_of(names[known])
-    opened = streams.open(name, mode, None)
+    opened = streams.open(name, mode)
     streams.find_open(opened).asked = known
     return opened
 
@@ -132,9 +152,20 @@ def told(machine: Machine) -> bool:
     return True
 
 
+def _require_stream(machine: Machine, stream: Term) -> None:
+    """Accept a stream or a variable.
+
+    Raises:
+        PrologError: for anything else.
+    """
+    if deref(stream).__class__ is not Var:
+        streams_of(machine).find(stream)
+
+
 @deterministic("current_input/1", "seeing/1")
 def current_input(machine: Machine, stream: Term) -> bool:
     """Give the stream that is read."""
+    _require_stream(machine, stream)
     streams = streams_of(machine)
     return unify(stream, streams.term_of(streams.input), machine.trail)
 
@@ -142,46 +173,10 @@ def current_input(machine: Machine, stream: Term) -> bool:
 @deterministic("current_output/1", "telling/1")
 def current_output(machine: Machine, stream: Term) -> bool:
     """Give the stream that is written."""
+    _require_stream(machine, stream)
     streams = streams_of(machine)
     found = _OUTPUT if streams.output is None else streams.term_of(streams.output)
     return unify(stream, found, machine.trail)
-
-
-@deterministic("is_stream/1")
-def is_stream(machine: Machine, term: Term) -> bool:
-    """Succeed for a stream that is open."""
-    try:
-        streams_of(machine).find(term)
-    except PrologError:
-        return False
-    return True
-
-
-@nondeterministic("stream_property/2")
-def stream_property(machine: Machine, stream: Term, wanted: Term) -> Solutions:
-    """Enumerate the streams that are open, and what is known of them."""
-    streams = streams_of(machine)
-    for number, one in list(streams.opened.items()):
-        for found in _properties(one, [alias for alias, at in streams.aliases.items() if at == number]):
-            if machine.unify_all((stream, (_STREAM, number)), (wanted, found)):
-                yield None
-
-
-def _properties(stream: OpenStream, aliases: List[str]) -> Iterator[Term]:
-    is_input = isinstance(stream, InputStream)
-    yield atom("input" if is_input else "output")
-    yield (functor("mode", 1), atom(stream.mode))
-    yield (functor("file_name", 1), atom(stream.name))
-    for alias in aliases:
-        yield (functor("alias", 1), atom(alias))
-    if isinstance(stream, InputStream):
-        yield (functor("end_of_stream", 1), atom("not" if stream.character(False) else "at"))
-
-
-@deterministic("line_count/2")
-def line_count(machine: Machine, stream: Term, line: Term) -> bool:
-    """Give the number of the line that is read next."""
-    return unify(line, streams_of(machine).to_read(stream).line, machine.trail)
 
 
 @deterministic("flush_output/1")
@@ -250,15 +245,31 @@ def _options(options: Term) -> List[CompoundTerm]:
 # Characters
 
 
-def _define(name: str, take: bool, as_term: Callable[[str], Term]) -> None:
+def _define(name: str, take: bool, as_term: Callable[[str], Term], check: Callable[[Term], None]) -> None:
+    kind = "binary" if name.endswith("byte") else "text"
+
+    def take_one(machine: Machine, source: InputStream, value: Term) -> bool:
+        check(deref(value))
+        _require_kind(source, kind)
+        return unify(value, as_term(source.character(take)), machine.trail)
+
     @deterministic(f"{name}/1")
     def one(machine: Machine, value: Term) -> bool:
-        return unify(value, as_term(streams_of(machine).input.character(take)), machine.trail)
+        return take_one(machine, streams_of(machine).input, value)
 
     @deterministic(f"{name}/2")
     def two(machine: Machine, stream: Term, value: Term) -> bool:
-        found = streams_of(machine).to_read(stream)
-        return unify(value, as_term(found.character(take)), machine.trail)
+        return take_one(machine, streams_of(machine).to_read(stream), value)
+
+
+def _require_kind(source: InputStream, kind: str) -> None:
+    """Accept a stream of a kind.
+
+    Raises:
+        PrologError: a permission error for bytes of a text; the bytes of a binary file are read as characters, too.
+    """
+    if kind == "binary" and source.kind == "text":
+        raise permission_error("input", "text_stream", source.itself)
 
 
 def _code(character: str) -> Term:
@@ -269,9 +280,34 @@ def _atom(character: str) -> Term:
     return atom(character) if character else _END
 
 
-for _name, _made in (("char", _atom), ("code", _code), ("byte", _code)):
-    _define(f"get_{_name}", True, _made)
-    _define(f"peek_{_name}", False, _made)
+def _is_character(value: Term) -> None:
+    if value.__class__ is not Var and not (
+        isinstance(value, Atom) and (len(value.name) == 1 or value is _END)
+    ):
+        raise type_error("character", value)
+
+
+def _is_code(value: Term) -> None:
+    if value.__class__ is Var:
+        return
+    if value.__class__ is not int:
+        raise type_error("integer", value)
+    if not -1 <= value <= LARGEST_CODE:
+        raise representation_error("character_code")
+
+
+def _is_byte(value: Term) -> None:
+    if value.__class__ is not Var and not (isinstance(value, int) and -1 <= value <= 255):
+        raise type_error("in_byte", value)
+
+
+for _name, _made, _check in (
+    ("char", _atom, _is_character),
+    ("code", _code, _is_code),
+    ("byte", _code, _is_byte),
+):
+    _define(f"get_{_name}", True, _made, _check)
+    _define(f"peek_{_name}", False, _made, _check)
 
 
 @deterministic("get0/1")

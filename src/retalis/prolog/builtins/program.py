@@ -18,13 +18,13 @@ Outcome = Union[bool, Solutions]
 class StreamFiles(Protocol):
     """Opens the files that goals may open."""
 
-    def to_read(self, name: Term) -> Tuple[str, str]:
-        """Return the path of a file and its text."""
+    def to_read(self, name: Term, encoding: str = "utf-8") -> Tuple[str, str]:
+        """Return the path of a file and its text; with latin-1, each byte is a character."""
 
     def to_write(self, name: Term, more: bool) -> str:
         """Return the path of a file that may be written; it is empty but where ``more`` is added to it."""
 
-    def add(self, path: str, text: str) -> None:
+    def add(self, path: str, text: str, encoding: str = "utf-8") -> None:
         """Write a text to the end of a file."""
 
 

@@ -163,6 +163,8 @@ def current_op(machine: Machine, priority: Term, kind: Term, name: Term) -> Solu
     priority, kind, name = deref(priority), deref(kind), deref(name)
     if priority.__class__ is not Var and (priority.__class__ is not int or not 0 <= priority <= 1200):
         raise domain_error("operator_priority", priority)
+    if kind.__class__ not in (Var, Atom) and not is_iso(machine):
+        raise type_error("atom", kind)
     if kind.__class__ is not Var and (kind.__class__ is not Atom or kind.name not in _SPECIFIERS):
         raise domain_error("operator_specifier", kind)
     if name.__class__ not in (Var, Atom):

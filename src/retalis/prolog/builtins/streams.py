@@ -4,7 +4,7 @@ A file that is read is read whole, as far as files may be large; one that is wri
 of it. So no file stays open, whatever becomes of the goal, and nothing that was written to the end of a line is lost.
 """
 
-from typing import Callable, Dict, List, NamedTuple, Optional, Union
+from typing import Callable, Dict, List, NamedTuple, Optional, Tuple, Union
 
 from ...foundation import SyntaxFault
 from ..machine import (
@@ -39,6 +39,13 @@ class InputStream:
         name: what errors call it.
         text: what is known of it.
         more: gives the next line, None at the end.
+
+    Attributes:
+        at: where it is in the text.
+        itself: the term that names it.
+        kind: ``text`` or ``binary``.
+        eof_action: what reading on behind the end does: ``error``, ``eof_code`` or ``reset``.
+        ended: whether the end has been read.
     """
 
     mode = "read"
@@ -49,6 +56,11 @@ class InputStream:
         self.text = text
         self.at = 0
         self.more = more
+        self.itself: Term = atom(name)
+        self.kind = "text"
+        self.eof_action = "eof_code" if more is None else "reset"
+        self.ended = False
+        self._before = (0, 0, 0)
         self._program: Optional[Program] = None
         self._base = 0
         self._next = 0
@@ -58,12 +70,40 @@ class InputStream:
         line = None if self.more is None else self.more()
         if line is None:
             return False
+        self._before = self.position
         self.text, self.at, self._program = self.text[self.at :] + line, 0, None
         return True
+
+    @property
+    def position(self) -> Tuple[int, int, int]:
+        """How many characters have been read, how many line ends, and how many characters of the line."""
+        characters, lines, column = self._before
+        newline = self.text.rfind("\n", 0, self.at)
+        column = column + self.at if newline < 0 else self.at - newline - 1
+        return characters + self.at, lines + self.text.count("\n", 0, self.at), column
+
+    def go_to(self, characters: int) -> bool:
+        """Go to where so many characters had been read; return whether that is still known."""
+        at = characters - self._before[0]
+        if not 0 <= at <= len(self.text):
+            return False
+        self.at, self.ended = at, False
+        return True
+
+    def read_end(self, take: bool) -> None:
+        """Note that its end is read.
+
+        Raises:
+            PrologError: where it had been read before, and may not be read again.
+        """
+        if self.ended and self.eof_action == "error":
+            raise permission_error("input", "past_end_of_stream", self.itself)
+        self.ended = self.ended or take
 
     def character(self, take: bool) -> str:
         """Return the next character, "" at the end."""
         if self.at >= len(self.text) and not self._fill():
+            self.read_end(take)
             return ""
         found = self.text[self.at]
         self.at += take
@@ -72,17 +112,16 @@ class InputStream:
     @property
     def line(self) -> int:
         """The number of the line that it is in."""
-        return self.text.count("\n", 0, self.at) + 1
+        return self.position[1] + 1
 
     def term(self, operators: Operators, flags: ReadFlags) -> Union[ReadTerm, SyntaxFault, None]:
         """Read a term; return what is wrong where it does not read, and None at the end."""
         while True:
             found = self._term(operators, flags)
-            if self.more is None or not self._goes_on(found):
+            if self.more is None or not self._goes_on(found) or not self._fill():
                 self.at = self._next
-                return found
-            if not self._fill():
-                self.at = self._next
+                if found is None:
+                    self.read_end(True)
                 return found
 
     def _term(self, operators: Operators, flags: ReadFlags) -> Union[ReadTerm, SyntaxFault, None]:
@@ -114,6 +153,8 @@ class OutputStream:
     def __init__(self, name: str, mode: str, add: Callable[[str], None]):
         self.name = name
         self.asked = ""
+        self.itself: Term = atom(name)
+        self.kind = "text"
         self.mode = mode
         self.column = 0
         self._add = add
@@ -162,8 +203,17 @@ class ProgramStreams:
         ask = self._logic.ask
         return None if ask is None else ask()
 
-    def open(self, name: Term, mode: str, alias: Optional[str]) -> Term:
+    def open(
+        self, name: Term, mode: str, alias: Optional[str] = None, kind: str = "text", encoding: str = "utf-8"
+    ) -> Term:
         """Open a file; return the stream's term.
+
+        Args:
+            name: that of the file.
+            mode: ``read``, ``write`` or ``append``.
+            alias: a name for the stream.
+            kind: ``text`` or ``binary``.
+            encoding: how its characters are bytes; latin-1 for binary files.
 
         Raises:
             PrologError: where that is not allowed, or not there; and for too many.
@@ -176,21 +226,20 @@ class ProgramStreams:
         if files is None:
             raise permission_error("open", "source_sink", name, "there are no files")
         if mode == "read":
-            stream: OpenStream = InputStream(*files.to_read(name))
+            stream: OpenStream = InputStream(*files.to_read(name, encoding))
         else:
             path = files.to_write(name, mode == "append")
-            stream = OutputStream(path, mode, lambda text: files.add(path, text))
+            stream = OutputStream(path, mode, lambda text: files.add(path, text, encoding))
         self._number += 1
         self.opened[self._number] = stream
+        stream.itself, stream.kind = (_STREAM, self._number), kind
         if alias is not None:
             self.aliases[alias] = self._number
-        return (_STREAM, self._number)
+        return stream.itself
 
     def term_of(self, stream: OpenStream) -> Term:
         """Return the term of a stream."""
-        if stream is self.user:
-            return atom("user_input")
-        return (_STREAM, next(number for number, one in self.opened.items() if one is stream))
+        return stream.itself
 
     def find(self, term: Term) -> Union[OpenStream, str]:
         """Return the stream that a term or alias names; the name itself for the streams that are always there.
