@@ -12,8 +12,10 @@ from retalis.prolog.swi.binding import find_library
 KB = """\
 :- module(kb, [inc/2, upto/2, echo/2, forever/0, stubborn/0, retrying/0, sleeps/0, bad/1, hard/1, piles/0,
                third/1, stream/1, constrained/1, curious/1, cyclic/1, asks/2, asks_safely/2, marks/2, noted/1,
-               halts/0, swi_dict/1, both/2, half_open/2, reach/2, count/2, forgets/0, fd/2]).
+               halts/0, swi_dict/1, both/2, half_open/2, reach/2, count/2, forgets/0, fd/2,
+               engines/1, pokes/1, pokes_later/1]).
 :- use_module(library(clpfd)).
+:- use_module(library(process)).
 :- dynamic noted/1.
 inc(X, Y) :- Y is X + 1.
 upto(N, X) :- between(1, N, X).
@@ -44,6 +46,10 @@ reach(X, Y) :- edge(X, Y).
 reach(X, Y) :- reach(X, Z), edge(Z, Y).
 count(X, N) :- aggregate_all(count, reach(X, _), N).
 forgets :- retractall(noted(_)).
+engines(X) :- engine_create(A, member(A, [1, 2]), E), engine_next(E, X), engine_destroy(E).
+poke :- current_prolog_flag(pid, P), process_kill(P, alrm).
+pokes(X) :- poke, retalis(near(a, X)).
+pokes_later(X) :- retalis(near(a, X)), poke, X == c.
 """
 
 

@@ -7,6 +7,7 @@ from glob import glob
 from typing import Any, Callable, Dict
 
 from ...foundation import UsageError
+from .signalstack import signal_stack_kept
 
 NAMES = ("libswipl.so.9", "libswipl.so.10", "libswipl.so.8", "libswipl.so.7", "libswipl.so")
 """Of the library, as the loader of the system finds it."""
@@ -39,8 +40,8 @@ _FLAGS = ((0x100000, 0x80), (0x1000, 0x40))
 
 Called = Callable[..., Any]
 
-Answering = ctypes.CFUNCTYPE(c_size_t, c_size_t, c_size_t)
-"""The kind of a predicate of arity 2 that is a function of ours."""
+Answering = ctypes.CFUNCTYPE(c_size_t, c_size_t)
+"""The kind of a predicate of arity 1 that is a function of ours."""
 
 
 class SwiLibrary:
@@ -129,7 +130,9 @@ class SwiLibrary:
             UsageError: where it does not start.
         """
         given = (c_char_p * (len(_ARGUMENTS) + 1))(*_ARGUMENTS)
-        if not self.initialise(len(_ARGUMENTS), given):
+        with signal_stack_kept():
+            started = self.initialise(len(_ARGUMENTS), given)
+        if not started:
             raise UsageError("SWI-Prolog does not start: its library is there, its own files are not")
         self._look_at_terms()
 

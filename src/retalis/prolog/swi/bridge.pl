@@ -8,7 +8,7 @@
 % Goals of the engine, its program and its memories: all solutions are looked for at once.
 
 retalis(Goal) :-
-    '$retalis_ask'(Goal, Solutions),
+    '$retalis_ask'(asked(Goal, Solutions)),
     '$member'(Goal, Solutions).
 
 '$member'(Goal, [Goal]) :- !.
@@ -51,6 +51,17 @@ limit_stacks(Bytes) :-
             Least is min(Now, Bytes),
             set_prolog_flag(stack_limit, Least)
           ), error(_, _), true).
+
+% An engine of a goal's own puts its stack for signals in place of the thread's, see signalstack.py.
+
+make_engine(Make) :-
+    with_mutex(retalis_signal_stack,
+               setup_call_cleanup(\+ '$retalis_note_stack', Make, \+ '$retalis_put_stack_back')).
+
+:- catch(( use_module(library(prolog_wrap), []),
+           prolog_wrap:wrap_predicate(system:'$engine_create'(_, _, _), retalis, Make,
+                                      retalis_bridge:make_engine(Make)) ),
+         error(_, _), true).  % those without that library have no such stacks
 
 % Loading
 

@@ -9,6 +9,7 @@ from weakref import ref
 
 from ..machine import Left, resident_bytes
 from .binding import CATCH, SwiLibrary
+from .signalstack import signal_stack_kept
 
 _PAUSE = 0.02
 """Seconds between two looks at what runs."""
@@ -104,7 +105,8 @@ class Interrupter:
             self._swi.clear_exception()
 
     def _run(self) -> None:
-        self._swi.attach_thread(None)
+        with signal_stack_kept():
+            self._swi.attach_thread(None)
         idle = 0
         while True:
             idle = 0 if self._look(monotonic()) else idle + 1

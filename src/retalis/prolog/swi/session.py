@@ -13,6 +13,7 @@ from ..machine import LAST, Left, LimitError, Machine, PrologError, from_python,
 from ..terms import COLON, Term, Values, atom, copy, functor, make_list, variant_key
 from .binding import ASK, FAILED, LAST_SOLVED, RAISED, SOLVED, SwiLibrary
 from .interrupter import Watched
+from .signalstack import signal_stack_kept
 from .starting import BRIDGE, Started
 from .values import Bindings, Refs, SwiTerms
 
@@ -132,7 +133,8 @@ class SwiEngine:
         self._open: List[OpenGoal] = []
         self._base = 0
         self._failure: Optional[BaseException] = None
-        self._engine = swi.create_engine(None)
+        with signal_stack_kept():
+            self._engine = swi.create_engine(None)
         self._enter()
         try:
             self.number: int = swi.thread_self()
@@ -356,8 +358,8 @@ class SwiEngine:
 
     # The way back
 
-    def answer(self, goal_ref: int, ref: int) -> bool:
-        """Have a variable be the list of all solutions of a goal that SWI-Prolog asks; errors are thrown there."""
+    def answer(self, asked: int) -> bool:
+        """Have the second part of a term be the list of all solutions of its first one; errors are thrown there."""
         swi, terms = self._swi, self._terms
         kept = self._busy, self._base
         self._busy, self._base = False, len(self._open)
@@ -365,16 +367,20 @@ class SwiEngine:
             frame = swi.open_frame()
             try:
                 terms.begin()
+                goal_ref = swi.new_refs(1)
+                swi.get_argument(1, asked, goal_ref)
                 goal = terms.read(goal_ref)
             finally:
                 swi.discard_frame(frame)  # which takes the marks back
             found = make_list(self._solved(goal))
             self._close_all()
+            ref = swi.new_refs(1)
+            swi.get_argument(2, asked, ref)
             terms.put(ref, found, {})
             return True
         except BaseException as error:  # whatever it is: there is C between it and who has called
             self._close_all()
-            self._throw(error)
+            self.fail(error)
             return False
         finally:
             self._busy, self._base = kept
@@ -392,7 +398,7 @@ class SwiEngine:
                     raise resource_error("solutions")
         return found
 
-    def _throw(self, error: BaseException) -> None:
+    def fail(self, error: BaseException) -> None:
         """Throw an error in SWI-Prolog; what is no error of a goal is thrown on when SWI-Prolog is left."""
         known = from_python(error)
         self._failure = error if known is None or isinstance(known, LimitError) else None

@@ -1,15 +1,17 @@
 """The start of SWI-Prolog in this process, once for all programs."""
 
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from threading import Lock
-from typing import Any, MutableMapping, NamedTuple, Protocol
+from typing import Any, List, MutableMapping, NamedTuple, Tuple
 from weakref import WeakValueDictionary
 
 from ...foundation import UsageError
 from ..terms import SLASH, Var, atom, functor
+from .answering import Answerers, AskedBack
 from .binding import Answering, SwiLibrary, find_library
 from .interrupter import Interrupter
+from .signalstack import steps_of_keeping
 from .values import SwiTerms
 
 BRIDGE = "retalis_bridge"
@@ -19,13 +21,6 @@ _FILE = Path(__file__).resolve().parent / "bridge.pl"
 _LOCK = Lock()
 
 
-class AskedBack(Protocol):
-    """Whose program SWI-Prolog's clauses may ask."""
-
-    def answer(self, goal_ref: int, ref: int) -> bool:
-        """Have a variable be the list of a goal's solutions; tell whether it is."""
-
-
 class Started(NamedTuple):
     """SWI-Prolog as it runs in this process.
 
@@ -33,13 +28,13 @@ class Started(NamedTuple):
         swi: its functions.
         interrupter: ends goals that are past a limit.
         engines: by their numbers.
-        callback: what it asks back by; it must not be forgotten.
+        callbacks: what it calls of ours; they must not be forgotten.
     """
 
     swi: SwiLibrary
     interrupter: Interrupter
     engines: "MutableMapping[int, Any]"
-    callback: object
+    callbacks: object
 
 
 def start() -> Started:
@@ -58,26 +53,22 @@ def _started() -> Started:
     swi.start()
     engines: MutableMapping[int, AskedBack] = WeakValueDictionary()
 
-    def answer(goal_ref: int, ref: int) -> int:
-        asked = engines.get(swi.thread_self())
-        if asked is None:
-            return _refuse(swi)
-        return int(asked.answer(goal_ref, ref))
-
-    callback = Answering(answer)
-    swi.register(BRIDGE.encode(), b"$retalis_ask", 2, callback, 0)
+    answerers: Any = Answerers(engines, swi.thread_self, partial(_refuse, swi))
+    callbacks: List[Tuple[str, int, Any]] = [("$retalis_ask", 1, Answering(answerers))]
+    callbacks += [(name, 0, step) for name, step in steps_of_keeping()]
+    for name, arity, callback in callbacks:
+        swi.register(BRIDGE.encode(), name.encode(), arity, callback, 0)
     ref = swi.new_refs(1)
     SwiTerms(swi).put(ref, atom(str(_FILE)), {})
     if not swi.call_predicate(None, 0, swi.predicate(b"consult", 1, b"user"), ref):
         raise UsageError(f"SWI-Prolog does not load {_FILE}")
     swi.leave()
-    return Started(swi, Interrupter(swi), engines, callback)
+    return Started(swi, Interrupter(swi), engines, callbacks)
 
 
-def _refuse(swi: SwiLibrary) -> int:
+def _refuse(swi: SwiLibrary) -> None:
     """Throw the error for a thread of SWI-Prolog's own, which belongs to no program."""
     ref = swi.new_refs(1)
     what = (functor("existence_error", 2), atom("retalis_engine"), (SLASH, atom("retalis"), 1))
     SwiTerms(swi).put(ref, (functor("error", 2), what, Var()), {})
     swi.raise_exception(ref)
-    return 0
