@@ -24,11 +24,8 @@ from ..language import (
     Awaited,
     Pattern,
     Shaped,
-    StepForm,
     Windowed,
-    WindowForm,
     bound_by,
-    conditions,
     surely_bound_by,
 )
 from ..matches import Match, NetworkOptions, key_function, unify_sides
@@ -47,19 +44,15 @@ from ..streams import (
     Settled,
     Sliding,
     Spaced,
-    StepMark,
     SteppedWindow,
-    StepPlan,
-    StepTest,
-    StreamItem,
     StreamOperator,
-    WindowStep,
     is_quick,
 )
 from .deferred import Built, Negated, absence_of
 from .limits import UNLIMITED, Limit
 from .owners import RuleOwner
 from .parting import VarSet
+from .stepbuilding import GivenGoal, Holding, planned
 from .streaming import Making, Result, Streaming
 from .telling import Telling
 
@@ -69,10 +62,6 @@ Evaluate = Callable[[Term], Optional[Term]]
 """Gives the number of an expression, or None."""
 Folding = Callable[[Sequence[Term]], Optional[Term]]
 """Gives the result of a program's own aggregate for values, oldest first."""
-Holding = Callable[[Values], bool]
-"""Tells whether a goal holds for values."""
-GivenGoal = Callable[[Term, Sequence[Var], str], Holding]
-"""Gives what asks a goal, given the values of some variables and what reports call it."""
 
 
 class Asking(NamedTuple):
@@ -180,54 +169,6 @@ def measuring(
     clocked = form.kind == "first" or (form.kind == "every" and not form.running)
     calls, quick = "fold" in part.kinds, _quick_form(part, places, groups)
     return Making(lambda mode: make(), item, result, clocked, _LATE, calls, quick)
-
-
-def planned(form: WindowForm, before: int, holding: GivenGoal) -> StepPlan:
-    """Return the plan of the steps of a window.
-
-    Args:
-        form: the window.
-        before: how many values of an item come before those that conditions look at.
-        holding: gives what asks a goal.
-    """
-    places = {var: at for at, var in enumerate(form.looked_at, before)}
-    names = [one.name for one in form.steps]
-    marks: Dict[StepMark, int] = {}
-
-    def test(goal: Term, at: int, called: str) -> Tuple[StepTest, ...]:
-        made = []
-        for one in conditions(goal, names, at, places):
-            own = [var for var in variables(one.goal) if var in places]
-            holds = holding(one.goal, [*own, *(back.stands for back in one.back)], called)
-            back = [
-                marks.setdefault(StepMark(back.kind, -1 if back.kind == "prev" else back.step), len(marks))
-                for back in one.back
-            ]
-            values = [places[var] for var in own], [places[back.var] for back in one.back]
-            made.append(StepTest(tuple(back), partial(_holds, holds, *values)))
-        return tuple(made)
-
-    def step(at: int, one: StepForm) -> WindowStep:
-        tests, until = [
-            () if goal is None else test(goal, at, f"{called} of the step {one.name}")
-            for goal, called in ((one.goal, "the condition"), (one.until, "until"))
-        ]
-        return WindowStep(one.least, one.most, one.reluctant, one.later, tests, until)
-
-    steps = [step(at, one) for at, one in enumerate(form.steps)]
-    return StepPlan(steps, list(marks))
-
-
-def _holds(
-    holds: Holding, own: Sequence[int], backs: Sequence[int], item: StreamItem, asked: Sequence[StreamItem]
-) -> bool:
-    """Tell whether a goal holds for values of an item and of those that it looks back at."""
-    return holds(
-        (
-            *(item.values[at] for at in own),
-            *(one.values[at] for one, at in zip(asked, backs)),
-        )
-    )
 
 
 def _quick_form(part: Windowed, places: Dict[Var, int], groups: Sequence[Var]) -> Optional[QuickForm]:
