@@ -4,7 +4,7 @@ from functools import partial
 from typing import Any, Dict, List, Optional, Sequence, Set, Tuple, TypeVar, Union
 
 from ...foundation import RuleError
-from ...prolog.terms import NIL, Term, Var, functor, variables
+from ...prolog.terms import NIL, Term, Var, variables
 from ..dispatch import compile_builder
 from ..language import (
     OPERATORS,
@@ -26,6 +26,7 @@ from ..language import (
     occurrences,
     surely_bound_by,
 )
+from .asking import Asking
 from .conditions import RuleGoal, Test, goal_test
 from .deferred import Built, Deferred, Items, Negated, absence_of, deferred_test, early_test, ready_where
 from .joining import Joining
@@ -50,7 +51,6 @@ from .streambuilding import StreamBuilding
 from .streaming import Streaming
 from .telling import Name, Telling
 
-_IS = functor("is", 2)
 N = TypeVar("N", bound=NetworkNode)
 
 
@@ -405,4 +405,4 @@ class RuleCompiler(StreamBuilding):
         if core.value is None:
             return Collector(core.kind, lambda values: NIL, lambda term: None)
         value = compile_builder(core.value, names, "value of an aggregate")
-        return Collector(core.kind, value, self._evaluating(core.kind))
+        return Collector(core.kind, value, Asking(self.rule).evaluating(core.kind))

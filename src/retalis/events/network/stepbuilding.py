@@ -3,12 +3,11 @@
 from functools import partial
 from typing import Callable, Dict, Sequence, Tuple
 
-from ...prolog.terms import Term, Values, Var, variables
+from ...prolog.terms import Term, Var, variables
 from ..language import StepForm, WindowForm, conditions
 from ..streams import StepMark, StepPlan, StepTest, StreamItem, WindowStep
+from .asking import Holding
 
-Holding = Callable[[Values], bool]
-"""Tells whether a goal holds for values."""
 GivenGoal = Callable[[Term, Sequence[Var], str], Holding]
 """Gives what asks a goal, given the values of some variables and what reports call it."""
 

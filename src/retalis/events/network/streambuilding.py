@@ -1,17 +1,13 @@
 """From the parts of a pattern that look at streams to how their nodes are to make items and matches."""
 
 from functools import partial
-from typing import Any, Callable, Dict, Hashable, List, NamedTuple, Optional, Sequence, Set, Tuple, Union
+from typing import Any, Callable, Dict, Hashable, List, Optional, Sequence, Set, Tuple, Union
 
 from ...foundation import RuleError
-from ...prolog.database import CompiledGoal
-from ...prolog.machine import PrologError, keep_back
 from ...prolog.terms import (
-    Atom,
     Term,
     Values,
     Var,
-    functor,
     make_list,
     positions,
     resolve,
@@ -31,7 +27,6 @@ from ..language import (
 from ..matches import Match, NetworkOptions, key_function, unify_sides
 from ..streams import (
     MEASURES,
-    MOST_WAYS,
     Agreement,
     Awaiting,
     Batches,
@@ -48,37 +43,14 @@ from ..streams import (
     StreamOperator,
     is_quick,
 )
+from .asking import Asking, Evaluate, Folding
 from .deferred import Built, Negated, absence_of
 from .limits import UNLIMITED, Limit
 from .owners import RuleOwner
 from .parting import VarSet
-from .stepbuilding import GivenGoal, Holding, planned
+from .stepbuilding import planned
 from .streaming import Making, Result, Streaming
 from .telling import Telling
-
-_IS = functor("is", 2)
-
-Evaluate = Callable[[Term], Optional[Term]]
-"""Gives the number of an expression, or None."""
-Folding = Callable[[Sequence[Term]], Optional[Term]]
-"""Gives the result of a program's own aggregate for values, oldest first."""
-
-
-class Asking(NamedTuple):
-    """What makes the goals that windows ask.
-
-    Attributes:
-        evaluating: gives what gives the number of an expression, for a kind of aggregate.
-        folded: gives what calls the predicates of a program's own aggregate.
-        holding: gives what asks a goal, given the values of some variables and what it is called.
-        crowded: is called where there are more ways to take steps than are followed.
-    """
-
-    evaluating: Callable[[str], Evaluate]
-    folded: Callable[[Any], Folding]
-    holding: GivenGoal
-    crowded: Callable[[], None]
-
 
 _WINDOWS: Dict[str, Callable[[Any, Any], StreamOperator]] = {
     "last": lambda make, form: Sliding(make, form.span),
@@ -121,7 +93,7 @@ def measuring(
     names: Sequence[Var],
     groups: Sequence[Var],
     result: Result,
-    asking: "Asking",
+    asking: Asking,
 ) -> Making:
     """Return how a node of ``aggregate(K, Q, R, W)`` makes items, from the variables of Q's matches.
 
@@ -337,7 +309,7 @@ class StreamBuilding:
         outside = self._outside(pattern, [*values, *core.window.looked_at])
         groups = [var for var in names if var in outside]
         own, result = resulting(core, groups)
-        asking = Asking(self._evaluating, self._folded, self._holding, self._crowded)
+        asking = Asking(self.rule)
         making = measuring(core, names, groups, result, asking)
         node = self._add(Streaming(self.rule, [below.node], own, making), None, UNLIMITED)
         return Built(node, [], below.leaves, [])
@@ -362,64 +334,3 @@ class StreamBuilding:
         node.carried = absence.carried
         self._add(node, None, UNLIMITED)
         return Built(node, below.deferred, [*negated.first.leaves, *below.leaves], [])
-
-    def _evaluating(self, kind: str) -> Evaluate:
-        """Return what gives the number of an expression, for an aggregate."""
-        number, expression = Var(), Var()
-        goal: List[CompiledGoal] = []
-
-        def evaluate(term: Term) -> Optional[Term]:
-            if not goal:
-                logic = self.rule.network.logic
-                goal.append(logic.compile_goal((_IS, number, expression), [expression], [number]))
-            try:
-                found = goal[0].test((term,))
-            except PrologError as error:
-                keep_back(error)
-                raise RuleError(f"aggregate {kind} needs numbers: {error.message}") from error
-            return None if found is None else found[0]
-
-        return evaluate
-
-    def _holding(self, goal: Term, names: Sequence[Var], called: str) -> Holding:
-        """Return what asks a goal, given the values of some variables."""
-        compiled = self.rule.network.logic.compile_goal(goal, list(names), [])
-
-        def holds(values: Values) -> bool:
-            try:
-                return compiled.test(values) is not None
-            except PrologError as error:
-                keep_back(error)
-                raise RuleError(f"{called}: {error.message}") from error
-
-        return holds
-
-    def _crowded(self) -> None:
-        """Count a way to take steps that is not followed, as there are too many."""
-        self.rule.dropped += 1
-        self.rule.network.dropped(self.rule, MOST_WAYS)
-
-    def _folded(self, names: Tuple[Atom, Atom, Atom]) -> Folding:
-        """Return what calls the predicates of a program's own aggregate; None where one of them fails.
-
-        The first gives a state, the second takes a value and a state and gives the next one, the third takes a state
-        and gives the result.
-        """
-        logic = self.rule.network.logic
-        value, state, found = Var(), Var(), Var()
-        begin = logic.compile_goal((functor(names[0].name, 1), found), [], [found])
-        step = logic.compile_goal((functor(names[1].name, 3), value, state, found), [value, state], [found])
-        show = logic.compile_goal((functor(names[2].name, 2), state, found), [state], [found])
-
-        def fold(values: Sequence[Term]) -> Optional[Term]:
-            try:
-                reached = begin.test(())
-                for one in values:
-                    reached = None if reached is None else step.test((one, reached[0]))
-                shown = None if reached is None else show.test((reached[0],))
-            except PrologError as error:
-                keep_back(error)
-                raise RuleError(f"aggregate fold: {error.message}") from error
-            return None if shown is None else shown[0]
-
-        return fold
