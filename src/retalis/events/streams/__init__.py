@@ -8,7 +8,8 @@ from .quick import QuickForm, is_quick, quick_sliding
 from .shapes import Changing, Settled, Spaced
 from .stepping import MOST_WAYS, SteppedWindow
 from .steps import StepMark, StepPlan, StepTest, WindowStep
-from .windows import Batches, FromFirst, Hopping, Newest, RunningWindow, Sliding
+from .timewindows import FromFirst, Hopping, RunningWindow
+from .windows import Batches, Newest, Sliding
 
 __all__ = [
     "MEASURES",
