@@ -23,7 +23,11 @@ def test_a_comparison_in_the_place_of_a_pattern_is_an_event(text):
         ("c <- a, b.", 7, "use and or seq"),
         ("c <- a(X), X > 1.", 10, "for a condition, where"),
         ("c <- a ; b.", 8, "use or"),
-        ("c <- a seq aggregate(count, b).", 12, "aggregate(Kind, Pattern, Result)"),
+        (
+            "c <- a seq aggregate(count, b).",
+            12,
+            "aggregate(Kind, Pattern, Result), or 4: aggregate(Kind, Pattern, Result, Window)",
+        ),
         ("c <- seq(a, b, c).", 6, "seq takes 2 arguments"),
         ("c <- a and cnot(b).", 12, "cnot takes 2 arguments"),
         ("c <- a seq exceptionAlarm(e, 5).", 12, "an alarm is a head"),

@@ -103,8 +103,6 @@ def wrong_arity(term: Any) -> Optional[str]:
     if takes is None or takes == count or (count == takes + 1 and name in _WITH_OPTIONS):
         return None
     form = FORMS.get(name, f"takes {takes} argument{'s' * (takes != 1)}")
-    if name == "aggregate":
-        form += ", or a window as the fourth"
     return f"this is an ordinary event; {name} {form}"
 
 

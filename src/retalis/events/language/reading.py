@@ -36,6 +36,7 @@ Spot = Callable[..., Optional[Place]]
 _GOALS_AS_PATTERN = frozenset((functor("prolog", 1), functor("query", 1), functor("db", 1)))
 _ABSENCES = " or ".join(names_of_kind(OperatorKind.ABSENCE))
 _BEFORE = " or ".join(names_of_kind(OperatorKind.ABSENCE, between=False))
+_ABSENT = "absent"
 
 
 class EventTerm(NamedTuple):
@@ -44,9 +45,6 @@ class EventTerm(NamedTuple):
     term: Term
     parent: CompoundTerm
     number: int
-
-
-_ABSENT = "absent"
 
 
 class PatternReader:
