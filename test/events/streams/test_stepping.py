@@ -1,5 +1,6 @@
 """Windows of steps against trying all ways in their order, as the oracle does."""
 
+import tracemalloc
 from random import Random
 
 import pytest
@@ -11,7 +12,7 @@ from oracle.stepping import steps_of, whole_matches
 from oracle.strategies import Generator
 from oracle.text import write_rule
 
-from retalis.engine import Engine
+from retalis.engine import Engine, parts_of
 from retalis.prolog.terms import Var, functor, make_list
 
 KEY, VALUE, RESULT = Var(), Var(), Var()
@@ -77,3 +78,49 @@ def test_matches_that_wait_for_one_that_is_preferred_go_on_waiting_in_another_en
     rule = f"found(K, L) <- aggregate(list(V), reading(K, V), L, steps([{steps}]))."
     readings = [("a", value) for value in [0, 0, 0, 9, 1, 8, 8, 2, 0, 1, 7, 7]]
     assert fired(rule, readings, cut=9) == fired(rule, readings) == ["found(a,[0,9])"]
+
+
+WAITING = (
+    "p where V == 0, later(y(0, 1, until(V == 8))) where V == 9, later(z(0, 1, until(V == 7))) where V == 6"
+)
+
+
+def stepped(engine):
+    """Return the operator of the only rule of an engine."""
+    (rule,) = parts_of(engine).rules.rules
+    return next(node.stream for node, _, _ in rule.nodes if hasattr(node, "stream"))
+
+
+def test_an_item_takes_as_much_memory_however_many_matches_wait():
+    """Each way knew all matches that wait before it, and copied them for each that came."""
+    taken = []
+    for number in (10, 800):
+        engine = Engine()
+        engine.load(rules=f"found(L) <- aggregate(list(V), reading(V), L, steps([{WAITING}])).")
+        for at in range(number):
+            engine.event("reading(0)", at)
+        tracemalloc.start()
+        engine.event("reading(0)", number)
+        taken.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+        assert len(stepped(engine)) == number + 1
+    assert taken[1] < 2 * taken[0]
+
+
+def test_what_an_interrupt_leaves_between_ways_and_what_waits_is_found_anew():
+    engine, whole = [Engine(), Engine()]
+    seen = {}
+    for one in (engine, whole):
+        one.load(rules=f"found(L) <- aggregate(list(V), reading(V), L, steps([{WAITING}])).")
+        seen[one] = found = []
+        one.on_event(lambda term, *_, one=one, found=found: found.append(one.show(term)))
+        for at in range(5):
+            one.event("reading(0)", at)
+    (group,) = stepped(engine)._groups.values()  # noqa: SLF001
+    group.whole.popleft()
+    parts_of(engine).rules.mend()
+    for one in (engine, whole):
+        for at, value in enumerate([8, 7, 7], 5):
+            one.event(f"reading({value})", at)
+    assert seen[engine] == seen[whole]
+    assert seen[whole].count("found([0])") == 5

@@ -45,10 +45,10 @@ class StepWay:
         marks: the items that conditions look back at.
         taken: the items of the match that has begun.
         start: the order of the first of these.
-        whole: the matches before that one which are not given on yet, the oldest first.
+        after: how many matches of its group came before that one, since there was one that waited.
     """
 
-    __slots__ = ("step", "count", "left", "marks", "taken", "start", "whole")
+    __slots__ = ("step", "count", "left", "marks", "taken", "start", "after")
 
     def __init__(
         self,
@@ -58,7 +58,7 @@ class StepWay:
         marks: Marks,
         taken: Optional[_Taken],
         start: int,
-        whole: Tuple[_Whole, ...],
+        after: int,
     ):
         self.step = step
         self.count = count
@@ -66,19 +66,7 @@ class StepWay:
         self.marks = marks
         self.taken = taken
         self.start = start
-        self.whole = whole
-
-    def oldest(self) -> Optional[int]:
-        """Return the order of the oldest item that it holds."""
-        if self.whole:
-            return self.whole[0].start
-        return self.start if self.taken is not None else None
-
-    def holds(self, item: StreamItem) -> bool:
-        """Tell whether the newest item that it holds is this one."""
-        if self.taken is not None:
-            return self.taken.item is item
-        return bool(self.whole) and self.whole[-1].taken.item is item
+        self.after = after
 
     def key(self, counted: Hashable) -> Hashable:
         """Return what tells it from other ways by what comes; ``counted`` is what its count means for that."""
@@ -86,13 +74,67 @@ class StepWay:
 
 
 class StepGroup:
-    """The items of one group that some way holds, and such as others have held since the oldest of them."""
+    """The items of one group that are held, and how its matches go on.
 
-    __slots__ = ("items", "ways")
+    A match ends what is less preferred than it. So each way comes after all matches after which those before it come,
+    and one queue is enough for the matches that wait.
+
+    Attributes:
+        items: those that some way or match holds, and such as others have held since the oldest of them.
+        ways: the ways that are followed, the preferred first.
+        whole: the matches that wait, the oldest first: those after which the last way comes, but not the first one.
+    """
+
+    __slots__ = ("items", "ways", "whole")
 
     def __init__(self, ways: List[StepWay]):
         self.items: Deque[StreamItem] = deque()
         self.ways = ways
+        self.whole: Deque[_Whole] = deque()
+
+    def go_on(self, ways: List[StepWay], whole: Optional[_Whole] = None) -> List[_Whole]:
+        """Go on in some ways, and return the matches that are decided; the last way comes after one that is new."""
+        known = ways[-1].after - (whole is not None)
+        for _ in range(self.ways[-1].after - known):
+            self.whole.pop()
+        if whole is not None:
+            self.whole.append(whole)
+        self.ways = ways
+        return [self.whole.popleft() for _ in range(len(self.whole) - self.waiting())]
+
+    def waiting(self) -> int:
+        """Return how many matches wait for one that is preferred."""
+        return self.ways[-1].after - self.ways[0].after
+
+    def oldest(self) -> Optional[int]:
+        """Return the order of the oldest item that is held."""
+        held = [way.start for way in self.ways if way.taken is not None]
+        if self.whole:
+            held.append(self.whole[0].start)
+        return min(held, default=None)
+
+
+class _Onward:
+    """How a group goes on with an item.
+
+    Attributes:
+        ways: its ways, the preferred first.
+        seen: the largest counts of these, by their keys.
+        whole: the match that the item has made whole; the last way comes after it.
+    """
+
+    __slots__ = ("ways", "seen", "whole")
+
+    def __init__(self) -> None:
+        self.ways: List[StepWay] = []
+        self.seen: Dict[Hashable, int] = {}
+        self.whole: Optional[_Whole] = None
+
+    def holds(self, item: StreamItem) -> bool:
+        """Tell whether the item is held."""
+        return self.whole is not None or any(
+            way.taken is not None and way.taken.item is item for way in self.ways
+        )
 
 
 class SteppedWindow:
@@ -128,8 +170,8 @@ class SteppedWindow:
     def __len__(self) -> int:
         return self._number
 
-    def _scanning(self, whole: Tuple[_Whole, ...] = ()) -> StepWay:
-        return StepWay(SCANNING, 0, None, (None,) * len(self.plan.marks), None, 0, whole)
+    def _scanning(self, after: int = 0) -> StepWay:
+        return StepWay(SCANNING, 0, None, (None,) * len(self.plan.marks), None, 0, after)
 
     def take(self, item: StreamItem, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.take`."""
@@ -139,13 +181,13 @@ class SteppedWindow:
         if group is None:
             group = StepGroup([self._scanning()])
         item.order = self._order + 1
-        ways = self._go_on(group.ways, item)  # conditions may refuse it: nothing has changed until here
+        onward = self._go_on(group.ways, item)  # conditions may refuse it: nothing has changed until here
         self._order += 1
-        if any(way.holds(item) for way in ways):
+        if onward.holds(item):
             self._number += 1
             group.items.append(item)
-        found = self._decided(ways)
-        self._set(group, item.key, ways)
+        found = group.go_on(onward.ways, onward.whole)
+        self._set(group, item.key)
         outputs = [self._output(one, item) for one in found]
         return [output for output in outputs if output is not None]
 
@@ -157,18 +199,17 @@ class SteppedWindow:
         """See `StreamOperator.drop_oldest`: the match of the oldest group that holds its oldest item goes."""
         key, group = next(iter(self._groups.items()))
         oldest = group.items[0].order
-        left = [way for way in group.ways if way.oldest() != oldest]
+        left = [way for way in group.ways if way.taken is None or way.start != oldest]
         if not left or left[-1].step != SCANNING:
-            left.append(self._scanning())
-        self._set(group, key, left)
+            left.append(self._scanning(group.ways[-1].after))
+        group.go_on(left)
+        self._set(group, key)
 
-    def _set(self, group: StepGroup, key: Hashable, ways: List[StepWay]) -> None:
-        """Have a group go on in some ways; items that none of them holds are forgotten."""
-        group.ways = ways
-        held = [oldest for oldest in (way.oldest() for way in ways) if oldest is not None]
-        if held:
+    def _set(self, group: StepGroup, key: Hashable) -> None:
+        """Note a group that has gone on; items that are held no more are forgotten."""
+        first = group.oldest()
+        if first is not None:
             self._groups[key] = group
-            first = min(held)
             while group.items[0].order < first:
                 group.items.popleft()
                 self._number -= 1
@@ -178,22 +219,21 @@ class SteppedWindow:
 
     # ---- one item ------------------------------------------------------------------------------------
 
-    def _go_on(self, ways: Sequence[StepWay], item: StreamItem) -> List[StepWay]:
-        """Return how ways go on with an item, the preferred first."""
-        found: List[StepWay] = []
-        seen: Dict[Hashable, int] = {}
+    def _go_on(self, ways: Sequence[StepWay], item: StreamItem) -> _Onward:
+        """Return how ways go on with an item."""
+        onward = _Onward()
         for way in ways:
             takers, passing = self._takers(way, item)
             for at in takers:
-                if self._takes(way, at, item, found, seen):
-                    return found
+                if self._takes(way, at, item, onward):
+                    return onward
             if way.step == SCANNING:
-                found.append(way)
+                onward.ways.append(way)
             elif not takers and passing:
-                further = StepWay(way.step, way.count, passing, way.marks, way.taken, way.start, way.whole)
-                if self._add(further, found, seen) and self.plan.is_sure(passing):
-                    return found
-        return found
+                further = StepWay(way.step, way.count, passing, way.marks, way.taken, way.start, way.after)
+                if self._add(further, onward) and self.plan.is_sure(passing):
+                    return onward
+        return onward
 
     def _takers(self, way: StepWay, item: StreamItem) -> Tuple[List[int], Tuple[int, ...]]:
         """Return the steps that take an item, and those that may take a later one if none does."""
@@ -203,9 +243,7 @@ class SteppedWindow:
         takers = [at for at in open_ones if passes(steps[at].tests, way.marks, item)]
         return takers, tuple([at for at in open_ones if steps[at].later])
 
-    def _takes(
-        self, way: StepWay, at: int, item: StreamItem, found: List[StepWay], seen: Dict[Hashable, int]
-    ) -> bool:
+    def _takes(self, way: StepWay, at: int, item: StreamItem, onward: _Onward) -> bool:
         """Add the way in which a step takes an item; tell whether no way that is less preferred matters then."""
         plan = self.plan
         count = plan.counted(at, way.count + 1 if way.step == at else 1)
@@ -214,36 +252,25 @@ class SteppedWindow:
         choices, whole, left = plan.choices(at, count)
         if choices:  # where all pass items over, they are left as after one that is passed over
             marks = plan.marked(way.marks, at, item)
-            added = self._add(StepWay(at, count, left, marks, taken, start, way.whole), found, seen)
+            added = self._add(StepWay(at, count, left, marks, taken, start, way.after), onward)
             if added and not whole and plan.is_sure(choices):
                 return True
         if whole:
-            found.append(self._scanning((*way.whole, _Whole(taken, start))))
+            onward.whole = _Whole(taken, start)
+            onward.ways.append(self._scanning(way.after + 1))
         return whole
 
-    def _add(self, way: StepWay, found: List[StepWay], seen: Dict[Hashable, int]) -> bool:
+    def _add(self, way: StepWay, onward: _Onward) -> bool:
         """Add a way, unless one that is preferred turns out a match whenever it does; tell if either is there."""
         key = way.key(self.plan.meaning(way.step, way.count))
-        if seen.get(key, -1) >= way.count:
+        if onward.seen.get(key, -1) >= way.count:
             return True
-        if len(found) >= MOST_WAYS:
+        if len(onward.ways) >= MOST_WAYS:
             self._crowded()
             return False
-        seen[key] = way.count
-        found.append(way)
+        onward.seen[key] = way.count
+        onward.ways.append(way)
         return True
-
-    @staticmethod
-    def _decided(ways: Sequence[StepWay]) -> Tuple[_Whole, ...]:
-        """Take the matches of the preferred way from all ways, and return these: a match ends what is less preferred.
-
-        So each way begins with the matches of those before it.
-        """
-        found = ways[0].whole
-        if found:
-            for way in ways:
-                way.whole = way.whole[len(found) :]
-        return found
 
     # ---- what is given on ----------------------------------------------------------------------------
 
@@ -273,9 +300,13 @@ class SteppedWindow:
     # ---- what lasts ----------------------------------------------------------------------------------
 
     def kept(self) -> KnownState:
-        """See `StreamOperator.kept`: the items of each group, and its ways by their orders."""
+        """See `StreamOperator.kept`: the items of each group, and by their orders its ways and matches that wait."""
         groups = [
-            (list(group.items), tuple([_numbers(way) for way in group.ways]))
+            (
+                list(group.items),
+                tuple([_numbers(way) for way in group.ways]),
+                tuple([_orders(_in_order(one.taken)) for one in group.whole]),
+            )
             for group in self._groups.values()
         ]
         return (self.late, self._order, groups)
@@ -284,34 +315,43 @@ class SteppedWindow:
         """See `StreamOperator.restore`: where items are missing, those that are left are taken again."""
         self.late, self._order, groups = kept
         self._groups, self._number = OrderedDict(), 0
-        for items, ways in groups:
+        for items, ways, whole in groups:
             if items:
-                self._restore_group(items, ways)
+                self._restore_group(items, ways, whole)
 
-    def _restore_group(self, items: List[StreamItem], ways: Sequence[Tuple[object, ...]]) -> None:
+    def _restore_group(
+        self,
+        items: List[StreamItem],
+        ways: Sequence[Tuple[object, ...]],
+        whole: Sequence[Sequence[Tuple[int, int]]],
+    ) -> None:
         known = {item.order: item for item in items}
-        group = StepGroup([])
+        group = StepGroup([self._scanning()])
         for item in items:
             item.file()
             group.items.append(item)
         self._number += len(items)
         try:
-            found = [self._way_of(way, known) for way in ways]
+            group.whole.extend(_Whole(_taken_of(one, known), one[0][0]) for one in whole)
+            group.ways = [self._way_of(way, known) for way in ways]
+            sound = len(group.whole) == group.waiting()
         except KeyError:
-            found = [self._scanning()]
+            sound = False
+        if not sound:  # items are missing, or an interrupt came between one and the other
+            group.whole.clear()
+            group.ways = [self._scanning()]
             for item in items:
-                found = self._go_on(found, item)
-                self._decided(found)
-        self._set(group, items[0].key, found)
+                onward = self._go_on(group.ways, item)
+                group.go_on(onward.ways, onward.whole)
+        self._set(group, items[0].key)
 
     def _way_of(self, numbers: Tuple[Any, ...], known: Dict[int, StreamItem]) -> StepWay:
         """Return a way of which `_numbers` has told."""
-        step, count, left, marks, pairs, whole = numbers
+        step, count, left, marks, pairs, after = numbers
         found = tuple([None if order is None else known[order] for order in marks])
-        wholes = tuple([_Whole(_taken_of(one, known), one[0][0]) for one in whole])
         if not pairs:
-            return StepWay(step, count, left, found, None, 0, wholes)
-        return StepWay(step, count, left, found, _taken_of(pairs, known), pairs[0][0], wholes)
+            return StepWay(step, count, left, found, None, 0, after)
+        return StepWay(step, count, left, found, _taken_of(pairs, known), pairs[0][0], after)
 
 
 def _taken_of(pairs: Sequence[Tuple[int, int]], known: Dict[int, StreamItem]) -> _Taken:
@@ -335,8 +375,7 @@ def _in_order(taken: Optional[_Taken]) -> _Pairs:
 def _numbers(way: StepWay) -> Tuple[Any, ...]:
     """Return what a way knows, with the orders of items in their place."""
     marks = tuple([None if one is None else one.order for one in way.marks])
-    whole = tuple([_orders(_in_order(one.taken)) for one in way.whole])
-    return (way.step, way.count, way.left, marks, _orders(_in_order(way.taken)), whole)
+    return (way.step, way.count, way.left, marks, _orders(_in_order(way.taken)), way.after)
 
 
 def _orders(pairs: _Pairs) -> Tuple[Tuple[int, int], ...]:
