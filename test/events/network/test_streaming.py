@@ -338,3 +338,17 @@ def test_what_a_condition_decides_has_come_with_the_event_that_decides_it(steps,
     rules = f"out(L) <- aggregate(list(X), in(X), L, steps([{steps}])) seq end."
     assert fired(rules, "in(1)@1 in(2)@2 end@7 in(-1)@3", flags=flags) == ""
     assert fired(rules, "in(1)@1 in(2)@2 end@7 in(-1)@3 end@8", flags=flags) == "out([1,2])@1-8"
+
+
+@pytest.mark.parametrize("flags", ["", ":- set_etalis_flag(revision_flag, on).\n"])
+def test_matches_of_steps_that_wait_are_given_on_where_what_they_wait_for_is_one_too_many(flags):
+    """The longer one that may come of the oldest is dropped and counted, not those that are whole."""
+    steps = "p where X < 50, later(y(0, 1, until(X == 80))) where X == 90"
+    engine = Run(f"{flags}w(L) <- aggregate(list(X), in(X), L, steps([{steps}])).", cap=5)
+    for number in range(20):
+        engine.event(f"in({number})", number)
+        assert engine.rules[0].held <= 5
+    engine.event("in(80)", 20)
+    assert [one.partition("@")[0] for one in engine.seen] == [f"w([{number}])" for number in range(20)]
+    assert engine.rules[0].dropped == 3
+    assert engine.reports

@@ -107,7 +107,7 @@ class SubscriptionRate:
             self.late += 1
             self._warn(f"{self._name}: {self._making.past}; {self.late} so far", ("late", self._name))
         if len(stream) > self._clock.cap:
-            stream.drop_oldest()
+            outputs = [*outputs, *stream.drop_oldest()]
             self.dropped += 1
             what = (
                 f"more than {self._clock.cap} events are held; {self.dropped} of the oldest have been dropped"

@@ -233,18 +233,18 @@ class Streaming(NetworkNode):
                 self.late = stream.late
                 network.came_late(self.rule, self.making.past)
             if len(stream) > network.cap:
-                self._drop()
+                outputs = [*outputs, *self._drop()]
             if stream.next is not None:
                 self._wake()
             return outputs
 
         return take
 
-    def _drop(self) -> None:
-        """Have the oldest go, which is one too many."""
-        self.stream.drop_oldest()
+    def _drop(self) -> List[StreamOutput]:
+        """Have the oldest go, which is one too many; return what is given on because of it."""
         self.rule.dropped += 1
         self.rule.network.dropped(self.rule)
+        return self.stream.drop_oldest()
 
     def _wake(self) -> None:
         instant = self.stream.next

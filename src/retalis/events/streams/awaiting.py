@@ -85,7 +85,7 @@ class Awaiting(StreamShape):
     def __len__(self) -> int:
         return self._number
 
-    def drop_oldest(self) -> None:
+    def drop_oldest(self) -> List[StreamOutput]:
         """See `StreamOperator.drop_oldest`: of those that wait, else of what must not happen."""
         self._settle()
         if self._due:
@@ -95,6 +95,7 @@ class Awaiting(StreamShape):
             while self._by_start[0][2].gone:
                 heapq.heappop(self._by_start)
             self._forget(self._by_start[0][0])
+        return []
 
     def take(self, item: StreamItem, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.take`."""

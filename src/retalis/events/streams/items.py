@@ -97,8 +97,8 @@ class StreamOperator(Protocol):
     def __len__(self) -> int:
         """Return how many items, or keys, are held."""
 
-    def drop_oldest(self) -> None:
-        """Forget the item, or the key, that is held for the longest time."""
+    def drop_oldest(self) -> List[StreamOutput]:
+        """Forget the item, or the key, that is held for the longest time; return what is given on because of it."""
 
     def kept(self) -> KnownState:
         """Return what it knows; see `restore`."""

@@ -53,13 +53,13 @@ class Spaced(StreamShape):
     def __len__(self) -> int:
         return len(self.last)
 
-    def drop_oldest(self) -> None:
+    def drop_oldest(self) -> List[StreamOutput]:
         """See `StreamOperator.drop_oldest`."""
         while True:
             item = heapq.heappop(self._by_end)[2]
             if self.last.get(item.key) is item:
                 del self.last[item.key]
-                return
+                return []
 
     def take(self, item: StreamItem, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.take`."""
@@ -113,9 +113,10 @@ class Changing(StreamShape):
     def __len__(self) -> int:
         return len(self.last)
 
-    def drop_oldest(self) -> None:
+    def drop_oldest(self) -> List[StreamOutput]:
         """See `StreamOperator.drop_oldest`: the key that was first there."""
         self.last.popitem(last=False)
+        return []
 
     def take(self, item: StreamItem, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.take`."""
@@ -155,11 +156,12 @@ class Settled(StreamShape):
     def __len__(self) -> int:
         return self._number
 
-    def drop_oldest(self) -> None:
+    def drop_oldest(self) -> List[StreamOutput]:
         """See `StreamOperator.drop_oldest`."""
         self._settle()
         self._leave(self._due[0][2])
         self._settle()
+        return []
 
     def take(self, item: StreamItem, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.take`."""

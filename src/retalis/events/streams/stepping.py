@@ -162,6 +162,7 @@ class SteppedWindow:
         self._groups: OrderedDict[Hashable, StepGroup] = OrderedDict()  # whose oldest is found at once
         self._number = 0
         self._order = 0
+        self._end = -(1 << 63)
         self.tracked = False
         self.allowed: Callable[[], int] = lambda: 1 << 64
         self.next: Optional[int] = None
@@ -183,27 +184,31 @@ class SteppedWindow:
         item.order = self._order + 1
         onward = self._go_on(group.ways, item)  # conditions may refuse it: nothing has changed until here
         self._order += 1
+        self._end = item.end
         if onward.holds(item):
             self._number += 1
             group.items.append(item)
         found = group.go_on(onward.ways, onward.whole)
         self._set(group, item.key)
-        outputs = [self._output(one, item) for one in found]
-        return [output for output in outputs if output is not None]
+        return self._outputs(found)
 
     def ring(self, instant: int) -> List[StreamOutput]:
         """See `StreamOperator.ring`: the clock decides nothing."""
         return []
 
-    def drop_oldest(self) -> None:
-        """See `StreamOperator.drop_oldest`: the match of the oldest group that holds its oldest item goes."""
+    def drop_oldest(self) -> List[StreamOutput]:
+        """See `StreamOperator.drop_oldest`: of the oldest group go the ways that have begun with its oldest item.
+
+        Matches that have waited for these are given on.
+        """
         key, group = next(iter(self._groups.items()))
         oldest = group.items[0].order
         left = [way for way in group.ways if way.taken is None or way.start != oldest]
         if not left or left[-1].step != SCANNING:
             left.append(self._scanning(group.ways[-1].after))
-        group.go_on(left)
+        found = group.go_on(left)
         self._set(group, key)
+        return self._outputs(found)
 
     def _set(self, group: StepGroup, key: Hashable) -> None:
         """Note a group that has gone on; items that are held no more are forgotten."""
@@ -274,12 +279,16 @@ class SteppedWindow:
 
     # ---- what is given on ----------------------------------------------------------------------------
 
-    def _output(self, whole: _Whole, deciding: StreamItem) -> Optional[StreamOutput]:
+    def _outputs(self, decided: Sequence[_Whole]) -> List[StreamOutput]:
+        outputs = [self._output(one) for one in decided]
+        return [output for output in outputs if output is not None]
+
+    def _output(self, whole: _Whole) -> Optional[StreamOutput]:
         """Return what is given on for a match; None where a measure has no result."""
         pairs = _in_order(whole.taken)
         items = [item for item, _ in pairs]
         start = min(item.start for item in items)
-        end = max(deciding.end, *(item.end for item in items))
+        end = max(self._end, *(item.end for item in items))
         named = tuple(items[-MOST_NAMED:]) if self.tracked else (items[-1],)
         found, error = measured(lambda: self._results(pairs))
         return None if found is None else StreamOutput(named, start, end, found, error)

@@ -125,12 +125,12 @@ class Hopping(Window):
     def __len__(self) -> int:
         return self.number + len(self._ahead)
 
-    def drop_oldest(self) -> None:
+    def drop_oldest(self) -> List[StreamOutput]:
         """See `StreamOperator.drop_oldest`."""
         if self.groups:
-            super().drop_oldest()
-        else:
-            heapq.heappop(self._ahead)
+            return super().drop_oldest()
+        heapq.heappop(self._ahead)
+        return []
 
     def kept(self) -> KnownState:
         """See `StreamOperator.kept`."""

@@ -40,11 +40,12 @@ class Window:
     def __len__(self) -> int:
         return self.number
 
-    def drop_oldest(self) -> None:
+    def drop_oldest(self) -> List[StreamOutput]:
         """See `StreamOperator.drop_oldest`: of the group that is there for the longest time."""
         group = next(iter(self.groups.values()))
         self._leave(next(one for one in group.members if not one.gone))
         self._tidy()
+        return []
 
     def _tidy(self) -> None:
         """Drop what has gone before its time from where it is filed, if that is the larger part."""
