@@ -124,3 +124,20 @@ def test_what_an_interrupt_leaves_between_ways_and_what_waits_is_found_anew():
             one.event(f"reading({value})", at)
     assert seen[engine] == seen[whole]
     assert seen[whole].count("found([0])") == 5
+
+
+@pytest.mark.parametrize(
+    ("kind", "result"), [("avg(V)", "2"), ("max(V)", "2"), ("median(V)", "2.0"), ("sum(V * 1)", "4")]
+)
+def test_a_measure_of_one_step_asks_that_step_alone_for_numbers(kind, result):
+    """What another step takes may be anything; what the step itself would take is left out and reported."""
+    engine, seen, reports = Engine(), [], []
+    parts_of(engine).rules.on_error = lambda error: reports.append(error.message)
+    engine.load(rules=f"found(A) <- aggregate(of(b, {kind}), reading(V), A, steps([a where V == go, b(2)])).")
+    engine.on_event(lambda term, *interval: seen.append(engine.show(term)))
+    for at, value in enumerate(["go", "2", "off", "2"]):
+        engine.event(f"reading({value})", at)
+    assert seen[-1] == f"found({result})"
+    assert [one.partition(": ")[2] for one in reports] == [
+        f"aggregate {kind.partition('(')[0]} needs numbers"
+    ]

@@ -111,7 +111,11 @@ def measuring(
     looked_at = part.window.looked_at
     build, seen = _builder(taken, names), [places[var] for var in looked_at]
     of_values = [kind for kind, value in zip(part.kinds, part.values) if value is not None]
-    numeric = [asking.evaluating(kind) if MEASURES[kind].numeric else None for kind in of_values]
+    scopes = [scope for scope, value in zip(part.scopes, part.values) if value is not None]
+    numeric = [
+        _evaluating(asking, kind, scope) if MEASURES[kind].numeric else None
+        for kind, scope in zip(of_values, scopes)
+    ]
     numbers = any(numeric)
 
     def item(values: Values) -> Tuple[Values, Values]:
@@ -159,6 +163,21 @@ def _fresh(part: Windowed, groups: Sequence[Var]) -> Optional[List[Var]]:
     """Return what is written for the results where that is a new variable for each; else None."""
     fresh = [term for term in part.results if term.__class__ is Var and term not in groups]
     return fresh if len(set(fresh)) == len(part.results) else None
+
+
+def _evaluating(asking: Asking, kind: str, scope: Optional[int]) -> Evaluate:
+    """Return what gives the number of an expression; where it has none, a step's own measure gets it as it is."""
+    evaluate = asking.evaluating(kind)
+    if scope is None:
+        return evaluate
+
+    def evaluated(term: Term) -> Optional[Term]:
+        try:
+            return evaluate(term)
+        except RuleError:
+            return term  # only that step may not take it, and refuses it then
+
+    return evaluated
 
 
 def _number(value: Term, kind: str, evaluate: Optional[Evaluate]) -> Term:

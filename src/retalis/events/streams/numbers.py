@@ -83,22 +83,27 @@ def _root(over: int, under: int) -> float:
     return float(isqrt(over // (under << -2 * bits)) << -bits)
 
 
-def check_finite(value: Number, name: str) -> None:
-    """Refuse a number that no sum can take.
+def check_finite(value: Any, name: str) -> None:
+    """Refuse what no sum can take.
 
     Raises:
         RuleError: for infinity and for what is no number.
     """
-    if value.__class__ is float and not isfinite(value):
-        raise RuleError(f"aggregate {name} needs finite numbers, not {value}")
+    if value.__class__ is float:
+        if not isfinite(value):
+            raise RuleError(f"aggregate {name} needs finite numbers, not {value}")
+    elif not isinstance(value, int):
+        raise RuleError(f"aggregate {name} needs numbers")
 
 
-def check_ordered(value: Number, name: str) -> None:
+def check_ordered(value: Any, name: str) -> None:
     """Refuse what is neither more nor less than other numbers.
 
     Raises:
-        RuleError: for what is no number (nan).
+        RuleError: for what is no number, nan included.
     """
+    if not isinstance(value, (int, float)):
+        raise RuleError(f"aggregate {name} needs numbers")
     if value != value:
         raise RuleError(f"aggregate {name} needs numbers, not {value}")
 

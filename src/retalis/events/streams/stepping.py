@@ -16,6 +16,8 @@ from .steps import SCANNING, Marks, StepPlan, ends, passes
 MOST_WAYS = 100
 """How many ways of one group are followed at once: those that are preferred."""
 
+_Refusing = Callable[[StreamItem], None]
+"""Refuses an item whose value a measure cannot take."""
 _Pairs = Tuple[Tuple[StreamItem, int], ...]
 """Items, and the steps that have taken them."""
 
@@ -158,7 +160,11 @@ class SteppedWindow:
         self.scopes = scopes
         self.plan = plan
         self._crowded = crowded
-        self._checks = [measure.check for measure in make() if measure.picky]
+        self._checks: List[_Refusing] = []
+        self._checks_of: List[List[_Refusing]] = [[] for _ in plan.steps]
+        for measure, scope in zip(make(), scopes):
+            if measure.picky:
+                (self._checks if scope is None else self._checks_of[scope]).append(measure.check)
         self._groups: OrderedDict[Hashable, StepGroup] = OrderedDict()  # whose oldest is found at once
         self._number = 0
         self._order = 0
@@ -250,6 +256,8 @@ class SteppedWindow:
 
     def _takes(self, way: StepWay, at: int, item: StreamItem, onward: _Onward) -> bool:
         """Add the way in which a step takes an item; tell whether no way that is less preferred matters then."""
+        for check in self._checks_of[at]:
+            check(item)
         plan = self.plan
         count = plan.counted(at, way.count + 1 if way.step == at else 1)
         taken = _Taken(item, at, way.taken)
