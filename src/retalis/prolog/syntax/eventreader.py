@@ -14,10 +14,12 @@ What makes that safe:
 * a quoted atom likewise (`_ALONE`): as an operand of an operator its name could matter;
 * a number, a quoted atom and a double-quoted one leave different skeletons, and a function takes exactly
   as many of each as its skeleton has places.
+
+Where events of one name come in the same shape one after the other, a text is not even split: it is matched as a
+whole with the pattern of that shape (``wholetexts.py``), which takes the same parts out of it.
 """
 
 import re
-from json import JSONDecoder
 from typing import Dict, List, Match, Optional, Tuple
 
 from ...foundation import Cache, SyntaxFault
@@ -25,7 +27,7 @@ from ..terms import Term, atom
 from .operators import Operators
 from .quoted import closing, unquote
 from .reader import read_term
-from .shapes import Builder, ShapeCompiler
+from .shapes import Builder, ReadWhole, ShapeCompiler, Spans, scan
 from .tokens import ReadFlags
 
 Parts = Tuple[str, List[str], List[str], List[str]]
@@ -42,13 +44,20 @@ _QUOTE = re.compile("['\"]")
 _ALONE = re.compile(r"(?:^|[(\[{,|])\s*(?:'|\"\")\s*(?=$|[)\]},|])")
 _PLACE = re.compile('[\0\']|""')
 _JOINTS = re.compile("\0([(,\\[|] *)\0")
-_scan = JSONDecoder().scan_once  # type: ignore[attr-defined]
 
 _SHAPES = 512
 _LONGEST_SHAPE = 50_000
 _COST = 32
 """Bytes of a function for each character of its skeleton, as measured."""
 _MARK = 10**40
+
+_EVENT = "event("
+
+_WHOLE, _WHOLE_COST = 4000, 32
+"""Bytes of what reads whole texts: of each, and for each character of their skeleton, as measured."""
+
+_HEADS = 256
+"""Names of events whose texts are read as a whole, at most."""
 
 
 class EventReader:
@@ -62,6 +71,13 @@ class EventReader:
         """Take the operators that hold in the texts; Prolog's by default. They must not change later."""
         self._operators = Operators.prolog() if operators is None else operators
         self._builders: Cache[str, Optional[Builder]] = Cache(_SHAPES, _COST * 256_000, _COST * 60_000)
+        self._wholes: Cache[str, Optional[ReadWhole]] = Cache(_SHAPES, 8 << 20)
+        """What reads whole texts, by their skeleton."""
+        self._whole: Cache[str, Optional[ReadWhole]] = Cache(_HEADS, 1 << 18)
+        """What reads the texts of an event's name that have the shape of the last ones; None where that failed."""
+        self._last: Cache[str, str] = Cache(_HEADS, 1 << 20)
+        """The skeleton of the last text of an event's name."""
+        self._spans: Spans = Cache(2048, 1 << 20, 4096)
         self.ground: Optional[bool] = None
         """Whether the term that was read last has no variables; None where that is not known."""
 
@@ -72,6 +88,14 @@ class EventReader:
             SyntaxFault: where the text is not exactly one term.
         """
         self.ground = None
+        head = text[: text.find("(", len(_EVENT))] if text.startswith(_EVENT) else ""
+        whole = self._whole.get(head)
+        if whole is not None:
+            term = whole(text)
+            if term is not None:
+                self.ground = True
+                return term
+            self._whole[head] = None
         if "\\" in text or "''" in text or "\n" in text:
             parts = _split_escaped(text)
         else:
@@ -86,15 +110,30 @@ class EventReader:
         if builder is None:
             return self._read_fully(text)
         try:
-            values, _ = _scan("[" + ",".join(numbers) + "]", 0)
+            values, _ = scan("[" + ",".join(numbers) + "]", 0)
         except (ValueError, StopIteration):  # nan, inf or leading zeros
             values = [_number(number) for number in numbers]
         try:
             term = builder.build(values, quoted, strings)
-            self.ground = builder.ground
-            return term
         except ValueError:  # the text has a character that marks places in skeletons
             return self._read_fully(text)
+        self.ground = builder.ground
+        if head and builder.ground:
+            self._note(head, skeleton, builder)
+        return term
+
+    def _note(self, head: str, skeleton: str, builder: Builder) -> None:
+        """Note the shape of a text; where the last one had it too, have the next ones read as a whole."""
+        if self._last.get(head) != skeleton:
+            self._last.keep(head, skeleton, len(head) + len(skeleton))
+            return
+        try:
+            whole = self._wholes[skeleton]
+        except KeyError:
+            made = builder.whole(_plain(skeleton), self._spans)
+            whole = self._wholes.keep(skeleton, made, _WHOLE + _WHOLE_COST * len(skeleton))
+        if self._whole.get(head) is not whole:
+            self._whole.keep(head, whole, len(head))
 
     def _read_fully(self, text: str) -> Term:
         return read_term(text, self._operators, "event text", EVENT_TEXT, positions=False).term
@@ -161,9 +200,14 @@ def _number(text: str) -> float:
     return int(text) if text.lstrip("-").isdigit() else float(text)
 
 
+def _plain(skeleton: str) -> str:
+    """Return a skeleton with one mark for each number."""
+    return _JOINTS.sub(r"\1\0", skeleton)
+
+
 def _builder(skeleton: str, operators: Operators) -> Optional[Builder]:
     """Compile the function that builds the terms of a skeleton; None where a part is not a plain argument."""
-    skeleton = _JOINTS.sub(r"\1\0", skeleton)
+    skeleton = _plain(skeleton)
     if len(_ALONE.findall(skeleton)) != skeleton.count("'") + skeleton.count('""'):
         return None
     text, marks = _marked(skeleton)

@@ -1,9 +1,26 @@
-"""Compiles the function that builds all terms of one shape."""
+"""Compiles the functions that build all terms of one shape."""
 
-from typing import Callable, Dict, List, NamedTuple, Optional, Tuple, Union
+from json import JSONDecoder
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple, Union
 
-from ...foundation import codegen
+from ...foundation import Cache, codegen
 from ..terms import CONS, NIL, Atom, CompoundTerm, Functor, Term, Var, atom, make_list
+from .wholetexts import WholeText, exponents_fit, span_texts, whole_text
+
+scan = JSONDecoder().scan_once  # type: ignore[attr-defined]
+"""Reads numbers in brackets at a place of a text."""
+
+Spans = Cache[str, Tuple[Atom, ...]]
+"""The atoms of spans of quoted atoms, which come again and again."""
+
+_UNREAD = (ValueError, StopIteration, KeyError)
+"""What it raises for others; the last one on Python 3.8, which imports its error where nothing may be imported."""
+
+ReadWhole = Callable[[str], Optional[Term]]
+"""Makes the term of a text of one shape; None for a text that has to be read otherwise."""
+
+_SPAN_COST = 4
+"""Bytes that a span takes for each of its characters, with its atoms."""
 
 
 class Builder(NamedTuple):
@@ -13,10 +30,13 @@ class Builder(NamedTuple):
         build: makes one from its numbers, its quoted and its double-quoted texts; raises ValueError where they are
             not as many.
         ground: whether there is no variable in them.
+        whole: returns what makes one from a text of a skeleton, which is the shape's; None where that is not worth
+            while.
     """
 
     build: Callable[[List[float], List[str], List[str]], Term]
     ground: bool
+    whole: Callable[[str, Spans], Optional[ReadWhole]]
 
 
 _LINES = 3000
@@ -53,11 +73,35 @@ class ShapeCompiler:
         result = self._expression(term)
         if result is None or any(count != 1 for count in self._used.values()):
             return None
-        body = [*self._unpacking(), *(f"{name} = Var()" for name in self._variables.values()), *self._lines]
-        lines = ["def build(n, q, s):", *(" " + line for line in body), f" return {result}"]
-        return Builder(
-            codegen.function(lines, self._given.values, "event text", "build"), not self._variables
-        )
+        self._lines[:0] = [f"{name} = Var()" for name in self._variables.values()]
+        self._lines.append(f"return {result}")
+        lines = ["def build(n, q, s):", *(" " + line for line in (*self._unpacking(), *self._lines))]
+        function = codegen.function(lines, self._given.values, "event text", "build")
+        return Builder(function, not self._variables, self._whole)
+
+    def _whole(self, skeleton: str, spans: Spans) -> Optional[ReadWhole]:
+        """Return what reads whole texts; see `Builder`."""
+        whole = whole_text(skeleton) if len(self._marks) <= _LOCALS else None
+        if whole is None:
+            return None
+
+        def learn(span: str) -> Tuple[Atom, ...]:
+            return spans.keep(span, tuple(map(atom, span_texts(span))), _SPAN_COST * len(span))
+
+        given: Dict[str, Any] = {
+            **self._given.values,
+            "match": whole.pattern.fullmatch,
+            "known": spans.get,
+            "learn": learn,
+            "scan": scan,
+            "fits": exponents_fit,
+            "most": float("inf"),
+            "Unread": _UNREAD,
+        }
+        body = [*_taking_apart(whole), *self._lines]
+        lines = ["def read(text):", *(" " + line for line in body)]
+        found: ReadWhole = codegen.function(lines, given, "event text", "read")
+        return found
 
     def _unpacking(self) -> List[str]:
         lines = []
@@ -67,6 +111,10 @@ class ShapeCompiler:
                 lines.append(f"{', '.join(names)}, = {kind}")
             else:
                 lines.append(f"if len({kind}) != {len(names)}: raise ValueError")
+            if kind == "q":
+                lines += [f"{name} = atom({name})" for name in names]
+            elif kind == "s":
+                lines += [f"{name} = atom(f'\"{{{name}}}\"')" for name in names]
         return lines
 
     def _expression(self, term: Term) -> Optional[str]:
@@ -97,9 +145,7 @@ class ShapeCompiler:
         if mark is None:
             return self._constant(term)
         self._used[mark] += 1
-        if mark[0] == "n":
-            return mark if len(self._marks) <= _LOCALS else f"n[{mark[1:]}]"
-        return f"atom({mark})" if mark[0] == "q" else f"atom(f'\"{{{mark}}}\"')"
+        return f"n[{mark[1:]}]" if mark[0] == "n" and len(self._marks) > _LOCALS else mark
 
     def _constant(self, value: Union[Term, Functor]) -> str:
         key = (value.__class__, value.hex() if isinstance(value, float) else value)
@@ -124,6 +170,39 @@ class ShapeCompiler:
     def _temporary(self, expression: str) -> str:
         self._lines.append(f"t{len(self._lines)} = {expression}")
         return f"t{len(self._lines) - 1}"
+
+
+def _taking_apart(whole: WholeText) -> List[str]:
+    """Return the lines that take the numbers and atoms out of a text, or return None for one that is otherwise."""
+    groups = [f"g{at}" for at in range(len(whole.groups))]
+    lines = ["found = match(text)", "if found is None: return None"]
+    if groups:
+        lines.append(f"{', '.join(groups)}, = found.groups()")
+    runs: List[List[str]] = []
+    numbers: List[str] = []
+    atoms = 0
+    for group, number, span in zip(groups, whole.groups, whole.atoms):
+        if number:
+            runs.append([f"n{len(numbers) + at}" for at in range(number)])
+            numbers += runs[-1]
+        else:
+            names = [f"q{atoms + at}" for at in range(span)]
+            atoms += span
+            lines.append(f"{', '.join(names)}, = known({group}) or learn({group})")
+    if numbers:
+        texts = [f"[{{{group}}}]" for group, number in zip(groups, whole.groups) if number]
+        places = "".join(f"({', '.join(run)},), " for run in runs)
+        lines += [
+            f'numbers = f"[{",".join(texts)}]"',
+            'if "e" in numbers and not fits(numbers): return None',
+            "try:",
+            f" {places} = scan(numbers, 0)[0]",
+            "except Unread: return None",
+        ]
+    if whole.infinite:
+        values = ", ".join(numbers)
+        lines.append(f"if most in ({values},) or -most in ({values},): return None")
+    return lines
 
 
 def _items(term: CompoundTerm) -> List[Term]:
