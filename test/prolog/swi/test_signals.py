@@ -1,11 +1,14 @@
 """Signals that Python handles in a process that uses SWI-Prolog."""
 
+import contextlib
 import ctypes
 import gc
 import signal
 import threading
 
 import pytest
+from interrupts.checks import faults
+from interrupts.injection import AtBytecode, Interrupt
 
 
 class Stack(ctypes.Structure):
@@ -19,10 +22,6 @@ def signal_stack():
     found = Stack()
     ctypes.CDLL(None).sigaltstack(None, ctypes.byref(found))
     return found.place, found.flags, found.size
-
-
-class Interrupt(KeyboardInterrupt):
-    """What the handler raises."""
 
 
 @pytest.fixture
@@ -74,3 +73,29 @@ def test_a_signal_that_comes_while_it_answers_ends_the_goal(engine, alarms):
     with pytest.raises(Interrupt):
         engine.query("pokes_later(X)")
     assert len(engine.query("upto(2, A), inc(A, X)")) == 2
+
+
+class AtSession(AtBytecode):
+    """Raises an interrupt before the n-th bytecode of what has goals open in SWI-Prolog."""
+
+    def _call(self, frame, event, argument):
+        if not frame.f_code.co_filename.endswith(("swi/session.py", "swi/handles.py")):
+            return None
+        return super()._call(frame, event, argument)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # as solutions are let go
+@pytest.mark.parametrize("goal", ["upto(2, X), inc(X, Y)", "asks(upto(1, _), X)", "catch(bad(X), _, true)"])
+def test_an_interrupt_anywhere_leaves_nothing_open(engine, goal):
+    expected = len(engine.query(goal))
+    at = 0
+    where = True
+    while where is not None:
+        at += 3
+        with contextlib.suppress(Interrupt), AtSession(at) as injected:
+            engine.query(goal)
+        where = injected.where
+        assert len(engine.query(goal)) == expected, where
+        assert faults(engine) == [], where
+    assert at > 300

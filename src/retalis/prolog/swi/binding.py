@@ -84,6 +84,7 @@ class SwiLibrary:
         self.next_solution = known("next_solution", c_int, c_size_t, of=long)
         self.close_query = known("close_query", c_int, c_size_t, of=long)
         self.close_done = known("close_query", c_int, c_size_t)  # of a query that has nothing left to run
+        self.current_query = known("current_query", c_size_t)
         self.exception = known("exception", term, c_size_t)
         self.raise_exception = known("raise_exception", c_int, term)
         self.clear_exception = known("clear_exception", None)

@@ -16,7 +16,8 @@ class Handles(Cache[Any, int]):
 
     def clear(self) -> None:
         """Forget all."""
-        for handle in self.values():
+        while self:
+            _, handle = self.popitem()  # first: what is found in it must be there
             self.let_go(handle)
         super().clear()
 
@@ -32,7 +33,8 @@ class HeldHandles(Cache[int, Any]):
 
     def clear(self) -> None:
         """Forget all."""
-        for handle in self:
+        while self:
+            handle, _ = self.popitem()
             self.let_go(handle)
         super().clear()
 

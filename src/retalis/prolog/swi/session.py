@@ -13,6 +13,7 @@ from ..machine import LAST, Left, LimitError, Machine, PrologError, from_python,
 from ..terms import COLON, Term, Values, atom, copy, functor, make_list, variant_key
 from .binding import ASK, FAILED, LAST_SOLVED, RAISED, SOLVED, SwiLibrary
 from .interrupter import Watched
+from .opengoals import Level, OpenGoal
 from .signalstack import signal_stack_kept
 from .starting import BRIDGE, Started
 from .values import Bindings, Refs, SwiTerms
@@ -25,26 +26,6 @@ _CLEANING = 1.0
 
 _MOST_ANSWERS = 100_000
 """Solutions that a goal may have which SWI-Prolog asks back."""
-
-
-class OpenGoal:
-    """A goal that may have more solutions.
-
-    Attributes:
-        query: what SWI-Prolog calls it.
-        frame: what is given up with it.
-        refs: of its variables.
-        over: whether nobody wants the others.
-        closed: whether it is given up.
-    """
-
-    __slots__ = ("query", "frame", "refs", "over", "closed")
-
-    def __init__(self, query: int, frame: int, refs: Refs):
-        self.query = query
-        self.frame = frame
-        self.refs = refs
-        self.over = self.closed = False
 
 
 class SwiProgram:
@@ -131,15 +112,16 @@ class SwiEngine:
         self._before = c_void_p()
         self._to_before = byref(self._before)
         self._open: List[OpenGoal] = []
-        self._base = 0
+        self._level = Level(0, 0, 0, None)
         self._failure: Optional[BaseException] = None
+        self._ended: List[bool] = []
         with signal_stack_kept():
             self._engine = swi.create_engine(None)
         self._enter()
         try:
             self.number: int = swi.thread_self()
             self._terms = SwiTerms(swi)
-            finalize(self, _end, swi, self._engine, self._terms).atexit = False
+            finalize(self, _end, swi, self._engine, self._terms, self._ended).atexit = False
             self.limited: int = swi.predicate(b"limited", 2, BRIDGE.encode())
             self._count = swi.predicate(b"statistics", 2, b"system")
         finally:
@@ -150,30 +132,71 @@ class SwiEngine:
     def handle(self, module: str, name: str, arity: int) -> int:
         """Return what SWI-Prolog knows a predicate by."""
         swi = self._swi
-        self._enter()
-        frame = swi.open_frame()
+        level = self._level
+        frame = 0
         try:
+            self._enter()
+            frame = swi.open_frame()
             place = swi.new_module(self._terms.handle(atom(module)))
-            return swi.predicate_of(swi.new_functor(self._terms.handle(atom(name)), arity), place)  # type: ignore
-        finally:
+            found: int = swi.predicate_of(swi.new_functor(self._terms.handle(atom(name)), arity), place)
             swi.discard_frame(frame)
             self._leave()
+        except BaseException as error:
+            self._mend(level, error, frame)
+            raise
+        return found
 
     def _enter(self) -> None:
         """Have this thread use the engine."""
-        if not self._depth:
-            if self._thread != get_ident():
-                raise RetalisError(
-                    "solutions in SWI-Prolog were requested by another thread than the first of them"
-                )
-            if self._swi.set_engine(self._engine, self._to_before):
-                raise RetalisError("an engine of SWI-Prolog is in use elsewhere")
+        if self._busy:  # something came in between when that was to be mended
+            self._mend(self._level, None)
+        self._busy = True
+        if not self._depth and self._swi.set_engine(self._engine, self._to_before):
+            raise RetalisError("an engine of SWI-Prolog is in use elsewhere")
         self._depth += 1
 
     def _leave(self) -> None:
         self._depth -= 1
         if not self._depth:
             self._swi.set_engine(self._before.value, None)
+        self._busy = False
+
+    def _mend(self, level: Level, error: Optional[BaseException], frame: int = 0) -> None:
+        """Take back what has not been done to its end, wherever that was.
+
+        Args:
+            level: where it began.
+            error: what came in between: where it is no error of a goal, as an interrupt is, nobody wants any goals
+                of this level that are open. None stands for that.
+            frame: what is given up with it, 0 where none is.
+        """
+        swi = self._swi
+        self._busy = True
+        self._level = level
+        before = c_void_p()
+        if swi.set_engine(self._engine, byref(before)):
+            return
+        if before.value != self._engine:  # it had not been taken up yet
+            self._before.value = before.value
+        if self.watched is not level.watched:
+            self.watched = level.watched
+            self._interrupter.settle()
+        given_up = []
+        if not isinstance(error, Exception):
+            given_up = self._open[level.base :]
+            del self._open[level.base :]
+        last = self._open[-1].query if len(self._open) > level.base else level.query
+        while swi.current_query() not in (0, last):
+            self._close(swi.current_query())
+        for opened in given_up:
+            opened.closed = True
+        frame = given_up[0].frame if given_up else frame
+        if frame:
+            swi.discard_frame(frame)
+        self._depth = level.depth
+        if not self._depth:
+            swi.set_engine(self._before.value, None)
+        self._busy = False
 
     # Goals
 
@@ -181,45 +204,36 @@ class SwiEngine:
         self, machine: Machine, predicate: int, arguments: Values, left: Optional[Left]
     ) -> Union[bool, Iterator[object]]:
         """Call a predicate: return whether it succeeds, or its solutions where there may be several."""
-        swi, terms = self._swi, self._terms
-        self._enter()
-        self._busy = True
-        query = 0
-        opened: Optional[OpenGoal] = None
+        swi, terms, level = self._swi, self._terms, self._level
+        frame = 0
         try:
+            self._enter()
             if self._open:
                 self._close_over()
             frame = swi.open_frame()
-            try:
-                status = SOLVED
-                refs: Refs = {}
-                first = ref = swi.new_refs(len(arguments) or 1)
-                for argument in arguments:
-                    terms.put(ref, argument, refs)
-                    ref += 1
-                query = swi.open_query(None, ASK, predicate, first)
-                status = self._next(query, left)
-                if status == RAISED:
-                    raise self._raised(query)
-                if status == FAILED:
-                    return False
-                bindings = terms.read_values(refs)
-                if status != LAST_SOLVED:
-                    opened = OpenGoal(query, frame, refs)
-                    self._open.append(opened)
-            finally:
-                if opened is None:
-                    if status in (LAST_SOLVED, FAILED):
-                        swi.close_done(query)
-                    elif query:
-                        self._close(query)
-                    swi.discard_frame(frame)
-        finally:
-            self._busy = False
+            refs: Refs = {}
+            first = ref = swi.new_refs(len(arguments) or 1)
+            for argument in arguments:
+                terms.put(ref, argument, refs)
+                ref += 1
+            query = swi.open_query(None, ASK, predicate, first)
+            status = self._next(query, left)
+            if status == RAISED:
+                raise self._raised(query)
+            bindings = [] if status == FAILED else terms.read_values(refs)
+            if status == SOLVED:
+                opened = OpenGoal(query, frame, refs)
+                self._open.append(opened)
+            else:
+                swi.close_done(query)
+                swi.discard_frame(frame)
             self._leave()
-        if opened is not None:
+        except BaseException as error:
+            self._mend(level, error, frame)
+            raise
+        if status == SOLVED:
             return self._solutions(machine, opened, bindings)
-        return not bindings or machine.unify_all(*bindings)
+        return status != FAILED and (not bindings or machine.unify_all(*bindings))
 
     def _solutions(self, machine: Machine, opened: OpenGoal, bindings: Bindings) -> Iterator[object]:
         try:
@@ -238,29 +252,32 @@ class SwiEngine:
 
     def _following(self, opened: OpenGoal) -> Optional[Bindings]:
         """Return what the next solution makes of the variables; None where there is none."""
+        if self._thread != get_ident():
+            raise RetalisError(
+                "solutions in SWI-Prolog were requested by another thread than the first of them"
+            )
+        level = self._level
         left = self._budget.left()
-        self._enter()
-        self._busy = True
         try:
-            if self._open[-1] is not opened:
+            self._enter()
+            if self._open[-1:] != [opened]:
                 self._close_over()
-            if not self._open or self._open[-1] is not opened:
+            if self._open[-1:] != [opened]:
                 raise RetalisError(
                     "solutions of an outer goal were requested while an inner one is still open"
                 )
             status = self._next(opened.query, left)
             if status == RAISED:
                 raise self._raised(opened.query)
-            if status == FAILED:
-                return None
-            found = self._terms.read_values(opened.refs)
+            found = None if status == FAILED else self._terms.read_values(opened.refs)
             if status == LAST_SOLVED:
                 opened.over = True
                 self._close_over()
-            return found
-        finally:
-            self._busy = False
             self._leave()
+        except BaseException as error:
+            self._mend(level, error)
+            raise
+        return found
 
     def _next(self, query: int, left: Optional[Left]) -> int:
         """Look for a solution; say what came of it.
@@ -325,16 +342,19 @@ class SwiEngine:
     def _drop(self, opened: OpenGoal) -> None:
         """Give a goal up, at once or, where something else is under way, before the next one."""
         opened.over = True
-        if self._busy or self._thread != get_ident():
+        if self._busy or self._thread != get_ident() or self._ended:
             return
-        self._enter()
+        level = self._level
         try:
+            self._enter()
             self._close_over()
-        finally:
             self._leave()
+        except BaseException as error:
+            self._mend(level, error)
+            raise
 
     def _close_over(self) -> None:
-        while len(self._open) > self._base and self._open[-1].over:
+        while len(self._open) > self._level.base and self._open[-1].over:
             self._close_last()
 
     def _close_last(self) -> None:
@@ -360,33 +380,40 @@ class SwiEngine:
 
     def answer(self, asked: int) -> bool:
         """Have the second part of a term be the list of all solutions of its first one; errors are thrown there."""
-        swi, terms = self._swi, self._terms
-        kept = self._busy, self._base
-        self._busy, self._base = False, len(self._open)
+        swi, terms, outer = self._swi, self._terms, self._level
         try:
-            frame = swi.open_frame()
+            level = Level(len(self._open), swi.current_query(), self._depth, self.watched)
             try:
-                terms.begin()
-                goal_ref = swi.new_refs(1)
-                swi.get_argument(1, asked, goal_ref)
-                goal = terms.read(goal_ref)
-            finally:
-                swi.discard_frame(frame)  # which takes the marks back
-            found = make_list(self._solved(goal))
-            self._close_all()
-            ref = swi.new_refs(1)
-            swi.get_argument(2, asked, ref)
-            terms.put(ref, found, {})
+                self._level, self._busy = level, False
+                goal = self._asked(asked)
+                found = make_list(self._solved(goal))
+                self._close_all()
+                ref = swi.new_refs(1)
+                swi.get_argument(2, asked, ref)
+                terms.put(ref, found, {})
+            except BaseException as error:  # whatever it is: there is C between it and who has called
+                self._mend(level, error)
+                self._close_all()
+                self.fail(error)
+                return False
             return True
-        except BaseException as error:  # whatever it is: there is C between it and who has called
-            self._close_all()
-            self.fail(error)
-            return False
         finally:
-            self._busy, self._base = kept
+            self._level, self._busy = outer, True
+
+    def _asked(self, asked: int) -> Term:
+        """Return the goal that is asked."""
+        swi, terms = self._swi, self._terms
+        frame = swi.open_frame()
+        try:
+            terms.begin()
+            ref = swi.new_refs(1)
+            swi.get_argument(1, asked, ref)
+            return terms.read(ref)
+        finally:
+            swi.discard_frame(frame)  # which takes the marks back
 
     def _close_all(self) -> None:
-        while len(self._open) > self._base:
+        while len(self._open) > self._level.base:
             self._close_last()
 
     def _solved(self, goal: Term) -> List[Term]:
@@ -412,12 +439,15 @@ class SwiEngine:
         swi.raise_exception(ref)
 
 
-def _end(swi: SwiLibrary, engine: int, terms: SwiTerms) -> None:
+def _end(swi: SwiLibrary, engine: int, terms: SwiTerms, ended: List[bool]) -> None:
     """Give an engine up, and the atoms that were held for it; any thread may do that."""
+    ended.append(True)  # solutions of it may be let go after it
     before = c_void_p()
     if not swi.set_engine(engine, byref(before)):
-        terms.let_go()
-        swi.set_engine(before.value, None)
+        try:
+            terms.let_go()
+        finally:
+            swi.set_engine(before.value, None)
     swi.destroy_engine(engine)
 
 

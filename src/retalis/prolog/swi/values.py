@@ -153,8 +153,10 @@ class SwiTerms:
         return swi.unify_text(ref, swi.kinds["string"] | swi.utf8, len(text), text)  # type: ignore[no-any-return]
 
     def _keep(self, cache: Handles, key: Any, handle: int, size: int) -> None:
-        if cache.keep(key, handle, size) and key in cache:
-            self._swi.register_atom(handle)
+        self._swi.register_atom(handle)  # first: what is found in it must be there
+        cache.keep(key, handle, size)
+        if key not in cache:
+            self._swi.unregister_atom(handle)
 
     def _functor_handle(self, key: Functor) -> int:
         handle = self._functors.get(key)
@@ -327,9 +329,10 @@ class SwiTerms:
         if known is not None:
             return known
         made = atom(self._text(ref, ATOM_TEXT))
+        self._swi.register_atom(handle)
         self._atoms.keep(handle, made, len(made.name))
-        if handle in self._atoms:
-            self._swi.register_atom(handle)
+        if handle not in self._atoms:
+            self._swi.unregister_atom(handle)
         return made
 
     def _read_integer(self, ref: int) -> Term:
