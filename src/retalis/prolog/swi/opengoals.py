@@ -26,7 +26,7 @@ class OpenGoal:
         self.over = self.closed = False
 
 
-class Level(NamedTuple):
+class GoalLevel(NamedTuple):
     """Where goals begin that may be given up together: an engine's first ones, or those of what is asked back.
 
     Attributes:

@@ -1,19 +1,19 @@
-"""Goals in SWI-Prolog: an engine of it for each program and thread, taken up for a call and left after it."""
+"""Goals in SWI-Prolog: an engine of it, taken up for a call and left after it."""
 
 from contextlib import closing
 from ctypes import byref, c_void_p
-from threading import get_ident, local
+from threading import get_ident
 from time import monotonic
-from typing import Callable, Iterator, List, Optional, Union
+from typing import Iterator, List, Optional, Union
 from weakref import finalize
 
 from ...foundation import RetalisError
 from ..logic import Logic
 from ..machine import LAST, Left, LimitError, Machine, PrologError, from_python, resource_error
-from ..terms import COLON, Term, Values, atom, copy, functor, make_list, variant_key
+from ..terms import Term, Values, atom, copy, functor, make_list, variant_key
 from .binding import ASK, FAILED, LAST_SOLVED, RAISED, SOLVED, SwiLibrary
 from .interrupter import Watched
-from .opengoals import Level, OpenGoal
+from .opengoals import GoalLevel, OpenGoal
 from .signalstack import signal_stack_kept
 from .starting import BRIDGE, Started
 from .values import Bindings, Refs, SwiTerms
@@ -26,61 +26,6 @@ _CLEANING = 1.0
 
 _MOST_ANSWERS = 100_000
 """Solutions that a goal may have which SWI-Prolog asks back."""
-
-
-class SwiProgram:
-    """What a program has of SWI-Prolog: an engine for each thread that runs its goals.
-
-    SWI-Prolog notes with an engine where the stack of its thread lies, and ends the process where that is elsewhere
-    later. So an engine goes with its thread.
-
-    Args:
-        logic: of the program.
-        started: SWI-Prolog.
-    """
-
-    def __init__(self, logic: Logic, started: Started):
-        self._logic = logic
-        self._started = started
-        self._threads = local()
-
-    def predicate(self, module: str, name: str, arity: int) -> Callable[..., Union[bool, Iterator[object]]]:
-        """Return what calls a predicate of a module, for `Logic.define_nondeterministic`."""
-        threads, budget = self._threads, self._logic.machine.budget
-        handle = self.engine().handle(module, name, arity)
-        key = functor(name, arity)
-        where = atom(module)
-
-        def call(machine: Machine, *arguments: Term) -> Union[bool, Iterator[object]]:
-            try:
-                engine: SwiEngine = threads.engine
-            except AttributeError:
-                engine = self.engine()
-            left = budget.left()
-            if left is not None and left.inferences is not None:
-                goal = (COLON, where, (key, *arguments) if arguments else atom(name))
-                return engine.call(machine, engine.limited, (goal, max(left.inferences, 0)), left)
-            return engine.call(machine, handle, arguments, left)
-
-        return call
-
-    def engine(self) -> "SwiEngine":
-        """Return the engine of this thread."""
-        found: Optional[SwiEngine] = getattr(self._threads, "engine", None)
-        if found is None:
-            found = self._threads.engine = SwiEngine(self._logic, self._started)
-            megabytes = self._logic.limits.megabytes
-            if megabytes is not None:
-                self.ask("limit_stacks", megabytes << 20)
-        return found
-
-    def ask(self, name: str, *arguments: Term) -> bool:
-        """Call a predicate of the bridge once; its bindings stay."""
-        found = self.predicate(BRIDGE, name, len(arguments))(self._logic.machine, *arguments)
-        if isinstance(found, bool):
-            return found
-        with closing(found) as solutions:  # type: ignore[type-var]
-            return next(solutions, FAILED) is not FAILED
 
 
 class SwiEngine:
@@ -112,7 +57,7 @@ class SwiEngine:
         self._before = c_void_p()
         self._to_before = byref(self._before)
         self._open: List[OpenGoal] = []
-        self._level = Level(0, 0, 0, None)
+        self._level = GoalLevel(0, 0, 0, None)
         self._failure: Optional[BaseException] = None
         self._ended: List[bool] = []
         with signal_stack_kept():
@@ -161,7 +106,7 @@ class SwiEngine:
             self._swi.set_engine(self._before.value, None)
         self._busy = False
 
-    def _mend(self, level: Level, error: Optional[BaseException], frame: int = 0) -> None:
+    def _mend(self, level: GoalLevel, error: Optional[BaseException], frame: int = 0) -> None:
         """Take back what has not been done to its end, wherever that was.
 
         Args:
@@ -382,7 +327,7 @@ class SwiEngine:
         """Have the second part of a term be the list of all solutions of its first one; errors are thrown there."""
         swi, terms, outer = self._swi, self._terms, self._level
         try:
-            level = Level(len(self._open), swi.current_query(), self._depth, self.watched)
+            level = GoalLevel(len(self._open), swi.current_query(), self._depth, self.watched)
             try:
                 self._level, self._busy = level, False
                 goal = self._asked(asked)

@@ -10,7 +10,7 @@ from ..machine import Machine, existence_error, indicator, instantiation_error, 
 from ..terms import NIL, SLASH, Atom, Functor, Term, Var, atom, copy, deref, functor, list_items
 
 if TYPE_CHECKING:
-    from .session import SwiProgram
+    from .programs import SwiProgram
 
 _AS = functor("as", 2)
 _LIBRARY = functor("library", 1)
@@ -118,7 +118,7 @@ def use_swi(logic: Logic, file: SwiFile, warn: Callable[[object], None]) -> None
 
 def _program(logic: Logic) -> "SwiProgram":
     """Return what a program has of SWI-Prolog; only those that ask for it have SWI-Prolog loaded, and ctypes."""
-    from .session import SwiProgram  # noqa: PLC0415 - only those that use it load it
+    from .programs import SwiProgram  # noqa: PLC0415 - only those that use it load it
     from .starting import start  # noqa: PLC0415
 
     found: Optional[SwiProgram] = logic.state.get(_STATE)
