@@ -26,10 +26,14 @@ def stamp(header):
 
 
 class Reference:
-    """A tf2 buffer filled from the /tf messages of a bag, leading slashes of frames stripped."""
+    """A tf2 buffer, filled from the /tf messages of a bag where it has one, leading slashes of frames stripped."""
 
-    def __init__(self, path):
+    def __init__(self, path=None):
         self.buffer = tf2_py.BufferCore(genpy.Duration(100_000))
+        if path is not None:
+            self._add_bag(path)
+
+    def _add_bag(self, path):
         definitions = Definitions()
         with BagReader(path) as bag:
             for record in bag.records(["/tf"]):
@@ -40,11 +44,17 @@ class Reference:
 
     def _add(self, transform):
         header = deref(transform[1])
-        made = geometry_msgs.TransformStamped()
-        made.header.stamp = genpy.Time(*stamp(header))
-        made.header.frame_id = name(header[3])
-        made.child_frame_id = name(transform[2])
+        seconds, nanoseconds = stamp(header)
         translation, rotation = (numbers(part) for part in deref(transform[3])[1:])
+        instant = seconds * 10**9 + nanoseconds
+        self.add(name(header[3]), name(transform[2]), instant, translation, rotation)
+
+    def add(self, parent, child, instant, translation, rotation):
+        """Have the transform between two frames at an instant (ns)."""
+        made = geometry_msgs.TransformStamped()
+        made.header.stamp = genpy.Time(*divmod(instant, 10**9))
+        made.header.frame_id = parent
+        made.child_frame_id = child
         made.transform.translation = geometry_msgs.Vector3(*translation)
         made.transform.rotation = geometry_msgs.Quaternion(*rotation)
         self.buffer.set_transform(made, "test")

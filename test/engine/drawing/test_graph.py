@@ -44,6 +44,14 @@ def test_events_that_goals_make_and_memories_that_they_read_are_found_in_clauses
     }
 
 
+def test_a_chain_of_poses_reads_its_memories():
+    found = edges("a(P) <- b(T, R) where pose_chain([odom, R, head], T, P).")
+    assert {edge for edge in found if "reads" in edge} == {
+        ("memory:odom", "rule:0", "reads"),
+        ("memory:head", "rule:0", "reads"),
+    }
+
+
 def test_alarms_and_events_of_goals_are_what_they_fire():
     found = edges("exceptionAlarm(waited(S), 5) <- down(S). null_event do event(held(S)) <- waited(S).")
     assert {edge for edge in found if edge[0].startswith("rule")} == {

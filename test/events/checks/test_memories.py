@@ -23,6 +23,7 @@ def warnings(folder, rules):
         ),
         ("synchronized(a(T), true, [[odom_base, T], [heap, T]]) <- b(T).", "there is no memory heap yet"),
         ("a <- b where seen(_). seen(X) :- access_mem(haed, X, _).", "there is no memory haed yet"),
+        ("a(P) <- b(T, R) where pose_chain([odom_base, head, R], T, P).", "there is no memory head yet"),
     ],
 )
 def test_memories_that_are_read_and_not_there(tmp_path, rules, found):

@@ -139,7 +139,7 @@ def test_what_is_noted_is_bounded():
             engine.event("v(1)", start * 10 + step / 1000)
     for start in range(NOTED * 3 - 1):
         assert engine.call(f"next_inf(m, _, _, _, {start * 10 + 5}.0)")
-    noted = parts_of(engine).knowledge.gaps._noted  # noqa: SLF001
+    noted = parts_of(engine).knowledge.gaps.noted
     assert len(noted) == NOTED
     assert weights(engine, 1_905_000) == [pytest.approx(0.505, abs=0.01)]
     parts_of(engine).knowledge.clear()

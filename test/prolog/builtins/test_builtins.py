@@ -233,6 +233,14 @@ def test_interpolation_is_spherical_and_one_is_the_first():
     assert numbers(first(logic, f"interpolate_quaternion([1,1,1],{q},[1,1,1],{q},[0.3],X)"))[1] == q
 
 
+@pytest.mark.parametrize("angle", [1e-12, 1e-9, 1e-8, 2e-8, 1e-7, 1e-5, 1e-3, 3.0, 3.14159])
+def test_interpolation_is_exact_over_small_and_large_angles(angle):
+    q1, q2 = turn([1, -2, 0.5], 0.2), turn([1, -2, 0.5], 0.2 + angle)
+    goal = f"interpolate_quaternion([0,0,0],{q1},[0,0,0],{q2},[0.25],X)"
+    wanted = turn([1, -2, 0.5], 0.2 + 0.75 * angle)
+    assert numbers(first(prolog(), goal))[1] == pytest.approx(wanted, abs=3e-16)
+
+
 @pytest.mark.parametrize(
     ("goal", "error"),
     [

@@ -5,7 +5,7 @@ from typing import Any, Dict, Hashable, Iterable, Iterator, List, Mapping, Named
 
 from ...events.language import ALARMS, SYNCHRONIZED, Occurs, own_terms, sets_timer, walk
 from ...foundation import beginning
-from ...prolog.terms import Atom, Functor, Term, Var, atom, deref, functor, list_items, variables
+from ...prolog.terms import Atom, Functor, Term, Var, atom, deref, functor, list_items, list_parts, variables
 from .. import Engine, parts_of
 
 MOST_NODES = 150
@@ -28,6 +28,7 @@ _READS = frozenset(
         *(("access_mem", 3), ("memory_size", 2), ("memory_counter", 2)),
     )
 )
+_CHAIN = functor("pose_chain", 3)
 
 ANY = "any event"
 
@@ -195,10 +196,11 @@ class _GraphBuilder:
             if term[0] in _MAKES or sets_timer(term):
                 event = self._event(deref(term[1]))
                 self._edge(node, event, event)
-            elif term[0] in _READS:
-                name = deref(term[1])
-                if isinstance(name, Atom):
-                    self._edge(_id("memory", name.name), node, "", "reads")
+            elif term[0] in _READS or term[0] is _CHAIN:
+                names = list_parts(term[1])[0] if term[0] is _CHAIN else [term[1]]
+                for name in map(deref, names):
+                    if isinstance(name, Atom):
+                        self._edge(_id("memory", name.name), node, "", "reads")
 
     def _called(self, goals: List[Term]) -> Iterator[Any]:
         """Yield all compound terms in goals and in the program's clauses that they name."""

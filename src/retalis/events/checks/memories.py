@@ -3,7 +3,7 @@
 from typing import Any, Dict, Iterator, List, Optional, Set
 
 from ...foundation import RuleError
-from ...prolog.terms import Atom, Term, Var, deref, functor, list_items, may_unify, variables
+from ...prolog.terms import Atom, Term, Var, deref, functor, list_items, list_parts, may_unify, variables
 from ..language import SYNCHRONIZED
 from .near import meant
 from .overview import Overview
@@ -27,6 +27,7 @@ _READS = frozenset(
 
 
 _LOOKS = frozenset(key for key in _READS if not key.name.startswith("memory_"))
+_CHAIN = functor("pose_chain", 3)
 _BOTH = functor("$both", 2)
 
 
@@ -103,6 +104,8 @@ def _memories_in(inner: Inner) -> Iterator[Atom]:
     names: List[Term] = [term[1]] if term[0] in _READS else []
     if term[0] in SYNCHRONIZED:
         names = [pair[0] for pair in map(list_items, list_items(term[3]) or ()) if pair]
+    elif term[0] is _CHAIN:
+        names = list_parts(term[1])[0]
     for name in map(deref, names):
         if isinstance(name, Atom):
             yield name

@@ -2,7 +2,8 @@
 
 from typing import Any, Callable, Dict, Optional, Tuple
 
-from ...prolog.builtins import instant_of, weight_of_first
+from ...prolog.arithmetic import Number
+from ...prolog.builtins import instant_of
 from ...prolog.logic import Logic
 from ...prolog.terms import SECOND, Term, from_seconds
 from .memories import Memories
@@ -39,7 +40,7 @@ class Gaps:
         self._warn = warn
         self.most = ANY
         """How far apart two instants may be, in nanoseconds."""
-        self._noted: Dict[Tuple[int, int], Tuple[Instance, ...]] = {}
+        self.noted: Dict[Tuple[int, int], Tuple[Instance, ...]] = {}
 
     def limit(self, seconds: float) -> None:
         """Set how far apart two instants may be; 0 or less for any distance."""
@@ -47,13 +48,13 @@ class Gaps:
 
     def clear(self) -> None:
         """Forget what was looked up."""
-        self._noted.clear()
+        self.noted.clear()
 
     def watch(self, instance: Instance) -> None:
         """Have the wide gaps of a memory noted."""
 
         def note(start: int, end: int) -> None:
-            noted = self._noted
+            noted = self.noted
             before = noted.pop((start, end), ())
             noted[start, end] = before if instance in before else (*before, instance)
             if len(noted) > NOTED:
@@ -61,18 +62,20 @@ class Gaps:
 
         instance.memory.on_wide = note
 
+    def weight(self, start: int, end: int, at: int) -> Optional[Number]:
+        """Return the weight of the first of two instants at a third one; None where they are too far apart."""
+        apart = end - start
+        if apart > self.most or -apart > self.most:
+            return None
+        if self.noted and (start, end) in self.noted:
+            self._interpolated(int(start), int(end))
+        return (end - at) / apart if apart else 1
+
     def define(self, logic: Logic, memories: Memories) -> None:
         """Define the predicates."""
-        noted = self._noted
 
         def interpolate(first: Term, second: Term, at: Term) -> Any:
-            start, end = instant_of(first), instant_of(second)
-            if end - start > self.most or start - end > self.most:
-                instant_of(at)
-                return None
-            if noted and (start, end) in noted:
-                self._interpolated(int(start), int(end))
-            return weight_of_first(start, end, instant_of(at))
+            return self.weight(instant_of(first), instant_of(second), instant_of(at))
 
         def gap(name: Term, at: Term) -> Optional[float]:
             instance, instant = memories.find(name), instant_of(at)
@@ -85,7 +88,7 @@ class Gaps:
         logic.define_function("memory_gap", 3, gap)
 
     def _interpolated(self, start: int, end: int) -> None:
-        for instance in self._noted.pop((start, end)):
+        for instance in self.noted.pop((start, end)):
             usual = usual_step(instance.memory, end - start)
             if usual is not None and end - start >= WIDE * usual:
                 name = self._show(instance.id)

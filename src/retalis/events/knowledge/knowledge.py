@@ -9,6 +9,7 @@ from ...prolog.machine import Frame, Machine, instantiation_error, type_error
 from ...prolog.terms import Atom, Term, Var, deref, functor
 from ..dispatch import Dispatcher
 from ..language import subscribed_event
+from .chains import Chains
 from .conditions import Behind
 from .declaring import States
 from .gaps import Gaps
@@ -125,6 +126,7 @@ class Knowledge:
         define_read_access(logic, self.memories)
         define_matching(logic, self.memories)
         self.gaps.define(logic, self.memories)
+        Chains(self.memories, self.gaps).define(logic)
         logic.define_nondeterministic("access_mem", 3, enumerate_records(self.memories))
         self._define_size("memory_size", attrgetter("memory.size"))
         self._define_size("memory_counter", attrgetter("memory.added"))

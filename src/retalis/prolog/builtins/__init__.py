@@ -35,9 +35,10 @@ from . import (  # noqa: F401  (imported for what they register)
     timing,
 )
 from .arguments import callable_of, integer
-from .datimes import instant_of, weight_of_first
+from .datimes import instant_of
 from .dcg import translate_rule
 from .portraying import OutputCapture
+from .poses import Pose, compose, interpolate, pose, pose_of, shown_pose
 from .program import StreamFiles
 from .recorded import records_of
 from .registry import ENTRIES, control
@@ -48,6 +49,7 @@ from .tabling import tables_of
 
 __all__ = [
     "callable_of",
+    "compose",
     "OutputCapture",
     "control",
     "declare_as",
@@ -57,9 +59,13 @@ __all__ = [
     "default_flags",
     "ENTRIES",
     "instant_of",
-    "weight_of_first",
     "integer",
+    "interpolate",
+    "Pose",
+    "pose",
+    "pose_of",
     "records_of",
+    "shown_pose",
     "StreamFiles",
     "tables_of",
     "translate_rule",

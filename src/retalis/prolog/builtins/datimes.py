@@ -33,20 +33,14 @@ def instant_of(term: Term) -> int:
     Raises:
         PrologError: an instantiation or type error where it names none.
     """
+    while term.__class__ is Var and term.ref is not None:
+        term = term.ref
     if term.__class__ is Lazy and term.make is timestamps.to_term and term.made is None:
         return term.source  # type: ignore[no-any-return]  # most come from a look-up or a conversion
     try:
-        return timestamps.from_term(term)
+        return timestamps.from_any(term)
     except UsageError:
-        found = deref(term)
-        if found.__class__ is Var:
-            raise instantiation_error() from None
-        if found.__class__ is not tuple or found[0] is not CONS:
-            raise type_error("datime", term) from None
-    try:
-        return timestamps.from_any(found)
-    except UsageError:
-        raise type_error("datime", term) from None
+        raise instantiation_error() if term.__class__ is Var else type_error("datime", term) from None
 
 
 def _arity(term: Term) -> int:
@@ -79,7 +73,7 @@ def datime_interpolate(first: Term, second: Term, at: Term) -> Term:
 
 def weight_of_first(start: int, end: int, middle: int) -> Number:
     """Return the weight of the first of two instants."""
-    return 1 if start == end else (int(end) - int(middle)) / (int(end) - int(start))
+    return 1 if start == end else (end - middle) / (end - start)
 
 
 @deterministic("less_datime/2")

@@ -5,11 +5,11 @@ A pose is ``[[X,Y,Z],[QX,QY,QZ,QW]]``, a matrix a list of four rows of four numb
 translation by the first rotation; rotations are interpolated spherically, on the shorter way.
 """
 
-from math import atan2, sin, sqrt
-from typing import List, Sequence, Tuple
+from math import acos, sin, sqrt
+from typing import List, Optional, Sequence, Tuple
 
 from ..machine import domain_error, instantiation_error, type_error
-from ..terms import CONS, NIL, Atom, Term, Var, atom, deref, list_items, make_list
+from ..terms import CONS, NIL, Atom, Lazy, Term, Var, atom, deref, list_items, make_list
 from .program import Machine
 from .registry import deterministic, function
 
@@ -47,48 +47,53 @@ def numbers(term: Term, count: int, kind: str) -> Vector:
 
 def vector(term: Term) -> Vector:
     """Return the numbers of a position ``[X,Y,Z]``."""
-    # What most often comes: three floats without a variable in between. This and its like in `quaternion` and `pose`
-    # save a sixth each of a query that multiplies poses, and 3 % together of what the NAO takes.
-    try:
-        one, x, (two, y, (three, z, end)) = term  # type: ignore[misc]
-    except (TypeError, ValueError):
-        return numbers(term, 3, "position")
-    if one is two is three is CONS and end is NIL and x.__class__ is y.__class__ is z.__class__ is float:
-        return x, y, z
     return numbers(term, 3, "position")
 
 
 def quaternion(term: Term) -> Vector:
     """Return the numbers of a rotation ``[QX,QY,QZ,QW]``."""
-    try:  # as in `vector`
-        one, x, (two, y, (three, z, (four, w, end))) = term  # type: ignore[misc]
-    except (TypeError, ValueError):
-        found = numbers(term, 4, "quaternion")
-    else:
-        floats = x.__class__ is y.__class__ is z.__class__ is w.__class__ is float
-        if floats and (x or y or z or w) and one is two is three is four is CONS and end is NIL:
-            return x, y, z, w
-        found = numbers(term, 4, "quaternion")
+    found = numbers(term, 4, "quaternion")
     if not any(found):
         raise domain_error("quaternion", term)
     return found
 
 
+def pose_of(position: Term, rotation: Term) -> Pose:
+    """Return the numbers of a position and a rotation."""
+    # What most often comes: seven floats without a variable in between. Without this a query that multiplies five
+    # poses takes a half more.
+    try:
+        one, x, (two, y, (three, z, end)) = position  # type: ignore[misc]
+        four, i, (five, j, (six, k, (seven, w, last))) = rotation  # type: ignore[misc]
+    except (TypeError, ValueError):
+        return vector(position), quaternion(rotation)
+    if not (one is two is three is four is five is six is seven is CONS and end is last is NIL):
+        return vector(position), quaternion(rotation)
+    turns = i.__class__ is j.__class__ is k.__class__ is w.__class__ is float and (w or i or j or k)
+    if turns and x.__class__ is y.__class__ is z.__class__ is float:
+        return (x, y, z), (i, j, k, w)
+    return vector(position), quaternion(rotation)
+
+
 def pose(term: Term) -> Pose:
     """Return position and rotation of a pose."""
-    if term.__class__ is not tuple:
+    if term.__class__ is Var:
         term = deref(term)
-    try:  # as in `vector`
+    if term.__class__ is Lazy and term.make is pose_term:
+        source: Optional[Pose] = term.source
+        if source is not None:  # nobody has looked at the term
+            return source
+    try:
         one, position, (two, rotation, end) = term  # type: ignore[misc]
     except (TypeError, ValueError):
         pass
     else:
         if one is two is CONS and end is NIL:
-            return vector(position), quaternion(rotation)
+            return pose_of(position, rotation)
     parts = list_items(term)
     if parts is None or len(parts) != 2:
         raise instantiation_error() if deref(term).__class__ is Var else type_error("pose", term)
-    return vector(parts[0]), quaternion(parts[1])
+    return pose_of(parts[0], parts[1])
 
 
 def matrix(term: Term) -> Matrix:
@@ -102,69 +107,56 @@ def matrix(term: Term) -> Matrix:
 # Mathematics
 
 
-def multiply(left: Vector, right: Vector) -> Vector:
-    """Return the product of two quaternions."""
-    ax, ay, az, aw = left
-    bx, by, bz, bw = right
-    return (
-        aw * bx + ax * bw + ay * bz - az * by,
-        aw * by + ay * bw + az * bx - ax * bz,
-        aw * bz + az * bw + ax * by - ay * bx,
-        aw * bw - ax * bx - ay * by - az * bz,
-    )
-
-
-def rotate(rotation: Vector, point: Vector) -> Vector:
-    """Return a point turned by a quaternion: ``q p q*``, not normalised, as tf2's ``quatRotate``."""
-    x, y, z, w = rotation
-    px, py, pz = point
-    ax = w * px + y * pz - z * py
-    ay = w * py + z * px - x * pz
-    az = w * pz + x * py - y * px
-    aw = x * px + y * py + z * pz
-    return (
-        aw * x + ax * w - ay * z + az * y,
-        aw * y + ay * w - az * x + ax * z,
-        aw * z + az * w - ax * y + ay * x,
-    )
-
-
 def compose(first: Pose, second: Pose) -> Pose:
-    """Return the pose that ``second``, given relative to ``first``, has in the frame of ``first``."""
-    (x, y, z), rotation = first
-    rx, ry, rz = rotate(rotation, second[0])
-    return (x + rx, y + ry, z + rz), multiply(rotation, second[1])
+    """Return the pose that ``second``, given relative to ``first``, has in the frame of ``first``.
 
-
-def slerp(first: Vector, second: Vector, ratio: float) -> Vector:
-    """Return the rotation between two, ``ratio`` of the shorter way from the first to the second.
-
-    As tf2's ``Quaternion::slerp``; the angle comes from the half-angle tangent, which is exact for small ones.
+    The position is turned by ``q p q*``, not normalised, as by tf2's ``quatRotate``.
     """
-    ax, ay, az, aw = first
-    bx, by, bz, bw = second
-    if ax * bx + ay * by + az * bz + aw * bw < 0:
-        bx, by, bz, bw = -bx, -by, -bz, -bw
-    scale = sqrt((ax * ax + ay * ay + az * az + aw * aw) / (bx * bx + by * by + bz * bz + bw * bw))
-    sx, sy, sz, sw = bx * scale, by * scale, bz * scale, bw * scale
-    dx, dy, dz, dw = ax - sx, ay - sy, az - sz, aw - sw
-    mx, my, mz, mw = ax + sx, ay + sy, az + sz, aw + sw
-    apart = sqrt(dx * dx + dy * dy + dz * dz + dw * dw)
-    along = sqrt(mx * mx + my * my + mz * mz + mw * mw)
-    angle = 2 * atan2(apart, along)
-    whole = sin(angle)
-    if whole == 0:
-        return ax, ay, az, aw
-    one, two = sin((1 - ratio) * angle) / whole, sin(ratio * angle) / whole
-    return ax * one + bx * two, ay * one + by * two, az * one + bz * two, aw * one + bw * two
+    (x, y, z), (i, j, k, w) = first
+    (px, py, pz), (pi, pj, pk, pw) = second
+    ti = w * px + j * pz - k * py
+    tj = w * py + k * px - i * pz
+    tk = w * pz + i * py - j * px
+    tw = i * px + j * py + k * pz
+    position = (
+        x + (tw * i + ti * w - tj * k + tk * j),
+        y + (tw * j + tj * w - tk * i + ti * k),
+        z + (tw * k + tk * w - ti * j + tj * i),
+    )
+    rotation = (
+        w * pi + i * pw + j * pk - k * pj,
+        w * pj + j * pw + k * pi - i * pk,
+        w * pk + k * pw + i * pj - j * pi,
+        w * pw - i * pi - j * pj - k * pk,
+    )
+    return position, rotation
 
 
 def interpolate(first: Pose, second: Pose, fraction: float) -> Pose:
-    """Return the pose between two; ``fraction`` is the weight of the first: 1 gives it, 0 the second."""
-    (ax, ay, az), (bx, by, bz) = first[0], second[0]
-    rest = 1 - fraction
-    position = ax * fraction + bx * rest, ay * fraction + by * rest, az * fraction + bz * rest
-    return position, slerp(first[1], second[1], rest)
+    """Return the pose between two; ``fraction`` is the weight of the first: 1 gives it, 0 the second.
+
+    The rotation goes the shorter way, as tf2's ``Quaternion::slerp``. What the cosine of a small angle loses does not
+    tell: the weights, sines of parts of the angle by that of the whole, hardly depend on it then.
+    """
+    (ax, ay, az), (ai, aj, ak, aw) = first
+    (bx, by, bz), (bi, bj, bk, bw) = second
+    one, two = fraction, 1 - fraction
+    position = ax * one + bx * two, ay * one + by * two, az * one + bz * two
+    lengths = sqrt(ai * ai + aj * aj + ak * ak + aw * aw) * sqrt(bi * bi + bj * bj + bk * bk + bw * bw)
+    cosine = (ai * bi + aj * bj + ak * bk + aw * bw) / lengths
+    if cosine < 0:
+        bi, bj, bk, bw, cosine = -bi, -bj, -bk, -bw, -cosine
+    if cosine >= 1:
+        return position, (
+            ai + two * (bi - ai),
+            aj + two * (bj - aj),
+            ak + two * (bk - ak),
+            aw + two * (bw - aw),
+        )
+    angle = acos(cosine)
+    whole = sin(angle)
+    one, two = sin(one * angle) / whole, sin(two * angle) / whole
+    return position, (ai * one + bi * two, aj * one + bj * two, ak * one + bk * two, aw * one + bw * two)
 
 
 def to_matrix(value: Pose) -> Matrix:
@@ -208,6 +200,11 @@ def pose_term(value: Pose) -> Term:
     return (CONS, position, (CONS, rotation, NIL))
 
 
+def shown_pose(value: Pose) -> Term:
+    """Return the term of a pose of floats as a lazy one: most are multiplied with others and never looked at."""
+    return Lazy(CONS, pose_term, value)
+
+
 def matrix_term(value: Matrix) -> Term:
     """Return the term of a matrix."""
     return make_list([list_term(row) for row in value])
@@ -234,20 +231,21 @@ def transform_matrix(term: Term) -> Matrix:
 
 
 def _fraction(term: Term) -> float:
-    return numbers(term, 1, "[Fraction]")[0]
+    if term.__class__ is tuple and term[0] is CONS and term[1].__class__ is float and term[2] is NIL:
+        return term[1]
+    return float(numbers(term, 1, "[Fraction]")[0])
 
 
 @function("interpolate_quaternion/6")
 def interpolate_quaternion(v1: Term, q1: Term, v2: Term, q2: Term, fraction: Term) -> Term:
     """Give the pose between two; fraction 1 gives the first, 0 the second."""
-    value = interpolate((vector(v1), quaternion(q1)), (vector(v2), quaternion(q2)), _fraction(fraction))
-    return pose_term(value)
+    return shown_pose(interpolate(pose_of(v1, q1), pose_of(v2, q2), _fraction(fraction)))
 
 
 @function("quaternion_interpolate/6")
 def quaternion_interpolate(v1: Term, q1: Term, v2: Term, q2: Term, fraction: Term) -> Term:
     """Give the matrix of the pose between two."""
-    value = interpolate((vector(v1), quaternion(q1)), (vector(v2), quaternion(q2)), _fraction(fraction))
+    value = interpolate(pose_of(v1, q1), pose_of(v2, q2), _fraction(fraction))
     return matrix_term(to_matrix(value))
 
 
@@ -268,8 +266,7 @@ def transform_quaternion(poses: Term) -> Term:
 @function("mul_quaternion/5")
 def mul_quaternion(v1: Term, q1: Term, v2: Term, q2: Term) -> Term:
     """Give the product of two poses."""
-    value = compose((vector(v1), quaternion(q1)), (vector(v2), quaternion(q2)))
-    return pose_term(value)
+    return pose_term(compose(pose_of(v1, q1), pose_of(v2, q2)))
 
 
 @function("transform/2")
@@ -311,7 +308,7 @@ def mul_matrix(left: Term, right: Term) -> Term:
 @function("convert_to_mat/3")
 def convert_to_mat(position: Term, rotation: Term) -> Term:
     """Give the matrix of a pose."""
-    value = to_matrix((vector(position), quaternion(rotation)))
+    value = to_matrix(pose_of(position, rotation))
     return matrix_term(value)
 
 

@@ -19,7 +19,6 @@ from typing import Any, List, Optional, Tuple
 
 from ...foundation import UsageError
 from .kinds import CONS, NIL, CompoundTerm, Functor, Lazy, Term, Var, deref, functor
-from .lists import list_items
 
 SECOND = 1_000_000_000
 """Nanoseconds in a second."""
@@ -242,9 +241,9 @@ def from_any(term: Term) -> int:
     """
     term = deref(term)
     if term.__class__ is tuple and term[0] is CONS:
-        parts = list_items(term)
-        if parts is not None and len(parts) == 2:
-            seconds, nanoseconds = deref(parts[0]), deref(parts[1])
+        rest = deref(term[2])
+        if rest.__class__ is tuple and rest[0] is CONS and deref(rest[2]) is NIL:
+            seconds, nanoseconds = deref(term[1]), deref(rest[1])
             if seconds.__class__ is int and nanoseconds.__class__ is int:
                 return from_parts(seconds, nanoseconds)
         raise UsageError("expected [Sec,NSec] with two integers")

@@ -1,0 +1,216 @@
+"""Chains of poses, beside the predicates that do the same one after the other, and beside tf2."""
+
+import math
+import random
+import sys
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from retalis.engine import Engine
+from retalis.engine.runtime import Reports, StreamClock
+from retalis.prolog.machine import PrologError
+from retalis.prolog.terms import SECOND
+
+sys.path.append(str(Path(__file__).resolve().parents[2]))
+
+ONE_BY_ONE = """
+at(Id, T, Pose) :-
+    prev(Id, tf(V1, Q1), T1, _, T),
+    next_inf(Id, tf(V2, Q2), T2, _, T),
+    datime_interpolate(T1, T2, T, F),
+    interpolate_quaternion(V1, Q1, V2, Q2, [F], Pose).
+one_by_one(T, Last, Pose) :-
+    at(m0, T, P0), at(m1, T, P1), at(m2, T, P2),
+    transform_quaternion([P0, P1, P2, Last], Pose).
+"""
+CHAIN = ("map", "base", "neck", "camera")
+LAST = [[1.0, -0.5, 0.25], [0.1, -0.7, 0.1, 0.7]]
+
+
+def engine_with(rules=ONE_BY_ONE, memories=3, form="tf(V, Q)", size=100):
+    engine = Engine(StreamClock(1000 * SECOND), None, Reports())
+    engine.load(rules=rules)
+    for at in range(memories):
+        engine.call(f"memorize(tf({at}, V, Q), [], {form}, m{at}, {size})")
+    return engine
+
+
+def filled(transforms, **how):
+    """Return an engine with transforms: which memory, the instant in milliseconds, position and rotation."""
+    engine = engine_with(**how)
+    for at, stamp, position, rotation in sorted(transforms, key=lambda one: one[1]):
+        engine.event(f"tf({at}, {list(position)}, {list(rotation)})", stamp / 1000)
+    return engine
+
+
+def solution(engine, goal):
+    return [engine.show(found["P"]) for found in engine.query(goal)]
+
+
+def numbers(text):
+    return [value for part in eval(text) for value in part]  # noqa: S307 - a list of lists of numbers
+
+
+COORDINATES = st.tuples(*[st.floats(-10, 10)] * 3)
+ROTATIONS = st.tuples(*[st.one_of(st.floats(-1, 1), st.integers(-1, 1))] * 4).filter(
+    lambda rotation: math.hypot(*rotation) > 0.01
+)
+TRANSFORMS = st.lists(
+    st.tuples(st.integers(0, 2), st.integers(0, 20).map(lambda n: 100 * n), COORDINATES, ROTATIONS),
+    max_size=30,
+)
+
+
+@settings(max_examples=12)
+@given(TRANSFORMS, st.integers(0, 20).map(lambda n: 50 * n))
+def test_it_gives_what_the_single_steps_give(transforms, stamp):
+    engine = filled(transforms)
+    steps = solution(engine, f"one_by_one({stamp / 1000}, {LAST}, P)")
+    chain = solution(engine, f"pose_chain([m0, m1, m2, {LAST}], {stamp / 1000}, P)")
+    assert len(chain) == len(steps)
+    for one, other in zip(chain, steps):
+        assert numbers(one) == pytest.approx(numbers(other), abs=1e-12)
+
+
+def turned(rnd):
+    values = [rnd.gauss(0, 1) for _ in range(4)]
+    return [value / math.hypot(*values) for value in values]
+
+
+def samples():
+    """Return transforms of three joints, some far apart and turned a lot, and the instants between to look at."""
+    rnd = random.Random(5)
+    rows = [
+        (at, 10 * stamp + at, [rnd.uniform(-3, 3) for _ in range(3)], turned(rnd))
+        for at in range(3)
+        for stamp in range(0, 40, 1 + at)
+    ]
+    return rows, [rnd.randrange(20, 350) for _ in range(40)] + [20, 23, 102]
+
+
+def poses(rows, stamps):
+    engine = filled(rows)
+    return [numbers(solution(engine, f"pose_chain([m0, m1, m2], {stamp / 1000}, P)")[0]) for stamp in stamps]
+
+
+@pytest.mark.slow
+def test_poses_are_those_of_tf2():
+    reference = pytest.importorskip("tf2_reference")
+    rows, stamps = samples()
+    buffer = reference.Reference()
+    for at, stamp, position, rotation in rows:
+        buffer.add(CHAIN[at], CHAIN[at + 1], stamp * 10**6, position, rotation)
+    for found, stamp in zip(poses(rows, stamps), stamps):
+        position, rotation = buffer.pose(CHAIN[0], CHAIN[-1], stamp * 10**6)
+        assert reference.distance(found[:3], position) < 1e-6
+        assert reference.angle(found[3:], rotation) < 1e-6
+
+
+def test_poses_are_products_of_matrices():
+    np = pytest.importorskip("numpy")
+    rows, stamps = samples()
+
+    def turn(a, b, part):
+        a, b = np.array(a), np.array(b)
+        b = b if a @ b >= 0 else -b
+        angle = math.acos(min(1.0, a @ b))
+        return (a * math.sin((1 - part) * angle) + b * math.sin(part * angle)) / math.sin(angle)
+
+    def matrix(position, rotation):
+        x, y, z, w = rotation
+        u = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        made = np.eye(4)
+        made[:3, :3] = np.eye(3) + 2 * w * u + 2 * u @ u
+        made[:3, 3] = position
+        return made
+
+    for found, stamp in zip(poses(rows, stamps), stamps):
+        wanted = np.eye(4)
+        for at in range(3):
+            mine = [row for row in rows if row[0] == at]
+            _, t1, v1, q1 = max((row for row in mine if row[1] <= stamp), key=lambda row: row[1])
+            _, t2, v2, q2 = min((row for row in mine if row[1] >= stamp), key=lambda row: row[1])
+            part = (stamp - t1) / (t2 - t1) if t2 > t1 else 0
+            rotation = turn(q1, q2, part) if part else q1
+            wanted = wanted @ matrix((1 - part) * np.array(v1) + part * np.array(v2), rotation)
+        assert np.allclose(matrix(found[:3], found[3:]), wanted, atol=1e-9)
+
+
+STILL = ((0, 1000, (1.0, 2.0, 3.0), (0.0, 0.6, 0.0, 0.8)), (0, 2000, (3.0, 2.0, 3.0), (0.0, 0.6, 0.0, 0.8)))
+FIRST, MIDDLE = "[[1.0,2.0,3.0],[0.0,0.6,0.0,0.8]]", "[[2.0,2.0,3.0],[0.0,0.6,0.0,0.8]]"
+
+
+@pytest.mark.parametrize("form", ["tf(V, Q)", "[V, Q]", "o(V, Q)"])
+def test_records_of_several_forms(form):
+    assert solution(filled(STILL, form=form), "pose_chain([m0], 1.5, P)") == [MIDDLE]
+
+
+@pytest.mark.parametrize(
+    ("goal", "found"),
+    [
+        ("pose_chain([m0], 1, P)", [FIRST]),
+        ("pose_chain([m0], [1,0], P)", [FIRST]),
+        ("pose_chain([m0], datime(1970,1,1,0,0,1,0), P)", [FIRST]),
+        ("convert_to_datime([1,500000000], T), pose_chain([m0], T, P)", [MIDDLE]),
+        ("pose_chain([m0], 0.999, P)", []),
+        ("pose_chain([m0], 2.001, P)", []),
+        ("pose_chain([m1], 1, P)", []),
+        ("pose_chain([nothing], 1, P)", []),
+        ("pose_chain([m0, m1], 1, P)", []),
+        ("pose_chain([], 1, P)", ["[[0.0,0.0,0.0],[0.0,0.0,0.0,1.0]]"]),
+        ("X = m0, pose_chain([X], 1, P)", [FIRST]),
+        ("X = [[0,0,0],[0,0,0,1]], pose_chain([X, m0, X], 1, P)", [FIRST]),
+        ("pose_chain([[[1,2,3],[0,0,0,1]]], 1, P)", ["[[1.0,2.0,3.0],[0.0,0.0,0.0,1.0]]"]),
+        ("pose_chain([m0], 1, [[1.0|_]|_]), P = yes", ["yes"]),
+        ("pose_chain([m0], 1, [[2.0|_]|_]), P = yes", []),
+    ],
+)
+def test_what_is_found(goal, found):
+    assert solution(filled(STILL, memories=2), goal) == found
+
+
+@pytest.mark.parametrize(
+    ("goal", "error"),
+    [
+        ("pose_chain(_, 1, P)", "instantiation_error"),
+        ("pose_chain([m0|_], 1, P)", "type_error(list,[m0|_])"),
+        ("pose_chain(m0, 1, P)", "type_error(list,m0)"),
+        ("pose_chain([m0, _], 1, P)", "instantiation_error"),
+        ("pose_chain([m0], _, P)", "instantiation_error"),
+        ("pose_chain([m0], soon, P)", "type_error(datime,soon)"),
+        ("pose_chain([m0, []], 1, P)", "type_error(pose,[])"),
+        ("pose_chain([[[0,0],[0,0,0,1]]], 1, P)", "type_error(position,[0,0])"),
+        ("pose_chain([[[0,0,a],[0,0,0,1]]], 1, P)", "type_error(number,a)"),
+        ("pose_chain([[[0,0,0],[0,0,0,0]]], 1, P)", "domain_error(quaternion,[0,0,0,0])"),
+        ("pose_chain([names], 1, P)", "type_error(pose,name(ann))"),
+        ("pose_chain([partly], 1, P)", "instantiation_error"),
+    ],
+)
+def test_errors(goal, error):
+    engine = filled(STILL)
+    engine.call("memorize(name(_), [], _, names, 9)")
+    engine.call("memorize(part(V, Q), [], tf(V, [_|Q]), partly, 9)")
+    engine.event("name(ann)", 1.0)
+    engine.event("part([0,0,0], [0,0,1])", 1.0)
+    with pytest.raises(PrologError) as raised:
+        engine.query(goal)
+    assert engine.show(raised.value.term[1]).replace("_G", "_").startswith(error.split("_]")[0])
+
+
+def test_a_record_that_is_no_longer_kept_is_not_there():
+    rows = [(0, 1000 * at, (float(at), 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)) for at in range(1, 6)]
+    engine = filled(rows, size=2)
+    assert solution(engine, "pose_chain([m0], 3.5, P)") == []
+    assert solution(engine, "pose_chain([m0], 4.5, P)") == ["[[4.5,0.0,0.0],[0.0,0.0,0.0,1.0]]"]
+
+
+def test_no_pose_over_a_gap_that_is_too_wide():
+    engine = filled(STILL)
+    assert engine.call("set_etalis_flag(max_gap, 0.5)")
+    assert solution(engine, "pose_chain([m0], 1.5, P)") == []
+    assert solution(engine, "pose_chain([m0], 1, P)") == [FIRST]
+    assert engine.call("set_etalis_flag(max_gap, 1)")
+    assert solution(engine, "pose_chain([m0], 1.5, P)") == [MIDDLE]
