@@ -44,6 +44,7 @@ class Folder:
 @pytest.fixture
 def logic():
     made = prolog(
+        "... --> [] | [_], ... . "
         "copy(S) :- get_char(S,C), (C = end_of_file -> true ; open(out, append, O), write(O, C), close(O), copy(S))."
     )
     made.written = []
@@ -77,6 +78,15 @@ def logic():
         ("open(facts, read, S), read_line_to_codes(S, L, []), atom_codes(T, L)", "'p(1).\\n'"),
         ("open(empty, read, S), get_char(S, T), at_end_of_stream(S)", "end_of_file"),
         ("open(empty, read, S), peek_code(S, T)", "-1"),
+        ("open(empty, read, S), read_line_to_string(S, T)", "end_of_file"),
+        ("open(empty, read, S), read_line_to_codes(S, T)", "-1"),
+        ("open(facts, read, S), read_string(S, 3, T)", '"p(1"'),
+        ("open(facts, read, S), read_string(S, T, _)", "12"),
+        ('open(facts, read, S), read_string(S, "\\n", ".p", 10, T)', '"(1)"'),
+        ('open(empty, read, S), read_string(S, "\\n", "", T, "")', "-1"),
+        ("open(facts, read, S), get_char(S, _), peek_string(S, 2, T), get_char(S, '(')", '"(1"'),
+        ("phrase_from_file(([0'p,T], ...), facts)", "40"),
+        ("open(facts, read, S), read(S, _), phrase_from_stream(([10,T], ...), S)", "112"),
         ("open(terms, read, S), get_char(S, _), peek_char(S, T), get_char(S, T)", "'('"),
         (
             "open(facts, read, S), read(S, _), read_line_to_codes(S, []), read_line_to_codes(S, T)",
@@ -144,6 +154,9 @@ def test_reading(logic, goal, expected):
         ("with_output_to(string(_), (write(a), tell(out), write(b), told, write(c)))", "b"),
         ("open(out, write, S), set_output(S), write(a), write(user_output, u), close(S), write(b)", "a"),
         ("open(out, write, S), write(S, a), flush_output(S)", "a"),
+        ("open(facts, read, R), open(out, write, S), copy_stream_data(R, S, 4), close(S)", "p(1)"),
+        ("open(facts, read, R), open(out, write, S), copy_stream_data(R, S), close(S)", "p(1).\np(2).\n"),
+        ("open(out, write, S), display(S, 1+'A'), close(S)", "+(1,'A')"),
         ("open(out, write, S), put_code(S, 0'a), set_output(S), put_code(0'b), close(S)", "ab"),
         (
             "open(out, write, S, [type(binary)]), put_byte(S, 195), set_output(S), put_byte(169), close(S)",

@@ -116,6 +116,13 @@ class Door:
         except OSError:  # not there, or in a folder that is closed for us
             return False
 
+    def is_folder(self, path: str, name: str) -> bool:
+        """Tell whether there is such a folder; errors are those of `require`."""
+        try:
+            return stat.S_ISDIR(os.lstat(self.require(path, name)).st_mode)
+        except OSError:
+            return False
+
     def read(self, path: str, name: str, encoding: str = "utf-8") -> str:
         """Return the text of a file; in latin-1, each byte is a character.
 

@@ -153,6 +153,19 @@ class Files:
         """Write a text to the end of a file; errors are those of `to_write`."""
         self.door.append(path, text, encoding)
 
+    def absolute(self, name: str) -> str:
+        """Return a path from the root, seen from where relative names start."""
+        check_name(name)
+        return os.path.abspath((self.door.start if self._folder is None else self._folder) / Path(name))
+
+    def is_readable(self, path: str) -> bool:
+        """Tell whether there is such a file, which goals may read; errors are those of `resolve`."""
+        return self.is_file(self.resolve(path))
+
+    def is_folder(self, path: str) -> bool:
+        """Tell whether there is such a folder, whose files goals may read; errors are those of `resolve`."""
+        return self.door.is_folder(str(self.resolve(path)), path)
+
     def has_loaded(self, path: Path) -> bool:
         """Tell whether a file has been loaded, or is being loaded."""
         return _real(path) in self.loaded

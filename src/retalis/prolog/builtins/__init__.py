@@ -11,6 +11,7 @@ from . import (  # noqa: F401  (imported for what they register)
     coroutines,
     datimes,
     directives,
+    filenames,
     input,
     lambdas,
     lists,

@@ -11,8 +11,8 @@ from ..machine import (
     type_error,
     uninstantiation_error,
 )
-from ..terms import Atom, CompoundTerm, Term, Var, atom, deref, unify
-from .arguments import atom_of, option_values
+from ..terms import Atom, CompoundTerm, String, Term, Var, atom, deref, unify
+from .arguments import atom_of, natural, option_values
 from .output import character_of
 from .program import Machine
 from .reading import flags_of, nothing, unify_options
@@ -308,6 +308,13 @@ for _name, _made, _check in (
 ):
     _define(f"get_{_name}", True, _made, _check)
     _define(f"peek_{_name}", False, _made, _check)
+
+
+@deterministic("peek_string/3")
+def peek_string(machine: Machine, stream: Term, length: Term, text: Term) -> bool:
+    """Give the next characters of a stream, which stay."""
+    source, wanted = streams_of(machine).to_read(stream), natural(length)
+    return unify(text, String(source.ahead(wanted)), machine.trail)
 
 
 @deterministic("get0/1")

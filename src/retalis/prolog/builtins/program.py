@@ -27,6 +27,15 @@ class StreamFiles(Protocol):
     def add(self, path: str, text: str, encoding: str = "utf-8") -> None:
         """Write a text to the end of a file."""
 
+    def absolute(self, name: str) -> str:
+        """Return a path from the root, seen from where relative names start."""
+
+    def is_readable(self, path: str) -> bool:
+        """Tell whether there is such a file, which goals may read."""
+
+    def is_folder(self, path: str) -> bool:
+        """Tell whether there is such a folder, whose files goals may read."""
+
 
 class MachineProgram(Protocol):
     """The program that a machine runs, see `Logic`."""

@@ -109,6 +109,12 @@ class InputStream:
         self.at += take
         return found
 
+    def ahead(self, length: int) -> str:
+        """Return so many of the next characters, fewer at the end; they stay."""
+        while len(self.text) - self.at < length and self._fill():
+            pass
+        return self.text[self.at : self.at + length]
+
     @property
     def line(self) -> int:
         """The number of the line that it is in."""

@@ -34,7 +34,7 @@ time_report_(at(Inferences0, Cpu0, Wall0)) :-
     format(user_error, "% ~D inferences, ~3f CPU in ~3f seconds (~d% CPU, ~d Lips)~n",
            [Inferences, Cpu, Wall, Percent, Speed]).
 
-% writef: %w and %d write an argument, %p prints it, %s writes a text, %Nl, %Nc and %Nr do so in N columns.
+% writef: %w, %d and %t write an argument, %p prints it, %s writes a text, %Nl, %Nc and %Nr do so in N columns.
 
 writef(Format) :-
     writef(Format, []).
@@ -70,6 +70,8 @@ writef_escaped_(0'\\, \).
 writef_directive_([0'w|Codes], Argument, Codes) :-
     write(Argument).
 writef_directive_([0'd|Codes], Argument, Codes) :-
+    write(Argument).
+writef_directive_([0't|Codes], Argument, Codes) :-
     write(Argument).
 writef_directive_([0'p|Codes], Argument, Codes) :-
     print(Argument).
@@ -180,7 +182,7 @@ random_distinct_(Count, Most, Sequence0, Sequence) :-
         random_distinct_(Left, Most, [Number|Sequence0], Sequence)
     ).
 
-% Lines without their ends; -1 at the end of a stream.
+% Lines without their ends; at the end of a stream -1, or end_of_file where a string is asked for.
 
 read_line_to_codes(Stream, Codes) :-
     get_code(Stream, Code),
@@ -216,7 +218,7 @@ line_whole_(Code, Stream, [Code|Codes], Tail) :-
 read_line_to_string(Stream, String) :-
     read_line_to_codes(Stream, Codes),
     (   Codes == -1
-    ->  String = -1
+    ->  String = end_of_file
     ;   string_codes(Line, Codes),
         String = Line
     ).

@@ -1,0 +1,108 @@
+% Texts of streams and files, and ways of other Prologs to write and to ask.
+%
+% defines: phrase_from_file/2 phrase_from_file/3 phrase_from_stream/2 read_string/3 read_string/5
+% defines: copy_stream_data/2 copy_stream_data/3 get_single_char/1 write_ln/1 display/1 display/2
+% defines: atomic_concat/3 atomics_to_string/2 atom_to_chars/2 message_to_string/2 divmod/4 is_dict/1 is_dict/2 abort/0
+
+phrase_from_file(Grammar, File) :-
+    phrase_from_file(Grammar, File, []).
+
+phrase_from_file(Grammar, File, Options) :-
+    read_file_to_codes(File, Codes, Options),
+    phrase(Grammar, Codes).
+
+phrase_from_stream(Grammar, Stream) :-
+    read_stream_to_codes(Stream, Codes),
+    phrase(Grammar, Codes).
+
+% So many characters, or all where their number is not known.
+
+read_string(Stream, Length, String) :-
+    (   var(Length)
+    ->  read_stream_to_codes(Stream, Codes),
+        length(Codes, Length)
+    ;   must_be(nonneg, Length),
+        string_codes_(Length, Stream, Codes)
+    ),
+    string_codes(Text, Codes),
+    String = Text.
+
+string_codes_(0, _, []) :- !.
+string_codes_(Left, Stream, Codes) :-
+    get_code(Stream, Code),
+    (   Code =:= -1
+    ->  Codes = []
+    ;   Codes = [Code|Codes1],
+        Left1 is Left - 1,
+        string_codes_(Left1, Stream, Codes1)
+    ).
+
+% Up to one of the separators, which is given by its code; what is to be padding is cut off at both ends.
+
+read_string(Stream, Separators, Padding, Separator, String) :-
+    string_codes(Separators, Ends),
+    get_code(Stream, Code),
+    string_up_to_(Code, Stream, Ends, Codes, End),
+    string_codes(Text, Codes),
+    split_string(Text, "", Padding, [Stripped]),
+    Separator = End,
+    String = Stripped.
+
+string_up_to_(-1, _, _, [], -1) :- !.
+string_up_to_(Code, _, Ends, [], Code) :-
+    memberchk(Code, Ends), !.
+string_up_to_(Code, Stream, Ends, [Code|Codes], End) :-
+    get_code(Stream, Next),
+    string_up_to_(Next, Stream, Ends, Codes, End).
+
+copy_stream_data(In, Out) :-
+    read_stream_to_codes(In, Codes),
+    format(Out, "~s", [Codes]).
+
+copy_stream_data(In, Out, Length) :-
+    must_be(nonneg, Length),
+    string_codes_(Length, In, Codes),
+    format(Out, "~s", [Codes]).
+
+get_single_char(Code) :-
+    get_code(user_input, Code).
+
+write_ln(Term) :-
+    writeln(Term).
+
+display(Term) :-
+    write_term(Term, [ignore_ops(true), quoted(true)]).
+
+display(Stream, Term) :-
+    write_term(Stream, Term, [ignore_ops(true), quoted(true)]).
+
+atomic_concat(A, B, Atom) :-
+    atomic_list_concat([A, B], Atom).
+
+atomics_to_string(List, String) :-
+    atomic_list_concat(List, Atom),
+    atom_string(Atom, String).
+
+atom_to_chars(Atom, Codes) :-
+    atom_codes(Atom, Codes).
+
+message_to_string(Message, String) :-
+    (   Message = format(Format, Arguments)
+    ->  format(string(String), Format, Arguments)
+    ;   format(string(String), "~p", [Message])
+    ).
+
+divmod(Dividend, Divisor, Quotient, Remainder) :-
+    Quotient is Dividend div Divisor,
+    Remainder is Dividend mod Divisor.
+
+% There are no dicts here, so nothing is one.
+
+is_dict(_) :-
+    fail.
+
+is_dict(_, _) :-
+    fail.
+
+abort :-
+    throw('$aborted').
