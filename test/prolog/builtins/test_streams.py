@@ -11,6 +11,7 @@ from retalis.prolog.builtins.streams import MOST, InputStream, streams_of
 from retalis.prolog.logic import mend
 from retalis.prolog.machine import existence_error, permission_error
 from retalis.prolog.syntax import Operators, ReadFlags, read_program, write_term
+from retalis.prolog.terms import String, atom
 
 
 class Folder:
@@ -20,6 +21,7 @@ class Folder:
         self.files = files
 
     def to_read(self, name, encoding="utf-8"):
+        name = atom(name.text) if isinstance(name, String) else name
         self._require(name)
         if name.name not in self.files:
             raise existence_error("source_sink", name)
@@ -79,7 +81,7 @@ def logic():
         ("open(empty, read, S), get_char(S, T), at_end_of_stream(S)", "end_of_file"),
         ("open(empty, read, S), peek_code(S, T)", "-1"),
         ("open(empty, read, S), read_line_to_string(S, T)", "end_of_file"),
-        ("open(empty, read, S), read_line_to_codes(S, T)", "-1"),
+        ("open(empty, read, S), read_line_to_codes(S, T)", "end_of_file"),
         ("open(facts, read, S), read_string(S, 3, T)", '"p(1"'),
         ("open(facts, read, S), read_string(S, T, _)", "12"),
         ('open(facts, read, S), read_string(S, "\\n", ".p", 10, T)', '"(1)"'),
@@ -231,6 +233,7 @@ def test_columns_are_those_of_each_stream(logic):
         ),
         ("open(none, read, _)", "permission_error(open,source_sink,none)"),
         ("open(missing, read, _)", "existence_error(source_sink,missing)"),
+        ('open("missing", read, _)', 'existence_error(source_sink,"missing")'),
         ("open(facts, read, _, [alias(user_input)])", "permission_error(open,source_sink,alias(user_input))"),
         ("see(none)", "permission_error(open,source_sink,none)"),
         ("tell(none)", "permission_error(open,source_sink,none)"),

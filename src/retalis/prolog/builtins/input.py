@@ -17,7 +17,7 @@ from .output import character_of
 from .program import Machine
 from .reading import flags_of, nothing, unify_options
 from .registry import deterministic
-from .streams import InputStream, OutputStream, mode_of, streams_of, syntax_error_in
+from .streams import InputStream, OutputStream, streams_of, syntax_error_in
 from .text import LARGEST_CODE
 
 _END, _OUTPUT = atom("end_of_file"), atom("user_output")
@@ -39,7 +39,7 @@ def open_with(machine: Machine, name: Term, mode: Term, stream: Term, options: T
 
 
 def _open(machine: Machine, name: Term, mode: Term, stream: Term, options: List[Term]) -> bool:
-    how, values = mode_of(mode), dict(_OPEN_OPTIONS)
+    how, values = _mode_of(mode), dict(_OPEN_OPTIONS)
     if deref(name).__class__ is Var:
         raise instantiation_error()
     if deref(stream).__class__ is not Var:
@@ -59,6 +59,22 @@ def _open(machine: Machine, name: Term, mode: Term, stream: Term, options: List[
     if eof_action and isinstance(source, InputStream):
         source.eof_action = eof_action
     return unify(stream, opened, machine.trail)
+
+
+def _mode_of(term: Term) -> str:
+    """Return how a file is opened.
+
+    Raises:
+        PrologError: where that is none.
+    """
+    mode = deref(term)
+    if mode.__class__ is Var:
+        raise instantiation_error()
+    if not isinstance(mode, Atom):
+        raise type_error("atom", mode)
+    if mode.name not in ("read", "write", "append"):
+        raise domain_error("io_mode", mode)
+    return mode.name
 
 
 _OPEN_OPTIONS = {"alias": "", "type": "text", "encoding": "", "eof_action": ""}

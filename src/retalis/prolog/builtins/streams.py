@@ -4,7 +4,7 @@ A file that is read is read whole, as far as files may be large; one that is wri
 of it. So no file stays open, whatever becomes of the goal, and nothing that was written to the end of a line is lost.
 """
 
-from typing import Callable, Dict, List, NamedTuple, Optional, Tuple, Union
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple, Union
 
 from ...foundation import SyntaxFault
 from ..machine import (
@@ -15,11 +15,10 @@ from ..machine import (
     instantiation_error,
     permission_error,
     resource_error,
-    type_error,
 )
 from ..syntax import Operators, Program, ReadFlags, ReadTerm, read_program
 from ..terms import Atom, Term, Var, atom, deref, functor
-from .program import Machine, MachineProgram
+from .program import Machine, MachineProgram, StreamFiles
 
 MOST = 64
 """ProgramStreams that may be open at once."""
@@ -232,7 +231,7 @@ class ProgramStreams:
         if files is None:
             raise permission_error("open", "source_sink", name, "there are no files")
         if mode == "read":
-            stream: OpenStream = InputStream(*files.to_read(name, encoding))
+            stream: OpenStream = InputStream(*_text_of(files, name, encoding))
         else:
             path = files.to_write(name, mode == "append")
             stream = OutputStream(path, mode, lambda text: files.add(path, text, encoding))
@@ -355,6 +354,17 @@ class ProgramStreams:
         self.aliases.clear()
 
 
+def _text_of(files: StreamFiles, name: Term, encoding: str) -> Tuple[str, str]:
+    """Return the path of a file and its text; where there is none, the error has the name as the program has it."""
+    try:
+        return files.to_read(name, encoding)
+    except PrologError as error:
+        ball: Any = error.term
+        if isinstance(ball[1], tuple) and ball[1][0].name == "existence_error":
+            raise existence_error("source_sink", name, ball[2]) from error
+        raise
+
+
 def is_stream_term(term: Term) -> bool:
     """Tell whether a term is that of a stream, open or not."""
     return isinstance(term, tuple) and term[0] is _STREAM
@@ -373,19 +383,3 @@ def syntax_error_in(stream: InputStream, term: Term, fault: SyntaxFault) -> Prol
     """Return the error for a term of a stream that does not read."""
     line, column = (0, 0) if fault.place is None else (fault.place.line, fault.place.column)
     return PrologError((ERROR, (_SYNTAX, atom(fault.message)), (_AT, term, line, column - 1, stream.at)))
-
-
-def mode_of(term: Term) -> str:
-    """Return how a file is opened.
-
-    Raises:
-        PrologError: where that is none.
-    """
-    mode = deref(term)
-    if mode.__class__ is Var:
-        raise instantiation_error()
-    if not isinstance(mode, Atom):
-        raise type_error("atom", mode)
-    if mode.name not in ("read", "write", "append"):
-        raise domain_error("io_mode", mode)
-    return mode.name

@@ -182,12 +182,12 @@ random_distinct_(Count, Most, Sequence0, Sequence) :-
         random_distinct_(Left, Most, [Number|Sequence0], Sequence)
     ).
 
-% Lines without their ends; at the end of a stream -1, or end_of_file where a string is asked for.
+% Lines without their ends; end_of_file at the end of a stream.
 
 read_line_to_codes(Stream, Codes) :-
     get_code(Stream, Code),
     (   Code =:= -1
-    ->  Codes = -1
+    ->  Codes = end_of_file
     ;   line_codes_(Code, Stream, Line),
         Codes = Line
     ).
@@ -217,7 +217,7 @@ line_whole_(Code, Stream, [Code|Codes], Tail) :-
 
 read_line_to_string(Stream, String) :-
     read_line_to_codes(Stream, Codes),
-    (   Codes == -1
+    (   Codes == end_of_file
     ->  String = end_of_file
     ;   string_codes(Line, Codes),
         String = Line
