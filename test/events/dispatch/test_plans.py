@@ -13,7 +13,7 @@ class Listener:
         self.order = order
         self.matcher = self.action = order
         self.looks = 0
-        self.looks_on = False
+        self.looks_on = self.sole = False
         self._pattern = pattern
 
     @property

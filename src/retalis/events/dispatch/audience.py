@@ -53,6 +53,7 @@ class Audience:
         lane: Optional[Lane] = None,
         looks_on: bool = False,
         unused: AbstractSet[Var] = frozenset(),
+        sole: bool = False,
     ) -> Listener:
         """Have ``action`` called for every event that unifies with ``pattern``.
 
@@ -70,6 +71,8 @@ class Audience:
             unused: variables of the pattern whose values nobody looks at, so that they may be `NOT_READ`. Where
                 the pattern is one of them, it gets events as they come, with `NOT_READ` in them.
 
+            sole: whether ``action`` may leave ``current`` to `event` where nobody else listens, and needs no cause.
+
         Raises:
             UsageError: for a pattern that no event can match (a number, a string).
         """
@@ -82,7 +85,7 @@ class Audience:
         if matcher is None:
             matcher = self._matchers[key] = compile_matcher(pattern)
         order = (int(stage), *(rank or (next(self._order),)), next(self._order))
-        listener = Listener(order, pattern, functor, matcher, action, lane, looks_on, unread, partial)
+        listener = Listener(order, pattern, functor, matcher, action, lane, looks_on, sole, unread, partial)
         self._listeners.setdefault(functor, {})[listener] = None
         self.unread.guard(listener)
         self._changed(functor)

@@ -9,8 +9,8 @@ from ...prolog.logic import Logic
 from ...prolog.machine import Budget, Frame, PrologError, keep_back
 from ...prolog.terms import Atom, EventAction, Functor, Term, Values, Var, copy, deref, is_ground, is_plain
 from .audience import Audience, functor_of_event
-from .plans import Choice, Onlookers
-from .serving import AT_ONCE, CAUSE_AGAIN, LEFT_OUT, Dispatch, Lane, event_of
+from .plans import Choice, Onlookers, Sole
+from .serving import AT_ONCE, CAUSE_AGAIN, LEFT_OUT, SERVE_AGAIN, Dispatch, Lane, event_of
 
 Result = TypeVar("Result")
 
@@ -24,7 +24,8 @@ class Dispatcher(Audience):
 
     Attributes:
         current: what is being served, or None: a `Dispatch`, or what `event` makes one of where somebody asks:
-            term, start and end of one, and what was being served before.
+            term, start and end of one, what was being served before, and whether it has no variables, where that is
+            not sure.
         mark: makes the token of an event; tracking replaces it.
         tracked: whether tokens tell what events came from.
         cause: where that is tracked, the rule and match whose goal is running, or the token of the event that asked
@@ -106,6 +107,19 @@ class Dispatcher(Audience):
         if plan.__class__ is Onlookers:
             self._show(plan, term, start, end, after)
             return after
+        parent = self.current
+        if parent is None and plan.__class__ is Sole and token is None:
+            [(matcher, action)] = plan
+            values = matcher(term)
+            if values is None:
+                return after
+            self.current = (term, start, end, None, ground)
+            frame: Frame = (SERVE_AGAIN, self, None, after)
+            next_frame = action(term, values, start, end, frame)
+            if next_frame is not frame:
+                return next_frame  # type: ignore[no-any-return]
+            self.current = None
+            return after
         event = Dispatch()
         event.dispatcher = self
         event.steps = steps = iter(plan)
@@ -115,7 +129,6 @@ class Dispatcher(Audience):
         event.token = token
         event.cause = self.cause
         event.ground = ground
-        parent = self.current
         if parent.__class__ is tuple:
             parent = self.event()
         event.parent = parent
@@ -314,12 +327,13 @@ class Dispatcher(Audience):
         made = self.current = self._made(*current)
         return made
 
-    def _made(self, term: Term, start: int, end: int, before: Any) -> Dispatch:
+    def _made(self, term: Term, start: int, end: int, before: Any, ground: Optional[bool] = True) -> Dispatch:
         """Return the event of its parts, and of what was served when it came."""
         parent = self._made(*before) if before.__class__ is tuple else before
         event = event_of(self, term, start, end, 1 if parent is None else parent.depth + 1)
         event.parent = parent
         event.cause = self.cause
+        event.ground = ground
         return event
 
     def ground(self) -> bool:

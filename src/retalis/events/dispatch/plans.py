@@ -21,6 +21,13 @@ class Onlookers(tuple):  # type: ignore[type-arg]
     """
 
 
+class Sole(tuple):  # type: ignore[type-arg]
+    """The one step of a listener that may leave `Dispatcher.current` to `Dispatcher.event`.
+
+    Events that follow from no other are served without setting up their dispatch.
+    """
+
+
 _OTHER = object()
 _DEEPEST = 6
 """How many tests a plan makes at most; the matchers make the rest."""
@@ -99,7 +106,9 @@ def _plan(listeners: List[Listener], tested: Tuple[Path, ...], depth: int) -> "P
     path = _best_path(listeners, tested) if depth > 0 else None
     if path is None:
         steps = [(listener.matcher, listener.action) for listener in listeners]
-        return Onlookers(steps) if all(listener.looks_on for listener in listeners) else tuple(steps)
+        if all(listener.looks_on for listener in listeners):
+            return Onlookers(steps)
+        return Sole(steps) if len(listeners) == 1 and listeners[0].sole else tuple(steps)
     return Choice(path, listeners, tested, depth)
 
 

@@ -34,7 +34,18 @@ class Listener:
         partial: whether it takes events of all kinds, and those too in which something is missing that nobody reads.
     """
 
-    __slots__ = ("order", "pattern", "functor", "matcher", "action", "lane", "looks_on", "unread", "partial")
+    __slots__ = (
+        "order",
+        "pattern",
+        "functor",
+        "matcher",
+        "action",
+        "lane",
+        "looks_on",
+        "sole",
+        "unread",
+        "partial",
+    )
 
     def __init__(
         self,
@@ -45,6 +56,7 @@ class Listener:
         action: EventAction,
         lane: Optional[Lane],
         looks_on: bool,
+        sole: bool,
         unread: FrozenSet[int],
         partial: bool,
     ):
@@ -55,6 +67,7 @@ class Listener:
         self.action = action
         self.lane = lane
         self.looks_on = looks_on
+        self.sole = sole
         self.unread = unread
         self.partial = partial
 

@@ -24,6 +24,7 @@ from .places import MatchBuffer, key_function, surely_same
 from .policy import (
     Emit,
     Side,
+    among_others,
     emit_each,
     taking_all,
     taking_all_at_once,
@@ -40,6 +41,7 @@ __all__ = [
     "after_all",
     "AfterMatch",
     "agreed",
+    "among_others",
     "arrival",
     "Bounds",
     "by_occurrence",

@@ -224,6 +224,8 @@ class Identity:
 
 def identity(match: Match) -> Hashable:
     """Return a key: equal for two matches of a node made of identical event terms, carried values apart."""
+    if match.parts is None:
+        return term_key(match.term)
     path = [match]
     while path[-1].__class__ is not Match or not hasattr(path[-1], "identity"):
         parts = path[-1].parts

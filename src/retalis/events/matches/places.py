@@ -28,6 +28,8 @@ class MatchBuffer:
         name: what a match and the one that it replaces have in common; None where none replaces another.
         reach: where in time those lie that a partner looks for here; None for anywhere.
         forbids: whether what waits is about what must not happen: no match skips it.
+        indices: by key, those by time of keys under which some were looked for in vain.
+        names: by key, those by their names, of keys with more than a few.
     """
 
     forbids = False
@@ -39,8 +41,8 @@ class MatchBuffer:
         self.span: Optional[int] = None
         self.name: Optional[Callable[[Match], Hashable]] = None
         self.reach: Optional[Reach] = None
-        self._indices: Dict[Hashable, TimeIndex] = {}
-        self._names: Dict[Hashable, Dict[Hashable, Match]] = {}
+        self.indices: Dict[Hashable, TimeIndex] = {}
+        self.names: Dict[Hashable, Dict[Hashable, Match]] = {}
         self.on_mend: Callable[[], None] = lambda: None
 
     def key_of(self, match: Match) -> Hashable:
@@ -54,12 +56,30 @@ class MatchBuffer:
         """Let a match wait."""
         rule = self.rule
         match.order = rule.order = rule.order + 1
+        match.key = key
+        last = self.newest.get(key)
+        if last is None:
+            if self.name is not None and match.parts is not None:  # those of longer matches share it
+                match.identity = self.name(match)
+            match.buffer = self
+            match.older = match.newer = self.newest[key] = match
+        else:
+            self.join(match)
+        rule.keep(match, self.span)
+
+    def join(self, match: Match) -> None:
+        """Let a match that has its key and order wait with others of that key."""
+        key = match.key
         if self.name is not None:
-            older = self.namesake(match, key)
+            names = self.names.get(key)
+            if names is None:
+                older = self.namesake(match, key)
+            else:
+                match.identity = name = self.name(match)
+                older = names.get(name)
             if older is not None:
                 self.remove(older)
         match.buffer = self
-        match.key = key
         newest = self.newest
         last = newest.setdefault(key, match)
         if last is match:
@@ -68,12 +88,11 @@ class MatchBuffer:
             match.older = last
             match.newer = oldest = last.newer
             last.newer = oldest.older = newest[key] = match
-            if self._indices and key in self._indices:
-                self._indices[key].add(match)
+            if self.indices and key in self.indices:
+                self.indices[key].add(match)
                 self._drop_if_idle(key)
-            if self._names and key in self._names:
-                self._names[key][match.identity] = match
-        rule.keep(match, self.span)
+            if self.names and key in self.names:
+                self.names[key][match.identity] = match
 
     def remove(self, match: Match) -> None:
         """Take a match out that waits here."""
@@ -84,19 +103,19 @@ class MatchBuffer:
         if older is match:
             match.older = match.newer = None  # type: ignore[assignment]  # asked only of one that waits
             del self.newest[key]
-            self._indices.pop(key, None)
-            self._names.pop(key, None)
+            self.indices.pop(key, None)
+            self.names.pop(key, None)
             return
         older.newer = newer
         newer.older = older
         if self.newest[key] is match:
             self.newest[key] = older
         match.older = match.newer = None  # type: ignore[assignment]
-        if self._indices and key in self._indices:
-            self._indices[key].remove(match)
+        if self.indices and key in self.indices:
+            self.indices[key].remove(match)
             self._drop_if_idle(key)
-        if self._names and key in self._names and self._names[key].get(match.identity) is match:
-            del self._names[key][match.identity]
+        if self.names and key in self.names and self.names[key].get(match.identity) is match:
+            del self.names[key][match.identity]
 
     def mend(self) -> List[Match]:
         """Link anew what waits, whatever an interrupt has left half linked; return it, oldest first."""
@@ -108,8 +127,8 @@ class MatchBuffer:
                 continue
             self._link(key, waiting)
             found += waiting
-        self._indices = {}
-        self._names = {}
+        self.indices = {}
+        self.names = {}
         self.on_mend()
         return sorted(found, key=_order)
 
@@ -141,21 +160,28 @@ class MatchBuffer:
         last = self.newest.get(key)
         if last is None:
             return None
-        names = self._names.get(key)
+        names = self.names.get(key)
         if names is None:
             one = last
             for _ in range(FEWER):
-                if one.identity == name:
+                if self._named(one) == name:
                     return one
                 one = one.older
                 if one is last:
                     return None
-            names = self._names[key] = {one.identity: one for one in self.with_key(key)}
+            names = self.names[key] = {self._named(one): one for one in self.with_key(key)}
         return names.get(name)
 
+    def _named(self, match: Match) -> Hashable:
+        """Return the name of a match, which one that is alone under its key may not have yet."""
+        assert self.name is not None
+        if not hasattr(match, "identity"):
+            match.identity = self.name(match)
+        return match.identity
+
     def _drop_if_idle(self, key: Hashable) -> None:
-        if self._indices[key].idle:
-            del self._indices[key]
+        if self.indices[key].idle:
+            del self.indices[key]
 
     def with_key(self, key: Hashable) -> List[Match]:
         """Return those that wait under a key, oldest first."""
@@ -213,7 +239,7 @@ class MatchBuffer:
         final = last.order
         match = last if newest else last.newer
         order = MOST if newest else LEAST
-        misses = -(FEWER if key in self._indices else FEW)
+        misses = -(FEWER if key in self.indices else FEW)
         while misses <= 0:
             if match.order >= order if newest else not order < match.order <= final:
                 return  # all around the ring, or at what has come meanwhile
@@ -237,10 +263,10 @@ class MatchBuffer:
                 yield match
 
     def _index(self, key: Hashable) -> TimeIndex:
-        found = self._indices.get(key)
+        found = self.indices.get(key)
         if found is None:
             by_end = self.reach is not None and self.reach.by_end
-            found = self._indices[key] = TimeIndex(self.with_key(key), by_end)
+            found = self.indices[key] = TimeIndex(self.with_key(key), by_end)
         return found
 
     def _behind(self, key: Hashable, order: int, newest: bool) -> Optional[Match]:
@@ -256,7 +282,7 @@ class MatchBuffer:
         Of those that wait already under one name, the newest can be replaced.
         """
         self.name = name
-        self._names = {}
+        self.names = {}
         if name is not None:
             for match in self.all():
                 match.identity = name(match)

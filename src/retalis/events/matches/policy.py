@@ -11,6 +11,9 @@ _REMEMBERED = 2000
 Join = Callable[[Match, Match], Optional[Match]]
 _Matched = Callable[[Match, Hashable, Match, Match, Frame], Frame]
 """Takes a match, its key, a partner, their result and the next frame."""
+_Among = Callable[[Match, Hashable, Iterator[Match], Frame], Frame]
+_Others = Callable[[Match, Hashable, Match, Frame], Frame]
+"""Takes a match, its key, a partner that does not fit, and the next frame."""
 T = TypeVar("T")
 
 
@@ -71,6 +74,7 @@ def taking_one(
     wait = own.add if side.wait is None else side.wait
     matched = _matched(side, uses, emit, completed)
     among = _among(side, matched)
+    others = _others(side, newest, among)
 
     def arrive(match: Match, after: Frame) -> Frame:
         try:
@@ -86,8 +90,7 @@ def taking_one(
             if result is not None and partner.buffer is not None:
                 return matched(match, key, partner, result, after)
             if last.older is not last:
-                others = other.partners(key, match.start, match.end, newest)
-                return among(match, key, (one for one in others if one is not partner), after)
+                return others(match, key, partner, after)
         if waits:
             wait(match, key)
         return after
@@ -97,7 +100,22 @@ def taking_one(
     return arrive
 
 
-def _among(side: Side, matched: _Matched) -> Callable[[Match, Hashable, Iterator[Match], Frame], Frame]:
+def among_others(side: Side, newest: bool, emit: Emit) -> _Others:
+    """Return what gives a match, that uses partners up, one of those but one which does not fit."""
+    return _others(side, newest, _among(side, _matched(side, True, emit, None)))
+
+
+def _others(side: Side, newest: bool, among: _Among) -> _Others:
+    other = side.other
+
+    def others(match: Match, key: Hashable, unfit: Match, after: Frame) -> Frame:
+        found = other.partners(key, match.start, match.end, newest)
+        return among(match, key, (one for one in found if one is not unfit), after)
+
+    return others
+
+
+def _among(side: Side, matched: _Matched) -> _Among:
     """Return what gives a match the first partner that fits, of several; without one it waits."""
     waits = side.waits
     wait = side.own.add if side.wait is None else side.wait

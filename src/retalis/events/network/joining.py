@@ -5,7 +5,7 @@ from typing import AbstractSet, Any, Callable, Dict, Hashable, List, Optional, S
 from ...foundation import shared_function
 from ...prolog.machine import Frame
 from ...prolog.syntax import EventOperator
-from ...prolog.terms import Var, positions
+from ...prolog.terms import EventAction, Var, positions
 from ..matches import (
     Absence,
     Emit,
@@ -16,6 +16,7 @@ from ..matches import (
     MatchBuffer,
     NetworkOptions,
     Side,
+    among_others,
     first_side,
     in_order,
     reach_of,
@@ -27,9 +28,13 @@ from ..matches import (
 )
 from .conditions import Test
 from .limits import kept_for_late
-from .nodes import NetworkNode
+from .nodes import Leaf, NetworkNode
 from .owners import Buffer, RuleOwner
+from .quicksides import QuickPair, Taking, quick_side
 from .telling import Name, found_here
+
+Quick = Callable[[EventAction], EventAction]
+"""Makes of what is done with an event something quicker that does the same."""
 
 
 class Joining(NetworkNode):
@@ -131,13 +136,14 @@ class Joining(NetworkNode):
     def bind(self, out: Emit, mode: NetworkOptions) -> None:
         """Connect the node, and those of a sequence on its left; see `NetworkNode.bind`."""
         node: NetworkNode = self
+        quick: Optional[Quick] = None
         while isinstance(node, Joining):
-            out = node.bind_right(out, mode)
+            out, quick = node.bind_right(out, mode)
             node = node.left
-        node.bind(out, mode)
+        _bind(node, out, mode, quick)
 
-    def bind_right(self, out: Emit, mode: NetworkOptions) -> Emit:
-        """Connect all but the left side; return where that sends its matches."""
+    def bind_right(self, out: Emit, mode: NetworkOptions) -> Tuple[Emit, Optional[Quick]]:
+        """Connect all but the left side; return where that sends its matches, and what makes a quick way of it."""
         operator = self.operator
         self.out = out
         self.joined = self._join(True)
@@ -146,12 +152,12 @@ class Joining(NetworkNode):
         left_name, right_name = self._names if mode.policy.replacing else (None, None)
         self.left_buffer.identify(None if operator.everything else left_name)
         self.right_buffer.identify(None if self._keeps(mode) else right_name)
-        arrive = self._bind_sides(self._left_side(), self._right_side(mode), out, mode)
+        found = self._bind_sides(self._left_side(), self._right_side(mode), out, mode)
         for negated, absence in zip(self.negated, self.absences):
             absence.bind(negated, mode)
         for absence, node in self.carried:
             absence.bind(node, mode)
-        return arrive
+        return found
 
     def _is_late(self, mode: NetworkOptions) -> bool:
         """Tell whether a first side of a sequence may come after the second."""
@@ -182,30 +188,61 @@ class Joining(NetworkNode):
             right = right._replace(wait=self._wait_later)
         return right
 
-    def _bind_sides(self, left: Side, right: Side, out: Emit, mode: NetworkOptions) -> Emit:
-        """Connect the right side by the policy; return what the left one does."""
+    def _bind_sides(
+        self, left: Side, right: Side, out: Emit, mode: NetworkOptions
+    ) -> Tuple[Emit, Optional[Quick]]:
+        """Connect the right side by the policy; return what the left one does, and what makes a quick way of it."""
         policy, operator, late = mode.policy, self.operator, self._is_late(mode)
         both = operator.either
-        only_waits = waiting_only(left)
+        only_waits = waiting_only(left), self._quick(left, False, out, mode)
         if self._keeps(mode):
             tracker = self.rule.network.tracker
-            only_waits = first_side(tracker, left, policy.consuming, operator.everything, out)
+            only_waits = first_side(tracker, left, policy.consuming, operator.everything, out), None
         if operator.everything:
             self.right.bind(taking_all_at_once(right, True, out), mode)
             if not late:
                 return only_waits
             if policy.consuming:
-                return taking_one(left, policy.newest, True, out)
-            return taking_all_at_once(left, False, out)
+                return taking_one(left, policy.newest, True, out), self._quick(left, True, out, mode)
+            return taking_all_at_once(left, False, out), None
+        quick = self._quick(right, True, out, mode)
         if not policy.consuming:
-            self.right.bind(taking_all(right, out), mode)
-            return taking_all(left, out) if both or late else only_waits
+            _bind(self.right, taking_all(right, out), mode, quick)
+            return (taking_all(left, out), self._quick(left, True, out, mode)) if both or late else only_waits
         once = self.completed if self.double and both and operator.alone else None
-        self.right.bind(taking_one(right, policy.newest, True, out, once), mode)
+        _bind(self.right, taking_one(right, policy.newest, True, out, once), mode, quick)
         if not both and not late:
             return only_waits
         arrive = taking_one(left, policy.newest, True, out, once)
-        return self._after_waiting(arrive) if right.wait and both else arrive
+        if right.wait and both:
+            return self._after_waiting(arrive), None
+        return arrive, self._quick(left, True, out, mode)
+
+    def _quick(self, side: Side, takes: bool, out: Emit, mode: NetworkOptions) -> Optional[Quick]:
+        """Return what makes a quick way of the plain one of events that are a side; None where there is none.
+
+        Args:
+            side: the side.
+            takes: whether it takes partners; else it only waits.
+            out: where pairs go.
+            mode: how the network runs.
+        """
+        rule = self.rule
+        if mode.tracked or mode.revised or rule.double or rule.collects or rule.skipping is not None:
+            return None
+        whole = rule.completion if rule.root is self else None
+        pair = QuickPair(
+            self.operator,
+            self.span,
+            self.taken,
+            [absence.blocks for absence in self.absences],
+            self.tests,
+            found_here(self.vars, len(self.taken), self.keep) if len(self.vars) > len(self.taken) else None,
+            None if whole is None else whole.action,
+        )
+        newest, uses = mode.policy.newest, mode.policy.consuming
+        taking = Taking(newest, uses, among_others(side, newest, out)) if takes else None
+        return lambda plain: quick_side(side, pair, taking, rule, plain, out)
 
     def _wait_later(self, match: Match, key: Hashable) -> None:
         """Let a right side wait when its event has been tried as a left side too.
@@ -304,3 +341,11 @@ class Joining(NetworkNode):
 
     def _right_waits(self, mode: NetworkOptions) -> bool:
         return self.operator.either or mode.out_of_order
+
+
+def _bind(node: NetworkNode, out: Emit, mode: NetworkOptions, quick: Optional[Quick]) -> None:
+    """Connect a side; a quick way is for the events of a leaf."""
+    if quick is not None and isinstance(node, Leaf):
+        node.bind(out, mode, quick)
+    else:
+        node.bind(out, mode)

@@ -5,7 +5,7 @@ from typing import Any, Hashable, List, Optional, Protocol, Tuple
 from ...foundation import RetalisError, RuleError
 from ...prolog.machine import Frame
 from ...prolog.terms import Term
-from ..dispatch import EventAction, Lane, Listener
+from ..dispatch import Completion, EventAction, Lane, Listener
 from ..history import Fired, Remembered, Tracker
 from ..matches import Match, MatchBuffer, NetworkOptions, Owner
 
@@ -147,6 +147,8 @@ class RuleOwner(Owner, Fired, Protocol):
         dropped: how many partial matches it has lost so far.
         alarms_dropped: how many alarms were not set.
         alarms_past: how many were for an instant that was over.
+        root: the node of its whole pattern.
+        completion: what takes the values of whole matches, where nothing is tracked.
         late: how many matches came too late to be taken.
         serial: the place among the rules: older ones are served first.
     """
@@ -163,6 +165,12 @@ class RuleOwner(Owner, Fired, Protocol):
     dropped: int
     alarms_dropped: int
     alarms_past: int
+    root: Any
+    completion: Optional[Completion]
+
+    @property
+    def collects(self) -> bool:
+        """Whether garbage control removes what waits."""
 
     @property
     def network(self) -> Network:
@@ -183,7 +191,9 @@ class RuleOwner(Owner, Fired, Protocol):
     def tick(self, end: int) -> None:
         """Move the rule's clock and remove what is too old by it."""
 
-    def listen(self, leaf: Listening, action: EventAction, lane: Optional[Lane] = None) -> None:
+    def listen(
+        self, leaf: Listening, action: EventAction, lane: Optional[Lane] = None, sole: bool = False
+    ) -> None:
         """Have a leaf's action called for its events."""
 
     def add_later(self, buffer: MatchBuffer, match: Match, key: Hashable) -> None:

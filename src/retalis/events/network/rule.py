@@ -13,11 +13,12 @@ from .compiling import RuleCompiler
 from .limits import least
 from .nodes import Leaf
 from .owners import Listening, Network
+from .quicksides import SPARE
 from .rulestate import Firings, RuleState
 from .skipping import Skipping, skipping_by
 from .streaming import Streaming
 
-_SPARE = 1000
+_NEVER = -(1 << 63)
 
 
 class Rule:
@@ -36,6 +37,9 @@ class Rule:
         order: how many have begun to wait so far.
         timed: whether its clock has to be kept.
         clock: the newest end among the events that its patterns matched.
+        allowed: the newest stamp that was seen to be allowed to move its clock.
+        completion: what takes the values of whole matches, where nothing is tracked.
+        expiries: what waits, by when it goes.
     """
 
     def __init__(self, network: Network, definition: RuleDefinition, serial: int, name: str):
@@ -57,10 +61,12 @@ class Rule:
         self.late = 0
         self.timed = False
         self._watched = False
-        self.clock: int = -(1 << 63)
+        self.clock: int = _NEVER
+        self.allowed: int = _NEVER
+        self.completion: Optional[Completion] = None
         self.order = 0
         self.arrivals: Deque[Match] = deque()
-        self._expiries = Expiries()
+        self.expiries = Expiries()
         self._collected_at: Optional[int] = None
         self._garbage: Optional[Tuple[int, int]] = None
         self._by_end = Expiries()
@@ -84,6 +90,7 @@ class Rule:
         self.mode = mode
         self.skipping = skipping = skipping_by(self, mode)
         self.window = window
+        self.allowed = _NEVER
         self._garbage = garbage
         self.timed = garbage is not None
         for node, span, limits in self.nodes:
@@ -94,7 +101,7 @@ class Rule:
         self._resettle()
         self.unlisten()
         root: Any = self.root
-        completion = self._completing()
+        self.completion = completion = self._completing()
         complete = completion.action
 
         def take(match: Match, after: Frame) -> Frame:
@@ -175,7 +182,7 @@ class Rule:
 
     def _resettle(self) -> None:
         """File what waits already under the bounds that hold now."""
-        self._expiries = Expiries()
+        self.expiries = Expiries()
         self._by_end = Expiries()
         for match in self.arrivals:
             if match.buffer is not None:
@@ -183,11 +190,20 @@ class Rule:
         if self.skipping is not None:
             self.skipping.refile(self.arrivals)
 
-    def listen(self, leaf: Listening, action: EventAction, lane: Optional[Lane] = None) -> None:
+    def listen(
+        self, leaf: Listening, action: EventAction, lane: Optional[Lane] = None, sole: bool = False
+    ) -> None:
         """Have a leaf's action called for its events; see `Audience.listen`."""
         listen = self.network.dispatcher.listen
         rank = (self.serial, leaf.rank)
-        self.listeners.append(listen(Stage.RULES, leaf.term, action, rank, lane, unused=self._unused))
+        self.listeners.append(
+            listen(Stage.RULES, leaf.term, action, rank, lane, unused=self._unused, sole=sole)
+        )
+
+    @property
+    def collects(self) -> bool:
+        """Whether garbage control removes what waits."""
+        return self._garbage is not None
 
     @property
     def vars(self) -> List[Var]:
@@ -227,7 +243,7 @@ class Rule:
         self.clear_matches()
         if self.skipping is not None:
             self.skipping.clear()
-        self.clock = -(1 << 63)
+        self.clock = self.allowed = _NEVER
         self._collected_at = None
 
     def clear_matches(self) -> None:
@@ -238,7 +254,7 @@ class Rule:
         for match in list(self.arrivals):
             match.leave()
         self.arrivals.clear()
-        self._expiries = Expiries()
+        self.expiries = Expiries()
         self._by_end = Expiries()
 
     def add_later(self, buffer: MatchBuffer, match: Match, key: Hashable) -> None:
@@ -267,10 +283,14 @@ class Rule:
 
     def tick(self, end: int) -> None:
         """Move the rule's clock and remove what is too old by it."""
-        if end <= self.clock or end > self.network.newest_allowed():
+        if end <= self.clock:
             return
+        if end > self.allowed:  # asked again only then, as the clock is asked
+            self.allowed = self.network.newest_allowed()
+            if end > self.allowed:
+                return
         self.clock = end
-        self._expiries.expire(end)
+        self.expiries.expire(end)
         if self._garbage is not None:
             self._collect(*self._garbage)
 
@@ -295,10 +315,15 @@ class Rule:
         arrivals.append(match)
         if self._watched:
             self._watch(match, span)
+        if self.waiting > self.network.cap or len(arrivals) > 2 * self.waiting + SPARE:
+            self.look_through()
+
+    def look_through(self) -> None:
+        """Drop the oldest of too many that wait; else forget those that have left."""
         if self.waiting > self.network.cap:
             self._drop_oldest()
-        elif len(arrivals) > 2 * self.waiting + _SPARE:
-            self.arrivals = deque(one for one in arrivals if one.buffer is not None)
+        else:
+            self.arrivals = deque(one for one in self.arrivals if one.buffer is not None)
 
     def _watch(self, match: Match, span: Optional[int]) -> None:
         """Note when a match is to go, and whether what it is made of is taken back."""
@@ -315,7 +340,7 @@ class Rule:
 
     def _file(self, match: Match, span: Optional[int]) -> None:
         if span is not None:
-            self._expiries.add(match.start + span, match, self.waiting)
+            self.expiries.add(match.start + span, match, self.waiting)
         if self._garbage is not None:
             self._by_end.add(match.latest, match, self.waiting)
 

@@ -1,0 +1,286 @@
+"""What an event does that is one side of a pair, in one function: with a plain key, and where one partner is enough.
+
+What a side means is said by `waiting_only`, `taking_one` and `taking_all`, by `MatchBuffer` and by `Joining`. What is
+written here does the same to the same matches; whatever is not of the common kind goes the plain way before anything
+has changed.
+"""
+
+from typing import Any, Callable, Dict, NamedTuple, Optional, Sequence
+
+from ...foundation import shared_function
+from ...prolog.machine import Frame
+from ...prolog.syntax import EventOperator
+from ...prolog.terms import Atom, EventAction, String
+from ..matches import Emit, Found, Match, Side
+from .conditions import Test
+
+_PLAIN = frozenset((Atom, int, String))
+"""The kinds of terms that are their own keys."""
+SPARE = 1000
+
+
+class QuickPair(NamedTuple):
+    """A two-sided node, as its quick sides see it.
+
+    Attributes:
+        operator: which pairs fit, and their interval.
+        span: the longest interval of a pair, in ns; None for no bound.
+        taken: the sources of the values of a pair.
+        blocks: what tells for each absence whether it is in the way.
+        tests: of a pair.
+        found: takes the values that the tests have found and that are not carried on; None where they find none.
+        complete: takes the values of a whole match; None where pairs are given on as matches.
+    """
+
+    operator: EventOperator
+    span: Optional[int]
+    taken: Sequence[str]
+    blocks: Sequence[Callable[..., bool]]
+    tests: Sequence[Test]
+    found: Optional[Callable[..., Any]]
+    complete: Optional[EventAction]
+
+
+class Taking(NamedTuple):
+    """What a side does about partners; None in its place for a side that only waits.
+
+    Attributes:
+        newest: whether it looks at the newest first; else at the oldest.
+        uses: whether it takes one partner and uses it up; else it takes all.
+        among: gives a match one of the partners but one that does not fit; see `among_others`.
+    """
+
+    newest: bool
+    uses: bool
+    among: Callable[..., Frame]
+
+
+_TICK = """
+    if e > rule.clock:
+        if e > rule.allowed:
+            rule.tick(e)
+        else:
+            rule.clock = e
+            expiries = rule.expiries
+            queue = expiries.queue
+            while queue and queue[0][0] < e:
+                queue.popleft()[1].leave()
+            if expiries.heap:
+                expiries.expire(e)
+"""
+_OUT_OF_ORDER = """
+    instant = s + {span}
+    queue = rule.expiries.queue
+    if instant < rule.clock or queue and queue[-1][0] > instant:
+        return plain(term, values, s, e, after)
+"""
+_WAIT = """
+    match = new(Match)
+    match.values = values
+    match.start = s
+    match.end = e
+    match.event = match.parts = match.used = None
+    match.term = term
+    match.key = key
+    rule.order = match.order = rule.order + 1
+    if key not in waiting:
+        match.buffer = own
+        match.older = match.newer = waiting[key] = match
+    else:
+        own.join(match)
+    rule.waiting = number = rule.waiting + 1
+    arrivals = rule.arrivals
+    arrivals.append(match)
+{file}
+    if number > network.cap or len(arrivals) > 2 * number + SPARE:
+        rule.look_through()
+"""
+_FILE = "    queue.append((instant, match))"
+_PAIR = """
+    s{one} = s
+    e{one} = e
+    s{two} = partner.start
+    e{two} = partner.end
+    start = {operator.start}
+    end = {operator.end}
+    if {fits}:
+        {one_values} = values
+        {two_values} = partner.values
+        met = {met}
+"""
+_ONE = """
+    last = partners.get(key)
+    if last is not None:
+        partner = {partner}
+{pair}
+{tests}
+            if met is not None and partner.buffer is not None:
+                if partner.older is partner and not (other.indices or other.names):
+                    partner.buffer = None
+                    rule.waiting -= 1
+                    del partners[key]
+                    partner.older = partner.newer = None
+                else:
+                    other.remove(partner)
+{stays}
+{give}
+            if last.older is not last:
+                return among(Match(values, s, e, None, term, None), key, partner, after)
+        elif last.older is not last:
+            return plain(term, values, s, e, after)
+{waits}
+    return after
+"""
+_ALL = """
+    partner = partners.get(key)
+    if partner is not None and partner.older is not partner:
+        return plain(term, values, s, e, after)
+{waits}
+    if partner is None or partner.buffer is None:
+        return after
+{pair}
+{tests}
+        if met is not None:
+{give}
+    return after
+"""
+_COMPLETE = "return complete(None, met, start, end, after)"
+_EMIT = """
+match = Match(values, s, e, None, term, None)
+return emit(Match(met, start, end, None, None, {parts}), after)
+"""
+
+
+def quick_side(
+    side: Side, pair: QuickPair, taking: Optional[Taking], rule: Any, plain: EventAction, emit: Emit
+) -> EventAction:
+    """Return what takes the values of an event that is a side of a pair.
+
+    Args:
+        side: the side.
+        pair: the node.
+        taking: what it does about partners; None where it only waits.
+        rule: the rule.
+        plain: the plain way, for what is not of the common kind.
+        emit: takes pairs as matches, where they are no whole ones.
+    """
+    names: Dict[str, Any] = {
+        "rule": rule,
+        "network": rule.network,
+        "own": side.own,
+        "other": side.other,
+        "waiting": side.own.newest,
+        "partners": side.other.newest,
+        "plain": plain,
+        "emit": emit,
+        "complete": pair.complete,
+        "found": pair.found,
+        "among": None if taking is None else taking.among,
+        "new": object.__new__,
+        "Match": Match,
+        "Found": Found,
+        "PLAIN": _PLAIN,
+        "SPARE": SPARE,
+    }
+    names.update((f"absence{at}", one) for at, one in enumerate(pair.blocks))
+    names.update((f"test{at}", one) for at, one in enumerate(pair.tests))
+    made: EventAction = shared_function(_source(side, pair, taking, rule.timed), names, "side of a pair")
+    return made
+
+
+def _source(side: Side, pair: QuickPair, taking: Optional[Taking], timed: bool) -> str:
+    """Return the source: it has nothing of the program's in it but spans, and how many of what there are."""
+    span = side.own.span
+    parts = ["def made(term, values, s, e, after):", _key([one for one, _ in side.shared])]
+    if taking is not None:
+        parts.append("    if None in partners:\n        return plain(term, values, s, e, after)")
+    if timed:
+        parts.append(_TICK)
+    if (side.waits or side.stays) and span is not None:
+        parts.append(_OUT_OF_ORDER.format(span=span))
+    wait = _WAIT.format(file="" if span is None else _FILE)
+    waits = wait if side.waits else ""
+    if taking is None:
+        parts += [wait, "    return after"]
+    elif taking.uses:
+        parts.append(
+            _ONE.format(
+                partner="last" if taking.newest else "last.newer",
+                pair=_indented(_pair(side, pair), 1),
+                tests=_indented(_tests(pair), 3),
+                stays=_indented(wait, 3) if side.stays else "",
+                give=_indented(_give(side, pair), 4),
+                waits=waits,
+            )
+        )
+    else:
+        parts.append(
+            _ALL.format(
+                pair=_pair(side, pair),
+                tests=_indented(_tests(pair), 2),
+                give=_indented(_give(side, pair), 3),
+                waits=waits,
+            )
+        )
+    return "".join(line + "\n" for part in parts for line in part.splitlines() if line.strip())
+
+
+def _key(places: Sequence[int]) -> str:
+    lines = []
+    for at, place in enumerate(places):
+        lines += [
+            f"    k{at} = values[{place}]",
+            f"    if k{at}.__class__ not in PLAIN:",
+            "        return plain(term, values, s, e, after)",
+        ]
+    keys = [f"k{at}" for at in range(len(places))]
+    return "\n".join([*lines, f"    key = {keys[0] if len(keys) == 1 else _tuple(keys)}"])
+
+
+def _pair(side: Side, pair: QuickPair) -> str:
+    """Return the lines that tell whether a partner fits, and what the values of the pair are."""
+    one, two = ("1", "2") if side.left else ("2", "1")
+    values = ("lv", "rv") if side.left else ("rv", "lv")
+    fits = [f"({one})" for one in pair.operator.comparisons]
+    fits += [] if pair.span is None else [f"end - start <= {pair.span}"]
+    return _PAIR.format(
+        one=one,
+        two=two,
+        operator=pair.operator,
+        fits=" and ".join(fits) or "True",
+        one_values=values[0],
+        two_values=values[1],
+        met=_tuple(pair.taken),
+    )
+
+
+def _tests(pair: QuickPair) -> str:
+    """Return the lines of absences and conditions: ``met`` is None after them where one fails."""
+    lines = []
+    for at in range(len(pair.blocks)):
+        lines += ["if met is not None:"] if at else []
+        lines += [
+            f"{'    ' if at else ''}if absence{at}(met, e1, s2):",
+            f"{'    ' if at else ''}    met = None",
+        ]
+    for at in range(len(pair.tests)):
+        given = at or pair.blocks
+        lines += ["if met is not None:"] if given else []
+        lines += [f"{'    ' if given else ''}met = test{at}(met, start, end)"]
+    return "\n".join(lines)
+
+
+def _give(side: Side, pair: QuickPair) -> str:
+    if pair.complete is not None:
+        return _COMPLETE
+    parts = ["match", "partner"] if side.left else ["partner", "match"]
+    return _EMIT.format(parts=_tuple([*parts, *([] if pair.found is None else ["Found(found(met))"])]))
+
+
+def _indented(text: str, by: int) -> str:
+    """Return lines further to the right: by so many steps."""
+    return "".join("    " * by + line + "\n" for line in text.splitlines())
+
+
+def _tuple(items: Sequence[str]) -> str:
+    return f"({''.join(f'{item}, ' for item in items)})"
