@@ -28,6 +28,16 @@ def test_a_comparison_in_the_place_of_a_pattern_is_an_event(text):
             12,
             "aggregate(Kind, Pattern, Result), or 4: aggregate(Kind, Pattern, Result, Window)",
         ),
+        (
+            "c(N) <- agregate(count, a, N, last(5)).",
+            9,
+            "did you mean aggregate(Kind, Pattern, Result, Window)?",
+        ),
+        ("c(N) <- a seq aggregat(count, b, N).", 15, "did you mean aggregate(Kind, Pattern, Result)?"),
+        ("c <- a seq abscent(b, 5).", 12, "did you mean absent(Pattern, Seconds)?"),
+        ("c <- E.", 6, "E is any event, those of this rule included"),
+        ("c do true <- _.", 14, "_ is any event"),
+        ("null_event do write(E) <- E.", 27, "E is any event"),
         ("c <- seq(a, b, c).", 6, "seq takes 2 arguments"),
         ("c <- a and cnot(b).", 12, "cnot takes 2 arguments"),
         ("c <- a seq exceptionAlarm(e, 5).", 12, "an alarm is a head"),
@@ -61,6 +71,8 @@ def test_warned_of_at_its_place(rule, column, part):
         "c <- a(X) where X within 3. within(X, Y) :- X < Y. c :- starts(a, b). starts(a, b).",
         "c <- (a(X) where X > 1) within 3. c <- a seq b(_). c <- E where E. c <- [_|_].",
         "and(1, 1). or(a, b). a : b.",
+        "c <- aggregated(a, b, c). d <- agregate(a). e <- absents(a, b) or abscent(a).",
+        "c <- a seq E. E do g(E). g(_).",
     ],
 )
 def test_what_may_be_meant_is_not_warned_of(rules):

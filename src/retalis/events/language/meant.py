@@ -5,7 +5,7 @@ from typing import Any, Dict, Iterable, Optional
 
 from ...prolog.syntax import OperatorKind
 from ...prolog.terms import CONS, Atom, Term, deref, functor, list_items
-from .operators import ARROWS, FORMS, NO_EVENTS, SPELLINGS, names_of_kind
+from .operators import ARROWS, FORMS, NO_EVENTS, SPELLINGS, WRITTEN, names_of_kind
 
 _COMPARISONS = [
     "=",
@@ -69,6 +69,7 @@ _WITH_OPTIONS = frozenset(("synchronized", "syncronized"))
 """What takes options after its other arguments."""
 
 _ALIKE = 0.9
+_ORDINARY = "this is an ordinary event"
 
 _ONE = "the head of a rule is one event"
 _NO_HEADS = {
@@ -91,7 +92,17 @@ def doubt(term: Term) -> Optional[str]:
         items = list_items(term)
         if items is not None and all(deref(item).__class__ in (Atom, tuple) for item in items):
             return "a list of patterns is a single event; join them with and, or, or seq"
-    return wrong_arity(term)
+    return wrong_arity(term) or _misspelt(term)
+
+
+def _misspelt(term: Any) -> Optional[str]:
+    """Return what was probably meant by an event of nearly the name of what is written with arguments, or None."""
+    said = term[0].name
+    for name, count, form in WRITTEN:
+        alike = not said.startswith(name) and SequenceMatcher(None, said, name).ratio() >= _ALIKE
+        if alike and len(term) - 1 == count:
+            return f"{_ORDINARY}; did you mean {form}?"
+    return None
 
 
 def wrong_arity(term: Any) -> Optional[str]:
@@ -103,7 +114,7 @@ def wrong_arity(term: Any) -> Optional[str]:
     if takes is None or takes == count or (count == takes + 1 and name in _WITH_OPTIONS):
         return None
     form = FORMS.get(name, f"takes {takes} argument{'s' * (takes != 1)}")
-    return f"this is an ordinary event; {name} {form}"
+    return f"{_ORDINARY}; {name} {form}"
 
 
 def near(said: str, words: Iterable[str]) -> str:
@@ -148,5 +159,5 @@ def _alike(head: Any) -> Optional[str]:
         if arity != len(head) - 1 or plain[:1] != other[0]:
             continue
         if SequenceMatcher(None, plain, other).ratio() >= _ALIKE:
-            return f"this is an ordinary event; did you mean {form}?"
+            return f"{_ORDINARY}; did you mean {form}?"
     return None

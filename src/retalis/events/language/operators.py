@@ -31,22 +31,25 @@ ARROWS = frozenset(key for one in EVENT_OPERATORS if one.meant == "<-" for key i
 NO_EVENTS = {one.name: len(one.patterns) for one in EVENT_OPERATORS if not one.names_events}
 """What has a name that events do not have, and how many arguments it takes; with others it is an event."""
 
+WRITTEN = tuple(
+    (name, len(one.patterns), one.form)
+    for one in EVENT_OPERATORS
+    if one.form
+    for name in one.functors or (one.name,)
+)
+"""The names of what is written as functor and arguments only, how many it takes, and how it is written."""
+
 
 def _forms() -> Dict[str, str]:
-    """Return how each name is written that is with arguments only; those with several numbers of them are one."""
     found: Dict[str, str] = {}
-    for one in EVENT_OPERATORS:
-        for name in (one.functors or (one.name,)) if one.form else ():
-            number = len(one.patterns)
-            before = (
-                f"{found[name]}, or {number}" if name in found else f"takes {counted(number, 'argument')}"
-            )
-            found[name] = f"{before}: {one.form}"
+    for name, number, form in WRITTEN:
+        before = f"{found[name]}, or {number}" if name in found else f"takes {counted(number, 'argument')}"
+        found[name] = f"{before}: {form}"
     return found
 
 
 FORMS = _forms()
-"""What is written as functor and arguments only, and how."""
+"""The same in words, by the names."""
 
 NO_FACTS = frozenset(key for one in EVENT_OPERATORS if not one.names_facts for key in one.keys[:1])
 """Facts of these were meant as rules: they are the names of nothing else."""

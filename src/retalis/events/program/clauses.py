@@ -277,7 +277,7 @@ class FileChecker:
             )
             for call in query_goals(head):
                 self._called(call, spot, place)
-            self._arrow_in(rule, spot)
+            self._doubt(rule, spot)
             pattern = reader.read(rule, 2)
             if goal is not None:
                 pattern = Action(pattern, goal, False)
@@ -298,9 +298,12 @@ class FileChecker:
             self.inner.append(self.definition(one, None, spot, spot(one) or place))
         return definition
 
-    def _arrow_in(self, rule: CompoundTerm, spot: Spot) -> None:
-        """Warn of a rule in the place of a pattern that has no brackets: two arrows in a row."""
+    def _doubt(self, rule: CompoundTerm, spot: Spot) -> None:
+        """Warn of a rule in the place of a pattern that has no brackets: two arrows in a row; and of a variable."""
         inner, begin = deref(rule[2]), spot(rule, 2)
+        if inner.__class__ is Var:
+            name = self._names.get(inner, "_")
+            self._warn(f"{name} is any event, those of this rule included: it fires for itself", begin)
         if inner.__class__ is tuple and inner[0] in ARROWS and begin is not None and begin.character != "(":
             self._warn("this rule is inside the pattern of another; put it in brackets", spot(inner))
 
