@@ -130,3 +130,13 @@ def test_a_bag_prints_the_events_that_a_program_shows(capsys, folder, tmp_path):
     (folder / "eventRules.txt").write_text("hot(X) <- my_robot__0__Heat(X, _).\nprint_trigger(hot/1).\n")
     assert main(["bag", str(tmp_path / "hot.bag"), "--program", str(folder)]) == 0
     assert "event(hot(0.0),[datime(1970,1,1,0,0,1,0),datime(1970,1,1,0,0,1,0)])\n" in capsys.readouterr().err
+
+
+def test_a_file_of_rules_is_looked_at_alone(capsys, tmp_path):
+    rules = tmp_path / "rules.txt"
+    rules.write_text("hot(T) <- warm(T) where T > 30.\nfire <- hot(_, _) seq smoke.\n")
+    assert checked(capsys, rules) == (
+        0,
+        f"warning: {rules}:2:9: nothing makes hot/2: no topic, rule or goal; did you mean hot/1?\n"
+        f"fire <- hot(_, _) seq smoke.\n        ^\n{rules}: no errors, 1 warning\n",
+    )

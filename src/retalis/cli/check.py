@@ -15,9 +15,10 @@ from ..messages import Definitions, Installed
 from .limits import add_swi
 
 DESCRIPTION = """\
-Load a program's folder as a node does, without ROS, and say all that is wrong with it or hardly meant, each thing
-with its place and what to do. The exit status is 1 where there are errors; with --strict it is 2 where there are
-only warnings. Message types come from the installation, from the bags of --bag and from the folders of --msg.
+Load a program's folder as a node does, without ROS, or a file of rules, and say all that is wrong with it or hardly
+meant, each thing with its place and what to do. The exit status is 1 where there are errors; with --strict it is 2
+where there are only warnings. Message types come from the installation, from the bags of --bag and from the folders
+of --msg.
 """
 
 
@@ -27,7 +28,14 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         "check", help="say what is wrong with a program, before it runs", description=DESCRIPTION
     )
     add = parser.add_argument
-    add("folder", nargs="?", type=Path, default=Path(), metavar="FOLDER", help="the program's (this one)")
+    add(
+        "folder",
+        nargs="?",
+        type=Path,
+        default=Path(),
+        metavar="FOLDER",
+        help="the program's (this one), or a file",
+    )
     add("--format", choices=("text", "json"), default="text", help="lines for people, or one JSON object")
     add_swi(parser)
     add("--strict", action="store_true", help="end with status 2 where there are warnings")

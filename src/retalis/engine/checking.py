@@ -54,15 +54,16 @@ def check_program(
     Its goals are called, as a node calls them when it starts.
 
     Args:
-        folder: the program's.
+        folder: the program's; or a file of rules alone, whose events others may make and take.
         definitions: the message types that are known.
         direct: topics that become events besides those in ``pub_sub.xml``.
         settings: of the engine.
     """
     problems = Problems()
     topics = Topics()
+    alone = os.path.isfile(folder)
     try:
-        topics = read_topics(folder / TOPICS)
+        topics = topics if alone else read_topics(folder / TOPICS)
     except RetalisError as error:
         problems.all_of(error)
     engine = Engine(Clock(time.time_ns), settings, problems, definitions)
@@ -75,7 +76,7 @@ def check_program(
     except RetalisError as error:
         problems.all_of(error)
     topics = parts.input_topics.joined(topics)
-    program = Overview(parts.rules, parts.knowledge, definitions, topics, direct, folder)
+    program = Overview(parts.rules, parts.knowledge, definitions, topics, direct, folder, observed=alone)
     sound = not any(one.severity == ERROR for one in problems.found)
     said = {one.problem.place for one in problems.found if one.problem.place is not None}
     new = [one for one in look_through(program, sound) if one.problem.place not in said]
