@@ -1,5 +1,6 @@
 """What a program has SWI-Prolog load, who may, and what becomes of it in a state."""
 
+import ctypes
 import os
 import subprocess
 import sys
@@ -35,6 +36,28 @@ def test_it_is_said_where_swi_prolog_is_not_installed(monkeypatch, tmp_path):
     monkeypatch.setattr(binding, "PLACES", ())
     with pytest.raises(ProgramErrors, match="SWI-Prolog, which is not installed here: .* swi-prolog-nox"):
         Engine(settings=ALLOWED).load(rules=":- use_swi('any.pl').", folder=tmp_path)
+
+
+class OldLibrary(ctypes.PyDLL):
+    """A library that has not all of the functions."""
+
+    def __init__(self, name, **options):
+        super().__init__("libc.so.6", **options)
+
+    def __getitem__(self, name):
+        return super().__getitem__("abs" if name != "PL_is_acyclic" else name)
+
+
+def test_it_is_said_which_function_an_older_one_lacks(monkeypatch):
+    find = binding.find_library.__wrapped__
+    monkeypatch.setattr(binding, "PLACES", ())
+    monkeypatch.setattr(binding, "NAMES", ("libswipl_that_is_not_there.so", "libc.so.6"))
+    with pytest.raises(UsageError, match=r"SWI-Prolog 7\.6\.4 or later: libc\.so\.6 is older.*PL_initialise"):
+        find()
+    monkeypatch.setattr(binding.ctypes, "PyDLL", OldLibrary)
+    monkeypatch.setattr(binding.ctypes, "CDLL", OldLibrary)
+    with pytest.raises(UsageError, match="PL_is_acyclic"):
+        find()
 
 
 @pytest.mark.slow

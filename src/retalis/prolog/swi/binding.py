@@ -24,6 +24,9 @@ MISSING = (
     "as apt install swi-prolog-nox does"
 )
 
+OLDEST = "7.6.4"
+"""All that is called here is in it."""
+
 # As its argument vector: no handlers of signals but the one that interrupts a system call, no file of the user's.
 _ARGUMENTS = (b"swipl", b"--nosignals", b"-q", b"-f", b"none", b"-F", b"none", b"--nodebug")
 
@@ -170,11 +173,14 @@ def find_library() -> SwiLibrary:
     """Return the library's functions, without starting it.
 
     Raises:
-        UsageError: where SWI-Prolog is not installed.
+        UsageError: where SWI-Prolog is not installed, or is too old.
     """
+    too_old = ""
     for name in (*NAMES, *(path for place in PLACES for path in sorted(glob(place)))):
         try:
             return SwiLibrary(name)
-        except (OSError, AttributeError):  # not there, or none of it: the next one
+        except OSError:  # not there: the next one
             continue
-    raise UsageError(MISSING)
+        except AttributeError as error:  # there may be a newer one
+            too_old = f"{name} is older, or another library: {error}"
+    raise UsageError(f"use_swi needs SWI-Prolog {OLDEST} or later: {too_old}" if too_old else MISSING)
