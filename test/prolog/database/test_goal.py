@@ -164,6 +164,18 @@ def test_predicates_in_python():
     assert answers(logic, "twice(nb_setval(n, 1)), nb_getval(n, X)") == [{"X": "1"}]
 
 
+@pytest.mark.parametrize("after", ["", ", X = 1", ", twice"])
+def test_a_function_without_arguments_may_have_several_solutions(after):
+    logic = prolog(f"p(X) :- X = 1, twice{after}.\n", 0)
+
+    def twice(machine):
+        yield None
+        yield LAST
+
+    logic.define_nondeterministic("twice", 0, twice)
+    assert len(answers(logic, "p(X)")) == (4 if "twice" in after else 2)
+
+
 def test_solutions_one_by_one():
     logic = prolog(FACTS)
     read = read_term("p(X)", logic.operators)

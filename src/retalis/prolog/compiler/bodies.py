@@ -199,6 +199,8 @@ class Bodies:
 
     def _gate(self, scope: Scope, call: CallNode) -> Optional[str]:
         """Return the condition under which a call can have anything to do, where that can be told beforehand."""
+        if not call.args:
+            return None
         term = deref(call.args[0])
         positions: List[int] = []
         known: List[str] = []
