@@ -140,6 +140,37 @@ def test_two_modules_with_the_same_names():
     assert answers(logic, "one:seen(X)") == answers(logic, "two:seen(X)") == [{"X": "1"}]
 
 
+def test_two_modules_that_export_the_same_name():
+    logic, said = prolog(), []
+    logic.message = lambda kind, text: said.append(text)
+    load(
+        logic,
+        ":- module(one, [p/1]).\np(one).",
+        ":- module(two, [p/1, go/1]).\np(two).\ngo(X) :- p(X).",
+    )
+    assert said == [
+        "Warning: no permission to import two:p/1 into user: already imported from one; two:p(...) calls it\n"
+    ]
+    modules = logic.database.modules
+    for name, used in (("three", ["two"]), ("four", ["one", "two"])):
+        with modules.of_file():
+            modules.begin(name, [])
+            for one in used:
+                modules.bring_in(one)
+            for read in read_program("ask(X) :- p(X).", logic.operators):
+                logic.add_clause(read.term)
+    assert "into four: already imported from one" in said.pop()
+    assert len(said) == 1
+    restored = Logic()
+    restore_logic(restored, keep_logic(logic))
+    restore_values(restored, keep_values(logic))
+    for each in (logic, restored):
+        goals = ("p(X)", "one:p(X)", "two:p(X)", "go(X)", "three:ask(X)", "four:ask(X)")
+        assert [answers(each, goal) for goal in goals] == [
+            [{"X": found}] for found in ("one", "one", "two", "two", "two", "one")
+        ]
+
+
 def test_what_the_system_has_may_be_private():
     logic = load(
         prolog("own(X) :- print(X)."), ":- module(m, [say/1]).\nprint(X) :- X = shouted.\nsay(X) :- print(X)."

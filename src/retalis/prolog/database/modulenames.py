@@ -21,8 +21,8 @@ _EVERYBODYS = FIXED | {
 }
 """What no module has for itself: what is fixed, and what the system asks the program for."""
 
-KeptModule = Tuple[List[Functor], List[Functor], List[str]]
-"""What a module exports and imports, and the names of its own."""
+KeptModule = Tuple[List[Functor], List[Functor], List[str], List[str]]
+"""What a module exports and imports, the names of its own, and what those that it imports are called."""
 
 
 def indicated(term: CompoundTerm) -> Optional[Functor]:
@@ -39,15 +39,17 @@ class Module:
     Attributes:
         name: of it.
         mark: the same as an atom.
-        exports: its predicates that everybody calls by their plain names.
-        imports: those of others that it has asked for.
+        exports: its predicates that others call by their plain names.
+        hidden: those of them whose plain names another module has had before.
+        imports: those of others that it has asked for, and what these are called.
     """
 
     def __init__(self, name: str):
         self.name = name
         self.mark = atom(name)
         self.exports: Set[Functor] = set()
-        self.imports: Set[Functor] = set()
+        self.hidden: Set[Functor] = set()
+        self.imports: Dict[Functor, Functor] = {}
 
 
 EVERYBODY = Module("user")
@@ -67,6 +69,7 @@ class ModuleNames:
         shared: predicates that are everybody's for now, wherever they are defined.
         on_begin: called with the name of each module whose file begins.
         on_change: called where there is a new one.
+        on_clash: called with what cannot be imported.
     """
 
     def __init__(self) -> None:
@@ -79,6 +82,7 @@ class ModuleNames:
         self.is_of_system: Callable[[Functor], bool] = lambda key: False
         self.on_begin: Callable[[str], None] = lambda name: None
         self.on_change: Callable[[], None] = lambda: None
+        self.on_clash: Callable[[str], None] = lambda text: None
         self._files: List[bool] = []
         self._plain: Dict[str, str] = {}
 
@@ -115,6 +119,9 @@ class ModuleNames:
         new = name not in self.table
         module = self.table.setdefault(name, Module(name))
         module.exports = set(exports)
+        module.hidden = module.exports & self._taken(module)
+        for key in sorted(module.hidden, key=str):
+            self._clash(module, key, "user", key)
         self.loading = module
         self.on_begin(name)
         if new:
@@ -125,7 +132,30 @@ class ModuleNames:
         """Have the names that a module exports mean its predicates in the file that is being loaded."""
         found = self.table.get(name)
         if found is not None and self.loading is not None and found is not self.loading:
-            self.loading.imports |= found.exports
+            for key in sorted(found.exports, key=str):
+                target = self.own(found, key)
+                if self.loading.imports.setdefault(key, target) is not target:
+                    self._clash(found, key, self.loading.name, self.loading.imports[key])
+
+    def _taken(self, module: Module) -> Set[Functor]:
+        """Return the plain names that other modules have."""
+        others = (other for other in self.table.values() if other is not module)
+        return {key for other in others for key in other.exports - other.hidden}
+
+    def _clash(self, module: Module, key: Functor, importer: str, there: Functor) -> None:
+        before = next(
+            (
+                one.name
+                for one in self.table.values()
+                if one is not module and key in one.exports and self.own(one, key) is there
+            ),
+            "user",
+        )
+        what = f"{module.name}:{key}"
+        self.on_clash(
+            f"Warning: no permission to import {what} into {importer}: already imported from {before}; "
+            f"{module.name}:{key.name}(...) calls it\n"
+        )
 
     def mend(self) -> None:
         """Go back to where no file is being loaded."""
@@ -153,7 +183,9 @@ class ModuleNames:
         return (COLON, atom(key.name[: -len(name) - 1]), (SLASH, atom(name), key.arity))
 
     def _is_plain(self, module: Module, key: Functor) -> bool:
-        return key in module.exports or key in _EVERYBODYS or key in self.shared or key.name in self._plain
+        if key in module.exports and key not in module.hidden:
+            return True
+        return key in _EVERYBODYS or key in self.shared or key.name in self._plain
 
     def own(self, module: Module, key: Functor) -> Functor:
         """Return the functor of a predicate that a module defines."""
@@ -166,7 +198,7 @@ class ModuleNames:
     def stored(self, module: Module, key: Functor) -> Functor:
         """Return the functor of a predicate that clauses are asserted of in a module: its own, or one it imports."""
         own = self.own(module, key)
-        return key if key in module.imports and not self.is_there(own) else own
+        return module.imports[key] if key in module.imports and not self.is_there(own) else own
 
     def resolve(self, module: Module, key: Functor) -> Functor:
         """Return the functor of the predicate that a name means in a module."""
@@ -175,15 +207,17 @@ class ModuleNames:
         if (key in module.imports or self.is_of_system(key)) and not self.is_there(
             functor(f"{module.name}:{key.name}", key.arity)
         ):
-            return key
+            return module.imports.get(key, key)
         return self.own(module, key)
 
     def restore(self, table: Dict[str, KeptModule]) -> None:
         """Have the modules that `kept` returned."""
-        for name, (exports, imports, own) in table.items():
+        for name, (exports, imports, own, *called) in table.items():
             module = self.table.setdefault(name, Module(name))
             module.exports.update(exports)
-            module.imports.update(imports)
+            module.hidden = module.exports & self._taken(module)
+            names = called[0] if called else [key.name for key in imports]
+            module.imports.update({key: functor(one, key.arity) for key, one in zip(imports, names)})
             self._plain.update({f"{name}:{one}": one for one in own})
 
     def kept(self) -> Dict[str, KeptModule]:
@@ -193,6 +227,7 @@ class ModuleNames:
                 sorted(module.exports, key=str),
                 sorted(module.imports, key=str),
                 sorted(plain for whole, plain in self._plain.items() if whole == f"{name}:{plain}"),
+                [module.imports[key].name for key in sorted(module.imports, key=str)],
             )
             for name, module in self.table.items()
         }

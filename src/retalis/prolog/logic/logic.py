@@ -61,6 +61,7 @@ class Logic(Predicates):
         self.output: Callable[[str], None] = _print
         self.error_output: Callable[[str], None] = _print_error
         self.message = self._to_error_output
+        self.database.modules.on_clash = lambda text: self.message("warning", text)
         self.files: Optional[builtins.StreamFiles] = None
         self.ask: Optional[Callable[[], Optional[str]]] = None
         self.state: Dict[str, Any] = {}
