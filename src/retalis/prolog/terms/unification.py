@@ -17,10 +17,63 @@ def unify(  # noqa: C901 -- the innermost loop of all: no calls, no second look 
     Of two variables the one stays that is the older one in the order of terms.
     Returns False where they do not unify; then some variables may be bound, and the caller undoes the trail.
     """
+    if left is right:
+        return True
+    kind = left.__class__
+    while kind is Var:
+        ref = left.ref
+        if ref is None:
+            break
+        left = ref
+        kind = ref.__class__
+    other = right.__class__
+    while other is Var:
+        ref = right.ref
+        if ref is None:
+            break
+        right = ref
+        other = ref.__class__
+    if left is right:
+        return True
+    if kind is Var:
+        if other is Var and hasattr(left, "serial") and _is_older(left, right):
+            left, right = right, left
+        left.ref = right  # a lazy term stays lazy
+        trail.append(left)
+        return True
+    if other is Var:
+        right.ref = left
+        trail.append(right)
+        return True
+    if kind is Lazy:
+        left = left.term()
+        kind = left.__class__
+    if other is Lazy:
+        right = right.term()
+        other = right.__class__
+    if kind is not other:
+        return False
+    if kind is not tuple:
+        return left is right or (kind is not Atom and same_constant(left, right))
+    if left[0] is not right[0]:
+        return False
     stack: List[Any] = []
     steps = 0
     while True:
-        if left is not right:
+        size = len(left)
+        steps += 1
+        if not steps & MASK:
+            check_steps(steps)
+            if steps == LATE and contains_itself((left[0], left, right, *stack[-4:])):
+                return _unify_met([*stack, right, left], trail)
+        if size > MASK:
+            look(size)
+        deeper: Any = None  # compound arguments come after the others, which tell sooner that terms differ
+        beside: Any = None
+        pairs = zip(left, right)
+        for left, right in pairs:
+            if left is right:
+                continue
             kind = left.__class__
             while kind is Var:
                 ref = left.ref
@@ -36,48 +89,43 @@ def unify(  # noqa: C901 -- the innermost loop of all: no calls, no second look 
                 right = ref
                 other = ref.__class__
             if left is right:
-                pass
-            elif kind is Var:
+                continue
+            if kind is Var:
                 if other is Var and hasattr(left, "serial") and _is_older(left, right):
                     left, right = right, left
                 left.ref = right  # a lazy term stays lazy
                 trail.append(left)
-            elif other is Var:
+                continue
+            if other is Var:
                 right.ref = left
                 trail.append(right)
-            else:
-                if kind is Lazy:
-                    left = left.term()
-                    kind = left.__class__
-                if other is Lazy:
-                    right = right.term()
-                    other = right.__class__
-                if kind is not other:
+                continue
+            if kind is Atom is other:
+                return False
+            if kind is Lazy:
+                left = left.term()
+                kind = left.__class__
+            if other is Lazy:
+                right = right.term()
+                other = right.__class__
+            if kind is not other:
+                return False
+            if kind is tuple:
+                if left[0] is not right[0]:
                     return False
-                if kind is tuple:
-                    if left[0] is not right[0]:
-                        return False
-                    size = len(left)
-                    if size > 1:
-                        steps += 1
-                        if not steps & MASK:
-                            check_steps(steps)
-                            if steps == LATE and contains_itself((left[0], left, right, *stack[-4:])):
-                                return _unify_met([*stack, right, left], trail)
-                        if size > MASK:
-                            look(size)
-                        for at in range(size - 1, 1, -1):
-                            stack.append(right[at])
-                            stack.append(left[at])
-                        left = left[1]
-                        right = right[1]
-                        continue
-                elif left is not right and (kind is Atom or not same_constant(left, right)):
-                    return False
-        if not stack:
+                if deeper is not None:
+                    stack.append(beside)
+                    stack.append(deeper)
+                deeper, beside = left, right
+            elif left is not right and (kind is Atom or not same_constant(left, right)):
+                return False
+        if deeper is not None:
+            left, right = deeper, beside
+        elif stack:
+            left = stack.pop()
+            right = stack.pop()
+        else:
             return True
-        left = stack.pop()
-        right = stack.pop()
 
 
 def _unify_met(stack: List[Any], trail: Trail) -> bool:
