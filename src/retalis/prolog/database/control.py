@@ -38,6 +38,7 @@ from ..terms import (
     refuse_cycles,
 )
 from .database import Database
+from .hot import HotBodies
 from .modules import Modules
 
 _CUT = functor("!", 0)
@@ -52,7 +53,12 @@ Controls = Callable[[Machine, Values, Frame], Optional[Frame]]
 
 
 class Control:
-    """Runs goals from their terms as frames of a database's machine."""
+    """Runs goals from their terms as frames of a database's machine.
+
+    Attributes:
+        code: the code of a frame that runs a goal from its term.
+        bodies: those of them that are compiled while they run.
+    """
 
     def __init__(self, database: Database):
         self._database = database
@@ -75,6 +81,10 @@ class Control:
             ONCE: self._once,
             IGNORE: self._ignore,
         }
+        self.bodies = HotBodies(database)
+        self._compiled = self.bodies.compiled
+        database.machine.meet = self.bodies.meet
+        database.machine.budget.on_new = database.on_forget = self.bodies.clear
         database.interpret = self.code
         database.solve = self.solve
 
@@ -127,6 +137,8 @@ class Control:
         return self.call(goal, (self._cut_code, height, after))
 
     def _run(self, frame: Frame) -> Optional[Frame]:
+        if self._compiled and id(frame[1]) in self._compiled:
+            return self.bodies.run(frame)
         return self.solve(frame[1], frame[2], frame[3])
 
     def _cut_run(self, frame: Frame) -> Frame:

@@ -47,6 +47,7 @@ class Database:
         """The goals that have been compiled for Python code, see `CompiledGoal`."""
         self.interpret: Optional[Code] = None
         self.solve: Callable[[Term, int, Frame], Optional[Frame]] = lambda goal, height, after: None
+        self.on_forget: Callable[[], None] = lambda: None
         self.undefined: Callable[[Predicate, Frame], Optional[Frame]] = lambda predicate, frame: None
 
     def predicate(self, key: Functor) -> Predicate:
@@ -122,6 +123,7 @@ class Database:
             predicate.forget()
         for goal in list(self.goals):
             goal.forget()
+        self.on_forget()
 
     def require_writable(self, key: Functor, action: str, asserted: bool = False) -> None:
         """Check that the program may change the clauses of a predicate.

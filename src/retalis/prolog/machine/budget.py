@@ -56,6 +56,7 @@ class Budget:
         used: whether there is anything to forget at the end of the entry.
         rounds: how often the entry may use its seconds: once more when a program may have caught the first error.
         refused: how many goals of the entry were refused.
+        on_new: called where what an entry has used is forgotten.
         on_refused: told at the end of an entry how many goals were refused, what had run out, and the entry.
         running: whether a run is under way that was entered.
     """
@@ -63,6 +64,7 @@ class Budget:
     def __init__(self) -> None:
         self.turn: Optional[Turn] = None
         self.goal: object = None
+        self.on_new: Callable[[], None] = lambda: None
         self.on_refused: Callable[[int, str, object], None] = lambda number, what, entry: None
         self.allow(NO_LIMITS)
         self.running = False
@@ -127,6 +129,7 @@ class Budget:
         self._begin()
         self.alarms.clear()
         self.ceilings.clear()
+        self.on_new()
 
     def state(self) -> BudgetState:
         """Return what runs, for `restore`."""

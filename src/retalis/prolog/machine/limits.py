@@ -5,8 +5,8 @@ from typing import NamedTuple, Optional, Protocol
 from ..terms import Term
 from .faults import PrologError
 
-SLICE = (None,) * 1024
-"""Steps between two looks at the limits."""
+SLICE = (None,) * 1021
+"""Steps between two looks at the limits: a prime, so that no loop is always looked at at the same step of it."""
 
 LOOP = (None,) * 256
 """Turns of a loop inside one step."""

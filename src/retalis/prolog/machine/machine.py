@@ -37,6 +37,7 @@ class Machine:
         choices: choice points; the list object never changes.
         done: the frame that ends a run: the continuation of the first frame of each `run`.
         goal_code: the code that runs a goal from its term, the first argument of its frame.
+        meet: is shown what is about to be run that way once in a slice of steps, if it is then.
         budget: what goals may use and have used.
         idle: how long choices and trail are while nothing runs, see `recovery`.
     """
@@ -54,6 +55,7 @@ class Machine:
         self._exit_code = _AttemptExit(self)
         self.catch_code = Code("catch", fail, True)
         self.goal_code: Optional[Code] = None
+        self.meet: Callable[[Term], None] = lambda goal: None
         self.logic: Any = None
 
     def unify(self, left: Term, right: Term) -> bool:
@@ -251,6 +253,8 @@ class Machine:
                                 choices.append(frame)
                                 return False
                     left = iter(SLICE)
+                    if frame[0] is self.goal_code:
+                        self.meet(frame[1])
                     if len(trail) > self._compact_at:
                         self._compact()
                     self.budget.sliced()

@@ -1,0 +1,103 @@
+"""Bodies that are interpreted, and in which so much time is spent that they are compiled while they run.
+
+What is called seldom is not compiled; but a body that is run once may go over its goals a million times by
+backtracking. The machine shows what it is about to interpret once in a slice of steps, see `Machine.meet`: what is
+met again is compiled, with its variables as arguments, and from then on run that way when it is gone on with.
+"""
+
+from typing import Any, Dict, List, Optional, Tuple
+
+from ..compiler import ARROW, BAR, NOT, SEMICOLON, SOFT_ARROW, ClauseParts, Generator
+from ..machine import Code, Frame, PrologError, Step
+from ..terms import COMMA, Lazy, Term, Var, functor
+from .database import Database
+
+_MOST_PARTS = 400
+"""Larger bodies are not compiled; what they have are most likely terms that were passed to them."""
+
+_MOST_BODIES = 16
+_STRUCTURES = {COMMA, SEMICOLON, BAR, ARROW, SOFT_ARROW, NOT}
+
+
+class HotBodies:
+    """The bodies that were met and those that are compiled, by the identity of their terms.
+
+    Attributes:
+        compiled: what runs a body, its variables, and the body, whose identity it keeps from being used again.
+    """
+
+    def __init__(self, database: Database):
+        self._database = database
+        self.compiled: Dict[int, Tuple[Step, Tuple[Var, ...], Term]] = {}
+        self._met: Dict[int, Term] = {}
+
+    def __len__(self) -> int:
+        """Return how many bodies are held."""
+        return len(self._met) + len(self.compiled)
+
+    def clear(self) -> None:
+        """Forget all: the bodies are over, or what they call has been redefined."""
+        self.compiled.clear()
+        self._met.clear()
+
+    def meet(self, body: Term) -> None:
+        """Note that a body is about to be interpreted; compile it where that has been noted before."""
+        if body.__class__ is not tuple or body[0] not in _STRUCTURES or self._database.interprets:
+            return
+        if self._met.get(id(body)) is not body:
+            if len(self._met) >= _MOST_BODIES:
+                self.clear()
+            self._met[id(body)] = body
+        elif id(body) not in self.compiled:
+            made = self._compile(body)
+            if made is not None:
+                self.compiled[id(body)] = made
+
+    def _compile(self, body: Term) -> Optional[Tuple[Step, Tuple[Var, ...], Term]]:
+        names: Dict[Var, Term] = {}
+        source = _Copied(names).term(body)
+        if source is None:
+            return None
+        key = functor("$body", len(names))
+        rule = ClauseParts(tuple(names.values()), source)
+        try:
+            step = Generator(self._database, key, [rule], Code("body", _unused)).single(0)
+        except (PrologError, RecursionError):  # where the goal with the error is reached it is thrown
+            return None
+        return step, tuple(names), body
+
+    def run(self, frame: Frame) -> Optional[Frame]:
+        """Run a body that has been compiled."""
+        step, variables, _ = self.compiled[id(frame[1])]
+        return step((None, *variables, frame[3], frame[2]))
+
+
+def _unused(frame: Frame) -> Optional[Frame]:
+    raise AssertionError("a body does not call itself")
+
+
+class _Copied:
+    """Copies a body as it was written: variables that are bound now may be bound to something else next time."""
+
+    def __init__(self, names: Dict[Var, Term]):
+        self._names = names
+        self._left = _MOST_PARTS
+
+    def term(self, term: Any) -> Optional[Term]:
+        """Return the copy; None where the body is too large, or has a term that is not made yet."""
+        if term.__class__ is Var:
+            return self._names.setdefault(term, Var())
+        if term.__class__ is Lazy:
+            return None
+        if term.__class__ is not tuple:
+            return term  # type: ignore[no-any-return]
+        parts: List[Any] = [term[0]]
+        self._left -= len(term)
+        if self._left < 0:
+            return None
+        for part in term[1:]:
+            copied = self.term(part)
+            if copied is None:
+                return None
+            parts.append(copied)
+        return tuple(parts)

@@ -1,0 +1,98 @@
+"""A body in which much time is spent is compiled while it runs, and does what it did before."""
+
+from random import Random
+
+import pytest
+from prolog.compiler.test_compiled import CALLS, SEEDS, program
+from prolog.support import NEVER, answers, first, prolog
+
+from retalis.prolog.compiler import Generator
+from retalis.prolog.database import hot
+from retalis.prolog.machine import machine
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("steps", [1, 3])
+@pytest.mark.parametrize("seed", SEEDS[:12])
+def test_answers_are_the_same(seed, steps, monkeypatch):
+    text = program(seed)
+    wanted = [answers(prolog(text), call) for call in CALLS]
+    monkeypatch.setattr(machine, "SLICE", (None,) * steps)
+    logic = prolog(text, NEVER)
+    assert [answers(logic, call) for call in CALLS] == wanted
+    assert logic.machine.trail == [] == logic.machine.choices
+
+
+SEARCH = """
+digit(0). digit(1). digit(2). digit(3). digit(4). digit(5). digit(6). digit(7). digit(8). digit(9).
+sum(N) :- digit(A), digit(B), A =\\= B, digit(C), C > B, digit(D), D =:= 9,
+    ( A + B =:= C -> true ; A =:= 7, B =:= 1 ), N is A * 100 + B * 10 + C.
+first(N) :- digit(A), digit(B), A * 10 + B > 95, !, N is A * 10 + B.
+all(L) :- findall(N, sum(N), L).
+"""
+
+
+@pytest.fixture
+def made(monkeypatch):
+    found = []
+    monkeypatch.setattr(hot, "Generator", lambda *args: found.append(args) or Generator(*args))
+    return found
+
+
+def test_a_search_of_one_call_is_compiled(made):
+    fast, slow = prolog(SEARCH, NEVER), prolog(SEARCH)
+    expected = sorted(
+        a * 100 + b * 10 + c
+        for a in range(10)
+        for b in range(10)
+        for c in range(10)
+        if a != b and c > b and (a + b == c or (a == 7 and b == 1))
+    )
+    assert first(slow, "all(L)") == first(fast, "all(L)") == str(expected).replace(" ", "")
+    assert 1 <= len(made) <= 8
+    assert first(fast, "first(N)") == "96"
+
+
+def test_what_is_short_is_not(made):
+    assert first(prolog(SEARCH, NEVER), "first(N)") == "96"
+    assert not made
+
+
+def test_it_is_forgotten_with_the_question(made):
+    logic = prolog(SEARCH, NEVER)
+    assert first(logic, "all(L)")
+    assert made
+    assert len(logic.control.bodies) == 0
+
+
+def test_what_it_calls_may_be_redefined_meanwhile():
+    text = """
+    :- dynamic(limit/1).
+    limit(3).
+    count(0). count(N) :- between(1, 3000, N).
+    go(S) :- count(X), limit(L),
+        ( X > 2500, L < 4 -> retract(limit(_)), assertz(limit(2999)), fail ; X > L ), S = X, !.
+    """
+    logic = prolog(text, NEVER)
+    assert first(logic, "retract(limit(_)), assertz(limit(2998)), go(S)") == "2999"
+    assert first(prolog(text, NEVER), "between(1, 9, X), limit(L), X > L, !") == {"X": "4", "L": "3"}
+
+
+def test_errors_and_cuts_in_it(monkeypatch):
+    text = """
+    go(S) :- between(1, 100, X), ( X =:= 60 -> Y = a ; Y = 1 ), catch(Z is X + Y, error(E, _), (S = X-E, !)), Z < 0.
+    throws(N) :- between(1, 100, X), ( X > N -> throw(found(X)) ; true ), fail.
+    """
+    expected = [first(prolog(text), "go(S)"), answers(prolog(text), "throws(50)")]
+    monkeypatch.setattr(machine, "SLICE", (None,) * 7)
+    logic = prolog(text, NEVER)
+    assert [first(logic, "go(S)"), answers(logic, "throws(50)")] == expected
+    assert expected[1] == ["found(51)"]
+
+
+def test_large_terms_that_were_passed_are_no_reason_to_compile(made, monkeypatch):
+    monkeypatch.setattr(machine, "SLICE", (None,) * 3)
+    random = Random(1)
+    numbers = ", ".join(str(random.randrange(9)) for _ in range(500))
+    logic = prolog("go(L, N) :- member(X, L), X > 7, ( X =:= 8 -> N = X ; fail ).", NEVER)
+    assert first(logic, f"go([{numbers}], N), !, true") is not None
