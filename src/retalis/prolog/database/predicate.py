@@ -11,6 +11,7 @@ from ...foundation import look
 from ..compiler import ClauseParts, Direct, Generator, KnownDatabase, fact_search, key_of
 from ..machine import Code, Frame, Machine, PrologError, Step
 from ..terms import Atom, Functor, Term, Trail, Values, Var, copy, undo, unify
+from .bykey import by_key
 from .clause import NEVER, Clause, keys_of, match_head, may_match
 from .functional import Functional
 from .index import Index
@@ -151,10 +152,13 @@ class Predicate:
         clause.died = self.database.generation
         self.dead += 1
         if self.dead == len(self.clauses) or (self.dead > 16 and self.dead * 2 > len(self.clauses)):
-            self.clauses = [old for old in self.clauses if old.died == NEVER]
-            self.dead = 0
-            self.indexes.clear()
+            self._sweep()
         return True
+
+    def _sweep(self) -> None:
+        self.clauses = [old for old in self.clauses if old.died == NEVER]
+        self.dead = 0
+        self.indexes.clear()
 
     def clear(self) -> None:
         """Remove all clauses."""
@@ -216,7 +220,7 @@ class Predicate:
         if self.kind == "undefined":
             return self.database.undefined(self, frame)
         self.calls += 1
-        if (self.calls > self.compile_after or self.library) and self._compile():
+        if (self.calls > self.compile_after or self.library) and not self.compiled and self._compile():
             return self.run(frame)
         clauses, position = self.select(frame)
         if len(clauses) > _MANY:
@@ -369,13 +373,34 @@ class Predicate:
         size = len(clauses)
         facts = all(clause.fact for clause in clauses)
         too_many = size > (_MOST_FACTS if facts else _MOST_CLAUSES)
-        if not size or too_many or any(clause.is_large for clause in clauses):
+        if not size or any(clause.is_large for clause in clauses):
             self.compile_after = NEVER
             return False
+        if too_many:
+            return self._go_by_keys()
         rules = [ClauseParts(_args(clause.head), clause.body, clause.place) for clause in clauses]
         generator = Generator(self._view(), self.functor, rules, self)
         self.run = generator.main()
         self.steady = generator.steady
+        self.compiled = True
+        return True
+
+    def _go_by_keys(self) -> bool:
+        """Have calls go by the indexes that calls have asked for by now, if those leave no clause out."""
+        if self.dead:
+            positions = list(self.indexes)
+            self._sweep()
+            for position in positions:
+                self._index(position)
+        choices = self.database.machine.choices
+        run: Step = self._call
+        for position, index in sorted(self.indexes.items(), reverse=True):
+            if not index.others:
+                run = by_key(position, index.own, choices, self._search(position), run)
+        if run == self._call:
+            self.compile_after *= 2
+            return False
+        self.run = run
         self.compiled = True
         return True
 
