@@ -234,7 +234,7 @@ class Functions(Generator):
             scope.line("return True")
         lines = ["    while True:", *scope.lines]
         if rest and scope.binds:
-            lines += ["    if len(trail) > mark:", "        undo(trail, mark)"]
+            lines += ["    while len(trail) > mark:", "        pop().ref = None"]
         return lines
 
     @staticmethod

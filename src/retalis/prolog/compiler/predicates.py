@@ -1,6 +1,6 @@
 """Code for predicates: the switch on an argument, and the clauses that are left one after the other."""
 
-from typing import Dict, List, Optional, Sequence, Tuple
+from typing import Dict, FrozenSet, List, Optional, Sequence, Tuple
 
 from ...foundation import Place
 from ..machine import Code, Frame, Runs, Step
@@ -36,15 +36,24 @@ class Generator:
         key: name and arity.
         rules: its clauses in order.
         code: the code object that calls of it go through.
+        unbound: arguments that are unbound in the calls that it is for, as far as that is known.
     """
 
-    def __init__(self, database: KnownDatabase, key: Functor, rules: Sequence[ClauseParts], code: Runs):
+    def __init__(
+        self,
+        database: KnownDatabase,
+        key: Functor,
+        rules: Sequence[ClauseParts],
+        code: Runs,
+        unbound: FrozenSet[int] = frozenset(),
+    ):
         self.database = database
         self.key = key
         self.rules = rules
         self.code = code
         self.locals = [f"a{at}" for at in range(1, key.arity + 1)]
-        self.position = _switch_position(rules, key.arity)
+        self._unbound = unbound
+        self.position = _switch_position(rules, key.arity, unbound)
         self._retries: Dict[Tuple[int, ...], Code] = {}
         self.steady = False
 
@@ -92,8 +101,12 @@ class Generator:
         out.dereference(local)
         self._tuple_case(out, groups, local)
         out.line("elif k is Var:")
-        retry = ", ".join([unit.constant(self._retry(everything)), *self.locals, "after", "len(trail)"])
-        out.line(f"    return ({retry})")
+        other = self._other(self.position)
+        if other is not None:
+            out.push(f"    return {unit.constant(other)}.run(({', '.join(['None', *self.locals, 'after'])}))")
+        else:
+            retry = ", ".join([unit.constant(self._retry(everything)), *self.locals, "after", "len(trail)"])
+            out.line(f"    return ({retry})")
         self._atomic_case(out, groups, local, Atom, "is")
         self._atomic_case(out, groups, local, int, "==")
         out.line("elif k is Lazy:")
@@ -107,6 +120,23 @@ class Generator:
             self._case(out, rest, None)
         out.line("return None")
         return out
+
+    def _other(self, position: int) -> Optional[Code]:
+        """Return code for calls with an unbound argument at ``position``, if another one tells clauses apart.
+
+        Its function is generated when it is first run.
+        """
+        unbound = self._unbound | {position}
+        if _switch_position(self.rules, self.key.arity, unbound) is None:
+            return None
+
+        def first(frame: Frame) -> Optional[Frame]:
+            code.run = Generator(self.database, self.key, self.rules, self.code, unbound).main()
+            return code.run(frame)
+
+        code = Code(str(self.key), first)
+        code.functor = self.key
+        return code
 
     def _groups(self, position: int) -> Dict[object, List[int]]:
         """Return the clauses for each first-level key of the switched argument; None for all other keys."""
@@ -191,8 +221,8 @@ class Generator:
             out.pushes |= scope.pushes
             out.lines += scope.lines
             if rest and scope.binds:
-                out.line("if len(trail) > mark:")
-                out.line("    undo(trail, mark)")
+                out.line("while len(trail) > mark:")
+                out.line("    pop().ref = None")
         rest = chain[_TOGETHER:]
         if rest:
             frame = ", ".join([unit.constant(self._retry(rest)), *self.locals, "after", "mark"])
@@ -236,15 +266,17 @@ class Generator:
         if rest:
             scope.fail = "break"
             scope.depth += 1
-            frame = ", ".join([unit.constant(self._retry(rest)), *self.locals, "after", "mark"])
-            scope.pending = f"choose(({frame}))"
         if loops:
             scope.loop = Loop(self.key, self.locals, "" if rest else "continue", self._end(unit))
         if height is not None:
             scope.names[entry] = height
         if loops and alone and key.__class__ is Functor and self.position is not None:
             self._build(scope, rule, entry, self.position)
-        self._head(scope, rule, key, self._own_locals(scope, rule, key) if rest else self.locals)
+        locals_ = self._own_locals(scope, rule, key) if rest else self.locals
+        if rest:
+            frame = ", ".join([unit.constant(self._retry(rest)), *self.locals, "after", "mark"])
+            scope.pending = f"{self._guard(index, rest, locals_)}choose(({frame}))"
+        self._head(scope, rule, key, locals_)
         nodes = BodyParser(self.database, entry).parse(rule.body)
         bodies = Bodies(unit, clause, entry, self.database.interpret, str(self.key), self.key)
         bodies.write(scope, nodes)
@@ -260,6 +292,19 @@ class Generator:
             else:
                 scope.lines = [f"{indent}while True:", *scope.lines]
         return scope
+
+    def _guard(self, index: int, rest: Tuple[int, ...], locals_: Sequence[str]) -> str:
+        """Return the test, with ``if``, that others may match where a clause has matched; nothing where they may.
+
+        They do not if they have other keys for an argument that is not a variable: it has the key of this clause.
+        """
+        tests = []
+        for at, (local, arg) in enumerate(zip(locals_, self.rules[index].args)):
+            key = key_of(arg)
+            others = [key_of(self.rules[other].args[at]) for other in rest]
+            if at != self.position and key is not None and None not in others and key not in others:
+                tests.append(f"{local}.__class__ is Var")
+        return f"if {' and '.join(tests)}: " if tests else ""
 
     def _end(self, unit: Unit) -> Optional[Tuple[int, str]]:
         """Return the switched argument and an atom for which the predicate is true whatever the others are."""
@@ -327,10 +372,14 @@ def title_of(place: Optional[Place], name: str) -> str:
     return name if place is None else f"{place.source}:{place.line} {name}"
 
 
-def _switch_position(rules: Sequence[ClauseParts], arity: int) -> Optional[int]:
+def _switch_position(
+    rules: Sequence[ClauseParts], arity: int, unbound: FrozenSet[int] = frozenset()
+) -> Optional[int]:
     """Return the argument that tells the clauses apart best, the first where it does; None where none does."""
     best, position = 0, None
     for at in range(min(arity, 8) if len(rules) > 1 else 0):
+        if at in unbound:
+            continue
         keys = [key_of(rule.args[at]) for rule in rules]
         known = [key for key in keys if key is not None]
         distinct = len(set(known))

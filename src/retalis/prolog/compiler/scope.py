@@ -37,6 +37,7 @@ def base_namespace(machine: Machine) -> Dict[str, Any]:
         "BUDGET": machine.budget,
         "trail": machine.trail,
         "push": machine.trail.append,
+        "pop": machine.trail.pop,
         "choices": machine.choices,
         "choose": machine.choices.append,
         "unify": terms.unify,
