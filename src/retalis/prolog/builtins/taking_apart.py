@@ -4,7 +4,7 @@ from typing import Optional, Sequence
 
 from ...foundation import BULK, look
 from ..machine import LAST, domain_error, instantiation_error, permission_error, resource_error, type_error
-from ..terms import NIL, Atom, CompoundTerm, Term, Var, atom, copy, deref, functor, make_list, resolve, unify
+from ..terms import NIL, Atom, CompoundTerm, Term, Var, copy, deref, functor, make_list, resolve, unify
 from .arguments import check_tail, integer, is_iso, items, natural, partial_items
 from .program import Machine, Outcome, Solutions
 from .registry import deterministic, function, nondeterministic
@@ -18,13 +18,16 @@ def functor_of(machine: Machine, term: Term, name: Term, arity: Term) -> bool:
     term = deref(term)
     trail = machine.trail
     if term.__class__ is tuple:
-        return unify(name, atom(term[0].name), trail) and unify(arity, len(term) - 1, trail)
+        return unify(name, term[0].atom, trail) and unify(arity, len(term) - 1, trail)
     if term.__class__ is not Var:
         return unify(name, term, trail) and unify(arity, 0, trail)
-    return unify(term, _blank(deref(name), deref(arity)), trail)
+    return unify(term, blank(name, arity), trail)
 
 
-def _blank(name: Term, arity: Term) -> Term:
+@function("$blank/3")
+def blank(name: Term, arity: Term) -> Term:
+    """Return a term of a name and an arity with new variables; compiled clauses call it for ``functor/3``."""
+    name, arity = deref(name), deref(arity)
     if name.__class__ is Var:
         raise instantiation_error()
     count = integer(arity)
@@ -95,7 +98,7 @@ def univ(machine: Machine, term: Term, parts: Term) -> bool:
         partial_items(parts)
     if term.__class__ is tuple:
         check_tail(parts)
-        return unify(parts, make_list([atom(term[0].name), *term[1:]]), machine.trail)
+        return unify(parts, make_list([term[0].atom, *term[1:]]), machine.trail)
     if term.__class__ is not Var:
         if deref(parts).__class__ not in (Var, tuple):
             check_tail(parts)
@@ -133,7 +136,7 @@ def compound_name_arity(machine: Machine, term: Term, name: Term, arity: Term) -
     """Relate a compound term, also one without arguments, with its name and arity."""
     term = deref(term)
     if term.__class__ is tuple:
-        return machine.unify_all((name, atom(term[0].name)), (arity, len(term) - 1))
+        return machine.unify_all((name, term[0].atom), (arity, len(term) - 1))
     if term.__class__ is not Var:
         raise type_error("compound", term)
     name = deref(name)
@@ -150,7 +153,7 @@ def compound_name_arguments(machine: Machine, term: Term, name: Term, arguments:
     """Relate a compound term with its name and list of arguments."""
     term = deref(term)
     if term.__class__ is tuple:
-        if not unify(name, atom(term[0].name), machine.trail):
+        if not unify(name, term[0].atom, machine.trail):
             return False
         check_tail(arguments)
         return unify(arguments, make_list(term[1:]), machine.trail)

@@ -3,6 +3,7 @@
 from typing import Optional
 
 from ..terms import Atom, Term, Var, deref, variables
+from .compounds import dereferenced, write_argument, write_functor
 from .expressions import number, number_of_program
 from .known import KnownFunction
 from .nodes import COMPARISONS, KNOWN_ARG, ORDERS, TYPE_TESTS, CallNode, GoalNode
@@ -113,7 +114,7 @@ def _function(scope: Scope, node: CallNode, functional: KnownFunction) -> None:
     result = scope.temp()
     call = scope.unit.constant(functional.function)
     if node.key is KNOWN_ARG:
-        _argument(scope, result, call, *inputs)
+        write_argument(scope, result, call, *inputs)
     else:
         scope.line(f"{result} = {call}({', '.join([scope.build(arg) for arg in inputs])})")
         scope.line(f"if {result} is None:")
@@ -131,20 +132,6 @@ def _function(scope: Scope, node: CallNode, functional: KnownFunction) -> None:
             _bind_output(scope, arg, name)
         else:
             match(scope, name, arg)
-
-
-def _argument(scope: Scope, result: str, otherwise: str, number: Term, whole: Term) -> None:
-    """Write the look-up of an argument; what is not a compound term and an integer is left to the built-in."""
-    at, term = scope.build(number), _dereferenced(scope, whole)
-    tests = [f"{term}.__class__ is tuple", f"0 < {at} < len({term})"]
-    if deref(number).__class__ is not int:
-        tests.insert(1, f"{at}.__class__ is int")
-    scope.line(f"if {' and '.join(tests)}:")
-    scope.line(f"    {result} = {term}[{at}]")
-    scope.line("else:")
-    scope.line(f"    {result} = {otherwise}({at}, {term})")
-    scope.line(f"    if {result} is None:")
-    scope.line(f"        {scope.fail}")
 
 
 def _bind_output(scope: Scope, var: Var, value: str) -> None:
@@ -191,24 +178,10 @@ def simple_test(scope: Scope, node: GoalNode) -> Optional[str]:
         right, _ = number(scope, node.args[1])
         return f"{left} {COMPARISONS[node.key]} {right}"
     if node.form == "type":
-        return TYPE_TESTS[node.key].format(_dereferenced(scope, node.args[0]))
+        return TYPE_TESTS[node.key].format(dereferenced(scope, node.args[0]))
     if node.form == "order":
         return _order(scope, node)
     return None
-
-
-def _dereferenced(scope: Scope, term: Term) -> str:
-    term = deref(term)
-    if term.__class__ is not Var:
-        name = scope.temp("p")
-        scope.line(f"{name} = {scope.build(term)}")
-        return name
-    name = scope.local(term)
-    if term not in scope.fresh:
-        scope.dereference(name)
-        scope.line("if k is Lazy:")
-        scope.line(f"    {name} = {name}.term()")
-    return name
 
 
 def _order(scope: Scope, node: CallNode) -> str:
@@ -218,9 +191,14 @@ def _order(scope: Scope, node: CallNode) -> str:
         if left.__class__ is Atom:
             left, right = right, left
         if right.__class__ is Atom:
-            name, word = _dereferenced(scope, left), "is" if operator == "== 0" else "is not"
+            name, word = dereferenced(scope, left), "is" if operator == "== 0" else "is not"
             return f"{name} {word} {scope.unit.constant(right)}"
-        return f"compare({scope.build(left)}, {scope.build(right)}, unlike) {operator}"
+        one, other = dereferenced(scope, left), dereferenced(scope, right)
+        is_same = (
+            f"({one} is {other} or {one}.__class__ is not Var and {one}.__class__ is not Atom"
+            f" and compare({one}, {other}, unlike) == 0)"
+        )
+        return is_same if operator == "== 0" else f"not {is_same}"
     return f"compare({scope.build(left)}, {scope.build(right)}) {operator}"
 
 
@@ -243,5 +221,6 @@ _WRITERS = {
     "order": _test,
     "type": _test,
     "builtin": _builtin,
+    "functor": write_functor,
     "direct": _direct,
 }

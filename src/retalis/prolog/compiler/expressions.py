@@ -76,16 +76,24 @@ def _variable(scope: Scope, var: Var) -> Operand:
     name = scope.local(var)
     target = scope.temp("n")
     if scope.entry:
-        scope.line(
-            f"{target} = {name} if {name}.__class__ is int or {name}.__class__ is float else measure({name})"
-        )
+        scope.line(f"if {name}.__class__ is int or {name}.__class__ is float:")
+        scope.line(f"    {target} = {name}")
+        scope.line("else:")
+        scope.depth += 1
+        _bound(scope, name, target)
+        scope.depth -= 1
     else:
         # What a continuation gets is mostly a variable that the calls before have bound.
-        scope.line(f"{target} = {name}.ref if {name}.__class__ is Var else {name}")
-        scope.line(f"if {target}.__class__ is not int and {target}.__class__ is not float:")
-        scope.line(f"    {target} = measure({name})")
+        _bound(scope, name, target)
     scope.numbers[var] = target, "any"
     return target, "any"
+
+
+def _bound(scope: Scope, name: str, target: str) -> None:
+    """Write the evaluation of what is most likely a variable that is bound to a number."""
+    scope.line(f"{target} = {name}.ref if {name}.__class__ is Var else {name}")
+    scope.line(f"if {target}.__class__ is not int and {target}.__class__ is not float:")
+    scope.line(f"    {target} = measure({name})")
 
 
 def _operation(scope: Scope, expression: CompoundTerm, depth: int) -> Operand:

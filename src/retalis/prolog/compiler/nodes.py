@@ -66,6 +66,7 @@ CONTROL = {COMMA, SEMICOLON, BAR, ARROW, SOFT_ARROW, NOT, TRUE.functor, functor(
 """What a program may not define: control constructs."""
 
 ARG, KNOWN_ARG = functor("arg", 3), functor("$arg", 3)
+FUNCTOR = functor("functor", 3)
 _CUT = functor("!", 0)
 _DEEPEST = 40
 """Control constructs nested deeper than this are run by interpretation."""
@@ -280,7 +281,8 @@ class BodyParser:
                 key, inline = known, True
         if not inline and self._direct is not None and self._direct(key):
             return CallNode("direct", key, args, True)
-        return CallNode("builtin" if inline else "call", key, args, inline)
+        form = ("functor" if key is FUNCTOR else "builtin") if inline else "call"
+        return CallNode(form, key, args, inline)
 
     def _control(self, key: Functor, goal: CompoundTerm, cut: Height, depth: int) -> GoalNode:
         if key is SEMICOLON or key is BAR:

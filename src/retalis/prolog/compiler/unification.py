@@ -25,8 +25,7 @@ def match(scope: Scope, name: str, pattern: Term, depth: int = 0) -> None:
         elif known != name:
             scope.binds = True
             scope.fresh.discard(pattern)
-            scope.line(f"if {known} is not {name} and not unify({known}, {name}, trail):")
-            scope.line(f"    {scope.fail}")
+            _known(scope, known, name)
     elif pattern.__class__ is tuple and len(pattern) > 1:
         if not scope.at_one_go and _is_one_shape(scope, pattern):
             _at_one_go(scope, name, pattern, depth)
@@ -34,6 +33,19 @@ def match(scope: Scope, name: str, pattern: Term, depth: int = 0) -> None:
             _either_mode(scope, name, pattern, depth)
     else:
         _constant(scope, name, pattern)
+
+
+def _known(scope: Scope, known: str, name: str) -> None:
+    """Write the unification of two locals, of which one is most likely an unbound variable."""
+    scope.line(f"if {known} is not {name}:")
+    scope.line(f"    if {name}.__class__ is Var and {name}.ref is None and {known}.__class__ is not Var:")
+    scope.line(f"        {name}.ref = {known}")
+    scope.line(f"        push({name})")
+    scope.line(f"    elif {known}.__class__ is Var and {known}.ref is None and {name}.__class__ is not Var:")
+    scope.line(f"        {known}.ref = {name}")
+    scope.line(f"        push({known})")
+    scope.line(f"    elif not unify({known}, {name}, trail):")
+    scope.line(f"        {scope.fail}")
 
 
 def _either_mode(scope: Scope, name: str, pattern: CompoundTerm, depth: int) -> None:

@@ -72,12 +72,23 @@ class Functor:
     >>> term = point(1, 2)
     >>> term[0] is point, term[0].name, term[1:]
     (True, 'point', (1, 2))
+
+    ``atom`` is the `Atom` of its name, made when it is asked for.
     """
 
-    __slots__ = ("name", "arity", "__weakref__")
+    __slots__ = ("name", "arity", "atom", "__weakref__")
 
     name: str
     arity: int
+    atom: Atom
+
+    def __getattr__(self, attribute: str) -> Atom:
+        if attribute != "atom":
+            raise AttributeError(attribute)
+        made = atom(self.name)
+        if self.arity:  # an atom holds the functor without arguments
+            self.atom = made
+        return made
 
     def __call__(self, *args: "Term") -> "CompoundTerm":
         """Return the compound term with these arguments (as many as the arity says)."""
