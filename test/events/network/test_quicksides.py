@@ -7,6 +7,7 @@ from unittest.mock import patch
 import pytest
 
 from retalis.engine import Engine, Settings, parts_of
+from retalis.engine.runtime import StreamClock
 from retalis.events.dispatch import Stage
 from retalis.events.network import joining
 from retalis.prolog.terms import SECOND, Var, atom, functor
@@ -145,3 +146,19 @@ def test_it_gives_and_knows_what_the_plain_way_does(part):
 def test_many_streams(part):
     for seed in range(1000 + part * 100, 1100 + part * 100):
         compare(seed)
+
+
+@pytest.mark.parametrize("cap", [10**6, 50])
+def test_what_has_left_is_not_held_until_its_time_is_over(cap):
+    engine = Engine(StreamClock(10**6 * SECOND))
+    parts = parts_of(engine)
+    engine.load(rules="out(K) <- (a(K) seq b(K)) within 100000.")
+    parts.rules.cap = cap
+    [rule] = parts.rules.rules
+    left, right = functor("a", 1), functor("b", 1)
+    for key in range(4000):
+        engine.event_at(left(key), 2 * key, 2 * key)
+        if cap > 50:
+            engine.event_at(right(key), 2 * key + 1, 2 * key + 1)
+    assert rule.waiting == (0 if cap > 50 else cap)
+    assert len(rule.expiries) < 1200

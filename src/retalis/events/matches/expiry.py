@@ -43,9 +43,13 @@ class Expiries:
         else:
             heapq.heappush(self.heap, (instant, match.order, match))
         if len(self) > 2 * waiting + _SPARE:
-            self.queue = deque(entry for entry in queue if entry[1].buffer is not None)
-            self.heap = [entry for entry in self.heap if entry[2].buffer is not None]
-            heapq.heapify(self.heap)
+            self.forget_gone()
+
+    def forget_gone(self) -> None:
+        """Drop those that have left."""
+        self.queue = deque(entry for entry in self.queue if entry[1].buffer is not None)
+        self.heap = [entry for entry in self.heap if entry[2].buffer is not None]
+        heapq.heapify(self.heap)
 
     def expire(self, clock: int) -> None:
         """Let all leave whose instant is before ``clock``."""

@@ -96,6 +96,8 @@ _WAIT = """
         rule.look_through()
 """
 _FILE = "    queue.append((instant, match))"
+_FILE_ANEW = "    rule.expiries.add(instant, match, number)"
+"""Where conditions were tested since, which may have led to other events of the rule."""
 _PAIR = """
     s{one} = s
     e{one} = e
@@ -198,7 +200,8 @@ def _source(side: Side, pair: QuickPair, taking: Optional[Taking], timed: bool) 
         parts.append(_TICK)
     if (side.waits or side.stays) and span is not None:
         parts.append(_OUT_OF_ORDER.format(span=span))
-    wait = _WAIT.format(file="" if span is None else _FILE)
+    file = _FILE_ANEW if taking is not None and (pair.blocks or pair.tests) else _FILE
+    wait = _WAIT.format(file="" if span is None else file)
     waits = wait if side.waits else ""
     if taking is None:
         parts += [wait, "    return after"]

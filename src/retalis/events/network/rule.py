@@ -319,11 +319,14 @@ class Rule:
             self.look_through()
 
     def look_through(self) -> None:
-        """Drop the oldest of too many that wait; else forget those that have left."""
+        """Drop the oldest of too many that wait; forget those that have left, where they are the larger part."""
         if self.waiting > self.network.cap:
             self._drop_oldest()
-        else:
+        many = 2 * self.waiting + SPARE
+        if len(self.arrivals) > many:
             self.arrivals = deque(one for one in self.arrivals if one.buffer is not None)
+        if len(self.expiries) > many:
+            self.expiries.forget_gone()
 
     def _watch(self, match: Match, span: Optional[int]) -> None:
         """Note when a match is to go, and whether what it is made of is taken back."""
