@@ -20,7 +20,9 @@ class Interrupt(KeyboardInterrupt):
 def _is_engine(code):
     name = code.co_filename
     return (
-        name.startswith((_SOURCE, "<")) and not name.startswith("<frozen") or name.endswith("contextlib.py")
+        name.startswith((_SOURCE, "<", "retalis, "))
+        and not name.startswith("<frozen")
+        or name.endswith("contextlib.py")
     )
 
 

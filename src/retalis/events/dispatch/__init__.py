@@ -4,7 +4,7 @@ from ...prolog.terms import EventAction
 from .building import compile_builder
 from .dispatch import Dispatcher
 from .lanes import Completion, goal_lane, stand_in
-from .plans import NOBODY
+from .plans import NOBODY, takes_all
 from .serving import AT_ONCE, Dispatch, Lane, Listener, Stage
 from .unread import NOT_READ
 
@@ -22,4 +22,5 @@ __all__ = [
     "NOT_READ",
     "Stage",
     "stand_in",
+    "takes_all",
 ]

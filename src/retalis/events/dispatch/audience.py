@@ -11,7 +11,7 @@ from ...foundation import Cache, UsageError
 from ...prolog.terms import Atom, EventAction, Functor, Lazy, Term, Var, copy, term_key
 from .gates import Gate
 from .matching import Matcher, compile_matcher
-from .plans import Plan, make_plan
+from .plans import Plan, make_plan, takes_all
 from .serving import Lane, Listener, Stage
 from .unread import Unread, unread_positions
 
@@ -71,7 +71,8 @@ class Audience:
             unused: variables of the pattern whose values nobody looks at, so that they may be `NOT_READ`. Where
                 the pattern is one of them, it gets events as they come, with `NOT_READ` in them.
 
-            sole: whether ``action`` may leave ``current`` to `event` where nobody else listens, and needs no cause.
+            sole: whether ``action`` may leave ``current`` to `event` where nobody else listens, and needs neither a
+                cause nor, where the pattern takes all events of its functor, the values.
 
         Raises:
             UsageError: for a pattern that no event can match (a number, a string).
@@ -151,17 +152,9 @@ class Audience:
         for gates in self._gates_of(functor):
             for gate in list(gates.values()):
                 gate.set(plan)
-        if len(listeners) == 1 and listeners[0].lane is not None and _takes_all(listeners[0].pattern):
+        if len(listeners) == 1 and listeners[0].lane is not None and takes_all(listeners[0].pattern):
             self.lanes[functor] = listeners[0].lane
         return plan
-
-
-def _takes_all(pattern: Term) -> bool:
-    """Tell whether a pattern's arguments are variables, all different."""
-    if pattern.__class__ is not tuple:
-        return False
-    found = set(pattern[1:])
-    return len(found) == len(pattern) - 1 and all(item.__class__ is Var for item in found)
 
 
 def functor_of_event(term: Term) -> Functor:

@@ -110,9 +110,11 @@ class Dispatcher(Audience):
         parent = self.current
         if parent is None and plan.__class__ is Sole and token is None:
             [(matcher, action)] = plan
-            values = matcher(term)
-            if values is None:
-                return after
+            values = None
+            if not plan.bare:
+                values = matcher(term)
+                if values is None:
+                    return after
             self.current = (term, start, end, None, ground)
             frame: Frame = (SERVE_AGAIN, self, None, after)
             next_frame = action(term, values, start, end, frame)

@@ -25,7 +25,12 @@ class Sole(tuple):  # type: ignore[type-arg]
     """The one step of a listener that may leave `Dispatcher.current` to `Dispatcher.event`.
 
     Events that follow from no other are served without setting up their dispatch.
+
+    Attributes:
+        bare: whether its pattern takes all such events, and its action needs no values.
     """
+
+    bare = False
 
 
 _OTHER = object()
@@ -36,6 +41,14 @@ _DEEPEST = 6
 def make_plan(listeners: List[Listener]) -> "Plan":
     """Return the steps, or a `Choice` between them, for listeners that are in order."""
     return _plan(listeners, (), _DEEPEST)
+
+
+def takes_all(pattern: Term) -> bool:
+    """Tell whether a pattern's arguments are variables, all different."""
+    if pattern.__class__ is not tuple:
+        return False
+    found = set(pattern[1:])
+    return len(found) == len(pattern) - 1 and all(item.__class__ is Var for item in found)
 
 
 class Choice:
@@ -108,7 +121,11 @@ def _plan(listeners: List[Listener], tested: Tuple[Path, ...], depth: int) -> "P
         steps = [(listener.matcher, listener.action) for listener in listeners]
         if all(listener.looks_on for listener in listeners):
             return Onlookers(steps)
-        return Sole(steps) if len(listeners) == 1 and listeners[0].sole else tuple(steps)
+        if len(listeners) > 1 or not listeners[0].sole:
+            return tuple(steps)
+        sole = Sole(steps)
+        sole.bare = takes_all(listeners[0].pattern)
+        return sole
     return Choice(path, listeners, tested, depth)
 
 

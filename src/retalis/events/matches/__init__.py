@@ -2,7 +2,7 @@
 
 from .absence import Absence, Emitting
 from .chains import Chain, Log, joined_at_once, joined_one_by_one, pieces_of, repetitions
-from .expiry import Expiries
+from .expiry import ByStart, Expiries
 from .matches import (
     NOTHING_HELD,
     Found,
@@ -45,6 +45,7 @@ __all__ = [
     "arrival",
     "Bounds",
     "by_occurrence",
+    "ByStart",
     "by_term",
     "Chain",
     "Emit",

@@ -105,6 +105,10 @@ class Absence:
     def bind(self, negated: Emitting, mode: NetworkOptions) -> None:
         """Take what a node finds, and have the absences among the conditions take theirs."""
         negated.bind(self.arrive, mode)
+        self.bind_carried(mode)
+
+    def bind_carried(self, mode: NetworkOptions) -> None:
+        """Have the absences among the conditions take what is found for them."""
         for absence, node in self.carried:
             absence.bind(node, mode)
 
@@ -115,12 +119,12 @@ class Absence:
     def arrive(self, match: Match, after: Frame) -> Frame:
         """Keep a negated match, unless others are in the way of all that it could be in the way of."""
         key = self.buffer.key_of(match)
-        if key is not None and self._has_borders() and not self._needed(key, match):
+        if key is not None and self.has_borders() and not self._needed(key, match):
             return after
         self.buffer.add(match, key)
         return after
 
-    def _has_borders(self) -> bool:
+    def has_borders(self) -> bool:
         """Tell whether only times matter: not where matches are tested one by one, or may be taken back."""
         return self.condition is None and not self.rule.network.mode.tracked
 
@@ -158,10 +162,13 @@ class Absence:
             key = self.asked.key(values)
         except ValueError:
             key = None
-        if key is not None and not self.ever and None not in buffer.newest and self._has_borders():
-            if key not in buffer.newest:
+        if key is not None and not self.ever and None not in buffer.newest and self.has_borders():
+            last = buffer.newest.get(key)
+            if last is None:
                 self.borders.pop(key, None)
                 return False
+            if last.older is last:
+                return after < last.start and last.end < before
             border = self.borders.get(key)
             if border is not None:
                 return border.between(after, before) is not None

@@ -2,7 +2,7 @@
 
 import heapq
 from collections import deque
-from typing import Deque, List, Tuple
+from typing import Deque, Dict, List, Optional, Tuple
 
 from .matches import Match
 
@@ -14,20 +14,16 @@ class Expiries:
 
     Most are added in the order of their instants: those are a queue, and cost the same however many wait. The others
     are a heap.
-
-    Attributes:
-        queue: instants and matches, in the order of both.
-        heap: those that were added out of order.
     """
 
-    __slots__ = ("queue", "heap")
+    __slots__ = ("_queue", "_heap")
 
     def __init__(self) -> None:
-        self.queue: Deque[Tuple[int, Match]] = deque()
-        self.heap: List[Tuple[int, int, Match]] = []
+        self._queue: Deque[Tuple[int, Match]] = deque()
+        self._heap: List[Tuple[int, int, Match]] = []
 
     def __len__(self) -> int:
-        return len(self.queue) + len(self.heap)
+        return len(self._queue) + len(self._heap)
 
     def add(self, instant: int, match: Match, waiting: int) -> None:
         """Add a match.
@@ -37,35 +33,92 @@ class Expiries:
             match: the match, which waits.
             waiting: how many matches wait altogether; those that have left are dropped when they are the larger part.
         """
-        queue = self.queue
+        queue = self._queue
         if not queue or queue[-1][0] <= instant:
             queue.append((instant, match))
         else:
-            heapq.heappush(self.heap, (instant, match.order, match))
+            heapq.heappush(self._heap, (instant, match.order, match))
         if len(self) > 2 * waiting + _SPARE:
-            self.forget_gone()
-
-    def forget_gone(self) -> None:
-        """Drop those that have left."""
-        self.queue = deque(entry for entry in self.queue if entry[1].buffer is not None)
-        self.heap = [entry for entry in self.heap if entry[2].buffer is not None]
-        heapq.heapify(self.heap)
+            self._queue = deque(entry for entry in queue if entry[1].buffer is not None)
+            self._heap = [entry for entry in self._heap if entry[2].buffer is not None]
+            heapq.heapify(self._heap)
 
     def expire(self, clock: int) -> None:
         """Let all leave whose instant is before ``clock``."""
-        queue = self.queue
+        queue = self._queue
         while queue and queue[0][0] < clock:
             queue.popleft()[1].leave()
-        heap = self.heap
+        heap = self._heap
         while heap and heap[0][0] < clock:
             heapq.heappop(heap)[2].leave()
 
     def take(self, clock: int) -> List[Match]:
         """Take out all whose instant is before ``clock``; return those of them that still wait."""
         found = []
-        queue, heap = self.queue, self.heap
+        queue, heap = self._queue, self._heap
         while queue and queue[0][0] < clock:
             found.append(queue.popleft()[1])
         while heap and heap[0][0] < clock:
             found.append(heapq.heappop(heap)[2])
         return [match for match in found if match.buffer is not None]
+
+
+class ByStart:
+    """Matches that wait, by how long after their start they go.
+
+    Most are added in the order of their starts: those of one span are a queue of nothing but the matches, and cost
+    the same however many wait. The others are a heap.
+
+    Attributes:
+        span: how long after its start a match goes, for most of them, in ns; None where none goes.
+        queue: the matches of that span.
+        others: by other spans, the matches of those.
+        heap: those that were added out of order, with their instants.
+    """
+
+    __slots__ = ("span", "queue", "others", "heap")
+
+    def __init__(self, span: Optional[int]) -> None:
+        self.span = span
+        self.queue: Deque[Match] = deque()
+        self.others: Dict[int, Deque[Match]] = {}
+        self.heap: List[Tuple[int, int, Match]] = []
+
+    def __len__(self) -> int:
+        return len(self.queue) + sum(len(queue) for queue in self.others.values()) + len(self.heap)
+
+    def of(self, span: int) -> Deque[Match]:
+        """Return the queue of a span."""
+        if span == self.span:
+            return self.queue
+        queue = self.others.get(span)
+        if queue is None:
+            queue = self.others[span] = deque()
+        return queue
+
+    def add(self, span: int, match: Match, waiting: int) -> None:
+        """Add a match that waits; ``waiting`` is how many do altogether, see `Expiries.add`."""
+        queue = self.of(span)
+        if not queue or queue[-1].start <= match.start:
+            queue.append(match)
+        else:
+            heapq.heappush(self.heap, (match.start + span, match.order, match))
+        if len(self) > 2 * waiting + _SPARE:
+            self.forget_gone()
+
+    def forget_gone(self) -> None:
+        """Drop those that have left."""
+        self.queue = deque(one for one in self.queue if one.buffer is not None)
+        for span, queue in self.others.items():
+            self.others[span] = deque(one for one in queue if one.buffer is not None)
+        self.heap = [entry for entry in self.heap if entry[2].buffer is not None]
+        heapq.heapify(self.heap)
+
+    def expire(self, clock: int) -> None:
+        """Let all leave that go before ``clock``."""
+        for span, queue in [(self.span, self.queue), *self.others.items()]:
+            while queue and queue[0].start + (span or 0) < clock:
+                queue.popleft().leave()
+        heap = self.heap
+        while heap and heap[0][0] < clock:
+            heapq.heappop(heap)[2].leave()

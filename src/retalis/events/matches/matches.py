@@ -1,6 +1,18 @@
 """Partial matches, and what can be asked about them."""
 
-from typing import Any, Dict, Hashable, Iterator, List, NamedTuple, Optional, Protocol, Tuple, Union
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Dict,
+    Hashable,
+    Iterator,
+    List,
+    NamedTuple,
+    Optional,
+    Protocol,
+    Tuple,
+    Union,
+)
 
 from ...prolog.terms import Term, Trail, Values, Var, copy, resolve, term_key, undo, unify
 
@@ -83,6 +95,15 @@ class Match:
         self.parts = parts
         self.buffer: Optional[Waited] = None
         self.used: Optional[Match] = None
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            """Return the values of one that waits without: they are all arguments of its event."""
+            if name != "values":
+                raise AttributeError(name)
+            values = self.values = self.term[1:]
+            return values
 
     @property
     def latest(self) -> int:

@@ -30,7 +30,7 @@ from .conditions import Test
 from .limits import kept_for_late
 from .nodes import Leaf, NetworkNode
 from .owners import Buffer, RuleOwner
-from .quicksides import QuickPair, Taking, quick_side
+from .quicksides import QuickPair, Taking, quick_absent, quick_side
 from .telling import Name, found_here
 
 Quick = Callable[[EventAction], EventAction]
@@ -154,7 +154,8 @@ class Joining(NetworkNode):
         self.right_buffer.identify(None if self._keeps(mode) else right_name)
         found = self._bind_sides(self._left_side(), self._right_side(mode), out, mode)
         for negated, absence in zip(self.negated, self.absences):
-            absence.bind(negated, mode)
+            _bind(negated, absence.arrive, mode, self._quick_absent(negated, absence, mode))
+            absence.bind_carried(mode)
         for absence, node in self.carried:
             absence.bind(node, mode)
         return found
@@ -228,10 +229,11 @@ class Joining(NetworkNode):
             mode: how the network runs.
         """
         rule = self.rule
-        if mode.tracked or mode.revised or rule.double or rule.collects or rule.skipping is not None:
+        if not self._is_quick(mode):
             return None
         whole = rule.completion if rule.root is self else None
         pair = QuickPair(
+            (_is_whole(self.left), _is_whole(self.right)),
             self.operator,
             self.span,
             self.taken,
@@ -243,6 +245,18 @@ class Joining(NetworkNode):
         newest, uses = mode.policy.newest, mode.policy.consuming
         taking = Taking(newest, uses, among_others(side, newest, out)) if takes else None
         return lambda plain: quick_side(side, pair, taking, rule, plain, out)
+
+    def _is_quick(self, mode: NetworkOptions) -> bool:
+        """Tell whether nothing looks at the events by which matches come to be."""
+        rule = self.rule
+        looked_at = mode.tracked or mode.revised or rule.double or rule.skipping is not None
+        return not looked_at and not rule.collects
+
+    def _quick_absent(self, negated: NetworkNode, absence: Absence, mode: NetworkOptions) -> Optional[Quick]:
+        rule = self.rule
+        if not self._is_quick(mode):
+            return None
+        return lambda plain: quick_absent(absence, rule, _is_whole(negated), plain)
 
     def _wait_later(self, match: Match, key: Hashable) -> None:
         """Let a right side wait when its event has been tried as a left side too.
@@ -341,6 +355,11 @@ class Joining(NetworkNode):
 
     def _right_waits(self, mode: NetworkOptions) -> bool:
         return self.operator.either or mode.out_of_order
+
+
+def _is_whole(node: NetworkNode) -> bool:
+    """Tell whether the matches of a node are events whose arguments are the values."""
+    return isinstance(node, Leaf) and node.whole
 
 
 def _bind(node: NetworkNode, out: Emit, mode: NetworkOptions, quick: Optional[Quick]) -> None:

@@ -8,7 +8,7 @@ from typing import AbstractSet, Any, Callable, Dict, List, Optional, Sequence, T
 
 from ...prolog.machine import Frame
 from ...prolog.terms import EventAction, Term, Values, Var, positions, variables
-from ..dispatch import Completion
+from ..dispatch import Completion, takes_all
 from ..matches import Absence, Emit, Emitting, Found, Match, NetworkOptions
 from .conditions import RuleGoal, Test
 from .owners import Buffer, RuleOwner
@@ -66,12 +66,17 @@ class NetworkNode:
 
 
 class Leaf(NetworkNode):
-    """Waits for events that unify with a term."""
+    """Waits for events that unify with a term.
+
+    Attributes:
+        whole: whether all events of its functor do, and the values are their arguments.
+    """
 
     def __init__(self, rule: RuleOwner, term: Term):
         self.rule = rule
         self.term = term
         self.alone = True
+        self.whole = takes_all(term)
         self.rank = 0
         self.vars = variables(term)
 

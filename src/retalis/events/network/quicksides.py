@@ -5,13 +5,13 @@ written here does the same to the same matches; whatever is not of the common ki
 has changed.
 """
 
-from typing import Any, Callable, Dict, NamedTuple, Optional, Sequence
+from typing import Any, Callable, Dict, NamedTuple, Optional, Sequence, Tuple
 
 from ...foundation import shared_function
 from ...prolog.machine import Frame
 from ...prolog.syntax import EventOperator
 from ...prolog.terms import Atom, EventAction, String
-from ..matches import Emit, Found, Match, Side
+from ..matches import Absence, Emit, Found, Match, MatchBuffer, Side
 from .conditions import Test
 
 _PLAIN = frozenset((Atom, int, String))
@@ -23,15 +23,17 @@ class QuickPair(NamedTuple):
     """A two-sided node, as its quick sides see it.
 
     Attributes:
+        whole: whether the matches of its left and of its right side are events whose arguments are the values.
         operator: which pairs fit, and their interval.
         span: the longest interval of a pair, in ns; None for no bound.
-        taken: the sources of the values of a pair.
+        taken: the sources of the values of a pair: of ``lv[0]``, the first value of the left match, and the like.
         blocks: what tells for each absence whether it is in the way.
         tests: of a pair.
         found: takes the values that the tests have found and that are not carried on; None where they find none.
         complete: takes the values of a whole match; None where pairs are given on as matches.
     """
 
+    whole: Tuple[bool, bool]
     operator: EventOperator
     span: Optional[int]
     taken: Sequence[str]
@@ -55,6 +57,17 @@ class Taking(NamedTuple):
     among: Callable[..., Frame]
 
 
+_HEAD = "def made(term, values, s, e, after):\n"
+_UNIFIED = """
+    if None in partners:
+        return plain(term, {values}, s, e, after)
+"""
+_ABSENT = """
+    if key in waiting or None in waiting:
+        return plain(term, {values}, s, e, after)
+    if absence.borders:
+        absence.borders.pop(key, None)
+"""
 _TICK = """
     if e > rule.clock:
         if e > rule.allowed:
@@ -63,20 +76,20 @@ _TICK = """
             rule.clock = e
             expiries = rule.expiries
             queue = expiries.queue
-            while queue and queue[0][0] < e:
-                queue.popleft()[1].leave()
-            if expiries.heap:
+            before = e - {main}
+            while queue and queue[0].start < before:
+                queue.popleft().leave()
+            if expiries.heap or expiries.others:
                 expiries.expire(e)
 """
 _OUT_OF_ORDER = """
-    instant = s + {span}
-    queue = rule.expiries.queue
-    if instant < rule.clock or queue and queue[-1][0] > instant:
-        return plain(term, values, s, e, after)
+    queue = rule.expiries.{queue}
+    if s + {span} < rule.clock or queue and queue[-1].start > s:
+        return plain(term, {values}, s, e, after)
 """
 _WAIT = """
     match = new(Match)
-    match.values = values
+{keep}
     match.start = s
     match.end = e
     match.event = match.parts = match.used = None
@@ -95,9 +108,10 @@ _WAIT = """
     if number > network.cap or len(arrivals) > 2 * number + SPARE:
         rule.look_through()
 """
-_FILE = "    queue.append((instant, match))"
-_FILE_ANEW = "    rule.expiries.add(instant, match, number)"
+_FILE = "    queue.append(match)"
+_FILE_ANEW = "    rule.expiries.add({span}, match, number)"
 """Where conditions were tested since, which may have led to other events of the rule."""
+_KEEP = "    match.values = values"
 _PAIR = """
     s{one} = s
     e{one} = e
@@ -106,8 +120,7 @@ _PAIR = """
     start = {operator.start}
     end = {operator.end}
     if {fits}:
-        {one_values} = values
-        {two_values} = partner.values
+        {given}
         met = {met}
 """
 _ONE = """
@@ -127,16 +140,16 @@ _ONE = """
 {stays}
 {give}
             if last.older is not last:
-                return among(Match(values, s, e, None, term, None), key, partner, after)
+                return among(Match({values}, s, e, None, term, None), key, partner, after)
         elif last.older is not last:
-            return plain(term, values, s, e, after)
+            return plain(term, {values}, s, e, after)
 {waits}
     return after
 """
 _ALL = """
     partner = partners.get(key)
     if partner is not None and partner.older is not partner:
-        return plain(term, values, s, e, after)
+        return plain(term, {values}, s, e, after)
 {waits}
     if partner is None or partner.buffer is None:
         return after
@@ -148,7 +161,7 @@ _ALL = """
 """
 _COMPLETE = "return complete(None, met, start, end, after)"
 _EMIT = """
-match = Match(values, s, e, None, term, None)
+match = Match({values}, s, e, None, term, None)
 return emit(Match(met, start, end, None, None, {parts}), after)
 """
 
@@ -186,64 +199,113 @@ def quick_side(
     }
     names.update((f"absence{at}", one) for at, one in enumerate(pair.blocks))
     names.update((f"test{at}", one) for at, one in enumerate(pair.tests))
-    made: EventAction = shared_function(_source(side, pair, taking, rule.timed), names, "side of a pair")
+    made: EventAction = shared_function(_source(side, pair, taking, rule), names, "side of a pair")
     return made
 
 
-def _source(side: Side, pair: QuickPair, taking: Optional[Taking], timed: bool) -> str:
+def quick_absent(absence: Absence, rule: Any, whole: bool, plain: EventAction) -> EventAction:
+    """Return what takes the values of an event that must not happen, where no other waits under its key.
+
+    Args:
+        absence: where it waits.
+        rule: the rule.
+        whole: whether its values are its arguments.
+        plain: the plain way, for all else.
+    """
+    buffer = absence.buffer
+    names: Dict[str, Any] = {
+        "rule": rule,
+        "network": rule.network,
+        "absence": absence,
+        "own": buffer,
+        "waiting": buffer.newest,
+        "plain": plain,
+        "new": object.__new__,
+        "Match": Match,
+        "PLAIN": _PLAIN,
+        "SPARE": SPARE,
+    }
+    source = _text(
+        _HEAD + _key([one for one, _ in absence.shared], whole) + _ABSENT + _before(buffer, rule, True),
+        _waiting(buffer, whole, False) + "    return after",
+        whole,
+    )
+    made: EventAction = shared_function(source, names, "absent event")
+    return made
+
+
+def _source(side: Side, pair: QuickPair, taking: Optional[Taking], rule: Any) -> str:
     """Return the source: it has nothing of the program's in it but spans, and how many of what there are."""
-    span = side.own.span
-    parts = ["def made(term, values, s, e, after):", _key([one for one, _ in side.shared])]
-    if taking is not None:
-        parts.append("    if None in partners:\n        return plain(term, values, s, e, after)")
-    if timed:
-        parts.append(_TICK)
-    if (side.waits or side.stays) and span is not None:
-        parts.append(_OUT_OF_ORDER.format(span=span))
-    file = _FILE_ANEW if taking is not None and (pair.blocks or pair.tests) else _FILE
-    wait = _WAIT.format(file="" if span is None else file)
+    whole = pair.whole[0 if side.left else 1]
+    begin = _HEAD + _key([one for one, _ in side.shared], whole)
+    begin += _UNIFIED if taking is not None else ""
+    begin += _before(side.own, rule, side.waits or side.stays)
+    wait = _waiting(side.own, whole, taking is not None and bool(pair.blocks or pair.tests))
     waits = wait if side.waits else ""
     if taking is None:
-        parts += [wait, "    return after"]
+        rest = wait + "    return after"
     elif taking.uses:
-        parts.append(
-            _ONE.format(
-                partner="last" if taking.newest else "last.newer",
-                pair=_indented(_pair(side, pair), 1),
-                tests=_indented(_tests(pair), 3),
-                stays=_indented(wait, 3) if side.stays else "",
-                give=_indented(_give(side, pair), 4),
-                waits=waits,
-            )
+        rest = _ONE.format(
+            values="{values}",
+            partner="last" if taking.newest else "last.newer",
+            pair=_indented(_pair(side, pair), 1),
+            tests=_indented(_tests(pair), 3),
+            stays=_indented(wait, 3) if side.stays else "",
+            give=_indented(_give(side, pair), 4),
+            waits=waits,
         )
     else:
-        parts.append(
-            _ALL.format(
-                pair=_pair(side, pair),
-                tests=_indented(_tests(pair), 2),
-                give=_indented(_give(side, pair), 3),
-                waits=waits,
-            )
+        rest = _ALL.format(
+            values="{values}",
+            pair=_pair(side, pair),
+            tests=_indented(_tests(pair), 2),
+            give=_indented(_give(side, pair), 3),
+            waits=waits,
         )
-    return "".join(line + "\n" for part in parts for line in part.splitlines() if line.strip())
+    return _text(begin, rest, whole)
 
 
-def _key(places: Sequence[int]) -> str:
+def _text(begin: str, rest: str, whole: bool) -> str:
+    lines = (begin + rest).replace("{values}", "term[1:]" if whole else "values").splitlines(True)
+    return "".join(line for line in lines if line.strip()) + "\n"
+
+
+def _before(own: MatchBuffer, rule: Any, waits: bool) -> str:
+    """Return the lines that move the rule's clock, and leave what is out of order to the plain way."""
+    main, span = rule.expiries.span, own.span
+    found = _TICK.replace("{main}", str(main or 0)) if rule.timed else ""
+    if waits and span is not None:
+        queue = "queue" if span == main else f"of({span})"
+        found += _OUT_OF_ORDER.replace("{queue}", queue).replace("{span}", str(span))
+    return found
+
+
+def _waiting(own: MatchBuffer, whole: bool, anew: bool) -> str:
+    file = _FILE_ANEW.replace("{span}", str(own.span)) if anew else _FILE
+    return _WAIT.format(keep="" if whole else _KEEP, file="" if own.span is None else file)
+
+
+def _key(places: Sequence[int], whole: bool) -> str:
     lines = []
     for at, place in enumerate(places):
         lines += [
-            f"    k{at} = values[{place}]",
+            f"    k{at} = term[{place + 1}]" if whole else f"    k{at} = values[{place}]",
             f"    if k{at}.__class__ not in PLAIN:",
-            "        return plain(term, values, s, e, after)",
+            "        return plain(term, {values}, s, e, after)",
         ]
     keys = [f"k{at}" for at in range(len(places))]
-    return "\n".join([*lines, f"    key = {keys[0] if len(keys) == 1 else _tuple(keys)}"])
+    return "\n".join([*lines, f"    key = {keys[0] if len(keys) == 1 else _tuple(keys)}", ""])
 
 
 def _pair(side: Side, pair: QuickPair) -> str:
     """Return the lines that tell whether a partner fits, and what the values of the pair are."""
     one, two = ("1", "2") if side.left else ("2", "1")
-    values = ("lv", "rv") if side.left else ("rv", "lv")
+    given = []
+    met = list(pair.taken)
+    for name, of, whole in zip("lr", ("", "partner.") if side.left else ("partner.", ""), pair.whole):
+        given.append(f"{name}v = {of}{'term' if whole else 'values'}")
+        if whole:
+            met = [_argument(one) if one.startswith(f"{name}v[") else one for one in met]
     fits = [f"({one})" for one in pair.operator.comparisons]
     fits += [] if pair.span is None else [f"end - start <= {pair.span}"]
     return _PAIR.format(
@@ -251,10 +313,14 @@ def _pair(side: Side, pair: QuickPair) -> str:
         two=two,
         operator=pair.operator,
         fits=" and ".join(fits) or "True",
-        one_values=values[0],
-        two_values=values[1],
-        met=_tuple(pair.taken),
+        given="; ".join(given),
+        met=_tuple(met),
     )
+
+
+def _argument(value: str) -> str:
+    """Return the source of an argument in place of that of a value: the functor is the first item of an event."""
+    return f"{value[:3]}{int(value[3:-1]) + 1}]"
 
 
 def _tests(pair: QuickPair) -> str:
@@ -277,7 +343,8 @@ def _give(side: Side, pair: QuickPair) -> str:
     if pair.complete is not None:
         return _COMPLETE
     parts = ["match", "partner"] if side.left else ["partner", "match"]
-    return _EMIT.format(parts=_tuple([*parts, *([] if pair.found is None else ["Found(found(met))"])]))
+    parts += [] if pair.found is None else ["Found(found(met))"]
+    return _EMIT.replace("{parts}", _tuple(parts))
 
 
 def _indented(text: str, by: int) -> str:

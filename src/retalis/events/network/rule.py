@@ -8,7 +8,7 @@ from ...prolog.machine import Frame
 from ...prolog.terms import Atom, Functor, Term, Values, Var, deref, is_ground
 from ..dispatch import NOBODY, Completion, EventAction, Lane, Listener, Stage, compile_builder
 from ..language import RuleDefinition, alarm_of
-from ..matches import Emit, Expiries, Match, MatchBuffer, NetworkOptions
+from ..matches import ByStart, Emit, Expiries, Match, MatchBuffer, NetworkOptions
 from .compiling import RuleCompiler
 from .limits import least
 from .nodes import Leaf
@@ -66,7 +66,8 @@ class Rule:
         self.completion: Optional[Completion] = None
         self.order = 0
         self.arrivals: Deque[Match] = deque()
-        self.expiries = Expiries()
+        self.expiries = ByStart(None)
+        self._span: Optional[int] = None
         self._collected_at: Optional[int] = None
         self._garbage: Optional[Tuple[int, int]] = None
         self._by_end = Expiries()
@@ -97,6 +98,8 @@ class Rule:
             limit = limits.late if mode.out_of_order else limits.in_order
             node.set_span(least(span, window) if node.windowed else span, least(limit, window))
             self.timed = self.timed or any(buffer.span is not None for buffer in node.buffers())
+        spans = [buffer.span for buffer in self._buffers() if buffer.span is not None]
+        self._span = max(spans, key=spans.count) if spans else None
         self._watched = self.timed or mode.tracked or skipping is not None
         self._resettle()
         self.unlisten()
@@ -182,13 +185,16 @@ class Rule:
 
     def _resettle(self) -> None:
         """File what waits already under the bounds that hold now."""
-        self.expiries = Expiries()
-        self._by_end = Expiries()
+        self._expire_nothing()
         for match in self.arrivals:
             if match.buffer is not None:
                 self._file(match, match.buffer.span)
         if self.skipping is not None:
             self.skipping.refile(self.arrivals)
+
+    def _expire_nothing(self) -> None:
+        self.expiries = ByStart(self._span)
+        self._by_end = Expiries()
 
     def listen(
         self, leaf: Listening, action: EventAction, lane: Optional[Lane] = None, sole: bool = False
@@ -254,8 +260,7 @@ class Rule:
         for match in list(self.arrivals):
             match.leave()
         self.arrivals.clear()
-        self.expiries = Expiries()
-        self._by_end = Expiries()
+        self._expire_nothing()
 
     def add_later(self, buffer: MatchBuffer, match: Match, key: Hashable) -> None:
         """Let a match wait in a buffer when the next event comes; at once where the clock has brought it."""
@@ -343,7 +348,7 @@ class Rule:
 
     def _file(self, match: Match, span: Optional[int]) -> None:
         if span is not None:
-            self.expiries.add(match.start + span, match, self.waiting)
+            self.expiries.add(span, match, self.waiting)
         if self._garbage is not None:
             self._by_end.add(match.latest, match, self.waiting)
 
