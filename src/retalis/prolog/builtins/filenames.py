@@ -169,4 +169,5 @@ def _joined(path: Term) -> str:
 @deterministic("exists_directory/1")
 def exists_directory(machine: Machine, name: Term) -> bool:
     """Succeed for a folder that is there, and whose files goals may open."""
-    return _files(machine).is_folder(_name(name))
+    path = _name(name)
+    return _files(machine).is_folder(path)
