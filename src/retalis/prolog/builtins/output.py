@@ -1,6 +1,6 @@
 """Output: write and its sisters, format, and output caught as text."""
 
-from typing import Callable, Dict, List, Optional
+from typing import Any, Callable, Dict, List, Optional
 
 from ..arithmetic import evaluate
 from ..machine import (
@@ -16,6 +16,7 @@ from ..machine import (
 from ..syntax import write_term
 from ..terms import CONS, NIL, Atom, CompoundTerm, Term, Values, Var, deref, list_items, resolve, unify
 from .arguments import integer, is_iso, option_values
+from .cutting import cut_off
 from .formatting import Formatter
 from .portraying import OutputCapture, portray_of, printed
 from .program import Machine, MachineProgram
@@ -213,6 +214,7 @@ _OPTIONS: Dict[str, Callable[[CompoundTerm, Term, bool], object]] = {
     "brace_terms": _truth,
     "portray": _truth,
     "spacing": _spacing,
+    "max_depth": lambda option, value, iso: integer(value),
     "priority": lambda option, value, iso: integer(value),
     "variable_names": lambda option, value, iso: _variable_names(option),
 }
@@ -235,17 +237,23 @@ def _variable_names(option: CompoundTerm) -> Dict[Var, str]:
     return names
 
 
+def _with_options(machine: Machine, term: Term, options: Term) -> str:
+    found: Dict[str, Any] = write_options(machine, options)
+    depth = found.pop("max_depth", 0)
+    return write_term(cut_off(term, depth) if depth > 0 else term, machine.logic.operators, **found)
+
+
 @deterministic("write_term/2")
 def write_term_2(machine: Machine, term: Term, options: Term) -> bool:
     """Write a term with options."""
-    machine.logic.write(write_term(term, machine.logic.operators, **write_options(machine, options)))
+    machine.logic.write(_with_options(machine, term, options))
     return True
 
 
 @deterministic("write_term/3")
 def write_term_3(machine: Machine, stream: Term, term: Term, options: Term) -> bool:
     """Write a term with options to a stream."""
-    write_to(machine, stream, write_term(term, machine.logic.operators, **write_options(machine, options)))
+    write_to(machine, stream, _with_options(machine, term, options))
     return True
 
 
