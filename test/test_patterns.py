@@ -54,6 +54,18 @@ ESCAPES = (
 BLANKS = (" ", "\t", "\n", " \n")
 
 CASES: Dict[str, Case] = {
+    r"(\0(?:,\0)*|'(?:[^\0'\"]*')*)": Case(
+        "split",
+        "each place once, and what stands between two quotes once more",
+        ("", "\0", "'", "p("),
+        ("\0", "\0,", "'", "'a", "''", "'a'", "'\0", "'\"", ","),
+    ),
+    r"(?:[^e]*\.[0-9]+e(?:-[0-9]{1,3}|\+?[0-9]{1,2})(?![0-9]))*[^e]*": Case(
+        "fullmatch",
+        "the digits before an exponent that is none once more",
+        ("", "1.0e5", "."),
+        ("1", "1.1", ".", "e", "1.0e-5,", "1.0e123", "1e5", "1.0e"),
+    ),
     # engine/drawing/timeline.py
     r"'(?:[^'\\]|\\.|'')*'|[^(]*": Case(
         "match", "a quote that is never closed: all once more", ("", "'"), ("a", "''", "\\'")
