@@ -21,7 +21,10 @@ FIRST, LAST = 60, 460
 
 SEEN_TO_AT = (
     ("events.dispatch.audience", "_GATES"),
-    ("events.network.rule", "_SPARE"),
+    ("events.network.quicksides", "SPARE"),
+    ("events.network.rule", "SPARE"),
+    ("events.matches.expiry", "_SPARE"),
+    ("events.matches.absence", "_SPARE"),
     ("engine.runtime.reports", "_KINDS"),
 )
 """Numbers from which on it is looked what is of no use any more."""
@@ -53,5 +56,7 @@ def left(name):
 if __name__ == "__main__":
     logging.getLogger("retalis").setLevel(logging.CRITICAL)
     for module, number in SEEN_TO_AT:
-        setattr(importlib.import_module(f"retalis.{module}"), number, 10)
+        place = importlib.import_module(f"retalis.{module}")
+        getattr(place, number)  # one that is not there any more is an error
+        setattr(place, number, 10)
     print(json.dumps({name: left(name) for name in sys.argv[1:]}))

@@ -3,7 +3,7 @@
 from typing import Optional
 
 from ...foundation import RetalisError, TermTooLarge
-from ..terms import SLASH, Functor, Term, Var, atom, functor
+from ..terms import COMMA, SLASH, Atom, Functor, Term, Var, atom, deref, functor
 from .describing import CONTEXT, ERROR, describe
 
 _TYPE_ERROR = functor("type_error", 2)
@@ -131,6 +131,17 @@ def uninstantiation_error(culprit: Term) -> PrologError:
 def indicator(key: Functor) -> Term:
     """Return ``Name/Arity`` as a term."""
     return (SLASH, atom(key.name), key.arity)
+
+
+_BODIES = {COMMA, functor(";", 2), functor("->", 2), functor("*->", 2)}
+
+
+def first_called(goal: Term) -> Optional[Functor]:
+    """Return the functor of a goal, in a body of its first; None where it is nothing that can be called."""
+    goal = deref(goal)
+    while goal.__class__ is tuple and goal[0] in _BODIES:
+        goal = deref(goal[1])
+    return goal[0] if goal.__class__ is tuple else goal.functor if goal.__class__ is Atom else None
 
 
 def from_python(exc: BaseException) -> Optional[PrologError]:

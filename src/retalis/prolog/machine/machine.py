@@ -9,11 +9,11 @@ There is no recursion: the depth of a program is the length of a chain of frames
 from typing import Any, Callable, Generator, List, Optional, Tuple
 
 from ...foundation import RetalisError, TermTooLarge, watched_by
-from ..terms import Atom, Frame, Functor, Term, Trail, Values, Var, copy, deref, undo, unify
+from ..terms import Frame, Term, Trail, Values, Var, copy, deref, undo, unify
 from .budget import Budget
 from .codes import BAIL, DEAD, STOP, Asked, Code, Guard, fail
 from .describing import CONTEXT, ERROR
-from .faults import PrologError, from_python, indicator, resource_error
+from .faults import PrologError, first_called, from_python, indicator, resource_error
 from .limits import SLICE
 from .trail import compact
 
@@ -323,7 +323,7 @@ class Machine:
         if ball.__class__ is tuple and ball[0] is ERROR and ball[2].__class__ is Var:
             key = getattr(frame[0], "functor", None)
             if frame[0] is self.goal_code:
-                key = _functor_of(deref(frame[1]))
+                key = first_called(frame[1])
             if key is not None:
                 ball[2].ref = (CONTEXT, indicator(key), Var())
 
@@ -377,10 +377,6 @@ class Machine:
     def _attempt_failed(self, entry: Frame) -> Optional[Frame]:
         self.budget.goal = entry[1]
         return entry[2]  # type: ignore[no-any-return]
-
-
-def _functor_of(goal: Term) -> Optional[Functor]:
-    return goal[0] if goal.__class__ is tuple else goal.functor if goal.__class__ is Atom else None
 
 
 class _AttemptExit:
