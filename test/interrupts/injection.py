@@ -26,13 +26,8 @@ def _is_engine(code):
     )
 
 
-class AtBytecode:
-    """Raises an interrupt before the n-th bytecode; with none it counts them."""
-
-    def __init__(self, at=None):
-        self.at = at
-        self.number = 0
-        self.where = None
+class Traced:
+    """What watches each call while it is entered, by a method ``_call``."""
 
     def __enter__(self):
         self._before = sys.gettrace()
@@ -41,6 +36,20 @@ class AtBytecode:
 
     def __exit__(self, *exception):
         sys.settrace(self._before)
+
+    def interrupt(self):
+        """Raise an interrupt, and watch no more."""
+        sys.settrace(None)
+        raise Interrupt
+
+
+class AtBytecode(Traced):
+    """Raises an interrupt before the n-th bytecode; with none it counts them."""
+
+    def __init__(self, at=None):
+        self.at = at
+        self.number = 0
+        self.where = None
 
     def _call(self, frame, event, argument):
         if self.where is not None or not _is_engine(frame.f_code):
@@ -56,8 +65,7 @@ class AtBytecode:
                 self.where = (
                     f"{frame.f_code.co_filename}:{frame.f_lineno} ({frame.f_code.co_name}, {frame.f_lasti})"
                 )
-                sys.settrace(None)
-                raise Interrupt
+                self.interrupt()
         return self._step
 
 

@@ -1,7 +1,6 @@
 """Operators on streams that are interrupted between any two lines, and mended: they go on as if all was well."""
 
 import contextlib
-import sys
 from pathlib import Path
 
 import pytest
@@ -19,24 +18,16 @@ from retalis.events.streams import (
     Spaced,
 )
 
-from .injection import Interrupt
+from .injection import Interrupt, Traced
 
 _SOURCE = str(Path(streams.__file__).parent)
 
 
-class AtLine:
+class AtLine(Traced):
     """Raises an interrupt before the n-th line of operators on streams."""
 
     def __init__(self, at):
         self.left = at
-
-    def __enter__(self):
-        self._before = sys.gettrace()
-        sys.settrace(self._call)
-        return self
-
-    def __exit__(self, *exception):
-        sys.settrace(self._before)
 
     def _call(self, frame, event, argument):
         return self._line if frame.f_code.co_filename.startswith(_SOURCE) else None
@@ -45,8 +36,7 @@ class AtLine:
         if event == "line":
             self.left -= 1
             if not self.left:
-                sys.settrace(None)
-                raise Interrupt
+                self.interrupt()
         return self._line
 
 
