@@ -16,6 +16,10 @@ from retalis.events.streams import (
     Settled,
     Sliding,
     Spaced,
+    SteppedWindow,
+    StepPlan,
+    StepTest,
+    WindowStep,
 )
 
 from .injection import Interrupt, Traced
@@ -40,7 +44,20 @@ class AtLine(Traced):
         return self._line
 
 
+def at_instant(instant):
+    """Return the tests of a step that takes, or ends at, the item of an instant."""
+    return (StepTest((), lambda item, asked: item.end == instant),)
+
+
+def stepped():
+    """Return a window of steps in which matches wait for one that is preferred."""
+    optional = WindowStep(0, 1, False, True, at_instant(15), at_instant(19))
+    plan = StepPlan([WindowStep(1, 1, False, False, (), ()), optional], [])
+    return SteppedWindow(listing, [None], plan, lambda: None)
+
+
 OPERATORS = {
+    "steps": stepped,
     "last seconds": lambda: Sliding(listing, 5),
     "last items": lambda: Newest(listing, 2),
     "batches": lambda: Batches(listing, 3, False),
