@@ -56,6 +56,42 @@ def test_numbers_are_written_as_those_of_terms(x, y, number):
     assert freeze(EventReader().read(text)) == freeze(_decoder.decode(data))
 
 
+TWISTED = (
+    "Header header\nstring name\nfloat64 x\nfloat64 y\nfloat32 z\nint8 n\nfloat64[3] t\nfloat64 w\n" + HEADER
+)
+FLOATS = [0.0, -0.0, 1.0, 1e-7, -1e22, 1.5e-9, 123456.789, float("inf"), float("-inf"), float("nan")]
+
+
+def twisted(x, y, z, t, w):
+    texts = packed(b"map") + packed(b"one")
+    return struct.pack("<III", 1, 2, 3) + texts + struct.pack("<ddfb3dd", x, y, z, 7, *t, w)
+
+
+@settings(deadline=None, max_examples=50)
+@given(st.lists(st.lists(st.sampled_from(FLOATS), min_size=7, max_size=7), min_size=2, max_size=4))
+def test_floats_that_stay_and_that_change_are_written_as_those_of_terms(rows):
+    found = decoder(TWISTED)
+    write = text_writer(found)
+    for row in rows:
+        for _ in range(2):
+            data = twisted(*row[:3], row[3:6], row[6])
+            assert write(data) == to_text(found.decode(data))
+
+
+def test_floats_before_texts_and_without_are_written_as_those_of_terms():
+    for text, data in (
+        (
+            "float64 x\nfloat64 y\nstring name\n",
+            [struct.pack("<dd", at, 1e-9) + packed(b"n") for at in (1.5, 1e30)],
+        ),
+        ("string name\nfloat64[0] x\nint8 n\n", [packed(b"n") + b"\x05"]),
+    ):
+        found = decoder(text)
+        write = text_writer(found)
+        for one in data * 2:
+            assert write(one) == to_text(found.decode(one))
+
+
 _decoder = decoder(POSE)
 _writer = text_writer(_decoder)
 

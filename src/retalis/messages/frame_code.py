@@ -7,7 +7,10 @@ from ..foundation import Cache
 from ..prolog.terms import SECOND, Term
 from .decode_code import DecoderSource
 from .definition import Definition, Field
-from .textcache import keep_text, read_texts, text_cache
+from .textcache import TEXT_COST, keep_text, read_texts, text_cache
+
+_BESIDE = 400
+"""Bytes of what is kept beside the texts under one name."""
 
 
 class Unsuited(Exception):
@@ -56,6 +59,8 @@ class FrameSource(DecoderSource):
         self.before: Tuple[str, List[str]] = ("", [])
         self.count: Optional[str] = None
         self.closed = False
+        self.beside: List[str] = []
+        """Variables whose values are kept beside the texts of a message's frames, None at first."""
 
     def fixed(self, code: str) -> str:
         """Add a number, before the texts or behind them."""
@@ -123,9 +128,11 @@ class FrameSource(DecoderSource):
         found = list(self.texts)
         if self.watch is not None:
             found.append("f")
+        found[len(self.texts) : len(self.texts)] = self.beside
         lines.append(f"  {', '.join(found)}{'' if len(found) == 1 else ','} = k")
         if self.watch is not None:
             lines += self._look(self.watch)
+        lines += self.prepare(tail.size)
         return [*lines, f"  return {result}"]
 
     def _look(self, watch: Watch) -> List[str]:
@@ -156,20 +163,29 @@ class FrameSource(DecoderSource):
 
     def _cache_texts(self) -> None:
         """Have ``known`` and ``learn`` give all texts of a message by the bytes that they make up."""
-        cache: Cache[bytes, object] = text_cache()
+        more = _BESIDE * len(self.beside)
+        cache: Cache[bytes, object] = Cache(2048, 2 << 20, 1024 + more) if more else text_cache()
         number = len(self.texts)
-        kept, watched = self.kept, self.watch is not None
+        kept, watched, beside = self.kept, self.watch is not None, [None] * len(self.beside)
 
         def learn(key: bytes) -> object:
             read = read_texts(key, number)
             if read is None:
                 return None
             texts = [kept(text) for text in read]
-            if watched:
-                return keep_text(cache, key, [*texts, _NOTHING])
+            if watched or beside:
+                known = [*texts, *beside, *([_NOTHING] if watched else ())]
+                return cache.keep(key, known, TEXT_COST * len(key) + more)
             return keep_text(cache, key, tuple(texts) if number > 1 else texts[0])
 
         self.names.update(known=cache.get, learn=learn)
+
+    def prepare(self, tail: int) -> List[str]:
+        """Return the lines that make what the result needs besides, ``tail`` being the bytes behind the texts.
+
+        They find what is known of the frames in ``k``, and in it, after the texts, what is kept `beside` them.
+        """
+        return []
 
     def finish(self, result: str) -> str:
         """Return the source of what the function gives, from the source of the message's term."""

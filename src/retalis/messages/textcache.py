@@ -9,7 +9,7 @@ from .text import text_term
 
 _Made = TypeVar("_Made")
 
-_COST = 4
+TEXT_COST = 4
 """Bytes that a text takes for each of its own: as a key, and in atoms, in base64 at worst."""
 
 
@@ -23,7 +23,7 @@ texts: Cache[bytes, Term] = text_cache()
 
 def keep_text(cache: Cache[bytes, _Made], key: bytes, value: _Made) -> _Made:
     """Keep what was made of the bytes of texts; return it."""
-    return cache.keep(key, value, _COST * len(key))
+    return cache.keep(key, value, TEXT_COST * len(key))
 
 
 def read_text(data: bytes, start: int, stop: int) -> Term:

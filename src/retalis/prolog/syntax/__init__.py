@@ -3,7 +3,7 @@ r"""Text to terms and back: Prolog with SWI-Prolog's extensions, and the event l
 * `read_term` reads one term, `read_program` a whole text clause by clause; both give `ReadTerm` objects:
   the term, its variables by name, and the places of its parts. Errors are `SyntaxFault` only.
 * `Operators` is the operator table that they read with, `ReadFlags` says how quotes read.
-* `EventReader` reads event text, fast for shapes that it has seen; `to_text`, `float_text` and `event_text` write it.
+* `EventReader` reads event text, fast for shapes that it has seen; `to_text` and `event_text` write it.
 * `write_term` and `writeq` write terms that read back.
 
 Event rules come out with canonical functors, however their operators are spelt (``rules.py`` says which
@@ -25,7 +25,7 @@ terms without arguments (``f()``), and a blank between groups of digits (``1 000
 
 from .eventoperators import EVENT_OPERATOR, EVENT_OPERATORS, EventOperator, OperatorKind
 from .eventreader import EventReader
-from .eventtext import event_text, float_text, to_text
+from .eventtext import event_text, to_text
 from .numerals import integer
 from .operators import DECLARE_EVENT, Operators
 from .reader import OF_FILES, Program, ReadTerm, read_program, read_term
@@ -42,7 +42,6 @@ __all__ = [
     "event_text",
     "EventOperator",
     "EventReader",
-    "float_text",
     "integer",
     "OF_FILES",
     "OperatorKind",
