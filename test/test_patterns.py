@@ -179,6 +179,13 @@ CASES: Dict[str, Case] = {
         ("", "a", "a[", "a[1", "a[1 ", "a[1] ", "a a", "a a "),
         (*BLANKS, "a", "1", "1 ", "[ ", "a "),
     ),
+    # messages/eventtexts.py
+    r"(^|,)(-?[0-9]+)e": Case(
+        "search",
+        "a number without an exponent: its digits once more",
+        ("", ","),
+        (",", "-", "1", ",1", ",-1", "e"),
+    ),
     # messages/text.py
     r"[ -~\t\n\r\v\f]*\Z": Case(
         "match", "bytes that cannot be shown at the end: all once more", ("",), ("a", "\n")

@@ -9,7 +9,7 @@ There is no recursion: the depth of a program is the length of a chain of frames
 from typing import Any, Callable, Generator, List, Optional, Tuple
 
 from ...foundation import RetalisError, TermTooLarge, watched_by
-from ..terms import Frame, Term, Trail, Values, Var, copy, deref, undo, unify
+from ..terms import Frame, Term, Trail, Values, Var, copy, undo, unify
 from .budget import Budget
 from .codes import BAIL, DEAD, STOP, Asked, Code, Guard, fail
 from .describing import CONTEXT, ERROR
