@@ -269,3 +269,21 @@ def test_libraries_whose_predicates_are_there_may_be_used(program):
         rules=":- use_module(library(dcg/basics)). :- use_module(library(ugraphs)). :- autoload(library(plunit)). p."
     )
     assert program.warnings == []
+
+
+def test_predicates_that_are_used_may_get_names_of_their_own(program, tmp_path):
+    (tmp_path / "kb.pl").write_text(":- module(kb, [p/1, q//1, go/0]).\np(1).\np(2).\nq(X) --> [X].\ngo.\n")
+    (tmp_path / "user.pl").write_text(
+        ":- module(user_of, [r/1]).\n:- use_module(kb, except([q//1, p/1 as small])).\nr(X) :- small(X).\nsmaller(0).\n"
+    )
+    program.engine.load(
+        rules=":- use_module(kb, [p/1 as counted, q//1 as item, go/0 as started, zzz, p/x as y, X as z]).\n"
+        ":- use_module(library(lists), [append/3 as joined]).\n:- use_module(user)."
+    )
+    assert program.warnings == []
+    assert program.engine.call(
+        "findall(X, counted(X), [1, 2]), phrase(item(a), [a]), started, joined([1], [2], [1,2])"
+    )
+    assert program.engine.call(
+        "findall(X, r(X), [1, 2]), \\+ catch(small(_), error(existence_error(_, _), _), fail)"
+    )

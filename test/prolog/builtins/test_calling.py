@@ -3,7 +3,8 @@
 import pytest
 from prolog.support import answers, first, prolog
 
-from retalis.prolog.machine import Limits
+from retalis.prolog.machine import Limits, PrologError
+from retalis.prolog.syntax import read_term
 
 
 @pytest.fixture
@@ -179,3 +180,27 @@ def test_solutions_that_are_distinct(logic):
 def test_lambda(logic, goal, values):
     found = answers(logic, goal)
     assert [one["L"] if isinstance(one, dict) else one for one in found] == values
+
+
+@pytest.mark.parametrize(
+    "goal", ["dif(X, a)", "freeze(X, true)", "when(ground(f(X)), true)", "dif(f(X), f(Y))"]
+)
+def test_a_goal_that_would_wait_says_what_can(goal):
+    logic = prolog()
+    with pytest.raises(PrologError) as caught:
+        logic.once(read_term(goal, logic.operators).term)
+    name = goal[: goal.index("(")]
+    assert f"(in {name}/2): no goal waits here" in caught.value.message
+    assert "use_swi" in caught.value.message
+
+
+@pytest.mark.parametrize(
+    ("goal", "there"),
+    [("succ/2", True), ("(=)/2", True), ("no_such/2", False), ("p/1", True), ("p/2", False)],
+)
+def test_a_predicate_of_the_system_is_one_where_it_is_named(goal, there):
+    logic = prolog("p(1). :- dynamic(p/2).")
+    assert logic.once(read_term(f"current_predicate({goal})", logic.operators).term) == there
+    assert logic.once(read_term("current_predicate(succ/N)", logic.operators).term) is False
+    assert logic.once(read_term("set_prolog_flag(iso, true)", logic.operators).term)
+    assert logic.once(read_term(f"current_predicate({goal})", logic.operators).term) == (goal == "p/1")

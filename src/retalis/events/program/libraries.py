@@ -1,9 +1,15 @@
 """Files and libraries as ``use_module/1``, ``ensure_loaded/1`` and ``include/1`` name them."""
 
+from typing import List
+
+from ...prolog.database import indicated
 from ...prolog.machine import CONTEXT, PrologError, existence_error, instantiation_error, type_error
-from ...prolog.terms import SLASH, Atom, String, Term, Var, atom, deref, functor
+from ...prolog.terms import NIL, SLASH, Atom, String, Term, Var, atom, deref, functor, list_items
 
 LIBRARY = functor("library", 1)
+_EXCEPT, _AS, _CLAUSE = functor("except", 1), functor("as", 2), functor(":-", 2)
+_NAMES = (SLASH, functor("//", 2))
+_MOST_ARGUMENTS = 1000
 _ELSEWHERE = (
     "what the program calls of it has to be defined elsewhere, or the file to be given to SWI-Prolog: "
     ":- use_swi(File), see docs/prolog.md"
@@ -69,6 +75,26 @@ def require_library(term: Term) -> None:
         raise instantiation_error()
     if library_path(name) not in LIBRARIES:
         raise existence_error("library", name, (CONTEXT, Var(), atom(_ELSEWHERE)))
+
+
+def renaming(imports: Term = NIL) -> List[Term]:
+    """Return the clauses by which predicates have the names that ``use_module(File, [p/1 as q])`` gives them."""
+    imports = deref(imports)
+    if imports.__class__ is tuple and imports[0] is _EXCEPT:
+        imports = imports[1]
+    found: List[Term] = []
+    for item in map(deref, list_items(imports) or ()):
+        if item.__class__ is tuple and item[0] is _AS:
+            named, name = deref(item[1]), deref(item[2])
+            key = indicated(named) if named.__class__ is tuple and named[0] in _NAMES else None
+            if key is not None and name.__class__ is Atom and key.arity <= _MOST_ARGUMENTS:
+                args = [Var() for _ in range(key.arity)]
+                found.append((_CLAUSE, _call(name.name, args), _call(key.name, args)))
+    return found
+
+
+def _call(name: str, args: List[Var]) -> Term:
+    return (functor(name, len(args)), *args) if args else atom(name)
 
 
 def library_path(name: Term) -> str:

@@ -7,16 +7,25 @@ them. Where the answer depends on a variable that is not bound yet, these are in
 from typing import List, Optional, Tuple
 
 from ...foundation import BULK, TermTooLarge, look
-from ..machine import Frame, domain_error, instantiation_error
-from ..terms import COMMA, ROUNDS, Functor, Term, Values, Var, deref, functor, is_ground, undo, unify
+from ..machine import CONTEXT, Frame, PrologError, domain_error, error, indicator, instantiation_error
+from ..terms import COMMA, ROUNDS, Functor, Term, Values, Var, atom, deref, functor, is_ground, undo, unify
 from .comparing import different
 from .program import Machine
 from .registry import control, deterministic
 
+_DIF, _FREEZE, _WHEN = functor("dif", 2), functor("freeze", 2), functor("when", 2)
 _SEMICOLON = functor(";", 2)
 _NONVAR = functor("nonvar", 1)
 _GROUND = functor("ground", 1)
 _DECIDED = functor("?=", 2)
+
+
+def _undecided(key: Functor) -> PrologError:
+    """Return the error for what a variable decides, which says where there is more."""
+    reason = (
+        "no goal waits here until a variable is bound: that needs SWI-Prolog, see use_swi in docs/prolog.md"
+    )
+    return error(atom("instantiation_error"), (CONTEXT, indicator(key), atom(reason)))
 
 
 @deterministic("dif/2")
@@ -30,7 +39,7 @@ def dif(machine: Machine, left: Term, right: Term) -> bool:
     undecided = len(trail) > mark
     undo(trail, mark)
     if undecided:
-        raise instantiation_error()
+        raise _undecided(_DIF)
     return False
 
 
@@ -38,7 +47,7 @@ def dif(machine: Machine, left: Term, right: Term) -> bool:
 def freeze(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
     """Call a goal when a variable is bound: it has to be already."""
     if deref(args[0]).__class__ is Var:
-        raise instantiation_error()
+        raise _undecided(_FREEZE)
     return machine.logic.control.call(args[1], after)
 
 
@@ -46,7 +55,7 @@ def freeze(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
 def when(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
     """Call a goal when a condition holds: it has to hold already."""
     if not _holds(machine, args[0]):
-        raise instantiation_error()
+        raise _undecided(_WHEN)
     return machine.logic.control.call(args[1], after)
 
 
