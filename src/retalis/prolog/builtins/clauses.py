@@ -256,7 +256,7 @@ deterministic("module_transparent/1", "volatile/1", "public/1")(lambda machine, 
 
 @nondeterministic("current_predicate/1")
 def current_predicate(machine: Machine, term: Term) -> Solutions:
-    """Enumerate the program's predicates that have clauses; one that is named may be the system's, as in SWI-Prolog."""
+    """Enumerate the program's predicates that have clauses; one that is named whole may be built in."""
     modules = machine.logic.database.modules
     term = _strip(modules.names_of(term))
     if term.__class__ is Var:
@@ -270,9 +270,10 @@ def current_predicate(machine: Machine, term: Term) -> Solutions:
     database = machine.logic.database
     if name.__class__ is Atom and arity.__class__ is int:
         predicate = database.predicates.get(functor(name.name, arity))
-        if predicate is not None and predicate.kind != "undefined":
-            if len(predicate) or predicate.kind != "user" and not is_iso(machine):
-                yield LAST
+        if predicate is None or predicate.kind == "undefined":
+            return
+        if len(predicate) or predicate.kind != "user" and not is_iso(machine):
+            yield LAST
         return
     for key, predicate in list(database.predicates.items()):
         there = predicate.kind == "user" and not predicate.library and len(predicate)

@@ -1,8 +1,16 @@
 """Indexes of clauses: by the key of one argument, those that a call may match, in their order."""
 
-from typing import Dict, List, Tuple
+from typing import Dict, Iterable, List, Optional, Tuple
 
-from .clause import Clause
+from ..compiler import key_of
+from ..terms import Atom, Frame
+from .clause import NEVER, Clause
+
+_FROM = 8
+"""Clauses from which on an index is made."""
+
+_ARGUMENTS = 4
+"""How many arguments, the first ones, may be indexed by."""
 
 _MOST_COPIES = 1_000_000
 """Entries of clauses with a variable, under all keys that were asked for, from which on they are made anew."""
@@ -71,3 +79,85 @@ class Index:
         """Return how many entries of clauses are held, those of joined lists included."""
         joined = sum(len(found) for found, _, _ in self._joined.values())
         return sum(map(len, self.own.values())) + len(self.others) + joined
+
+
+class Indexes:
+    """The indexes of a predicate, made as calls come with arguments that tell its clauses apart."""
+
+    __slots__ = ("_positions", "_made", "_poor")
+
+    def __init__(self, arity: int) -> None:
+        self._positions = range(min(arity, _ARGUMENTS))
+        self._made: Dict[int, Index] = {}
+        self._poor: Dict[
+            int, int
+        ] = {}  # how many clauses there were when an argument did not tell them apart
+
+    def select(self, clauses: List[Clause], frame: Frame) -> Tuple[List[Clause], Optional[int]]:
+        """Return a list that holds all clauses that a call may match, and the argument that it is indexed by.
+
+        Args:
+            clauses: all of the predicate, those included that were removed.
+            frame: the call.
+        """
+        size = len(clauses)
+        if size < _FROM:
+            return clauses, None
+        best, by = clauses, None
+        for position in self._positions:
+            arg = frame[position + 1]
+            key = arg if arg.__class__ is Atom else key_of(arg)
+            if key is None:
+                continue
+            found = self._made.get(position)
+            if found is None:
+                if self._poor.get(position, 0) * 2 > size:
+                    continue
+                found = self._make(position, clauses)
+                if found is None:
+                    continue
+            others = found.others
+            candidates = found.joined(key) if others else found.own.get(key, others)
+            if len(candidates) < len(best):
+                best, by = candidates, position
+                if len(best) <= 2:
+                    break
+        return best, by
+
+    def _make(self, position: int, clauses: Iterable[Clause]) -> Optional[Index]:
+        index = Index()
+        clauses = [clause for clause in clauses if clause.died == NEVER]
+        keys = [clause.keys[position] for clause in clauses]
+        variables = keys.count(None)
+        if variables * 2 <= len(clauses):
+            for clause in clauses:
+                index.add(clause.keys[position], clause)
+        if len(index.own) < 2:
+            self._poor[position] = len(clauses)
+            return None
+        self._made[position] = index
+        return index
+
+    def add(self, clause: Clause) -> None:
+        """Add the last clause."""
+        for position, index in self._made.items():
+            index.add(clause.keys[position], clause)
+
+    def clear(self) -> None:
+        """Forget all: clauses have gone, or not come as the last."""
+        self._made.clear()
+
+    def make_anew(self, clauses: Iterable[Clause]) -> None:
+        """Make those that there are anew, of nothing but these clauses."""
+        positions = list(self._made)
+        self._made.clear()
+        for position in positions:
+            self._make(position, clauses)
+
+    def complete(self) -> List[Tuple[int, Index]]:
+        """Return the positions and indexes of arguments that no clause has a variable for, in order."""
+        return [(position, index) for position, index in sorted(self._made.items()) if not index.others]
+
+    def __len__(self) -> int:
+        """Return how many entries of clauses are held."""
+        return sum(map(len, self._made.values()))

@@ -8,13 +8,13 @@ again and again without changing is compiled.
 from typing import Any, Callable, Dict, Iterator, List, Optional, Protocol, Tuple
 
 from ...foundation import look
-from ..compiler import ClauseParts, Direct, Generator, KnownDatabase, fact_search, key_of
+from ..compiler import ClauseParts, Direct, Generator, KnownDatabase, fact_search
 from ..machine import Code, Frame, Machine, PrologError, Step
-from ..terms import Atom, Functor, Term, Trail, Values, Var, copy, undo, unify
+from ..terms import Functor, Term, Trail, Values, Var, copy, undo, unify
 from .bykey import by_key
 from .clause import NEVER, Clause, keys_of, match_head, may_match
 from .functional import Functional
-from .index import Index
+from .index import Indexes
 
 COMPILE_AFTER = 12
 """Calls without a change after which a predicate is compiled."""
@@ -24,9 +24,6 @@ _MOST_CLAUSES = 24
 
 _MOST_FACTS = 8
 """The same for predicates that are facts only."""
-
-_INDEX_FROM = 8
-"""Clauses from which on an index is made."""
 
 _MANY = 1000
 """Clauses from which on a search among them may take as long as many inferences."""
@@ -94,8 +91,7 @@ class Predicate:
         self.dead = 0
         self.calls = 0
         self.compile_after = database.compile_after
-        self.indexes: Dict[int, Index] = {}
-        self.poor: Dict[int, int] = {}
+        self.indexes = Indexes(functor.arity)
         self.run: Step = self._call
         self.steady = False
         self._retry = Code(str(functor), self._next)
@@ -140,8 +136,7 @@ class Predicate:
             return
         self.clauses.append(clause)
         self.kind = "user"
-        for position, index in self.indexes.items():
-            index.add(clause.keys[position], clause)
+        self.indexes.add(clause)
 
     def remove(self, clause: Clause) -> bool:
         """Remove a clause; calls that are under way still see it. Return whether it was there."""
@@ -222,7 +217,7 @@ class Predicate:
         self.calls += 1
         if (self.calls > self.compile_after or self.library) and not self.compiled and self._compile():
             return self.run(frame)
-        clauses, position = self.select(frame)
+        clauses, position = self.indexes.select(self.clauses, frame)
         if len(clauses) > _MANY:
             look(0)  # to find a clause among these may take long
         generation = self.database.generation
@@ -242,7 +237,7 @@ class Predicate:
             if not self.ground:
                 return None
             frame = (self, *args, True)
-            clauses, position = self.select(frame)
+            clauses, position = self.indexes.select(self.clauses, frame)
             search = self._searches.get(position) or self._search(position)
             height = len(choices)
             keys = keys_of(frame, position)
@@ -262,44 +257,7 @@ class Predicate:
 
     def select(self, frame: Frame) -> Tuple[List[Clause], Optional[int]]:
         """Return a list that holds all clauses that a call may match, and the argument that it is indexed by."""
-        clauses = self.clauses
-        size = len(clauses)
-        if size < _INDEX_FROM:
-            return clauses, None
-        best, by = clauses, None
-        for position in range(min(self.functor.arity, 4)):
-            arg = frame[position + 1]
-            key = arg if arg.__class__ is Atom else key_of(arg)
-            if key is None:
-                continue
-            found = self.indexes.get(position)
-            if found is None:
-                if self.poor.get(position, 0) * 2 > size:
-                    continue
-                found = self._index(position)
-                if found is None:
-                    continue
-            others = found.others
-            candidates = found.joined(key) if others else found.own.get(key, others)
-            if len(candidates) < len(best):
-                best, by = candidates, position
-                if len(best) <= 2:
-                    break
-        return best, by
-
-    def _index(self, position: int) -> Optional[Index]:
-        index = Index()
-        clauses = [clause for clause in self.clauses if clause.died == NEVER]
-        keys = [clause.keys[position] for clause in clauses]
-        variables = keys.count(None)
-        if variables * 2 <= len(clauses):
-            for clause in clauses:
-                index.add(clause.keys[position], clause)
-        if len(index.own) < 2:
-            self.poor[position] = len(clauses)
-            return None
-        self.indexes[position] = index
-        return index
+        return self.indexes.select(self.clauses, frame)
 
     def _next(self, entry: Frame) -> Optional[Frame]:
         return self._advance(*entry[1:7])
@@ -388,15 +346,13 @@ class Predicate:
     def _go_by_keys(self) -> bool:
         """Have calls go by the indexes that calls have asked for by now, if those leave no clause out."""
         if self.dead:
-            positions = list(self.indexes)
-            self._sweep()
-            for position in positions:
-                self._index(position)
+            self.clauses = list(self.live())
+            self.dead = 0
+            self.indexes.make_anew(self.clauses)
         choices = self.database.machine.choices
         run: Step = self._call
-        for position, index in sorted(self.indexes.items(), reverse=True):
-            if not index.others:
-                run = by_key(position, index.own, choices, self._search(position), run)
+        for position, index in reversed(self.indexes.complete()):
+            run = by_key(position, index.own, choices, self._search(position), run)
         if run == self._call:
             self.compile_after *= 2
             return False
