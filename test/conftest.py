@@ -50,5 +50,13 @@ def pytest_collection(session):
         gc.set_threshold(*LOOKS)
 
 
+@pytest.fixture(scope="module", autouse=True)
+def what_modules_leave():
+    """Let it leave alone what a module of tests has left in caches, too: some have it look at all that is there."""
+    yield
+    gc.collect()
+    gc.freeze()
+
+
 def pytest_runtest_teardown():
     gc.set_threshold(*LOOKS)  # a command that was run here has changed it for its process

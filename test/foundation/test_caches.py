@@ -45,6 +45,10 @@ HELD = {
     ("messages/registry.py", "self._encoders"): (1000, 32 << 20),
     ("messages/slotnames.py", "self.forms"): (1000, 1 << 20),
     ("messages/encoding.py", "_packed"): (2048, 1 << 20),
+    ("messages/frame_code.py", "cache"): (
+        2048,
+        2 << 20,
+    ),  # in its place where what the texts go with is kept too
     ("messages/textcache.py", "text_cache"): (2048, 1 << 20),  # one for all texts, and one for each type
 }
 """The caches by file and name, with their bounds: entries and bytes. ``docs/security.md`` has them for users."""
@@ -98,6 +102,8 @@ def bound(argument, values):
     """Return the number that an argument is, by the constants of its module; None where it is none."""
     if isinstance(argument, ast.BinOp):
         left, right = bound(argument.left, values), bound(argument.right, values)
+        if left is None or right is None:
+            return None
         return left << right if isinstance(argument.op, ast.LShift) else left * right
     return argument.value if isinstance(argument, ast.Constant) else values.get(argument.id)
 
