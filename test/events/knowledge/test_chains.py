@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retalis.engine import Engine
+from retalis.engine import Engine, parts_of
 from retalis.engine.runtime import Reports, StreamClock
 from retalis.prolog.machine import PrologError
-from retalis.prolog.terms import SECOND
+from retalis.prolog.terms import SECOND, functor
 
 sys.path.append(str(Path(__file__).resolve().parents[2]))
 
@@ -214,3 +214,96 @@ def test_no_pose_over_a_gap_that_is_too_wide():
     assert solution(engine, "pose_chain([m0], 1, P)") == [FIRST]
     assert engine.call("set_etalis_flag(max_gap, 1)")
     assert solution(engine, "pose_chain([m0], 1.5, P)") == [MIDDLE]
+
+
+TOGETHER = """
+joined(Id, T, P) :-
+    prev(Id, {0}, T1, _, T), next_inf(Id, {1}, T2, _, T), datime_interpolate(T1, T2, T, F),
+    interpolate_quaternion(V1, Q1, V2, Q2, [F], P).
+single(Id, T, P) :-
+    prev(Id, {0}, T1, _, T), next_inf(Id, {1}, T2, _, T), datime_interpolate(T1, T2, T, F), F = G,
+    interpolate_quaternion(V1, Q1, V2, Q2, [G], P).
+in_a_test(Id, T, P) :- ( joined(Id, T, P) -> true ; P = none ).
+in_a_branch(Id, T, P) :-
+    ( Id \\== none -> prev(Id, {0}, T1, _, T), next_inf(Id, {1}, T2, _, T), datime_interpolate(T1, T2, T, F),
+        interpolate_quaternion(V1, Q1, V2, Q2, [F], P)
+    ; P = none ).
+by_frames(Id, T, P) :- member(I, [Id]), joined(I, T, P), P = [_|_].
+"""
+
+
+COMPILED = ("joined", "by_frames", "in_a_branch", "in_a_test")
+
+
+def answer(engine, goal):
+    """Return the solutions of a goal, or its error without where it was raised."""
+    try:
+        return solution(engine, goal)
+    except PrologError as error:
+        return engine.show(error.term[1])
+
+
+RECORDS = st.lists(
+    st.tuples(
+        st.integers(0, 6),
+        st.integers(0, 3),
+        st.sampled_from(
+            ["a([1,2,3], x, [0,0,0,1])", "a([2.5,0,0], y, [0.0,0.6,0.0,-0.8])", "a([1,2,b], x, [0,0,0,1])"]
+            + ["a([1,2,3], x, [0,0,0,0])", "b([1,2,3], x, [0,0,0,1])", "a([1.5,2.5,_], x, [0,0,0,1])", "a"]
+        ),
+    ),
+    max_size=6,
+)
+
+
+@settings(max_examples=8)
+@given(RECORDS, st.sampled_from([0, 1, 3]))
+def test_goals_that_are_joined_do_what_they_do_alone(records, gap):
+    engine = Engine(StreamClock(1000 * SECOND), None, Reports())
+    engine.load(rules=TOGETHER.format("a(V1, _, Q1)", "a(V2, _, Q2)"), goals="memorize(r(X), [], X, m, 4)")
+    for name in COMPILED:
+        parts_of(engine).logic.database.predicate(functor(name, 3)).compile_after = 0
+    engine.call(f"set_etalis_flag(max_gap, {gap})")
+    for end, long, record in records:
+        engine.call(f"event(r({record}), [{end - long},{end}])")
+    for at in (0, 1, 2.5, 3, 4.25, 6, 9, "'x'", "_"):
+        alone = answer(engine, f"single(m, {at}, P)")
+        for name in COMPILED:
+            assert answer(engine, f"{name}(m, {at}, P)") == (
+                alone or (["none"] if name == "in_a_test" else [])
+            )
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "joined"),
+    [
+        ("tf(V1, Q1)", "tf(V2, Q2)", True),
+        ("tf(_, Q1, _, V1)", "tf(_, Q2, _, V2)", True),
+        ("tf(V1, Q1)", "ft(V2, Q2)", False),
+        ("tf(V1, Q1)", "tf(Q2, V2)", False),
+        ("tf(V1, Q1, a)", "tf(V2, Q2, a)", False),
+        ("tf(V1, Q1, X)", "tf(V2, Q2, X)", False),
+        ("tf(V1, Q1, T1)", "tf(V2, Q2, _)", False),
+        ("tf(V1, Q1, T)", "tf(V2, Q2, _)", False),
+        ("tf(V1, [Q1])", "tf(V2, [Q2])", False),
+        ("V1", "V2", False),
+    ],
+)
+def test_which_goals_are_joined(first, second, joined):
+    engine = Engine(StreamClock(1000 * SECOND), None, Reports())
+    calls = []
+    engine.load(rules=TOGETHER.format(first, second))
+    predicate = parts_of(engine).logic.database.predicate(functor("prev", 5))
+    joins = predicate.functional.joins
+    predicate.functional = predicate.functional._replace(
+        joins=lambda goals, counts: calls.append(joins(goals, counts)) or calls[-1]
+    )
+    for _ in range(30):
+        assert not engine.call("joined(nothing, 1, _)")
+    assert any(calls) == joined
+
+
+def test_a_program_has_predicates_of_its_own_by_these_names():
+    engine = engine_with(ONE_BY_ONE + "\ninterpolate_quaternion(_, _, _, _, _, mine).\n")
+    engine.event("tf(0, [1,2,3], [0,0,0,1])", 1.0)
+    assert solution(engine, "at(m0, 1, P)") == ["mine"]

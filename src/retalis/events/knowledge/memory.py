@@ -145,22 +145,23 @@ class Memory:
         return self.records[at]
 
     def around(self, instant: int) -> Optional[Tuple[MemoryRecord, MemoryRecord]]:
-        """Return what `at_or_before` and `at_or_after` do; twice the former where that ends at ``instant``."""
+        """Return what `at_or_before` and `at_or_after` do; None without both."""
         ends = self.ends
         held = len(ends)
         at = bisect_right(ends, instant)
         if at < 1 or at <= held - self.size:
             return None
-        before = self.records[at - 1]
         start = ends[at - 1]
         if start == instant:
-            return before, before
+            return self.records[at - 1], self.records[
+                bisect_left(ends, instant, max(0, held - self.size), at)
+            ]
         if at >= held:
             return None
         end = ends[at]
         if (end - start) * (held + WIDE - 2) >= WIDE * (ends[-1] - ends[0]):  # as in `at_or_after`
             self.on_wide(start, end)
-        return before, self.records[at]
+        return self.records[at - 1], self.records[at]
 
     @property
     def first(self) -> int:

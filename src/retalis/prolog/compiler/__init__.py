@@ -4,7 +4,7 @@ from .direct import Direct
 from .facts import fact_search
 from .goals import GoalGenerator
 from .keys import key_of
-from .known import KnownDatabase, KnownPredicate
+from .known import JoinedGoals, Joins, KnownDatabase, KnownPredicate
 from .nodes import (
     ARROW,
     BAR,
@@ -35,6 +35,8 @@ __all__ = [
     "Generator",
     "GoalGenerator",
     "IGNORE",
+    "JoinedGoals",
+    "Joins",
     "key_of",
     "KnownDatabase",
     "KnownPredicate",

@@ -5,6 +5,7 @@ from typing import FrozenSet, List, Optional, Sequence, Tuple
 from ..machine import Code
 from ..terms import Atom, Functor, Term, Var, conjunction, deref, functor, variables
 from .inline import forget, write_inline, write_test
+from .joining import join
 from .nodes import (
     ARG,
     KNOWN_ARG,
@@ -68,6 +69,7 @@ class Bodies:
 
     def write(self, scope: Scope, nodes: Sequence[GoalNode]) -> None:
         """Write goals to the end of the function: the last statements return the next frame."""
+        nodes = join(self.unit.database, self.clause.counts, nodes)
         at = 0
         while at < len(nodes):
             node: GoalNode = nodes[at]

@@ -5,6 +5,7 @@ from typing import Optional
 from ..terms import Atom, Term, Var, deref, variables
 from .compounds import dereferenced, write_argument, write_functor
 from .expressions import number, number_of_program
+from .joining import JoinedNode
 from .known import KnownFunction
 from .nodes import COMPARISONS, KNOWN_ARG, ORDERS, TYPE_TESTS, CallNode, GoalNode
 from .scope import Scope
@@ -106,6 +107,24 @@ def _builtin_call(scope: Scope, node: CallNode) -> str:
     for arg in node.args:
         forget_fresh(scope, arg)
     return f"{scope.unit.builtin(node.key)}(M{args})"
+
+
+def _joined(scope: Scope, node: CallNode) -> None:
+    """Write the call of the function of goals that are joined."""
+    assert isinstance(node, JoinedNode)
+    *inputs, output = node.args
+    result = scope.temp("p")
+    call = scope.unit.constant(node.function)
+    scope.line(f"{result} = {call}({', '.join([scope.build(arg) for arg in inputs])})")
+    scope.line(f"if {result} is None:")
+    scope.line(f"    {scope.fail}")
+    for arg in inputs:
+        forget_fresh(scope, arg)
+    output = deref(output)
+    if output.__class__ is Var and output in scope.names:
+        _bind_output(scope, output, result)
+    else:
+        match(scope, result, output)
 
 
 def _function(scope: Scope, node: CallNode, functional: KnownFunction) -> None:
@@ -223,4 +242,5 @@ _WRITERS = {
     "builtin": _builtin,
     "functor": write_functor,
     "direct": _direct,
+    "joined": _joined,
 }

@@ -10,10 +10,10 @@ from typing import Dict, Iterator, List, Optional, Sequence, Tuple
 
 from ..machine import BAIL
 from ..terms import Functor, Term, Trail, functor, undo
-from .inline import write_inline
+from .inline import write_sequence
 from .keys import key_of
 from .known import Finder, KnownDatabase, KnownPredicate
-from .nodes import BodyParser, CallNode, Cut, GoalNode, Height, IfThenElse, needed_by
+from .nodes import BodyParser, CallNode, Cut, GoalNode, Height, IfThenElse
 from .predicates import ClauseParts, Generator, title_of
 from .scope import ClauseVariables, Scope, Unit
 
@@ -224,9 +224,7 @@ class Functions(Generator):
         committed = any(isinstance(node, Cut) for node in nodes)
         choose_functions(nodes, once)
         self._head(scope, rule, None, self._own_locals(scope, rule, None) if rest else self.locals)
-        for at, node in enumerate(nodes):
-            scope.later = needed_by(nodes[at + 1 :])
-            write_inline(scope, node)
+        write_sequence(scope, nodes, frozenset())
         others = [] if once or committed else [self._may_match(unit, other, keyed) for other in rest]
         if others:
             scope.line(f"return None if {' or '.join(others)} else True")

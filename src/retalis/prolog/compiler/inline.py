@@ -7,6 +7,7 @@ from typing import Dict, FrozenSet, List, Sequence, Set, Tuple
 
 from ..terms import Var
 from .calls import simple_test, write_call
+from .joining import join
 from .nodes import CallNode, Cut, Fail, GoalNode, IfThenElse, Needed, needed_by
 from .scope import Scope, ScopeState
 
@@ -69,6 +70,7 @@ def _condition(scope: Scope, node: IfThenElse) -> None:
 
 def write_sequence(scope: Scope, nodes: Sequence[GoalNode], later: FrozenSet[Needed]) -> None:
     """Write inline goals one after the other; ``later`` is what is needed after them."""
+    nodes = join(scope.unit.database, scope.clause.counts, nodes)
     for at, node in enumerate(nodes):
         scope.later = later | needed_by(nodes[at + 1 :])
         write_inline(scope, node)

@@ -1,6 +1,6 @@
 """What those who write code know of predicates; the rooms above have them."""
 
-from typing import Any, Callable, Iterator, Optional, Protocol, Tuple
+from typing import Any, Callable, Iterator, Mapping, NamedTuple, Optional, Protocol, Sequence, Tuple
 
 from ...foundation import Place
 from ..machine import Machine, Step
@@ -20,6 +20,26 @@ class KnownClause(Protocol):
     @property
     def is_large(self) -> bool:
         """Whether it is so large that it is interpreted always."""
+
+
+class JoinedGoals(NamedTuple):
+    """Goals in a row that one function does; see `joining`.
+
+    Attributes:
+        length: how many goals.
+        function: takes the inputs; returns the output, or None where a goal fails.
+        inputs: arguments of the goals.
+        output: the argument that the last goal gives.
+    """
+
+    length: int
+    function: Callable[..., Optional[Term]]
+    inputs: Tuple[Term, ...]
+    output: Term
+
+
+Joins = Callable[[Sequence[CompoundTerm], Mapping[Any, int]], Optional[JoinedGoals]]
+"""Takes goals in a row, the first that of the predicate itself, and how often variables occur in the clause."""
 
 
 class KnownFunction(Protocol):
@@ -44,6 +64,10 @@ class KnownFunction(Protocol):
     @property
     def single(self) -> bool:
         """Whether there is one output."""
+
+    @property
+    def joins(self) -> Optional[Joins]:
+        """What tells which goals after one of it go together with it."""
 
 
 class KnownFinders(Protocol):

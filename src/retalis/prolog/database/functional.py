@@ -2,6 +2,7 @@
 
 from typing import Any, Callable, NamedTuple, Optional, Tuple
 
+from ..compiler import Joins
 from ..machine import Machine
 from ..terms import Term, unify
 
@@ -18,6 +19,7 @@ class Functional(NamedTuple):
         outputs: positions of the outputs.
         shows: what makes the term of each output from what the function returned, None where it is the term.
         single: whether there is one output, which is returned as such.
+        joins: what tells which goals after one of it go together with it, see `compiler.joining`.
     """
 
     function: Callable[..., Any]
@@ -25,6 +27,7 @@ class Functional(NamedTuple):
     outputs: Tuple[int, ...]
     shows: Tuple[Optional[Callable[..., Term]], ...]
     single: bool
+    joins: Optional[Joins] = None
 
     def predicate(self) -> Callable[..., bool]:
         """Return the predicate as `Logic.define` takes it."""
