@@ -135,6 +135,10 @@ def number(term: Term, bindings: Bindings) -> Any:
             return only  # [X] is the code X
         if only.__class__ is Atom and len(only.name) == 1:
             return ord(only.name)  # [x] that of the character
+    if term.__class__ is tuple and term[0] is CONS:
+        parts = [value_of(item, bindings) for item in list_items(term) or ()]
+        if len(parts) == 2 and all(part.__class__ is int for part in parts) and 0 <= parts[1] < 10**9:
+            return parts[0] + (parts[1] / 1e9 if parts[1] else 0)  # [Sec,NSec] is a time
     if term.__class__ is tuple and term[0] is functor("-", 1):
         return -number(term[1], bindings)
     raise GoalError(f"no number: {show(term, bindings)}")

@@ -7,8 +7,11 @@ from dataclasses import replace
 
 import pytest
 from oracle.evaluator import run
+from oracle.goals import GoalError, number
 from oracle.matches import POLICIES
 from oracle.text import brief, rule, stream
+
+from retalis.prolog.syntax import Operators, read_term
 
 
 def fired(pattern, events, head="out", policy="recent", out_of_order=False, expiry=True, **options):
@@ -209,6 +212,20 @@ def test_aggregates(kind, expected):
 def test_condition_on_an_aggregate_does_not_stop_it():
     pattern = "where(seq(s,aggregate(count,a,N)),>(N,1))"
     assert fired(pattern, "s@1 a@2 a@3 a@4", "out(N)") == "out(2)@1-3 out(3)@1-4"
+
+
+@pytest.mark.parametrize(
+    ("expression", "value"),
+    [("[7]", 7), ("[1, 1] + 1", 2.000000001), ("[2, 0]", 2), ("max([1, 500000000], 1)", 1.5), ("-[3]", -3)],
+)
+def test_lists_that_are_numbers(expression, value):
+    assert number(read_term(expression, Operators.prolog()).term, {}) == value
+
+
+@pytest.mark.parametrize("expression", ["[1, 1, 1]", "[1, 1000000000]", "[1, -1]", "[]", "[a, 1]"])
+def test_lists_that_are_no_numbers(expression):
+    with pytest.raises(GoalError):
+        number(read_term(expression, Operators.prolog()).term, {})
 
 
 def test_window():
