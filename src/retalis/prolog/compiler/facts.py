@@ -16,7 +16,8 @@ def fact_search(
     Args:
         arity: of the predicate.
         indexed: the argument (from 0) that the index has compared already: facts agree in its first level.
-        namespace: what `search` names: ``Var``, ``unify``, ``trail``, ``choose``, ``retry``, ``may_match``.
+        namespace: what `search` names: ``Var``, ``Code``, ``unify``, ``undo``, ``trail``, ``push``, ``choose``,
+            ``may_match``.
     """
     source = "\n".join(_search(arity, indexed)) + "\n"
     found: Callable[..., Optional[Frame]] = codegen.shared_function(
@@ -26,28 +27,39 @@ def fact_search(
 
 
 def _search(arity: int, indexed: Optional[int]) -> List[str]:
-    args = "".join(f"a{at}, " for at in range(arity))
+    begin = ["def again(entry):", "    _, frame, clauses, at, end, generation, keys, mark = entry"]
+    made = ["def made(frame, clauses, at, end, generation, keys):", "    mark = len(trail)"]
+    tries = _tries(arity, indexed)
+    return [*begin, *tries, 'retry = Code("facts", again)', *made, *_next("    "), *tries]
+
+
+def _next(indent: str) -> List[str]:
+    """Return the lines that go on to the next fact that is there and may match."""
     lines = [
-        "def made(frame, clauses, at, end, generation, keys):",
-        f"    _, {args}after = frame",
-        "    mark = len(trail)",
+        "while at < end:",
+        "    other = clauses[at]",
+        "    if other.died > generation and (keys is None or may_match(keys, other.keys)):",
+        "        break",
+        "    at += 1",
+    ]
+    return [indent + line for line in lines]
+
+
+def _tries(arity: int, indexed: Optional[int]) -> List[str]:
+    """Return the lines that try facts, from one on that may match."""
+    lines = [
+        f"    _, {''.join(f'a{at}, ' for at in range(arity))}after = frame",
         "    while at < end:",
-        "        clause = clauses[at]",
+        f"        _, {''.join(f'c{at}, ' for at in range(arity))[:-2]} = clauses[at].head",
         "        at += 1",
-        "        if clause.died <= generation or keys is not None and not may_match(keys, clause.keys):",
-        "            continue",
-        f"        _, {''.join(f'c{at}, ' for at in range(arity))[:-2]} = clause.head",
+        *_next("        "),
     ]
     for at in range(arity):
         lines += _argument(at, at == indexed)
     return [
         *lines,
-        "        while at < end:",
-        "            other = clauses[at]",
-        "            if other.died > generation and (keys is None or may_match(keys, other.keys)):",
-        "                choose((retry, made, frame, clauses, at, end, generation, keys, mark))",
-        "                break",
-        "            at += 1",
+        "        if at < end:",
+        "            choose((retry, frame, clauses, at, end, generation, keys, mark))",
         "        return after",
         "    return None",
     ]

@@ -381,12 +381,9 @@ def fact_names(machine: Machine) -> Dict[str, object]:
         "trail": machine.trail,
         "push": machine.trail.append,
         "choose": machine.choices.append,
-        "retry": _NEXT_FACT,
+        "Code": Code,
         "may_match": may_match,
     }
-
-
-_NEXT_FACT = Code("facts", lambda entry: entry[1](*entry[2:8]))
 
 
 def _args(head: Term) -> Values:
