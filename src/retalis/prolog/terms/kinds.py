@@ -244,6 +244,9 @@ _atoms: Dict[str, _AtomRef] = {}
 _functors: Dict[Tuple[str, int], "_FunctorRef"] = {}
 _serials = count(1)
 
+NUMBERED: List[bool] = []
+"""Holds something once any variable has a number: many processes never give one."""
+
 
 def functor(name: str, arity: int) -> Functor:
     """Return the one `Functor` of this name and arity; as atoms, those that nothing holds are forgotten.
@@ -318,6 +321,8 @@ def serial(var: Var) -> int:
     try:
         return var.serial
     except AttributeError:
+        if not NUMBERED:
+            NUMBERED.append(True)
         var.serial = next(_serials)
         return var.serial
 

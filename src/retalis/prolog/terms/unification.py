@@ -4,7 +4,7 @@ from typing import Any, List
 
 from ...foundation import look
 from .cycles import LATE, MetPairs, contains_itself
-from .kinds import Atom, Lazy, Term, Trail, Var, deref
+from .kinds import NUMBERED, Atom, Lazy, Term, Trail, Var, deref
 from .steps import MASK, check_steps
 from .walking import copy
 
@@ -36,7 +36,7 @@ def unify(  # noqa: C901 -- the innermost loop of all: no calls, no second look 
     if left is right:
         return True
     if kind is Var:
-        if other is Var and hasattr(left, "serial") and _is_older(left, right):
+        if other is Var and NUMBERED and hasattr(left, "serial") and _is_older(left, right):
             left, right = right, left
         left.ref = right  # a lazy term stays lazy
         trail.append(left)
@@ -91,7 +91,7 @@ def unify(  # noqa: C901 -- the innermost loop of all: no calls, no second look 
             if left is right:
                 continue
             if kind is Var:
-                if other is Var and hasattr(left, "serial") and _is_older(left, right):
+                if other is Var and NUMBERED and hasattr(left, "serial") and _is_older(left, right):
                     left, right = right, left
                 left.ref = right  # a lazy term stays lazy
                 trail.append(left)
