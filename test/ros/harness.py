@@ -2,6 +2,8 @@
 
 import threading
 import time
+from http.client import HTTPException
+from xmlrpc.client import Error, ServerProxy
 
 import rospy
 from std_msgs.msg import String
@@ -48,18 +50,36 @@ class Collector:
             return list(self.messages)
 
     def connected(self):
-        """Tell whether a publisher has answered: rospy counts a connection that it is only trying to make.
+        """Tell whether a publisher is there, and what it sends from now on comes.
 
-        Of many that are made at once some have to be tried again, a second later.
+        rospy counts a connection that it is only trying to make. Of many that are made at once some have to be tried
+        again, a second later.
         """
-        return bool(self.publishers())
+        return any(map(sends_to, self._answered()))
 
     def publishers(self):
-        """Return the nodes that have answered."""
-        return [link.header["callerid"] for link in self._subscriber.impl.connections if link.header]
+        """Return the nodes of which what they send from now on comes."""
+        return [link.header["callerid"] for link in self._answered() if sends_to(link)]
+
+    def _answered(self):
+        return [link for link in self._subscriber.impl.connections if link.header]
 
     def close(self):
         self._subscriber.unregister()
+
+
+def sends_to(link):
+    """Tell whether the publisher at the other end of a connection has it among those that it sends to.
+
+    It writes its header first: what it publishes between the two goes to the others only, and never comes here.
+    """
+    try:
+        with ServerProxy(link.endpoint_id) as publisher:
+            known = publisher.getBusInfo(rospy.get_name())[2]
+    except (OSError, Error, HTTPException):  # it is just ending
+        return False
+    here = f":{link.local_endpoint[1]} on socket "
+    return any(here in described for *_, described in known)
 
 
 class RawPublisher:

@@ -1,0 +1,69 @@
+"""When a collector is there for what a publisher sends. Needs the package as built, no master."""
+
+import sys
+import threading
+from pathlib import Path
+from types import SimpleNamespace
+from xmlrpc.server import SimpleXMLRPCServer
+
+import pytest
+
+pytest.importorskip("retalis.srv", reason="./install.py test builds the package")
+
+import rospy  # noqa: E402
+
+sys.path.append(str(Path(__file__).resolve().parent))
+from harness import Collector  # noqa: E402
+
+
+@pytest.fixture
+def publisher():
+    """Serve a node that tells of its connections as rospy and roscpp do; return its address and their ports."""
+    ports = []
+
+    def bus_info(caller):
+        said = "TCPROS connection on port 40001 to [127.0.0.1:{} on socket 9]"
+        rows = [
+            [at, "/listener", "o", "TCPROS", "/news", True, said.format(port)]
+            for at, port in enumerate(ports)
+        ]
+        return [1, "bus info", rows]
+
+    with SimpleXMLRPCServer(("localhost", 0), logRequests=False) as server:
+        server.register_function(bus_info, "getBusInfo")
+        thread = threading.Thread(target=server.serve_forever, args=(0.01,))
+        thread.start()
+        yield f"http://localhost:{server.server_address[1]}", ports
+        server.shutdown()
+        thread.join()
+
+
+@pytest.fixture
+def link(publisher):
+    """Return a connection on which the publisher has written its header."""
+    return SimpleNamespace(
+        endpoint_id=publisher[0], header={"callerid": "/talker"}, local_endpoint=("127.0.0.1", 5000)
+    )
+
+
+@pytest.fixture
+def collector(link, monkeypatch):
+    subscriber = SimpleNamespace(impl=SimpleNamespace(connections=[link]))
+    monkeypatch.setattr(rospy, "Subscriber", lambda *_, **__: subscriber)
+    return Collector("news", rospy.AnyMsg)
+
+
+def test_a_header_alone_does_not_connect(collector, publisher):
+    assert not collector.connected() and collector.publishers() == []
+    publisher[1].append(15000)  # somebody else's
+    assert not collector.connected() and collector.publishers() == []
+
+
+def test_the_publisher_that_knows_the_connection_does(collector, publisher):
+    publisher[1].append(5000)
+    assert collector.connected() and collector.publishers() == ["/talker"]
+
+
+def test_a_publisher_that_has_ended_does_not(collector, link):
+    link.endpoint_id = "http://localhost:1"
+    assert not collector.connected() and collector.publishers() == []
