@@ -16,15 +16,15 @@ PATIENCE = 60.0
 """Seconds after which a test gives up waiting."""
 
 
-def wait_until(condition, what, patience=PATIENCE):
-    """Wait for a condition in real time (simulated time stands still in most tests)."""
+def wait_until(condition, what, patience=PATIENCE, pause=0.01):
+    """Wait for a condition in real time (simulated time stands still in most tests); look again after each pause."""
     deadline = time.monotonic() + patience
     while not condition():
         if time.monotonic() > deadline:
             raise AssertionError(f"waited {patience:.0f} s in vain for {what}")
         if rospy.is_shutdown():
             raise AssertionError(f"shut down while waiting for {what}")
-        time.sleep(0.01)
+        time.sleep(pause)
 
 
 class Collector:
