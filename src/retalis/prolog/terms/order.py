@@ -42,6 +42,8 @@ def compare(  # noqa: C901 -- the loop of sorting: a call for each pair of terms
         return 0
     if left.__class__ is Atom and right.__class__ is Atom:
         return -1 if left.name < right.name else 1
+    if left.__class__ is not tuple or right.__class__ is not tuple:
+        return _compare_simple(left, right, variables)
     stack: List[Any] = [right, left]
     met: Optional[MetPairs] = None
     for done in ROUNDS:
@@ -56,35 +58,36 @@ def compare(  # noqa: C901 -- the loop of sorting: a call for each pair of terms
             two = deref(two)
             if one is two:
                 continue
-            kind = one.__class__
-            rank, other = _RANK[kind], _RANK[two.__class__]
-            if rank != other:
-                return -1 if rank < other else 1
-            if rank == 5:
-                if len(one) != len(two):
-                    return -1 if len(one) < len(two) else 1
-                if one[0] is not two[0]:
-                    return -1 if one[0].name < two[0].name else 1
-                if met is not None and not met.is_new(one, two):
-                    continue
-                if len(one) > len(BULK):
-                    look(len(one))
-                for at in range(len(one) - 1, 0, -1):
-                    stack.append(two[at])
-                    stack.append(one[at])
+            if one.__class__ is not tuple or two.__class__ is not tuple:
+                result = _compare_simple(one, two, variables)
+                if result:
+                    return result
                 continue
-            result = variables(one, two) if rank == 0 else _compare_constants(one, two)
-            if result:
-                return result
+            if len(one) != len(two):
+                return -1 if len(one) < len(two) else 1
+            if one[0] is not two[0]:
+                return -1 if one[0].name < two[0].name else 1
+            if met is not None and not met.is_new(one, two):
+                continue
+            if len(one) > len(BULK):
+                look(len(one))
+            for at in range(len(one) - 1, 0, -1):
+                stack.append(two[at])
+                stack.append(one[at])
         look()
         if done == LATE_ROUND and (contains_itself(left) or contains_itself(right)):
             met = MetPairs()
     raise TermTooLarge
 
 
-def _compare_constants(left: Any, right: Any) -> int:
-    """Compare two constants of one rank that are not one object."""
+def _compare_simple(left: Any, right: Any, variables: Callable[[Var, Var], int]) -> int:
+    """Compare two terms that are not one object, of which one is not compound at least."""
     kind = left.__class__
+    rank, other = _RANK[kind], _RANK[right.__class__]
+    if rank != other:
+        return -1 if rank < other else 1
+    if kind is Var:
+        return variables(left, right)
     if kind is Atom:
         return -1 if left.name < right.name else 1
     if kind is String:
