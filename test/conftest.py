@@ -12,6 +12,8 @@ import os
 
 import pytest
 
+from retalis.foundation import PYPY
+
 FAST = "not slow"
 MOST = 8
 
@@ -46,8 +48,9 @@ def pytest_collection(session):
         yield
     finally:
         gc.enable()
-        gc.freeze()
-        gc.set_threshold(*LOOKS)
+        if not PYPY:
+            gc.freeze()
+            gc.set_threshold(*LOOKS)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -59,4 +62,5 @@ def what_modules_leave():
 
 
 def pytest_runtest_teardown():
-    gc.set_threshold(*LOOKS)  # a command that was run here has changed it for its process
+    if not PYPY:
+        gc.set_threshold(*LOOKS)  # a command that was run here has changed it for its process

@@ -1,7 +1,8 @@
 """Caches that are bounded in entries and in bytes: a dictionary each, so that a hit costs a look-up and no more."""
 
-from sys import getsizeof
 from typing import Callable, Dict, TypeVar
+
+from .interpreter import text_size
 
 Key = TypeVar("Key")
 Value = TypeVar("Value")
@@ -74,4 +75,4 @@ class Texts(Cache[str, str]):
 
     def __missing__(self, text: str) -> str:
         made = self._make(text)
-        return self.keep(text, made, getsizeof(text) + getsizeof(made))
+        return self.keep(text, made, text_size(text) + text_size(made))

@@ -13,6 +13,7 @@ from typing import Any, Callable, Dict, Hashable, Iterable, Mapping, Tuple
 
 from .caches import Cache
 from .errors import shortened
+from .interpreter import confine
 
 _BUILTINS: Dict[str, object] = {
     name: getattr(builtins, name)
@@ -118,10 +119,11 @@ def define(source: str, names: Dict[str, Any], title: str) -> Dict[str, Any]:
         if not _NAME.match(name):
             raise ValueError(f"{shortened(name)} is not a name for generated source")
     file = f"retalis, {_clean(title)} #{next(_serials)}"
-    names["__builtins__"] = _BUILTINS
     names["__name__"] = file
     names["__loader__"] = _GeneratedSource(source)
-    exec(compile(source, file, "exec", dont_inherit=True), names)
+    code = compile(source, file, "exec", dont_inherit=True)
+    confine(code, names, _BUILTINS)
+    exec(code, names)
     return names
 
 

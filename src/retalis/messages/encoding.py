@@ -7,10 +7,9 @@ goes to `checking`, which takes every form that is allowed and says exactly what
 
 from struct import Struct, pack
 from struct import error as StructError
-from sys import getsizeof
 from typing import Any, Callable, List
 
-from ..foundation import Cache, MessageError, codegen
+from ..foundation import Cache, MessageError, codegen, text_size
 from ..prolog.terms import CONS, FALSE, NIL, TRUE, Atom, Lazy, Term, atom, functor
 from .arrays import SMALL, array_maker
 from .checking import CheckingEncoder
@@ -60,7 +59,7 @@ class _PackedTexts(Cache[Atom, bytes]):
             raise _Unusual
         packed: bytes = pack("<I", len(raw)) + raw
         return (
-            self.keep(term, packed, getsizeof(term.name) + len(packed)) if term.__class__ is Atom else packed
+            self.keep(term, packed, text_size(term.name) + len(packed)) if term.__class__ is Atom else packed
         )
 
 

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from retalis.foundation import SyntaxFault
-from retalis.prolog.syntax import Operators, ReadFlags, read_term, to_text, write_term
+from retalis.prolog.syntax import Operators, ReadFlags, numerals, read_term, to_text, write_term
 from retalis.prolog.terms import NIL, String, atom, make_list
 
 OPERATORS = Operators.prolog()
@@ -50,6 +50,17 @@ def test_long_integers():
     assert read("9" * 10_000) == 10**10_000 - 1
     assert write_term(10**20_000 + 7) == "1" + "0" * 19_999 + "7"
     assert write_term(-(10**9000)) == "-1" + "0" * 9000
+
+
+@pytest.mark.parametrize(
+    "base, exponent, less", [(10, 4000, 0), (10, 8000, 1), (10, 16_000, 1), (7, 9999, 0)]
+)
+def test_long_integers_where_decimal_numbers_are_slow(base, exponent, less, monkeypatch):
+    value = base**exponent - less
+    fast = numerals.integer_text(value)
+    monkeypatch.setattr(numerals, "LONG_DECIMALS", False)
+    assert numerals.integer_text(value) == fast
+    assert numerals.integer_text(-value) == "-" + fast
 
 
 def test_nan():

@@ -2,6 +2,7 @@
 
 from typing import Optional
 
+from ...foundation import PYPY
 from ..compiler import ARROW, CALL, SEMICOLON
 from ..machine import Code, Frame, Guard, PrologError, instantiation_error, keep_back
 from ..terms import TRUE, Term, Values, Var, atom, deref, undo
@@ -13,7 +14,7 @@ class _Cleanup:
     """The cleanup of a goal; held by the goal's guard among the choice points and by nothing else.
 
     So it is told of a cut, too, without costing other cuts anything: a guard that is cut off is freed, and this
-    with it.
+    with it. Where Python does not free it at once, the guard is told, see `Code.dropped`.
     """
 
     __slots__ = ("machine", "goal", "done")
@@ -37,8 +38,10 @@ class _Cleanup:
                 machine.logic.error_output(f"Warning: cleanup: {error.message}\n")
         undo(machine.trail, mark)
 
-    def __del__(self) -> None:
-        self.run()
+    if not PYPY:  # there it would come at any time
+
+        def __del__(self) -> None:
+            self.run()
 
 
 @control("setup_call_cleanup/3")
@@ -80,3 +83,4 @@ def _left(frame: Frame) -> Optional[Frame]:
 _GUARDED = Code("setup_call_cleanup", _guarded)
 _LEFT = Code("setup_call_cleanup", _left)
 _CLEANUP = Guard("setup_call_cleanup", lambda entry: entry[1].run())
+_CLEANUP.dropped = _CLEANUP.unwind

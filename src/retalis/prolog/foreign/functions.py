@@ -16,9 +16,11 @@ The parameters are the first arguments of the predicate; the result is unified w
 """
 
 import inspect
+from contextlib import closing
 from typing import (
     Any,
     Callable,
+    Generator,
     Iterator,
     List,
     NamedTuple,
@@ -194,28 +196,28 @@ def _function(
 
 
 def _generator(
-    runner: Caller, function: Callable[..., Iterator[object]], spec: _Spec, key: Functor
+    runner: Caller, function: Callable[..., Generator[object, None, None]], spec: _Spec, key: Functor
 ) -> Callable[..., Iterator[None]]:
     count = len(spec.readers)
     what = f"the foreign predicate {key}"
 
     def run(machine: Machine, *arguments: Term) -> Iterator[None]:
         values = [read(term) for read, term in zip(spec.readers, arguments)]
-        solutions = function(*values)
-        while True:
-            outer = runner.callback
-            runner.callback = (what,)
-            try:
-                result = next(solutions)
-                solved = not spec.outputs or _unify(machine, arguments[count:], result)
-            except StopIteration:
-                return
-            except Exception as error:  # as above
-                raise _raised(error, key) from error
-            finally:
-                runner.callback = outer
-            if solved:
-                yield None
+        with closing(function(*values)) as solutions:
+            while True:
+                outer = runner.callback
+                runner.callback = (what,)
+                try:
+                    result = next(solutions)
+                    solved = not spec.outputs or _unify(machine, arguments[count:], result)
+                except StopIteration:
+                    return
+                except Exception as error:  # as above
+                    raise _raised(error, key) from error
+                finally:
+                    runner.callback = outer
+                if solved:
+                    yield None
 
     return run
 

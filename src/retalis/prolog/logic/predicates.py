@@ -18,6 +18,13 @@ def is_replaceable(key: Functor) -> bool:
     return (key.name, key.arity) in builtins.ENTRIES and key not in STANDARD and key not in FIXED
 
 
+def _close(entry: Frame) -> None:
+    """End the generator of a choice point."""
+    close = getattr(entry[1], "close", None)  # it may be another iterator
+    if close is not None:
+        close()
+
+
 class Predicates:
     """A machine with predicates.
 
@@ -137,6 +144,7 @@ class Predicates:
 
         retry = Code(str(key), resume)
         retry.functor = key
+        retry.dropped = _close
 
         def call(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
             found: Any = function(machine, *args)

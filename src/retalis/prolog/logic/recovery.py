@@ -28,7 +28,7 @@ def go_back(machine: Machine, state: Optional[MachineState]) -> None:
         entry = choices[-1]
         if entry[0].__class__ is Guard:
             entry[0].unwind(entry)
-        choices.pop()
+        del choices[-1:]
     undo(machine.trail, mark)
     budget.restore(None if state is None else state.budget)
 

@@ -44,9 +44,11 @@ class Code:
             see `Machine.check`.
         closes: whether it is that of a choice point below a goal whose solutions are taken together, or which is
             over when it has one: a call in the goal cannot go on after that.
+        dropped: called with a choice point that is cut, where the interpreter does not end by itself what it alone
+            holds.
     """
 
-    __slots__ = ("name", "run", "functor", "steady", "closes")
+    __slots__ = ("name", "run", "functor", "steady", "closes", "dropped")
 
     def __init__(self, name: str, run: Step, closes: bool = False):
         self.name = name
@@ -54,6 +56,7 @@ class Code:
         self.run = run
         self.functor: Optional[Functor] = None
         self.steady = False
+        self.dropped: Optional[Callable[[Frame], None]] = None
 
     def __repr__(self) -> str:
         return f"<{self.name}>"
@@ -72,6 +75,13 @@ class Guard(Code):
     def __init__(self, name: str, unwind: Callable[[Frame], None]):
         super().__init__(name, unwind, True)
         self.unwind = unwind
+
+
+def drop(entry: Frame) -> None:
+    """End what only a choice point has held that was cut."""
+    dropped = getattr(entry[0], "dropped", None)  # of a `Code`; whatever else does steps holds nothing
+    if dropped is not None:
+        dropped(entry)
 
 
 def fail(frame: Frame) -> None:

@@ -8,10 +8,10 @@ There is no recursion: the depth of a program is the length of a chain of frames
 
 from typing import Any, Callable, Generator, List, Optional, Tuple
 
-from ...foundation import RetalisError, TermTooLarge, watched_by
+from ...foundation import SEEN_AT, RetalisError, TermTooLarge, releasing, watched_by
 from ..terms import Frame, Term, Trail, Values, Var, copy, undo, unify
 from .budget import Budget
-from .codes import BAIL, DEAD, STOP, Asked, Code, Guard, fail
+from .codes import BAIL, DEAD, STOP, Asked, Code, Guard, drop, fail
 from .describing import CONTEXT, ERROR
 from .faults import PrologError, first_called, from_python, indicator, resource_error
 from .limits import SLICE
@@ -19,8 +19,6 @@ from .trail import compact
 
 _FEW = (None,) * 16
 """Steps that a run begins with: most events and goals are done with sooner, without setting up the loop."""
-
-_COMPACT_AT = 20_000
 
 _FINISHED: Frame = (STOP, 1 << 62)
 """What `Machine.done` pushes before it fails: leaving the loop that way costs its steps no test."""
@@ -44,12 +42,12 @@ class Machine:
 
     def __init__(self) -> None:
         self.trail: Trail = []
-        self.choices: List[Frame] = []
+        self.choices: List[Frame] = releasing(drop)
         self.idle = (0, 0)
         finish = self.choices.append
         self.done: Frame = (Code("done", lambda frame: finish(_FINISHED)),)
         self.budget = Budget()
-        self._compact_at = _COMPACT_AT
+        self._compact_at = SEEN_AT
         self._enter_code = Code("attempt", self._enter_attempt)
         self._attempt_code = Code("attempt", self._attempt_failed, True)
         self._exit_code = _AttemptExit(self)
@@ -213,7 +211,7 @@ class Machine:
                 entry[0].unwind(entry)
             elif entry[0] is self._attempt_code:
                 self.budget.goal = entry[1]
-            choices.pop()
+            del choices[-1:]
 
     def _watched(self, frame: Optional[Frame], goal: Optional[Term]) -> bool:
         """Go on with an outermost run; long steps in it look at the limits too."""
@@ -263,7 +261,7 @@ class Machine:
 
     def _compact(self) -> None:
         compact(self.trail, self.choices[-1][-1] if self.choices else 0)
-        self._compact_at = max(_COMPACT_AT, 2 * len(self.trail))
+        self._compact_at = max(SEEN_AT, 2 * len(self.trail))
 
     # Exceptions
 
@@ -282,7 +280,8 @@ class Machine:
         self._add_context(ball, frame)
         is_final = getattr(error, "final", False)
         while len(choices) > base + 1:
-            entry = choices.pop()
+            entry = choices[-1]
+            del choices[-1:]
             code = entry[0]
             if code is self.catch_code:
                 if entry[1].ref is None and not is_final and self._catches(entry, ball):

@@ -1,7 +1,6 @@
 """The trail of a long run: what of it need not be remembered."""
 
-from sys import getrefcount
-
+from ...foundation import seen_elsewhere
 from ..terms import Trail, Var
 
 
@@ -13,8 +12,4 @@ def compact(trail: Trail, low: int) -> None:
     """
     entries = trail[low:]
     del trail[low:]
-    entries.reverse()
-    while entries:  # oldest first: what goes may have been the last to hold a newer one
-        entry = entries.pop()
-        if getrefcount(entry) > 2 or entry.__class__ is not Var:  # `entry` and the argument are two
-            trail.append(entry)
+    trail += seen_elsewhere(entries, Var)

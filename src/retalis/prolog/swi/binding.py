@@ -6,7 +6,7 @@ from functools import lru_cache
 from glob import glob
 from typing import Any, Callable, Dict
 
-from ...foundation import UsageError
+from ...foundation import PYPY, UsageError
 from .signalstack import signal_stack_kept
 
 NAMES = ("libswipl.so.9", "libswipl.so.10", "libswipl.so.8", "libswipl.so.7", "libswipl.so")
@@ -26,6 +26,8 @@ MISSING = (
 
 OLDEST = "7.6.4"
 """All that is called here is in it."""
+
+ON_PYPY = "use_swi needs CPython: PyPy lets go of its lock in each call of a library"
 
 # As its argument vector: no handlers of signals but the one that interrupts a system call, no file of the user's.
 _ARGUMENTS = (b"swipl", b"--nosignals", b"-q", b"-f", b"none", b"-F", b"none", b"--nodebug")
@@ -173,8 +175,10 @@ def find_library() -> SwiLibrary:
     """Return the library's functions, without starting it.
 
     Raises:
-        UsageError: where SWI-Prolog is not installed, or is too old.
+        UsageError: where SWI-Prolog is not installed, or is too old, or this is PyPy.
     """
+    if PYPY:
+        raise UsageError(ON_PYPY)
     too_old = ""
     for name in (*NAMES, *(path for place in PLACES for path in sorted(glob(place)))):
         try:

@@ -7,7 +7,7 @@ integers are converted here in halves, which is also faster.
 from decimal import MAX_EMAX, MAX_PREC, Decimal, Inexact, localcontext
 from typing import Dict
 
-from ...foundation import look
+from ...foundation import LONG_DECIMALS, look
 
 _SAFE = 4000
 """Decimal digits that every Python version converts."""
@@ -48,6 +48,8 @@ def integer_text(value: int) -> str:
         return str(value)
     if value < 0:
         return "-" + integer_text(-value)
+    if not LONG_DECIMALS:
+        return _divided(value)
     with localcontext() as context:
         context.prec, context.Emax = MAX_PREC, MAX_EMAX
         context.traps[Inexact] = True
@@ -73,6 +75,22 @@ def _decimal(value: int) -> Decimal:
         scale = Decimal(2) ** size
         numbers = [high * scale + low for high, low in zip(numbers[::2], numbers[1::2])]
     return numbers[0]
+
+
+def _divided(value: int) -> str:
+    """Return the text of an integer of more than `_SAFE` digits by divisions, which take longer."""
+    scales = [_MOST]
+    while scales[-1] <= value:
+        look()
+        scales.append(scales[-1] ** 2)
+    parts = [value]
+    for scale in reversed(scales[:-1]):  # most significant first
+        halves = []
+        for part in parts:
+            look()
+            halves += divmod(part, scale)
+        parts = halves
+    return "".join(str(part).zfill(_SAFE) for part in parts).lstrip("0")
 
 
 def float_text(value: float) -> str:

@@ -19,10 +19,11 @@ nothing of those rooms; what does is described where it is used.
 """
 
 import sys
-from _weakref import _remove_dead_weakref  # type: ignore[attr-defined]
 from itertools import count
 from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Protocol, Tuple, Union
 from weakref import ref
+
+from ...foundation import remove_dead
 
 
 class Bound(Protocol):
@@ -274,11 +275,11 @@ def _new_functor(key: Tuple[str, int]) -> Functor:
         found: Optional[Functor] = known()
         if found is not None:
             return found
-        _remove_dead_weakref(_functors, key)
+        remove_dead(_functors, key)
 
 
 def _forget_functor(reference: "_FunctorRef") -> None:
-    _remove_dead_weakref(_functors, reference.key)
+    remove_dead(_functors, reference.key)
 
 
 def atom(name: str) -> Atom:
@@ -309,11 +310,11 @@ def _new_atom(name: str) -> Atom:
         found: Optional[Atom] = known()
         if found is not None:
             return found
-        _remove_dead_weakref(_atoms, name)
+        remove_dead(_atoms, name)
 
 
 def _forget(reference: _AtomRef) -> None:
-    _remove_dead_weakref(_atoms, reference.name)
+    remove_dead(_atoms, reference.name)
 
 
 def serial(var: Var) -> int:
