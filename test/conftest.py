@@ -58,7 +58,8 @@ def what_modules_leave():
     """Let it leave alone what a module of tests has left in caches, too: some have it look at all that is there."""
     yield
     gc.collect()
-    gc.freeze()
+    if not PYPY:
+        gc.freeze()
 
 
 def pytest_runtest_teardown():

@@ -21,14 +21,14 @@ ELSEWHERE = {"PyDLL": "prolog/swi/binding.py"}
 
 OF_ONE_KIND = {
     *("_weakref", "_remove_dead_weakref", "__pypy__", "_decimal", "_ctypes", "PyDLL", "pythonapi"),
-    *("getrefcount", "getsizeof", "getallocatedblocks", "_is_gil_enabled", "implementation"),
+    *("getrefcount", "getsizeof", "getallocatedblocks", "_is_gil_enabled", "implementation", "O_PATH"),
     *("freeze", "unfreeze", "get_freeze_count", "set_threshold", "get_threshold", "get_count"),
 }
 """Modules, and names in others, that one interpreter has and the other has not."""
 
 ANY = re.compile(rf"\b({'|'.join(OF_ONE_KIND)})\b")
 
-OF = {"sys", "gc", "ctypes", "platform", "weakref"}
+OF = {"os", "sys", "gc", "ctypes", "platform", "weakref"}
 
 
 def named(tree):

@@ -63,6 +63,8 @@ class Terminal:
             readline.read_history_file(str(HISTORY))
         except OSError:  # none yet
             pass
+        except Exception:  # not GNU's, and the terminal is too simple for it: plain lines
+            return
         readline.set_history_length(2000)
         atexit.register(_save_history)
 

@@ -86,11 +86,11 @@ class CheckpointFile:
         self.path = path
         try:
             self._base = sqlite3.connect(str(path), isolation_level=None, check_same_thread=False)
-            self._base.execute("PRAGMA journal_mode = WAL")
+            _value(self._base, "PRAGMA journal_mode = WAL")
             self._base.execute("PRAGMA synchronous = NORMAL")
             self._base.execute(f"PRAGMA application_id = {APPLICATION}")
             self._base.executescript(_TABLES)
-            (newest,) = self._base.execute("SELECT max(memory) FROM records").fetchone()
+            newest = _value(self._base, "SELECT max(memory) FROM records")
             self.next_number: int = 0 if newest is None else newest + 1
             self._owner = secrets.randbelow(1 << 31)
             self._base.execute(f"PRAGMA user_version = {self._owner}")
@@ -113,7 +113,7 @@ class CheckpointFile:
         base = self._base
         try:
             base.execute("BEGIN IMMEDIATE")
-            if base.execute("PRAGMA user_version").fetchone()[0] != self._owner:
+            if _value(base, "PRAGMA user_version") != self._owner:
                 raise FileTaken(f"another process keeps its state in {self.path} now: this one does no more")
             base.executemany(
                 "INSERT OR REPLACE INTO sections VALUES (?, ?, ?)",
@@ -176,7 +176,7 @@ def _quoted(path: Path) -> str:
 
 
 def _read(base: sqlite3.Connection) -> Optional[Checkpoint]:
-    if base.execute("PRAGMA application_id").fetchone()[0] != APPLICATION:
+    if _value(base, "PRAGMA application_id") != APPLICATION:
         raise UsageError("it is a database of something else")
     base.execute("BEGIN")  # all of one moment
     found = {name: _whole(data, check) for name, data, check in base.execute("SELECT * FROM sections")}
@@ -187,6 +187,12 @@ def _read(base: sqlite3.Connection) -> Optional[Checkpoint]:
     records = [_records(base, *memory) for memory in about["memories"]]
     sections = {name: from_bytes(data) for name, data in found.items()}
     return Checkpoint(sections, records, [tuple(one) for one in about["files"]], about["made"])
+
+
+def _value(base: sqlite3.Connection, query: str) -> Any:
+    """Return the one value of a query, which is read to its end: one that waits to go on holds up a commit."""
+    ((value,),) = base.execute(query).fetchall()
+    return value
 
 
 def _records(base: sqlite3.Connection, number: int, oldest: int, end: Any) -> List[Any]:

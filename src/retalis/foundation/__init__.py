@@ -27,6 +27,7 @@ from .errors import (
 )
 from .interpreter import (
     LONG_DECIMALS,
+    O_PATH,
     PYPY,
     SEEN_AT,
     collect_as_usual,
@@ -53,6 +54,7 @@ __all__ = [
     "LONGEST",
     "look",
     "MessageError",
+    "O_PATH",
     "Omission",
     "Place",
     "place_at",

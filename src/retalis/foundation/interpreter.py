@@ -4,6 +4,7 @@ Whatever holds for one of them only stands here, in two versions of the same; no
 """
 
 import gc
+import os
 import sys
 from importlib.util import find_spec
 from types import CodeType
@@ -14,6 +15,9 @@ PYPY = sys.implementation.name == "pypy"
 
 LONG_DECIMALS = find_spec("_decimal") is not None
 """Whether numbers of `decimal` are fast: where a PyPy has them in Python only, long ones take minutes."""
+
+O_PATH = getattr(os, "O_PATH", 0)
+"""Opens a folder without reading what is in it; a Python that has no name for it opens it to be read."""
 
 remove_dead: Callable[[Dict[Any, Any], Any], None]
 """Takes a weak reference whose object is gone out of a table, by its key and in one step; leaves any other."""

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retalis.engine.keeping import from_bytes, to_bytes
+from retalis.engine.keeping import coding, from_bytes, to_bytes
 from retalis.engine.keeping.coding import make_atom
 from retalis.foundation import UsageError
 from retalis.prolog.terms import Lazy, String, Var, WholeSeconds, atom, functor, make_list, term_key
@@ -76,6 +76,17 @@ def test_what_stands_twice_is_written_once():
         term = functor("f", 2)(term, term)
     assert len(to_bytes(term)) < 200_000
     from_bytes(to_bytes(term))
+
+
+def test_a_pickler_in_python_writes_the_same(monkeypatch):
+    """It asks what to do with plain data, too, which may have no hash; that in C does not."""
+    members = {"reducer_override": coding._StateWriter.reducer_override}  # noqa: SLF001
+    monkeypatch.setattr(coding, "_StateWriter", type("Writer", (pickle._Pickler,), members))  # noqa: SLF001
+    term = functor("f", 2)(atom("x"), String("y"))
+    data = {"x": [term, (1, 2.5, None, True, b"z")], "float": float}
+    assert from_bytes(to_bytes(data)) == data
+    with pytest.raises(TypeError, match="complex cannot be kept"):
+        to_bytes([1j])
 
 
 class Evil:

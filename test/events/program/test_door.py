@@ -6,7 +6,7 @@ import os
 import pytest
 
 from retalis.events.program.door import Door, check_name
-from retalis.foundation import RetalisError, UsageError
+from retalis.foundation import O_PATH, RetalisError, UsageError
 from retalis.prolog.machine import PrologError
 
 
@@ -51,7 +51,9 @@ def test_loading_ends_with_its_work(door):
         assert door.is_loading
 
 
-def test_what_may_be_written(door, tmp_path):
+@pytest.mark.parametrize("way", [O_PATH, 0])
+def test_what_may_be_written(door, tmp_path, monkeypatch, way):
+    monkeypatch.setattr("retalis.events.program.door.O_PATH", way)
     path = str(tmp_path / "write" / "new.txt")
     door.append(path, "one\n")
     door.append(path, "two\n")

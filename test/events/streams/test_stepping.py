@@ -1,6 +1,5 @@
 """Windows of steps against trying all ways in their order, as the oracle does."""
 
-import tracemalloc
 from random import Random
 
 import pytest
@@ -93,6 +92,7 @@ def stepped(engine):
 
 def test_an_item_takes_as_much_memory_however_many_matches_wait():
     """Each way knew all matches that wait before it, and copied them for each that came."""
+    tracemalloc = pytest.importorskip("tracemalloc")
     taken = []
     for number in (10, 800):
         engine = Engine()

@@ -9,9 +9,12 @@ import pytest
 from source import ROOT
 
 from retalis import Engine, ProgramErrors, RetalisError, Settings, UsageError
+from retalis.foundation import PYPY
 from retalis.prolog.swi import binding
 
 ALLOWED = Settings(allow_swi=True)
+
+NOT_ON_PYPY = pytest.mark.skipif(PYPY, reason=binding.ON_PYPY)
 
 
 def test_programs_may_not_unless_they_are_allowed_to(tmp_path):
@@ -27,6 +30,7 @@ def test_goals_that_run_later_never_may(folder):
         engine.query("use_swi('kb.pl')")
 
 
+@NOT_ON_PYPY
 def test_it_is_said_where_swi_prolog_is_not_installed(monkeypatch, tmp_path):
     (tmp_path / "any.pl").write_text(":- module(any, [any/1]).\nany(1).\n")
     binding.find_library.cache_clear()
@@ -38,17 +42,17 @@ def test_it_is_said_where_swi_prolog_is_not_installed(monkeypatch, tmp_path):
         Engine(settings=ALLOWED).load(rules=":- use_swi('any.pl').", folder=tmp_path)
 
 
-class OldLibrary(ctypes.PyDLL):
-    """A library that has not all of the functions."""
-
-    def __init__(self, name, **options):
-        super().__init__("libc.so.6", **options)
-
-    def __getitem__(self, name):
-        return super().__getitem__("abs" if name != "PL_is_acyclic" else name)
-
-
+@NOT_ON_PYPY
 def test_it_is_said_which_function_an_older_one_lacks(monkeypatch):
+    class OldLibrary(ctypes.PyDLL):
+        """A library that has not all of the functions."""
+
+        def __init__(self, name, **options):
+            super().__init__("libc.so.6", **options)
+
+        def __getitem__(self, name):
+            return super().__getitem__("abs" if name != "PL_is_acyclic" else name)
+
     find = binding.find_library.__wrapped__
     monkeypatch.setattr(binding, "PLACES", ())
     monkeypatch.setattr(binding, "NAMES", ("libswipl_that_is_not_there.so", "libc.so.6"))
@@ -58,6 +62,12 @@ def test_it_is_said_which_function_an_older_one_lacks(monkeypatch):
     monkeypatch.setattr(binding.ctypes, "CDLL", OldLibrary)
     with pytest.raises(UsageError, match="PL_is_acyclic"):
         find()
+
+
+def test_it_is_said_where_python_has_no_way_to_it(monkeypatch):
+    monkeypatch.setattr(binding, "PYPY", True)
+    with pytest.raises(UsageError, match="use_swi needs CPython"):
+        binding.find_library.__wrapped__()
 
 
 @pytest.mark.slow

@@ -149,6 +149,8 @@ class _StateWriter(pickle.Pickler):
         found = _REDUCED.get(kind)
         if found is not None:
             return found(obj)
+        if kind in _PLAIN:
+            return NotImplemented
         if kind.__name__ in _TUPLES and _TUPLES[kind.__name__] is kind:
             return make_named, (kind.__name__, tuple(obj))
         if obj is float:
@@ -167,6 +169,9 @@ _REDUCED: Dict[type, Callable[[Any], Any]] = {
     Ref: lambda one: (make_ref, (one.number,)),
     _Flat: lambda one: (make_deep, (one.steps,)),
 }
+_PLAIN = frozenset((None.__class__, bool, int, float, str, bytes, tuple, list, dict, set, frozenset))
+"""What a pickler that is written in C never asks about; one in Python, as PyPy has it, does."""
+
 _WRITTEN = frozenset(MAKERS.values())
 
 

@@ -10,7 +10,7 @@ import stat
 from contextlib import contextmanager
 from typing import Iterable, Iterator, List, Optional, Tuple, Union
 
-from ...foundation import RetalisError, UsageError, shortened, undecodable
+from ...foundation import O_PATH, RetalisError, UsageError, shortened, undecodable
 from ...prolog.machine import (
     domain_error,
     existence_error,
@@ -284,7 +284,7 @@ def _open_to_write(real: str, name: str, folders: Folders) -> int:
     except FileNotFoundError:
         pass
     folder, last = os.path.split(real)
-    at = os.open(folder, os.O_PATH | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
+    at = os.open(folder, O_PATH | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
     try:
         _check_opened(at, name, folders)  # before anything is made in it
         return os.open(last, flags | os.O_CREAT | os.O_EXCL | _SAFELY, 0o666, dir_fd=at)
