@@ -287,3 +287,33 @@ def test_predicates_that_are_used_may_get_names_of_their_own(program, tmp_path):
     assert program.engine.call(
         "findall(X, r(X), [1, 2]), \\+ catch(small(_), error(existence_error(_, _), _), fail)"
     )
+
+
+@pytest.mark.parametrize(
+    "directives",
+    [
+        ":- use_module(a). :- use_module(b).",
+        ":- use_module(b). :- use_module(a).",
+        ":- use_module(d). :- use_module(a). :- use_module(b). :- use_module(a).",
+        ":- ensure_loaded(a). :- ensure_loaded(b).",
+        ":- ensure_loaded(b). :- use_module(d, [other/1]).",
+        ":- use_module(a, [have/1 as has]). :- use_module(b, except([item/1])).",
+    ],
+)
+def test_a_module_that_another_one_uses_is_loaded_once(program, tmp_path, directives):
+    (tmp_path / "b.pl").write_text(":- module(b, [item/1]).\nitem(cup).\nitem(pan).\n")
+    (tmp_path / "a.pl").write_text(":- module(a, [have/1]).\n:- use_module(b).\nhave(X) :- item(X).\n")
+    (tmp_path / "d.pl").write_text(":- module(d, [other/1]).\n:- use_module(a).\nother(X) :- have(X).\n")
+    program.engine.load(rules=f"{directives} h(L) <- tick where findall(X, item(X), L).")
+    assert program.engine.call("findall(X, item(X), [cup, pan])")
+    program.engine.load(rules=f"{directives} g(L) <- tick where findall(X, item(X), L).")
+    assert program.engine.call("findall(X, item(X), [cup, pan])")
+
+
+def test_a_name_for_a_predicate_means_that_of_the_module(program, tmp_path):
+    (tmp_path / "b.pl").write_text(":- module(b, [size/1]).\nsize(1).\n")
+    (tmp_path / "c.pl").write_text(":- module(c, [size/1]).\nsize(7).\n")
+    program.engine.load(
+        rules=":- use_module(b). :- use_module('./c.pl', [size/1 as csize]). p(X) <- a where csize(X)."
+    )
+    assert program.engine.call("findall(X, csize(X), [7]), findall(X, size(X), [1])")

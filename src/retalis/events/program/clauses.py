@@ -183,7 +183,7 @@ class FileChecker:
             self._declared.take(goals, spot)
         else:
             self.steps.append(FileEntry(kind, deref(goal[1]), at))
-            self.steps += [FileEntry("clause", clause, at) for clause in renaming(*goal[2:])]
+            self.steps += [FileEntry("clause", clause, at) for clause in renaming(*goal[1:])]
 
     def _later(self, term: CompoundTerm, spot: Spot, place: Optional[Place]) -> None:
         """Take a goal that is called when the file has been loaded, or at another time that the term says."""

@@ -1,10 +1,11 @@
 """Files and libraries as ``use_module/1``, ``ensure_loaded/1`` and ``include/1`` name them."""
 
+from pathlib import PurePath
 from typing import List
 
 from ...prolog.database import indicated
 from ...prolog.machine import CONTEXT, PrologError, existence_error, instantiation_error, type_error
-from ...prolog.terms import NIL, SLASH, Atom, String, Term, Var, atom, deref, functor, list_items
+from ...prolog.terms import COLON, NIL, SLASH, Atom, String, Term, Var, atom, deref, functor, list_items
 
 LIBRARY = functor("library", 1)
 _EXCEPT, _AS, _CLAUSE = functor("except", 1), functor("as", 2), functor(":-", 2)
@@ -77,8 +78,11 @@ def require_library(term: Term) -> None:
         raise existence_error("library", name, (CONTEXT, Var(), atom(_ELSEWHERE)))
 
 
-def renaming(imports: Term = NIL) -> List[Term]:
-    """Return the clauses by which predicates have the names that ``use_module(File, [p/1 as q])`` gives them."""
+def renaming(file: Term, imports: Term = NIL) -> List[Term]:
+    """Return the clauses by which predicates have the names that ``use_module(File, [p/1 as q])`` gives them.
+
+    They call those of the module that is called as its file, and the plain ones where there is no such module.
+    """
     imports = deref(imports)
     if imports.__class__ is tuple and imports[0] is _EXCEPT:
         imports = imports[1]
@@ -89,7 +93,8 @@ def renaming(imports: Term = NIL) -> List[Term]:
             key = indicated(named) if named.__class__ is tuple and named[0] in _NAMES else None
             if key is not None and name.__class__ is Atom and key.arity <= _MOST_ARGUMENTS:
                 args = [Var() for _ in range(key.arity)]
-                found.append((_CLAUSE, _call(name.name, args), _call(key.name, args)))
+                module = atom(PurePath(library_path(file)).stem)
+                found.append((_CLAUSE, _call(name.name, args), (COLON, module, _call(key.name, args))))
     return found
 
 

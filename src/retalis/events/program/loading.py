@@ -354,8 +354,11 @@ class Loader:
         rules, late = self._rules, []
         for step in accepted.steps:
             if isinstance(step, CheckedProgram):
-                self._act(step)
-                self._modules.bring_in(self._modules.last)
+                module = "" if step.path is None else self._files.module(step.path)
+                if not module:  # else a file before it has had it loaded meanwhile
+                    self._act(step)
+                    module = self._modules.last
+                self._modules.bring_in(module)
             elif isinstance(step, Consulted):
                 self._consult(step, accepted)
             elif step.kind == "later":
