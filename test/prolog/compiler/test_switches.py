@@ -22,6 +22,7 @@ def calls(random, size):
         known = [*VALUES, "X", "Y", str(random.randrange(size)), f"k{random.randrange(size)}", "f(X)", "zzz"]
         yield f"p({', '.join(random.choice(known) for _ in range(3))}, N)"
     yield f"p(X, Y, Z, {random.randrange(size)})"
+    yield from ("p(X, X, Z, N)", "p(X, Y, X, N)", "p(X, Y, Y, N)", "p(X, X, X, N)", "X = Y, p(X, Y, Z, N)")
 
 
 @pytest.mark.parametrize("with_bodies", [False, True], ids=["facts", "rules"])

@@ -275,7 +275,7 @@ class Generator:
         locals_ = self._own_locals(scope, rule, key) if rest else self.locals
         if rest:
             frame = ", ".join([unit.constant(self._retry(rest)), *self.locals, "after", "mark"])
-            scope.pending = f"{self._guard(index, rest, locals_)}choose(({frame}))"
+            scope.pending = f"{self._guard(scope, index, rest, locals_)}choose(({frame}))"
         self._head(scope, rule, key, locals_)
         nodes = BodyParser(self.database, entry).parse(rule.body)
         bodies = Bodies(unit, clause, entry, self.database.interpret, str(self.key), self.key)
@@ -293,18 +293,24 @@ class Generator:
                 scope.lines = [f"{indent}while True:", *scope.lines]
         return scope
 
-    def _guard(self, index: int, rest: Tuple[int, ...], locals_: Sequence[str]) -> str:
+    def _guard(self, scope: Scope, index: int, rest: Tuple[int, ...], locals_: Sequence[str]) -> str:
         """Return the test, with ``if``, that others may match where a clause has matched; nothing where they may.
 
-        They do not if they have other keys for an argument that is not a variable: it has the key of this clause.
+        They do not if they have other keys for an argument that was no variable at the call: it has the key of this
+        clause. That is looked at before the head, which binds variables.
         """
         tests = []
         for at, (local, arg) in enumerate(zip(locals_, self.rules[index].args)):
             key = key_of(arg)
             others = [key_of(self.rules[other].args[at]) for other in rest]
             if at != self.position and key is not None and None not in others and key not in others:
+                scope.dereference(local)
                 tests.append(f"{local}.__class__ is Var")
-        return f"if {' and '.join(tests)}: " if tests else ""
+        if not tests:
+            return ""
+        unknown = scope.temp("u")
+        scope.line(f"{unknown} = {' and '.join(tests)}")
+        return f"if {unknown}: "
 
     def _end(self, unit: Unit) -> Optional[Tuple[int, str]]:
         """Return the switched argument and an atom for which the predicate is true whatever the others are."""
