@@ -96,3 +96,30 @@ def test_large_terms_that_were_passed_are_no_reason_to_compile(made, monkeypatch
     numbers = ", ".join(str(random.randrange(9)) for _ in range(500))
     logic = prolog("go(L, N) :- member(X, L), X > 7, ( X =:= 8 -> N = X ; fail ).", NEVER)
     assert first(logic, f"go([{numbers}], N), !, true") is not None
+
+
+@pytest.mark.parametrize(
+    "goal",
+    [
+        "G = !, call((digit(X), digit(Y), X + Y > 9, G)), N is X * 10 + Y",
+        "member(G, [true, !]), call((digit(X), digit(Y), X + Y > 15, G)), N is X * 10 + Y",
+        "G = (digit(Y), !), call((digit(X), G, X > 3)), N is X * 10 + Y",
+        "G = !, call((digit(X), (X > 5 -> G ; fail))), N = X",
+    ],
+)
+@pytest.mark.parametrize("steps", [1, 3, 50])
+def test_a_cut_that_a_variable_stands_for_is_that_of_the_body(goal, steps, monkeypatch):
+    wanted = answers(prolog(SEARCH), goal)
+    monkeypatch.setattr(machine, "SLICE", (None,) * steps)
+    assert answers(prolog(SEARCH, NEVER), goal) == wanted
+
+
+def test_what_cannot_be_compiled_is_tried_once_and_many_bodies_take_turns(monkeypatch):
+    tried = []
+    monkeypatch.setattr(hot.HotBodies, "_compile", lambda self, body: tried.append(body))
+    monkeypatch.setattr(machine, "SLICE", (None,))
+    logic = prolog(SEARCH, NEVER)
+    goal = " , ".join(f"\\+ (digit(X{at}), digit(Y{at}), X{at} + Y{at} > 18)" for at in range(20))
+    assert first(logic, f"{goal}, N = 1")["N"] == "1"
+    assert 0 < len(tried) <= 60
+    assert len(logic.control.bodies) <= 2 * hot._MOST_BODIES  # noqa: SLF001

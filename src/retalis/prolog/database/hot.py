@@ -5,7 +5,7 @@ backtracking. The machine shows what it is about to interpret once in a slice of
 met again is compiled, with its variables as arguments, and from then on run that way when it is gone on with.
 """
 
-from typing import Any, Dict, List, Optional, Tuple
+from typing import Any, Dict, List, Optional, Set, Tuple
 
 from ..compiler import ARROW, BAR, NOT, SEMICOLON, SOFT_ARROW, ClauseParts, Generator
 from ..machine import Code, Frame, PrologError, Step
@@ -30,6 +30,7 @@ class HotBodies:
         self._database = database
         self.compiled: Dict[int, Tuple[Step, Tuple[Var, ...], Term]] = {}
         self._met: Dict[int, Term] = {}
+        self._refused: Set[int] = set()
 
     def __len__(self) -> int:
         """Return how many bodies are held."""
@@ -39,6 +40,7 @@ class HotBodies:
         """Forget all: the bodies are over, or what they call has been redefined."""
         self.compiled.clear()
         self._met.clear()
+        self._refused.clear()
 
     def meet(self, body: Term) -> None:
         """Note that a body is about to be interpreted; compile it where that has been noted before."""
@@ -46,21 +48,28 @@ class HotBodies:
             return
         if self._met.get(id(body)) is not body:
             if len(self._met) >= _MOST_BODIES:
-                self.clear()
+                self._forget(next(iter(self._met)))
             self._met[id(body)] = body
-        elif id(body) not in self.compiled:
-            made = self._compile(body)
-            if made is not None:
+        elif id(body) not in self.compiled and id(body) not in self._refused:
+            made = None if _calls_what_is_bound(body) else self._compile(body)
+            if made is None:
+                self._refused.add(id(body))
+            else:
                 self.compiled[id(body)] = made
+
+    def _forget(self, oldest: int) -> None:
+        del self._met[oldest]
+        self.compiled.pop(oldest, None)
+        self._refused.discard(oldest)
 
     def _compile(self, body: Term) -> Optional[Tuple[Step, Tuple[Var, ...], Term]]:
         names: Dict[Var, Term] = {}
-        source = _Copied(names).term(body)
-        if source is None:
-            return None
-        key = functor("$body", len(names))
-        rule = ClauseParts(tuple(names.values()), source)
         try:
+            source = _Copied(names).term(body)
+            if source is None:
+                return None
+            key = functor("$body", len(names))
+            rule = ClauseParts(tuple(names.values()), source)
             step = Generator(self._database, key, [rule], Code("body", _unused)).single(0)
         except (PrologError, RecursionError):  # where the goal with the error is reached it is thrown
             return None
@@ -74,6 +83,18 @@ class HotBodies:
 
 def _unused(frame: Frame) -> Optional[Frame]:
     raise AssertionError("a body does not call itself")
+
+
+def _calls_what_is_bound(body: Term) -> bool:
+    """Tell whether a variable that is bound is one of the goals: a cut that it stands for is that of the body."""
+    left = [body]
+    while left:
+        goal = left.pop()
+        if goal.__class__ is Var and goal.ref is not None:
+            return True
+        if goal.__class__ is tuple and goal[0] in _STRUCTURES:
+            left += goal[1:]
+    return False
 
 
 class _Copied:
