@@ -113,10 +113,11 @@ def unify(  # noqa: C901 -- the innermost loop of all: no calls, no second look 
             if kind is tuple:
                 if left[0] is not right[0]:
                     return False
-                if deeper is not None:
-                    stack.append(beside)
-                    stack.append(deeper)
-                deeper, beside = left, right
+                if deeper is None:
+                    deeper, beside = left, right
+                else:
+                    stack.append(right)
+                    stack.append(left)
             elif left is not right and (kind is Atom or not same_constant(left, right)):
                 return False
         if deeper is not None:
