@@ -122,6 +122,10 @@ def logic():
         ("open(accents, read, S, [encoding(octet)]), get_char(S, _), peek_code(S, T)", "169"),
         ("open(accents, read, S, [type(binary)]), stream_property(S, type(T))", "binary"),
         ("findall(A, stream_property(_, alias(A)), T)", "[user_input,user_output,user_error]"),
+        (
+            "findall(A, (stream_property(_, alias(A)), catch(open(out, write, _, [alias(new)]), _, true)), T)",
+            "[user_input,user_output,user_error]",
+        ),
         ("stream_property(user_input, eof_action(T))", "reset"),
         ("stream_property(user_output, mode(T))", "append"),
         ("open(facts, read, S), read(S, _), character_count(S, T)", "5"),

@@ -84,7 +84,7 @@ def _properties(streams: ProgramStreams, stream: Union[OpenStream, str]) -> Iter
         yield _of("alias", name)
     else:
         yield _of("file_name", name)
-        for alias, number in streams.aliases.items():
+        for alias, number in list(streams.aliases.items()):
             if streams.opened.get(number) is stream:
                 yield _of("alias", alias)
     if isinstance(stream, InputStream):
