@@ -1,5 +1,6 @@
 """ROS 1 bags, read and written message by message as raw bytes; the ``rosbags`` package does the work."""
 
+from contextlib import closing
 from operator import itemgetter
 from pathlib import Path
 from struct import Struct
@@ -7,12 +8,17 @@ from typing import Any, Collection, Dict, Iterator, List, NamedTuple, Optional, 
 
 from ...foundation import RetalisError
 from ...messages import Definition
+from .chunks import chunks
 
 _SIZE = Struct("<I")
 _IS_MESSAGE, _IS_CONNECTION = (b"\x04\x00\x00\x00op=" + bytes([code]) for code in (2, 7))
 """The field of a record's header that says what it is."""
 
 PathLike = Union[str, Path]
+
+
+_Entry = Tuple[int, int, int, "Topic"]
+"""Where a message is: its time, its chunk, its place there, and its connection."""
 
 
 class BagError(RetalisError):
@@ -123,44 +129,22 @@ class BagReader:
         if not connections:
             return
         try:
-            yield from self._messages(connections, start, stop)
+            entries = self._entries(connections, start, stop)
+            with closing(chunks(self._reader, [position for _, position, _, _ in entries])) as coming:
+                yield from _messages(entries, coming)
         except Exception as error:  # broken bags raise whatever their bytes lead to
             raise BagError(f"{self.path}: the bag is broken: {reason(error)}") from error
 
-    def _messages(
-        self, connections: List[Any], start: Optional[int], stop: Optional[int]
-    ) -> Iterator[Record]:
-        """Yield the messages of connections by the index that ``rosbags`` has read.
-
-        Its own way to the messages reads every field of their headers from a file object, in three times the time.
-        """
-        reader = self._reader
+    def _entries(self, connections: List[Any], start: Optional[int], stop: Optional[int]) -> List[_Entry]:
+        """Return where the messages of connections are, in their order, by the index that ``rosbags`` has read."""
         entries = [
             (entry.time, entry.chunk_pos, entry.offset, self._topics[connection.id])
             for connection in connections
-            for entry in reader.indexes[connection.id]
+            for entry in self._reader.indexes[connection.id]
             if (start is None or start <= entry.time) and (stop is None or entry.time < stop)
         ]
         entries.sort(key=itemgetter(0))
-        size_at = _SIZE.unpack_from
-        current, chunk = None, b""
-        for time, position, offset, topic in entries:
-            if position != current:
-                current, chunk = position, _chunk(reader, position)
-            (size,) = size_at(chunk, offset)
-            at = offset + 4 + size
-            while (
-                chunk.find(_IS_MESSAGE, offset, at) < 0
-            ):  # a connection's record that stands before its message
-                if chunk.find(_IS_CONNECTION, offset, at) < 0:
-                    raise ValueError("the index does not point to a message")
-                offset = at + 4 + size_at(chunk, at)[0]
-                at = offset + 4 + size_at(chunk, offset)[0]
-            (size,) = size_at(chunk, at)
-            data = chunk[at + 4 : at + 4 + size]
-            if len(data) != size:
-                raise ValueError("a message is truncated")
-            yield Record(topic, time, data)
+        return entries
 
     def close(self) -> None:
         """Close the file.
@@ -248,14 +232,28 @@ def _rosbag1() -> Any:
     return rosbag1
 
 
-def _chunk(reader: Any, position: int) -> bytes:
-    """Return the records of a chunk."""
-    found = reader.chunks[position]
-    reader.bio.seek(found.datapos)
-    raw = reader.bio.read(found.datasize)
-    if len(raw) != found.datasize:
-        raise ValueError("a chunk is truncated")
-    return bytes(found.decompressor(raw))
+def _messages(entries: List[_Entry], coming: Iterator[bytes]) -> Iterator[Record]:
+    """Yield messages, from the chunks that come.
+
+    The way of ``rosbags`` reads every field of their headers from a file object, in three times the time.
+    """
+    size_at = _SIZE.unpack_from
+    current, chunk = None, b""
+    for time, position, offset, topic in entries:
+        if position != current:
+            current, chunk = position, next(coming)
+        (size,) = size_at(chunk, offset)
+        at = offset + 4 + size
+        while chunk.find(_IS_MESSAGE, offset, at) < 0:  # a connection's record that stands before its message
+            if chunk.find(_IS_CONNECTION, offset, at) < 0:
+                raise ValueError("the index does not point to a message")
+            offset = at + 4 + size_at(chunk, at)[0]
+            at = offset + 4 + size_at(chunk, offset)[0]
+        (size,) = size_at(chunk, at)
+        data = chunk[at + 4 : at + 4 + size]
+        if len(data) != size:
+            raise ValueError("a message is truncated")
+        yield Record(topic, time, data)
 
 
 def _open(path: Path) -> Any:
