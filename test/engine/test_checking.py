@@ -4,6 +4,7 @@ import pytest
 
 from retalis.engine import Engine, check_program, never_comes
 from retalis.events.program import Topics, topic_type
+from retalis.foundation import RetalisError
 from retalis.messages import Definitions
 
 TOPICS = Topics((topic_type("said", "std_msgs/String"),))
@@ -49,3 +50,11 @@ def test_findings_are_in_the_order_of_the_files(tmp_path, definitions):
         for one in check_program(tmp_path, definitions)
     ]
     assert found == [("goalPredicates.txt", 3), ("pub_sub.xml", 1), ("rules.txt", 1), ("rules.txt", 2)]
+
+
+def test_a_program_that_is_not_there_is_one_error_with_its_name(tmp_path, definitions):
+    for missing in (tmp_path / "none.pl", tmp_path / "none"):
+        (found,) = check_program(missing, definitions)
+        assert found.problem.message == f"cannot read {missing}: there is no such file or folder"
+        with pytest.raises(RetalisError, match="there is no such file or folder"):
+            Engine().load_program(missing)

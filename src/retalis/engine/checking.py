@@ -63,7 +63,7 @@ def check_program(
     topics = Topics()
     alone = os.path.isfile(folder)
     try:
-        topics = topics if alone else read_topics(folder / TOPICS)
+        topics = read_topics(folder / TOPICS) if os.path.isdir(folder) else topics
     except RetalisError as error:
         problems.all_of(error)
     engine = Engine(Clock(time.time_ns), settings, problems, definitions)

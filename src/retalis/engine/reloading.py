@@ -77,6 +77,8 @@ def _load(engine: EngineCore, folder: Path) -> None:
     if os.path.isfile(folder):
         own_files.load_rules(read_text(folder), str(folder), folder.parent)
         return
+    if not os.path.isdir(folder):
+        raise UsageError(f"cannot read {folder}: there is no such file or folder")
     path = folder / GOALS
     parts = parts_of(engine)
     parts.slots.events = {**parts.input_topics.event_types(), **event_types(folder)}
