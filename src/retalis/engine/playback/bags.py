@@ -17,7 +17,7 @@ _IS_MESSAGE, _IS_CONNECTION = (b"\x04\x00\x00\x00op=" + bytes([code]) for code i
 PathLike = Union[str, Path]
 
 
-_Entry = Tuple[int, int, int, "Topic"]
+_MessageEntry = Tuple[int, int, int, "Topic"]
 """Where a message is: its time, its chunk, its place there, and its connection."""
 
 
@@ -135,7 +135,9 @@ class BagReader:
         except Exception as error:  # broken bags raise whatever their bytes lead to
             raise BagError(f"{self.path}: the bag is broken: {reason(error)}") from error
 
-    def _entries(self, connections: List[Any], start: Optional[int], stop: Optional[int]) -> List[_Entry]:
+    def _entries(
+        self, connections: List[Any], start: Optional[int], stop: Optional[int]
+    ) -> List[_MessageEntry]:
         """Return where the messages of connections are, in their order, by the index that ``rosbags`` has read."""
         entries = [
             (entry.time, entry.chunk_pos, entry.offset, self._topics[connection.id])
@@ -232,7 +234,7 @@ def _rosbag1() -> Any:
     return rosbag1
 
 
-def _messages(entries: List[_Entry], coming: Iterator[bytes]) -> Iterator[Record]:
+def _messages(entries: List[_MessageEntry], coming: Iterator[bytes]) -> Iterator[Record]:
     """Yield messages, from the chunks that come.
 
     The way of ``rosbags`` reads every field of their headers from a file object, in three times the time.
