@@ -333,3 +333,30 @@ def test_streams_belong_to_their_program(logic):
     answers(logic, "open(facts, read, _)")
     assert len(streams_of(logic.machine).opened) == 1
     assert not streams_of(prolog().machine).opened
+
+
+@given(st.text("ab\n", max_size=30), st.lists(st.integers(0, 30), max_size=12))
+def test_positions_are_those_of_the_text_wherever_reading_goes(text, places):
+    stream = InputStream("any", text)
+    for place in places:
+        if not stream.go_to(place):
+            assert place > len(text)
+            continue
+        before = text[:place]
+        assert stream.position == (place, before.count("\n"), len(before.rpartition("\n")[2]))
+        assert stream.line == before.count("\n") + 1
+
+
+def test_lines_of_a_long_text_are_counted_once():
+    class Text(str):
+        looked = 0
+
+        def count(self, what, first, last):
+            Text.looked += last - first
+            return super().count(what, first, last)
+
+    stream = InputStream("long", Text("p(1).\n" * 1000))
+    for at in range(0, 6000, 6):
+        stream.at = at
+        assert stream.line == at // 6 + 1
+    assert Text.looked <= 6000

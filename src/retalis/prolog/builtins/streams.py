@@ -60,6 +60,7 @@ class InputStream:
         self.eof_action = "eof_code" if more is None else "reset"
         self.ended = False
         self._before = (0, 0, 0)
+        self._counted = (0, 0, -1)  # up to where lines were counted, how many, and where the last one ended
         self._program: Optional[Program] = None
         self._base = 0
         self._next = 0
@@ -71,15 +72,21 @@ class InputStream:
             return False
         self._before = self.position
         self.text, self.at, self._program = self.text[self.at :] + line, 0, None
+        self._counted = (0, 0, -1)
         return True
 
     @property
     def position(self) -> Tuple[int, int, int]:
         """How many characters have been read, how many line ends, and how many characters of the line."""
         characters, lines, column = self._before
-        newline = self.text.rfind("\n", 0, self.at)
+        at, counted, newline = self._counted
+        if at > self.at:  # it was set back
+            at, counted, newline = 0, 0, -1
+        counted += self.text.count("\n", at, self.at)
+        newline = max(newline, self.text.rfind("\n", at, self.at))
+        self._counted = (self.at, counted, newline)
         column = column + self.at if newline < 0 else self.at - newline - 1
-        return characters + self.at, lines + self.text.count("\n", 0, self.at), column
+        return characters + self.at, lines + counted, column
 
     def go_to(self, characters: int) -> bool:
         """Go to where so many characters had been read; return whether that is still known."""

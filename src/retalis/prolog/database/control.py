@@ -38,14 +38,13 @@ from ..terms import (
     refuse_cycles,
 )
 from .database import Database
-from .hot import HotBodies
+from .hot import STRUCTURES, HotBodies
 from .modules import Modules
 
 _CUT = functor("!", 0)
 _FAIL = functor("fail", 0)
 _COLON = functor(":", 2)
 _NECK = functor(":-", 2)
-_STRUCTURES = {COMMA, SEMICOLON, BAR, ARROW, SOFT_ARROW, NOT}
 
 
 Controls = Callable[[Machine, Values, Frame], Optional[Frame]]
@@ -127,7 +126,7 @@ class Control:
     def call(self, goal: Term, after: Frame) -> Optional[Frame]:
         """Return the frame of ``call/1``: cuts in the goal are local to it."""
         goal = deref(goal)
-        if goal.__class__ is tuple and goal[0] in _STRUCTURES:
+        if goal.__class__ is tuple and goal[0] in STRUCTURES:
             goal = check_body(goal)
         return self.solve(goal, len(self._choices), after)
 
@@ -252,7 +251,7 @@ def check_body(goal: Term) -> Term:
                 return _called(goal) if open_goals else goal
             item = deref(stack.pop())
             if item.__class__ is tuple:
-                if item[0] in _STRUCTURES:
+                if item[0] in STRUCTURES:
                     stack.extend(item[1:])
             elif item.__class__ is Var:
                 open_goals = True
@@ -268,7 +267,7 @@ def _called(goal: Term) -> Term:
     """Return a body with its variables called; no recursion along conjunctions."""
     before = []
     goal = deref(goal)
-    while goal.__class__ is tuple and goal[0] in _STRUCTURES and len(goal) == 3:
+    while goal.__class__ is tuple and goal[0] in STRUCTURES and len(goal) == 3:
         before.append((goal[0], _called(goal[1])))
         goal = deref(goal[2])
     if goal.__class__ is Var:
@@ -346,7 +345,7 @@ def control_predicates(control: Control) -> Dict[Tuple[str, int], Controls]:
     found: Dict[Tuple[str, int], Controls] = {("call", arity): call for arity in range(1, 9)}
     found.update({("catch", 3): catch, ("throw", 1): throw, ("findall", 3): findall, ("findall", 4): findall})
     found.update({("forall", 2): forall, ("repeat", 0): _repeat(control.machine)})
-    for key in (*_STRUCTURES, ONCE, IGNORE):
+    for key in (*STRUCTURES, ONCE, IGNORE):
         found[key.name, key.arity] = _structure(control, key)
     return found
 

@@ -16,7 +16,7 @@ _MOST_PARTS = 400
 """Larger bodies are not compiled; what they have are most likely terms that were passed to them."""
 
 _MOST_BODIES = 16
-_STRUCTURES = {COMMA, SEMICOLON, BAR, ARROW, SOFT_ARROW, NOT}
+STRUCTURES = {COMMA, SEMICOLON, BAR, ARROW, SOFT_ARROW, NOT}
 
 
 class HotBodies:
@@ -44,7 +44,7 @@ class HotBodies:
 
     def meet(self, body: Term) -> None:
         """Note that a body is about to be interpreted; compile it where that has been noted before."""
-        if body.__class__ is not tuple or body[0] not in _STRUCTURES or self._database.interprets:
+        if body.__class__ is not tuple or body[0] not in STRUCTURES or self._database.interprets:
             return
         if self._met.get(id(body)) is not body:
             if len(self._met) >= _MOST_BODIES:
@@ -92,7 +92,7 @@ def _calls_what_is_bound(body: Term) -> bool:
         goal = left.pop()
         if goal.__class__ is Var and goal.ref is not None:
             return True
-        if goal.__class__ is tuple and goal[0] in _STRUCTURES:
+        if goal.__class__ is tuple and goal[0] in STRUCTURES:
             left += goal[1:]
     return False
 

@@ -82,16 +82,17 @@ class Index:
 
 
 class Indexes:
-    """The indexes of a predicate, made as calls come with arguments that tell its clauses apart."""
+    """The indexes of a predicate, made as calls come with arguments that tell its clauses apart.
+
+    How many clauses there were when an argument did not is kept, so that it is not tried for each call.
+    """
 
     __slots__ = ("_positions", "_made", "_poor")
 
     def __init__(self, arity: int) -> None:
         self._positions = range(min(arity, _ARGUMENTS))
         self._made: Dict[int, Index] = {}
-        self._poor: Dict[
-            int, int
-        ] = {}  # how many clauses there were when an argument did not tell them apart
+        self._poor: Dict[int, int] = {}
 
     def select(self, clauses: List[Clause], frame: Frame) -> Tuple[List[Clause], Optional[int]]:
         """Return a list that holds all clauses that a call may match, and the argument that it is indexed by.
