@@ -317,3 +317,16 @@ def test_a_name_for_a_predicate_means_that_of_the_module(program, tmp_path):
         rules=":- use_module(b). :- use_module('./c.pl', [size/1 as csize]). p(X) <- a where csize(X)."
     )
     assert program.engine.call("findall(X, csize(X), [7]), findall(X, size(X), [1])")
+
+
+def test_two_files_that_are_one_module_are_told(program, tmp_path):
+    for name in ("x", "y"):
+        (tmp_path / f"{name}.pl").write_text(f":- module(x, []).\np({name}).\n")
+    said = []
+    program.engine.load(rules=":- use_module(x). :- use_module(x).")
+    parts_of(program.engine).logic.files.on_same_module = said.append
+    program.engine.load(rules=":- use_module(y). :- use_module(y).")
+    assert said == [
+        f"Warning: {tmp_path}/x.pl is module x as well; what {tmp_path}/y.pl has of it is added to that\n"
+    ]
+    assert program.engine.call("findall(X, x:p(X), [x, y])")

@@ -3,7 +3,7 @@
 import os
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Dict, Iterator, List, Optional, Set, Tuple, Union
+from typing import Callable, Dict, Iterator, List, Optional, Set, Tuple, Union
 
 from ...foundation import UsageError
 from ...prolog.terms import Term
@@ -25,6 +25,7 @@ class Files:
         loaded: those that have been loaded, or are being loaded.
         omitted: of those that were loaded without some of their terms, how many these were.
         modules: the names of those that are modules.
+        on_same_module: called with what is to be said of two that are one module.
     """
 
     def __init__(self) -> None:
@@ -33,6 +34,7 @@ class Files:
         self.omitted: Dict[str, int] = {}
         self._again = False
         self.modules: Dict[Path, str] = {}
+        self.on_same_module: Callable[[str], None] = lambda text: None
         self._folder: Optional[Path] = None
         self._open: List[Path] = []
 
@@ -171,9 +173,17 @@ class Files:
         return _real(path) in self.loaded
 
     def note_module(self, name: str) -> None:
-        """Note that the file that is being loaded is a module."""
-        if self._open:
-            self.modules[self._open[-1]] = name
+        """Note that the file that is being loaded is a module; say so where another file is the same one."""
+        if not self._open:
+            return
+        path = self._open[-1]
+        for other, one in self.modules.items():
+            if one == name and other != path and other in self.loaded:
+                self.on_same_module(
+                    f"Warning: {other} is module {name} as well; what {path} has of it is added to that\n"
+                )
+                break
+        self.modules[path] = name
 
     def module(self, path: Path) -> str:
         """Return the name of the module that a file is, once it has begun to be loaded; "" for another file."""

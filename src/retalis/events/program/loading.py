@@ -69,6 +69,7 @@ class Loader:
         self._gathered: Optional[List[Unknown]] = None
         self._modules = rules.logic.database.modules
         self._modules.on_begin = self._files.note_module
+        self._files.on_same_module = self._modules.on_clash
         rules.logic.files = self._files
 
     def note_calls(self, found: List[Unknown]) -> None:
