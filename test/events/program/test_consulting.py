@@ -330,3 +330,15 @@ def test_two_files_that_are_one_module_are_told(program, tmp_path):
         f"Warning: {tmp_path}/x.pl is module x as well; what {tmp_path}/y.pl has of it is added to that\n"
     ]
     assert program.engine.call("findall(X, x:p(X), [x, y])")
+
+
+def test_what_is_called_by_a_module_s_name_is_looked_for_there(program, tmp_path):
+    (tmp_path / "b.pl").write_text(":- module(b, [size/2]).\nsize(cup, 1).\nbig(X) :- size(X, _).\nzzyx.\n")
+    program.engine.load(
+        rules=":- use_module(b).\nk(L) <- tick where findall(X, b:big(X), L).\n"
+        "j <- tick where (b:zzyx, b:size(_, 1)).\nn(X) <- tick where b:nope(X).\nm <- tick where zzyx."
+    )
+    assert [str(one).partition("\n")[0] for one in program.warnings] == [
+        "text:4:22: there is no predicate nope/1 yet",
+        "text:5:17: there is no predicate zzyx/0 yet",
+    ]

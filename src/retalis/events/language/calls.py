@@ -94,12 +94,14 @@ class Unknown(NamedTuple):
         place: where the call is, or None.
         caller: who calls it, where there is no place.
         advice: what was probably meant.
+        module: by whose name it is called, if by any.
     """
 
     key: Functor
     place: Optional[Place]
     caller: str = ""
     advice: str = ""
+    module: Optional[Term] = None
 
 
 def called_by(conditions: Term, caller: str) -> List[Unknown]:
@@ -116,12 +118,12 @@ def called_by(conditions: Term, caller: str) -> List[Unknown]:
 
 def unknown_calls(logic: Logic, found: List[Unknown], terms: Callable[[], List[Term]]) -> Iterator[RuleError]:
     """Yield a warning for each predicate that is called and not there, and that no goal in ``terms`` can add."""
-    missing = [one for one in found if one.key is not _CUT and not logic.defines(one.key)]
+    missing = [one for one in found if one.key is not _CUT and not _is_there(logic, one)]
     if not missing:
         return
     added = _added(terms())
     hints = _MOST_HINTS
-    for key, place, caller, advice in missing:
+    for key, place, caller, advice, _ in missing:
         if key not in added and _ANY not in added:
             added.add(key)
             hints -= 1
@@ -130,6 +132,12 @@ def unknown_calls(logic: Logic, found: List[Unknown], terms: Callable[[], List[T
             hint = f"; {advice}" if advice else hint
             who = f"{caller}: " if caller else ""
             yield RuleError(f"{who}there is no predicate {key} yet{hint}", place)
+
+
+def _is_there(logic: Logic, call: Unknown) -> bool:
+    modules = logic.database.modules
+    module = None if call.module is None else modules.named(call.module)
+    return logic.defines(call.key if module is None else modules.resolve(module, call.key))
 
 
 _ANY: Any = object()

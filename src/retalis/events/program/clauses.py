@@ -322,10 +322,12 @@ class FileChecker:
     def _called(self, call: Subgoal, spot: Spot, place: Optional[Place]) -> None:
         """Note what a goal of a rule calls."""
         term = call.term
+        module = call.parent[1] if call.parent[0] is COLON else None
         if term.__class__ is tuple:
-            self.calls.append(Unknown(term[0], spot(term) or place, "", _advice(term)))
+            self.calls.append(Unknown(term[0], spot(term) or place, "", _advice(term), module))
         elif term.__class__ is Atom:
-            self.calls.append(Unknown(term.functor, spot(call.parent, call.number) or place))
+            where = spot(call.parent, call.number) or place
+            self.calls.append(Unknown(term.functor, where, module=module))
 
     def _unbound(self, head: Term, pattern: Pattern, place: Optional[Place]) -> None:
         bound = {*bound_by(pattern), *_bound_later(head)}
