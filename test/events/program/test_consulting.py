@@ -340,5 +340,5 @@ def test_what_is_called_by_a_module_s_name_is_looked_for_there(program, tmp_path
     )
     assert [str(one).partition("\n")[0] for one in program.warnings] == [
         "text:4:22: there is no predicate nope/1 yet",
-        "text:5:17: there is no predicate zzyx/0 yet",
+        "text:5:17: there is no predicate zzyx/0 yet; did you mean b:zzyx/0?",
     ]
