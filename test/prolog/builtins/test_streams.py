@@ -123,8 +123,9 @@ def logic():
         ("open(accents, read, S, [type(binary)]), stream_property(S, type(T))", "binary"),
         ("findall(A, stream_property(_, alias(A)), T)", "[user_input,user_output,user_error]"),
         (
-            "findall(A, (stream_property(_, alias(A)), catch(open(out, write, _, [alias(new)]), _, true)), T)",
-            "[user_input,user_output,user_error]",
+            "findall(A, (open(facts, read, _, [alias(p)]), stream_property(_, alias(A)), A == p, "
+            "open(empty, read, _, [alias(q)]), fail), T)",
+            "[]",
         ),
         ("stream_property(user_input, eof_action(T))", "reset"),
         ("stream_property(user_output, mode(T))", "append"),

@@ -1,0 +1,21 @@
+"""Unification goes to where terms differ, and no further than it has to."""
+
+from retalis.prolog.terms import Var, atom, functor, make_list, unify
+
+F = functor("f", 1)
+
+
+def test_lists_that_differ_early_are_not_walked():
+    trail = []
+    left = make_list([F(atom("a")), *[Var() for _ in range(100)]])
+    assert not unify(left, make_list([F(atom("b")), *range(100)]), trail)
+    assert trail == []
+
+
+def test_all_arguments_are_unified():
+    first, second, third = Var(), Var(), Var()
+    key = functor("g", 4)
+    trail = []
+    assert unify(key(F(first), F(second), 1, F(third)), key(F(7), F(8), 1, F(9)), trail)
+    assert (first.ref, second.ref, third.ref, len(trail)) == (7, 8, 9, 3)
+    assert not unify(key(F(7), F(8), 1, F(9)), key(F(7), F(8), 1, F(10)), [])
