@@ -310,12 +310,12 @@ def test_a_module_that_another_one_uses_is_loaded_once(program, tmp_path, direct
     assert program.engine.call("findall(X, item(X), [cup, pan])")
 
 
-def test_a_name_for_a_predicate_means_that_of_the_module(program, tmp_path):
+@pytest.mark.parametrize("written", [":- {}.", "{}."])
+def test_a_name_for_a_predicate_means_that_of_the_module(program, tmp_path, written):
     (tmp_path / "b.pl").write_text(":- module(b, [size/1]).\nsize(1).\n")
     (tmp_path / "c.pl").write_text(":- module(c, [size/1]).\nsize(7).\n")
-    program.engine.load(
-        rules=":- use_module(b). :- use_module('./c.pl', [size/1 as csize]). p(X) <- a where csize(X)."
-    )
+    named = written.format("use_module('./c.pl', [size/1 as csize])")
+    program.engine.load(rules=f":- use_module(b). {named} p(X) <- a where csize(X).")
     assert program.engine.call("findall(X, csize(X), [7]), findall(X, size(X), [1])")
 
 

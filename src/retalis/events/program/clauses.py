@@ -154,7 +154,7 @@ class FileChecker:
         elif head in DIRECTIVES:
             self._directive(term, spot, place)
         elif head in _USING:
-            self.steps.append(FileEntry(_USING[head], deref(term[1]), place))
+            self._use(term, place)
         elif head is PROPERTY_FACT:
             self._property(Property(deref(term[1]), _name(term[2]), deref(term[3])), term, spot, place)
             self.steps.append(FileEntry("clause", term, place))
@@ -175,15 +175,18 @@ class FileChecker:
         if goal.__class__ is tuple and goal[0] in _INITIALIZATION:
             self._later(goal, spot, at)
             return
-        kind = _USING.get(goal[0]) if goal.__class__ is tuple else None
-        if kind is None or goal.__class__ is not tuple:
-            goals = goals_of(term, spot)
-            self._declared.fit(made_by_goals(calls(term, 1)), term, self._names, spot, place)
-            self.steps.append(FileEntry("directive", goal, at, goals))
-            self._declared.take(goals, spot)
-        else:
-            self.steps.append(FileEntry(kind, deref(goal[1]), at))
-            self.steps += [FileEntry("clause", clause, at) for clause in renaming(*goal[1:])]
+        if goal.__class__ is tuple and goal[0] in _USING:
+            self._use(goal, at)
+            return
+        goals = goals_of(term, spot)
+        self._declared.fit(made_by_goals(calls(term, 1)), term, self._names, spot, place)
+        self.steps.append(FileEntry("directive", goal, at, goals))
+        self._declared.take(goals, spot)
+
+    def _use(self, goal: CompoundTerm, place: Optional[Place]) -> None:
+        """Take a file that is used, and the names that its predicates get."""
+        self.steps.append(FileEntry(_USING[goal[0]], deref(goal[1]), place))
+        self.steps += [FileEntry("clause", clause, place) for clause in renaming(*goal[1:])]
 
     def _later(self, term: CompoundTerm, spot: Spot, place: Optional[Place]) -> None:
         """Take a goal that is called when the file has been loaded, or at another time that the term says."""
