@@ -34,7 +34,8 @@ def chunks(reader: Any, positions: Iterable[int]) -> Generator[bytes, None, None
             yield from _ahead(pool, reader, order)
         return
     for position in order:
-        yield _records(reader.chunks[position], _raw(reader, position))
+        chunk = reader.chunks[position]
+        yield _records(chunk, _raw(reader, chunk))
 
 
 def _is_slow(chunk: Any) -> bool:
@@ -53,7 +54,8 @@ def _ahead(pool: ThreadPoolExecutor, reader: Any, order: Iterable[int]) -> Itera
 
 def _begin(pool: ThreadPoolExecutor, reader: Any, position: int) -> "Future[bytes]":
     try:
-        chunk, raw = reader.chunks[position], _raw(reader, position)
+        chunk = reader.chunks[position]
+        raw = _raw(reader, chunk)
     except (KeyError, OSError, ValueError) as error:  # what comes before is there all the same
         broken: Future[bytes] = Future()
         broken.set_exception(error)
@@ -61,10 +63,9 @@ def _begin(pool: ThreadPoolExecutor, reader: Any, position: int) -> "Future[byte
     return pool.submit(_records, chunk, raw)
 
 
-def _raw(reader: Any, position: int) -> bytes:
-    found = reader.chunks[position]
-    reader.bio.seek(found.datapos)
-    raw: bytes = reader.bio.read(found.datasize)
+def _raw(reader: Any, chunk: Any) -> bytes:
+    reader.bio.seek(chunk.datapos)
+    raw: bytes = reader.bio.read(chunk.datasize)
     return raw
 
 

@@ -3,13 +3,12 @@
 from pathlib import PurePath
 from typing import List
 
-from ...prolog.database import indicated
+from ...prolog.database import GRAMMAR_NAME, indicated
 from ...prolog.machine import CONTEXT, PrologError, existence_error, instantiation_error, type_error
 from ...prolog.terms import COLON, NIL, SLASH, Atom, String, Term, Var, atom, deref, functor, list_items
 
 LIBRARY = functor("library", 1)
 _EXCEPT, _AS, _CLAUSE = functor("except", 1), functor("as", 2), functor(":-", 2)
-_NAMES = (SLASH, functor("//", 2))
 _MOST_ARGUMENTS = 1000
 _ELSEWHERE = (
     "what the program calls of it has to be defined elsewhere, or the file to be given to SWI-Prolog: "
@@ -90,7 +89,7 @@ def renaming(file: Term, imports: Term = NIL) -> List[Term]:
     for item in map(deref, list_items(imports) or ()):
         if item.__class__ is tuple and item[0] is _AS:
             named, name = deref(item[1]), deref(item[2])
-            key = indicated(named) if named.__class__ is tuple and named[0] in _NAMES else None
+            key = indicated(named) if named.__class__ is tuple and named[0] in (SLASH, GRAMMAR_NAME) else None
             if key is not None and name.__class__ is Atom and key.arity <= _MOST_ARGUMENTS:
                 args = [Var() for _ in range(key.arity)]
                 module = atom(PurePath(library_path(file)).stem)

@@ -6,7 +6,7 @@ from .database import Database
 from .functional import functional
 from .goal import CompiledGoal
 from .metas import declared_kinds
-from .modulenames import indicated
+from .modulenames import GRAMMAR_NAME, indicated
 from .predicate import COMPILE_AFTER, Predicate
 from .standard import STANDARD
 
@@ -22,6 +22,7 @@ __all__ = [
     "functional",
     "functor_of",
     "CompiledGoal",
+    "GRAMMAR_NAME",
     "indicated",
     "may_match",
     "NEVER",

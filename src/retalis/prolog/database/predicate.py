@@ -148,12 +148,13 @@ class Predicate:
         self.dead += 1
         if self.dead == len(self.clauses) or (self.dead > 16 and self.dead * 2 > len(self.clauses)):
             self._sweep()
+            self.indexes.clear()
         return True
 
     def _sweep(self) -> None:
-        self.clauses = [old for old in self.clauses if old.died == NEVER]
+        """Drop the clauses that were removed; the indexes have them still."""
+        self.clauses = list(self.live())
         self.dead = 0
-        self.indexes.clear()
 
     def clear(self) -> None:
         """Remove all clauses."""
@@ -183,8 +184,7 @@ class Predicate:
         if self.library or not (self.kind == "user" or self.clauses):
             return
         self.kind = "user"
-        self.clauses = list(self.live())
-        self.dead = 0
+        self._sweep()
         self.ground = self.functor.arity > 0 and all(clause.ground for clause in self.clauses)
         self.indexes.clear()
         self.forget()
@@ -346,8 +346,7 @@ class Predicate:
     def _go_by_keys(self) -> bool:
         """Have calls go by the indexes that calls have asked for by now, if those leave no clause out."""
         if self.dead:
-            self.clauses = list(self.live())
-            self.dead = 0
+            self._sweep()
             self.indexes.make_anew(self.clauses)
         choices = self.database.machine.choices
         run: Step = self._call
