@@ -46,11 +46,11 @@ def rules(work: str, events: List[StreamEvent], emit: Emit) -> Run:
     else:
         kinds = {kind: functor(kind, 1) for kind in "abclr"}
         ready = [(kinds[kind](key), time) for kind, key, time in events]
-    enter, run, done = parts.dispatcher.dispatch, parts.logic.machine.run, parts.logic.machine.done
+    take = parts.intake.take_stamped
 
     def all_of_them() -> None:
         for term, time in ready:
-            run(enter(term, time, time, done, None, True))
+            take(term, time)
 
     return lambda: engine.do(all_of_them)
 

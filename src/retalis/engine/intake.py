@@ -40,7 +40,10 @@ class Intake:
         self._clock = clock
         self.followed = followed
         self._start_anew = start_anew
+        self._stamp_at_once = clock.stamp_at_once
         self._done = logic.machine.done
+        self._run = logic.machine.run
+        self._dispatch = dispatcher.dispatch
         self._lanes = dispatcher.lanes
         self.taken = 0
 
@@ -77,16 +80,35 @@ class Intake:
     def take_message(self, term: Term) -> None:
         """Dispatch a message that has come now: as `take`, in the fewest steps where a `Lane` serves it."""
         lane = self._lanes.get(term[0]) if term.__class__ is tuple else None
-        stamp = None if lane is None else self._clock.stamp_at_once()
-        if lane is not None and stamp is not None:
-            try:
-                if lane(term, stamp, stamp):
-                    self.taken += 1
-                    return
-            except BaseException:
-                self._dispatcher.restore(None, None)
-                raise
+        stamp = None
+        if lane is not None:
+            stamp = self._stamp_at_once()
+            if stamp is not None:
+                try:
+                    if lane(term, stamp, stamp):
+                        self.taken += 1
+                        return
+                except BaseException:
+                    self._dispatcher.restore(None, None)
+                    raise
         self.take(term, stamp, stamp, True)
+
+    def take_stamped(self, term: Term, instant: int) -> None:
+        """Dispatch an event without variables that has its stamp and follows from no other: as `take`."""
+        followed = self.followed
+        if not (self._clock.is_quiet() if followed is None else followed.follow(instant)):
+            self.take(term, instant, instant, True)
+            return
+        self.taken += 1
+        lane = self._lanes.get(term[0]) if term.__class__ is tuple else None
+        try:
+            if lane is None or not lane(term, instant, instant):
+                frame = self._dispatch(term, instant, instant, self._done, None, True)
+                if frame is not self._done:
+                    self._run(frame)
+        except BaseException:
+            self._dispatcher.restore(None, None)
+            raise
 
     def _look_at_clock(self) -> int:
         """Look what time it is, let alarms ring that are due, and return the time."""

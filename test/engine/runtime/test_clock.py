@@ -1,3 +1,5 @@
+import pytest
+
 from retalis.engine.runtime import Clock, StreamClock
 from retalis.prolog.terms import SECOND
 
@@ -67,9 +69,45 @@ def test_a_stamp_at_once_is_the_next_stamp_where_nothing_else_is_due():
     clock.move_to(50)
     assert clock.stamp_at_once() == 50
     clock.call_at(60, lambda instant: None)
-    assert clock.stamp_at_once() is None, "the alarm may be due"
+    assert clock.stamp_at_once() == 51, "the alarm is not due"
+    clock.move_to(60)
+    assert clock.stamp_at_once() is None, "the alarm is due"
     clock.due(60)
-    assert clock.stamp_at_once() == 51
+    assert clock.stamp_at_once() == 60
     clock.move_to(40, back=True)
     assert clock.stamp_at_once() is None, "time went back"
-    assert clock.stamp() == 52
+    assert clock.stamp() == 61
+
+
+@pytest.mark.parametrize("look", [lambda clock: clock.is_quiet(), lambda clock: clock.follow(0)])
+def test_a_clock_is_quiet_while_nothing_is_due_and_time_goes_on(look):
+    clock = StreamClock(50)
+    assert look(clock)
+    clock.call_at(60, lambda instant: None)
+    assert look(clock)
+    clock.move_to(60)
+    assert not look(clock)
+    clock.due(60)
+    assert look(clock)
+    clock.move_to(40, back=True)
+    assert not look(clock), "time went back"
+    assert clock.now() == 40
+
+
+def test_a_clock_follows_events_as_far_as_nothing_is_due():
+    clock = StreamClock()
+    assert clock.follow(50) and clock.now() == 50
+    assert clock.follow(40) and clock.now() == 50, "an event that is late moves nothing"
+    clock.call_at(60, lambda instant: None)
+    assert not clock.follow(60) and clock.now() == 50, "the alarm is looked at first"
+    clock.due(60)
+    clock.pin(70)
+    assert not clock.follow(80), "a pinned clock does not show the time of the stream"
+
+
+def test_it_is_seen_that_somebody_has_put_a_followed_clock_back():
+    clock = StreamClock()
+    assert clock.follow(5 * SECOND)
+    clock.move_to(0, back=True)
+    assert not clock.follow(6 * SECOND)
+    assert clock.now() == 0 and clock.went_back()

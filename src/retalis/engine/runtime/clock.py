@@ -102,19 +102,36 @@ class Clock:
         """Return `stamp` of now, or None where alarms or time that went back have to be looked at first.
 
         >>> clock = Clock(lambda: 5_000_000_000)
+        >>> clock.call_at(6_000_000_000, print)
         >>> clock.stamp_at_once()
         5000000000
-        >>> clock.call_at(6_000_000_000, print)
+        >>> clock.call_at(4_000_000_000, print)
         >>> clock.stamp_at_once()
         """
         instant = self._source()
-        if self.alarms or self.behind or instant < self._newest:
+        if instant < self._newest or self.behind or self.alarms and self.alarms[0][0] <= instant:
             return None
         self._newest = instant
         if instant <= self._last_stamp:
             instant = self._last_stamp + 1
         self._last_stamp = instant
         return WholeSeconds(instant)
+
+    def is_quiet(self) -> bool:
+        """Look what time it is; tell whether neither alarms nor time that went back have to be looked at.
+
+        >>> clock = Clock(lambda: 5_000_000_000)
+        >>> clock.is_quiet()
+        True
+        >>> clock.call_at(4_000_000_000, print)
+        >>> clock.is_quiet()
+        False
+        """
+        instant = self._source()
+        if instant < self._newest or self.behind or self.alarms and self.alarms[0][0] <= instant:
+            return False
+        self._newest = instant
+        return True
 
     def call_at(self, instant: int, alarm: Alarm) -> None:
         """Have ``alarm`` called with the instant when that has come.
@@ -295,6 +312,26 @@ class StreamClock(Clock):
         """
         if back or instant > self._time:
             self._time = int(instant)
+
+    def follow(self, instant: int) -> bool:
+        """Move to the instant of an event, where nothing has to be looked at before and after that; else do nothing.
+
+        >>> clock = StreamClock()
+        >>> clock.follow(1_000_000_000), clock.now()
+        (True, 1000000000)
+        >>> clock.call_at(2_000_000_000, print)
+        >>> clock.follow(3_000_000_000), clock.now()
+        (False, 1000000000)
+        """
+        time = self._time
+        if time < self._newest or self.behind or self._pinned is not None:
+            return False
+        if instant > time:
+            time = int(instant)
+        if self.alarms and self.alarms[0][0] <= time:
+            return False
+        self._time = self._newest = time
+        return True
 
     def move_by(self, nanoseconds: int) -> None:
         """Let some of the stream's time pass.

@@ -4,7 +4,7 @@ from ...prolog.terms import EventAction
 from .building import compile_builder
 from .dispatch import Dispatcher
 from .lanes import Completion, goal_lane, stand_in
-from .plans import NOBODY, takes_all
+from .plans import NOBODY, Onlookers, takes_all
 from .serving import AT_ONCE, Dispatch, Lane, Listener, Stage
 from .unread import NOT_READ
 
@@ -20,6 +20,7 @@ __all__ = [
     "Listener",
     "NOBODY",
     "NOT_READ",
+    "Onlookers",
     "Stage",
     "stand_in",
     "takes_all",

@@ -105,8 +105,7 @@ class Dispatcher(Audience):
         if not own:
             term, ground = _own(term)
         if plan.__class__ is Onlookers:
-            self._show(plan, term, start, end, after)
-            return after
+            return self.show(plan, term, start, end, after)
         parent = self.current
         if parent is None and plan.__class__ is Sole and token is None:
             [(matcher, action)] = plan
@@ -148,8 +147,8 @@ class Dispatcher(Audience):
         self.current = parent
         return after
 
-    def _show(self, plan: Onlookers, term: Term, start: int, end: int, after: Frame) -> None:
-        """Call those who only look on, for an event whose dispatch need not be set up."""
+    def show(self, plan: Onlookers, term: Term, start: int, end: int, after: Frame) -> Frame:
+        """Call those who only look on, for an event whose dispatch need not be set up; return the next frame."""
         current = self.current
         if current.__class__ is tuple and current[3] is not None:
             current = self.event()
@@ -161,6 +160,7 @@ class Dispatcher(Audience):
             if values is not None:
                 action(term, values, start, end, after)
         self.current = current
+        return after
 
     def _later(self, frame: Frame, depth: int) -> Frame:
         """Return the frame of an event that the machine's loop is to serve, where that may still be derived."""
@@ -180,6 +180,20 @@ class Dispatcher(Audience):
         except PrologError as error:
             keep_back(error)
             raise UsageError(f"no more events are derived from it ({error.message})") from error
+
+    def lane(self, action: EventAction) -> Lane:
+        """Return the lane of an action that needs no values; see ``sole`` in `Audience.listen`."""
+        run, done = self._machine.run, self._machine.done
+
+        def lane(term: Term, start: int, end: int) -> bool:
+            self.current = (term, start, end, None)
+            frame = action(term, (), start, end, done)
+            if frame is not done:
+                run(frame)
+            self.current = None
+            return True
+
+        return lane
 
     def left_out(self, functor: Functor) -> Optional[Dispatch]:
         """Return what is to be current in place of an event that need not be made; None where it has to be.

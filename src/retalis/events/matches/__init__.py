@@ -2,7 +2,7 @@
 
 from .absence import Absence, Emitting
 from .chains import Chain, Log, joined_at_once, joined_one_by_one, pieces_of, repetitions
-from .expiry import ByStart, Expiries
+from .expiry import ByStart, Expiries, drop_gone
 from .matches import (
     NOTHING_HELD,
     Found,
@@ -51,6 +51,7 @@ __all__ = [
     "Emit",
     "Emitting",
     "emit_each",
+    "drop_gone",
     "Expiries",
     "first_side",
     "Found",

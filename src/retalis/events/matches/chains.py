@@ -90,8 +90,7 @@ def joined_at_once(match: Match, times: int) -> None:
 
 def _set_parts(match: Match, parts: Parts) -> None:
     match.parts = parts
-    if hasattr(match, "identity"):
-        del match.identity
+    match.identity = None
 
 
 def pieces_of(match: Match, times: int) -> Tuple[Piece, ...]:

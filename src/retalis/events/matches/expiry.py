@@ -69,6 +69,8 @@ class ByStart:
     Most are added in the order of their starts: those of one span are a queue of nothing but the matches, and cost
     the same however many wait. The others are a heap.
 
+    Whoever adds to a queue may keep it: it stays the same one.
+
     Attributes:
         span: how long after its start a match goes, for most of them, in ns; None where none goes.
         queue: the matches of that span.
@@ -86,6 +88,13 @@ class ByStart:
 
     def __len__(self) -> int:
         return len(self.queue) + sum(len(queue) for queue in self.others.values()) + len(self.heap)
+
+    def reset(self, span: Optional[int]) -> None:
+        """Begin anew, with another span for most."""
+        self.span = span
+        self.queue.clear()
+        self.others.clear()
+        self.heap.clear()
 
     def of(self, span: int) -> Deque[Match]:
         """Return the queue of a span."""
@@ -108,9 +117,8 @@ class ByStart:
 
     def forget_gone(self) -> None:
         """Drop those that have left."""
-        self.queue = deque(one for one in self.queue if one.buffer is not None)
-        for span, queue in self.others.items():
-            self.others[span] = deque(one for one in queue if one.buffer is not None)
+        for queue in (self.queue, *self.others.values()):
+            drop_gone(queue)
         self.heap = [entry for entry in self.heap if entry[2].buffer is not None]
         heapq.heapify(self.heap)
 
@@ -122,3 +130,10 @@ class ByStart:
         heap = self.heap
         while heap and heap[0][0] < clock:
             heapq.heappop(heap)[2].leave()
+
+
+def drop_gone(matches: Deque[Match]) -> None:
+    """Take those out that do not wait any more."""
+    waiting = [one for one in matches if one.buffer is not None]
+    matches.clear()
+    matches.extend(waiting)

@@ -52,7 +52,7 @@ class Match:
         older: the one that began to wait under the key before it; that of the oldest is the newest.
         newer: the one that began to wait there after it.
         order: the larger, the later it began to wait.
-        identity: what it has in common with those that it replaces there.
+        identity: what it has in common with those that it replaces there; None while nobody has asked.
         used: what it last completed something with and was used up by; else None.
     """
 
@@ -99,11 +99,12 @@ class Match:
     if not TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> Any:
-            """Return the values of one that waits without: they are all arguments of its event."""
-            if name != "values":
+            """Return what one that waits of a single event was not given: the values are its arguments."""
+            if name not in _LEFT_OUT:
                 raise AttributeError(name)
-            values = self.values = self.term[1:]
-            return values
+            found = self.term[1:] if name == "values" else None
+            setattr(self, name, found)
+            return found
 
     @property
     def latest(self) -> int:
@@ -122,6 +123,9 @@ class Match:
         """Take the match out of where it waits, if it does."""
         if self.buffer is not None:
             self.buffer.remove(self)
+
+
+_LEFT_OUT = frozenset(("values", "event", "parts", "identity", "used"))
 
 
 class Held:
@@ -248,13 +252,13 @@ def identity(match: Match) -> Hashable:
     if match.parts is None:
         return term_key(match.term)
     path = [match]
-    while path[-1].__class__ is not Match or not hasattr(path[-1], "identity"):
+    while path[-1].__class__ is not Match or path[-1].identity is None:
         parts = path[-1].parts
         if not parts or not isinstance(parts[0], Match):
             break
         path.append(parts[0])
     last = path[-1]
-    waited = last.__class__ is Match and hasattr(last, "identity")
+    waited = last.__class__ is Match and last.identity is not None
     found: Hashable = last.identity if waited else _identity_of(last, ())
     if waited and found.__class__ is Named:
         named: Any = found

@@ -164,20 +164,19 @@ class MatchBuffer:
         if names is None:
             one = last
             for _ in range(FEWER):
-                if self._named(one) == name:
+                if (one.identity or self._named(one)) == name:
                     return one
                 one = one.older
                 if one is last:
                     return None
-            names = self.names[key] = {self._named(one): one for one in self.with_key(key)}
+            names = self.names[key] = {one.identity or self._named(one): one for one in self.with_key(key)}
         return names.get(name)
 
     def _named(self, match: Match) -> Hashable:
-        """Return the name of a match, which one that is alone under its key may not have yet."""
+        """Give a match its name, which one that is alone under its key may not have yet; return it."""
         assert self.name is not None
-        if not hasattr(match, "identity"):
-            match.identity = self.name(match)
-        return match.identity
+        match.identity = name = self.name(match)
+        return name
 
     def _drop_if_idle(self, key: Hashable) -> None:
         if self.indices[key].idle:

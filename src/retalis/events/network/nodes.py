@@ -91,7 +91,8 @@ class Leaf(NetworkNode):
             quick: makes of the plain way a quicker one that does the same; None where there is none.
         """
         rule = self.rule
-        token = rule.network.dispatcher.token
+        dispatcher = rule.network.dispatcher
+        token = dispatcher.token
 
         def arrive(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
             return out(Match(values, start, end, None, term, None), after)
@@ -121,7 +122,9 @@ class Leaf(NetworkNode):
             if quick is None:
                 rule.listen(self, plain)
             else:
-                rule.listen(self, quick(plain), sole=True)
+                take = quick(plain)
+                lane = dispatcher.lane(take) if self.whole else None
+                rule.listen(self, take, lane, sole=True)
         else:
             takes = (lambda start: True) if self.forbids else rule.skipping.takes
             rule.listen(self, arrive_unskipped)

@@ -74,17 +74,21 @@ _TICK = """
             rule.tick(e)
         else:
             rule.clock = e
-            expiries = rule.expiries
-            queue = expiries.queue
             before = e - {main}
             while queue and queue[0].start < before:
-                queue.popleft().leave()
+                gone = queue.popleft()
+                if gone.buffer is not None:
+                    gone.leave()
             if expiries.heap or expiries.others:
                 expiries.expire(e)
 """
 _OUT_OF_ORDER = """
-    queue = rule.expiries.{queue}
-    if s + {span} < rule.clock or queue and queue[-1].start > s:
+        if s is not e and s + {span} < e:
+            return plain(term, {values}, s, e, after)
+    elif s + {span} < rule.clock:
+        return plain(term, {values}, s, e, after)
+{file}
+    if file and file[-1].start > s:
         return plain(term, {values}, s, e, after)
 """
 _WAIT = """
@@ -92,7 +96,6 @@ _WAIT = """
 {keep}
     match.start = s
     match.end = e
-    match.event = match.parts = match.used = None
     match.term = term
     match.key = key
     rule.order = match.order = rule.order + 1
@@ -102,25 +105,21 @@ _WAIT = """
     else:
         own.join(match)
     rule.waiting = number = rule.waiting + 1
-    arrivals = rule.arrivals
     arrivals.append(match)
 {file}
     if number > network.cap or len(arrivals) > 2 * number + SPARE:
         rule.look_through()
 """
-_FILE = "    queue.append(match)"
-_FILE_ANEW = "    rule.expiries.add({span}, match, number)"
+_FILE = "    file.append(match)"
+_FILE_ANEW = "    expiries.add({span}, match, number)"
 """Where conditions were tested since, which may have led to other events of the rule."""
-_KEEP = "    match.values = values"
+_KEEP = "    match.values = values\n"
+_UNNAMED = "    match.identity = None"
+"""Where others mostly wait under the same key, and ask."""
 _PAIR = """
-    s{one} = s
-    e{one} = e
-    s{two} = partner.start
-    e{two} = partner.end
-    start = {operator.start}
-    end = {operator.end}
+    start = {start}
+    end = {end}
     if {fits}:
-        {given}
         met = {met}
 """
 _ONE = """
@@ -129,7 +128,7 @@ _ONE = """
         partner = {partner}
 {pair}
 {tests}
-            if met is not None and partner.buffer is not None:
+            {found}:
                 if partner.older is partner and not (other.indices or other.names):
                     partner.buffer = None
                     rule.waiting -= 1
@@ -155,7 +154,7 @@ _ALL = """
         return after
 {pair}
 {tests}
-        if met is not None:
+        {found}:
 {give}
     return after
 """
@@ -186,6 +185,9 @@ def quick_side(
         "other": side.other,
         "waiting": side.own.newest,
         "partners": side.other.newest,
+        "arrivals": rule.arrivals,
+        "expiries": rule.expiries,
+        "queue": rule.expiries.queue,
         "plain": plain,
         "emit": emit,
         "complete": pair.complete,
@@ -219,6 +221,9 @@ def quick_absent(absence: Absence, rule: Any, whole: bool, plain: EventAction) -
         "absence": absence,
         "own": buffer,
         "waiting": buffer.newest,
+        "arrivals": rule.arrivals,
+        "expiries": rule.expiries,
+        "queue": rule.expiries.queue,
         "plain": plain,
         "new": object.__new__,
         "Match": Match,
@@ -240,7 +245,8 @@ def _source(side: Side, pair: QuickPair, taking: Optional[Taking], rule: Any) ->
     begin = _HEAD + _key([one for one, _ in side.shared], whole)
     begin += _UNIFIED if taking is not None else ""
     begin += _before(side.own, rule, side.waits or side.stays)
-    wait = _waiting(side.own, whole, taking is not None and bool(pair.blocks or pair.tests))
+    tested = bool(pair.blocks or pair.tests)
+    wait = _waiting(side.own, whole, taking is not None and tested, bool(side.shared))
     waits = wait if side.waits else ""
     if taking is None:
         rest = wait + "    return after"
@@ -249,7 +255,8 @@ def _source(side: Side, pair: QuickPair, taking: Optional[Taking], rule: Any) ->
             values="{values}",
             partner="last" if taking.newest else "last.newer",
             pair=_indented(_pair(side, pair), 1),
-            tests=_indented(_tests(pair), 3),
+            tests=_indented(_tests(side, pair), 3),
+            found="if met is not None and partner.buffer is not None" if tested else "if True",
             stays=_indented(wait, 3) if side.stays else "",
             give=_indented(_give(side, pair), 4),
             waits=waits,
@@ -258,7 +265,8 @@ def _source(side: Side, pair: QuickPair, taking: Optional[Taking], rule: Any) ->
         rest = _ALL.format(
             values="{values}",
             pair=_pair(side, pair),
-            tests=_indented(_tests(pair), 2),
+            tests=_indented(_tests(side, pair), 2),
+            found="if met is not None" if tested else "if True",
             give=_indented(_give(side, pair), 3),
             waits=waits,
         )
@@ -275,14 +283,17 @@ def _before(own: MatchBuffer, rule: Any, waits: bool) -> str:
     main, span = rule.expiries.span, own.span
     found = _TICK.replace("{main}", str(main or 0)) if rule.timed else ""
     if waits and span is not None:
-        queue = "queue" if span == main else f"of({span})"
-        found += _OUT_OF_ORDER.replace("{queue}", queue).replace("{span}", str(span))
+        file = "    file = queue" if span == main else f"    file = expiries.of({span})"
+        found += _OUT_OF_ORDER.replace("{file}", file).replace("{span}", str(span))
     return found
 
 
-def _waiting(own: MatchBuffer, whole: bool, anew: bool) -> str:
+def _waiting(own: MatchBuffer, whole: bool, anew: bool, keyed: bool = True) -> str:
+    """Return the lines by which a match begins to wait."""
+    keep = "" if whole else _KEEP
+    keep += "" if own.name is None or keyed else _UNNAMED
     file = _FILE_ANEW.replace("{span}", str(own.span)) if anew else _FILE
-    return _WAIT.format(keep="" if whole else _KEEP, file="" if own.span is None else file)
+    return _WAIT.format(keep=keep, file="" if own.span is None else file)
 
 
 def _key(places: Sequence[int], whole: bool) -> str:
@@ -300,36 +311,40 @@ def _key(places: Sequence[int], whole: bool) -> str:
 def _pair(side: Side, pair: QuickPair) -> str:
     """Return the lines that tell whether a partner fits, and what the values of the pair are."""
     one, two = ("1", "2") if side.left else ("2", "1")
-    given = []
-    met = list(pair.taken)
-    for name, of, whole in zip("lr", ("", "partner.") if side.left else ("partner.", ""), pair.whole):
-        given.append(f"{name}v = {of}{'term' if whole else 'values'}")
-        if whole:
-            met = [_argument(one) if one.startswith(f"{name}v[") else one for one in met]
-    fits = [f"({one})" for one in pair.operator.comparisons]
+    times = {f"s{one}": "s", f"e{one}": "e", f"s{two}": "partner.start", f"e{two}": "partner.end"}
+
+    def said(source: str) -> str:
+        for name, here in times.items():
+            source = source.replace(name, here)
+        return source
+
+    fits = [f"({said(one)})" for one in pair.operator.comparisons]
     fits += [] if pair.span is None else [f"end - start <= {pair.span}"]
     return _PAIR.format(
-        one=one,
-        two=two,
-        operator=pair.operator,
+        start=said(pair.operator.start),
+        end=said(pair.operator.end),
         fits=" and ".join(fits) or "True",
-        given="; ".join(given),
-        met=_tuple(met),
+        met=_tuple([said(_value(one, side, pair)) for one in pair.taken]),
     )
 
 
-def _argument(value: str) -> str:
-    """Return the source of an argument in place of that of a value: the functor is the first item of an event."""
-    return f"{value[:3]}{int(value[3:-1]) + 1}]"
+def _value(source: str, side: Side, pair: QuickPair) -> str:
+    """Return the source of a value of a pair: the functor is the first item of an event."""
+    if source[:3] not in ("lv[", "rv["):
+        return source
+    left, at = source[0] == "l", int(source[3:-1])
+    of = "" if left == side.left else "partner."
+    return f"{of}term[{at + 1}]" if pair.whole[0 if left else 1] else f"{of}values[{at}]"
 
 
-def _tests(pair: QuickPair) -> str:
+def _tests(side: Side, pair: QuickPair) -> str:
     """Return the lines of absences and conditions: ``met`` is None after them where one fails."""
+    ended, began = ("e", "partner.start") if side.left else ("partner.end", "s")
     lines = []
     for at in range(len(pair.blocks)):
         lines += ["if met is not None:"] if at else []
         lines += [
-            f"{'    ' if at else ''}if absence{at}(met, e1, s2):",
+            f"{'    ' if at else ''}if absence{at}(met, {ended}, {began}):",
             f"{'    ' if at else ''}    met = None",
         ]
     for at in range(len(pair.tests)):

@@ -6,9 +6,9 @@ from typing import Any, Deque, Dict, Hashable, List, Optional, Tuple
 from ...foundation import RuleError, UsageError
 from ...prolog.machine import Frame
 from ...prolog.terms import Atom, Functor, Term, Values, Var, deref, is_ground
-from ..dispatch import NOBODY, Completion, EventAction, Lane, Listener, Stage, compile_builder
+from ..dispatch import NOBODY, Completion, EventAction, Lane, Listener, Onlookers, Stage, compile_builder
 from ..language import RuleDefinition, alarm_of
-from ..matches import ByStart, Emit, Expiries, Match, MatchBuffer, NetworkOptions
+from ..matches import ByStart, Emit, Expiries, Match, MatchBuffer, NetworkOptions, drop_gone
 from .compiling import RuleCompiler
 from .limits import least
 from .nodes import Leaf
@@ -165,7 +165,7 @@ class Rule:
         for place, found in waiting.items():
             if place >= 0:
                 buffers[place].put_back(list(found))
-        self.arrivals = deque(match for match, _, _ in state.arrivals)
+        self._arrive_anew([match for match, _, _ in state.arrivals])
         self.waiting = len(set(self.arrivals))
         self.later = [(buffers[place], match, buffers[place].key_of(match)) for place, match in state.later]
         self._later_event = state.later_event
@@ -178,10 +178,14 @@ class Rule:
         for match in waiting:
             match.mend()
         self.waiting = len(waiting)
-        self.arrivals = deque(waiting)
+        self._arrive_anew(waiting)
         self._resettle()
         for node, _, _ in self.nodes:
             node.mend()
+
+    def _arrive_anew(self, waiting: List[Match]) -> None:
+        self.arrivals.clear()
+        self.arrivals.extend(waiting)
 
     def _resettle(self) -> None:
         """File what waits already under the bounds that hold now."""
@@ -193,7 +197,7 @@ class Rule:
             self.skipping.refile(self.arrivals)
 
     def _expire_nothing(self) -> None:
-        self.expiries = ByStart(self._span)
+        self.expiries.reset(self._span)
         self._by_end = Expiries()
 
     def listen(
@@ -329,7 +333,7 @@ class Rule:
             self._drop_oldest()
         many = 2 * self.waiting + SPARE
         if len(self.arrivals) > many:
-            self.arrivals = deque(one for one in self.arrivals if one.buffer is not None)
+            drop_gone(self.arrivals)
         if len(self.expiries) > many:
             self.expiries.forget_gone()
 
@@ -392,17 +396,21 @@ class Rule:
             return Completion(self._complete_values)
         firings = self.firings
         dispatcher = self.network.dispatcher
-        dispatch = dispatcher.dispatch
+        dispatch, show = dispatcher.dispatch, dispatcher.show
         gate = dispatcher.gate(key)
         constant = build(()) if is_ground(head) else None
 
         def complete(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
             firings.number += 1
             firings.last = end
-            if gate.plan is NOBODY:
+            plan = gate.plan
+            if plan is NOBODY:
                 return after
             try:
-                return dispatch(build(values) if constant is None else constant, start, end, after)
+                event = build(values) if constant is None else constant
+                if plan.__class__ is Onlookers:
+                    return show(plan, event, start, end, after)
+                return dispatch(event, start, end, after)
             except UsageError as error:
                 self.network.rule_failed(self, RuleError(error.message))
                 return after
