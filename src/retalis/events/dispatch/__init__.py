@@ -3,8 +3,8 @@
 from ...prolog.terms import EventAction
 from .building import compile_builder
 from .dispatch import Dispatcher
-from .lanes import Completion, goal_lane, stand_in
-from .plans import NOBODY, Onlookers, takes_all
+from .lanes import Completion, Head, firing_source, goal_lane, stand_in
+from .plans import NOBODY, takes_all
 from .serving import AT_ONCE, Dispatch, Lane, Listener, Stage
 from .unread import NOT_READ
 
@@ -15,12 +15,13 @@ __all__ = [
     "Completion",
     "Dispatcher",
     "Dispatch",
+    "firing_source",
     "goal_lane",
+    "Head",
     "Lane",
     "Listener",
     "NOBODY",
     "NOT_READ",
-    "Onlookers",
     "Stage",
     "stand_in",
     "takes_all",

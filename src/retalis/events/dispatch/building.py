@@ -1,9 +1,9 @@
 """Terms built from values by compiled code: heads of rules, and what aggregates collect."""
 
-from typing import Any, Callable, List, Sequence
+from typing import Any, Callable, List, Mapping, Sequence, Tuple
 
 from ...foundation import LARGEST, codegen, shared_function
-from ...prolog.terms import Term, Values, Var, copy, deref, is_ground, is_larger, resolve
+from ...prolog.terms import Term, Values, Var, copy, is_ground, is_larger, resolve
 
 
 def compile_builder(term: Term, order: Sequence[Var], title: str) -> Callable[[Values], Term]:
@@ -13,9 +13,23 @@ def compile_builder(term: Term, order: Sequence[Var], title: str) -> Callable[[V
         return lambda values: term
     if is_larger(term, LARGEST):
         return lambda values: copy(term, dict(zip(order, values)))
-    places = {var: f"v[{at}]" for at, var in enumerate(order)}
+    names = codegen.Names({})
+    lines, result = builder_source(term, {var: f"v[{at}]" for at, var in enumerate(order)}, names)
+    source = "\n    ".join(["def made(v):", *lines, f"return {result}"]) + "\n"
+    made: Callable[[Values], Term] = shared_function(source, names.values, title)
+    return made
+
+
+def builder_source(term: Term, known: Mapping[Var, str], names: codegen.Names) -> Tuple[List[str], str]:
+    """Return the lines that make a term, and the expression that it is after them.
+
+    Args:
+        term: the term, not `LARGEST`; variables that are not known are new each time.
+        known: the expressions of the values of variables.
+        names: get what the lines name.
+    """
+    places = dict(known)
     lines: List[str] = []
-    names = codegen.Names({"Var": Var})
 
     def constant(value: object) -> str:
         return names.name("k", value)
@@ -25,13 +39,11 @@ def compile_builder(term: Term, order: Sequence[Var], title: str) -> Callable[[V
             return constant(item)
         if item not in places:
             places[item] = f"u{len(places)}"
-            lines.append(f"    {places[item]} = Var()")
+            lines.append(f"{places[item]} = {names.constant(Var, Var)}()")
         return places[item]
 
-    result = _build(deref(term), leaf, constant, lines)
-    source = "def made(v):\n" + "\n".join(lines) + f"\n    return {result}\n"
-    made: Callable[[Values], Term] = shared_function(source, names.values, title)
-    return made
+    term = resolve(term)
+    return lines, constant(term) if is_ground(term) else _build(term, leaf, constant, lines)
 
 
 def _build(
@@ -45,7 +57,7 @@ def _build(
         source, done = stack[-1]
         if len(done) == len(source) - 1:
             name = f"t{len(lines)}"
-            lines.append(f"    {name} = ({constant(source[0])}, {', '.join(done)})")
+            lines.append(f"{name} = ({constant(source[0])}, {', '.join(done)})")
             stack.pop()
             if not stack:
                 return name

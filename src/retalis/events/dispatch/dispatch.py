@@ -181,20 +181,6 @@ class Dispatcher(Audience):
             keep_back(error)
             raise UsageError(f"no more events are derived from it ({error.message})") from error
 
-    def lane(self, action: EventAction) -> Lane:
-        """Return the lane of an action that needs no values; see ``sole`` in `Audience.listen`."""
-        run, done = self._machine.run, self._machine.done
-
-        def lane(term: Term, start: int, end: int) -> bool:
-            self.current = (term, start, end, None)
-            frame = action(term, (), start, end, done)
-            if frame is not done:
-                run(frame)
-            self.current = None
-            return True
-
-        return lane
-
     def left_out(self, functor: Functor) -> Optional[Dispatch]:
         """Return what is to be current in place of an event that need not be made; None where it has to be.
 

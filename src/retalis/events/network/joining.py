@@ -5,7 +5,7 @@ from typing import AbstractSet, Any, Callable, Dict, Hashable, List, Optional, S
 from ...foundation import shared_function
 from ...prolog.machine import Frame
 from ...prolog.syntax import EventOperator
-from ...prolog.terms import EventAction, Var, positions
+from ...prolog.terms import Var, positions
 from ..matches import (
     Absence,
     Emit,
@@ -28,13 +28,10 @@ from ..matches import (
 )
 from .conditions import Test
 from .limits import kept_for_late
-from .nodes import Leaf, NetworkNode
+from .nodes import Leaf, NetworkNode, Quick
 from .owners import Buffer, RuleOwner
 from .quicksides import QuickPair, Taking, quick_absent, quick_side
 from .telling import Name, found_here
-
-Quick = Callable[[EventAction], EventAction]
-"""Makes of what is done with an event something quicker that does the same."""
 
 
 class Joining(NetworkNode):
@@ -236,11 +233,12 @@ class Joining(NetworkNode):
             (_is_whole(self.left), _is_whole(self.right)),
             self.operator,
             self.span,
-            self.taken,
+            list(zip(self.vars, self.taken)),
             [absence.blocks for absence in self.absences],
             self.tests,
-            found_here(self.vars, len(self.taken), self.keep) if len(self.vars) > len(self.taken) else None,
-            None if whole is None else whole.action,
+            self.vars[len(self.taken) :],
+            found_here(self.vars, len(self.taken), self.keep),
+            whole,
         )
         newest, uses = mode.policy.newest, mode.policy.consuming
         taking = Taking(newest, uses, among_others(side, newest, out)) if takes else None

@@ -8,11 +8,14 @@ from typing import AbstractSet, Any, Callable, Dict, List, Optional, Sequence, T
 
 from ...prolog.machine import Frame
 from ...prolog.terms import EventAction, Term, Values, Var, positions, variables
-from ..dispatch import Completion, takes_all
+from ..dispatch import Completion, Lane, takes_all
 from ..matches import Absence, Emit, Emitting, Found, Match, NetworkOptions
 from .conditions import RuleGoal, Test
 from .owners import Buffer, RuleOwner
 from .telling import found_here
+
+Quick = Callable[[EventAction], Tuple[EventAction, Optional[Lane]]]
+"""Makes of what is done with an event something quicker that does the same, and a lane where it can have one."""
 
 
 class NetworkNode:
@@ -80,9 +83,7 @@ class Leaf(NetworkNode):
         self.rank = 0
         self.vars = variables(term)
 
-    def bind(
-        self, out: Emit, mode: NetworkOptions, quick: Optional[Callable[[EventAction], EventAction]] = None
-    ) -> None:
+    def bind(self, out: Emit, mode: NetworkOptions, quick: Optional[Quick] = None) -> None:
         """Listen; the token of an event is asked for only where something looks at it.
 
         Args:
@@ -91,8 +92,7 @@ class Leaf(NetworkNode):
             quick: makes of the plain way a quicker one that does the same; None where there is none.
         """
         rule = self.rule
-        dispatcher = rule.network.dispatcher
-        token = dispatcher.token
+        token = rule.network.dispatcher.token
 
         def arrive(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
             return out(Match(values, start, end, None, term, None), after)
@@ -122,9 +122,7 @@ class Leaf(NetworkNode):
             if quick is None:
                 rule.listen(self, plain)
             else:
-                take = quick(plain)
-                lane = dispatcher.lane(take) if self.whole else None
-                rule.listen(self, take, lane, sole=True)
+                rule.listen(self, *quick(plain), sole=True)
         else:
             takes = (lambda start: True) if self.forbids else rule.skipping.takes
             rule.listen(self, arrive_unskipped)

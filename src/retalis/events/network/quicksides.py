@@ -7,10 +7,11 @@ has changed.
 
 from typing import Any, Callable, Dict, NamedTuple, Optional, Sequence, Tuple
 
-from ...foundation import shared_function
+from ...foundation import codegen, shared_function
 from ...prolog.machine import Frame
 from ...prolog.syntax import EventOperator
-from ...prolog.terms import Atom, EventAction, String
+from ...prolog.terms import Atom, EventAction, String, Var
+from ..dispatch import Completion, Lane, firing_source
 from ..matches import Absence, Emit, Found, Match, MatchBuffer, Side
 from .conditions import Test
 
@@ -26,21 +27,24 @@ class QuickPair(NamedTuple):
         whole: whether the matches of its left and of its right side are events whose arguments are the values.
         operator: which pairs fit, and their interval.
         span: the longest interval of a pair, in ns; None for no bound.
-        taken: the sources of the values of a pair: of ``lv[0]``, the first value of the left match, and the like.
+        taken: the variables of the values of a pair, and the sources of these: of ``lv[0]``, the first value of the
+            left match, and the like.
         blocks: what tells for each absence whether it is in the way.
         tests: of a pair.
-        found: takes the values that the tests have found and that are not carried on; None where they find none.
+        tested: the further variables to which the tests give values.
+        found: takes those of these values that are not carried on.
         complete: takes the values of a whole match; None where pairs are given on as matches.
     """
 
     whole: Tuple[bool, bool]
     operator: EventOperator
     span: Optional[int]
-    taken: Sequence[str]
+    taken: Sequence[Tuple[Var, str]]
     blocks: Sequence[Callable[..., bool]]
     tests: Sequence[Test]
-    found: Optional[Callable[..., Any]]
-    complete: Optional[EventAction]
+    tested: Sequence[Var]
+    found: Callable[..., Any]
+    complete: Optional[Completion]
 
 
 class Taking(NamedTuple):
@@ -57,7 +61,7 @@ class Taking(NamedTuple):
     among: Callable[..., Frame]
 
 
-_HEAD = "def made(term, values, s, e, after):\n"
+_HEAD = "def made(term, values, s, e, after):"
 _UNIFIED = """
     if None in partners:
         return plain(term, {values}, s, e, after)
@@ -87,8 +91,8 @@ _OUT_OF_ORDER = """
             return plain(term, {values}, s, e, after)
     elif s + {span} < rule.clock:
         return plain(term, {values}, s, e, after)
-{file}
-    if file and file[-1].start > s:
+{find}
+    if {queue} and {queue}[-1].start > s:
         return plain(term, {values}, s, e, after)
 """
 _WAIT = """
@@ -110,22 +114,22 @@ _WAIT = """
     if number > network.cap or len(arrivals) > 2 * number + SPARE:
         rule.look_through()
 """
-_FILE = "    file.append(match)"
+_FILE = "    {queue}.append(match)"
 _FILE_ANEW = "    expiries.add({span}, match, number)"
 """Where conditions were tested since, which may have led to other events of the rule."""
 _KEEP = "    match.values = values\n"
-_UNNAMED = "    match.identity = None"
+_UNNAMED = "    match.identity = match.parts = None"
 """Where others mostly wait under the same key, and ask."""
 _PAIR = """
     start = {start}
     end = {end}
     if {fits}:
-        met = {met}
+{met}
 """
 _ONE = """
     last = partners.get(key)
     if last is not None:
-        partner = {partner}
+{oldest}
 {pair}
 {tests}
             {found}:
@@ -165,10 +169,23 @@ return emit(Match(met, start, end, None, None, {parts}), after)
 """
 
 
+_LANE = """
+def made(term, s, e):
+    dispatcher.current = (term, s, e, None)
+    frame = after = done
+    for _ in ONCE:
+{body}
+    if frame is not after:
+        run(frame)
+    dispatcher.current = None
+    return True
+"""
+
+
 def quick_side(
     side: Side, pair: QuickPair, taking: Optional[Taking], rule: Any, plain: EventAction, emit: Emit
-) -> EventAction:
-    """Return what takes the values of an event that is a side of a pair.
+) -> Tuple[EventAction, Optional[Lane]]:
+    """Return what takes the values of an event that is a side of a pair, and its lane where they are its arguments.
 
     Args:
         side: the side.
@@ -178,87 +195,106 @@ def quick_side(
         plain: the plain way, for what is not of the common kind.
         emit: takes pairs as matches, where they are no whole ones.
     """
-    names: Dict[str, Any] = {
+    names = codegen.Names(
+        {
+            **_common(rule, side.own, plain),
+            "other": side.other,
+            "partners": side.other.newest,
+            "emit": emit,
+            "complete": None if pair.complete is None else pair.complete.action,
+            "found": pair.found,
+            "among": None if taking is None else taking.among,
+            "Found": Found,
+        }
+    )
+    names.values.update((f"absence{at}", one) for at, one in enumerate(pair.blocks))
+    names.values.update((f"test{at}", one) for at, one in enumerate(pair.tests))
+    whole = pair.whole[0 if side.left else 1]
+    return _made(_source(side, pair, taking, rule, names), whole, names.values, "side of a pair")
+
+
+def _common(rule: Any, own: MatchBuffer, plain: EventAction) -> Dict[str, Any]:
+    """Return what the sources of all sides may name."""
+    network = rule.network
+    machine = network.logic.machine
+    return {
         "rule": rule,
-        "network": rule.network,
-        "own": side.own,
-        "other": side.other,
-        "waiting": side.own.newest,
-        "partners": side.other.newest,
+        "network": network,
+        "own": own,
+        "waiting": own.newest,
         "arrivals": rule.arrivals,
         "expiries": rule.expiries,
         "queue": rule.expiries.queue,
         "plain": plain,
-        "emit": emit,
-        "complete": pair.complete,
-        "found": pair.found,
-        "among": None if taking is None else taking.among,
         "new": object.__new__,
         "Match": Match,
-        "Found": Found,
         "PLAIN": _PLAIN,
         "SPARE": SPARE,
+        "dispatcher": network.dispatcher,
+        "run": machine.run,
+        "done": machine.done,
+        "ONCE": (None,),
     }
-    names.update((f"absence{at}", one) for at, one in enumerate(pair.blocks))
-    names.update((f"test{at}", one) for at, one in enumerate(pair.tests))
-    made: EventAction = shared_function(_source(side, pair, taking, rule), names, "side of a pair")
-    return made
 
 
-def quick_absent(absence: Absence, rule: Any, whole: bool, plain: EventAction) -> EventAction:
+def _made(body: str, whole: bool, names: Dict[str, Any], title: str) -> Tuple[EventAction, Optional[Lane]]:
+    """Return the action of a body; and its lane, which runs frames, where the values are arguments."""
+    lines = [
+        line
+        for line in body.replace("{values}", "term[1:]" if whole else "values").splitlines()
+        if line.strip()
+    ]
+    action: EventAction = shared_function("\n".join([_HEAD, *lines, ""]), names, title)
+    if not whole:
+        return action, None
+    served = []
+    for line in lines:
+        steps, returns, frame = line.partition("return ")
+        if returns and frame != "after":
+            served.append(f"    {steps}frame = {frame}")
+        served.append(f"    {steps}break" if returns else f"    {line}")
+    lane: Lane = shared_function(_LANE.format(body="\n".join(served)), names, title)
+    return action, lane
+
+
+def quick_absent(
+    absence: Absence, rule: Any, whole: bool, plain: EventAction
+) -> Tuple[EventAction, Optional[Lane]]:
     """Return what takes the values of an event that must not happen, where no other waits under its key.
 
     Args:
         absence: where it waits.
         rule: the rule.
-        whole: whether its values are its arguments.
+        whole: whether its values are its arguments; it has a lane then.
         plain: the plain way, for all else.
     """
     buffer = absence.buffer
-    names: Dict[str, Any] = {
-        "rule": rule,
-        "network": rule.network,
-        "absence": absence,
-        "own": buffer,
-        "waiting": buffer.newest,
-        "arrivals": rule.arrivals,
-        "expiries": rule.expiries,
-        "queue": rule.expiries.queue,
-        "plain": plain,
-        "new": object.__new__,
-        "Match": Match,
-        "PLAIN": _PLAIN,
-        "SPARE": SPARE,
-    }
-    source = _text(
-        _HEAD + _key([one for one, _ in absence.shared], whole) + _ABSENT + _before(buffer, rule, True),
-        _waiting(buffer, whole, False) + "    return after",
-        whole,
-    )
-    made: EventAction = shared_function(source, names, "absent event")
-    return made
+    names = {**_common(rule, buffer, plain), "absence": absence}
+    body = _key([one for one, _ in absence.shared], whole) + _ABSENT + _before(buffer, rule, True)
+    body += _waiting(buffer, rule, whole, False) + "    return after"
+    return _made(body, whole, names, "absent event")
 
 
-def _source(side: Side, pair: QuickPair, taking: Optional[Taking], rule: Any) -> str:
-    """Return the source: it has nothing of the program's in it but spans, and how many of what there are."""
+def _source(side: Side, pair: QuickPair, taking: Optional[Taking], rule: Any, names: codegen.Names) -> str:
+    """Return the body: it has nothing of the program's in it but spans, and how many of what there are."""
     whole = pair.whole[0 if side.left else 1]
-    begin = _HEAD + _key([one for one, _ in side.shared], whole)
+    begin = _key([one for one, _ in side.shared], whole)
     begin += _UNIFIED if taking is not None else ""
     begin += _before(side.own, rule, side.waits or side.stays)
     tested = bool(pair.blocks or pair.tests)
-    wait = _waiting(side.own, whole, taking is not None and tested, bool(side.shared))
+    wait = _waiting(side.own, rule, whole, taking is not None and tested, bool(side.shared))
     waits = wait if side.waits else ""
     if taking is None:
         rest = wait + "    return after"
     elif taking.uses:
-        rest = _ONE.format(
+        rest = (_ONE.replace("last", "partner") if taking.newest else _ONE).format(
             values="{values}",
-            partner="last" if taking.newest else "last.newer",
+            oldest="" if taking.newest else "        partner = last.newer",
             pair=_indented(_pair(side, pair), 1),
             tests=_indented(_tests(side, pair), 3),
             found="if met is not None and partner.buffer is not None" if tested else "if True",
             stays=_indented(wait, 3) if side.stays else "",
-            give=_indented(_give(side, pair), 4),
+            give=_indented(_give(side, pair, names), 4),
             waits=waits,
         )
     else:
@@ -267,71 +303,81 @@ def _source(side: Side, pair: QuickPair, taking: Optional[Taking], rule: Any) ->
             pair=_pair(side, pair),
             tests=_indented(_tests(side, pair), 2),
             found="if met is not None" if tested else "if True",
-            give=_indented(_give(side, pair), 3),
+            give=_indented(_give(side, pair, names), 3),
             waits=waits,
         )
-    return _text(begin, rest, whole)
-
-
-def _text(begin: str, rest: str, whole: bool) -> str:
-    lines = (begin + rest).replace("{values}", "term[1:]" if whole else "values").splitlines(True)
-    return "".join(line for line in lines if line.strip()) + "\n"
+    return begin + rest
 
 
 def _before(own: MatchBuffer, rule: Any, waits: bool) -> str:
     """Return the lines that move the rule's clock, and leave what is out of order to the plain way."""
-    main, span = rule.expiries.span, own.span
-    found = _TICK.replace("{main}", str(main or 0)) if rule.timed else ""
+    span = own.span
+    found = _TICK.replace("{main}", str(rule.expiries.span or 0)) if rule.timed else ""
     if waits and span is not None:
-        file = "    file = queue" if span == main else f"    file = expiries.of({span})"
-        found += _OUT_OF_ORDER.replace("{file}", file).replace("{span}", str(span))
+        queue = _queue(own, rule)
+        find = "" if queue == "queue" else f"    {queue} = expiries.of({span})"
+        found += _OUT_OF_ORDER.replace("{find}", find).replace("{queue}", queue).replace("{span}", str(span))
     return found
 
 
-def _waiting(own: MatchBuffer, whole: bool, anew: bool, keyed: bool = True) -> str:
+def _queue(own: MatchBuffer, rule: Any) -> str:
+    """Return what the queue of those that wait here is called."""
+    return "queue" if own.span == rule.expiries.span else "queued"
+
+
+def _waiting(own: MatchBuffer, rule: Any, whole: bool, anew: bool, keyed: bool = True) -> str:
     """Return the lines by which a match begins to wait."""
     keep = "" if whole else _KEEP
     keep += "" if own.name is None or keyed else _UNNAMED
-    file = _FILE_ANEW.replace("{span}", str(own.span)) if anew else _FILE
+    file = _FILE_ANEW.format(span=own.span) if anew else _FILE.format(queue=_queue(own, rule))
     return _WAIT.format(keep=keep, file="" if own.span is None else file)
 
 
 def _key(places: Sequence[int], whole: bool) -> str:
+    """Return the lines that take the key."""
+    names = ["key"] if len(places) == 1 else [f"x{at}" for at in range(len(places))]
     lines = []
-    for at, place in enumerate(places):
+    for name, place in zip(names, places):
         lines += [
-            f"    k{at} = term[{place + 1}]" if whole else f"    k{at} = values[{place}]",
-            f"    if k{at}.__class__ not in PLAIN:",
+            f"    {name} = term[{place + 1}]" if whole else f"    {name} = values[{place}]",
+            f"    if {name}.__class__ not in PLAIN:",
             "        return plain(term, {values}, s, e, after)",
         ]
-    keys = [f"k{at}" for at in range(len(places))]
-    return "\n".join([*lines, f"    key = {keys[0] if len(keys) == 1 else _tuple(keys)}", ""])
+    lines += [] if len(places) == 1 else [f"    key = {_tuple(names)}"]
+    return "\n".join([*lines, ""])
 
 
 def _pair(side: Side, pair: QuickPair) -> str:
     """Return the lines that tell whether a partner fits, and what the values of the pair are."""
+    fits = [f"({_said(one, side)})" for one in pair.operator.comparisons]
+    fits += [] if pair.span is None else [f"end - start <= {pair.span}"]
+    values = _tuple([_value(source, side, pair) for _, source in pair.taken])
+    return _PAIR.format(
+        start=_said(pair.operator.start, side),
+        end=_said(pair.operator.end, side),
+        fits=" and ".join(fits) or "True",
+        met=f"        met = {values}" if _has_values(pair) else "",
+    )
+
+
+def _has_values(pair: QuickPair) -> bool:
+    """Tell whether the values of a pair are taken together; not where they are put into an event at once."""
+    return bool(pair.blocks or pair.tests) or pair.complete is None or pair.complete.head is None
+
+
+def _said(source: str, side: Side) -> str:
+    """Return the source of an operator with the instants of a side that has come and of its partner."""
     one, two = ("1", "2") if side.left else ("2", "1")
     times = {f"s{one}": "s", f"e{one}": "e", f"s{two}": "partner.start", f"e{two}": "partner.end"}
-
-    def said(source: str) -> str:
-        for name, here in times.items():
-            source = source.replace(name, here)
-        return source
-
-    fits = [f"({said(one)})" for one in pair.operator.comparisons]
-    fits += [] if pair.span is None else [f"end - start <= {pair.span}"]
-    return _PAIR.format(
-        start=said(pair.operator.start),
-        end=said(pair.operator.end),
-        fits=" and ".join(fits) or "True",
-        met=_tuple([said(_value(one, side, pair)) for one in pair.taken]),
-    )
+    for name, here in times.items():
+        source = source.replace(name, here)
+    return source
 
 
 def _value(source: str, side: Side, pair: QuickPair) -> str:
     """Return the source of a value of a pair: the functor is the first item of an event."""
     if source[:3] not in ("lv[", "rv["):
-        return source
+        return _said(source, side)
     left, at = source[0] == "l", int(source[3:-1])
     of = "" if left == side.left else "partner."
     return f"{of}term[{at + 1}]" if pair.whole[0 if left else 1] else f"{of}values[{at}]"
@@ -354,12 +400,18 @@ def _tests(side: Side, pair: QuickPair) -> str:
     return "\n".join(lines)
 
 
-def _give(side: Side, pair: QuickPair) -> str:
-    if pair.complete is not None:
+def _give(side: Side, pair: QuickPair, names: codegen.Names) -> str:
+    """Return the lines that give a pair on."""
+    if pair.complete is None:
+        parts = ["match", "partner"] if side.left else ["partner", "match"]
+        parts += ["Found(found(met))"] if pair.tested else []
+        return _EMIT.replace("{parts}", _tuple(parts))
+    if pair.complete.head is None:
         return _COMPLETE
-    parts = ["match", "partner"] if side.left else ["partner", "match"]
-    parts += [] if pair.found is None else ["Found(found(met))"]
-    return _EMIT.replace("{parts}", _tuple(parts))
+    known = {var: _value(source, side, pair) for var, source in pair.taken}
+    if _has_values(pair):
+        known = {var: f"met[{at}]" for at, var in enumerate([*known, *pair.tested])}
+    return firing_source(pair.complete.head, known, names)
 
 
 def _indented(text: str, by: int) -> str:

@@ -3,10 +3,10 @@
 from collections import deque
 from typing import Any, Deque, Dict, Hashable, List, Optional, Tuple
 
-from ...foundation import RuleError, UsageError
+from ...foundation import LARGEST, RuleError, UsageError
 from ...prolog.machine import Frame
-from ...prolog.terms import Atom, Functor, Term, Values, Var, deref, is_ground
-from ..dispatch import NOBODY, Completion, EventAction, Lane, Listener, Onlookers, Stage, compile_builder
+from ...prolog.terms import Atom, Functor, Term, Values, Var, deref, is_ground, is_larger
+from ..dispatch import NOBODY, Completion, EventAction, Head, Lane, Listener, Stage, compile_builder
 from ..language import RuleDefinition, alarm_of
 from ..matches import ByStart, Emit, Expiries, Match, MatchBuffer, NetworkOptions, drop_gone
 from .compiling import RuleCompiler
@@ -396,28 +396,30 @@ class Rule:
             return Completion(self._complete_values)
         firings = self.firings
         dispatcher = self.network.dispatcher
-        dispatch, show = dispatcher.dispatch, dispatcher.show
+        dispatch = dispatcher.dispatch
         gate = dispatcher.gate(key)
         constant = build(()) if is_ground(head) else None
+
+        def failed(error: UsageError, after: Frame) -> Frame:
+            self.network.rule_failed(self, RuleError(error.message))
+            return after
 
         def complete(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
             firings.number += 1
             firings.last = end
-            plan = gate.plan
-            if plan is NOBODY:
+            if gate.plan is NOBODY:
                 return after
             try:
-                event = build(values) if constant is None else constant
-                if plan.__class__ is Onlookers:
-                    return show(plan, event, start, end, after)
-                return dispatch(event, start, end, after)
+                return dispatch(build(values) if constant is None else constant, start, end, after)
             except UsageError as error:
-                self.network.rule_failed(self, RuleError(error.message))
-                return after
+                return failed(error, after)
 
         shortcut = dispatcher.shortcuts.get(head[0]) if head.__class__ is tuple else None
-        action, lane = (shortcut and shortcut(self, complete)) or (complete, None)
-        return Completion(action, lane, gate)
+        instead = shortcut and shortcut(self, complete)
+        if instead:
+            return Completion(*instead, gate)
+        in_place = Head(head, firings, gate, dispatcher.show, dispatch, failed)
+        return Completion(complete, None, gate, None if is_larger(head, LARGEST) else in_place)
 
     def _complete_tracked(self, match: Match, after: Frame) -> Frame:
         window = self.window
