@@ -17,7 +17,7 @@ run, each with N that are held (event_streams.py).
 Operator ``rules`` has N rules of which an event fits one that has fired before or, as ``rules_first``, one that has
 not; with ``expiry`` one of N matches that wait expires at each event. A cell grows from --least to ten times that
 and so on, until --most, or until the next size would take longer than --seconds. The figures are CPU time of
-dispatching terms, without reading text. Last, --half N half matches go into rules with and without bounds, and
+taking terms in, without reading text. Last, --half N half matches go into rules with and without bounds, and
 what the process holds is measured; 0 leaves that out.
 """
 
@@ -270,7 +270,8 @@ class Counter:
 
     def __init__(self, engine: Engine):
         self.number = 0
-        parts_of(engine).dispatcher.listen(Stage.SUBSCRIPTIONS, atom("out"), self._count)
+        listen = parts_of(engine).dispatcher.listen
+        listen(Stage.SUBSCRIPTIONS, atom("out"), self._count, looks_on=True)  # as a plain subscription
 
     def _count(self, term: Term, values: Any, start: int, end: int, after: Any) -> Any:
         self.number += 1
@@ -286,14 +287,13 @@ def engine_with(policy: str, clock: Optional[StreamClock] = None) -> Engine:
 
 
 def dispatch(engine: Engine, events: Sequence[Event]) -> float:
-    """Dispatch events; return the CPU seconds of each."""
-    machine = parts_of(engine).logic.machine
-    enter, run, done = parts_of(engine).dispatcher.dispatch, machine.run, machine.done
+    """Have events taken in; return the CPU seconds of each."""
+    take = parts_of(engine).intake.take
 
     def all_of_them() -> float:
         began = time.thread_time()
         for term, start, end in events:
-            run(enter(term, start, end, done, None, True))
+            take(term, start, end, True)
         return time.thread_time() - began
 
     return float(engine.do(all_of_them)) / max(1, len(events))

@@ -59,10 +59,12 @@ class Intake:
         else:
             if end < start:
                 raise UsageError(f"{self._logic.brief(term)} ends before it starts")
-            if self.followed is not None:
-                self.followed.now()  # where somebody has put it back, that is seen first
-                self.followed.move_to(end)
-            self._look_at_clock()
+            followed = self.followed
+            if not (self._clock.is_quiet() if followed is None else followed.follow(end)):
+                if followed is not None:
+                    followed.now()  # where somebody has put it back, that is seen first
+                    followed.move_to(end)
+                self._look_at_clock()
         self.taken += 1
         dispatcher = self._dispatcher
         current, cause = dispatcher.current, dispatcher.cause
