@@ -1,6 +1,7 @@
 """A few of the interrupts that ``python3 -m interrupts`` makes, always the same but for those by real signals."""
 
 import contextlib
+from itertools import count
 
 import pytest
 
@@ -67,6 +68,40 @@ def test_a_post_that_is_interrupted_anywhere_leaves_the_engine_to_others():
         del seen[:]
         engine.post(event)
         assert len(seen) == 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("last", ["a", "b", "c"])
+def test_a_side_of_a_pair_that_is_interrupted_anywhere_leaves_its_rule_in_order(last):
+    engine = Engine()
+    engine.load(rules="out(K) <- ((a(K) seq b(K)) cnot c(K)) within 5.")
+    [rule] = parts_of(engine).rules.rules
+    instants = count(1_000_000_000, 1_000_000_000)
+    seen = []
+    engine.on_output(lambda term, topic, name: seen.append(term))
+    engine.load(goals="subscribe(out(_), [], _, t, i)")
+
+    def post(kind):
+        engine.post(functor(kind, 1)(1), next(instants))
+
+    def begin():
+        rule.clear_matches()
+        del seen[:]
+        if last != "a":
+            post("a")
+
+    for _ in interrupted(engine, lambda: post(last), begin):
+        fired = len(seen)
+        waits = len(rule.state().arrivals)
+        assert (fired, waits) in {
+            "a": [(0, 0), (0, 1)],
+            "b": [(0, 0), (0, 1), (1, 0)],
+            "c": [(0, 1), (0, 2)],
+        }[last]
+        if last == "a":
+            post("b")
+            assert len(seen) == waits
+    assert "a" in {key.name for key in parts_of(engine).dispatcher.lanes}
 
 
 @pytest.mark.slow
