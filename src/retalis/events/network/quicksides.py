@@ -81,7 +81,10 @@ _TICK = """
             before = e - {main}
             while queue and queue[0].start < before:
                 gone = queue.popleft()
-                if gone.buffer is not None:
+                place = gone.buffer
+                if place is own or place is other:
+{leave}
+                elif place is not None:
                     gone.leave()
             if expiries.heap or expiries.others:
                 expiries.expire(e)
@@ -120,6 +123,16 @@ _FILE_ANEW = "    expiries.add({span}, match, number)"
 _KEEP = "    match.values = values\n"
 _UNNAMED = "    match.identity = match.parts = None"
 """Where others mostly wait under the same key, and ask."""
+_LEAVE = """
+if {one}.older is {one} and not ({place}.indices or {place}.names):
+    {one}.buffer = None
+    rule.waiting -= 1
+    del {newest}[{key}]
+    {one}.older = {one}.newer = None
+else:
+    {place}.remove({one})
+"""
+"""As `MatchBuffer.remove`: mostly it is alone under its key."""
 _PAIR = """
     start = {start}
     end = {end}
@@ -133,13 +146,7 @@ _ONE = """
 {pair}
 {tests}
             {found}:
-                if partner.older is partner and not (other.indices or other.names):
-                    partner.buffer = None
-                    rule.waiting -= 1
-                    del partners[key]
-                    partner.older = partner.newer = None
-                else:
-                    other.remove(partner)
+{leave}
 {stays}
 {give}
             if last.older is not last:
@@ -269,7 +276,7 @@ def quick_absent(
         plain: the plain way, for all else.
     """
     buffer = absence.buffer
-    names = {**_common(rule, buffer, plain), "absence": absence}
+    names = {**_common(rule, buffer, plain), "other": buffer, "absence": absence}
     body = _key([one for one, _ in absence.shared], whole) + _ABSENT + _before(buffer, rule, True)
     body += _waiting(buffer, rule, whole, False) + "    return after"
     return _made(body, whole, names, "absent event")
@@ -293,6 +300,7 @@ def _source(side: Side, pair: QuickPair, taking: Optional[Taking], rule: Any, na
             pair=_indented(_pair(side, pair), 1),
             tests=_indented(_tests(side, pair), 3),
             found="if met is not None and partner.buffer is not None" if tested else "if True",
+            leave=_indented(_LEAVE.format(one="partner", place="other", newest="partners", key="key"), 4),
             stays=_indented(wait, 3) if side.stays else "",
             give=_indented(_give(side, pair, names), 4),
             waits=waits,
@@ -312,7 +320,8 @@ def _source(side: Side, pair: QuickPair, taking: Optional[Taking], rule: Any, na
 def _before(own: MatchBuffer, rule: Any, waits: bool) -> str:
     """Return the lines that move the rule's clock, and leave what is out of order to the plain way."""
     span = own.span
-    found = _TICK.replace("{main}", str(rule.expiries.span or 0)) if rule.timed else ""
+    leave = _indented(_LEAVE.format(one="gone", place="place", newest="place.newest", key="gone.key"), 5)
+    found = _TICK.format(main=rule.expiries.span or 0, leave=leave) if rule.timed else ""
     if waits and span is not None:
         queue = _queue(own, rule)
         find = "" if queue == "queue" else f"    {queue} = expiries.of({span})"
