@@ -77,7 +77,7 @@ def installed(built, tmp_path_factory):
     """A virtual environment with the wheel; what it needs is that of this Python."""
     there = tmp_path_factory.mktemp("installed")
     run(sys.executable, "-m", "venv", "--without-pip", there, cwd=there)
-    (packages,) = there.glob("lib/python*/site-packages")
+    (packages,) = there.glob("lib/*/site-packages")
     others = [
         place for place in sys.path if place.endswith("-packages") and not Path(place, "retalis").exists()
     ]

@@ -17,6 +17,7 @@ from typing import Any, Dict, Iterator, List, NamedTuple, Set, Tuple
 import pytest
 from source import FILES
 
+from retalis.foundation import PYPY
 from retalis.prolog.syntax import tokens
 
 SIZE = 100_000
@@ -358,6 +359,7 @@ def test_what_others_like(name):
 
 
 @pytest.mark.slow
+@pytest.mark.skipif(PYPY, reason="PyPy looks at no signals while it matches")
 @pytest.mark.parametrize(
     "pattern,text",
     [

@@ -6,7 +6,19 @@ A substitution maps variables to terms and is never changed, only extended by ma
 from fractions import Fraction
 from typing import Any, Dict, Iterator, Optional, Set
 
-from retalis.prolog.terms import CONS, NIL, Atom, String, Term, Var, atom, functor, list_items, make_list
+from retalis.prolog.terms import (
+    CONS,
+    NIL,
+    Atom,
+    Lazy,
+    String,
+    Term,
+    Var,
+    atom,
+    functor,
+    list_items,
+    make_list,
+)
 
 Bindings = Dict[Var, Term]
 
@@ -90,6 +102,8 @@ def _show(term: Term, names: Dict[Var, str]) -> str:
         return _quoted(term.name)
     if term.__class__ is String:
         return f'"{term.text}"'
+    if term.__class__ is Lazy:
+        return _show(term.term(), names)
     if term.__class__ is not tuple:
         return str(term)
     items = list_items(term)

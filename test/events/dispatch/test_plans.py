@@ -1,7 +1,7 @@
 """Decision trees: who is served, in which order, and who is not even looked at."""
 
-from retalis.events.dispatch.plans import make_plan
-from retalis.prolog.terms import Var, functor
+from retalis.events.dispatch.plans import make_plan, takes_all
+from retalis.prolog.terms import Var, functor, make_list
 
 P = functor("p", 2)
 
@@ -45,3 +45,12 @@ def test_a_new_constant_looks_at_its_own_listeners_only():
     before = [listener.looks for listener in listeners]
     assert served(plan, (P, 7, 1)) == [7]
     assert [at for at, listener in enumerate(listeners) if listener.looks > before[at]] == [7]
+
+
+def test_a_pattern_is_looked_at_however_deep_its_arguments_are():
+    """The hash of a tuple that is 400,000 deep ended the process."""
+    deep = make_list(list(range(400_000)))
+    assert not takes_all(functor("ev", 1)(deep))
+    one, other = Var(), Var()
+    assert takes_all(functor("ev", 2)(one, other))
+    assert not takes_all(functor("ev", 2)(one, one))

@@ -47,8 +47,9 @@ def takes_all(pattern: Term) -> bool:
     """Tell whether a pattern's arguments are variables, all different."""
     if pattern.__class__ is not tuple:
         return False
-    found = set(pattern[1:])
-    return len(found) == len(pattern) - 1 and all(item.__class__ is Var for item in found)
+    arguments = pattern[1:]
+    # Only variables are hashed: the hash of a term goes down as deep as the term does.
+    return all(item.__class__ is Var for item in arguments) and len(set(arguments)) == len(arguments)
 
 
 class Choice:
