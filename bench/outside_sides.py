@@ -46,11 +46,11 @@ def rules(work: str, events: List[StreamEvent], emit: Emit) -> Run:
     else:
         kinds = {kind: functor(kind, 1) for kind in "abclr"}
         ready = [(kinds[kind](key), time) for kind, key, time in events]
-    take = parts.intake.take_stamped
+    take = parts.intake.take
 
     def all_of_them() -> None:
         for term, time in ready:
-            take(term, time)
+            take(term, time, time, True)
 
     return lambda: engine.do(all_of_them)
 

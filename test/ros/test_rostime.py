@@ -7,7 +7,9 @@ import pytest
 
 rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 
+from retalis.engine import Engine  # noqa: E402
 from retalis.engine.runtime import Reports  # noqa: E402
+from retalis.prolog.terms import SECOND, functor  # noqa: E402
 from retalis.ros import node, rostime  # noqa: E402
 
 
@@ -113,3 +115,31 @@ def test_a_clock_that_goes_on_waits_for_the_first_time(clock):
     assert (its.now(), its.went_back()) == (5 * 10**9, False)
     clock.move(9)
     assert (its.now(), its.went_back()) == (9 * 10**9, False)
+
+
+@pytest.mark.parametrize("stamped", [True, False], ids=["stamped", "unstamped"])
+def test_what_waits_for_nothing_to_happen_rings_by_itself(monkeypatch, stamped):
+    timers = []
+
+    class Timer:
+        def __init__(self, wait, callback, **options):
+            self.seconds, self.callback = wait.to_sec(), callback
+            timers.append(self)
+
+        def shutdown(self):
+            timers.remove(self)
+
+    now = [1000 * SECOND]
+    monkeypatch.setattr(rospy, "Timer", Timer)
+    monkeypatch.setattr(node, "ros_now", lambda: now[0])
+    clock = node.RosClock()
+    clock.engine = engine = Engine(clock)
+    engine.load(rules="gone(K) <- a(K) seq absent(b(K), 5).")
+    found = []
+    engine.on_event(lambda term, start, end: found.append((engine.show(term), end // SECOND)))
+    engine.post(functor("a", 1)(1), now[0] if stamped else None)
+    [timer] = timers
+    assert timer.seconds == 5
+    now[0] += 20 * SECOND
+    timer.callback(None)
+    assert found == [("a(1)", 1000), ("gone(1)", 1005)]

@@ -92,7 +92,6 @@ class EngineCore:
         self._intake = Intake(self._logic, self._dispatcher, self.clock, followed, self._start_anew)
         self._take = self._intake.take  # bound once: one step less for each event
         self._message = self._intake.take_message
-        self._stamped = self._intake.take_stamped
         self._text_input = TextInput(self._logic.operators, self._take, call, reports, declared)
         self._outputs: List[OnOutput] = []
         self._observed = False

@@ -182,8 +182,8 @@ class Engine(Lasting):
         if instant is None:
             self._runner.post(self._message, term)
         else:
-            # The form in which the converter writes it.
-            self._runner.post(self._stamped, term, WholeSeconds(instant))
+            instant = WholeSeconds(instant)  # the form in which the converter writes it
+            self._runner.post(self._take, term, instant, instant, True)
 
     def post_text(self, text: str) -> None:
         """Queue an event as other nodes send it: ``event(E)``, ``event(E,[T1,T2])`` or ``new_event(...)``.

@@ -42,8 +42,6 @@ class Intake:
         self._start_anew = start_anew
         self._stamp_at_once = clock.stamp_at_once
         self._done = logic.machine.done
-        self._run = logic.machine.run
-        self._dispatch = dispatcher.dispatch
         self._lanes = dispatcher.lanes
         self.taken = 0
 
@@ -94,23 +92,6 @@ class Intake:
                     self._dispatcher.restore(None, None)
                     raise
         self.take(term, stamp, stamp, True)
-
-    def take_stamped(self, term: Term, instant: int) -> None:
-        """Dispatch an event without variables that has its stamp and follows from no other: as `take`."""
-        followed = self.followed
-        if not (self._clock.is_quiet() if followed is None else followed.follow(instant)):
-            self.take(term, instant, instant, True)
-            return
-        self.taken += 1
-        lane = self._lanes.get(term[0]) if term.__class__ is tuple else None
-        try:
-            if lane is None or not lane(term, instant, instant):
-                frame = self._dispatch(term, instant, instant, self._done, None, True)
-                if frame is not self._done:
-                    self._run(frame)
-        except BaseException:
-            self._dispatcher.restore(None, None)
-            raise
 
     def _look_at_clock(self) -> int:
         """Look what time it is, let alarms ring that are due, and return the time."""

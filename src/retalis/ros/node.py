@@ -83,6 +83,11 @@ class RosClock(Clock):
         super().call_at(instant, alarm)
         self._set_timer()
 
+    def put_back(self, instant: int, order: int, alarm: Alarm) -> None:
+        """Have ``alarm`` called as another clock had it; see `call_at`."""
+        super().put_back(instant, order, alarm)
+        self._set_timer()
+
     def due(self, until: Optional[int] = None) -> Optional[Tuple[int, Alarm]]:
         """Take and return the next alarm that is due; where there is none, a timer waits for the next one.
 

@@ -1,7 +1,8 @@
 import pytest
 
+from retalis.engine import Engine
 from retalis.engine.runtime import Clock, StreamClock
-from retalis.prolog.terms import SECOND
+from retalis.prolog.terms import SECOND, atom
 
 
 def test_stamps_never_repeat_and_never_go_back():
@@ -92,6 +93,31 @@ def test_a_clock_is_quiet_while_nothing_is_due_and_time_goes_on(look):
     clock.move_to(40, back=True)
     assert not look(clock), "time went back"
     assert clock.now() == 40
+
+
+@pytest.mark.parametrize(
+    "look", [lambda clock: clock.is_quiet(), lambda clock: clock.stamp_at_once() is not None]
+)
+def test_alarms_of_a_pinned_clock_are_due_by_the_time_of_the_stream(look):
+    clock = StreamClock()
+    clock.pin(10)
+    clock.call_at(60, lambda instant: None)
+    assert look(clock)
+    clock.move_to(60)
+    assert not look(clock)
+
+
+def test_alarms_ring_by_the_time_of_a_stream_whose_clock_is_pinned():
+    clock = StreamClock()
+    clock.pin(SECOND)
+    engine = Engine(clock)
+    engine.load(rules="exceptionAlarm(late, 5) <- start.")
+    found = []
+    engine.on_event(lambda term, start, end: found.append((engine.show(term), end)))
+    engine.post(atom("start"), SECOND)
+    clock.move_to(10 * SECOND)
+    engine.post(atom("x"), 10 * SECOND)
+    assert found == [("start", SECOND), ("late", 6 * SECOND), ("x", 10 * SECOND)]
 
 
 def test_a_clock_follows_events_as_far_as_nothing_is_due():

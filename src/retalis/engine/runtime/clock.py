@@ -109,7 +109,7 @@ class Clock:
         >>> clock.stamp_at_once()
         """
         instant = self._source()
-        if instant < self._newest or self.behind or self.alarms and self.alarms[0][0] <= instant:
+        if instant < self._newest or self.behind or self.alarms and self.alarms[0][0] <= self.reached():
             return None
         self._newest = instant
         if instant <= self._last_stamp:
@@ -128,7 +128,7 @@ class Clock:
         False
         """
         instant = self._source()
-        if instant < self._newest or self.behind or self.alarms and self.alarms[0][0] <= instant:
+        if instant < self._newest or self.behind or self.alarms and self.alarms[0][0] <= self.reached():
             return False
         self._newest = instant
         return True

@@ -3,9 +3,10 @@
 from ...prolog.terms import EventAction
 from .building import compile_builder
 from .dispatch import Dispatcher
-from .lanes import Completion, Head, firing_source, goal_lane, stand_in
+from .firing import Head, firing_action, firing_source
+from .lanes import Completion, goal_lane, stand_in
 from .plans import NOBODY, takes_all
-from .serving import AT_ONCE, Dispatch, Lane, Listener, Stage
+from .serving import AT_ONCE, Dispatch, Lane, Listener, MakeLane, Stage
 from .unread import NOT_READ
 
 __all__ = [
@@ -15,11 +16,13 @@ __all__ = [
     "Completion",
     "Dispatcher",
     "Dispatch",
+    "firing_action",
     "firing_source",
     "goal_lane",
     "Head",
     "Lane",
     "Listener",
+    "MakeLane",
     "NOBODY",
     "NOT_READ",
     "Stage",

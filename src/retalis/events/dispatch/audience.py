@@ -12,7 +12,7 @@ from ...prolog.terms import Atom, EventAction, Functor, Lazy, Term, Var, copy, t
 from .gates import Gate
 from .matching import Matcher, compile_matcher
 from .plans import Plan, make_plan, takes_all
-from .serving import Lane, Listener, Stage
+from .serving import Lane, Listener, MakeLane, Stage
 from .unread import Unread, unread_positions
 
 
@@ -50,7 +50,7 @@ class Audience:
         pattern: Term,
         action: EventAction,
         rank: Tuple[int, ...] = (),
-        lane: Optional[Lane] = None,
+        lane: Optional[MakeLane] = None,
         looks_on: bool = False,
         unused: AbstractSet[Var] = frozenset(),
         sole: bool = False,
@@ -64,7 +64,7 @@ class Audience:
             pattern: an atom, a compound term, or a variable for any event. It is copied.
             action: does its part and returns the frame to go on with, ``next`` if there is nothing more to do.
             rank: place within the stage; by default after all there are.
-            lane: does the same as ``action`` for an event without variables whose arguments are the
+            lane: makes what does the same as ``action`` for an event without variables whose arguments are the
                 values, where nobody else listens; it may leave ``current`` to `event`.
             looks_on: whether ``action`` always returns the next frame; where all do so, it may leave ``current``
                 to `event`.
@@ -153,7 +153,7 @@ class Audience:
             for gate in list(gates.values()):
                 gate.set(plan)
         if len(listeners) == 1 and listeners[0].lane is not None and takes_all(listeners[0].pattern):
-            self.lanes[functor] = listeners[0].lane
+            self.lanes[functor] = listeners[0].lane()
         return plan
 
 

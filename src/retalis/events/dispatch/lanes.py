@@ -1,75 +1,17 @@
 """Lanes: how a message that one rule takes whole is served in the fewest steps."""
 
-from typing import Any, Callable, Mapping, NamedTuple, Optional, Tuple
+from typing import Any, Callable, NamedTuple, Optional, Tuple
 
-from ...foundation import UsageError, codegen, shared_function
+from ...foundation import shared_function
 from ...prolog.machine import Frame, Machine
-from ...prolog.terms import EventAction, Functor, Term, Values, Var, are_ground, undo
-from .building import builder_source
+from ...prolog.terms import EventAction, Functor, Term, Values, are_ground, undo
 from .dispatch import Dispatcher
+from .firing import Head
 from .gates import Gate
-from .plans import NOBODY, Onlookers
+from .plans import NOBODY
 from .serving import LEFT_OUT, SERVE_AGAIN, Lane
 
 OPEN = Gate((), None)
-
-
-class Head(NamedTuple):
-    """How a rule fires, for code that does so in place; `firing_source` writes it.
-
-    Attributes:
-        term: the head, which is no alarm.
-        firings: counts them; it has a ``number``, and the instant of the ``last``.
-        gate: that of the event.
-        show: serves an event on which others only look, see `Dispatcher.show`.
-        dispatch: serves any other, see `Dispatcher.dispatch`.
-        failed: takes the error of an event that is none, and the next frame; returns that.
-    """
-
-    term: Term
-    firings: Any
-    gate: Gate
-    show: Callable[..., Frame]
-    dispatch: Callable[..., Frame]
-    failed: Callable[[UsageError, Frame], Frame]
-
-
-_FIRE = """
-firings.number += 1
-firings.last = end
-plan = gate.plan
-if plan is NOBODY:
-    return after
-{lines}
-try:
-    if plan.__class__ is Onlookers:
-        return show(plan, {event}, start, end, after)
-    return dispatch({event}, start, end, after)
-except UsageError as error:
-    return failed(error, after)
-"""
-
-
-def firing_source(head: Head, known: Mapping[Var, str], names: codegen.Names) -> str:
-    """Return the lines by which a rule fires: they return the frame to go on with.
-
-    Args:
-        head: of the rule.
-        known: the expressions of the values of its variables; ``start``, ``end`` and ``after`` are as in actions.
-        names: get what the lines name.
-    """
-    lines, event = builder_source(head.term, known, names)
-    names.values.update(
-        firings=head.firings,
-        gate=head.gate,
-        show=head.show,
-        dispatch=head.dispatch,
-        failed=head.failed,
-        NOBODY=NOBODY,
-        Onlookers=Onlookers,
-        UsageError=UsageError,
-    )
-    return _FIRE.format(lines="\n".join(lines), event=event)
 
 
 class Completion(NamedTuple):

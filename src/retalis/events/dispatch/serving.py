@@ -10,6 +10,10 @@ Lane = Callable[[Term, int, int], bool]
 """Takes an event without variables that follows from no other, start and end; tells whether it has been served."""
 
 
+MakeLane = Callable[[], Lane]
+"""Makes a lane, where it is to be used: most listeners never need theirs."""
+
+
 class Stage(IntEnum):
     """When a listener is served: lower stages first, in a stage the oldest first."""
 
@@ -54,7 +58,7 @@ class Listener:
         functor: Optional[Functor],
         matcher: Matcher,
         action: EventAction,
-        lane: Optional[Lane],
+        lane: Optional[MakeLane],
         looks_on: bool,
         sole: bool,
         unread: FrozenSet[int],

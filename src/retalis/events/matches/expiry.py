@@ -69,7 +69,7 @@ class ByStart:
     Most are added in the order of their starts: those of one span are a queue of nothing but the matches, and cost
     the same however many wait. The others are a heap.
 
-    Whoever adds to a queue may keep it: it stays the same one.
+    Its ``queue`` stays the same object: code has bound it.
 
     Attributes:
         span: how long after its start a match goes, for most of them, in ns; None where none goes.

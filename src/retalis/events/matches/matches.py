@@ -99,7 +99,7 @@ class Match:
     if not TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> Any:
-            """Return what one that waits of a single event was not given: the values are its arguments."""
+            """Give a match the attribute that it was made without: the values are the arguments of its event."""
             if name not in _LEFT_OUT:
                 raise AttributeError(name)
             found = self.term[1:] if name == "values" else None

@@ -8,14 +8,14 @@ from typing import AbstractSet, Any, Callable, Dict, List, Optional, Sequence, T
 
 from ...prolog.machine import Frame
 from ...prolog.terms import EventAction, Term, Values, Var, positions, variables
-from ..dispatch import Completion, Lane, takes_all
+from ..dispatch import Completion, MakeLane, takes_all
 from ..matches import Absence, Emit, Emitting, Found, Match, NetworkOptions
 from .conditions import RuleGoal, Test
 from .owners import Buffer, RuleOwner
 from .telling import found_here
 
-Quick = Callable[[EventAction], Tuple[EventAction, Optional[Lane]]]
-"""Makes of what is done with an event something quicker that does the same, and a lane where it can have one."""
+Quick = Callable[[EventAction], Tuple[EventAction, Optional[MakeLane]]]
+"""Makes of the plain way of an event a quicker one that does the same, and what makes its lane, if it has one."""
 
 
 class NetworkNode:
@@ -129,7 +129,8 @@ class Leaf(NetworkNode):
 
     def bind_alone(self, completion: Completion) -> None:
         """Listen for a rule whose pattern is one event; see `NetworkNode.alone`."""
-        self.rule.listen(self, completion.action, completion.lane)
+        lane = completion.lane
+        self.rule.listen(self, completion.action, None if lane is None else lambda: lane)
 
 
 class Filter(NetworkNode):

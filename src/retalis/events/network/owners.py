@@ -5,7 +5,7 @@ from typing import Any, Hashable, List, Optional, Protocol, Tuple
 from ...foundation import RetalisError, RuleError
 from ...prolog.machine import Frame
 from ...prolog.terms import Term
-from ..dispatch import Completion, EventAction, Lane, Listener
+from ..dispatch import Completion, EventAction, Listener, MakeLane
 from ..history import Fired, Remembered, Tracker
 from ..matches import Match, MatchBuffer, NetworkOptions, Owner
 
@@ -192,7 +192,7 @@ class RuleOwner(Owner, Fired, Protocol):
         """Move the rule's clock and remove what is too old by it."""
 
     def listen(
-        self, leaf: Listening, action: EventAction, lane: Optional[Lane] = None, sole: bool = False
+        self, leaf: Listening, action: EventAction, lane: Optional[MakeLane] = None, sole: bool = False
     ) -> None:
         """Have a leaf's action called for its events."""
 

@@ -5,19 +5,23 @@ written here does the same to the same matches; whatever is not of the common ki
 has changed.
 """
 
-from typing import Any, Callable, Dict, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 from ...foundation import codegen, shared_function
 from ...prolog.machine import Frame
 from ...prolog.syntax import EventOperator
 from ...prolog.terms import Atom, EventAction, String, Var
-from ..dispatch import Completion, Lane, firing_source
+from ..dispatch import Completion, Lane, MakeLane, firing_source
 from ..matches import Absence, Emit, Found, Match, MatchBuffer, Side
 from .conditions import Test
 
 _PLAIN = frozenset((Atom, int, String))
 """The kinds of terms that are their own keys."""
 SPARE = 1000
+
+
+Body = Tuple[str, Dict[str, Any]]
+"""The lines of a function, and what they name."""
 
 
 class QuickPair(NamedTuple):
@@ -140,8 +144,8 @@ _PAIR = """
 {met}
 """
 _ONE = """
-    last = partners.get(key)
-    if last is not None:
+    {last} = partners.get(key)
+    if {last} is not None:
 {oldest}
 {pair}
 {tests}
@@ -149,9 +153,9 @@ _ONE = """
 {leave}
 {stays}
 {give}
-            if last.older is not last:
+            if {last}.older is not {last}:
                 return among(Match({values}, s, e, None, term, None), key, partner, after)
-        elif last.older is not last:
+        elif {last}.older is not {last}:
             return plain(term, {values}, s, e, after)
 {waits}
     return after
@@ -191,7 +195,7 @@ def made(term, s, e):
 
 def quick_side(
     side: Side, pair: QuickPair, taking: Optional[Taking], rule: Any, plain: EventAction, emit: Emit
-) -> Tuple[EventAction, Optional[Lane]]:
+) -> Tuple[EventAction, Optional[MakeLane]]:
     """Return what takes the values of an event that is a side of a pair, and its lane where they are its arguments.
 
     Args:
@@ -202,22 +206,24 @@ def quick_side(
         plain: the plain way, for what is not of the common kind.
         emit: takes pairs as matches, where they are no whole ones.
     """
-    names = codegen.Names(
-        {
-            **_common(rule, side.own, plain),
-            "other": side.other,
-            "partners": side.other.newest,
-            "emit": emit,
-            "complete": None if pair.complete is None else pair.complete.action,
-            "found": pair.found,
-            "among": None if taking is None else taking.among,
-            "Found": Found,
-        }
-    )
-    names.values.update((f"absence{at}", one) for at, one in enumerate(pair.blocks))
-    names.values.update((f"test{at}", one) for at, one in enumerate(pair.tests))
-    whole = pair.whole[0 if side.left else 1]
-    return _made(_source(side, pair, taking, rule, names), whole, names.values, "side of a pair")
+    given = {
+        **_common(rule, side.own, plain),
+        "other": side.other,
+        "partners": side.other.newest,
+        "emit": emit,
+        "complete": None if pair.complete is None else pair.complete.action,
+        "found": pair.found,
+        "among": None if taking is None else taking.among,
+        "Found": Found,
+    }
+    given.update((f"absence{at}", one) for at, one in enumerate(pair.blocks))
+    given.update((f"test{at}", one) for at, one in enumerate(pair.tests))
+
+    def write() -> Body:
+        names = codegen.Names(dict(given))
+        return _source(side, pair, taking, rule, names), names.values
+
+    return _made(write, pair.whole[0 if side.left else 1], "side of a pair")
 
 
 def _common(rule: Any, own: MatchBuffer, plain: EventAction) -> Dict[str, Any]:
@@ -244,29 +250,40 @@ def _common(rule: Any, own: MatchBuffer, plain: EventAction) -> Dict[str, Any]:
     }
 
 
-def _made(body: str, whole: bool, names: Dict[str, Any], title: str) -> Tuple[EventAction, Optional[Lane]]:
-    """Return the action of a body; and its lane, which runs frames, where the values are arguments."""
-    lines = [
-        line
-        for line in body.replace("{values}", "term[1:]" if whole else "values").splitlines()
-        if line.strip()
-    ]
-    action: EventAction = shared_function("\n".join([_HEAD, *lines, ""]), names, title)
-    if not whole:
-        return action, None
+def _made(write: Callable[[], Body], whole: bool, title: str) -> Tuple[EventAction, Optional[MakeLane]]:
+    """Return the action of a body, and what makes its lane where the values are arguments.
+
+    Args:
+        write: writes the body; no loop in it returns.
+        whole: whether the values are arguments.
+        title: what it is.
+    """
+    body, names = write()
+    action: EventAction = shared_function("\n".join([_HEAD, *_lines(body, whole), ""]), names, title)
+    return action, (lambda: _lane(write, title)) if whole else None
+
+
+def _lines(body: str, whole: bool) -> List[str]:
+    filled = body.replace("{values}", "term[1:]" if whole else "values")
+    return [line for line in filled.splitlines() if line.strip()]
+
+
+def _lane(write: Callable[[], Body], title: str) -> Lane:
+    """Return the lane of a body: frames are not returned but run."""
+    body, names = write()
     served = []
-    for line in lines:
+    for line in _lines(body, True):
         steps, returns, frame = line.partition("return ")
         if returns and frame != "after":
             served.append(f"    {steps}frame = {frame}")
         served.append(f"    {steps}break" if returns else f"    {line}")
     lane: Lane = shared_function(_LANE.format(body="\n".join(served)), names, title)
-    return action, lane
+    return lane
 
 
 def quick_absent(
     absence: Absence, rule: Any, whole: bool, plain: EventAction
-) -> Tuple[EventAction, Optional[Lane]]:
+) -> Tuple[EventAction, Optional[MakeLane]]:
     """Return what takes the values of an event that must not happen, where no other waits under its key.
 
     Args:
@@ -279,7 +296,7 @@ def quick_absent(
     names = {**_common(rule, buffer, plain), "other": buffer, "absence": absence}
     body = _key([one for one, _ in absence.shared], whole) + _ABSENT + _before(buffer, rule, True)
     body += _waiting(buffer, rule, whole, False) + "    return after"
-    return _made(body, whole, names, "absent event")
+    return _made(lambda: (body, names), whole, "absent event")
 
 
 def _source(side: Side, pair: QuickPair, taking: Optional[Taking], rule: Any, names: codegen.Names) -> str:
@@ -294,8 +311,9 @@ def _source(side: Side, pair: QuickPair, taking: Optional[Taking], rule: Any, na
     if taking is None:
         rest = wait + "    return after"
     elif taking.uses:
-        rest = (_ONE.replace("last", "partner") if taking.newest else _ONE).format(
+        rest = _ONE.format(
             values="{values}",
+            last="partner" if taking.newest else "last",
             oldest="" if taking.newest else "        partner = last.newer",
             pair=_indented(_pair(side, pair), 1),
             tests=_indented(_tests(side, pair), 3),

@@ -1,12 +1,21 @@
 """Event rules at run time: their clock, what waits for them, and what they fire."""
 
 from collections import deque
-from typing import Any, Deque, Dict, Hashable, List, Optional, Tuple
+from typing import Any, Callable, Deque, Dict, Hashable, List, Optional, Tuple
 
 from ...foundation import LARGEST, RuleError, UsageError
 from ...prolog.machine import Frame
-from ...prolog.terms import Atom, Functor, Term, Values, Var, deref, is_ground, is_larger
-from ..dispatch import NOBODY, Completion, EventAction, Head, Lane, Listener, Stage, compile_builder
+from ...prolog.terms import Atom, Functor, Term, Values, Var, deref, is_larger
+from ..dispatch import (
+    Completion,
+    EventAction,
+    Head,
+    Listener,
+    MakeLane,
+    Stage,
+    compile_builder,
+    firing_action,
+)
 from ..language import RuleDefinition, alarm_of
 from ..matches import ByStart, Emit, Expiries, Match, MatchBuffer, NetworkOptions, drop_gone
 from .compiling import RuleCompiler
@@ -33,6 +42,7 @@ class Rule:
         listeners: of its leaves.
         sound: whether it is connected for the mode it is to run in; not where that was interrupted.
         waiting: how many partial matches it has.
+        arrivals: these, the oldest first, with some that have left; the same object always, which code has bound.
         firings: how often it has fired, and when last.
         order: how many have begun to wait so far.
         timed: whether its clock has to be kept.
@@ -80,7 +90,7 @@ class Rule:
         self.root = compiler.build()
         self.nodes = compiler.nodes
         self.double = any(getattr(node, "double", False) for node, _, _ in self.nodes)
-        self.builder = None if head is None else compile_builder(head, self.root.vars, "head of a rule")
+        self._builder: Optional[Callable[[Values], Term]] = None
 
     def configure(
         self, mode: NetworkOptions, window: Optional[int], garbage: Optional[Tuple[int, int]]
@@ -201,7 +211,7 @@ class Rule:
         self._by_end = Expiries()
 
     def listen(
-        self, leaf: Listening, action: EventAction, lane: Optional[Lane] = None, sole: bool = False
+        self, leaf: Listening, action: EventAction, lane: Optional[MakeLane] = None, sole: bool = False
     ) -> None:
         """Have a leaf's action called for its events; see `Audience.listen`."""
         listen = self.network.dispatcher.listen
@@ -373,8 +383,14 @@ class Rule:
         firings = self.firings
         firings.number += 1
         firings.last = end
-        build: Any = self.builder  # there is one: `_completing` has looked
-        return self.fire(build(values), start, end, after)
+        return self.fire(self._head(values), start, end, after)
+
+    def _head(self, values: Values) -> Term:
+        """Return the head with the values of a match; what makes it is compiled when it is first asked for."""
+        if self._builder is None:
+            assert self.definition.head is not None
+            self._builder = compile_builder(self.definition.head, self.root.vars, "head of a rule")
+        return self._builder(values)
 
     def _complete_nothing(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
         self.firings.number += 1
@@ -383,43 +399,28 @@ class Rule:
 
     def _completing(self) -> Completion:
         """Return what takes the values of a whole match; with nothing to test it fires at once."""
-        build: Any = self.builder
         head = self.definition.head
-        if build is None or head is None:
+        if head is None:
             return Completion(self._complete_nothing)
         key: Optional[Functor] = None
         if head.__class__ is Atom:
             key = head.functor
         elif head.__class__ is tuple and head[0].name not in _ALARMS:
             key = head[0]
-        if self.window is not None or key is None:
+        if self.window is not None or key is None or is_larger(head, LARGEST):
             return Completion(self._complete_values)
-        firings = self.firings
         dispatcher = self.network.dispatcher
-        dispatch = dispatcher.dispatch
         gate = dispatcher.gate(key)
-        constant = build(()) if is_ground(head) else None
 
         def failed(error: UsageError, after: Frame) -> Frame:
             self.network.rule_failed(self, RuleError(error.message))
             return after
 
-        def complete(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
-            firings.number += 1
-            firings.last = end
-            if gate.plan is NOBODY:
-                return after
-            try:
-                return dispatch(build(values) if constant is None else constant, start, end, after)
-            except UsageError as error:
-                return failed(error, after)
-
+        firing = Head(head, self.firings, gate, dispatcher.show, dispatcher.dispatch, failed)
+        complete = firing_action(firing, self.root.vars)
         shortcut = dispatcher.shortcuts.get(head[0]) if head.__class__ is tuple else None
         instead = shortcut and shortcut(self, complete)
-        if instead:
-            return Completion(*instead, gate)
-        in_place = Head(head, firings, gate, dispatcher.show, dispatch, failed)
-        return Completion(complete, None, gate, None if is_larger(head, LARGEST) else in_place)
+        return Completion(*instead, gate) if instead else Completion(complete, None, gate, firing)
 
     def _complete_tracked(self, match: Match, after: Frame) -> Frame:
         window = self.window
@@ -427,9 +428,9 @@ class Rule:
             return after
         self.firings.number += 1
         self.firings.last = match.end
-        if self.builder is None:
+        if self.definition.head is None:
             return after
-        return self.network.tracker.fire(self, match, self.builder(match.values), after)
+        return self.network.tracker.fire(self, match, self._head(match.values), after)
 
     def fire(self, head: Term, start: int, end: int, after: Frame, token: object = None) -> Frame:
         """Return the frame that dispatches the head, or sets its alarm, and goes on with ``after``."""
