@@ -279,8 +279,8 @@ class Counter:
 
 
 def engine_with(policy: str, clock: Optional[StreamClock] = None) -> Engine:
-    """Return an engine with a consumption policy."""
-    engine = Engine(clock)
+    """Return an engine with a consumption policy; by default its clock stands still, and nothing expires."""
+    engine = Engine(clock or StreamClock())
     engine.load(goals=f"set_etalis_flag(event_consumption_policy, {policy})")
     parts_of(engine).rules.cap = 10**8
     return engine
