@@ -33,6 +33,10 @@ RULES = (
     "out(K) <- do(true, a(K, X) seq b(K, _)).",
     "out(K, X, Y) <- (a(K, X) equals b(K, Y)) within 2. out(K) <- a(K, _) meets c(K, _).",
     "mid(K, X) <- a(K, X) seq b(K, _). out(K, Y) <- mid(K, X) and c(K, Y).",
+    "out(f(K, g(X)), c, New) <- (a(K, X) seq b(K, _)) within 4.",
+    "out <- a(K, _) and b(K, _). out(c) <- a(K, _) meets b(K, _).",
+    "b(K, X) <- a(K, X) seq c(K, _). out(K, Y) <- b(K, X) seq a(K, Y).",
+    "nobody(K) <- a(K, _) seq b(K, _). out(K) <- (c(K, X) seq c(K, Y)) where X < Y.",
 )
 KEYS = (1, 1, 1, 1, 2, 2, 2, 1.0, atom("k"), functor("f", 1)(2))
 KINDS = [functor(name, 2) for name in "abc"]
@@ -51,7 +55,7 @@ def stream(source, late):
     return found
 
 
-def run(text, goals, events, cap, cut, change, posted):
+def run(text, goals, events, cap, cut, change, posted, looks_on):
     """Return what fires and is reported, and what is known at last.
 
     Args:
@@ -62,6 +66,7 @@ def run(text, goals, events, cap, cut, change, posted):
         cut: where what waits is mended, as after an interrupt, and put back as a snapshot has it.
         change: a goal that is called there.
         posted: whether events of an instant are posted, and take the lanes that there are.
+        looks_on: whether who listens to what is fired only looks on.
     """
     found, reports = [], []
 
@@ -72,13 +77,13 @@ def run(text, goals, events, cap, cut, change, posted):
     engine = Engine(None, Settings(), Told())
     parts = parts_of(engine)
     engine.load(goals=goals, rules=text)
-    for arity in (1, 2, 3):
-        pattern = functor("out", arity)(*(Var() for _ in range(arity)))
+    for arity in (0, 1, 2, 3):
+        pattern = functor("out", arity)(*(Var() for _ in range(arity))) if arity else atom("out")
         parts.dispatcher.listen(
             Stage.SUBSCRIPTIONS,
             pattern,
             lambda term, values, start, end, after: found.append(shown(engine, term, start, end)) or after,
-            looks_on=True,
+            looks_on=looks_on,
         )
     parts.rules.cap = cap
     for at, (term, start, end) in enumerate(events):
@@ -139,13 +144,13 @@ def compare(seed):
     cap, cut = source.choice((10**6, 10**6, 3)), source.choice((99, 5, 10))
     text = source.choice(RULES)
     events = stream(source, source.random() < 0.3)
-    posted = source.random() < 0.7
-    quick = run(text, goals, events, cap, cut, change, posted)
+    ways = source.random() < 0.7, source.random() < 0.7
+    quick = run(text, goals, events, cap, cut, change, *ways)
     side = patch.object(joining, "quick_side", lambda side, pair, taking, rule, plain, emit: given(plain))
     absent = patch.object(joining, "quick_absent", lambda absence, rule, whole, plain: given(plain))
     with side, absent:
-        plain = run(text, goals, events, cap, cut, change, posted)
-    assert quick == plain, (seed, text, goals, change, posted)
+        plain = run(text, goals, events, cap, cut, change, *ways)
+    assert quick == plain, (seed, text, goals, change, ways)
 
 
 @pytest.mark.parametrize("part", range(3))

@@ -5,23 +5,20 @@ written here does the same to the same matches; whatever is not of the common ki
 has changed.
 """
 
-from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, NamedTuple, Optional, Sequence, Tuple
 
-from ...foundation import codegen, shared_function
+from ...foundation import codegen
 from ...prolog.machine import Frame
 from ...prolog.syntax import EventOperator
 from ...prolog.terms import Atom, EventAction, String, Var
-from ..dispatch import Completion, Lane, MakeLane, firing_source
+from ..dispatch import Completion, MakeLane, firing_source
 from ..matches import Absence, Emit, Found, Match, MatchBuffer, Side
 from .conditions import Test
+from .sidecode import Body, made_of
 
 _PLAIN = frozenset((Atom, int, String))
 """The kinds of terms that are their own keys."""
 SPARE = 1000
-
-
-Body = Tuple[str, Dict[str, Any]]
-"""The lines of a function, and what they name."""
 
 
 class QuickPair(NamedTuple):
@@ -65,7 +62,6 @@ class Taking(NamedTuple):
     among: Callable[..., Frame]
 
 
-_HEAD = "def made(term, values, s, e, after):"
 _UNIFIED = """
     if None in partners:
         return plain(term, {values}, s, e, after)
@@ -180,19 +176,6 @@ return emit(Match(met, start, end, None, None, {parts}), after)
 """
 
 
-_LANE = """
-def made(term, s, e):
-    dispatcher.current = (term, s, e, None)
-    frame = after = done
-    for _ in ONCE:
-{body}
-    if frame is not after:
-        run(frame)
-    dispatcher.current = None
-    return True
-"""
-
-
 def quick_side(
     side: Side, pair: QuickPair, taking: Optional[Taking], rule: Any, plain: EventAction, emit: Emit
 ) -> Tuple[EventAction, Optional[MakeLane]]:
@@ -226,7 +209,7 @@ def quick_side(
     complete = pair.complete
     without = pair if complete is None else pair._replace(complete=complete._replace(head=None))
     # The head is in the lane alone: actions are alike for all heads then, which load in two thirds of the time.
-    return _made(write(without), pair.whole[0 if side.left else 1], lambda: write(pair), "side of a pair")
+    return made_of(write(without), pair.whole[0 if side.left else 1], lambda: write(pair), "side of a pair")
 
 
 def _common(rule: Any, own: MatchBuffer, plain: EventAction) -> Dict[str, Any]:
@@ -253,40 +236,6 @@ def _common(rule: Any, own: MatchBuffer, plain: EventAction) -> Dict[str, Any]:
     }
 
 
-def _made(
-    body: Body, whole: bool, of_lane: Callable[[], Body], title: str
-) -> Tuple[EventAction, Optional[MakeLane]]:
-    """Return the action of a body, and what makes its lane where the values are arguments.
-
-    Args:
-        body: no loop in it returns.
-        whole: whether the values are arguments.
-        of_lane: writes the body of the lane, which does the same.
-        title: what it is.
-    """
-    lines, names = body
-    action: EventAction = shared_function("\n".join([_HEAD, *_lines(lines, whole), ""]), names, title)
-    return action, (lambda: _lane(of_lane(), title)) if whole else None
-
-
-def _lines(body: str, whole: bool) -> List[str]:
-    filled = body.replace("{values}", "term[1:]" if whole else "values")
-    return [line for line in filled.splitlines() if line.strip()]
-
-
-def _lane(body: Body, title: str) -> Lane:
-    """Return the lane of a body: frames are not returned but run."""
-    lines, names = body
-    served = []
-    for line in _lines(lines, True):
-        steps, returns, frame = line.partition("return ")
-        if returns and frame != "after":
-            served.append(f"    {steps}frame = {frame}")
-        served.append(f"    {steps}break" if returns else f"    {line}")
-    lane: Lane = shared_function(_LANE.format(body="\n".join(served)), names, title)
-    return lane
-
-
 def quick_absent(
     absence: Absence, rule: Any, whole: bool, plain: EventAction
 ) -> Tuple[EventAction, Optional[MakeLane]]:
@@ -302,7 +251,7 @@ def quick_absent(
     names = {**_common(rule, buffer, plain), "other": buffer, "absence": absence}
     body = _key([one for one, _ in absence.shared], whole) + _ABSENT + _before(buffer, rule, True)
     body += _waiting(buffer, rule, whole, False) + "    return after"
-    return _made((body, names), whole, lambda: (body, names), "absent event")
+    return made_of((body, names), whole, lambda: (body, names), "absent event")
 
 
 def _source(side: Side, pair: QuickPair, taking: Optional[Taking], rule: Any, names: codegen.Names) -> str:
