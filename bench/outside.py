@@ -32,6 +32,8 @@ from arguments import interpreter, positive, target  # noqa: E402
 from outside_sides import SIDES  # noqa: E402
 from outside_streams import STREAMS  # noqa: E402
 
+from retalis.foundation import collect_rarely  # noqa: E402
+
 MISSING = 3
 """The exit status of a run whose side cannot do the work here."""
 
@@ -50,9 +52,7 @@ def measure(side: str, work: str, events: int) -> Dict[str, Any]:
 
     run = SIDES[side](work, STREAMS[work](events), emit)
     gc.collect()
-    if sys.implementation.name == "cpython":
-        gc.freeze()
-        gc.set_threshold(50_000, 20, 100)
+    collect_rarely()
     began = time.process_time()
     run()
     return {"us": (time.process_time() - began) / events * 1e6, "results": count[0]}

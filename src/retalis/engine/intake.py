@@ -40,7 +40,6 @@ class Intake:
         self._clock = clock
         self.followed = followed
         self._start_anew = start_anew
-        self._stamp_at_once = clock.stamp_at_once
         self._done = logic.machine.done
         self._lanes = dispatcher.lanes
         self.taken = 0
@@ -80,17 +79,15 @@ class Intake:
     def take_message(self, term: Term) -> None:
         """Dispatch a message that has come now: as `take`, in the fewest steps where a `Lane` serves it."""
         lane = self._lanes.get(term[0]) if term.__class__ is tuple else None
-        stamp = None
-        if lane is not None:
-            stamp = self._stamp_at_once()
-            if stamp is not None:
-                try:
-                    if lane(term, stamp, stamp):
-                        self.taken += 1
-                        return
-                except BaseException:
-                    self._dispatcher.restore(None, None)
-                    raise
+        stamp = None if lane is None else self._clock.stamp_at_once()
+        if lane is not None and stamp is not None:
+            try:
+                if lane(term, stamp, stamp):
+                    self.taken += 1
+                    return
+            except BaseException:
+                self._dispatcher.restore(None, None)
+                raise
         self.take(term, stamp, stamp, True)
 
     def _look_at_clock(self) -> int:

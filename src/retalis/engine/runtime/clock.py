@@ -108,10 +108,9 @@ class Clock:
         >>> clock.call_at(4_000_000_000, print)
         >>> clock.stamp_at_once()
         """
-        instant = self._source()
-        if instant < self._newest or self.behind or self.alarms and self.alarms[0][0] <= self.reached():
+        if not self.is_quiet():
             return None
-        self._newest = instant
+        instant = self._newest
         if instant <= self._last_stamp:
             instant = self._last_stamp + 1
         self._last_stamp = instant
