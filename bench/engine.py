@@ -58,19 +58,16 @@ class Outputs:
 def feed(engine: Engine, items: List[work.Item], messages: bool) -> Tuple[float, int]:
     """Feed a stream; return the CPU seconds and the number of outputs."""
     outputs = Outputs(engine)
-    post = engine.post
     if messages:
         definitions = nao_definitions()
         data = [(definitions.decoder(kind), raw) for raw, kind in work.as_bytes(items, definitions)]
         relax()
         began = time.process_time()
-        for decoder, raw in data:
-            post(decoder.decode(raw), decoder.stamp(raw))
+        engine.post_each((decoder.decode(raw), decoder.stamp(raw)) for decoder, raw in data)
     else:
         relax()
         began = time.process_time()
-        for term, instant, _ in items:
-            post(term, instant)
+        engine.post_each((term, instant) for term, instant, _ in items)
     return time.process_time() - began, outputs.number
 
 
@@ -215,8 +212,7 @@ def synchronized(delay: Optional[int]) -> Callable[[str, bool], Result]:
                 stream += [(tick(k, z), instant) for k in range(1, 21)]
         relax()
         began = time.process_time()
-        for term, instant in stream:
-            engine.post(term, instant)
+        engine.post_each(stream)
         return Result(name, len(items), time.process_time() - began, outputs.number)
 
     return case
@@ -245,8 +241,7 @@ def join(number: int) -> Callable[[str, bool], Result]:
         stream += [(b(i), (BASE + 1) * 10**9 + i) for i in range(number)]
         relax()
         began = time.process_time()
-        for term, instant in stream:
-            engine.post(term, instant)
+        engine.post_each(stream)
         return Result(name, len(stream), time.process_time() - began, outputs.number)
 
     return case

@@ -71,6 +71,19 @@ def test_a_post_that_is_interrupted_anywhere_leaves_the_engine_to_others():
 
 
 @pytest.mark.slow
+def test_what_is_posted_together_and_interrupted_anywhere_leaves_the_engine_to_others():
+    engine = Engine()
+    engine.load(rules="b(X) <- a(X).")
+    seen = []
+    engine.on_event(lambda term, start, end: seen.append(term))
+    messages = [(functor("a", 1)(number), None if number else 1_000_000_000) for number in range(2)]
+    for _ in interrupted(engine, lambda: engine.post_each(messages)):
+        del seen[:]
+        engine.post_each(messages)
+        assert len(seen) == 4
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("last", ["a", "b", "c"])
 def test_a_side_of_a_pair_that_is_interrupted_anywhere_leaves_its_rule_in_order(last):
     engine = Engine()

@@ -6,7 +6,7 @@ from typing import Callable, Optional
 from ..events.dispatch import Dispatcher
 from ..foundation import UsageError
 from ..prolog.logic import Logic
-from ..prolog.terms import Term
+from ..prolog.terms import Term, WholeSeconds
 from .runtime import Clock, StreamClock
 
 log = logging.getLogger("retalis")
@@ -76,8 +76,12 @@ class Intake:
             dispatcher.restore(current, cause)
             raise
 
-    def take_message(self, term: Term) -> None:
-        """Dispatch a message that has come now: as `take`, in the fewest steps where a `Lane` serves it."""
+    def take_message(self, term: Term, instant: Optional[int] = None) -> None:
+        """Dispatch a message, now or of an instant: as `take`, and in few steps where it is now and has a `Lane`."""
+        if instant is not None:
+            stamped = WholeSeconds(instant)  # the form in which the converter writes it
+            self.take(term, stamped, stamped, True)
+            return
         lane = self._lanes.get(term[0]) if term.__class__ is tuple else None
         stamp = None if lane is None else self._clock.stamp_at_once()
         if lane is not None and stamp is not None:

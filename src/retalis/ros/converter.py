@@ -1,6 +1,6 @@
 """Node ``retalis_ros_interface``: between ROS topics and events as text."""
 
-from typing import List
+from typing import Iterable, List
 
 import rospy
 
@@ -17,7 +17,7 @@ from .diagnostics import Diagnostics
 from .goaltopics import ToldTopics
 from .health import NodeHealth, program_health
 from .hints import StartHints
-from .interface import Interface, Publisher, Take
+from .interface import Interface, Publisher, Take, exhaust
 from .listing import Listing
 from .log import log_error
 from .names import INPUT, OUTPUT
@@ -54,7 +54,7 @@ class Converter:
             parameters.queue,
             reports,
             Definitions(bare=parameters.bare),
-            done=self._texts.flush,
+            self._flush_after,
             hold=HOLD,
             skew=skew,
             latched=self._latched_sender,
@@ -99,6 +99,11 @@ class Converter:
             add(event_text(text, received() if instant is None else instant))
 
         return take
+
+    def _flush_after(self, sent: Iterable[None]) -> None:
+        """Have messages that were received together sent together."""
+        exhaust(sent)
+        self._texts.flush()
 
     def _latched_sender(self, decoder: Decoder, publisher: Publisher) -> Take:
         """Return what sends the messages of a latched connection as text, and keeps the last one."""

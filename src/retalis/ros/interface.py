@@ -2,7 +2,8 @@
 
 import threading
 import time
-from typing import Any, Callable, ContextManager, Dict, Iterable, List, Optional, Set, Tuple
+from collections import deque
+from typing import Any, Callable, ContextManager, Dict, Iterable, Iterator, List, Optional, Set, Tuple
 
 import rospy
 
@@ -17,8 +18,11 @@ from .raw import raw_bytes
 from .receiving import read_by
 from .texts import text_taker
 
-Take = Callable[[bytes], None]
-"""Takes a message."""
+Take = Callable[[bytes], Any]
+"""Takes a message; returns what is handed on of it."""
+
+HandOn = Callable[[Iterable[Any]], object]
+"""Takes what was made of messages that were received together, each when it is asked for."""
 
 Publisher = Tuple[str, str]
 """A topic, and a node that publishes it."""
@@ -42,8 +46,8 @@ HOLD = 0.0012
 """Seconds for which a message may wait for the next ones, where they come fast."""
 
 
-def nothing() -> None:
-    """Do nothing."""
+exhaust: HandOn = deque(maxlen=0).extend
+"""Has all that was received together taken, and does nothing with it."""
 
 
 class Interface:
@@ -54,7 +58,7 @@ class Interface:
         queue: length of the queues.
         reports: takes what goes wrong while messages flow.
         definitions: the message types that are known.
-        done: called after messages that were received together.
+        hand_on: takes what is made of messages that were received together.
         hold: seconds for which a message may wait for the next ones, where they come fast.
         skew: looks at the stamps of messages.
         latched: gives what takes the messages of latched connections, where that is something else.
@@ -71,7 +75,7 @@ class Interface:
         queue: int,
         reports: Reports,
         definitions: Optional[Definitions] = None,
-        done: Callable[[], object] = nothing,
+        hand_on: HandOn = exhaust,
         hold: float = HOLD,
         skew: Optional[Skew] = None,
         latched: Optional[LatchedTaker] = None,
@@ -80,7 +84,7 @@ class Interface:
         self._runs = runs
         self._taker = taker
         self._latched = None if latched is None else self._learning(latched)
-        self._done = done
+        self._hand_on = hand_on
         self._hold = hold
         self._skew = skew
         self._queue = queue
@@ -117,7 +121,7 @@ class Interface:
                 self._queue,
                 self.turn,
                 self._reports,
-                self._done,
+                self._hand_on,
                 self._hold,
                 self._skew,
                 self._latched,
@@ -224,7 +228,7 @@ class InputTopic:
         queue: int,
         turn: ContextManager[object],
         reports: Reports,
-        done: Callable[[], object] = nothing,
+        hand_on: HandOn = exhaust,
         hold: float = HOLD,
         skew: Optional[Skew] = None,
         latched: Optional[LatchedTaker] = None,
@@ -238,7 +242,7 @@ class InputTopic:
         self._skew = skew
         self._reports = reports
         self._turn = turn
-        self._done = done
+        self._hand_on = hand_on
         self._definitions = definitions
         self._name = name
         self._taker = taker
@@ -308,19 +312,19 @@ class InputTopic:
         return take_all
 
     def _reporting(self, take: Take, publisher: str) -> TakeAll:
-        """Return what takes messages, and reports those that cannot be taken."""
-        done, counts = self._done, self.counts
+        """Return what takes messages and hands them on, and reports those that cannot be taken."""
+        hand_on, counts = self._hand_on, self.counts
 
-        def take_them(messages: List[bytes]) -> None:
+        def taken(messages: List[bytes]) -> Iterator[Any]:
             for at, data in enumerate(messages):
                 try:
-                    take(data)
+                    found = take(data)
                 except Refused:  # reported where it was seen
                     counts.refused += 1
                 except Early:
                     if self._runs is not None:
                         self._runs.keep_early(publisher, take_them, messages[at:])
-                        break
+                        return
                 except MessageError as error:
                     counts.dropped += 1
                     text = f"a message on {self._name} is dropped: {error}"
@@ -328,7 +332,11 @@ class InputTopic:
                 except Exception as error:  # one message must not end the connection
                     counts.dropped += 1
                     self._reports.error(error)
-            done()
+                else:
+                    yield found
+
+        def take_them(messages: List[bytes]) -> None:
+            hand_on(taken(messages))
 
         return take_them
 

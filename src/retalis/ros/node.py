@@ -145,10 +145,11 @@ class RetalisNode:
             self._load()
         self._texts = Outlet(OUTPUT, String, parameters.queue, self._reports)
         self._interface = Interface(
-            self._poster,
+            self._reader,
             parameters.queue,
             self._reports,
             definitions,
+            self.engine.post_each,
             skew=skew,
             runs=self._time.runs,
         )
@@ -259,10 +260,10 @@ class RetalisNode:
         except RetalisError as error:
             rospy.logerr("parameter ~direct: %s", error)
 
-    def _poster(self, decoder: Decoder) -> Take:
-        """Return what posts the messages of a type to the engine."""
-        post, decode, stamp = self.engine.post, decoder.decode, decoder.stamp
-        return lambda data: post(decode(data), stamp(data))
+    def _reader(self, decoder: Decoder) -> Take:
+        """Return what makes an event of a message, and its instant."""
+        decode, stamp = decoder.decode, decoder.stamp
+        return lambda data: (decode(data), stamp(data))
 
     def _send_text(self, term: Term, topic: str, name: Term) -> None:
         self._text_only.look(topic)  # of a subscription that a rule has made

@@ -5,7 +5,7 @@ import logging
 import pytest
 
 from retalis.engine import Engine
-from retalis.engine.playback import BagReader, BagWriter, Playback
+from retalis.engine.playback import BagError, BagReader, BagWriter, Playback
 from retalis.events.program import TopicType
 from retalis.events.rules import timers
 from retalis.messages import Definitions
@@ -206,6 +206,41 @@ def test_an_alarm_rings_at_its_own_time_and_not_at_the_next_message(program, bag
     assert [output.time for output in outputs] == [4 * SECOND, 9 * SECOND]
     assert ("seen(1.0)", 4 * SECOND, 4 * SECOND) in events
     assert ("my_msgs__0__Point(1.0)", 6 * SECOND, 6 * SECOND) in events
+
+
+def test_an_output_is_given_before_the_next_message_is_read(program, bag):
+    path = bag(
+        *((at * SECOND, "/in", "my_msgs/Point", f"my_msgs__0__Point({at}.0)") for at in (1, 2, 3)),
+    )
+    goals = "subscribe(my_msgs__0__Point(X), [X < 3], _, out, 1)"
+    read = []
+    playback = Playback(program("", goals, IN + OUT), report=pytest.fail)
+    with BagReader(path) as reader:
+        for output in playback.run(reader, read.append):
+            assert read == list(range(1, output.time // SECOND + 1))
+            assert playback.clock.now() == output.time
+    assert read == [1, 2, 3]
+
+
+def test_a_damaged_bag_is_reported_after_the_messages_before_the_damage(program, bag):
+    path = bag(
+        *((at * SECOND, "/in", "my_msgs/Point", f"my_msgs__0__Point({at}.0)") for at in (1, 2, 3)),
+    )
+    playback = Playback(program("", "", IN), report=pytest.fail)
+    seen = []
+    playback.engine.on_event(lambda event, start, end: seen.append(start))
+    with BagReader(path) as reader:
+        whole = reader.records
+
+        def records(topics, **options):
+            yield from list(whole(topics, **options))[:2]
+            raise BagError("the rest cannot be read")
+
+        reader.records = records
+        with pytest.raises(BagError, match="the rest cannot be read"):
+            list(playback.run(reader))
+    assert seen == [SECOND, 2 * SECOND]
+    assert playback.engine.query("true") == [{}]
 
 
 TIMERS = """

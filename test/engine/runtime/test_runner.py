@@ -22,6 +22,103 @@ def test_work_is_done_in_order_and_an_error_stops_nothing():
     assert [type(error) for error in errors] == [ZeroDivisionError]
 
 
+def test_what_is_posted_together_is_done_in_order_and_an_error_stops_nothing():
+    runner, _, errors = make()
+    done = []
+
+    def work(number, divisor):
+        done.append(number // divisor)
+
+    runner.post_each(work, [(1, 1), (2, 0), (6, 2)])
+    assert done == [1, 3]
+    assert [type(error) for error in errors] == [ZeroDivisionError]
+    assert runner.thread is None
+
+
+def test_what_is_posted_or_called_meanwhile_comes_between_what_is_posted_together():
+    runner, _, _ = make()
+    done = []
+
+    def ask():
+        runner.call(lambda: done.append("called"))
+
+    caller = threading.Thread(target=ask)
+
+    def work(number, then):
+        done.append(number)
+        if then == "post":
+            runner.post(done.append, "posted")
+        elif then == "call":
+            caller.start()
+            while not runner.callers:  # until it waits
+                pass
+        elif then == "each":
+            runner.post_each(lambda *pair: done.append(pair), [(7, 8), (9, 10)])
+
+    runner.post_each(work, [(1, "post"), (2, "call"), (3, "each"), (4, "")])
+    caller.join(10)
+    assert done == [1, "posted", 2, "called", 3, (7, 8), (9, 10), 4]
+
+
+def test_what_is_posted_together_while_another_is_at_work_waits_for_it():
+    runner, _, _ = make()
+    done = []
+    at_work, go_on = threading.Event(), threading.Event()
+
+    def first():
+        at_work.set()
+        assert go_on.wait(10)
+
+    worker = threading.Thread(target=runner.post, args=(first,))
+    worker.start()
+    assert at_work.wait(10)
+    runner.post_each(lambda *pair: done.append(pair), zip("abc", "123"))
+    assert (len(runner), done) == (3, [])
+    go_on.set()
+    worker.join(10)
+    assert done == [("a", "1"), ("b", "2"), ("c", "3")]
+
+
+def test_each_of_what_is_posted_together_is_an_entry_of_its_own():
+    runner, _, _ = make()
+    entries = []
+    runner.post_each(lambda *pair: entries.append(runner.entry), [("a", None)] * 3)
+    assert len({id(entry) for entry in entries}) == 3
+    assert entries == [("a", None)] * 3
+
+
+def test_an_error_of_what_makes_that_which_is_posted_together_reaches_who_posts():
+    runner, _, errors = make()
+    done = []
+
+    def entries():
+        yield "a", 1
+        raise OSError("the disk is gone")
+
+    with pytest.raises(OSError, match="the disk is gone"):
+        runner.post_each(lambda *pair: done.append(pair), entries())
+    assert (done, errors, runner.thread) == ([("a", 1)], [], None)
+    assert runner.call(lambda: 2) == 2
+
+
+def test_many_threads_that_post_together_lose_nothing():
+    runner, drops, _ = make(size=50)
+    done = []
+
+    def post(thread):
+        for begin in range(0, 2000, 20):
+            runner.post_each(lambda *pair: done.append(pair), ((thread, begin + at) for at in range(20)))
+
+    threads = [threading.Thread(target=post, args=(thread,)) for thread in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(30)
+    assert drops == []
+    for thread in range(4):
+        assert [number for one, number in done if one == thread] == list(range(2000))
+
+
 def test_a_call_returns_its_result_or_raises():
     runner, _, errors = make()
     assert runner.call(lambda: 7) == 7

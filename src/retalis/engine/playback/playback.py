@@ -3,10 +3,10 @@
 import logging
 from collections import Counter
 from heapq import merge
-from itertools import chain
+from itertools import chain, count
 from operator import attrgetter
 from pathlib import Path
-from typing import Callable, Dict, Iterable, Iterator, List, NamedTuple, Optional, Set, Union
+from typing import Callable, Dict, Iterable, Iterator, List, NamedTuple, Optional, Set, Tuple, Union
 
 from ...events.program import TOPICS, TopicType, read_topics
 from ...foundation import (
@@ -140,7 +140,7 @@ class Playback:
             bag: the messages, in the order of their receipt: a `BagReader`, or several bags as one.
             progress: called with the number of messages read so far, after each.
         """
-        clock, outputs = self.clock, self._outputs
+        outputs = self._outputs
         self._skew.forget()
         self._learn_all(bag, [topic for topic, _ in self._asked])
         for warning in self.engine.warnings(self._folder, self.definitions, self._topics):
@@ -149,16 +149,14 @@ class Playback:
         wanted = {topic.name for topic in bag.topics if by_name(topic.name) in self._types}
         self._joining.clear()
         decoders = {id(topic): self._decoders.get(topic) for topic in bag.topics}
-        for done, (topic, instant, data) in enumerate(self._records(bag, wanted, decoders), 1):
-            clock.move_to(instant, back=True)
-            decoder = decoders[id(topic)]
-            if decoder is not None:
-                self._post(topic, decoder, data)
-            progress(done)
-            if outputs:
+        records = self._records(bag, wanted, decoders)
+        tell = map(progress, count(1))
+        for record in records:
+            if record is not None:
+                self.engine.post_each(self._messages(chain((record,), records), decoders, tell))
                 yield from outputs
                 outputs.clear()
-        clock.move_to(bag.end)
+        self.clock.move_to(bag.end)
         self.engine.advance()
         yield from outputs
         outputs.clear()
@@ -173,18 +171,44 @@ class Playback:
         """
         return by_name(topic) in self._latched
 
+    def _messages(
+        self,
+        records: Iterable[Optional[Record]],
+        decoders: Dict[int, Optional[Decoder]],
+        told: Iterator[object],
+    ) -> Iterator[Tuple[Term, Optional[int]]]:
+        """Yield records as messages, each at its time, until one makes an output or alarms are to ring."""
+        clock, outputs = self.clock, self._outputs
+        for record in records:
+            if record is None:
+                return
+            topic, instant, data = record
+            clock.move_to(instant, back=True)
+            decoder = decoders[id(topic)]
+            message = None if decoder is None else self._decoded(topic, decoder, data)
+            if message is not None:
+                yield message
+            next(told)
+            if outputs:
+                return
+
     def _records(
         self, bag: Bag, topics: Set[str], decoders: Dict[int, Optional[Decoder]]
-    ) -> Iterator[Record]:
+    ) -> Iterator[Optional[Record]]:
         """Yield the messages of some topics, and of those that goals subscribe meanwhile from then on.
 
-        The alarms that come before a message have rung when it is given, and all when none is left.
+        The alarms that come before a message have rung when it is given, and all when none is left. Before they
+        ring None is given: whoever asks must not be at work in the engine when the next is asked for.
         """
         stream = iter(bag.records(topics))
+        alarms = self.clock.alarms
         while True:
             record = next(stream, None)
-            if self.clock.alarms and not self._joining:
-                self._ring_until(bag.start, bag.end if record is None else record.time)
+            if alarms and not self._joining:
+                until = bag.end if record is None else record.time
+                if alarms[0][0] <= until or not self.clock.reached():
+                    yield None
+                    self._ring_until(bag.start, until)
             if self._joining:
                 rest = stream if record is None else chain((record,), stream)
                 stream = iter(merge(rest, self._join(bag, decoders), key=_TIME))
@@ -222,14 +246,16 @@ class Playback:
             self.engine.advance()
             due = clock.next_alarm()
 
-    def _post(self, topic: Topic, decoder: Decoder, data: bytes) -> None:
+    def _decoded(self, topic: Topic, decoder: Decoder, data: bytes) -> Optional[Tuple[Term, Optional[int]]]:
+        """Return a message as a term with its stamp; None where it cannot be taken, which is reported."""
         try:
-            self.engine.post(decoder.decode(data), decoder.stamp(data))
+            return decoder.decode(data), decoder.stamp(data)
         except Refused:  # counted and reported where it was seen
             pass
         except MessageError as error:
             message = f"a message on {topic.name} is dropped: {error.message}"
             self._reports.error(MessageError(message, error.place), ("in", topic.name))
+        return None
 
     def _learn_types(self, topics: Iterable[Topic]) -> None:
         """Learn the types of a bag that are not known; what is wrong with them is said when it is played."""

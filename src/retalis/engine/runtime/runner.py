@@ -12,11 +12,13 @@ import sys
 import threading
 from collections import deque
 from types import FrameType
-from typing import Any, Callable, Deque, Optional, Tuple, TypeVar
+from typing import Any, Callable, Deque, Iterable, Iterator, Optional, Tuple, TypeVar
 
 from ...foundation import RetalisError, UsageError
 
 _Result = TypeVar("_Result")
+_A = TypeVar("_A")
+_B = TypeVar("_B")
 
 _this_thread = threading.get_ident
 
@@ -184,6 +186,51 @@ class Runner:
         except BaseException:
             self._give_up()
             raise
+
+    def post_each(self, work: Callable[[_A, _B], object], entries: Iterable[Tuple[_A, _B]]) -> None:
+        """Do as `post` with each pair of arguments, with one turn for all while nobody else comes.
+
+        What others call or post meanwhile comes between two of them. ``entries`` is asked for the next one when the
+        one before is done or queued, in the midst of this turn: it must not call the runner, and its errors end this.
+        """
+        me, queue, calls = _this_thread(), self._queue, self._calls
+        left = iter(entries)
+        if self._running == me and self._is_inside():
+            for entry in left:
+                self._append(work, entry)
+            return
+        are_left = True
+        try:
+            while are_left:
+                if not queue and not calls and self._lock.acquire(False):
+                    if self._running is not None:
+                        self._restore(True)
+                    self._running = me
+                    are_left = self._work_each(work, left)
+                    self._running = None
+                    self._lock.release()
+                else:
+                    for entry in left:
+                        self._append(work, entry)
+                    are_left = False
+                if queue or calls:
+                    self._drain()
+        except BaseException:
+            self._give_up()
+            raise
+
+    def _work_each(self, work: Callable[[_A, _B], object], left: Iterator[Tuple[_A, _B]]) -> bool:
+        """Do what is left until somebody else comes; return whether that has happened."""
+        queue, calls = self._queue, self._calls
+        for first, second in left:
+            self.entry = first, second  # a tuple of its own: what is one entry for the limits is one here
+            try:
+                work(first, second)
+            except Exception as error:  # one bad event must not take the others with it
+                self._failed(error)
+            if queue or calls:
+                return True
+        return False
 
     def call(self, work: Callable[[], _Result], entry: object = None) -> _Result:
         """Do a piece of work, after the one that runs and before those that wait; return its result.
@@ -387,7 +434,7 @@ class Runner:
             call.wake()
 
 
-_AT_WORK = frozenset(one.__code__ for one in (Runner.post, Runner.call, Runner._work_off))  # noqa: SLF001 - its own module
+_AT_WORK = frozenset(one.__code__ for one in (Runner.post, Runner.post_each, Runner.call, Runner._work_off))  # noqa: SLF001 - its own module
 
 
 def is_unexpected(error: BaseException) -> bool:
