@@ -117,8 +117,9 @@ def test_a_clock_that_goes_on_waits_for_the_first_time(clock):
     assert (its.now(), its.went_back()) == (9 * 10**9, False)
 
 
-@pytest.mark.parametrize("stamped", [True, False], ids=["stamped", "unstamped"])
-def test_what_waits_for_nothing_to_happen_rings_by_itself(monkeypatch, stamped):
+@pytest.fixture
+def timers(monkeypatch):
+    """The timers that are set, in place of rospy's."""
     timers = []
 
     class Timer:
@@ -129,8 +130,32 @@ def test_what_waits_for_nothing_to_happen_rings_by_itself(monkeypatch, stamped):
         def shutdown(self):
             timers.remove(self)
 
-    now = [1000 * SECOND]
     monkeypatch.setattr(rospy, "Timer", Timer)
+    return timers
+
+
+def test_an_engine_that_goes_on_sets_its_timer_when_it_is_there_and_knows_the_time(monkeypatch, timers):
+    now = [1000 * SECOND]
+    monkeypatch.setattr(node, "ros_now", lambda: now[0])
+    clock = node.RosClock()
+    clock.engine = engine = Engine(clock)
+    engine.load(rules="exceptionAlarm(late(X), 5) <- a(X).")
+    engine.post(functor("a", 1)(1))
+    data = engine.snapshot()
+    timers.clear()
+    now[0] = 0  # /clock has said nothing yet
+    other = Engine.restore(data, node.RosClock())
+    assert timers == []
+    other.clock.engine = other
+    now[0] = 1001 * SECOND
+    other.advance()
+    [timer] = timers
+    assert timer.seconds == 4
+
+
+@pytest.mark.parametrize("stamped", [True, False], ids=["stamped", "unstamped"])
+def test_what_waits_for_nothing_to_happen_rings_by_itself(monkeypatch, timers, stamped):
+    now = [1000 * SECOND]
     monkeypatch.setattr(node, "ros_now", lambda: now[0])
     clock = node.RosClock()
     clock.engine = engine = Engine(clock)

@@ -10,7 +10,7 @@ from ..foundation import RetalisError, counted
 from ..messages import Definitions
 from ..prolog.machine import Frame
 from ..prolog.syntax import Operators, read_term
-from ..prolog.terms import Term, Var, timestamps, variables
+from ..prolog.terms import Term, Var, WholeSeconds, timestamps, variables
 from .callbacks import OnEvent, OnOutput
 from .core import MADE
 from .lasting import Lasting
@@ -179,7 +179,11 @@ class Engine(Lasting):
             term: the event, without variables.
             instant: when it happened, in nanoseconds; by default now, by the clock.
         """
-        self._runner.post(self._message, term, instant)
+        if instant is None:
+            self._runner.post(self._message, term)
+        else:
+            stamped = WholeSeconds(instant)  # the form in which the converter writes it
+            self._runner.post(self._take, term, stamped, stamped, True)
 
     def post_each(self, messages: Iterable[Tuple[Term, Optional[int]]]) -> None:
         """Queue messages as `post` does, in less time: for those that are there together.
@@ -190,6 +194,7 @@ class Engine(Lasting):
         Args:
             messages: events without variables, each with the instant when it happened, in nanoseconds; None for now.
                 Asked for the next one when the one before is done, or queued behind others; must not use the engine.
+                What asking raises is raised here, when all before it is done.
         """
         self._runner.post_each(self._message, messages)
 

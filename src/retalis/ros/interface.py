@@ -19,7 +19,7 @@ from .receiving import read_by
 from .texts import text_taker
 
 Take = Callable[[bytes], Any]
-"""Takes a message; returns what is handed on of it."""
+"""Takes a message; returns what is handed on of it, None for one that has gone on its way."""
 
 HandOn = Callable[[Iterable[Any]], object]
 """Takes what was made of messages that were received together, each when it is asked for."""

@@ -100,7 +100,13 @@ class RosClock(Clock):
         return found
 
     def _set_timer(self) -> None:
-        """Have one timer, for the earliest alarm."""
+        """Have one timer, for the earliest alarm.
+
+        Not before there is an engine to wake: one that goes on from a file sets its alarms before that, when ROS time
+        may not be known either.
+        """
+        if self.engine is None:
+            return
         instant = self.next_alarm()
         timer, timer_for = self._timer, self._timer_for  # another thread may be just in `_wake`
         if instant is None or (timer_for is not None and timer_for <= instant):

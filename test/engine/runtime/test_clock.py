@@ -137,3 +137,11 @@ def test_it_is_seen_that_somebody_has_put_a_followed_clock_back():
     clock.move_to(0, back=True)
     assert not clock.follow(6 * SECOND)
     assert clock.now() == 0 and clock.went_back()
+
+
+def test_an_alarm_that_is_not_due_has_the_source_asked_no_more_often():
+    asked = []
+    clock = Clock(lambda: asked.append(1) or 5 * SECOND)
+    clock.call_at(9 * SECOND, print)
+    assert clock.is_quiet()
+    assert len(asked) == 1

@@ -1,4 +1,5 @@
 import threading
+import time
 
 import pytest
 
@@ -50,7 +51,8 @@ def test_what_is_posted_or_called_meanwhile_comes_between_what_is_posted_togethe
             runner.post(done.append, "posted")
         elif then == "call":
             caller.start()
-            while not runner.callers:  # until it waits
+            deadline = time.monotonic() + 10
+            while not runner.callers and time.monotonic() < deadline:  # until it waits
                 pass
         elif then == "each":
             runner.post_each(lambda *pair: done.append(pair), [(7, 8), (9, 10)])
@@ -60,31 +62,86 @@ def test_what_is_posted_or_called_meanwhile_comes_between_what_is_posted_togethe
     assert done == [1, "posted", 2, "called", 3, (7, 8), (9, 10), 4]
 
 
-def test_what_is_posted_together_while_another_is_at_work_waits_for_it():
-    runner, _, _ = make()
-    done = []
+@pytest.fixture
+def busy():
+    """A function that has another thread at work in a runner until the function is called that it returns."""
     at_work, go_on = threading.Event(), threading.Event()
 
     def first():
         at_work.set()
         assert go_on.wait(10)
 
-    worker = threading.Thread(target=runner.post, args=(first,))
-    worker.start()
-    assert at_work.wait(10)
+    def begin(runner):
+        worker = threading.Thread(target=runner.post, args=(first,))
+        worker.start()
+        assert at_work.wait(10)
+
+        def end():
+            go_on.set()
+            worker.join(10)
+
+        return end
+
+    return begin
+
+
+def test_what_is_posted_together_while_another_is_at_work_waits_for_it(busy):
+    runner, _, _ = make()
+    done = []
+    end = busy(runner)
     runner.post_each(lambda *pair: done.append(pair), zip("abc", "123"))
     assert (len(runner), done) == (3, [])
-    go_on.set()
-    worker.join(10)
+    end()
     assert done == [("a", "1"), ("b", "2"), ("c", "3")]
 
 
-def test_each_of_what_is_posted_together_is_an_entry_of_its_own():
+def test_what_is_posted_together_is_done_in_turn_again_as_soon_as_nobody_is_at_work(busy):
+    runner, _, _ = make()
+    done, seen = [], []
+    end = busy(runner)
+
+    def entries():
+        for number in range(5):
+            if number == 2:
+                end()
+            seen.append((len(runner), len(done)))
+            yield number, None
+
+    runner.post_each(lambda number, none: done.append(number), entries())
+    assert seen == [(0, 0), (1, 0), (0, 2), (0, 3), (0, 4)]
+    assert done == [0, 1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("way", ["free", "busy", "inside"])
+def test_each_of_what_is_posted_together_is_an_entry_of_its_own(way, busy):
     runner, _, _ = make()
     entries = []
-    runner.post_each(lambda *pair: entries.append(runner.entry), [("a", None)] * 3)
+    same = [("a", None)] * 3
+
+    def post():
+        runner.post_each(lambda *pair: entries.append(runner.entry), same)
+
+    if way == "inside":
+        runner.post(post)
+    else:
+        end = busy(runner) if way == "busy" else lambda: None
+        post()
+        end()
     assert len({id(entry) for entry in entries}) == 3
-    assert entries == [("a", None)] * 3
+    assert entries == same
+
+
+def test_nothing_is_at_work_while_what_is_posted_next_is_made():
+    runner, _, _ = make()
+    seen = []
+
+    def entries():
+        for number in range(3):
+            seen.append(runner.entry)
+            yield number, None
+
+    runner.post_each(lambda *pair: seen.append(runner.entry), entries())
+    assert seen == [None, (0, None), None, (1, None), None, (2, None)]
 
 
 def test_an_error_of_what_makes_that_which_is_posted_together_reaches_who_posts():
@@ -93,12 +150,29 @@ def test_an_error_of_what_makes_that_which_is_posted_together_reaches_who_posts(
 
     def entries():
         yield "a", 1
+        runner.post(done.append, "meanwhile")
         raise OSError("the disk is gone")
 
     with pytest.raises(OSError, match="the disk is gone"):
         runner.post_each(lambda *pair: done.append(pair), entries())
-    assert (done, errors, runner.thread) == ([("a", 1)], [], None)
+    assert (done, errors, runner.thread) == ([("a", 1), "meanwhile"], [], None)
     assert runner.call(lambda: 2) == 2
+
+
+def test_an_error_of_what_makes_that_which_is_posted_together_leaves_nothing_in_the_queue(busy):
+    runner, _, _ = make()
+    done = []
+    end = busy(runner)
+
+    def entries():
+        yield "a", 1
+        end()
+        yield "b", 2
+        raise OSError("the disk is gone")
+
+    with pytest.raises(OSError, match="the disk is gone"):
+        runner.post_each(lambda *pair: done.append(pair), entries())
+    assert (len(runner), done) == (0, [("a", 1), ("b", 2)])
 
 
 def test_many_threads_that_post_together_lose_nothing():

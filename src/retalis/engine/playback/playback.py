@@ -138,7 +138,8 @@ class Playback:
 
         Args:
             bag: the messages, in the order of their receipt: a `BagReader`, or several bags as one.
-            progress: called with the number of messages read so far, after each.
+            progress: called with the number of messages read so far, after each, while the engine is at work: it may
+                look at the engine and must not use it.
         """
         outputs = self._outputs
         self._skew.forget()
@@ -150,10 +151,11 @@ class Playback:
         self._joining.clear()
         decoders = {id(topic): self._decoders.get(topic) for topic in bag.topics}
         records = self._records(bag, wanted, decoders)
-        tell = map(progress, count(1))
+        done = count(1)
         for record in records:
             if record is not None:
-                self.engine.post_each(self._messages(chain((record,), records), decoders, tell))
+                several = chain((record,), records)
+                self.engine.post_each(self._messages(several, decoders, lambda: progress(next(done))))
                 yield from outputs
                 outputs.clear()
         self.clock.move_to(bag.end)
@@ -175,7 +177,7 @@ class Playback:
         self,
         records: Iterable[Optional[Record]],
         decoders: Dict[int, Optional[Decoder]],
-        told: Iterator[object],
+        told: Callable[[], object],
     ) -> Iterator[Tuple[Term, Optional[int]]]:
         """Yield records as messages, each at its time, until one makes an output or alarms are to ring."""
         clock, outputs = self.clock, self._outputs
@@ -188,7 +190,7 @@ class Playback:
             message = None if decoder is None else self._decoded(topic, decoder, data)
             if message is not None:
                 yield message
-            next(told)
+            told()
             if outputs:
                 return
 
@@ -201,12 +203,12 @@ class Playback:
         ring None is given: whoever asks must not be at work in the engine when the next is asked for.
         """
         stream = iter(bag.records(topics))
-        alarms = self.clock.alarms
         while True:
             record = next(stream, None)
-            if alarms and not self._joining:
+            due = self.clock.next_alarm()
+            if due is not None and not self._joining:
                 until = bag.end if record is None else record.time
-                if alarms[0][0] <= until or not self.clock.reached():
+                if due <= until or not self.clock.reached():
                     yield None
                     self._ring_until(bag.start, until)
             if self._joining:

@@ -127,10 +127,19 @@ class Clock:
         False
         """
         instant = self._source()
-        if instant < self._newest or self.behind or self.alarms and self.alarms[0][0] <= self.reached():
+        if (
+            instant < self._newest
+            or self.behind
+            or self.alarms
+            and self.alarms[0][0] <= self._due_by(instant)
+        ):
             return False
         self._newest = instant
         return True
+
+    def _due_by(self, instant: int) -> int:
+        """Return up to where alarms are due, at an instant of the source: `reached`, without asking it again."""
+        return instant
 
     def call_at(self, instant: int, alarm: Alarm) -> None:
         """Have ``alarm`` called with the instant when that has come.
@@ -351,6 +360,9 @@ class StreamClock(Clock):
         (1000000000, 2000000000)
         """
         self._heading = instant
+
+    def _due_by(self, instant: int) -> int:
+        return self._time  # also where the clock is pinned
 
     def reached(self) -> int:
         """Return the instant up to which alarms are due: the stream's time, also where the clock is pinned.

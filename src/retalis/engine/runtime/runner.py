@@ -17,8 +17,8 @@ from typing import Any, Callable, Deque, Iterable, Iterator, Optional, Tuple, Ty
 from ...foundation import RetalisError, UsageError
 
 _Result = TypeVar("_Result")
-_A = TypeVar("_A")
-_B = TypeVar("_B")
+_First = TypeVar("_First")
+_Second = TypeVar("_Second")
 
 _this_thread = threading.get_ident
 
@@ -187,41 +187,47 @@ class Runner:
             self._give_up()
             raise
 
-    def post_each(self, work: Callable[[_A, _B], object], entries: Iterable[Tuple[_A, _B]]) -> None:
+    def post_each(
+        self, work: Callable[[_First, _Second], object], entries: Iterable[Tuple[_First, _Second]]
+    ) -> None:
         """Do as `post` with each pair of arguments, with one turn for all while nobody else comes.
 
         What others call or post meanwhile comes between two of them. ``entries`` is asked for the next one when the
         one before is done or queued, in the midst of this turn: it must not call the runner, and its errors end this.
         """
-        me, queue, calls = _this_thread(), self._queue, self._calls
+        me = _this_thread()
         left = iter(entries)
         if self._running == me and self._is_inside():
-            for entry in left:
-                self._append(work, entry)
+            for first, second in left:
+                self._append(work, (first, second))
             return
-        are_left = True
         try:
-            while are_left:
-                if not queue and not calls and self._lock.acquire(False):
-                    if self._running is not None:
-                        self._restore(True)
-                    self._running = me
-                    are_left = self._work_each(work, left)
-                    self._running = None
-                    self._lock.release()
-                else:
-                    for entry in left:
-                        self._append(work, entry)
-                    are_left = False
-                if queue or calls:
+            while self._post_some(work, left):
+                if self._queue or self._calls:
                     self._drain()
+            if self._queue or self._calls:
+                self._drain()
+        except Exception as error:  # of the entries: all that was before them is done
+            self._end(error, lambda error: None)
+            raise
         except BaseException:
             self._give_up()
             raise
 
-    def _work_each(self, work: Callable[[_A, _B], object], left: Iterator[Tuple[_A, _B]]) -> bool:
-        """Do what is left until somebody else comes; return whether that has happened."""
+    def _post_some(
+        self, work: Callable[[_First, _Second], object], left: Iterator[Tuple[_First, _Second]]
+    ) -> bool:
+        """Do what is left until somebody else comes, or queue one where somebody is at work; tell if more is left."""
         queue, calls = self._queue, self._calls
+        if queue or calls or not self._lock.acquire(False):
+            for first, second in left:
+                self._append(work, (first, second))
+                return True
+            return False
+        if self._running is not None:
+            self._restore(True)
+        self._running = _this_thread()
+        more = False
         for first, second in left:
             self.entry = first, second  # a tuple of its own: what is one entry for the limits is one here
             try:
@@ -229,8 +235,12 @@ class Runner:
             except Exception as error:  # one bad event must not take the others with it
                 self._failed(error)
             if queue or calls:
-                return True
-        return False
+                more = True
+                break
+            self.entry = None  # while the next one is made
+        self._running = None
+        self._lock.release()
+        return more
 
     def call(self, work: Callable[[], _Result], entry: object = None) -> _Result:
         """Do a piece of work, after the one that runs and before those that wait; return its result.
@@ -434,7 +444,7 @@ class Runner:
             call.wake()
 
 
-_AT_WORK = frozenset(one.__code__ for one in (Runner.post, Runner.post_each, Runner.call, Runner._work_off))  # noqa: SLF001 - its own module
+_AT_WORK = frozenset(one.__code__ for one in (Runner.post, Runner._post_some, Runner.call, Runner._work_off))  # noqa: SLF001 - its own module
 
 
 def is_unexpected(error: BaseException) -> bool:
