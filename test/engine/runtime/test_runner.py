@@ -4,7 +4,7 @@ import time
 import pytest
 
 from retalis.engine.runtime import Runner
-from retalis.engine.runtime.runner import Recovery, Request
+from retalis.engine.runtime.runner import Recovery
 from retalis.foundation import UsageError
 
 
@@ -343,11 +343,6 @@ def test_an_interrupt_is_no_result():
     def interrupted():
         raise KeyboardInterrupt
 
-    call = Request(interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        call()
-    with pytest.raises(KeyboardInterrupt):  # for the caller that waits, who may be another
-        call.result()
     with pytest.raises(KeyboardInterrupt):
         runner.call(interrupted)
     assert runner.call(lambda: 1) == 1

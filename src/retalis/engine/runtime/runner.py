@@ -12,91 +12,20 @@ import sys
 import threading
 from collections import deque
 from types import FrameType
-from typing import Any, Callable, Deque, Iterable, Iterator, Optional, Tuple, TypeVar
+from typing import Callable, Deque, Iterable, Iterator, Optional, Tuple, TypeVar
 
 from ...foundation import RetalisError, UsageError
+from .request import Request
 
 _Result = TypeVar("_Result")
-_First = TypeVar("_First")
-_Second = TypeVar("_Second")
+_One = TypeVar("_One")
+_Two = TypeVar("_Two")
 
 _this_thread = threading.get_ident
 
 
 PATIENCE = 1.0
 """Seconds that one who posts to a full queue waits for a piece of work to be done."""
-
-
-class Request:
-    """A piece of work whose caller waits for the result.
-
-    Args:
-        work: does it.
-        entry: what tells it from others, see `Runner`; by default what nothing else is.
-    """
-
-    def __init__(self, work: Callable[[], object], entry: object = None):
-        self._work = work
-        self.entry = (work,) if entry is None else entry
-        self._ticket = [None]  # whoever takes it decides what becomes of the call: it is done, or given up
-        self._woken = threading.Event()
-        self._result: object = None
-        self.error: Optional[BaseException] = None
-        self.over = self.follows = False
-
-    def __call__(self) -> None:
-        """Do the work, unless it has been taken already."""
-        if not self.take():
-            return
-        try:
-            self._result = self._work()
-        except Exception as error:  # handed over to the caller that waits, in `result`
-            self.error = error
-        except BaseException as error:  # an interrupt, which the one who waits must not take for a result
-            self.error = error
-            raise
-        finally:
-            self.end()
-
-    def take(self) -> bool:
-        """Take the call over; False where somebody has done so already."""
-        try:
-            self._ticket.pop()
-        except IndexError:
-            return False
-        return True
-
-    def end(self) -> None:
-        """Note that it has been done."""
-        self.over = True
-        self._woken.set()
-
-    @property
-    def begun(self) -> bool:
-        """Whether it is being done."""
-        return not self._ticket and not self.over
-
-    def abandon(self) -> None:
-        """End it where an interrupt has ended the work on it, wherever that was."""
-        if self.begun:
-            self.error = self.error or KeyboardInterrupt()
-            self.end()
-
-    def wake(self) -> None:
-        """Have who waits look again."""
-        self._woken.set()
-
-    def wait(self, seconds: float) -> bool:
-        """Wait until it is over or somebody wakes the caller; False where the time is up."""
-        woken = self._woken.wait(seconds)
-        self._woken.clear()
-        return woken or self.over
-
-    def result(self) -> Any:
-        """Return the result of work that is over, or raise what it raised."""
-        if self.error is not None:
-            raise self.error
-        return self._result
 
 
 class Recovery:
@@ -187,9 +116,7 @@ class Runner:
             self._give_up()
             raise
 
-    def post_each(
-        self, work: Callable[[_First, _Second], object], entries: Iterable[Tuple[_First, _Second]]
-    ) -> None:
+    def post_each(self, work: Callable[[_One, _Two], object], entries: Iterable[Tuple[_One, _Two]]) -> None:
         """Do as `post` with each pair of arguments, with one turn for all while nobody else comes.
 
         What others call or post meanwhile comes between two of them. ``entries`` is asked for the next one when the
@@ -214,9 +141,7 @@ class Runner:
             self._give_up()
             raise
 
-    def _post_some(
-        self, work: Callable[[_First, _Second], object], left: Iterator[Tuple[_First, _Second]]
-    ) -> bool:
+    def _post_some(self, work: Callable[[_One, _Two], object], left: Iterator[Tuple[_One, _Two]]) -> bool:
         """Do what is left until somebody else comes, or queue one where somebody is at work; tell if more is left."""
         queue, calls = self._queue, self._calls
         if queue or calls or not self._lock.acquire(False):
