@@ -34,7 +34,7 @@ MOST_LINES = 1_000
 
 NOT_RECORDED = (
     "what events come from is not recorded: "
-    "start the node with ~explain, or call set_etalis_flag(etalis_justification, on)"
+    "start the node with ~explain (explain:=true with roslaunch), or call set_etalis_flag(etalis_justification, on)"
 )
 
 

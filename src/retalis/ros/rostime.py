@@ -26,8 +26,8 @@ def ros_now() -> int:
     now = int(rospy.get_rostime().to_nsec())
     if not now and time.monotonic() > _began + PATIENCE:
         rospy.logwarn_once(
-            "/use_sim_time is true and nothing publishes /clock: time stands still, so no sequence of events is "
-            "detected; on a robot, start with use_sim_time:=false"
+            "/use_sim_time is true and nothing publishes /clock: time stands still, so no time passes "
+            "between events, whatever a rule says of it; on a robot, start with use_sim_time:=false"
         )
     return now
 
