@@ -88,8 +88,8 @@ class CheckpointFile:
             self._base = sqlite3.connect(str(path), isolation_level=None, check_same_thread=False)
             _value(self._base, "PRAGMA journal_mode = WAL")
             self._base.execute("PRAGMA synchronous = NORMAL")
-            self._base.execute(f"PRAGMA application_id = {APPLICATION}")
-            self._base.executescript(_TABLES)
+            # At once, so that whoever reads the file meanwhile, or after a kill, finds nothing or all of it.
+            self._base.executescript(f"BEGIN; PRAGMA application_id = {APPLICATION}; {_TABLES} COMMIT;")
             newest = _value(self._base, "SELECT max(memory) FROM records")
             self.next_number: int = 0 if newest is None else newest + 1
             self._owner = secrets.randbelow(1 << 31)
@@ -176,9 +176,11 @@ def _quoted(path: Path) -> str:
 
 
 def _read(base: sqlite3.Connection) -> Optional[Checkpoint]:
+    base.execute("BEGIN")  # all of one moment
+    if not _value(base, "SELECT count(*) FROM sqlite_master"):
+        return None  # it has just been made
     if _value(base, "PRAGMA application_id") != APPLICATION:
         raise UsageError("it is a database of something else")
-    base.execute("BEGIN")  # all of one moment
     found = {name: _whole(data, check) for name, data, check in base.execute("SELECT * FROM sections")}
     if not found:
         return None
