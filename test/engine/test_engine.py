@@ -581,3 +581,9 @@ def test_names_alike_are_looked_for_a_few_times_only(caplog, monkeypatch):
     monkeypatch.setattr(parts_of(engine).logic, "similar", lambda key: looked.append(key) or similar(key))
     engine.load(rules="".join(f"h <- a(X) where (unknown{at}(X)).\n" for at in range(200)))
     assert len(caplog.records) == 200 and len(looked) < 60
+
+
+def test_who_posts_with_what_is_no_instant_is_told_at_once():
+    engine = Engine()
+    with pytest.raises(ValueError, match="soon"):
+        engine.post(atom("a"), "soon")
