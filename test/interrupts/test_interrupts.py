@@ -58,29 +58,24 @@ def test_an_event_that_is_interrupted_anywhere_is_recorded_whole_or_not_at_all()
 
 
 @pytest.mark.slow
-def test_a_post_that_is_interrupted_anywhere_leaves_the_engine_to_others():
+@pytest.mark.parametrize("number", [1, 2], ids=["one", "together"])
+def test_a_post_that_is_interrupted_anywhere_leaves_the_engine_to_others(number):
     engine = Engine()
     engine.load(rules="b(X) <- a(X).")
     seen = []
     engine.on_event(lambda term, start, end: seen.append(term))
-    event = functor("a", 1)(1)
-    for _ in interrupted(engine, lambda: engine.post(event)):
-        del seen[:]
-        engine.post(event)
-        assert len(seen) == 2
+    messages = [(functor("a", 1)(1), None), (functor("a", 1)(2), 1_000_000_000)][:number]
 
+    def post():
+        if number == 1:
+            engine.post(*messages[0])
+        else:
+            engine.post_each(messages)
 
-@pytest.mark.slow
-def test_what_is_posted_together_and_interrupted_anywhere_leaves_the_engine_to_others():
-    engine = Engine()
-    engine.load(rules="b(X) <- a(X).")
-    seen = []
-    engine.on_event(lambda term, start, end: seen.append(term))
-    messages = [(functor("a", 1)(number), None if number else 1_000_000_000) for number in range(2)]
-    for _ in interrupted(engine, lambda: engine.post_each(messages)):
+    for _ in interrupted(engine, post):
         del seen[:]
-        engine.post_each(messages)
-        assert len(seen) == 4
+        post()
+        assert len(seen) == 2 * number
 
 
 @pytest.mark.slow

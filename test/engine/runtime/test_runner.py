@@ -13,6 +13,15 @@ def make(size=100, **options):
     return Runner(size, drops.append, errors.append, **options), drops, errors
 
 
+def in_threads(work):
+    """Have four threads work at once, each called with its number, until all are done."""
+    threads = [threading.Thread(target=work, args=(thread,)) for thread in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(30)
+
+
 def test_work_is_done_in_order_and_an_error_stops_nothing():
     runner, _, errors = make()
     done = []
@@ -183,11 +192,7 @@ def test_many_threads_that_post_together_lose_nothing():
         for begin in range(0, 2000, 20):
             runner.post_each(lambda *pair: done.append(pair), ((thread, begin + at) for at in range(20)))
 
-    threads = [threading.Thread(target=post, args=(thread,)) for thread in range(4)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join(30)
+    in_threads(post)
     assert drops == []
     for thread in range(4):
         assert [number for one, number in done if one == thread] == list(range(2000))
@@ -278,11 +283,7 @@ def test_a_full_queue_holds_up_those_who_post_and_nothing_is_lost():
         for number in range(2000):
             runner.post(done.append, (thread, number))
 
-    threads = [threading.Thread(target=post, args=(thread,)) for thread in range(4)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join(30)
+    in_threads(post)
     assert drops == []
     for thread in range(4):
         assert [number for one, number in done if one == thread] == list(range(2000))
@@ -324,15 +325,11 @@ def test_many_threads_lose_nothing():
     def add():
         total[0] += 1
 
-    def post():
+    def post(thread):
         for _ in range(2000):
             runner.post(add)
 
-    threads = [threading.Thread(target=post) for _ in range(4)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join(30)
+    in_threads(post)
     runner.call(lambda: None)
     assert total[0] == 8000
 

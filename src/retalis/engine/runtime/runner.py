@@ -130,10 +130,7 @@ class Runner:
             return
         try:
             while self._post_some(work, left):
-                if self._queue or self._calls:
-                    self._drain()
-            if self._queue or self._calls:
-                self._drain()
+                pass
         except Exception as error:  # of the entries: all that was before them is done
             self._end(error, lambda error: None)
             raise
@@ -145,10 +142,12 @@ class Runner:
         """Do what is left until somebody else comes, or queue one where somebody is at work; tell if more is left."""
         queue, calls = self._queue, self._calls
         if queue or calls or not self._lock.acquire(False):
-            for first, second in left:
+            entry = next(left, None)
+            if entry is not None:
+                first, second = entry
                 self._append(work, (first, second))
-                return True
-            return False
+            self._drain()
+            return entry is not None
         if self._running is not None:
             self._restore(True)
         self._running = _this_thread()
@@ -163,8 +162,7 @@ class Runner:
                 more = True
                 break
             self.entry = None  # while the next one is made
-        self._running = None
-        self._lock.release()
+        self._leave()
         return more
 
     def call(self, work: Callable[[], _Result], entry: object = None) -> _Result:
