@@ -65,6 +65,7 @@ def test_json_has_the_same(capsys, folder):
     assert json.loads(said) == {
         "errors": 0,
         "warnings": 1,
+        "infos": 0,
         "findings": [
             {
                 "severity": "warning",

@@ -73,8 +73,8 @@ def test_what_was_written_by_name_is_shown_so(engine, capsys):
     assert [memory.event for memory in status.memories] == [f"{POINT}{{x: _}}"]
     happened, lines = explain(engine, f"{POINT}(0.0, 2)")
     assert happened
-    assert lines[0].text == f"{POINT}(0.0,2) [1,1] by rule {POINT}{{y: A}} <- right(A) (text:3)"
-    assert f"right(A) <- {POINT}{{x: A}} where A > 0" in lines[0].below[0].text
+    assert lines[0].text == f"{POINT}(0.0,2) at 1 by rule {POINT}{{y: X}} <- right(X) (text:3)"
+    assert f"right(X) <- {POINT}{{x: X}} where X > 0" in lines[0].below[0].text
     happened, lines = explain(engine, "right(3)")
     assert lines[0].below[0].below[0].text == f"- {POINT}{{x: 3}}: did not happen"
 

@@ -9,6 +9,7 @@ from typing import List, Optional
 
 from ..foundation import RetalisError
 from . import bag, check, completion, console, demo, events, graph, live, msg, plot
+from .printing import join_times
 from .prompt import LEAVE, Lines, Terminal, read_clause
 from .report import NobodyReads, leave
 from .tables import page, report
@@ -40,7 +41,7 @@ def main(arguments: Optional[List[str]] = None) -> int:
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for command in COMMANDS:
         command.add_parser(commands.add_parser)
-    options = parser.parse_args(arguments)
+    options = parser.parse_args(join_times(sys.argv[1:] if arguments is None else arguments))
     try:
         status: int = options.run(options)
         return status

@@ -9,7 +9,7 @@ from .limits import add_limits
 from .manybags import add_many, are_many, play_many
 from .numbers import from_zero
 from .playing import play
-from .printing import JSON
+from .printing import JSON, RELATIVE, RELATIVE_TIMES, STAMPS
 from .report import Report
 
 DESCRIPTION = """\
@@ -46,8 +46,16 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
     add("--events", action="store_true", help="print each event too, as event(TERM,[T1,T2])")
     add(
         "--times",
-        action="store_true",
+        action="store_const",
+        const=STAMPS,
         help="print outputs with the bag's time, as output(TERM,TOPIC,datime(...))",
+    )
+    add(
+        RELATIVE_TIMES,
+        action="store_const",
+        const=RELATIVE,
+        dest="times",
+        help="print outputs and explanations with times in seconds since the start of the run",
     )
     add(
         "--explain",

@@ -8,7 +8,7 @@ from typing import Callable, Dict
 
 from ..engine import Settings, check_program
 from ..engine.playback import BagReader
-from ..events.checks import ERROR, Finding
+from ..events.checks import ERROR, INFO, Finding
 from ..events.program import DIRECT
 from ..foundation import MessageError, counted, printable
 from ..messages import Definitions, Installed
@@ -58,9 +58,11 @@ def run(options: argparse.Namespace) -> int:
         _learn(definitions, path)
     found = check_program(options.folder, definitions, DIRECT, Settings(allow_swi=options.allow_swi))
     errors = sum(one.severity == ERROR for one in found)
-    warnings = len(found) - errors
+    infos = sum(one.severity == INFO for one in found)
+    warnings = len(found) - errors - infos
     if options.format == "json":
-        content = {"findings": [_as_json(one) for one in found], "errors": errors, "warnings": warnings}
+        counts = {"errors": errors, "warnings": warnings, "infos": infos}
+        content = {"findings": [_as_json(one) for one in found], **counts}
         print(json.dumps(content, indent=1, ensure_ascii=False))
     else:
         for one in found:

@@ -17,7 +17,7 @@ from ..prolog.syntax import Operators, ReadTerm, read_term
 from ..prolog.terms import Term, deref, rebuild, timestamps, variables
 from .folders import add_folders, allow_folders
 from .limits import add_limits, limited
-from .printing import JSON, Printer
+from .printing import JSON, RELATIVE, RELATIVE_TIMES, Printer
 from .report import Report, to_reader
 from .stream import Read, ReadLine, is_left_unread, read_stream
 
@@ -66,6 +66,13 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         default=[],
         help="print at the end, in lines that start with %%, why such an event happened or what was missing; a term "
         "with variables, or event(TERM,[T1,T2])",
+    )
+    add(
+        RELATIVE_TIMES,
+        action="store_const",
+        const=RELATIVE,
+        dest="times",
+        help="print explanations with times in seconds since the first event",
     )
     add("--clock", metavar="TERM", help="pin the clock to an instant: datime(2001,1,1,0,0,0,0) or seconds")
     add("--json", action="store_true", help="print one JSON object per line instead of terms")
@@ -116,6 +123,9 @@ class Session:
         self.engine = Engine(self._clock, limited(allow_folders(Settings(), options), options), self.reports)
         self.engine.on_event(to_reader(printer.event))
         self.engine.on_output(to_reader(self._output))
+        self._first: Optional[int] = None
+        if options.times == RELATIVE:
+            self.engine.on_event(self._note_first)
         parts_of(self.engine).logic.define_control("sleep", 1, self._sleep)
         if options.explain:
             record_origins(self.engine)
@@ -193,9 +203,12 @@ class Session:
         for asked in self._options.explain:
             self._try(self._explain, asked)
 
+    def _note_first(self, term: Term, start: int, end: int) -> None:
+        self._first = int(start) if self._first is None else min(self._first, int(start))
+
     def _explain(self, asked: str) -> None:
         term = read_term(asked, self.engine.operators, "--explain").term
-        self._printer.explanation(term, explain(self.engine, term))
+        self._printer.explanation(term, explain(self.engine, term, origin=self._first))
 
     def _query(self, goal: ReadTerm) -> None:
         found: List[Term] = []

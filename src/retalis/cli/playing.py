@@ -13,10 +13,10 @@ from ..engine.runtime import relax
 from ..events.program import TopicType, topic_type
 from ..foundation import UsageError, shortened
 from ..prolog.syntax import read_term, to_text
-from ..prolog.terms import atom, functor, timestamps
+from ..prolog.terms import Term, atom, functor, timestamps
 from .folders import allow_folders
 from .limits import limited
-from .printing import Printer
+from .printing import RELATIVE, Printer
 from .progress import Bar, progress
 from .report import Report, to_reader
 
@@ -50,7 +50,7 @@ def play(
             record_origins(playback.engine)
         writer = _writer(options, playback, stack)
         bar = stack.enter_context(progress("messages", share_of(playback, bags)))
-        show = _Shower(options, playback, bar, tell)
+        show = _Shower(options, playback, bar, tell, bags.start)
         relax()
         for output in playback.run(bags, show.advance):
             show.output(output)
@@ -93,10 +93,13 @@ def _topics(texts: List[str]) -> List[TopicType]:
 
 
 class _Shower:
-    """Prints what happens in a run, and moves the bar."""
+    """Prints the events and outputs of a run, and updates the progress bar."""
 
-    def __init__(self, options: argparse.Namespace, playback: Playback, bar: Optional[Bar], tell: Tell):
+    def __init__(
+        self, options: argparse.Namespace, playback: Playback, bar: Optional[Bar], tell: Tell, start: int
+    ):
         self._options = options
+        self._origin = start if options.times == RELATIVE else None
         self._engine = playback.engine
         self._bar = bar
         self._tell = tell
@@ -124,7 +127,9 @@ class _Shower:
         self._clear()
         topic = atom(output.topic)
         if self._options.times:
-            instant = timestamps.to_term(timestamps.WholeSeconds(output.time))
+            instant: Term = timestamps.to_term(timestamps.WholeSeconds(output.time))
+            if self._origin is not None:
+                instant = timestamps.to_seconds(output.time - self._origin)
             print(f"{to_text((TIMED_OUTPUT, output.term, topic, instant))}.")
         else:
             print(f"{to_text((OUTPUT, output.term, topic))}.")
@@ -136,7 +141,7 @@ class _Shower:
         for asked in self._options.explain:
             term = read_term(asked, self._engine.operators, "--explain").term
             self._clear()
-            self._printer.explanation(term, explain(self._engine, term))
+            self._printer.explanation(term, explain(self._engine, term, origin=self._origin))
 
     def _event(self, *event: object) -> None:
         self._clear()

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Callable, Dict, Iterable, Iterator, List, Optional, Tuple, TypeVar, Union
 
-from ..events.checks import Overview, look_through
+from ..events.checks import INFO, Overview, look_through
 from ..events.dispatch import Stage
 from ..events.program import Topics, TopicType
 from ..foundation import RetalisError, counted
@@ -366,7 +366,7 @@ class Engine(Lasting):
         program = Overview(
             self._rules, self._knowledge, definitions, topics, tuple(direct), folder, self._observed
         )
-        return (finding.problem for finding in look_through(program))
+        return (finding.problem for finding in look_through(program) if finding.severity != INFO)
 
     def status(self, most: int = MOST) -> Status:
         """Tell what the engine is doing and what it holds.

@@ -4,7 +4,7 @@ import pytest
 
 from retalis.engine import Engine, parts_of
 from retalis.events.checks.overview import Overview
-from retalis.events.checks.timing import cycles, never_meet
+from retalis.events.checks.timing import cycles, missed_pairs, never_meet
 from retalis.events.program import Topics, TopicType
 from retalis.messages import Definitions
 
@@ -48,3 +48,36 @@ def test_a_cycle_at_the_end_of_a_long_chain_is_said_once():
 def test_a_cycle_is_said_once():
     (said,) = said_of(*PLAIN[:9], "f0 <- f9.")
     assert said.startswith("these events fire each other (f1/0 <- f0/0 <- f9/0 <- ")
+
+
+PAIR = "near <- (std_msgs__0__String(_) and std_msgs__0__Bool(_)) within 0.1."
+TWO_TOPICS = Topics((TopicType("said", "std_msgs/String"), TopicType("on", "std_msgs/Bool")))
+
+
+def missed(rules, topics=TWO_TOPICS):
+    engine = Engine()
+    engine.load(rules=rules)
+    parts = parts_of(engine)
+    return [
+        error.message for error in missed_pairs(Overview(parts.rules, parts.knowledge, Definitions(), topics))
+    ]
+
+
+def test_pairs_of_messages_under_the_default_policy_are_named():
+    (message,) = missed(PAIR)
+    assert message.startswith("under the policy recent a message is used for one pair only")
+
+
+@pytest.mark.parametrize(
+    "rules",
+    [
+        f"{PAIR} :- set_etalis_flag(event_consumption_policy, unrestricted).",
+        f"l([property(policy, recent)]) : {PAIR}",
+        "near <- std_msgs__0__String(_) and std_msgs__0__Bool(_).",
+        "near <- (std_msgs__0__String(_) seq std_msgs__0__Bool(_)) within 0.1.",
+        "near <- (std_msgs__0__String(_) and spoken) within 0.1.",
+    ],
+    ids=["other policy", "intended", "no window", "seq", "no message"],
+)
+def test_other_pairs_are_not_named(rules):
+    assert missed(rules) == []

@@ -281,8 +281,8 @@ def test_an_explanation_says_what_it_held_from_and_until():
     lines = [line for one in explain(engine, "docked(a)").lines for line in one.indented()]
     assert lines == [
         "docked(a) [1,3] is over: it held from",
-        "  dock(a) [1,1] came from outside",
-        "  undock(a) [3,3] came from outside",
+        "  dock(a) at 1 came from outside",
+        "  undock(a) at 3 came from outside",
     ]
 
 

@@ -1,14 +1,14 @@
 """Why an event happened, or what was missing for it: trees of rules and events, to be read by people."""
 
 from time import monotonic
-from typing import Callable, Collection, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple, Union
+from typing import Callable, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple, Union
 
 from ...events.history import Fired, Occurrence
 from ...events.language import Aggregate, Shaped, Windowed, walk
 from ...events.matches import AfterMatch
 from ...events.network import Rule
 from ...foundation import UsageError, counted, watched_by
-from ...prolog.syntax import by_name, read_term, write_term
+from ...prolog.syntax import read_term
 from ...prolog.terms import (
     Atom,
     Term,
@@ -24,7 +24,7 @@ from ...prolog.terms import (
     unify,
 )
 from .. import Engine, parts_of
-from .shortfall import Part, Shortfall, names_of
+from .shortfall import Part, Shortfall, TimeFormat, own_names, show_term
 from .untaken import Untaken
 
 EVENT = functor("event", 2)
@@ -82,7 +82,7 @@ def record_origins(engine: Engine) -> None:
     >>> engine.load(rules="alarm(X) <- smoke(X) seq heat(X).", source="mine")
     >>> engine.event("smoke(kitchen)", 1)
     >>> print(explain(engine, "smoke(_)").lines[0].text)
-    smoke(kitchen) [1,1] came from outside
+    smoke(kitchen) at 1 came from outside
     """
     parts_of(engine).rules.flags.set_default("etalis_justification", atom("on"))
 
@@ -98,8 +98,13 @@ def records_origins(engine: Engine) -> bool:
     return parts_of(engine).rules.flags.is_on("etalis_justification")
 
 
-def explain(engine: Engine, asked: Union[str, Term], seconds: Optional[float] = None) -> Explanation:
-    """Say why an event happened, or what was missing.
+def explain(
+    engine: Engine, asked: Union[str, Term], seconds: Optional[float] = None, origin: Optional[int] = None
+) -> Explanation:
+    """Explain why an event happened, or what was missing for it.
+
+    A line about a part of a pattern begins with ``+`` if the part matched, ``-`` if it did not, and ``?`` if it was
+    never tested.
 
     >>> engine = Engine()
     >>> record_origins(engine)
@@ -112,14 +117,15 @@ def explain(engine: Engine, asked: Union[str, Term], seconds: Optional[float] = 
     ...     print(line)
     rule alarm(kitchen) <- smoke(kitchen) seq heat(kitchen) (mine:1)
       - seq: one side is missing
-        + smoke(kitchen): [1,1]
+        + smoke(kitchen): at 1
         - heat(kitchen): did not happen
 
     Args:
         engine: has run with its flag ``etalis_justification`` on (`record_origins`).
         asked: the event, as far as it is known, as a term or its text; or ``event(TERM,[T1,T2])`` to ask for an
             interval too.
-        seconds: after which to give up: nothing else goes on meanwhile.
+        seconds: time limit in s; the engine processes no events in that time. None for no limit.
+        origin: show times in seconds relative to this instant, in ns since the epoch; None for absolute times.
 
     Raises:
         UsageError: where it is not an event, or the time is up.
@@ -129,10 +135,10 @@ def explain(engine: Engine, asked: Union[str, Term], seconds: Optional[float] = 
 
     def work() -> Explanation:
         if seconds is None:
-            return _Explainer(engine).explain(term)
+            return _Explainer(engine, origin).explain(term)
         before = watched_by(_until(monotonic() + seconds, seconds))
         try:
-            return _Explainer(engine).explain(term)
+            return _Explainer(engine, origin).explain(term)
         finally:
             watched_by(before)
 
@@ -150,8 +156,10 @@ def _until(end: float, seconds: float) -> Callable[[int], None]:
 
 
 class _Explainer:
-    def __init__(self, engine: Engine):
+    def __init__(self, engine: Engine, origin: Optional[int]):
         self._parts = parts_of(engine)
+        self._origin = origin
+        self._times = TimeFormat(self._show, origin)
         self._kept = self._parts.rules.tracker.all()
         self._untaken = Untaken(self._parts.logic, self._parts.knowledge.subscriptions.items(), self._show)
         self._shown: Set[int] = set()
@@ -207,7 +215,7 @@ class _Explainer:
                 continue
             trail: Trail = []
             if unify(_fired(head), copy(term), trail):
-                shortfall = Shortfall(self._parts.logic, self._kept, rule)
+                shortfall = Shortfall(self._parts.logic, self._kept, rule, self._origin)
                 part = shortfall.of(rule.definition.pattern)
                 lines.append(ExplanationLine(self._rule(rule), [self._part(part, (*above, rule))]))
                 if part.found:
@@ -234,7 +242,7 @@ class _Explainer:
         below = [self._part(one, above) for one in part.parts]
         if part.event is not None and not part.found:
             below += self._missing(part.event, None, above)
-        return ExplanationLine(f"{'+' if part.found else '-'} {part.text}", below)
+        return ExplanationLine(f"{part.mark} {part.text}", below)
 
     def _taken_back(self, term: Term) -> List[ExplanationLine]:
         """Return such events that did happen and were taken back."""
@@ -260,17 +268,15 @@ class _Explainer:
     def _rule(self, rule: Fired) -> str:
         place = "" if rule.place is None else f" ({rule.place.source}:{rule.place.line})"
         label = "" if rule.label is None else f"{self._show(rule.label)}: "
-        return f"rule {label}{self._show(rule.definition.term, rule.definition.names)}{place}"
+        names = rule.definition.names
+        text = show_term(rule.definition.term, self._parts.logic.operators, own_names(names), names)
+        return f"rule {label}{text}{place}"
 
     def _event(self, one: Occurrence) -> str:
-        interval = timestamps.interval_term(one.start, one.end)
-        return f"{self._show(one.term)} {self._show(interval)}"
+        return f"{self._show(one.term)} {self._times.interval(one.start, one.end)}"
 
-    def _show(self, term: Term, named: Collection[Var] = ()) -> str:
-        """Return a term as text with variables A, B, ...; some of them were named."""
-        operators, names = self._parts.logic.operators, names_of(term)
-        portray = by_name(term, operators, named, quoted=True, variable_names=names)
-        return write_term(term, operators, quoted=True, wide=True, variable_names=names, portray=portray)
+    def _show(self, term: Term) -> str:
+        return show_term(term, self._parts.logic.operators, {})
 
 
 def _asked(asked: Term) -> Tuple[Term, Optional[Tuple[int, int]]]:
@@ -304,8 +310,6 @@ def _why_not_of(rule: Rule) -> str:
     for one in walk(rule.definition.pattern):
         if isinstance(one, Aggregate):
             results.append(one.result)
-        elif isinstance(one, Windowed):
-            results += one.results
         elif isinstance(one, Shaped):
             shapes.append(one.shape)
     if any(deref(result).__class__ is not Var for result in results):

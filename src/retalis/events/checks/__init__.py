@@ -4,13 +4,14 @@ Each check looks at an `Overview` of the program, and yields what is wrong, each
 `findings.py` lists them.
 """
 
-from .findings import ERROR, WARNING, Finding, look_through
+from .findings import ERROR, INFO, WARNING, Finding, look_through
 from .made import without_maker
 from .overview import Overview
 
 __all__ = [
     "ERROR",
     "Finding",
+    "INFO",
     "look_through",
     "Overview",
     "WARNING",

@@ -16,10 +16,10 @@ from .predicates import redefined, retracted, slipped_arrows, undefined
 from .states import unknown_states
 from .style import labels, singletons
 from .timers import timers
-from .timing import cycles, never_meet, waits_for_ever, windows
+from .timing import cycles, missed_pairs, never_meet, waits_for_ever, windows
 from .topicfile import topics
 
-ERROR, WARNING = "error", "warning"
+ERROR, WARNING, INFO = "error", "warning", "info"
 
 
 class Check(NamedTuple):
@@ -29,11 +29,13 @@ class Check(NamedTuple):
         name: by which the answer of the command is told apart by programs.
         find: yields what is wrong.
         whole: whether it can be told only of a program that has been loaded without errors.
+        severity: `WARNING`, or `INFO` for what is often intended; nodes log only warnings.
     """
 
     name: str
     find: Callable[[Overview], Iterator[RuleError]]
     whole: bool = False
+    severity: str = WARNING
 
 
 CHECKS: Tuple[Check, ...] = (
@@ -58,6 +60,7 @@ CHECKS: Tuple[Check, ...] = (
     Check("never-meets", never_meet, whole=True),
     Check("window", windows),
     Check("waits-for-ever", waits_for_ever),
+    Check("missed-pairs", missed_pairs, whole=True, severity=INFO),
     Check("timers", timers, whole=True),
     Check("states", unknown_states, whole=True),
     Check("label", labels),
@@ -69,7 +72,7 @@ class Finding(NamedTuple):
     """Something that is wrong with a program, or hardly meant.
 
     Attributes:
-        severity: `ERROR` or `WARNING`.
+        severity: `ERROR`, `WARNING` or `INFO`.
         check: which check found it, or ``load``.
         problem: what and where.
     """
@@ -94,4 +97,4 @@ def look_through(program: Overview, sound: bool = True) -> Iterator[Finding]:
             key = (problem.message, problem.place)
             if key not in said:
                 said.add(key)
-                yield Finding(WARNING, check.name, problem)
+                yield Finding(check.severity, check.name, problem)

@@ -29,7 +29,7 @@ from .written import WrittenRule, held, inners, key_of
 DAY = 86_400
 _UNITS = "spans are in seconds"
 _NEW = functor("new_event", 3)
-_UNRESTRICTED, _OFF = atom("unrestricted"), atom("off")
+_UNRESTRICTED, _RECENT, _OFF = atom("unrestricted"), atom("recent"), atom("off")
 
 
 class _Trigger(NamedTuple):
@@ -219,9 +219,7 @@ class _Instants:
         return events is not None and all(key in self._known or self._is_message(key) for key in events)
 
     def _is_message(self, key: Functor) -> bool:
-        kind = None if key in self._rules else self._program.type_of(key.name)
-        topics = (*self._program.topics.subscribed, *self._program.direct)
-        return kind is not None and any(one == kind for _, one in topics)
+        return key not in self._rules and _is_message(self._program, key)
 
     def _fired_at_once(self) -> Set[Functor]:
         """Return the events of rules all of which have one event each, an instant; long chains of rules, too."""
@@ -243,6 +241,13 @@ class _Instants:
                 if not missing[key]:
                     ready.append(key)
         return known
+
+
+def _is_message(program: Overview, key: Functor) -> bool:
+    """Test whether events of a functor are messages of a topic that the program subscribes to."""
+    kind = program.type_of(key.name)
+    topics = (*program.topics.subscribed, *program.direct)
+    return kind is not None and any(one == kind for _, one in topics)
 
 
 def _needed(rules: List[WrittenRule]) -> Optional[Set[Functor]]:
@@ -327,6 +332,43 @@ def waits_for_ever(program: Overview) -> Iterator[RuleError]:
                 "write (...) within SECONDS, or turn on garbage_control",
                 _operator_place(rule, operator),
             )
+
+
+def missed_pairs(program: Overview) -> Iterator[RuleError]:
+    """Yield the pairs of messages within a span that the default policy uses once, so that close pairs are missed.
+
+    A rule whose label names a policy is not reported: its policy is intended.
+    """
+    if program.loaded.flags.get("event_consumption_policy") is not _RECENT:
+        return
+    properties = program.loaded.all_properties()
+    for rule in program.rules:
+        label = rule.definition.label
+        said = () if label is None else properties.get(term_key(label), ())
+        if not any(one.name == "policy" for one in said) and _pairs_messages(
+            program, rule.definition.pattern
+        ):
+            yield RuleError(
+                "under the policy recent a message is used for one pair only, so messages of topics with different "
+                "rates miss partners within the time; for all pairs give the rule a label with "
+                "property(policy, unrestricted), or property(policy, recent) if this is intended",
+                _operator_place(rule, "and"),
+            )
+
+
+def _pairs_messages(program: Overview, pattern: Pattern) -> bool:
+    """Test whether a pattern joins messages of two topics by ``and`` within a span."""
+    for node in _nodes(pattern):
+        if not isinstance(node, Within):
+            continue
+        limited = node.pattern
+        while isinstance(limited, (Within, Condition)):
+            limited = limited.pattern
+        if isinstance(limited, Pair) and limited.operator == "and":
+            sides = [_single(limited.left), _single(limited.right)]
+            if all(keys and all(_is_message(program, key) for key in keys) for keys in sides):
+                return True
+    return False
 
 
 def _unbounded(pattern: Pattern) -> Optional[Pattern]:

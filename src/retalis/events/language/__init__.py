@@ -51,7 +51,7 @@ from .pattern import (
 from .reading import EventTerm, PatternReader, Spot
 from .schedules import TIMER, Schedule, schedule_fault, schedule_of, sets_timer
 from .stateforms import HOLDS, STATE, StateForm, asked_state, declares_state, state_form
-from .stepforms import conditions
+from .stepforms import conditions, step_term
 from .streaming import shape_term, window_term
 from .subscribed import subscribed_event, subscribed_shape
 from .valuekinds import ValueKind, slot_kind
@@ -117,6 +117,7 @@ __all__ = [
     "sets_timer",
     "slot_kind",
     "shape_term",
+    "step_term",
     "Shaped",
     "SPELLINGS",
     "Spot",

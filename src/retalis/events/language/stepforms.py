@@ -235,10 +235,11 @@ def _back(term: CompoundTerm, names: Sequence[str], at: int) -> Optional[LookBac
 
 def steps_term(steps: Sequence[StepForm]) -> Term:
     """Return the term that says a window of steps."""
-    return _STEPS(make_list([_step_term(one) for one in steps]))
+    return _STEPS(make_list([step_term(one) for one in steps]))
 
 
-def _step_term(one: StepForm) -> Term:
+def step_term(one: StepForm) -> Term:
+    """Return the term that a step is written as."""
     args: List[Term] = [] if one.least == one.most == 1 else [one.least]
     if one.most != one.least:
         args.append(atom(_MANY) if one.most is None else one.most)

@@ -5,6 +5,7 @@ from .owners import Network, RuleOwner, UnderWay, Woken
 from .rule import Rule
 from .rulestate import RuleState
 from .streambuilding import shaping, stream_of_shape
+from .streaming import Streaming
 
 __all__ = [
     "Network",
@@ -13,6 +14,7 @@ __all__ = [
     "Rule",
     "RuleState",
     "shaping",
+    "Streaming",
     "stream_of_shape",
     "UnderWay",
     "Woken",

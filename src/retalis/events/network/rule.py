@@ -16,7 +16,7 @@ from ..dispatch import (
     compile_builder,
     firing_action,
 )
-from ..language import RuleDefinition, alarm_of
+from ..language import Pattern, RuleDefinition, alarm_of
 from ..matches import ByStart, Emit, Expiries, Match, MatchBuffer, NetworkOptions, drop_gone
 from .compiling import RuleCompiler
 from .limits import least
@@ -128,6 +128,11 @@ class Rule:
         else:
             root.bind(whole, mode)
         self.sound = True
+
+    def stream_node(self, pattern: Pattern) -> Optional[Streaming]:
+        """Return the node that evaluates an operator on streams; None if there is none for this pattern."""
+        nodes = [node for node, _, _ in self.nodes if isinstance(node, Streaming)]
+        return next((node for node in nodes if node.pattern is pattern), None)
 
     def _buffers(self) -> List[Any]:
         return [buffer for node, _, _ in self.nodes for buffer in node.buffers()]

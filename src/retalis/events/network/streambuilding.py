@@ -317,7 +317,7 @@ class StreamBuilding:
             raise RuleError(f"a condition in {what} looks at a pattern to the left of it", self.rule.place)
         names = below.node.vars
         if isinstance(core, Shaped):
-            node = Streaming(self.rule, [below.node], names, shaping(core, names))
+            node = Streaming(self.rule, [below.node], names, shaping(core, names), core)
             built = below if core.shape != "debounce" else Built(node, [], below.leaves, [])
             return built._replace(node=self._add(node, None, UNLIMITED))
         if any(var in context and var not in names for goal in core.window.goals for var in variables(goal)):
@@ -330,7 +330,7 @@ class StreamBuilding:
         own, result = resulting(core, groups)
         asking = Asking(self.rule)
         making = measuring(core, names, groups, result, asking)
-        node = self._add(Streaming(self.rule, [below.node], own, making), None, UNLIMITED)
+        node = self._add(Streaming(self.rule, [below.node], own, making, core), None, UNLIMITED)
         return Built(node, [], below.leaves, [])
 
     def _awaited(self, core: Awaited, context: VarSet) -> Built:
@@ -349,7 +349,7 @@ class StreamBuilding:
         absence = absence_of(self.rule, built, names, False)
         name = self._telling.name(names, core.pattern)
         making = awaiting(core.span, names, built.node.vars, absence.condition, name)
-        node = Streaming(self.rule, [below.node, built.node], names, making)
+        node = Streaming(self.rule, [below.node, built.node], names, making, core)
         node.carried = absence.carried
         self._add(node, None, UNLIMITED)
         return Built(node, below.deferred, [*negated.first.leaves, *below.leaves], [])

@@ -7,6 +7,7 @@ from ...prolog.machine import Frame
 from ...prolog.terms import Term, Values, Var, WholeSeconds
 from ..dispatch import Completion, EventAction
 from ..history import known_in
+from ..language import Pattern
 from ..matches import (
     NOTHING_HELD,
     Absence,
@@ -61,6 +62,7 @@ class Streaming(NetworkNode):
         children: the nodes of the patterns, by their channels; see `StreamOperator.take`.
         names: the variables of its values.
         making: how items and matches are made.
+        pattern: the part of the rule's pattern that the node evaluates.
 
     Attributes:
         woken: the instant at which the clock is to wake it; None where none is.
@@ -70,9 +72,15 @@ class Streaming(NetworkNode):
     """
 
     def __init__(
-        self, rule: RuleOwner, children: Sequence[NetworkNode], names: Sequence[Var], making: Making
+        self,
+        rule: RuleOwner,
+        children: Sequence[NetworkNode],
+        names: Sequence[Var],
+        making: Making,
+        pattern: Pattern,
     ):
         self.rule = rule
+        self.pattern = pattern
         self.children = list(children)
         self.vars = list(names)
         self.making = making
