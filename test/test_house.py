@@ -57,7 +57,7 @@ USERS = (
 )
 """Programs and pages whose names are the user's."""
 
-TESTED_ELSEWHERE = ("bench", "examples", "oracle", "fuzz", "interrupts", "faults")
+TESTED_ELSEWHERE = ("bench", "examples", "oracle", "fuzz", "interrupts", "faults", "mutation")
 """Folders of tests that are no rooms: of other folders, and programs that look for errors."""
 
 ROS = {"genpy", "rosgraph", "rosgraph_msgs", "roslib", "rospy", "rostopic", "std_msgs"}

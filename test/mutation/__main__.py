@@ -1,0 +1,230 @@
+"""Change sampled places of the source one at a time and run the tests; list the changes that no test notices.
+
+    PYTHONPATH=src:test python3 -m mutation --places 200 --seed 1 --log mutants.txt
+
+Needs ``pytest-cov``. All fast tests that need no ROS run once to record which of them execute which line; with
+``--slow`` the slow ones too. For each mutant the tests that execute its line run, those of its package first, until
+one fails. A mutant that makes these tests take much longer than before counts as noticed, too. ``equivalent.txt``
+lists mutants that change nothing that a user can observe, with the reason; they are not sampled. The exit status is 1
+if more than ``--most`` percent survive.
+"""
+
+import argparse
+import os
+import random
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+
+from coverage import CoverageData
+
+from .mutants import mutants
+
+ROOT = Path(__file__).resolve().parents[2]
+EQUIVALENT = Path(__file__).with_name("equivalent.txt")
+
+GROUPS = {
+    "matches": ("events/matches/*.py", "events/network/joining.py", "events/network/rule.py"),
+    "dispatch": ("events/dispatch/*.py", "engine/intake.py"),
+    "encoding": ("messages/*.py",),
+    "memories": ("events/knowledge/*.py",),
+    "limits": (
+        "prolog/machine/budget.py",
+        "prolog/machine/limits.py",
+        "events/network/limits.py",
+        "engine/runtime/watchdog.py",
+    ),
+    "files": ("events/program/door.py", "events/program/files.py"),
+}
+"""Paths below ``src/retalis`` that matter most, by subject. Each subject gives the same number of mutants."""
+
+TIMEOUT_SECONDS = 300
+MAX_TESTS_AT_ONCE = 400
+"""Tests given to one pytest process: its command line is limited."""
+SAME_STATEMENT_LINES = 8
+"""Lines before a mutant's line that may begin its statement; coverage counts some statements by their first line."""
+
+
+def main(argv) -> int:
+    """Run a campaign; return the exit status."""
+    options = _options(argv)
+    sampled = _sample(options)
+    results = Counter()
+    with tempfile.TemporaryDirectory(prefix="mutation-") as folder, open(options.log, "a") as log:
+        copy = _Copy(Path(folder) / "copy", options.slow)
+        copy.record(sorted({path for _, path, _, _ in sampled}))
+        for number, (group, path, mutant, text) in enumerate(sampled, 1):
+            outcome = copy.try_mutant(path, mutant)
+            results[group, outcome == "survived"] += 1
+            line = f"{outcome}: {path}:{mutant.line}: {mutant.operator}: {text}"
+            print(f"[{number}/{len(sampled)}] {line}", flush=True)
+            log.write(line + "\n")
+            log.flush()
+    return _summarize(results, options.most)
+
+
+def _options(argv):
+    parser = argparse.ArgumentParser(prog="python3 -m mutation", description=__doc__.split("\n")[0])
+    add = parser.add_argument
+    add("--places", type=int, default=200, help="number of mutants (default: %(default)s)")
+    add("--seed", type=int, default=1, help="seed of the sample (default: %(default)s)")
+    add("--groups", nargs="+", choices=[*GROUPS], default=[*GROUPS], help="subjects to sample (default: all)")
+    add("--paths", nargs="+", metavar="GLOB", help="sample these modules instead, below src/retalis")
+    add("--log", default=os.devnull, metavar="FILE", help="append a line for each mutant to this file")
+    add("--again", metavar="FILE", help="try only the mutants that survived according to this log")
+    add("--slow", action="store_true", help="run the slow tests, too")
+    add(
+        "--most",
+        type=float,
+        default=5,
+        metavar="PERCENT",
+        help="tolerated share of survivors (default: %(default)s)",
+    )
+    return parser.parse_args(argv)
+
+
+def _sample(options):
+    """Return (group, path, mutant, description) for each sampled mutant."""
+    groups = {"paths": options.paths} if options.paths else {name: GROUPS[name] for name in options.groups}
+    equivalent = {line.rsplit(" -- ", 1)[0] for line in EQUIVALENT.read_text().splitlines() if " -- " in line}
+    again = None
+    if options.again:
+        lines = Path(options.again).read_text().splitlines()
+        again = {_key(line) for line in lines if line.startswith("survived: ")}
+    sampled = []
+    for name, patterns in groups.items():
+        places = []
+        paths = {path for pattern in patterns for path in (ROOT / "src" / "retalis").glob(pattern)}
+        for path in sorted(paths):
+            source = path.read_text(encoding="utf-8")
+            relative = path.relative_to(ROOT).as_posix()
+            for mutant in mutants(source):
+                text = mutant.describe(source)
+                if f"{relative}: {text}" in equivalent:
+                    continue
+                if again is None or (relative, mutant.operator, text) in again:
+                    places.append((name, relative, mutant, text))
+        count = len(places) if again is not None else min(len(places), -(-options.places // len(groups)))
+        sampled += random.Random(f"{options.seed} {name}").sample(places, count)
+    return sampled
+
+
+def _key(line):
+    """Return what identifies a mutant in a line of the log, whatever its line number is now."""
+    _, place, operator, text = line.split(": ", 3)
+    return place.rsplit(":", 1)[0], operator, text
+
+
+def _summarize(results, most) -> int:
+    total = sum(results.values())
+    survived = sum(count for (_, survives), count in results.items() if survives)
+    for group in sorted({name for name, _ in results}):
+        count = results[group, True] + results[group, False]
+        print(f"{group}: {results[group, True]} of {count} survive")
+    share = 100 * survived / total if total else 0
+    print(f"{survived} of {total} mutants survive ({share:.1f} %)")
+    return 1 if share > most else 0
+
+
+class _Copy:
+    """A copy of the repository in which one module at a time is mutated and tested.
+
+    Args:
+        root: folder of the copy.
+        slow: run the slow tests, too.
+    """
+
+    def __init__(self, root: Path, slow: bool) -> None:
+        ignore = shutil.ignore_patterns(
+            ".git", "__pycache__", ".hypothesis", ".*_cache", "*.egg-info", ".nox", "venv"
+        )
+        shutil.copytree(str(ROOT), str(root), ignore=ignore)
+        self._root = root
+        self._slow = slow
+        self._tests = {}
+
+    def record(self, paths) -> None:
+        """Run all tests and record which of them execute which lines of some modules.
+
+        Raises:
+            SystemExit: a test fails without a mutant.
+        """
+        settings = self._root / "mutation.ini"
+        included = "\n    ".join(paths)
+        settings.write_text(f"[run]\ninclude =\n    {included}\n", encoding="utf-8")
+        arguments = ["--cov", "--cov-config", "mutation.ini", "--cov-context", "test", "--cov-report", ""]
+        selection = [] if self._slow else ["-m", "not slow"]
+        start = time.monotonic()
+        passed, output = self._run(
+            [*arguments, *selection, "--ignore", "test/ros", "--ignore", "test/mutation"], None
+        )
+        if not passed:
+            raise SystemExit(f"the tests fail without a mutant:\n{output[-5000:]}")
+        print(f"{time.monotonic() - start:.0f} s for all tests", flush=True)
+        data = CoverageData(str(self._root / ".coverage"))
+        data.read()
+        for path in paths:
+            contexts = data.contexts_by_lineno(str(self._root / path))
+            self._tests[path] = {
+                line: sorted({name.split("|")[0] for name in names if name})
+                for line, names in contexts.items()
+            }
+
+    def try_mutant(self, path, mutant) -> str:
+        """Return ``survived``, ``timeout`` or ``noticed``."""
+        tests = self._tests_of(path, mutant.line)
+        module = self._root / path
+        source = module.read_text(encoding="utf-8")
+        # Python tells a changed source by its size and its time in seconds, neither of which a mutant need change.
+        for compiled in (module.parent / "__pycache__").glob(module.stem + ".*"):
+            compiled.unlink()
+        module.write_text(mutant.apply(source), encoding="utf-8")
+        try:
+            for first in range(0, len(tests), MAX_TESTS_AT_ONCE):
+                some = tests[first : first + MAX_TESTS_AT_ONCE]
+                try:
+                    passed, _ = self._run(["-x", "-n", "0", *some], TIMEOUT_SECONDS)
+                except subprocess.TimeoutExpired:
+                    return "timeout"
+                if not passed:
+                    return "noticed"
+        finally:
+            module.write_text(source, encoding="utf-8")
+        return "survived"
+
+    def _tests_of(self, path, line):
+        """Return the tests that execute a line, those of its package first."""
+        lines = self._tests[path]
+        executed = next(
+            (lines[at] for at in range(line, line - SAME_STATEMENT_LINES, -1) if lines.get(at)), []
+        )
+        package = Path("test", *Path(path).relative_to("src/retalis").parts[:-1]).as_posix()
+        return sorted(executed, key=lambda name: (not name.startswith(package), name))
+
+    def _run(self, arguments, timeout):
+        """Run pytest; return whether no test failed, and the output."""
+        command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--no-header", *arguments]
+        environment = {**os.environ, "PYTHONPATH": "", "PYTHONDONTWRITEBYTECODE": "1" if timeout else ""}
+        process = subprocess.Popen(
+            command,
+            cwd=self._root,
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
+        try:
+            output, _ = process.communicate(timeout=timeout)
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, 9)
+            process.communicate()
+            raise
+        return process.returncode == 0, output.decode(errors="replace")
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,179 @@
+"""Mutants of a module: small changes of its source, each of which some test should notice.
+
+A mutant replaces a range of the source text, found by the positions that ``ast`` gives. Annotations, docstrings, type
+aliases and module constants are left alone: a change there alters nothing, or only a limit's exact value.
+"""
+
+import ast
+import re
+from typing import NamedTuple
+
+COMPARISONS = {
+    ast.Lt: ("<", "<="),
+    ast.LtE: ("<=", "<"),
+    ast.Gt: (">", ">="),
+    ast.GtE: (">=", ">"),
+    ast.Eq: ("==", "!="),
+    ast.NotEq: ("!=", "=="),
+    ast.Is: ("is", "is not"),
+    ast.IsNot: (r"is\s+not", "is"),
+    ast.In: ("in", "not in"),
+    ast.NotIn: (r"not\s+in", "in"),
+}
+
+OPERATORS = {ast.Add: ("+", "-"), ast.Sub: ("-", "+"), ast.Mult: ("*", "+"), ast.FloorDiv: ("//", "*")}
+
+
+class Mutant(NamedTuple):
+    """A change of one place.
+
+    Attributes:
+        line: Line of the change, counted from 1.
+        start: Offset of the replaced range in the source's UTF-8 bytes.
+        end: Offset behind that range.
+        text: Replacement.
+        operator: Name of the mutation operator.
+    """
+
+    line: int
+    start: int
+    end: int
+    text: str
+    operator: str
+
+    def apply(self, source: str) -> str:
+        """Return the mutated source."""
+        data = source.encode()
+        return (data[: self.start] + self.text.encode() + data[self.end :]).decode()
+
+    def describe(self, source: str) -> str:
+        """Return the changed line before and after."""
+        before = source.splitlines()[self.line - 1].strip()
+        after = self.apply(source).splitlines()[self.line - 1].strip()
+        return f"{before}  =>  {after}"
+
+
+def mutants(source: str) -> "list[Mutant]":
+    """Return all mutants of a module's source, in the order of their places."""
+    finder = _Finder(source)
+    finder.visit(ast.parse(source))
+    valid = [mutant for mutant in finder.mutants if _compiles(mutant.apply(source))]
+    return sorted(valid, key=lambda mutant: (mutant.start, mutant.end, mutant.text))
+
+
+def _compiles(source: str) -> bool:
+    try:
+        ast.parse(source)
+    except SyntaxError:
+        return False
+    return True
+
+
+class _Finder(ast.NodeVisitor):
+    def __init__(self, source: str) -> None:
+        self.mutants = []
+        self._data = source.encode()
+        self._lines = [0]
+        for line in self._data.splitlines(keepends=True):
+            self._lines.append(self._lines[-1] + len(line))
+        self._in_function = False
+
+    def _start(self, node):
+        return self._lines[node.lineno - 1] + node.col_offset
+
+    def _end(self, node):
+        return self._lines[node.end_lineno - 1] + node.end_col_offset
+
+    def _text(self, node):
+        return self._data[self._start(node) : self._end(node)].decode()
+
+    def _add(self, start, end, text, operator):
+        if self._in_function:
+            line = self._data.count(b"\n", 0, start) + 1
+            self.mutants.append(Mutant(line, start, end, text, operator))
+
+    def _between(self, left, right, pattern, text, operator):
+        """Replace an operator that stands between two operands, beside parentheses and comments."""
+        start, end = self._end(left), self._start(right)
+        found = re.search(
+            pattern.encode(), re.sub(rb"#[^\n]*", lambda m: b"#" * len(m.group()), self._data[start:end])
+        )
+        if found is not None:
+            self._add(start + found.start(), start + found.end(), text, operator)
+
+    # Scopes and places without behaviour
+
+    def visit_FunctionDef(self, node):
+        outer, self._in_function = self._in_function, True
+        body = node.body
+        if isinstance(body[0], ast.Expr) and isinstance(body[0].value, ast.Constant):
+            body = body[1:]  # the docstring
+        for statement in body:
+            self.visit(statement)
+        self._in_function = outer
+
+    def visit_AnnAssign(self, node):
+        if node.value is not None:
+            self.visit(node.value)
+
+    def visit_If(self, node):
+        if isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
+            return
+        self._add(self._start(node.test), self._end(node.test), f"not ({self._text(node.test)})", "condition")
+        self.generic_visit(node)
+
+    # Expressions
+
+    def visit_Compare(self, node):
+        operands = [node.left, *node.comparators]
+        for left, operator, right in zip(operands, node.ops, operands[1:]):
+            pattern, text = COMPARISONS[type(operator)]
+            self._between(left, right, pattern, text, "comparison")
+        self.generic_visit(node)
+
+    def visit_BoolOp(self, node):
+        old, new = ("and", "or") if isinstance(node.op, ast.And) else ("or", "and")
+        for left, right in zip(node.values, node.values[1:]):
+            self._between(left, right, rf"\b{old}\b", new, "logic")
+        self.generic_visit(node)
+
+    def visit_UnaryOp(self, node):
+        if isinstance(node.op, ast.Not):
+            self._add(self._start(node), self._end(node), f"bool({self._text(node.operand)})", "logic")
+        self.generic_visit(node)
+
+    def visit_BinOp(self, node):
+        if type(node.op) in OPERATORS:
+            old, new = OPERATORS[type(node.op)]
+            self._between(node.left, node.right, re.escape(old), new, "arithmetic")
+        self.generic_visit(node)
+
+    def visit_Constant(self, node):
+        if isinstance(node.value, bool):
+            self._add(self._start(node), self._end(node), str(not node.value), "constant")
+        elif isinstance(node.value, int):
+            self._add(self._start(node), self._end(node), str(node.value + 1), "constant")
+
+    # Statements
+
+    def visit_Expr(self, node):
+        if isinstance(node.value, ast.Call):
+            self._add(self._start(node), self._end(node), "pass", "statement")
+        self.generic_visit(node)
+
+    def visit_Assign(self, node):
+        if any(isinstance(target, (ast.Attribute, ast.Subscript)) for target in node.targets):
+            self._add(self._start(node), self._end(node), "pass", "statement")
+        self.generic_visit(node)
+
+    def visit_AugAssign(self, node):
+        self._add(self._start(node), self._end(node), "pass", "statement")
+        self.generic_visit(node)
+
+    def visit_Raise(self, node):
+        self._add(self._start(node), self._end(node), "pass", "statement")
+
+    def visit_Return(self, node):
+        if node.value is not None and not (isinstance(node.value, ast.Constant) and node.value.value is None):
+            self._add(self._start(node), self._end(node), "return None", "return")
+        self.generic_visit(node)
