@@ -156,7 +156,17 @@ class _Copy:
         settings = self._root / "mutation.ini"
         included = "\n    ".join(paths)
         settings.write_text(f"[run]\ninclude =\n    {included}\n", encoding="utf-8")
-        arguments = ["--cov", "--cov-config", "mutation.ini", "--cov-context", "test", "--cov-report", ""]
+        arguments = [
+            "--cov",
+            "--cov-config",
+            "mutation.ini",
+            "--cov-context",
+            "test",
+            "--cov-report",
+            "",
+            "-n",
+            "2",
+        ]
         selection = [] if self._slow else ["-m", "not slow"]
         start = time.monotonic()
         passed, output = self._run(
