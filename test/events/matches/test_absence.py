@@ -114,3 +114,35 @@ def test_what_rules_out_goes_when_no_partner_can_come_any_more(flags):
     for number in range(0, 1000, 2):
         program.feed(f"c@{number} d@{number + 1}")
         assert parts_of(program.engine).rules.waiting < 20
+
+
+@pytest.mark.parametrize(
+    ("stream", "answer"),
+    [
+        ("b@0 b@0.5 a@1 b@5 c@5", "x(1)@1-5"),
+        ("b@0 b@0.5 a@1 b@4.999999999 c@5", ""),
+        ("b@0 b@0.5 a@1 b@1 c@5", "x(1)@1-5"),
+        ("b@0 b@0.5 a@1 b@1.000000001 c@5", ""),
+    ],
+)
+def test_an_absent_event_among_others_that_touches_a_side_does_not_lie_between_them(stream, answer):
+    """With two absent events waiting, the third is looked up by time, not compared on its own."""
+    assert fired("x(1) <- (a seq c) cnot b.", stream) == answer
+
+
+@pytest.mark.parametrize("policy", ["recent", "recent_2", "chronological", "chronological_2", "unrestricted"])
+@pytest.mark.parametrize("value", ["1", "f(1)"])  # a plain key, and one that is looked up the general way
+@pytest.mark.parametrize(
+    ("stream", "answer"),
+    [
+        ("b(V)@10 a(V)@2", ""),
+        ("b(V)@10 a(V)@5", ""),
+        ("b(V)@10 a(V)@5.000000001", "o(V)@5.000000001-10"),
+        ("b(V)@10 c(V)@7 a(V)@6", ""),
+        ("b(V)@10 c(V)@5 a(V)@6", "o(V)@6-10"),
+    ],
+)
+def test_a_late_first_side_is_within_the_window_of_a_sequence_with_an_absence(policy, value, stream, answer):
+    rule = "o(X) <- ((a(X) seq b(X)) cnot c(X)) within 5."
+    found = fired(rule, stream.replace("V", value), policy, ["out_of_order"])
+    assert found == answer.replace("V", value)
