@@ -24,7 +24,7 @@ from fitting import exponent  # noqa: E402
 from processes import machine  # noqa: E402
 
 from retalis.engine import Engine  # noqa: E402
-from retalis.engine.runtime import relax  # noqa: E402
+from retalis.engine.runtime import limit_gc_pauses  # noqa: E402
 from retalis.prolog.terms import Var, functor, make_list  # noqa: E402
 
 SECOND = 10**9
@@ -50,7 +50,7 @@ class Curve(NamedTuple):
 
 def best(engine: Engine, streams: Sequence[Stream]) -> float:
     """Return the microseconds of an event: the least of several streams."""
-    relax()
+    limit_gc_pauses()
     times = []
     for stream in streams:
         began = time.process_time()

@@ -22,7 +22,7 @@ import workload as work  # noqa: E402
 from arguments import existing, interpreter, positive, target  # noqa: E402
 
 from retalis.engine import Engine  # noqa: E402
-from retalis.engine.runtime import relax  # noqa: E402
+from retalis.engine.runtime import limit_gc_pauses  # noqa: E402
 from retalis.prolog.terms import functor  # noqa: E402
 
 
@@ -61,11 +61,11 @@ def feed(engine: Engine, items: List[work.Item], messages: bool) -> Tuple[float,
     if messages:
         definitions = nao_definitions()
         data = [(definitions.decoder(kind), raw) for raw, kind in work.as_bytes(items, definitions)]
-        relax()
+        limit_gc_pauses()
         began = time.process_time()
         engine.post_each((decoder.decode(raw), decoder.stamp(raw)) for decoder, raw in data)
     else:
-        relax()
+        limit_gc_pauses()
         began = time.process_time()
         engine.post_each((term, instant) for term, instant, _ in items)
     return time.process_time() - began, outputs.number
@@ -158,7 +158,7 @@ def look_ups(predicate: str, size: int) -> Callable[[str, bool], Result]:
         )
         goal = work.term("stamps(Ds)")
         stamp_list = engine.query(goal)[0]["_0"]
-        relax()
+        limit_gc_pauses()
         began = time.process_time()
         engine.call(functor("times", 2)(70, stamp_list))
         return Result(name, 70_000, time.process_time() - began, 0)
@@ -210,7 +210,7 @@ def synchronized(delay: Optional[int]) -> Callable[[str, bool], Result]:
                 z = stamp[0] + stamp[1] * 1e-9 + (delay or -1)
                 instant = stamp[0] * 10**9 + stamp[1]
                 stream += [(tick(k, z), instant) for k in range(1, 21)]
-        relax()
+        limit_gc_pauses()
         began = time.process_time()
         engine.post_each(stream)
         return Result(name, len(items), time.process_time() - began, outputs.number)
@@ -239,7 +239,7 @@ def join(number: int) -> Callable[[str, bool], Result]:
         a, b = functor("a", 1), functor("b", 1)
         stream = [(a(i), BASE * 10**9 + i) for i in range(number)]
         stream += [(b(i), (BASE + 1) * 10**9 + i) for i in range(number)]
-        relax()
+        limit_gc_pauses()
         began = time.process_time()
         engine.post_each(stream)
         return Result(name, len(stream), time.process_time() - began, outputs.number)

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Tuple
 
 from retalis.engine import Engine, parts_of
-from retalis.engine.runtime import relax, tighten
+from retalis.engine.runtime import limit_gc_pauses, restore_gc
 from retalis.events.dispatch import Stage
 from retalis.events.rules import timers
 from retalis.prolog.terms import SECOND, Term, Var, atom, functor
@@ -363,13 +363,13 @@ def _one(bench: StreamBench) -> Tuple[float, int, int]:
     """Return the CPU seconds, events and results of some steps, when N things are held."""
     row, size = bench.row, bench.size
     bench.feed(row.filled * size)
-    relax()
+    limit_gc_pauses()
     before = bench.results
     spent, events = 0.0, 0
     while spent < 0.01:
         more, number = bench.feed(size if row.periods else min(max(size, 100), MOST_STEPS))
         spent, events = spent + more, events + number
-    tighten()
+    restore_gc()
     return spent, events, bench.results - before
 
 

@@ -26,7 +26,7 @@ sys.path[:0] = [str(HERE), str(HERE.parent / "src")]
 import others  # noqa: E402
 from arguments import interpreter, positive, target  # noqa: E402
 
-from retalis.engine.runtime import relax  # noqa: E402
+from retalis.engine.runtime import limit_gc_pauses  # noqa: E402
 from retalis.prolog.logic import Logic  # noqa: E402
 from retalis.prolog.syntax import read_program, read_term  # noqa: E402
 
@@ -69,7 +69,7 @@ def ours(case: str) -> float:
     """Return CPU seconds of one repetition here."""
     logic = load()
     goal, count, _ = CASES[case]
-    relax()
+    limit_gc_pauses()
     logic.once(read_term(goal.format(n=max(1, count // 20)), logic.operators).term)
     before = time.process_time()
     if not logic.once(read_term(goal.format(n=count), logic.operators).term):

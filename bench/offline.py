@@ -27,10 +27,10 @@ from retalis.foundation import RetalisError  # noqa: E402
 def once(bag: Path) -> Dict[str, float]:
     """Run the program over a bag in this process; return the figures."""
     from retalis.engine.playback import BagReader, Playback
-    from retalis.engine.runtime import relax
+    from retalis.engine.runtime import limit_gc_pauses
 
     playback = Playback(HERE.parent / "application_source", report=print)
-    relax()
+    limit_gc_pauses()
     loaded = time.process_time()
     with BagReader(bag) as reader:
         outputs = sum(1 for _ in playback.run(reader))

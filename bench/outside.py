@@ -16,7 +16,6 @@ package is left out, which is said.
 """
 
 import argparse
-import gc
 import json
 import statistics
 import subprocess
@@ -32,7 +31,7 @@ from arguments import interpreter, positive, target  # noqa: E402
 from outside_sides import SIDES  # noqa: E402
 from outside_streams import STREAMS  # noqa: E402
 
-from retalis.foundation import collect_rarely  # noqa: E402
+from retalis.engine.runtime import limit_gc_pauses  # noqa: E402
 
 MISSING = 3
 """The exit status of a run whose side cannot do the work here."""
@@ -51,8 +50,7 @@ def measure(side: str, work: str, events: int) -> Dict[str, Any]:
         count[0] += 1
 
     run = SIDES[side](work, STREAMS[work](events), emit)
-    gc.collect()
-    collect_rarely()
+    limit_gc_pauses()
     began = time.process_time()
     run()
     return {"us": (time.process_time() - began) / events * 1e6, "results": count[0]}

@@ -31,7 +31,7 @@ import workload as work  # noqa: E402
 from arguments import positive  # noqa: E402
 
 from retalis.engine import Engine  # noqa: E402
-from retalis.engine.runtime import relax  # noqa: E402
+from retalis.engine.runtime import limit_gc_pauses  # noqa: E402
 from retalis.prolog.terms import functor, make_list  # noqa: E402
 
 SAMPLES, QUESTIONS, PART = 2500, 10_000, 200
@@ -190,7 +190,7 @@ def main() -> int:
     options = parser.parse_args()
     stored, asked = samples(options.samples), questions(options.samples)
     ways = [*ours(stored, asked), *theirs(stored, asked)]
-    relax()
+    limit_gc_pauses()
     taken: Dict[str, List[float]] = {name: [] for name, _, _ in ways}
     for at in range(max(len(each) for _, _, each in ways)):
         for name, run, each in ways:

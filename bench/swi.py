@@ -22,7 +22,7 @@ sys.path[:0] = [str(HERE), str(HERE.parent / "src")]
 from arguments import positive  # noqa: E402
 
 from retalis import Engine, Limits, Settings  # noqa: E402
-from retalis.engine.runtime import relax  # noqa: E402
+from retalis.engine.runtime import limit_gc_pauses  # noqa: E402
 
 CALLS, SOLUTIONS = 2_000, 20_000
 
@@ -134,7 +134,7 @@ def main() -> None:
     parser.add_argument("--limits", action="store_true")
     parser.add_argument("--beside", action="store_true")
     options = parser.parse_args()
-    relax()
+    limit_gc_pauses()
     limits = Limits(seconds=10.0, megabytes=500) if options.limits else Limits()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

@@ -64,4 +64,5 @@ def what_modules_leave():
 
 def pytest_runtest_teardown():
     if not PYPY:
-        gc.set_threshold(*LOOKS)  # a command that was run here has changed it for its process
+        gc.callbacks.clear()  # a command that was run here has changed it for its process
+        gc.set_threshold(*LOOKS)

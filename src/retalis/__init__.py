@@ -33,7 +33,7 @@ if TYPE_CHECKING:  # for type checkers; a program gets them by `__getattr__`
     )
     from .engine.explaining import Explanation, ExplanationLine, explain, record_origins
     from .engine.playback import BagError, BagReader, BagWriter, Output, Playback, Record, Topic
-    from .engine.runtime import Clock, Reports, StreamClock
+    from .engine.runtime import Clock, Reports, StreamClock, collect_when_idle, limit_gc_pauses, restore_gc
     from .events.program import TopicType
     from .foundation import (
         MessageError,
@@ -62,6 +62,7 @@ __all__ = [
     "BagReader",
     "BagWriter",
     "Clock",
+    "collect_when_idle",
     "Compound",
     "Decoder",
     "Definition",
@@ -76,6 +77,7 @@ __all__ = [
     "Functor",
     "functor",
     "LeftOut",
+    "limit_gc_pauses",
     "Limits",
     "list_items",
     "make_list",
@@ -93,6 +95,7 @@ __all__ = [
     "Record",
     "record_origins",
     "Reports",
+    "restore_gc",
     "RetalisError",
     "RuleError",
     "RuleStatus",

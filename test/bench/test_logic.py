@@ -17,8 +17,8 @@ def logic(monkeypatch):
         monkeypatch.delitem(sys.modules, name, raising=False)
     bench = importlib.import_module("logic")
     assert bench.__file__ == str(BENCH / "logic.py")
-    monkeypatch.setattr(bench, "relax", lambda: None)
-    monkeypatch.setattr(bench.others, "relax", lambda: None)
+    monkeypatch.setattr(bench, "limit_gc_pauses", lambda: None)
+    monkeypatch.setattr(bench.others, "limit_gc_pauses", lambda: None)
     deepest = sys.getrecursionlimit()
     yield bench
     sys.setrecursionlimit(deepest)  # ProbLog raises it for all

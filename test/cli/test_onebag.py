@@ -18,7 +18,7 @@ from retalis.engine.playback import BagReader
 def tightened(monkeypatch):
     """Note that the collector is asked to free a bag's program; do not, it would walk what all tests have loaded."""
     asked = []
-    monkeypatch.setattr("retalis.cli.onebag.tighten", lambda: asked.append(True))
+    monkeypatch.setattr("retalis.cli.onebag.restore_gc", lambda: asked.append(True))
     return asked
 
 

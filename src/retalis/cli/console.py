@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Callable, Dict, List, Optional, Union, cast
 
 from ..engine import Engine, Settings, parts_of
-from ..engine.runtime import Clock, Reports, relax
+from ..engine.runtime import Clock, Reports, limit_gc_pauses
 from ..events.rules import event_of
 from ..foundation import ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
 from ..prolog.logic import Tracer
@@ -82,7 +82,7 @@ def run(options: argparse.Namespace) -> int:
     console = Console(report, limited(FREE, options), options.most)
     for path in options.files:
         console.load(path)
-    relax()
+    limit_gc_pauses()
     if options.goal:
         for goal in options.goal:
             console.goals(Lines(StringIO(goal if goal.rstrip().endswith(".") else f"{goal} .\n")))

@@ -8,7 +8,7 @@ from typing import IO, Callable, Iterable, List, Optional, Sequence, Union
 
 from ..engine import Engine, Settings, parts_of
 from ..engine.explaining import explain, record_origins
-from ..engine.runtime import Reports, StreamClock, relax
+from ..engine.runtime import Reports, StreamClock, limit_gc_pauses
 from ..events.program import goal_of, read_goals, read_text
 from ..events.rules import event_of
 from ..foundation import ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
@@ -90,7 +90,7 @@ def run(options: argparse.Namespace) -> int:
         printer = Printer(options.json, options.memory_events, _opened(options.outputs, stack))
         session = Session(options, report, printer)
         session.load()
-        relax()
+        limit_gc_pauses()
         session.feed()
         session.ask()
         session.reports.sum_up()

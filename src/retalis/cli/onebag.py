@@ -8,7 +8,7 @@ from contextlib import ExitStack, redirect_stderr, redirect_stdout
 from typing import Any, Dict, NamedTuple, Optional
 
 from ..engine.playback import RunTable, fetched, result_file
-from ..engine.runtime import tighten
+from ..engine.runtime import restore_gc
 from ..foundation import RetalisError
 from .playing import play, print_line
 from .report import Report, leave
@@ -73,7 +73,7 @@ def play_bag(task: BagTask, scratch: str) -> Played:
             failure = f"{type(error).__name__}: {error}"
         finally:
             leave()
-            tighten()
+            restore_gc()
     told, failure = (text.replace(bag, task.place) for text in (said.getvalue(), failure))
     return Played(report.errors, told, failure or None, state)
 

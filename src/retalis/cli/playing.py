@@ -9,7 +9,7 @@ from typing import Callable, Dict, List, Optional
 from ..engine import Settings
 from ..engine.explaining import explain, record_origins
 from ..engine.playback import BagSeries, BagWriter, Line, Output, Playback, RunLook, output_line
-from ..engine.runtime import relax
+from ..engine.runtime import limit_gc_pauses
 from ..events.program import TopicType, topic_type
 from ..foundation import UsageError, shortened
 from ..prolog.syntax import read_term, to_text
@@ -51,7 +51,7 @@ def play(
         writer = _writer(options, playback, stack)
         bar = stack.enter_context(progress("messages", share_of(playback, bags)))
         show = _Shower(options, playback, bar, tell, bags.start)
-        relax()
+        limit_gc_pauses()
         for output in playback.run(bags, show.advance):
             show.output(output)
             if writer is not None:

@@ -6,7 +6,7 @@ from typing import Callable
 
 from ..engine.drawing import PICTURES, Timeline, TimelineBuilder, draw_timeline, page, read_run
 from ..engine.playback import BagSeries, RunLook
-from ..engine.runtime import relax
+from ..engine.runtime import limit_gc_pauses
 from ..foundation import UsageError
 from .bag import add_source
 from .folders import add_folders
@@ -95,7 +95,7 @@ def _played(options: argparse.Namespace, report: Report) -> TimelineBuilder:
                 if bar is not None:
                     bar(done)
 
-            relax()
+            limit_gc_pauses()
             for output in playback.run(bags, advance):
                 look.output(output)
         look.finish()

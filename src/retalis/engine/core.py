@@ -20,7 +20,16 @@ from .inputtopics import InputTopics
 from .intake import Intake
 from .looking import Seen, StatusReader
 from .ownfiles import OwnFiles
-from .runtime import Clock, EngineRecovery, Reports, Runner, StreamClock, Watchdog, watch
+from .runtime import (
+    Clock,
+    EngineRecovery,
+    Reports,
+    Runner,
+    StreamClock,
+    Watchdog,
+    count_records_of,
+    watch,
+)
 from .settings import Settings
 from .standing import Standing
 from .textinput import TextInput
@@ -115,6 +124,7 @@ class EngineCore:
                 settings.queue,
             )
         )
+        count_records_of(self._status)
         define_new_event(self._logic, self._dispatcher)
         self._input_topics = InputTopics(self._logic, self._slots, reports)
         define_use_foreign(self._logic, self._runner, self._files, settings.allow_foreign)

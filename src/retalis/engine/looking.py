@@ -93,6 +93,11 @@ class StatusReader:
             left_out=LeftOut(more_rules, more_memories, more_subscriptions, more_waiting),
         )
 
+    def held_records(self) -> int:
+        """Return the number of partial matches and of records in memories, in little time."""
+        memories = [instance.memory for instance in list(self._seen.knowledge.memories)]
+        return self._seen.rules.waiting + sum(min(len(memory.ends), memory.size) for memory in memories)
+
     def _work(self) -> Optional[Work]:
         held = self._seen.watchdog.held(time.monotonic())
         if held is None:

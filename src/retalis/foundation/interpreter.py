@@ -31,8 +31,6 @@ if not PYPY:
 
     remove_dead = _remove_dead_weakref
     SEEN_AT = 20_000
-    _USUAL = gc.get_threshold()
-    _YOUNG, _MIDDLE, _OLD = 50_000, 20, 100
     _alone = 1
 
     def seen_elsewhere(objects: List[Any], kind: type) -> List[Any]:
@@ -63,16 +61,6 @@ if not PYPY:
     def text_size(text: str) -> int:
         """Return how many bytes a text takes."""
         return getsizeof(text)
-
-    def collect_rarely() -> None:
-        """Have the garbage collector look after many new objects only, and never at what is there by now."""
-        gc.freeze()
-        gc.set_threshold(_YOUNG, _MIDDLE, _OLD)
-
-    def collect_as_usual() -> None:
-        """Undo `collect_rarely`."""
-        gc.unfreeze()
-        gc.set_threshold(*_USUAL)
 
 else:
     import builtins
@@ -135,8 +123,113 @@ else:
         """Return how many bytes a text takes at most."""
         return 64 + 4 * len(text)
 
-    def collect_rarely() -> None:
-        """Leave the garbage collector alone: it looks as often as the heap has grown by most of its size."""
 
-    def collect_as_usual() -> None:
-        """Leave it alone, too."""
+class YoungCollector:
+    """Garbage collection that walks new objects only, so that its pauses do not grow with the heap.
+
+    CPython walks all objects of a generation in one go, about 100 ns for each. With many live objects, a
+    collection of the second generation takes as long as one of the oldest. Here, what has survived a collection
+    of the second generation is frozen: no later collection walks it. It is still freed when its last reference
+    goes. Only objects in a reference cycle that becomes garbage after it was frozen remain; they are found by
+    a collection of everything, which is due when the heap has grown more than can be explained.
+
+    PyPy collects in small steps by itself; it is left alone.
+
+    Args:
+        explained: returns how many live records are known to the owner; called during a collection.
+    """
+
+    YOUNG = 15_000
+    """Number of new objects after which the youngest generation is collected."""
+    MIDDLE = 2
+    """Number of such collections after which the second generation is collected, of some 60,000 objects."""
+    RARELY = 1_000_000
+    """Number of those after which CPython would collect the oldest generation, most of which is frozen."""
+    SPARE_BLOCKS = 4_000_000
+    """Blocks of memory, of some 60 bytes, that may be garbage before everything is collected at work."""
+    SPARE_BLOCKS_IDLE = 250_000
+    """Blocks that may be garbage before everything is collected at a moment without work."""
+    BLOCKS_OF_RECORD = 16
+    """Blocks of memory that a record explains: a partial match with its event has ten."""
+
+    def __init__(self, explained: Callable[[], int]):
+        self._explained = explained
+        self._usual = gc.get_threshold()
+        self._full_due = False
+        self._blocks = 0
+        self._records = 0
+
+    @property
+    def _active(self) -> bool:
+        return not PYPY and self._collected in gc.callbacks
+
+    def start(self) -> None:
+        """Collect and freeze what is not frozen yet, and walk only newer objects from now on."""
+        gc.collect()
+        if PYPY:
+            return
+        if not self._active:
+            self._usual = gc.get_threshold()
+            gc.callbacks.append(self._collected)
+        self._begin_anew()
+
+    def stop(self) -> None:
+        """Collect as CPython does by default; everything is unfrozen."""
+        if self._active:
+            gc.callbacks.remove(self._collected)
+            gc.set_threshold(*self._usual)
+            gc.unfreeze()
+
+    def collect_all(self) -> None:
+        """Collect everything now: it takes about 100 ns for each live object."""
+        gc.unfreeze()
+        gc.collect()
+        self._begin_anew()
+
+    def collect_if_due(self) -> bool:
+        """Collect everything if garbage may have gathered since the last time; for moments without work.
+
+        Returns:
+            Whether it did.
+        """
+        due = self._active and self._has_grown(1.25, self.SPARE_BLOCKS_IDLE)
+        if due:
+            self.collect_all()
+        return due
+
+    def _begin_anew(self) -> None:
+        gc.freeze()
+        self._full_due = False
+        self._blocks = sys.getallocatedblocks()
+        self._records = self._explained()
+        if self._active:
+            gc.set_threshold(self.YOUNG, self.MIDDLE, self.RARELY)
+
+    def _has_grown(self, factor: float, blocks: int) -> bool:
+        """Return whether the heap has grown past a limit, without what live records explain."""
+        now = sys.getallocatedblocks()
+        if now < self._blocks:  # what has gone must not hide what gathers
+            self._blocks, self._records = now, self._explained()
+        limit = factor * self._blocks + blocks
+        if now <= limit:
+            return False
+        more = max(0, self._explained() - self._records)
+        return now - self.BLOCKS_OF_RECORD * more > limit
+
+    def _collected(self, phase: str, info: Dict[str, int]) -> None:
+        """React to the end of a collection: freeze what is left, or have the next collection walk everything.
+
+        A collection cannot be started from here, as one is running. With a threshold of 0, CPython makes the next
+        one a full one, if what has survived since the last one is at least a quarter of what survived that one.
+        """
+        if phase == "start" or info["generation"] == 0:
+            return
+        if self._full_due:
+            if info["generation"] == 2:
+                self._begin_anew()
+        elif self._has_grown(3, self.SPARE_BLOCKS):
+            self._full_due = True
+            gc.unfreeze()
+            gc.set_threshold(self.YOUNG, self.MIDDLE, 0)
+        else:
+            gc.freeze()

@@ -6,7 +6,7 @@ from typing import Callable
 
 import rospy
 
-from ..engine.runtime import relax
+from ..engine.runtime import collect_when_idle, limit_gc_pauses
 from ..foundation import RetalisError
 from .backlog import widen_backlog
 from .interrupts import PAUSE, Interrupts
@@ -16,6 +16,9 @@ from .parameters import Parameters, read_parameters
 
 SPIN = 0.5
 """Seconds from one look to the next whether the node has been shut down."""
+
+IDLE = 0.02
+"""Share of one core below which a node counts as idle: garbage is collected then, if much may have gathered."""
 
 
 def run_node(name: str, build: Callable[[Parameters], object]) -> int:
@@ -54,9 +57,12 @@ def _live(name: str, build: Callable[[Parameters], object], interrupts: Interrup
     except RetalisError as error:
         rospy.logfatal("%s", error)
         return 1
-    relax()
+    limit_gc_pauses()
     interrupts.allow()
     while not rospy.is_shutdown():  # not `rospy.spin`, which takes the node down from within the interrupt
+        worked = time.process_time()
         time.sleep(SPIN)
+        if time.process_time() - worked < IDLE * SPIN:
+            collect_when_idle()
     del node
     return 0

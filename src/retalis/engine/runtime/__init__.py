@@ -1,7 +1,7 @@
 """What keeps an engine running: its queue, clock and reports, who holds it up, and mending after interrupts."""
 
 from .clock import Alarm, Clock, StreamClock
-from .collector import relax, tighten
+from .collector import collect_when_idle, count_records_of, limit_gc_pauses, restore_gc
 from .recovery import EngineRecovery
 from .reports import Reports
 from .runner import Runner
@@ -15,14 +15,16 @@ __all__ = [
     "Clock",
     "Early",
     "EngineRecovery",
-    "relax",
+    "limit_gc_pauses",
     "Refused",
     "Reports",
+    "restore_gc",
     "Runner",
     "ClockRuns",
+    "collect_when_idle",
+    "count_records_of",
     "Skew",
     "StreamClock",
-    "tighten",
     "Watchdog",
     "watch",
 ]
