@@ -1,5 +1,7 @@
 """What rules say that was hardly meant: a warning at its place, and none for what may be meant."""
 
+from itertools import combinations, product
+
 import pytest
 from events.refusals import errors_of, warnings_of
 from events.running import Program
@@ -65,7 +67,7 @@ def test_warned_of_at_its_place(rule, column, part):
     [
         "c <- a(X) where X > 1. d <- (a where true) and b.",
         "c <- (a seq b) cnot d. c <- (a seq b where true) cnot d. c <- ((a seq b) within 3) cnot d.",
-        "c <- a ntimes 3 cnot d. c <- a fnot b.",
+        "c <- a ntimes 2 cnot d. c <- a fnot b.",
         "c <- (b <- a). c <- a seq (b <- a seq d). c <-\n ( b <- a ).",
         "c <- starts(a). d <- meets(a, b, c). e <- where(cup). f <- timestamp(5). g <- check(door).",
         "c <- a(X) where X within 3. within(X, Y) :- X < Y. c :- starts(a, b). starts(a, b).",
@@ -129,3 +131,101 @@ def test_where_the_interval_may_be_asked_for_it_may(rules):
     program = Program(rules)
     assert program.warnings == []
     assert "c@1" in program.feed("a@1-2")
+
+
+EARLIER = "in an earlier gap does not prevent a match"
+
+
+@pytest.mark.parametrize(
+    ("rule", "column", "all_gaps", "last_gap"),
+    [
+        (
+            "o <- ((f seq f seq f) cnot d) within 600.",
+            23,
+            "(((f seq f) cnot d) seq f) cnot d",
+            "((f seq f) seq f) cnot d",
+        ),
+        ("o <- a * b * c cnot d.", 16, "(((a seq b) cnot d) seq c) cnot d", "((a seq b) seq c) cnot d"),
+        (
+            "o(X) <- (f(X) seq (g or h) seq f(_) seq e) cnot d('A b',X).",
+            44,
+            "(((((f(X) seq (g or h)) cnot d('A b',X)) seq f(_)) cnot d('A b',X)) seq e) cnot d('A b',X)",
+            "((f(X) seq (g or h) seq f(_)) seq e) cnot d('A b',X)",
+        ),
+        (
+            "o(X) <- ((f(X) seq g seq h(Y) where X > Y) within 5) cnot d.",
+            54,
+            "(((((f(X) seq g) cnot d) seq h(Y)) where X>Y) within 5) cnot d",
+            "((f(X) seq g) seq h(Y)) cnot d",
+        ),
+        (
+            "o <- (f ntimes 3) cnot d.",
+            19,
+            "(((f seq f) cnot d) seq f) cnot d",
+            "((f ntimes 2) seq f) cnot d",
+        ),
+        ("o <- (f(_) ntimes 3) cnot d(_).", 22, None, "((f(_) ntimes 2) seq f(_)) cnot d(_)"),
+        ("o(X) <- (f(X) ntimes 30) cnot d(X).", 26, None, "((f(X) ntimes 29) seq f(X)) cnot d(X)"),
+        ("o <- (a seq b seq c(X)) cnot d(X).", 25, None, None),  # X has no value in the first gap
+    ],
+)
+def test_an_absence_covers_the_last_gap_of_a_sequence_only(rule, column, all_gaps, last_gap):
+    ((_, at, message),) = warnings_of(rule)
+    assert at == column
+    assert message.startswith("cnot covers only the gap before the last part of the sequence, ")
+    assert EARLIER in message
+    if last_gap is None:
+        assert message.endswith("; write a cnot for each gap that it must not lie in")
+        return
+    assert message.endswith(f"; if only the last gap is meant, write {last_gap}")
+    assert warnings_of(f"o <- {last_gap}.") == []
+    if all_gaps is not None:
+        assert f"; for none in any gap write {all_gaps};" in message
+        assert warnings_of(f"o <- {all_gaps}.") == []
+
+
+@pytest.mark.parametrize(
+    "rule",
+    [
+        "o <- (f seq f) cnot d.",
+        "o <- (f ntimes 2) cnot d.",
+        "o <- (f seq (f seq g)) cnot d.",
+        "o <- (((f or g) seq f) seq f) cnot d.",
+        "o <- (((f seq f) cnot d) seq f) cnot d.",
+        "o <- (a seq b seq c) fnot d.",
+        "o <- ((a seq b) cnot d) seq c seq e.",
+    ],
+)
+def test_an_absence_between_two_parts_is_meant_as_it_is_written(rule):
+    assert warnings_of(rule) == []
+
+
+def gaps_of(events, times):
+    """Return the intervals of all sequences of f without a d between the first and the last."""
+    instants = [at for at, name in enumerate(events) if name == "f"]
+    found = []
+    for chosen in combinations(instants, times):
+        if "d" not in events[chosen[0] : chosen[-1]]:
+            found.append((chosen[0], chosen[-1]))
+    return sorted(found)
+
+
+@pytest.mark.parametrize(
+    ("pattern", "times"),
+    [("f seq f seq f", 3), ("f ntimes 3", 3), ("f ntimes 4", 4), ("f seq f seq f seq f", 4)],
+)
+def test_the_pattern_that_is_shown_fires_exactly_when_nothing_lies_in_any_gap(pattern, times):
+    ((_, _, message),) = warnings_of(f"o <- ({pattern}) cnot d.")
+    shown = message.split("for none in any gap write ")[1].split(";")[0]
+    written, given = (
+        Program(f"o <- {text}.", policy="unrestricted") for text in (shown, f"({pattern}) cnot d")
+    )
+    wrong = 0
+    for events in product("fd", repeat=6):
+        stream = " ".join(f"{name}@{at}" for at, name in enumerate(events))
+        answer = written.feed(stream)
+        fired = sorted(tuple(map(int, one[2:].split("-"))) for one in answer.split())
+        assert fired == gaps_of(events, times)
+        wrong += len(given.feed(stream).split()) > len(fired)
+        assert written.engine.call("reset_db") and given.engine.call("reset_db")
+    assert wrong

@@ -21,6 +21,7 @@ from .eventnames import event_fault
 from .heads import SYNCHRONIZED, check_head
 from .labels import RULE, Property, is_rule, label_error, labelled
 from .made import NEW_EVENT, made_by, makes_event
+from .meant import gap_doubt
 from .occurrences import occurrences
 from .operators import ARROWS, NO_FACTS, OPERATORS, SPELLINGS, names_of_kind
 from .pattern import (
@@ -84,6 +85,7 @@ __all__ = [
     "declares_state",
     "Either",
     "event_fault",
+    "gap_doubt",
     "HOLDS",
     "EventTerm",
     "has_branches",

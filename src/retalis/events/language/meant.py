@@ -1,11 +1,11 @@
 """What stands in rules that was hardly meant: terms that are events like others, and were to be something else."""
 
 from difflib import SequenceMatcher, get_close_matches
-from typing import Any, Dict, Iterable, Optional
+from typing import Any, Callable, Dict, Iterable, List, Mapping, Optional, Tuple
 
-from ...prolog.syntax import OperatorKind
-from ...prolog.terms import CONS, Atom, Term, deref, functor, list_items
-from .operators import ARROWS, FORMS, NO_EVENTS, SPELLINGS, WRITTEN, names_of_kind
+from ...prolog.syntax import EVENT_OPERATOR, OperatorKind, write_term
+from ...prolog.terms import CONS, Atom, CompoundTerm, Term, Var, deref, functor, list_items, variables
+from .operators import ARROWS, FORMS, NO_EVENTS, RUNS, SPELLINGS, WRITTEN, names_of_kind
 
 _COMPARISONS = [
     "=",
@@ -161,3 +161,113 @@ def _alike(head: Any) -> Optional[str]:
         if SequenceMatcher(None, plain, other).ratio() >= _ALIKE:
             return f"{_ORDINARY}; did you mean {form}?"
     return None
+
+
+# ---- gaps of sequences ---------------------------------------------------------------------------------
+
+_MAX_SHOWN_PARTS = 6
+"""Parts of a sequence up to which the pattern that covers all of its gaps is written out."""
+_MAX_SHOWN_CHARACTERS = 60
+"""Characters of a part, and of an absent pattern, up to which they are shown as they are written."""
+
+
+def gap_doubt(term: CompoundTerm, spot: Callable[..., Any], names: Mapping[Var, str]) -> Optional[str]:
+    """Return a warning for an absence between the last two parts of a longer sequence, or None.
+
+    A sequence of three parts is a pair whose left side is a pair: ``cnot`` covers only the gap between the sides of
+    the outer pair. Parentheses around the inner pair, or a ``cnot`` in it, show that this is known.
+
+    Args:
+        term: ``(P seq Q) cnot R``, with conditions around the sequence or without.
+        spot: returns the place of a part of the rule, or None where it has none.
+        names: of variables.
+    """
+    operator = SPELLINGS[term[0]]
+    wrapped: List[Tuple[str, Term]] = []
+    core: Any = deref(term[1])
+    while core.__class__ is tuple and _is_condition(core):
+        wrapped.append((SPELLINGS[core[0]], core[2]))
+        core = deref(core[1])
+    if core.__class__ is not tuple or spot(core) is None:
+        return None  # a rule without a text has no parentheses either
+    parts = _repetitions(core) or _parts_without_parentheses(core, spot)
+    if len(parts) < 3:
+        return None
+    texts = [_text(part, names) for part in parts[:_MAX_SHOWN_PARTS]]
+    absent = _text(term[2], names)
+    gap = f"the gap before the last part of the sequence, {_text(parts[-1], names)}"
+    message = f"{operator} covers only {gap}: {absent} in an earlier gap does not prevent a match"
+    if _depends_on_later_parts(deref(term[2]), parts) or len(absent) > _MAX_SHOWN_CHARACTERS:
+        return f"{message}; write a {operator} for each gap that it must not lie in"
+    covered = f"({texts[0]} seq {texts[1]}) {operator} {absent}"
+    for text in texts[2:]:
+        covered = f"(({covered}) seq {text}) {operator} {absent}"
+    if wrapped and len(parts) <= _MAX_SHOWN_PARTS:
+        cut = covered[: -len(f" {operator} {absent}")]
+        for name, argument in reversed(wrapped):
+            cut = f"({cut} {name} {_text(argument, names)})"
+        covered = f"{cut} {operator} {absent}"
+    if len(parts) > _MAX_SHOWN_PARTS:
+        covered += f" and so on up to the last of {len(parts)} parts"
+    shown = f"{message}; for none in any gap write {covered}"
+    return (
+        f"{shown}; if only the last gap is meant, write {_last_gap(core, parts, names)} {operator} {absent}"
+    )
+
+
+def _is_condition(term: CompoundTerm) -> bool:
+    kind = EVENT_OPERATOR[SPELLINGS[term[0]]].kind if term[0] in SPELLINGS else None
+    return kind in (OperatorKind.CONDITION, OperatorKind.LIMIT)
+
+
+def _operator_of(term: Any) -> Optional[str]:
+    return SPELLINGS.get(term[0]) if term.__class__ is tuple else None
+
+
+def _repetitions(core: CompoundTerm) -> List[Term]:
+    """Return the parts of ``Q ntimes N``; none for another pattern."""
+    times = deref(core[2]) if _operator_of(core) == "ntimes" else None
+    return [deref(core[1])] * times if times.__class__ is int else []
+
+
+def _parts_without_parentheses(core: CompoundTerm, spot: Callable[..., Any]) -> List[Term]:
+    """Return the parts of a sequence that is written without parentheses: a place is that of the first one."""
+    parts: List[Term] = []
+    node: Any = core
+    while _operator_of(node) == "seq" and not _is_goal_or_run(deref(node[2])):
+        parts.append(deref(node[2]))
+        left: Any = deref(node[1])
+        if _operator_of(left) != "seq" or spot(left, 1) != spot(node, 1) or _is_goal_or_run(deref(left[2])):
+            parts.append(left)
+            break
+        node = left
+    return parts[::-1]
+
+
+def _is_goal_or_run(term: Any) -> bool:
+    """Return whether the right side of a sequence is not a part with a gap before it: a goal, or repetitions."""
+    return term.__class__ is tuple and (term[0] in RUNS or term[0].name in ("prolog", "query", "db"))
+
+
+def _depends_on_later_parts(absent: Term, parts: List[Term]) -> bool:
+    """Return whether variables of an absent pattern get their values after the first gap."""
+    early = {*variables(parts[0]), *variables(parts[1])}
+    late = {var for part in parts[2:] for var in variables(part)} - early
+    return not late.isdisjoint(variables(absent))
+
+
+def _last_gap(core: CompoundTerm, parts: List[Term], names: Mapping[Var, str]) -> str:
+    """Return the sequence with its last gap set apart."""
+    last = _text(parts[-1], names)
+    if _operator_of(core) == "ntimes":
+        return f"(({last} ntimes {len(parts) - 1}) seq {last})"
+    if len(parts) > _MAX_SHOWN_PARTS:
+        return f"((...) seq {last})"
+    return f"(({' seq '.join(_text(part, names) for part in parts[:-1])}) seq {last})"
+
+
+def _text(term: Term, names: Mapping[Var, str]) -> str:
+    """Return a pattern as a part of another one."""
+    once = {var: "_" for var in variables(term) if var not in names}
+    text = write_term(term, None, quoted=True, numbervars=True, variable_names={**once, **names})
+    return f"({text})" if _operator_of(deref(term)) is not None else text

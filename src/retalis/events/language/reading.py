@@ -63,6 +63,7 @@ class PatternReader:
         untimed: calls of ``t1/1`` and ``t2/1`` that a goal cannot do without, where these do not hold.
         aggregates: the aggregates, each with its term.
         windows: those over windows, each with its term.
+        absences: the terms of absences between two events.
     """
 
     def __init__(
@@ -77,6 +78,7 @@ class PatternReader:
         self.untimed: List[Subgoal] = []
         self.aggregates: List[Tuple[Aggregate, Term]] = []
         self.windows: List[Tuple[Windowed, Term]] = []
+        self.absences: List[CompoundTerm] = []
 
     def read(self, parent: CompoundTerm, number: int) -> Pattern:
         """Return the pattern that an argument of a term is.
@@ -216,6 +218,8 @@ class PatternReader:
                 f"for no R between two events write (P {SEQ} Q) {name} R"
             )
             self._warn(self.error(message, term))
+        if inside:
+            self.absences.append(term)
         return Absent(pattern, negated, inside)
 
     def _repetition(self, name: str, term: CompoundTerm) -> Pattern:

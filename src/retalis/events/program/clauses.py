@@ -44,6 +44,7 @@ from ..language import (
     check_aggregate,
     check_head,
     check_window,
+    gap_doubt,
     head_event,
     is_rule,
     label_error,
@@ -292,8 +293,7 @@ class FileChecker:
         for call in reader.untimed:
             assert call.term.__class__ is tuple
             self.untimed.append(Unknown(call.term[0], spot(call.term) or place))
-        for aggregate, part in reader.aggregates:
-            check_aggregate(aggregate, part, pattern, self._names, reader.place, self.warnings.append)
+        self._doubt_parts(reader, pattern, spot, place)
         heads = [] if definition.head is None else [head_event(rule, 1)]
         made = made_by_goals((*reader.goals, *query_goals(definition.head or TRUE)))
         self._declared.fit(chain(heads, reader.events, made), rule, self._names, spot, place)
@@ -302,6 +302,17 @@ class FileChecker:
         for one in reader.inner:
             self.inner.append(self.definition(one, None, spot, spot(one) or place))
         return definition
+
+    def _doubt_parts(
+        self, reader: PatternReader, pattern: Pattern, spot: Spot, place: Optional[Place]
+    ) -> None:
+        """Warn about aggregates and absences of a pattern that are probably mistakes."""
+        for aggregate, part in reader.aggregates:
+            check_aggregate(aggregate, part, pattern, self._names, reader.place, self.warnings.append)
+        for absence in reader.absences:
+            doubted = gap_doubt(absence, spot, self._names)
+            if doubted is not None:
+                self._warn(doubted, spot(absence) or place)
 
     def _doubt(self, rule: CompoundTerm, spot: Spot) -> None:
         """Warn of a rule in the place of a pattern that has no brackets: two arrows in a row; and of a variable."""
