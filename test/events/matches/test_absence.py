@@ -1,9 +1,11 @@
 """What must not have happened: what is kept of it."""
 
+import random
+
 import pytest
 from events.running import Program, fired
 
-from retalis.engine import parts_of
+from retalis.engine import Engine, parts_of
 from retalis.events.matches import Absence
 
 
@@ -146,3 +148,94 @@ def test_a_late_first_side_is_within_the_window_of_a_sequence_with_an_absence(po
     rule = "o(X) <- ((a(X) seq b(X)) cnot c(X)) within 5."
     found = fired(rule, stream.replace("V", value), policy, ["out_of_order"])
     assert found == answer.replace("V", value)
+
+
+IN_ORDER = [
+    "o(X, Y) <- (a(X) seq b(Y)) cnot c(_).",
+    "o(X, Y) <- (a(X) seq b(Y)) cnot c(X).",
+    "o(X) <- (a(X) seq b(X)) cnot c(_).",
+    "o(X) <- (a(X) seq b(X)) cnot c(X).",
+    "o(X, Y) <- (a(X) seq a(Y)) cnot c(X).",
+    "o(X, Y) <- (a(X) seq b(Y)) cnot c(Y).",
+    "o(X, Y) <- ((a(X) seq b(Y)) cnot c(X)) within 20.",
+    "o(X, Y) <- ((a(X) seq b(_)) cnot c(X)) seq a(Y).",
+    "o(X, Y) <- (((a(X) seq b(_)) cnot c(X)) seq b(Y)) cnot c(_).",
+    "o(X, Y) <- ((a(X) and a(_)) seq b(Y)) cnot (c(X) seq c(_)).",
+]
+
+
+@pytest.fixture
+def _eager_sweeps(monkeypatch):
+    """Sweep after every few events, and keep nothing that is ruled out."""
+    monkeypatch.setattr("retalis.events.matches.absence.MAX_RULED_OUT", 0)
+    for name, value in (("SPARE", 0), ("_SWEEP_SLICE", 3), ("_SWEEP_STEP", 1)):
+        monkeypatch.setattr(f"retalis.events.network.rule.{name}", value)
+
+
+@pytest.mark.usefixtures("_eager_sweeps")
+@pytest.mark.parametrize("policy", ["recent", "recent_2", "chronological", "unrestricted"])
+@pytest.mark.parametrize("rule", IN_ORDER)
+def test_dropping_what_is_ruled_out_changes_nothing_while_events_come_in_order(rule, policy, monkeypatch):
+    rng = random.Random(f"{rule} {policy}")
+    dropping = Program(rule, policy=policy)
+    with monkeypatch.context() as patched:
+        patched.setattr("retalis.events.network.joining.Joining.sweeps", lambda node, mode: ())
+        keeping = Program(rule, policy=policy)
+    dropped = 0
+    for at in range(120):
+        event = f"{rng.choice('aabbc')}({rng.randrange(4)})@{at}"
+        assert dropping.feed(event) == keeping.feed(event)
+        waiting, kept = (parts_of(program.engine).rules.waiting for program in (dropping, keeping))
+        assert waiting <= kept
+        dropped = max(dropped, kept - waiting)
+    assert dropped or "c(Y)" in rule or " and " in rule  # Y is known with b only; such pairs are few
+
+
+@pytest.mark.parametrize(
+    ("rule", "make"),
+    [
+        ("o(X, Y) <- (walk(X) seq walk(Y)) cnot temp.", lambda at: f"walk({at})" if at % 9 else "temp"),
+        ("o(X, Y) <- (walk(X) seq door(Y)) cnot temp.", lambda at: f"walk({at})" if at % 9 else "temp"),
+        ("o(X) <- (walk(X) seq door(X)) cnot temp.", lambda at: f"walk({at})" if at % 9 else "temp"),
+        (
+            "o(X) <- (walk(X) seq door(X)) cnot temp(X).",
+            lambda at: f"{('walk', 'temp')[at % 2]}({at // 2})",
+        ),
+        ("o <- (walk seq door) cnot temp.", lambda at: "temp" if at else "walk"),
+        ("o(X) <- (walk(X) seq door(X)) cnot temp(X).", lambda at: f"temp({at})"),
+        (
+            "o(X) <- ((walk(X) seq door(X)) cnot temp) within 100000.",
+            lambda at: f"walk({at})" if at % 9 else "temp",
+        ),
+    ],
+)
+def test_what_is_ruled_out_and_what_rules_out_does_not_gather(rule, make):
+    program = Program(rule)
+    for at in range(20_000):
+        program.engine.event(make(at), at)
+        if at % 1000 == 0:
+            assert parts_of(program.engine).rules.waiting < 10_000
+
+
+def test_the_newest_that_are_ruled_out_wait_for_a_second_side_that_overlaps_or_is_late():
+    program = Program("o(X, Y) <- (a(X) seq b(Y)) cnot c.", policy="recent_2")
+    for at in range(0, 20_000, 2):
+        program.engine.event(f"a({at})", at)
+        program.engine.event("c", at + 1)
+    assert program.feed("b(1)@19500.5-20000") == "o(19500,1)@19500-20000"
+    assert program.feed("b(2)@19400.5") == "o(19400,2)@19400-19400.5"
+    assert program.feed("b(3)@20001") == ""
+    assert program.feed("a(0)@15000 b(4)@20002") == ""
+
+
+@pytest.mark.parametrize(
+    "rule", ["o(X) <- (a(X) seq b(X)) within 5.", "o(X) <- ((a(X) seq b(X)) cnot c(X)) within 5."]
+)
+def test_windows_expire_by_the_time_of_the_stream_where_the_clock_is_pinned(rule):
+    engine = Engine()
+    rules = parts_of(engine).rules
+    rules.clock.pin(0)
+    engine.load(rules=rule)
+    for at in range(1000):
+        engine.event(f"{'ac'[at % 2]}({at})", at)
+    assert rules.waiting < 10

@@ -1,6 +1,6 @@
 """Partial matches: where they wait for partners, which a policy takes, when they are to go."""
 
-from .absence import Absence, Emitting
+from .absence import Absence, Emitting, RuledOutSweep
 from .chains import Chain, Log, joined_at_once, joined_one_by_one, pieces_of, repetitions
 from .expiry import ByStart, Expiries, drop_gone
 from .matches import (
@@ -77,6 +77,7 @@ __all__ = [
     "Policy",
     "reach_of",
     "repetitions",
+    "RuledOutSweep",
     "Run",
     "Side",
     "sources",

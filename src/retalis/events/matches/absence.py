@@ -1,18 +1,27 @@
-"""What must not have happened: negated matches, kept so that one look tells whether one is in the way."""
+"""What must not have happened: negated matches, kept so that one look tells whether one is in the way.
+
+Of a sequence without a window, neither first sides that a negated match has ruled out nor negated matches may gather
+without end: a `RuledOutSweep` drops the oldest of them.
+"""
 
 from bisect import bisect_left, bisect_right
-from typing import Callable, Dict, Hashable, List, Optional, Protocol, Sequence, Tuple
+from collections import deque
+from typing import Callable, Deque, Dict, Hashable, List, Optional, Protocol, Sequence, Tuple
 
 from ...prolog.machine import Frame
 from ...prolog.terms import Values
 from .matches import Match, unify_sides
 from .modes import NetworkOptions
 from .owners import Owner
-from .places import MatchBuffer, surely_same
+from .places import MatchBuffer, key_function, surely_same
 from .policy import Emit
 from .reach import BEFORE, BETWEEN
+from .timeindex import LEAST, MOST
 
 _SPARE = 1000
+
+MAX_RULED_OUT = 1000
+"""First sides of one sequence that are ruled out and stay, and negated matches that stay; see `RuledOutSweep`."""
 
 
 class _Border:
@@ -138,13 +147,41 @@ class Absence:
                 return False
             older.leave()
             return True
+        return self._border(key).takes(match)
+
+    def _border(self, key: Hashable) -> _Border:
         border = self.borders.get(key)
-        if border is None or waiting is None:
+        if border is None or key not in self.buffer.newest:
             border = self.borders[key] = _Border()
             for other in self.buffer.with_key(key):
                 border.takes(other)
             self._drop_empty_borders()
-        return border.takes(match)
+        return border
+
+    def rules_out(self, key: Hashable, end: int) -> bool:
+        """Return whether a negated match under a key starts after an instant; with open values it does not count."""
+        last = self.buffer.newest.get(key)
+        if last is None:
+            return False
+        if last.older is last:
+            return last.start > end
+        return self._border(key).between(end, MOST) is not None
+
+    def least_end(self, before: int) -> int:
+        """Return the end from which a first side is not ruled out for a second one that starts at an instant.
+
+        Only for an absence that shares no variables and has borders.
+        """
+        last = self.buffer.newest.get(())
+        if last is None:
+            return LEAST
+        if last.older is last:
+            return last.start if last.end < before else LEAST
+        border = self._border(())
+        at = bisect_left(border.ends, before) - 1
+        while at >= 0 and border.matches[at].buffer is None:
+            at -= 1
+        return border.starts[at] if at >= 0 else LEAST
 
     def _drop_empty_borders(self) -> None:
         """Forget keys under which nothing waits any more, and that nobody has asked for since, when they are many."""
@@ -190,3 +227,67 @@ class Absence:
                     self.rule.network.tracker.blocker = match
                     return True
         return False
+
+
+class RuledOutSweep:
+    """Drops first sides that are ruled out, and the negated matches that ruled them out, when there are many.
+
+    A negated match R rules out each waiting first side P that ended before it, for all second sides that start after
+    R ended. Second sides whose times come in order and do not overlap R all do. For others, which overlap R or come
+    late, the newest `MAX_RULED_OUT` such P and as many R stay. An R never goes before the P that it rules out, so
+    that no sequence matches that it prevents.
+
+    A pass over all that waits is made in slices: it never takes long at once.
+
+    Args:
+        waiting: where the first sides wait.
+        absence: the negated matches; they share variables with first sides only, and have no conditions.
+        positions: of the shared variables in the values of a first side.
+    """
+
+    def __init__(self, waiting: MatchBuffer, absence: Absence, positions: Sequence[int]):
+        self.waiting = waiting
+        self.absence = absence
+        self._key = key_function(tuple(positions))
+        self._ruled_out: Deque[Match] = deque()
+        self._negated: Deque[Match] = deque()
+
+    def begin(self) -> None:
+        """Begin a pass."""
+        self._ruled_out.clear()
+        self._negated.clear()
+
+    def visit(self, match: Match) -> None:
+        """Take the next match of the rule, in the order of arrival."""
+        if match.buffer is self.absence.buffer:
+            if match.key is not None:
+                self._negated.append(match)
+        elif match.buffer is self.waiting and self._is_ruled_out(match):
+            self._ruled_out.append(match)
+            if len(self._ruled_out) > MAX_RULED_OUT:
+                self._ruled_out.popleft().leave()
+
+    def _is_ruled_out(self, match: Match) -> bool:
+        try:
+            return self.absence.rules_out(self._key(match.values), match.end)
+        except ValueError:  # it has open values
+            return False
+
+    def drop_negated(self, most: int) -> bool:
+        """Drop up to so many of the negated matches that are too many; returns whether all of these have gone."""
+        negated = self._negated
+        going: List[Match] = []
+        while len(negated) > MAX_RULED_OUT and len(going) < most:
+            match = negated.popleft()
+            if match.buffer is not None:
+                going.append(match)
+        latest: Dict[Hashable, int] = {}
+        for match in going:
+            latest[match.key] = max(match.start, latest.get(match.key, match.start))
+        if going:
+            for match in self._ruled_out:
+                if match.buffer is not None and latest.get(self._key(match.values), match.end) > match.end:
+                    match.leave()
+        for match in going:
+            match.leave()
+        return len(negated) <= MAX_RULED_OUT

@@ -27,6 +27,7 @@ class MatchBuffer:
         span: how many nanoseconds a match that waits here can be a part of; None for no bound.
         name: what a match and the one that it replaces have in common; None where none replaces another.
         reach: where in time those lie that a partner looks for here; None for anywhere.
+        least_end: returns the least end of those that fit a partner which starts at an instant; None for no bound.
         forbids: whether what waits is about what must not happen: no match skips it.
         indices: by key, those by time of keys under which some were looked for in vain.
         names: by key, those by their names, of keys with more than a few.
@@ -41,6 +42,7 @@ class MatchBuffer:
         self.span: Optional[int] = None
         self.name: Optional[Callable[[Match], Hashable]] = None
         self.reach: Optional[Reach] = None
+        self.least_end: Optional[Callable[[int], int]] = None
         self.indices: Dict[Hashable, TimeIndex] = {}
         self.names: Dict[Hashable, Dict[Hashable, Match]] = {}
         self.on_mend: Callable[[], None] = lambda: None
@@ -214,6 +216,8 @@ class MatchBuffer:
             found = self.all()
             return reversed(found) if newest else iter(found)
         limits = _ANY if self.reach is None else self.reach.limits(start, end)
+        if self.least_end is not None:
+            limits = (*limits[:2], max(limits[2], self.least_end(start)), limits[3])
         if None not in self.newest:
             return self._within(key, limits, newest)
         both = self._within(key, limits, newest), self._within(None, limits, newest)

@@ -15,6 +15,7 @@ from ..matches import (
     Match,
     MatchBuffer,
     NetworkOptions,
+    RuledOutSweep,
     Side,
     among_others,
     first_side,
@@ -112,6 +113,18 @@ class Joining(NetworkNode):
         negated = [buffer for absence in absences for buffer in absence.buffers()]
         return (self.left_buffer, self.right_buffer, *negated)
 
+    def sweeps(self, mode: NetworkOptions) -> List[RuledOutSweep]:
+        """Return what drops first sides that are ruled out; see `NetworkNode.sweeps`."""
+        if mode.out_of_order or mode.tracked or mode.revised:
+            return []  # a first side may come after what rules it out, or that may be taken back
+        found = []
+        for absence in self.absences:
+            sources = [self.taken[position] for _, position in absence.shared]
+            if absence.has_borders() and all(source.startswith("lv[") for source in sources):
+                positions = [int(source[3:-1]) for source in sources]
+                found.append(RuledOutSweep(self.left_buffer, absence, positions))
+        return found
+
     def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
         """Set the bounds; see `NetworkNode.set_span`."""
         self.span = span
@@ -146,6 +159,10 @@ class Joining(NetworkNode):
         self.joined = self._join(True)
         self.left_buffer.reach = reach_of(operator.name, self.span, False)
         self.right_buffer.reach = reach_of(operator.name, self.span, True)
+        self.left_buffer.least_end = None
+        for absence in self.absences:
+            if absence.has_borders() and not absence.shared:  # one bound holds for all first sides
+                self.left_buffer.least_end = absence.least_end
         left_name, right_name = self._names if mode.policy.replacing else (None, None)
         self.left_buffer.identify(None if operator.everything else left_name)
         self.right_buffer.identify(None if self._keeps(mode) else right_name)

@@ -9,7 +9,7 @@ from typing import AbstractSet, Any, Callable, Dict, List, Optional, Sequence, T
 from ...prolog.machine import Frame
 from ...prolog.terms import EventAction, Term, Values, Var, positions, variables
 from ..dispatch import Completion, MakeLane, takes_all
-from ..matches import Absence, Emit, Emitting, Found, Match, NetworkOptions
+from ..matches import Absence, Emit, Emitting, Found, Match, NetworkOptions, RuledOutSweep
 from .conditions import RuleGoal, Test
 from .owners import Buffer, RuleOwner
 from .telling import found_here
@@ -50,6 +50,10 @@ class NetworkNode:
 
     def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
         """Set the longest interval of this node's matches, and how long those that wait can be of use."""
+
+    def sweeps(self, mode: NetworkOptions) -> Sequence[RuledOutSweep]:
+        """Return what drops matches of the node that can hardly complete, when there are many."""
+        return ()
 
     def clear(self) -> None:
         """Forget what the node itself knows of the past."""

@@ -114,7 +114,7 @@ _WAIT = """
     rule.waiting = number = rule.waiting + 1
     arrivals.append(match)
 {file}
-    if number > network.cap or len(arrivals) > 2 * number + SPARE:
+    if {sweep}number > network.cap or len(arrivals) > 2 * number + SPARE:
         rule.look_through()
 """
 _FILE = "    {queue}.append(match)"
@@ -312,7 +312,8 @@ def _waiting(own: MatchBuffer, rule: Any, whole: bool, anew: bool, keyed: bool =
     keep = "" if whole else _KEEP
     keep += "" if own.name is None or keyed else _UNNAMED
     file = _FILE_ANEW.format(span=own.span) if anew else _FILE.format(queue=_queue(own, rule))
-    return _WAIT.format(keep=keep, file="" if own.span is None else file)
+    sweep = "number > rule.sweep_at or " if rule.sweeps_ruled_out else ""
+    return _WAIT.format(keep=keep, file="" if own.span is None else file, sweep=sweep)
 
 
 def _key(places: Sequence[int], whole: bool) -> str:

@@ -17,7 +17,16 @@ from ..dispatch import (
     firing_action,
 )
 from ..language import Pattern, RuleDefinition, alarm_of
-from ..matches import ByStart, Emit, Expiries, Match, MatchBuffer, NetworkOptions, drop_gone
+from ..matches import (
+    ByStart,
+    Emit,
+    Expiries,
+    Match,
+    MatchBuffer,
+    NetworkOptions,
+    RuledOutSweep,
+    drop_gone,
+)
 from .compiling import RuleCompiler
 from .limits import least
 from .nodes import Leaf
@@ -28,6 +37,12 @@ from .skipping import Skipping, skipping_by
 from .streaming import Streaming
 
 _NEVER = -(1 << 63)
+_UNLIMITED = 1 << 62
+
+_SWEEP_SLICE = 2000
+"""Matches that a sweep visits at once."""
+_SWEEP_STEP = 250
+"""Further matches that have to wait until it visits the next ones."""
 
 
 class Rule:
@@ -50,6 +65,7 @@ class Rule:
         allowed: the newest stamp that was seen to be allowed to move its clock.
         completion: what takes the values of whole matches, where nothing is tracked.
         expiries: what waits, by when it goes.
+        sweep_at: the number of waiting matches above which `look_through` goes on to drop those that are ruled out.
     """
 
     def __init__(self, network: Network, definition: RuleDefinition, serial: int, name: str):
@@ -77,6 +93,10 @@ class Rule:
         self.order = 0
         self.arrivals: Deque[Match] = deque()
         self.expiries = ByStart(None)
+        self.sweep_at = _UNLIMITED
+        self._sweeping = False
+        self._sweeps: List[RuledOutSweep] = []
+        self._unswept: Deque[Match] = deque()
         self._span: Optional[int] = None
         self._collected_at: Optional[int] = None
         self._garbage: Optional[Tuple[int, int]] = None
@@ -111,6 +131,10 @@ class Rule:
         spans = [buffer.span for buffer in self._buffers() if buffer.span is not None]
         self._span = max(spans, key=spans.count) if spans else None
         self._watched = self.timed or mode.tracked or skipping is not None
+        self._sweeps = (
+            [] if skipping is not None else [one for node, _, _ in self.nodes for one in node.sweeps(mode)]
+        )
+        self._end_sweep()
         self._resettle()
         self.unlisten()
         root: Any = self.root
@@ -201,6 +225,7 @@ class Rule:
     def _arrive_anew(self, waiting: List[Match]) -> None:
         self.arrivals.clear()
         self.arrivals.extend(waiting)
+        self._end_sweep()
 
     def _resettle(self) -> None:
         """File what waits already under the bounds that hold now."""
@@ -224,6 +249,11 @@ class Rule:
         self.listeners.append(
             listen(Stage.RULES, leaf.term, action, rank, lane, unused=self._unused, sole=sole)
         )
+
+    @property
+    def sweeps_ruled_out(self) -> bool:
+        """Whether it drops matches that are ruled out; see `RuledOutSweep`."""
+        return bool(self._sweeps)
 
     @property
     def collects(self) -> bool:
@@ -280,6 +310,7 @@ class Rule:
             match.leave()
         self.arrivals.clear()
         self._expire_nothing()
+        self._end_sweep()
 
     def add_later(self, buffer: MatchBuffer, match: Match, key: Hashable) -> None:
         """Let a match wait in a buffer when the next event comes; at once where the clock has brought it."""
@@ -339,18 +370,53 @@ class Rule:
         arrivals.append(match)
         if self._watched:
             self._watch(match, span)
-        if self.waiting > self.network.cap or len(arrivals) > 2 * self.waiting + SPARE:
+        number = self.waiting
+        if number > self.sweep_at or number > self.network.cap or len(arrivals) > 2 * number + SPARE:
             self.look_through()
 
     def look_through(self) -> None:
         """Drop the oldest of too many that wait; forget those that have left, where they are the larger part."""
+        if self.waiting > self.sweep_at:
+            self._sweep()
         if self.waiting > self.network.cap:
             self._drop_oldest()
         many = 2 * self.waiting + SPARE
         if len(self.arrivals) > many:
             drop_gone(self.arrivals)
+            if not self._sweeping and self._sweeps:
+                self._end_sweep()  # much has left, so that the next pass is to begin earlier
         if len(self.expiries) > many:
             self.expiries.forget_gone()
+
+    def _sweep(self) -> None:
+        """Drop some of the matches that are ruled out; see `RuledOutSweep`.
+
+        A pass visits what waits at its beginning, a slice at a time, then drops what has ruled it out, in slices.
+        The next pass begins when twice as many wait, so that a match is visited a few times at most.
+        """
+        sweeps, unswept = self._sweeps, self._unswept
+        if not self._sweeping:
+            self._sweeping = True
+            unswept.extend(self.arrivals)
+            for sweep in sweeps:
+                sweep.begin()
+        for _ in range(min(_SWEEP_SLICE, len(unswept))):
+            match = unswept.popleft()
+            if match.buffer is not None:
+                for sweep in sweeps:
+                    sweep.visit(match)
+        if unswept or not all(sweep.drop_negated(_SWEEP_SLICE) for sweep in sweeps):
+            self.sweep_at = self.waiting + _SWEEP_STEP
+        else:
+            self._end_sweep()
+
+    def _end_sweep(self) -> None:
+        """End the pass that is under way, if any; set when the next one begins."""
+        self._sweeping = False
+        self._unswept.clear()
+        for sweep in self._sweeps:
+            sweep.begin()
+        self.sweep_at = 2 * (self.waiting + SPARE) if self._sweeps else _UNLIMITED
 
     def _watch(self, match: Match, span: Optional[int]) -> None:
         """Note when a match is to go, and whether what it is made of is taken back."""

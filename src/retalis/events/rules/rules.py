@@ -314,8 +314,11 @@ class Rules:
             self.declared.in_use = True
 
     def newest_allowed(self) -> int:
-        """Return the newest stamp that may move the clock of a rule."""
-        return self.clock.now() + self.future
+        """Return the newest stamp that may move the clock of a rule: some time after that by which alarms are due.
+
+        A pinned clock says the same instant for ever; the time of its stream goes on.
+        """
+        return max(self.clock.now(), self.clock.reached()) + self.future
 
     def clear(self) -> None:
         """Drop all partial matches and what is kept of past events: time went back. Timers go on from there."""
