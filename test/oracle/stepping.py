@@ -64,7 +64,7 @@ class Trial:
 
     def begin(self, at: int) -> Any:
         """Return the first match in order, None where there is none, `OPEN` where what comes decides."""
-        return self._try(self._before(0), at, (), False)
+        return self._try(self._before(0), at, ())
 
     def _before(self, step: int) -> List[Any]:
         """What may come before a step has taken any: None is the end."""
@@ -83,14 +83,15 @@ class Trial:
         most = self.steps[step].most
         return self._order(step, count >= self.steps[step].least, most is None or count < most)
 
-    def _try(self, choices: List[Any], at: int, taken: Taken, passed: bool) -> Any:
+    def _try(self, choices: List[Any], at: int, taken: Taken) -> Any:
         if None in choices:
             end = choices.index(None)
-            found = self._try_steps(choices[:end], at, taken, passed) if end else None
+            found = self._try_steps(choices[:end], at, taken, choices[end + 1 :]) if end else None
             return taken if found is None else found
-        return self._try_steps(choices, at, taken, passed)
+        return self._try_steps(choices, at, taken, [])
 
-    def _try_steps(self, choices: List[int], at: int, taken: Taken, passed: bool) -> Any:
+    def _try_steps(self, choices: List[int], at: int, taken: Taken, unused: List[int]) -> Any:
+        """Try some steps; what one of the unused ones, which come after the end, would take is not passed over."""
         if not choices:
             return None
         if at == len(self.items):
@@ -99,13 +100,14 @@ class Trial:
         takers = [one for one in open_ones if self._fits(one, at, taken)]
         for one in takers:
             longer = (*taken, (at, one))
-            found = self._try(self._after(longer), at + 1, longer, False)
+            found = self._try(self._after(longer), at + 1, longer)
             if found is not None:
                 return found
-        if takers or not taken:
+        waiting = [one for one in unused if not self._is_over(one, at, taken)]
+        if takers or not taken or any(self._fits(one, at, taken) for one in waiting):
             return None
-        later = [one for one in open_ones if self.steps[one].later]
-        return self._try_steps(later, at + 1, taken, True)
+        later, unused = [[one for one in some if self.steps[one].later] for some in (open_ones, waiting)]
+        return self._try_steps(later, at + 1, taken, unused)
 
     def _fits(self, step: int, at: int, taken: Taken) -> bool:
         goal = self.steps[step].goal

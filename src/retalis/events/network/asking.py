@@ -6,7 +6,7 @@ from ...foundation import RuleError
 from ...prolog.database import CompiledGoal
 from ...prolog.machine import PrologError, keep_back
 from ...prolog.terms import Atom, Term, Values, Var, functor
-from ..streams import MOST_WAYS
+from ..streams import MAX_WAYS_PER_START
 from .owners import RuleOwner
 
 _IS = functor("is", 2)
@@ -63,7 +63,7 @@ class Asking:
     def crowded(self) -> None:
         """Count a way to take steps that is not followed, as there are too many."""
         self._rule.dropped += 1
-        self._rule.network.dropped(self._rule, MOST_WAYS)
+        self._rule.network.dropped(self._rule, MAX_WAYS_PER_START)
 
     def folded(self, names: Tuple[Atom, Atom, Atom]) -> Folding:
         """Return what calls the predicates of a program's own aggregate; None where one of them fails.

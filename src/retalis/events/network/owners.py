@@ -118,7 +118,7 @@ class Network(Remembered, Protocol):
         """Return the newest stamp that may move the clock of a rule."""
 
     def dropped(self, rule: "RuleOwner", ways: int = 0) -> None:
-        """Report that a rule has too many partial matches, or more ways to take steps than so many."""
+        """Report that a rule has too many partial matches, or more than `ways` ways to take steps from one start."""
 
     def set_alarm(self, rule: "RuleOwner", term: Term, start: int, instant: int, token: Any = None) -> None:
         """Have an event fire when its instant has come."""

@@ -52,9 +52,7 @@ def _holds(
     holds: Holding, own: Sequence[int], backs: Sequence[int], item: StreamItem, asked: Sequence[StreamItem]
 ) -> bool:
     """Tell whether a goal holds for values of an item and of those that it looks back at."""
-    return holds(
-        (
-            *(item.values[at] for at in own),
-            *(one.values[at] for one, at in zip(asked, backs)),
-        )
-    )
+    values = [item.values[at] for at in own]
+    if backs:
+        values += [one.values[at] for one, at in zip(asked, backs)]
+    return holds(tuple(values))

@@ -240,7 +240,7 @@ class Streaming(NetworkNode):
             if stream.late != self.late:
                 self.late = stream.late
                 network.came_late(self.rule, self.making.past)
-            if len(stream) > network.cap:
+            while len(stream) > network.cap:  # an item can add several partial matches to a window of steps
                 outputs = [*outputs, *self._drop()]
             if stream.next is not None:
                 self._wake()
@@ -249,7 +249,7 @@ class Streaming(NetworkNode):
         return take
 
     def _drop(self) -> List[StreamOutput]:
-        """Have the oldest go, which is one too many; return what is given on because of it."""
+        """Drop the oldest item with its partial matches; return the outputs that follow from it."""
         self.rule.dropped += 1
         self.rule.network.dropped(self.rule)
         return self.stream.drop_oldest()

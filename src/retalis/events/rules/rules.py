@@ -411,10 +411,13 @@ class Rules:
             self.rule_failed(rule, RuleError(f"goal {shown}: {error.message}"))
 
     def dropped(self, rule: RuleOwner, ways: int = 0) -> None:
-        """Report that a rule has too many partial matches, or more ways to take steps than so many."""
+        """Report that a rule has too many partial matches, or more than `ways` ways to take steps from one start."""
         text = f" has more than {self.cap} partial matches; {rule.dropped} of the oldest have been dropped so far"
         if ways:
-            text = f" has more than {ways} ways to take its steps; {rule.dropped} have been dropped so far"
+            text = (
+                f" has more than {ways} ways to take its steps from one start; "
+                f"{rule.dropped} have been dropped so far"
+            )
         self._warn_seldom(rule, rule.dropped, text)
 
     def _warn_seldom(self, rule: RuleOwner, number: int, text: str) -> None:

@@ -6,14 +6,14 @@ from .items import KnownState, StreamItem, StreamOperator, StreamOutput
 from .measures import MEASURES
 from .quick import QuickForm, is_quick, quick_sliding
 from .shapes import Changing, Settled, Spaced
-from .stepping import MOST_WAYS, SteppedWindow
+from .stepping import MAX_WAYS_PER_START, SteppedWindow
 from .steps import StepMark, StepPlan, StepTest, WindowStep
 from .timewindows import FromFirst, Hopping, RunningWindow
 from .windows import Batches, Newest, Sliding
 
 __all__ = [
     "MEASURES",
-    "MOST_WAYS",
+    "MAX_WAYS_PER_START",
     "Agreement",
     "Awaiting",
     "Batches",

@@ -1,7 +1,8 @@
 """A window of steps: matches in which the items of a group take one step after the other.
 
-All ways that a match may go on are followed at once, the preferred ones first, and those that cannot be told apart by
-what comes are one. So an item takes the same time however many came before it, and nothing is tried again.
+All ways that a match may go on are followed at once, the preferred ones first. Ways that no further item can tell
+apart are one, so that nothing is tried again. The time for an item grows with the number of ways. Two limits bound
+it: one start has at most `MAX_WAYS_PER_START` ways, and the length of a window, which its rule limits, counts ways.
 """
 
 from collections import OrderedDict, deque
@@ -13,8 +14,8 @@ from .items import KnownState, StreamItem, StreamOutput
 from .measures import WindowMeasure
 from .steps import SCANNING, Marks, StepPlan, ends, passes
 
-MOST_WAYS = 100
-"""How many ways of one group are followed at once: those that are preferred."""
+MAX_WAYS_PER_START = 100
+"""How many ways are followed of the matches that begin with one item: those that are preferred."""
 
 _Refusing = Callable[[StreamItem], None]
 """Refuses an item whose value a measure cannot take."""
@@ -85,13 +86,15 @@ class StepGroup:
         items: those that some way or match holds, and such as others have held since the oldest of them.
         ways: the ways that are followed, the preferred first.
         whole: the matches that wait, the oldest first: those after which the last way comes, but not the first one.
+        counted: the number of ways that the window has counted for this group.
     """
 
-    __slots__ = ("items", "ways", "whole")
+    __slots__ = ("items", "ways", "whole", "counted")
 
     def __init__(self, ways: List[StepWay]):
         self.items: Deque[StreamItem] = deque()
         self.ways = ways
+        self.counted = 0
         self.whole: Deque[_Whole] = deque()
 
     def go_on(self, ways: List[StepWay], whole: Optional[_Whole] = None) -> List[_Whole]:
@@ -123,14 +126,18 @@ class _Onward:
         ways: its ways, the preferred first.
         seen: the largest counts of these, by their keys.
         whole: the match that the item has made whole; the last way comes after it.
+        start: the order of the first item of the newest way.
+        alternatives: the number of ways that have that start. An earlier start is preferred, so they are adjacent.
     """
 
-    __slots__ = ("ways", "seen", "whole")
+    __slots__ = ("ways", "seen", "whole", "start", "alternatives")
 
     def __init__(self) -> None:
         self.ways: List[StepWay] = []
         self.seen: Dict[Hashable, int] = {}
         self.whole: Optional[_Whole] = None
+        self.start = 0
+        self.alternatives = 0
 
     def holds(self, item: StreamItem) -> bool:
         """Tell whether the item is held."""
@@ -146,7 +153,7 @@ class SteppedWindow:
         make: makes the measures of a match.
         scopes: for each of them the step that it looks at, or None for all.
         plan: the steps.
-        crowded: is called where there are more ways than are followed.
+        crowded: is called where one start has more ways than are followed.
     """
 
     def __init__(
@@ -167,6 +174,7 @@ class SteppedWindow:
                 (self._checks if scope is None else self._checks_of[scope]).append(measure.check)
         self._groups: OrderedDict[Hashable, StepGroup] = OrderedDict()  # whose oldest is found at once
         self._number = 0
+        self._ways = 0
         self._order = 0
         self._end = -(1 << 63)
         self.tracked = False
@@ -175,7 +183,8 @@ class SteppedWindow:
         self.late = 0
 
     def __len__(self) -> int:
-        return self._number
+        """Return the number of items, or of ways where that is larger."""
+        return max(self._number, self._ways)
 
     def _scanning(self, after: int = 0) -> StepWay:
         return StepWay(SCANNING, 0, None, (None,) * len(self.plan.marks), None, 0, after)
@@ -219,6 +228,9 @@ class SteppedWindow:
     def _set(self, group: StepGroup, key: Hashable) -> None:
         """Note a group that has gone on; items that are held no more are forgotten."""
         first = group.oldest()
+        ways = 0 if first is None else len(group.ways) - (group.ways[-1].step == SCANNING)
+        self._ways += ways - group.counted
+        group.counted = ways
         if first is not None:
             self._groups[key] = group
             while group.items[0].order < first:
@@ -249,10 +261,17 @@ class SteppedWindow:
     def _takers(self, way: StepWay, item: StreamItem) -> Tuple[List[int], Tuple[int, ...]]:
         """Return the steps that take an item, and those that may take a later one if none does."""
         steps = self.plan.steps
-        choices = self.plan.choices(way.step, way.count).steps if way.left is None else way.left
-        open_ones = [at for at in choices if not (steps[at].until and ends(steps[at].until, way.marks, item))]
+        choices = self.plan.choices(way.step, way.count)
+        asked = choices.steps if way.left is None else way.left
+        open_ones = [at for at in asked if not (steps[at].until and ends(steps[at].until, way.marks, item))]
         takers = [at for at in open_ones if passes(steps[at].tests, way.marks, item)]
-        return takers, tuple([at for at in open_ones if steps[at].later])
+        passing = tuple([at for at in open_ones if steps[at].later])
+        if not takers and passing:
+            for at in choices.blocking:
+                # A reluctant step has no `until`; after an item was passed over, only `later` steps can come next.
+                if (way.left is None or steps[at].later) and passes(steps[at].tests, way.marks, item):
+                    return takers, ()
+        return takers, passing
 
     def _takes(self, way: StepWay, at: int, item: StreamItem, onward: _Onward) -> bool:
         """Add the way in which a step takes an item; tell whether no way that is less preferred matters then."""
@@ -262,7 +281,7 @@ class SteppedWindow:
         count = plan.counted(at, way.count + 1 if way.step == at else 1)
         taken = _Taken(item, at, way.taken)
         start = item.order if way.taken is None else way.start
-        choices, whole, left = plan.choices(at, count)
+        choices, whole, left, _ = plan.choices(at, count)
         if choices:  # where all pass items over, they are left as after one that is passed over
             marks = plan.marked(way.marks, at, item)
             added = self._add(StepWay(at, count, left, marks, taken, start, way.after), onward)
@@ -278,9 +297,12 @@ class SteppedWindow:
         key = way.key(self.plan.meaning(way.step, way.count))
         if onward.seen.get(key, -1) >= way.count:
             return True
-        if len(onward.ways) >= MOST_WAYS:
+        if way.start != onward.start:
+            onward.start, onward.alternatives = way.start, 0
+        if onward.alternatives >= MAX_WAYS_PER_START:
             self._crowded()
             return False
+        onward.alternatives += 1
         onward.seen[key] = way.count
         onward.ways.append(way)
         return True
@@ -331,7 +353,7 @@ class SteppedWindow:
     def restore(self, kept: KnownState) -> None:
         """See `StreamOperator.restore`: where items are missing, those that are left are taken again."""
         self.late, self._order, groups = kept
-        self._groups, self._number = OrderedDict(), 0
+        self._groups, self._number, self._ways = OrderedDict(), 0, 0
         for items, ways, whole in groups:
             if items:
                 self._restore_group(items, ways, whole)

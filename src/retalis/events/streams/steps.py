@@ -50,12 +50,15 @@ class Choices(NamedTuple):
     Attributes:
         steps: the steps that may take the next item, the preferred first.
         ends: whether the match may end instead.
-        left: the steps again, where each of them passes over what fits nowhere; else None.
+        left: the steps again, where each of them and of ``blocking`` passes over what fits nowhere; else None.
+        blocking: the steps that could take the next item but are less preferred than the end. They never take one,
+            because the match ends first; an item that one of them would take is not passed over.
     """
 
     steps: Tuple[int, ...]
     ends: bool
     left: Optional[Tuple[int, ...]]
+    blocking: Tuple[int, ...]
 
 
 class StepMark(NamedTuple):
@@ -65,7 +68,7 @@ class StepMark(NamedTuple):
     step: int
 
 
-_NOTHING = Choices((), False, ())
+_NOTHING = Choices((), False, (), ())
 
 
 class StepPlan:
@@ -88,7 +91,7 @@ class StepPlan:
         self._sure = [all(one.later and not one.until for one in self.steps[at:]) for at in range(len(steps))]
 
     def choices(self, at: int, count: int) -> Choices:
-        """Return what may come after a step has taken so many; what is less preferred than the end is left out."""
+        """Return what may come after a step has taken so many."""
         if at == SCANNING:
             return self._begin
         step = self.steps[at]
@@ -122,21 +125,26 @@ class StepPlan:
 
     def _listed(self, at: int, enough: bool, more: bool) -> Choices:
         """Return as `choices`, for a step that has taken enough and may take more."""
-        further, over, _ = self._from(at + 1) if enough else _NOTHING
-        if not more:
-            return self._choices(further, over)
-        if self.steps[at].reluctant:
-            return self._choices(further if over else (*further, at), over)
-        return self._choices((at, *further), over)
+        further = self._from(at + 1) if enough else _NOTHING
+        steps, blocking = further.steps, further.blocking
+        if more and not self.steps[at].reluctant:
+            steps = (at, *steps)
+        elif more and further.ends:
+            blocking = (*blocking, at)
+        elif more:
+            steps = (*steps, at)
+        return self._choices(steps, further.ends, blocking)
 
     def _from(self, at: int) -> Choices:
         """Return as `choices`, before a step has taken anything."""
         if at == len(self.steps):
-            return self._choices((), True)
+            return self._choices((), True, ())
         return self._listed(at, self.steps[at].least == 0, True)
 
-    def _choices(self, steps: Tuple[int, ...], ends: bool) -> Choices:
-        return Choices(steps, ends, steps if all(self.steps[at].later for at in steps) else None)
+    def _choices(self, steps: Tuple[int, ...], ends: bool, blocking: Tuple[int, ...]) -> Choices:
+        # Passing over an item removes the steps that are not `later`; without any, nothing changes.
+        same = all(self.steps[at].later for at in (*steps, *blocking))
+        return Choices(steps, ends, steps if same else None, blocking)
 
 
 def passes(tests: Sequence[StepTest], marks: Marks, item: StreamItem) -> bool:
