@@ -11,6 +11,7 @@ from events.refusals import errors_of, warnings_of
         ("aggregate(max(X + Y), b(X), N)", "Y never gets a value"),
         ("aggregate(avg(_), b(X), N)", "a variable never gets a value"),
         ("aggregate(min(foo), b(X), N)", "min needs numbers"),
+        ('aggregate(min("b"), b(X), N)', "min needs numbers"),
         ("aggregate(sum(f(X)), b(X), N)", "sum needs numbers"),
         ("aggregate(sum(Y), b(X) cnot c(Y), N)", "Y never gets a value"),
     ],
@@ -19,6 +20,12 @@ def test_refused(aggregate, part):
     (found,) = errors_of(f"out(N) <- a seq {aggregate}.")
     assert found[:2] == (1, 27)
     assert part in found[2]
+
+
+@pytest.mark.parametrize("kind", ["max(foo)", 'min("b")', "quantile(0.5, f(X))", "[count, stddev(foo)]"])
+def test_a_window_of_what_is_never_a_number_is_refused(kind):
+    (found,) = errors_of(f"out(N) <- aggregate({kind}, b(X), N, last(10)).")
+    assert "needs numbers or arithmetic expressions" in found[2]
 
 
 def test_what_comes_later_gives_no_value():

@@ -113,7 +113,19 @@ def test_rate_without_a_span_is_that_between_the_ends(arrivals):
     known = list(measured(arrivals, [lambda: of("rate")]))
     for inside, found in known:
         ends = [one.end for one in inside]
-        assert found == ((len(ends) - 1) / ((max(ends) - min(ends)) / 10**9),)
+        assert found == (float(Fraction((len(ends) - 1) * 10**9, max(ends) - min(ends))),)
+
+
+@example_settings(max_examples=100)
+@given(st.integers(1, 10**6), st.integers(1, 10**15))
+def test_rate_by_the_seconds_of_the_window_is_rounded_once(number, span):
+    assert of("rate", Fraction(span, 10**9)).result(None, number) == float(Fraction(number * 10**9, span))
+
+
+@pytest.mark.parametrize("name", ["median", "quantile"])
+def test_a_quantile_between_two_numbers_of_which_the_difference_is_no_float(name):
+    arrivals = [Came(at, "a", at, at, value, 0, at) for at, value in enumerate([-1.5e308, 1.5e308])]
+    assert [found for _, found in measured(arrivals, [lambda: of(name, 0.5)])][-1] == (0.0,)
 
 
 def test_a_program_s_own_measure_takes_the_values_oldest_first():
@@ -131,14 +143,14 @@ def test_where_one_has_no_result_nothing_is_given_on():
 @pytest.mark.parametrize("name", ["sum", "avg", "stddev", "median", "quantile"])
 @pytest.mark.parametrize("value", [float("inf"), float("-inf"), float("nan")])
 def test_no_sum_of_what_is_not_finite(name, value):
-    with pytest.raises(RuleError, match=f"aggregate {name} needs finite numbers"):
+    with pytest.raises(RuleError, match=f"aggregate {name}: the value is '.*': expected a finite number"):
         of(name, 0.5).check(item_of(Came(0, "a", 1, 1, value, 0, 1)))
 
 
 @pytest.mark.parametrize("name", ["min", "max"])
 def test_the_infinities_have_an_order(name):
     of(name).check(item_of(Came(0, "a", 1, 1, float("inf"), 0, 1)))
-    with pytest.raises(RuleError, match=f"aggregate {name} needs numbers, not nan"):
+    with pytest.raises(RuleError, match=f"aggregate {name}: the value is '1.5NaN': expected a number"):
         of(name).check(item_of(Came(0, "a", 1, 1, float("nan"), 0, 1)))
 
 

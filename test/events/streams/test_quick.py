@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from retalis.engine import Engine, Settings, parts_of
 from retalis.events.network import streaming
 from retalis.events.streams.numbers import ExactSum
-from retalis.prolog.terms import SECOND, atom, functor
+from retalis.prolog.terms import SECOND, String, atom, functor
 
 KINDS = st.lists(
     st.sampled_from(["count", "sum(X)", "avg(X)", "min(X)", "max(Y)", "avg(Y)"]), min_size=1, max_size=3
@@ -16,7 +16,7 @@ KINDS = st.lists(
 NUMBERS = st.one_of(
     st.integers(-3, 3),
     st.sampled_from([0.5, -0.0, 0.1, 1e-300, 1e300, 1e308, float("inf"), 2**70, 5e-324, float("nan")]),
-    st.sampled_from([atom("none"), (functor("+", 2), 1, 2.5)]),
+    st.sampled_from([atom("none"), atom("e"), String("b"), (functor("+", 2), 1, 2.5)]),
 )
 KEYS = st.sampled_from([1, 1.0, atom("a"), atom("1"), functor("f", 1)(2)])
 STEPS = st.sampled_from([0, 0, 1, 1, 2, 3, -1, -6, 40])

@@ -138,6 +138,7 @@ def test_a_measure_of_one_step_asks_that_step_alone_for_numbers(kind, result):
     for at, value in enumerate(["go", "2", "off", "2"]):
         engine.event(f"reading({value})", at)
     assert seen[-1] == f"found({result})"
+    name, value = kind.partition("(")[0], "off*1" if "*" in kind else "off"
     assert [one.partition(": ")[2] for one in reports] == [
-        f"aggregate {kind.partition('(')[0]} needs numbers"
+        f"aggregate {name}: the value is '{value}': expected a number"
     ]

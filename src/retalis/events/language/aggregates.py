@@ -1,9 +1,11 @@
 """What aggregates collect: how they begin, what a further value does, and what they show."""
 
+from math import isfinite
 from typing import Any, Callable, Dict, NamedTuple, Optional, Tuple
 
 from ...foundation import RuleError
 from ...prolog.terms import NIL, Term, Values, make_list
+from ..streams import check_finite, check_ordered
 
 
 class AggregateKind(NamedTuple):
@@ -16,7 +18,7 @@ class AggregateKind(NamedTuple):
         initial: the result without any value; None where there is none.
         add: gives the state with one more value.
         result: gives the result of a state.
-        numeric: whether values have to be numbers.
+        check: refuses the values that are not numbers of the right kind; None where values may be any terms.
     """
 
     name: str
@@ -25,12 +27,17 @@ class AggregateKind(NamedTuple):
     initial: Optional[Term]
     add: Callable[[Any, Term], Any]
     result: Callable[[Any], Term]
-    numeric: bool
+    check: Optional[Callable[[Any, str], None]]
 
     @property
     def form(self) -> str:
         """How it is written."""
         return f"{self.name}(X)" if self.arity else self.name
+
+    @property
+    def numeric(self) -> bool:
+        """Whether values have to be numbers."""
+        return self.check is not None
 
 
 def _same(state: Term) -> Term:
@@ -43,6 +50,18 @@ def _least(state: Any, value: Any) -> Any:
 
 def _greatest(state: Any, value: Any) -> Any:
     return value if state is None or value > state else state
+
+
+def _sum(state: Any, value: Any) -> Any:
+    """Return the sum of two finite numbers.
+
+    Raises:
+        OverflowError: if it is too large for a float.
+    """
+    total = state + value
+    if total.__class__ is float and not isfinite(total):
+        raise OverflowError
+    return total
 
 
 def _average(state: Tuple[float, int]) -> Term:
@@ -65,14 +84,20 @@ def _listed(state: Any) -> Term:
 AGGREGATES: Dict[str, AggregateKind] = {
     kind.name: kind
     for kind in (
-        AggregateKind("count", 0, 0, 0, lambda state, value: state + 1, _same, False),
-        AggregateKind("sum", 1, 0, 0, lambda state, value: state + value, _same, True),
-        AggregateKind("min", 1, None, None, _least, _same, True),
-        AggregateKind("max", 1, None, None, _greatest, _same, True),
+        AggregateKind("count", 0, 0, 0, lambda state, value: state + 1, _same, None),
+        AggregateKind("sum", 1, 0, 0, _sum, _same, check_finite),
+        AggregateKind("min", 1, None, None, _least, _same, check_ordered),
+        AggregateKind("max", 1, None, None, _greatest, _same, check_ordered),
         AggregateKind(
-            "avg", 1, (0, 0), None, lambda state, value: (state[0] + value, state[1] + 1), _average, True
+            "avg",
+            1,
+            (0, 0),
+            None,
+            lambda state, value: (_sum(state[0], value), state[1] + 1),
+            _average,
+            check_finite,
         ),
-        AggregateKind("list", 1, (), NIL, lambda state, value: (state, value), _listed, False),
+        AggregateKind("list", 1, (), NIL, lambda state, value: (state, value), _listed, None),
     )
 }
 """By their names."""
@@ -84,12 +109,10 @@ class Collector:
     Args:
         kind: one of `AGGREGATES`.
         value: gives the value from the values of a match.
-        evaluate: gives the number of an expression, for values that are not numbers.
+        evaluate: gives the number of a value that is an expression, from the values of the match.
     """
 
-    def __init__(
-        self, kind: str, value: Callable[[Values], Term], evaluate: Callable[[Term], Optional[Term]]
-    ):
+    def __init__(self, kind: str, value: Callable[[Values], Term], evaluate: Callable[[Term, Values], Term]):
         self.kind = AGGREGATES[kind]
         self.name = kind
         self.start = self.kind.start
@@ -105,11 +128,11 @@ class Collector:
             RuleError: where it needs a number and gets none.
         """
         value = self._value(values)
-        if self.kind.numeric and value.__class__ not in (int, float):
-            number = self._evaluate(value)
-            if number is None:
-                raise RuleError(f"aggregate {self.name} needs numbers")
-            value = number
+        check = self.kind.check
+        if check is not None:
+            if value.__class__ not in (int, float):
+                value = self._evaluate(value, values)
+            check(value, self.name)
         try:
             return self.kind.add(state, value)
         except OverflowError:

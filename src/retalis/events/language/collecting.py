@@ -5,6 +5,7 @@ from typing import Any, Callable, Mapping
 from ...foundation import RuleError
 from ...prolog.arithmetic import EVALUABLE
 from ...prolog.terms import CONS, Atom, String, Term, Var, deref, variables
+from ..streams import MEASURES
 from .aggregates import AGGREGATES
 from .occurrences import occurrences
 from .pattern import Aggregate, Windowed, bound_by
@@ -67,7 +68,7 @@ def check_window(
     spot: Spot,
     warn: Callable[[RuleError], None],
 ) -> None:
-    """Warn where what a window measures makes a window for each of its values.
+    """Check what a window measures, and warn if there is a window for each of its values.
 
     Args:
         part: the aggregate over a window.
@@ -76,7 +77,15 @@ def check_window(
         names: of the variables.
         spot: gives the places of parts of the term.
         warn: takes the warnings.
+
+    Raises:
+        RuleError: if a measure that needs numbers gets what is never a number.
     """
+    for kind, value in zip(part.kinds, part.values):
+        if value is not None and MEASURES[kind].numeric and not _may_be_number(value):
+            raise RuleError(
+                f"{kind} needs numbers or arithmetic expressions", spot(deref(term[1])) or spot(term)
+            )
     measured = [value for value in part.values if value is not None]
     inside = occurrences([*measured, *part.window.goals], part.collected)
     everywhere = occurrences([rule], None)
@@ -103,6 +112,6 @@ def _may_be_number(value: Term) -> bool:
             if term[0] not in EVALUABLE:
                 return False
             stack.extend(term[1:])
-        elif term.__class__ is String and len(term.text) != 1:
+        elif term.__class__ is String:
             return False
     return True

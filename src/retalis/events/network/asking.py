@@ -5,14 +5,14 @@ from typing import Callable, List, Optional, Sequence, Tuple
 from ...foundation import RuleError
 from ...prolog.database import CompiledGoal
 from ...prolog.machine import PrologError, keep_back
-from ...prolog.terms import Atom, Term, Values, Var, functor
-from ..streams import MAX_WAYS_PER_START
+from ...prolog.terms import Atom, Term, Values, Var, functor, positions, variables
+from ..streams import ADDING, MAX_WAYS_PER_START, is_number, is_number_expression, unfit
 from .owners import RuleOwner
 
 _IS = functor("is", 2)
 
-Evaluate = Callable[[Term], Optional[Term]]
-"""Gives the number of an expression, or None."""
+Evaluate = Callable[[Term, Values], Term]
+"""Gives the number of an expression, from the expression and the values of the match that it was made of."""
 Folding = Callable[[Sequence[Term]], Optional[Term]]
 """Gives the result of a program's own aggregate for values, oldest first."""
 Holding = Callable[[Values], bool]
@@ -29,12 +29,27 @@ class Asking:
     def __init__(self, rule: RuleOwner):
         self._rule = rule
 
-    def evaluating(self, kind: str) -> Evaluate:
-        """Return what gives the number of an expression, for an aggregate."""
+    def evaluating(self, kind: str, measured: Term, names: Sequence[Var]) -> Evaluate:
+        """Return a function that evaluates what an aggregate measures, by `is`.
+
+        The expression that stands in the rule is evaluated. The values of its variables have to be numbers: `is`
+        would evaluate an atom such as `e` and a text of one character, too.
+
+        Args:
+            kind: the name of the aggregate.
+            measured: the expression, as it stands in the rule.
+            names: the variables of the matches.
+        """
         number, expression = Var(), Var()
         goal: List[CompiledGoal] = []
+        places = positions(names)
+        at = [places[var] for var in variables(measured) if var in places]
+        fits = is_number_expression if kind in ADDING else is_number
 
-        def evaluate(term: Term) -> Optional[Term]:
+        def evaluate(term: Term, values: Values) -> Term:
+            for place in at:
+                if not fits(values[place]):
+                    raise unfit(kind, values[place])
             if not goal:
                 logic = self._rule.network.logic
                 goal.append(logic.compile_goal((_IS, number, expression), [expression], [number]))
@@ -42,8 +57,10 @@ class Asking:
                 found = goal[0].test((term,))
             except PrologError as error:
                 keep_back(error)
-                raise RuleError(f"aggregate {kind} needs numbers: {error.message}") from error
-            return None if found is None else found[0]
+                raise RuleError(f"{unfit(kind, term).message}: {error.message}") from error
+            if found is None:
+                raise unfit(kind, term)
+            return found[0]
 
         return evaluate
 

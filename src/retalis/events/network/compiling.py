@@ -403,6 +403,6 @@ class RuleCompiler(StreamBuilding):
 
     def _collector(self, core: Aggregate, names: List[Var]) -> Collector:
         if core.value is None:
-            return Collector(core.kind, lambda values: NIL, lambda term: None)
+            return Collector(core.kind, lambda values: NIL, lambda term, values: term)
         value = compile_builder(core.value, names, "value of an aggregate")
-        return Collector(core.kind, value, Asking(self.rule).evaluating(core.kind))
+        return Collector(core.kind, value, Asking(self.rule).evaluating(core.kind, core.value, names))

@@ -1,10 +1,12 @@
 """From the parts of a pattern that look at streams to how their nodes are to make items and matches."""
 
+from fractions import Fraction
 from functools import partial
 from typing import Any, Callable, Dict, Hashable, List, Optional, Sequence, Set, Tuple, Union
 
 from ...foundation import RuleError
 from ...prolog.terms import (
+    SECOND,
     Term,
     Values,
     Var,
@@ -110,11 +112,10 @@ def measuring(
     taken = [value for value in part.values if value is not None]
     looked_at = part.window.looked_at
     build, seen = _builder(taken, names), [places[var] for var in looked_at]
-    of_values = [kind for kind, value in zip(part.kinds, part.values) if value is not None]
-    scopes = [scope for scope, value in zip(part.scopes, part.values) if value is not None]
     numeric = [
-        _evaluating(asking, kind, scope) if MEASURES[kind].numeric else None
-        for kind, scope in zip(of_values, scopes)
+        _evaluating(asking.evaluating(kind, value, names), scope) if MEASURES[kind].numeric else None
+        for kind, value, scope in zip(part.kinds, part.values, part.scopes)
+        if value is not None
     ]
     numbers = any(numeric)
 
@@ -123,7 +124,7 @@ def measuring(
         if numbers:
             for value in found:
                 if value.__class__ not in (int, float):
-                    found = tuple([_number(*one) for one in zip(found, of_values, numeric)])
+                    found = tuple([_number(one, evaluate, values) for one, evaluate in zip(found, numeric)])
                     break
         if seen:
             found = (*found, *(values[place] for place in seen))
@@ -165,28 +166,22 @@ def _fresh(part: Windowed, groups: Sequence[Var]) -> Optional[List[Var]]:
     return fresh if len(set(fresh)) == len(part.results) else None
 
 
-def _evaluating(asking: Asking, kind: str, scope: Optional[int]) -> Evaluate:
+def _evaluating(evaluate: Evaluate, scope: Optional[int]) -> Evaluate:
     """Return what gives the number of an expression; where it has none, a step's own measure gets it as it is."""
-    evaluate = asking.evaluating(kind)
     if scope is None:
         return evaluate
 
-    def evaluated(term: Term) -> Optional[Term]:
+    def evaluated(term: Term, values: Values) -> Term:
         try:
-            return evaluate(term)
+            return evaluate(term, values)
         except RuleError:
             return term  # only that step may not take it, and refuses it then
 
     return evaluated
 
 
-def _number(value: Term, kind: str, evaluate: Optional[Evaluate]) -> Term:
-    if evaluate is None or value.__class__ in (int, float):
-        return value
-    number = evaluate(value)
-    if number is None:
-        raise RuleError(f"aggregate {kind} needs numbers")
-    return number
+def _number(value: Term, evaluate: Optional[Evaluate], values: Values) -> Term:
+    return value if evaluate is None or value.__class__ in (int, float) else evaluate(value, values)
 
 
 def _measures(part: Windowed, folded: Callable[[Any], Folding]) -> Callable[[], List[Any]]:
@@ -195,7 +190,7 @@ def _measures(part: Windowed, folded: Callable[[Any], Folding]) -> Callable[[], 
     place = 0
     for kind, setting, value in zip(part.kinds, part.settings, part.values):
         if kind == "rate":
-            setting = part.window.span / 10**9 if part.window.span else None
+            setting = Fraction(part.window.span, SECOND) if part.window.span else None
         elif kind == "fold":
             setting = folded(setting)
         made.append(partial(MEASURES[kind].make, place, kind, setting))

@@ -4,6 +4,7 @@ from .awaiting import Agreement, Awaiting
 from .groups import WindowGroup
 from .items import KnownState, StreamItem, StreamOperator, StreamOutput
 from .measures import MEASURES
+from .numbers import ADDING, check_finite, check_ordered, is_number, is_number_expression, unfit
 from .quick import QuickForm, is_quick, quick_sliding
 from .shapes import Changing, Settled, Spaced
 from .stepping import MAX_WAYS_PER_START, SteppedWindow
@@ -12,6 +13,7 @@ from .timewindows import FromFirst, Hopping, RunningWindow
 from .windows import Batches, Newest, Sliding
 
 __all__ = [
+    "ADDING",
     "MEASURES",
     "MAX_WAYS_PER_START",
     "Agreement",
@@ -36,6 +38,11 @@ __all__ = [
     "SteppedWindow",
     "StreamOperator",
     "WindowGroup",
+    "check_finite",
+    "check_ordered",
+    "is_number",
+    "is_number_expression",
     "is_quick",
     "quick_sliding",
+    "unfit",
 ]

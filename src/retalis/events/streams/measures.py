@@ -1,8 +1,9 @@
 """What windows measure of the items that are in them: one class for each kind of aggregate, and one table of them."""
 
+from fractions import Fraction
 from typing import Any, Callable, Deque, Dict, Hashable, Iterator, List, NamedTuple, Optional, Protocol, Tuple
 
-from ...prolog.terms import Term, make_list, term_key
+from ...prolog.terms import SECOND, Term, make_list, term_key
 from .items import StreamItem
 from .numbers import ExactSum, Lowest, Ranked, check_finite, check_ordered, deviation
 
@@ -272,30 +273,33 @@ def _place(entry: Tuple[int, StreamItem]) -> int:
 
 
 class _Rate(_Plain):
-    """How many a second: by the seconds of the window, else by those between the first end and the last."""
+    """The number of items per second, rounded once.
+
+    The seconds are those of the window (``setting``), else those between the first end and the last.
+    """
 
     def __init__(self, at: int, name: str, setting: Setting):
         super().__init__(at, name, setting)
+        self.seconds = Fraction(setting) if setting else None
         self.first, self.last = Lowest(), Lowest()
 
     def add(self, item: StreamItem) -> None:
-        if not self.setting:
+        if self.seconds is None:
             self.first.add(item.end, item)
             self.last.add(-item.end, item)
 
     def remove(self, item: StreamItem) -> None:
-        if not self.setting:
+        if self.seconds is None:
             self.first.remove()
             self.last.remove()
 
     def result(self, members: Members, number: int) -> Optional[Term]:
-        if self.setting:
-            rate: float = number / self.setting
-            return rate
+        if self.seconds is not None:
+            return number * self.seconds.denominator / self.seconds.numerator
         low, high = self.first.top(), self.last.top()
         assert low is not None and high is not None  # there is an item
         span = high[2].end - low[2].end
-        return (number - 1) / (span / 10**9) if span else None
+        return (number - 1) * SECOND / span if span else None
 
 
 class _Fold(_Plain):

@@ -1,10 +1,16 @@
-"""Sums of numbers that come and go: exact, however many have gone, and rounded once where they are asked for."""
+"""Numbers that aggregates measure: which values are numbers, and sums, lowest numbers and quantiles of those.
+
+Sums are exact, however many numbers have gone, and rounded once where they are asked for.
+"""
 
 import heapq
 from math import inf, isfinite, isqrt, nan, sqrt
-from typing import Any, List, Optional, Tuple, Union
+from typing import Any, List, Optional, Set, Tuple, Union
 
-from ...foundation import RuleError
+from ...foundation import RuleError, UsageError, beginning
+from ...prolog.arithmetic import EVALUABLE
+from ...prolog.syntax import write_term
+from ...prolog.terms import Term, deref, timestamps
 
 Number = Union[int, float]
 _SMALL, _LARGE = 1e-290, 1e290
@@ -83,29 +89,64 @@ def _root(over: int, under: int) -> float:
     return float(isqrt(over // (under << -2 * bits)) << -bits)
 
 
+ADDING = frozenset(("sum", "avg", "stddev"))
+"""The aggregates that add their values with `is`, by name: their values may be expressions such as ``1 + 2``."""
+
+
+def unfit(name: str, value: Term, expected: str = "a number") -> RuleError:
+    """Return the error of an aggregate for a value that it cannot measure."""
+    return RuleError(f"aggregate {name}: the value is '{beginning(write_term(value))}': expected {expected}")
+
+
 def check_finite(value: Any, name: str) -> None:
-    """Refuse what no sum can take.
+    """Refuse a value that cannot be added.
 
     Raises:
-        RuleError: for infinity and for what is no number.
+        RuleError: if the value is not a number, or not finite.
     """
-    if value.__class__ is float:
-        if not isfinite(value):
-            raise RuleError(f"aggregate {name} needs finite numbers, not {value}")
-    elif not isinstance(value, int):
-        raise RuleError(f"aggregate {name} needs numbers")
+    if not isinstance(value, (int, float)):
+        raise unfit(name, value)
+    if value.__class__ is float and not isfinite(value):
+        raise unfit(name, value, "a finite number")
 
 
 def check_ordered(value: Any, name: str) -> None:
-    """Refuse what is neither more nor less than other numbers.
+    """Refuse a value that is neither more nor less than other numbers.
 
     Raises:
-        RuleError: for what is no number, nan included.
+        RuleError: if the value is not a number, or is nan.
     """
-    if not isinstance(value, (int, float)):
-        raise RuleError(f"aggregate {name} needs numbers")
-    if value != value:
-        raise RuleError(f"aggregate {name} needs numbers, not {value}")
+    if not isinstance(value, (int, float)) or value != value:
+        raise unfit(name, value)
+
+
+def is_number(value: Term) -> bool:
+    """Tell whether a value is a number, or a stamp, which is the number of its seconds."""
+    term: Any = deref(value)
+    if term.__class__ in (int, float):
+        return True
+    if term.__class__ is not tuple:
+        return False  # an atom such as `e`, or a text of one character, is an expression, but not a number
+    try:
+        timestamps.from_any(term)
+    except UsageError:
+        return False
+    return True
+
+
+def is_number_expression(value: Term) -> bool:
+    """Tell whether a value is a number, or an arithmetic expression of numbers."""
+    stack = [value]
+    seen: Set[int] = set()
+    while stack:
+        term: Any = deref(stack.pop())
+        if is_number(term) or id(term) in seen:
+            continue
+        if term.__class__ is not tuple or term[0] not in EVALUABLE:
+            return False
+        seen.add(id(term))  # what is part of a term more than once is looked at once
+        stack.extend(term[1:])
+    return True
 
 
 RankedNumber = Tuple[Number, int, Any]
@@ -205,4 +246,7 @@ class Ranked:
             return low
         entry = self.above.top()
         assert entry is not None  # there is one above a place between two
-        return low + (entry[0] - low) * part
+        found = low + (entry[0] - low) * part
+        if found - found == 0:
+            return found
+        return low * (1 - part) + entry[0] * part  # the difference of the two is too large for a float
