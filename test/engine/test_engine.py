@@ -9,7 +9,7 @@ import pytest
 
 from retalis import foreign
 from retalis.engine import Engine, Settings, parts_of
-from retalis.engine.runtime import StreamClock
+from retalis.engine.runtime import Clock, Reports, StreamClock
 from retalis.foundation import ProgramErrors, RetalisError, SyntaxFault, UsageError
 from retalis.prolog.machine import Limits, PrologError
 from retalis.prolog.terms import SECOND, atom, deref, functor, make_list, timestamps
@@ -84,7 +84,7 @@ def test_what_is_no_date_is_no_number():
 
 
 def test_a_text_that_is_too_long_to_read_is_refused(caplog, monkeypatch):
-    engine = Watched()
+    engine = Watched(clock=StreamClock(7))
     monkeypatch.setattr("retalis.engine.textinput.LONGEST_INPUT", 20)
     with caplog.at_level(logging.WARNING, "retalis"):
         engine.post_text("event(a(1234567890))")
@@ -587,3 +587,78 @@ def test_who_posts_with_what_is_no_instant_is_told_at_once():
     engine = Engine()
     with pytest.raises(ValueError, match="soon"):
         engine.post(atom("a"), "soon")
+
+
+def moved(instant):
+    def clock():
+        made = StreamClock()
+        made.move_to(instant)
+        return made
+
+    return clock
+
+
+def pinned(instant):
+    def clock():
+        made = StreamClock()
+        made.pin(instant)
+        return made
+
+    return clock
+
+
+def test_an_event_without_a_time_on_a_clock_that_was_never_set_is_refused():
+    """It was stamped 0, and the next one 1e-9, so that no absence ended and no alarm rang."""
+    own = Engine()
+    for engine in (own, Engine(StreamClock())):
+        seen = []
+        engine.on_event(lambda term, start, end, seen=seen: seen.append(start))
+        with pytest.raises(UsageError) as raised:
+            engine.event("beat")
+        assert str(raised.value) == (
+            "event 'beat': it has no time, and the clock of the engine was never set: "
+            "give the event a time, or the engine the computer's clock with Engine(clock=Clock())"
+        )
+        assert seen == []
+        if engine is own:
+            engine.event("first", 5)  # moves the clock, which nobody else does
+        else:
+            engine.clock.move_to(5 * SECOND)
+        engine.event("beat")
+        assert seen[-1] == 5 * SECOND
+
+
+@pytest.mark.parametrize("post", ["post", "post_each", "post_text"])
+def test_a_posted_event_without_a_time_on_a_clock_that_was_never_set_is_reported(post):
+    reports, seen = Reports(), []
+    reports.error = lambda error, *_: seen.append(str(error)[:30])
+    engine = Engine(None, None, reports)
+    engine.on_event(lambda term, start, end: seen.append(engine.show(term)))
+    if post == "post":
+        engine.post(atom("beat"))
+    elif post == "post_each":
+        engine.post_each([(atom("beat"), None)])
+    else:
+        engine.post_text("event(beat)")
+    assert seen == ["event 'beat': it has no time, "]
+
+
+@pytest.mark.parametrize(
+    "clock",
+    [lambda: StreamClock(0), lambda: StreamClock(7), moved(0), pinned(0), lambda: Clock(lambda: 5 * SECOND)],
+)
+def test_a_clock_that_was_set_stamps_events(clock):
+    engine = Engine(clock())
+    seen = []
+    engine.on_event(lambda term, start, end: seen.append(start))
+    engine.event("beat")
+    engine.event("beat")
+    assert seen[1] > seen[0]
+
+
+def test_a_state_says_whether_the_clock_was_set():
+    engine = Engine()
+    with pytest.raises(UsageError, match="has no time"):
+        Engine.restore(engine.snapshot()).event("beat")
+    engine.event("beat", 0)
+    Engine.restore(engine.snapshot()).event("beat")

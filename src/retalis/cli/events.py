@@ -118,7 +118,7 @@ class Session:
         self._options = options
         self._report = report
         self._printer = printer
-        self._clock = StreamClock()
+        self._clock = StreamClock(0)
         self.reports = Reports()
         self.engine = Engine(self._clock, limited(allow_folders(Settings(), options), options), self.reports)
         self.engine.on_event(to_reader(printer.event))

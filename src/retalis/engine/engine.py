@@ -45,7 +45,7 @@ class Engine(Lasting):
     alarms alarm(kitchen)
 
     Args:
-        clock: what time it is; by default a clock that follows the stamps of events and never goes back.
+        clock: what time it is; by default a `StreamClock` that follows the stamps of events and never goes back.
         settings: limits and sizes.
         reports: takes what goes wrong while events flow; by default it is logged.
         definitions: the message types whose slots a program may name; by default those that are installed.
@@ -149,6 +149,7 @@ class Engine(Lasting):
         >>> engine = Engine()
         >>> engine.event("fire(kitchen)", 1.5, 2)
         >>> engine.event(functor("fire", 1)(atom("hall")))
+        >>> Engine(clock=Clock()).event("fire(kitchen)")
 
         Args:
             term: the event, as a term or its text.
@@ -156,7 +157,9 @@ class Engine(Lasting):
             end: when it ended; as ``start`` by default.
 
         Raises:
-            UsageError: for a wrong stamp, an end before the start, or what does not fit the event's declaration.
+            UsageError: for a wrong stamp, an end before the start, what does not fit the event's declaration, or no
+                start if the clock was never set, as that of an engine without a clock of its own is not before the
+                first event that has a time.
             SyntaxFault: for a text that is not a term.
         """
         first = None if start is None else timestamps.from_any(start)

@@ -47,10 +47,20 @@ class Intake:
     def take(
         self, term: Term, start: Optional[int], end: Optional[int], ground: Optional[bool] = None
     ) -> None:
-        """Dispatch an event; with no start it is stamped by the clock."""
+        """Dispatch an event; without a start it is stamped by the clock.
+
+        Raises:
+            UsageError: if it ends before it starts, or has no start and the clock is not set.
+        """
         if start is None or end is None:
             start = self._clock.stamp_at_once()
             if start is None:
+                if not self._clock.is_set:
+                    raise UsageError(
+                        f"event '{self._logic.brief(term)}': it has no time, "
+                        "and the clock of the engine was never set: "
+                        "give the event a time, or the engine the computer's clock with Engine(clock=Clock())"
+                    )
                 start = self._clock.stamp(self._look_at_clock())
             end = start
         else:

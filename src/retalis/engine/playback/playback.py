@@ -93,7 +93,7 @@ class Playback:
         state: Optional[bytes] = None,
     ):
         self._folder = folder = Path(program)
-        self.clock = StreamClock()
+        self.clock = StreamClock(0)
         self._reports = Reports()
         self._reports.once = True
         self._skew = Skew(self._reports, self.clock.now, self.clock.now, max_skew)

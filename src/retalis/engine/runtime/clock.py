@@ -27,10 +27,13 @@ class Clock:
         source: returns the present instant (ns since the epoch); the system's clock by default.
 
     Attributes:
+        is_set: whether it has a time.
         alarms: a heap of those that are set.
         ringing: the instant of the alarm that is being called; None between alarms.
         behind: whether time was seen to go back, and nobody has asked `went_back` since.
     """
+
+    is_set = True
 
     def __init__(self, source: Callable[[], int] = time.time_ns):
         self._source = source
@@ -248,7 +251,8 @@ class Clock:
 class StreamClock(Clock):
     """A clock that stands still until it is moved: the time of a stream of events or of a bag.
 
-    A clock that is pinned says the same time for ever; alarms go by the stream's time all the same.
+    A clock that is pinned says the same time for ever; alarms go by the stream's time all the same. A clock that has
+    neither a start nor been moved or pinned is not set: it has no time for an event that comes without one.
 
     >>> clock = StreamClock()
     >>> engine = Engine(clock)
@@ -261,9 +265,10 @@ class StreamClock(Clock):
     late 6000000000
     """
 
-    def __init__(self, start: int = 0):
-        self._time = start
-        self._heading = start
+    def __init__(self, start: Optional[int] = None):
+        self.is_set = start is not None
+        self._time = start or 0
+        self._heading = self._time
         self._pinned: Optional[int] = None
         super().__init__(self._present)
 
@@ -276,6 +281,8 @@ class StreamClock(Clock):
         >>> StreamClock(7).kept()
         [-1, 0, 0, 0, 7]
         """
+        if not self.is_set:
+            return super().kept()
         return [*super().kept(), self._time, *([] if self._pinned is None else [self._pinned])]
 
     def restore(self, kept: Sequence[int]) -> None:
@@ -288,9 +295,17 @@ class StreamClock(Clock):
         """
         super().restore(kept)
         if len(kept) > 4:
-            self._time = kept[4]
+            self._time, self.is_set = kept[4], True
         if len(kept) > 5:
             self._pinned = kept[5]
+
+    def stamp_at_once(self) -> Optional[int]:
+        """Return `stamp` of now, or None; see `Clock.stamp_at_once`.
+
+        >>> StreamClock(5_000_000_000).stamp_at_once()
+        5000000000
+        """
+        return super().stamp_at_once() if self.is_set else None
 
     def pin(self, instant: int) -> None:
         """Have the clock say an instant from now on, whatever moves the stream's time.
@@ -303,6 +318,7 @@ class StreamClock(Clock):
         >>> clock.now()
         1000000000
         """
+        self.is_set = True
         self._pinned = int(instant)
         self._last_stamp = max(self._last_stamp, self._pinned)
         self._time = max(self._time, self._pinned)
@@ -318,6 +334,7 @@ class StreamClock(Clock):
         >>> clock.now()
         500000000
         """
+        self.is_set = True
         if back or instant > self._time:
             self._time = int(instant)
 
@@ -339,6 +356,7 @@ class StreamClock(Clock):
         if self.alarms and self.alarms[0][0] <= time:
             return False
         self._time = self._newest = time
+        self.is_set = True
         return True
 
     def move_by(self, nanoseconds: int) -> None:
@@ -349,6 +367,7 @@ class StreamClock(Clock):
         >>> clock.now()
         1000000500
         """
+        self.is_set = True
         self._time += nanoseconds
 
     def head_for(self, instant: int) -> None:
