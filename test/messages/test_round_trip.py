@@ -9,8 +9,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from messages.wire import messages, serialize, to_term
-from retalis.messages import Definitions, Installed
-from retalis.prolog.syntax import EventReader, to_text
+from retalis.messages import Definitions, Installed, text_writer
+from retalis.prolog.syntax import EventReader, Operators, ReadFlags, read_term, to_text
 from retalis.prolog.terms import freeze
 
 INSTALLED = sorted(
@@ -133,6 +133,47 @@ def check(definition, registry, raw):
     assert encode(term) == raw  # now that all of it has been looked at
     again = decode(raw)  # now that its texts are known
     assert to_text(again) == text
+
+
+TEXTS = """\
+uint8 number
+string one
+string two
+uint8[] raw
+string[] several
+"""
+SHORT = {"short texts": "int32 number\nstring one\nstring two\n", "all texts": TEXTS}
+wild = st.binary(max_size=20) | st.text(max_size=12).map(str.encode)
+tame = st.text(st.characters(min_codepoint=0xA0, blacklist_categories=("Cs",)), max_size=12).map(str.encode)
+odd = st.sampled_from(
+    ["Jürgen", "'", '"', "\\", "\n", "\r", "\t", "\u2028", "\u0085", "ü'\\\n\"", "日本", "🤖"]
+)
+
+
+@pytest.mark.parametrize("shape", SHORT)
+def test_texts_are_read_alike_by_each_reader_and_come_back(shape):
+    definition = WITHOUT_ROS.add(f"test_msgs/{shape.title().replace(' ', '')}", SHORT[shape])
+    decoder, encode = WITHOUT_ROS.decoder(definition), WITHOUT_ROS.encoder(definition).encode
+    write = text_writer(decoder)
+    reader = EventReader()  # one for all, so that it reads texts in all of its ways
+    operators = Operators.prolog()
+
+    @settings(deadline=None, derandomize=True, max_examples=150)
+    @given(messages(definition, wild | tame | odd.map(str.encode)))
+    def every_message(values):
+        raw = serialize(definition, values)
+        term = freeze(decoder.decode(raw))
+        text = f"event({write(raw)})"
+        assert text == f"event({to_text(decoder.decode(raw))})"
+        fully = read_term(text, operators, flags=ReadFlags(event_text=True)).term[1]
+        assert freeze(fully) == term
+        for _ in range(3):
+            (_, read) = reader.read(text)
+            assert freeze(read) == term
+            assert encode(read) == raw
+        assert encode(fully) == encode(decoder.decode(raw)) == raw
+
+    every_message()
 
 
 def genpy_class(name):

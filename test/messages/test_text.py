@@ -1,11 +1,12 @@
 import base64
+import unicodedata
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from retalis.foundation import MessageError
-from retalis.messages.text import text_atom, text_bytes
+from retalis.messages.text import blob_atom, text_atom, text_bytes
 from retalis.prolog.terms import NIL, String, atom
 
 
@@ -20,13 +21,53 @@ from retalis.prolog.terms import NIL, String, atom
         (b"two\nlines\t", '"two\nlines\t"'),
         (b"FFFFFFFFF", '"FFFFFFFFF"'),
         (b"\0", '"FFFFFFFFFFAA==////"'),
+        (b"two\r\nlines", '"two\r\nlines"'),
+        ("Jürgen".encode(), '"Jürgen"'),
+        ("日本 🤖".encode(), '"日本 🤖"'),
+        ("\u2028 \u200b \ufeff \ufffd \uffff \xa0".encode(), '"\u2028 \u200b \ufeff \ufffd \uffff \xa0"'),
+        (b"J\xfcrgen", '"FFFFFFFFFFSvxyZ2Vu////"'),  # Latin-1
+        (b"\xed\xa0\x80", '"FFFFFFFFFF7aCA////"'),  # half a surrogate pair
+        (b"\xc3", '"FFFFFFFFFFww==////"'),
+        (b"\x0b", '"FFFFFFFFFFCw==////"'),
+        (b"\x0c", '"FFFFFFFFFFDA==////"'),
+        (b"\x1f", '"FFFFFFFFFFHw==////"'),
+        (b"\x7f", '"FFFFFFFFFFfw==////"'),
+        ("ü\x1b".encode(), '"FFFFFFFFFFw7wb////"'),
+        ("\x80".encode(), '"FFFFFFFFFFwoA=////"'),
+        ("\x9f".encode(), '"FFFFFFFFFFwp8=////"'),
+        (b"FFFFFFFFFF", '"FFFFFFFFFFRkZGRkZGRkZGRg==////"'),
+        ("FFFFFFFFFFü".encode(), '"FFFFFFFFFFRkZGRkZGRkZGRsO8////"'),
+    ],
+)
+def test_strings_as_atoms(data, name):
+    assert text_atom(data) is atom(name)
+    assert text_bytes(atom(name)) == data
+
+
+@pytest.mark.parametrize(
+    ("data", "name"),
+    [
+        (b"", '""'),
+        (b"base_link", '"base_link"'),
+        (b"\t\n\r\v\f", '"\t\n\r\v\f"'),
+        (b"FFFFFFFFF", '"FFFFFFFFF"'),
+        (b"\0", '"FFFFFFFFFFAA==////"'),
+        (b"\x7f", '"FFFFFFFFFFfw==////"'),
         ("é".encode(), '"FFFFFFFFFFw6k=////"'),
         (b"FFFFFFFFFF", '"FFFFFFFFFFRkZGRkZGRkZGRg==////"'),
     ],
 )
-def test_texts_as_atoms(data, name):
-    assert text_atom(data) is atom(name)
+def test_byte_arrays_as_atoms(data, name):
+    assert blob_atom(data) is atom(name)
     assert text_bytes(atom(name)) == data
+
+
+@given(st.text(max_size=20))
+def test_only_control_characters_keep_a_text_from_being_one(text):
+    is_text = not text.startswith("FFFFFFFFFF") and all(
+        char in "\t\n\r" or unicodedata.category(char) != "Cc" for char in text
+    )
+    assert (text_atom(text.encode()) is atom(f'"{text}"')) == is_text
 
 
 def test_base64_comes_in_lines_of_76():
@@ -48,6 +89,7 @@ def test_slashes_of_base64_are_no_line_breaks():
 @given(st.binary(max_size=300) | st.text(max_size=100).map(str.encode))
 def test_every_text_comes_back(data):
     assert text_bytes(text_atom(data)) == data
+    assert text_bytes(blob_atom(data)) == data
 
 
 @pytest.mark.parametrize(

@@ -82,7 +82,19 @@ def _stamp(draw, stamps, start, at):
 
 
 def _string(draw):
-    return draw.choice(["keep", "a, [b", "", "gr\u00fcn", "4x4_1", "back\\\\slash", "keep"])
+    return draw.choice(
+        [
+            "keep",
+            "a, [b",
+            "",
+            "gr\u00fcn",
+            "4x4_1",
+            "back\\\\slash",
+            "keep",
+            "\u65e5\u672c \U0001f916",
+            "two\\nlines",
+        ]
+    )
 
 
 def _header(draw, stamp):

@@ -22,6 +22,8 @@ from retalis.prolog.terms import atom, datime, functor  # noqa: E402
 
 PROGRAM = Path(__file__).resolve().parent / "ways"
 OUTPUT = functor("event", 3)
+PUBLISHED = {"copies": "c", "greens": "g"}
+"""Topics that are published, each with the id of its subscription."""
 
 
 def second_of(instant):
@@ -40,14 +42,16 @@ class Ways(unittest.TestCase):
         wait_until(lambda: all(one.connected() for one in cls.publishers.values()), "the subscribers")
         wait_until(lambda: cls.probes.get_num_connections() > 0, "the subscriber of the probes")
         wait_until(lambda: cls.events.get_num_connections() > 0 and cls.outputs.connected(), "node retalis")
-        cls.copies = Collector("copies", rospy.AnyMsg)
-        wait_until(cls.copies.connected, "the publisher of the copies, whose type is learned")
+        cls.published = {topic: Collector(topic, rospy.AnyMsg) for topic in PUBLISHED}
+        for one in cls.published.values():
+            wait_until(one.connected, "the publisher of messages whose type is learned")
 
     def test_ten_bags(self):
         folder = tempfile.TemporaryDirectory()
         self.addCleanup(folder.cleanup)
         offline = Playback(PROGRAM, report=self.fail)
         texts = []
+        greens = 0
         offline.engine.on_output(
             lambda term, topic, name: texts.append(to_text((OUTPUT, term, atom(topic), name)))
         )
@@ -56,16 +60,21 @@ class Ways(unittest.TestCase):
             for turn in range(2):
                 with BagReader(path) as bag, self.subTest(bag=kind.name, turn=turn):
                     texts.clear()
-                    copies = [one.data for one in offline.run(bag) if one.topic == "copies"]
-                    found, copied = self.play(bag, f"{number}/{turn}")
+                    messages = [(one.topic, one.data) for one in offline.run(bag)]
+                    found, published = self.play(bag, f"{number}/{turn}")
                     self.assertEqual(found, texts)
-                    self.assertEqual(copied, copies)
+                    for topic in PUBLISHED:
+                        expected = [data for name, data in messages if name == topic]
+                        self.assertEqual(published[topic], expected, topic)
                     self.assertGreater(len(texts), bag.messages)
+                    greens += len(published["greens"])
+        self.assertGreater(greens, 0)
 
     def play(self, bag, name):
-        """Publish a bag's messages one after the other; return the outputs as texts, and the copies."""
+        """Publish a bag's messages one after the other; return the outputs as texts, and bytes by topic."""
         self.set_clock(bag.start)
-        outputs, copies = len(self.outputs.messages), len(self.copies.messages)
+        outputs = len(self.outputs.messages)
+        before = {topic: len(one.messages) for topic, one in self.published.items()}
         now = bag.start
         for number, record in enumerate(bag.records(), 1):
             if record.time != now:
@@ -79,9 +88,15 @@ class Ways(unittest.TestCase):
         done = f"event(done('{name}'),done,d)"
         self.outputs.wait_for(lambda messages: messages[-1].data == done, done)
         found = [one.data for one in self.outputs.messages[outputs:-1]]
-        wanted = sum(one.endswith(",copies,c)") for one in found)
-        self.copies.wait_for(lambda messages: len(messages) - copies >= wanted, "the copies")
-        return found, [one._buff for one in self.copies.messages[copies:]]
+        published = {}
+        for topic, collector in self.published.items():
+            first = before[topic]
+            wanted = sum(one.endswith(f",{topic},{PUBLISHED[topic]})") for one in found)
+            collector.wait_for(
+                lambda messages, first=first, wanted=wanted: len(messages) - first >= wanted, topic
+            )
+            published[topic] = [one._buff for one in collector.messages[first:]]
+        return found, published
 
     @staticmethod
     def seen(messages):

@@ -10,7 +10,7 @@ from .arrays import SMALL, alike, array_maker, record_maker, variable_array
 from .definition import Definition, Field, measure_of
 from .layout import element_size
 from .slots import PRIMITIVES, TIMES, VARIABLE
-from .text import text_term
+from .text import blob_term
 from .textcache import read_text, texts
 
 
@@ -33,7 +33,7 @@ class DecoderSource:
                 "StructError": StructError,
                 "known": texts.get,
                 "read_text": read_text,
-                "text": text_term,
+                "blob": blob_term,
                 "alike": alike,
             }
         )
@@ -80,9 +80,9 @@ class DecoderSource:
         """Return the source of an array whose length the definition says."""
         number = slot.length or 0
         if number == 0:
-            return "text(b'')" if slot.is_bytes else "N"
+            return "blob(b'')" if slot.is_bytes else "N"
         if slot.is_bytes:
-            return f"text({self.fixed(f'{number}s')})"
+            return f"blob({self.fixed(f'{number}s')})"
         if number <= SMALL and slot.definition is None:
             parts = [self.single(slot._replace(length=None)) for _ in range(number)]
             return "".join(f"(C, {part}, " for part in parts) + "N" + ")" * number
@@ -144,7 +144,7 @@ class DecoderSource:
         """Return the source of an array of bytes, so many of them."""
         self.move(number)
         value = self.name("t")
-        self.lines.append(f"{value} = text(data[s:o])")
+        self.lines.append(f"{value} = blob(data[s:o])")
         return value
 
     # Runs.

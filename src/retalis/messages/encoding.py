@@ -15,7 +15,7 @@ from .arrays import SMALL, array_maker
 from .checking import CheckingEncoder
 from .definition import Definition, Field
 from .slots import PRIMITIVES, TIMES, VARIABLE
-from .text import text_atom, text_bytes
+from .text import raw_bytes, text_bytes
 
 _BOOLS = {TRUE: True, FALSE: False}
 
@@ -49,12 +49,7 @@ class _PackedTexts(Cache[Atom, bytes]):
     """The bytes of atoms that stand for texts, length included; bounded."""
 
     def read(self, term: Term) -> bytes:
-        if term.__class__ is Lazy and term.made is None and term.make is text_atom:
-            raw = term.source
-        elif term.__class__ is Atom:
-            raw = text_bytes(term)
-        else:
-            raw = None
+        raw = text_bytes(term) if term.__class__ is Atom else raw_bytes(term)
         if raw is None:
             raise _Unusual
         packed: bytes = pack("<I", len(raw)) + raw

@@ -1,4 +1,10 @@
-"""Strings of messages as atoms: ``'"text"'``, with a base64 form for bytes that cannot stand in a text."""
+"""Strings and byte arrays of messages as atoms: ``'"text"'``, or base64 for bytes that are not text.
+
+A ``string`` is text if it is valid UTF-8 and has no control characters (Unicode category Cc: U+0000 to U+001F,
+U+007F to U+009F) except tab, line feed and carriage return. A ``uint8[]`` is text only if all its bytes are printable
+ASCII (or tab and the ASCII line ends, as in the original), because its bytes need not have an encoding. Both are
+base64 if they begin with the mark of that form.
+"""
 
 import re
 from base64 import b64decode, b64encode
@@ -11,8 +17,11 @@ from ..prolog.terms import NIL, Atom, Functor, Lazy, String, Term, atom, functor
 MARK = "FFFFFFFFFF"
 """What the base64 form begins with; a text that begins so is written in base64 itself."""
 
+_MARK_BYTES = MARK.encode()
+
 _LINE, _BREAK = 76, "////"
-_PRINTABLE = re.compile(rb"[ -~\t\n\r\v\f]*\Z")
+_ASCII = re.compile(rb"[ -~\t\n\r\v\f]*\Z")
+_CONTROL = re.compile("[\0-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
 
 LONG = 1024
 """Bytes from which on a text is made only when something looks at it."""
@@ -23,23 +32,49 @@ TEXT: Functor = functor("", 0)
 
 def text_atom(data: bytes) -> Atom:
     """Return the atom of a message's string."""
-    if _PRINTABLE.match(data) and not data.startswith(b"FFFFFFFFFF"):
+    if data.startswith(_MARK_BYTES):
+        return _base64_atom(data)
+    try:
+        text = str(data, "utf-8")
+    except UnicodeDecodeError:
+        return _base64_atom(data)
+    return _base64_atom(data) if _CONTROL.search(text) else atom('"' + text + '"')
+
+
+def blob_atom(data: bytes) -> Atom:
+    """Return the atom of a message's byte array."""
+    if _ASCII.match(data) and not data.startswith(_MARK_BYTES):
         return atom('"' + str(data, "ascii") + '"')
-    return atom('"' + MARK + _encode_base64(data) + '"')
+    return _base64_atom(data)
 
 
 def text_term(data: bytes) -> Term:
-    """Return the atom of a message's string or byte array, lazy where it is long."""
+    """Return the atom of a message's string, lazy where it is long."""
     if len(data) > LONG:
         return Lazy(TEXT, text_atom, data)
     return text_atom(data)
 
 
+def blob_term(data: bytes) -> Term:
+    """Return the atom of a message's byte array, lazy where it is long."""
+    if len(data) > LONG:
+        return Lazy(TEXT, blob_atom, data)
+    return blob_atom(data)
+
+
+def raw_bytes(term: Term) -> Optional[bytes]:
+    """Return the bytes of a lazy term of `text_term` or `blob_term` whose atom has not been made; None for others."""
+    if term.__class__ is Lazy and term.made is None and (term.make is text_atom or term.make is blob_atom):
+        raw: bytes = term.source
+        return raw
+    return None
+
+
 def text_bytes(term: Term) -> Optional[bytes]:
     """Return the bytes that a term stands for in a slot of text, or None where it stands for none.
 
-    Taken are the atoms of `text_atom`, other atoms (their name is the text), and Prolog strings. ``term`` is
-    dereferenced.
+    These are the atoms of `text_atom` and `blob_atom`, other atoms (their name is the text), and Prolog strings.
+    ``term`` is dereferenced.
 
     Raises:
         MessageError: for a base64 form that is broken, and for a text that is none (half a surrogate pair).
@@ -64,9 +99,10 @@ def text_bytes(term: Term) -> Optional[bytes]:
         ) from None
 
 
-def _encode_base64(data: bytes) -> str:
+def _base64_atom(data: bytes) -> Atom:
     text = str(b64encode(data), "ascii")
-    return "".join(text[at : at + _LINE] + _BREAK for at in range(0, len(text), _LINE))
+    lines = "".join(text[at : at + _LINE] + _BREAK for at in range(0, len(text), _LINE))
+    return atom(f'"{MARK}{lines}"')
 
 
 def _decode_base64(text: str) -> bytes:

@@ -9,8 +9,8 @@ from .text import text_term
 
 _Made = TypeVar("_Made")
 
-TEXT_COST = 4
-"""Bytes that a text takes for each of its own: as a key, and in atoms, in base64 at worst."""
+TEXT_COST = 5
+"""Bytes that a text takes for each of its own: one in the key, and four in the atom if a character needs them."""
 
 
 def text_cache() -> "Cache[bytes, _Made]":

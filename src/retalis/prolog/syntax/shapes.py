@@ -3,7 +3,7 @@
 from json import JSONDecoder
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple, Union
 
-from ...foundation import Cache, codegen
+from ...foundation import Cache, codegen, text_size
 from ..terms import CONS, NIL, Atom, CompoundTerm, Functor, Term, Var, atom, make_list
 from .wholetexts import WholeText, exponents_fit, span_texts, whole_text
 
@@ -19,8 +19,8 @@ _UNREAD = (ValueError, StopIteration, KeyError)
 ReadWhole = Callable[[str], Optional[Term]]
 """Makes the term of a text of one shape; None for a text that has to be read otherwise."""
 
-_SPAN_COST = 4
-"""Bytes that a span takes for each of its characters, with its atoms."""
+_SPAN_COPIES = 2
+"""Texts of the length of a span that are held for it: the span, and the names of its atoms."""
 
 
 class Builder(NamedTuple):
@@ -86,7 +86,7 @@ class ShapeCompiler:
             return None
 
         def learn(span: str) -> Tuple[Atom, ...]:
-            return spans.keep(span, tuple(map(atom, span_texts(span))), _SPAN_COST * len(span))
+            return spans.keep(span, tuple(map(atom, span_texts(span))), _SPAN_COPIES * text_size(span))
 
         given: Dict[str, Any] = {
             **self._given.values,

@@ -1,0 +1,114 @@
+"""Strings of messages that are not ASCII: a rule that names one fires, whichever way the message takes."""
+
+import json
+import struct
+
+import pytest
+
+from retalis import Engine
+from retalis.cli import main
+from retalis.engine.dashboard.recent import RecentEvents
+from retalis.engine.playback import BagReader, BagWriter
+from retalis.messages import Definitions
+from retalis.prolog.syntax import to_text
+
+SECOND = 10**9
+NOTE = "my_msgs/Note"
+DEFINITIONS = Definitions()
+DEFINITIONS.add(NOTE, "string text\nuint8[] raw\n")
+RULES = """
+met(Raw) <- my_msgs__0__Note('"Jürgen"', Raw).
+hello(Text) <- my_msgs__0__Note(Text, '"bytes"').
+"""
+GOALS = """
+memorize(met(Raw), [], met(Raw, '"Jürgen"'), memory, 10).
+subscribe(met(_), [], my_msgs__0__Note('"Jürgen"', '"bytes"'), greeting, met).
+subscribe(hello(Text), [], my_msgs__0__Note(Text, '"bytes"'), greeting, hello).
+"""
+LONG = "Grüße, 日本 🤖 'quoted' \"twice\" \\ \n" * 100
+
+
+def message(text, raw=b"bytes"):
+    data = text.encode()
+    return struct.pack("<I", len(data)) + data + struct.pack("<I", len(raw)) + raw
+
+
+def decoded(data):
+    return DEFINITIONS.decoder(NOTE).decode(data)
+
+
+def from_message(engine, data):
+    engine.post(decoded(data))
+
+
+def from_lazy_message(engine, data):
+    engine.post(DEFINITIONS.decoder(NOTE).lazy(data))
+
+
+def from_text(engine, data):
+    engine.post_text(f"event({to_text(decoded(data))})")
+
+
+def from_shown_text(engine, data):
+    engine.event(engine.show(decoded(data)))
+
+
+@pytest.mark.parametrize("feed", [from_message, from_lazy_message, from_text, from_shown_text])
+@pytest.mark.parametrize("text", ["Jürgen", LONG], ids=["short", "long"])
+def test_a_rule_that_names_a_text_fires_and_sends_it_byte_for_byte(feed, text):
+    engine = Engine()
+    engine.load(rules=RULES, goals=GOALS)
+    published = []
+    encode = DEFINITIONS.encoder(NOTE).encode
+    engine.on_output(lambda term, topic, name: published.append((engine.show(name), encode(term))))
+    for _ in range(4):  # texts that come again are read and sent by shorter ways
+        feed(engine, message(text))
+    expected = ["met", "hello"] if text == "Jürgen" else ["hello"]
+    assert sorted(published) == sorted((name, message(text)) for name in expected * 4)
+
+
+def test_strings_and_byte_arrays_of_the_same_bytes_differ():
+    term = decoded(message("Jürgen", "Jürgen".encode()))
+    assert to_text(term) == "my_msgs__0__Note('\"Jürgen\"','\"FFFFFFFFFFSsO8cmdlbg==////\"')"
+    assert DEFINITIONS.encoder(NOTE).encode(term) == message("Jürgen", "Jürgen".encode())
+
+
+def test_such_texts_are_in_snapshots_and_on_the_dashboard():
+    engine = Engine()
+    engine.load(rules=RULES, goals=GOALS)
+    recent = RecentEvents(engine)
+    recent.watch(True)
+    engine.post(decoded(message("Jürgen")), SECOND)
+    assert "my_msgs__0__Note('\"Jürgen\"','\"bytes\"')" in [event.text for event in recent.look()]
+    other = Engine.restore(engine.snapshot())
+    assert other.query("access_mem(memory, met(_, '\"Jürgen\"'), _)")
+    other.post(decoded(message("Jürgen")), 2 * SECOND)
+    assert len(other.query("access_mem(memory, met(_, '\"Jürgen\"'), _)")) == 2
+
+
+def test_a_bag_gives_and_takes_such_texts(tmp_path, capsys):
+    program = tmp_path / "program"
+    program.mkdir()
+    (program / "eventRules.txt").write_text(RULES, encoding="utf-8")
+    (program / "goalPredicates.txt").write_text(
+        f"compile_event_file('eventRules.txt').\n{GOALS}", encoding="utf-8"
+    )
+    (program / "pub_sub.xml").write_text(
+        f'<publish_subscribe><subscribe_to name="heard" msg_type="{NOTE}"/>'
+        f'<publish_to name="greeting" msg_type="{NOTE}"/></publish_subscribe>'
+    )
+    with BagWriter(tmp_path / "in.bag") as bag:
+        heard = bag.add("/heard", DEFINITIONS.find(NOTE))
+        bag.write(heard, SECOND, message("Jürgen"))
+        bag.write(heard, 2 * SECOND, message(LONG))
+    out = str(tmp_path / "out.bag")
+    options = ["--program", str(program), "--output", out, "--json", "--events"]
+    assert main(["bag", str(tmp_path / "in.bag"), *options]) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert "met('\"bytes\"')" in [line.get("event") for line in lines]
+    with BagReader(out) as bag:
+        assert [record.data for record in bag.records()] == [
+            message("Jürgen"),
+            message("Jürgen"),
+            message(LONG),
+        ]
