@@ -14,8 +14,9 @@ from .report import Report
 
 DESCRIPTION = """\
 Feed bags to a program and print what it publishes, as output(TERM,TOPIC) terms. Bags are of ROS 1, compressed or
-not, or of ROS 2: a folder with metadata.yaml, or its .db3 or .mcap file. Several bags are played as one, in the
-order in which their messages came. ROS 2 messages are read as those of ROS 1 with the same names.
+not, or of ROS 2: a folder with metadata.yaml, or its .db3, .mcap, .db3.zstd or .mcap.zstd file. Several bags are
+played as one, in the order in which their messages came. ROS 2 messages are read as those of ROS 1 with the same
+names.
 
 With --jobs or --scheduler each bag is played by itself, several at a time: also all bags below a folder, in the
 order of their names, and those of URLs as s3://BUCKET/FOLDER. What is printed is the same, bag after bag.

@@ -36,7 +36,7 @@ from .interpreter import (
     seen_elsewhere,
     text_size,
 )
-from .rosnames import plain_fault, topic_fault, type_fault
+from .rosnames import plain_fault, plain_type, topic_fault, type_fault
 from .watching import BULK, WATCH, look, unwatched, watch_for, watched_by
 
 __all__ = [
@@ -58,6 +58,7 @@ __all__ = [
     "place_in",
     "place_on",
     "plain_fault",
+    "plain_type",
     "printable",
     "ProgramErrors",
     "PYPY",

@@ -14,12 +14,20 @@ _TOPIC = re.compile(r"[A-Za-z/~][A-Za-z0-9_/]*")
 
 _STRANGE = re.compile(r"[^A-Za-z0-9_/~]")
 
+_ROS2_TYPE = re.compile(r"([^/]+)/(?:msg|action)/([^/]+)")
+
 _LETTERS = 'ASCII letters, digits and "_", a letter first'
 
 
 def plain_fault(text: str) -> Optional[str]:
     """Return what is wrong with the name of a package, slot or constant, or None."""
     return _fault(_PLAIN, text, f"a name of {_LETTERS}")
+
+
+def plain_type(name: str) -> str:
+    """Return the name of a message type as ROS 1 writes it: ``pkg/Type`` also for ``pkg/msg/Type``."""
+    found = _ROS2_TYPE.fullmatch(name)
+    return f"{found[1]}/{found[2]}" if found else name
 
 
 def type_fault(text: str) -> Optional[str]:

@@ -92,7 +92,7 @@ class _DefinitionReader:
             raise self._error(
                 "half a surrogate pair, which cannot be stored in a file", error.start
             ) from None
-        for offset, line in _lines(self.text):
+        for offset, line in lines_of(self.text):
             self._line(offset, line)
         return tuple(self.fields.values()), tuple(self.constants.values())
 
@@ -125,7 +125,7 @@ class _DefinitionReader:
         if kind not in PRIMITIVES and kind != "string":
             raise self._error(f"a constant cannot be of type {kind[:SHOWN]}", offset + found.start())
         try:
-            value = _constant_value(kind, text)
+            value = constant_value(kind, text)
         except ValueError:
             at = offset + found.start("value")
             raise self._error(f"{shortened(text)} is not a value of type {kind}", at) from None
@@ -172,7 +172,8 @@ class _DefinitionReader:
         return MessageError(message, place_at(self.source, self.text, offset))
 
 
-def _lines(text: str) -> Iterator[Tuple[int, str]]:
+def lines_of(text: str) -> Iterator[Tuple[int, str]]:
+    """Yield the lines of a text, each with the offset at which it begins."""
     offset = 0
     for line in text.splitlines(keepends=True):
         yield offset, line.rstrip("\r\n")
@@ -182,7 +183,12 @@ def _lines(text: str) -> Iterator[Tuple[int, str]]:
 _BOOLS = {"true": True, "True": True, "1": True, "false": False, "False": False, "0": False}
 
 
-def _constant_value(kind: str, text: str) -> ConstantValue:
+def constant_value(kind: str, text: str) -> ConstantValue:
+    """Return the value of a constant.
+
+    Raises:
+        ValueError: if the text is not a value of that type.
+    """
     if kind == "string":
         return text
     if kind == "bool":

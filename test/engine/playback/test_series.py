@@ -2,15 +2,17 @@
 
 import json
 import struct
+import tempfile
 
 import numpy
 import pytest
 from rosbags import rosbag1, rosbag2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from retalis.engine.playback import BagError, BagSeries, BagWriter, Playback, RunLook
+from retalis.engine.playback import BagError, BagSeries, BagWriter, Playback, RunLook, ros2bags
 from retalis.foundation import UsageError
 from retalis.messages import Definitions
+from retalis.prolog.syntax import to_text
 
 SECOND = 10**9
 STRING = Definitions().add("std_msgs/String", "string data")
@@ -131,6 +133,171 @@ def test_a_bag_of_ros_2_gives_the_events_that_ros_1_would(tmp_path, storage):
         ),
     ]
     assert json.loads(json.dumps(found)) == found
+
+
+BOUNDED = """\
+uint8 BOX=1
+string<=10 name "a # name"   # with a default value
+string<=10[<=2] names
+float64[<=3] dimensions [1.0, 2.0]
+wstring<=30 text
+byte code 200
+geometry_msgs/msg/Point[<=1] points
+"""
+IDL = """\
+================================================================================
+IDL: my_msgs/msg/Few
+module my_msgs {
+  module msg {
+    struct Few {
+      string<5> name;
+      sequence<double, 3> few;
+      std_msgs::msg::Header header;
+    };
+  };
+};
+"""
+
+
+def packed(*parts):
+    """Return a message in CDR, of parts as for `struct`."""
+    return b"\0\1\0\0" + b"".join(struct.pack(f"<{code}", *values) for code, *values in parts)
+
+
+def typed_bag(folder, storage, *connections):
+    """Write a bag of ROS 2 with topics of types, each with its definition and messages, one a second."""
+    options = {} if storage is None else {"version": 9, "storage_plugin": storage}
+    with rosbag2.Writer(folder, **options) as writer:
+        second = 0
+        for topic, kind, text, *messages in connections:
+            connection = writer.add_connection(topic, kind, msgdef=text, rihs01="RIHS01_0")
+            for data in messages:
+                second += 1
+                writer.write(connection, second * SECOND, data)
+    return folder
+
+
+HELLO = packed(("I6s", 6, b"hello\0"))
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_a_type_that_cannot_be_read_costs_its_own_topic(tmp_path, storage, caplog):
+    folder = typed_bag(
+        tmp_path / "two",
+        storage,
+        ("/broken", "my_msgs/msg/Broken", "float64[<3] x\n", HELLO),
+        ("/gone", "my_msgs/msg/Gone", "", HELLO),
+        ("/gone_too", "my_msgs/msg/Gone", "", HELLO),
+        ("/nested", "my_msgs/msg/Nested", "lost_msgs/msg/Lost lost\n", HELLO),
+        ("/chatter", "std_msgs/msg/String", "string data\n", HELLO),
+    )
+    with BagSeries([folder]) as bags:
+        assert [topic.name for topic in bags.topics] == ["/chatter"]
+        assert [record.data for record in bags.records()] == [struct.pack("<I", 5) + b"hello"]
+    left_out = [one.getMessage() for one in caplog.records]
+    assert left_out == [
+        f"{folder}: left out: topic /broken (my_msgs/Broken): my_msgs/Broken:1:1: expected 'type name' or "
+        "'type NAME=value', found 'float64[<3] x'",
+        f"{folder}: left out: topics /gone, /gone_too (my_msgs/Gone): the type is not defined in the bag or on this "
+        "system",
+        f"{folder}: left out: topic /nested (my_msgs/Nested): the type lost_msgs/Lost is not defined in the bag or "
+        "on this system",
+    ]
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_bounds_and_defaults_are_read(tmp_path, storage):
+    text = '"Jü"'
+    raw = packed(
+        ("I3sx", 3, b"hi\0"),
+        ("II2s", 1, 2, b"a\0"),
+        ("xxId", 1, 0.5),
+        ("III", 2, ord("J"), ord("ü")),
+        ("BxxxI", 200, 0),
+    )
+    folder = typed_bag(tmp_path / "two", storage, ("/bounded", "my_msgs/msg/Bounded", BOUNDED, raw))
+    with BagSeries([folder]) as bags:
+        (topic,) = bags.topics
+        (record,) = bags.records()
+    definitions = Definitions()
+    definition = definitions.add(topic.type, topic.definition, topic.md5sum)
+    shown = to_text(definitions.decoder(definition).decode(record.data))
+    assert shown == f"my_msgs__0__Bounded('\"hi\"',['\"a\"'],[0.5],'{text}',200,[])"
+
+
+def test_a_definition_in_idl_is_read(tmp_path):
+    raw = packed(("I3sx", 3, b"hi\0"), ("I4xd", 1, 0.5), ("iII1s", 4, 5, 1, b""))
+    folder = typed_bag(tmp_path / "two", STORAGES[-1], ("/few", "my_msgs/msg/Few", IDL, raw))
+    with BagSeries([folder]) as bags:
+        slots = bags.topics[0].definition.split("\n")[:3]
+        assert slots == ["string name", "float64[] few", "std_msgs/Header header"]
+        expected = struct.pack("<I2sIdIIII", 2, b"hi", 1, 0.5, 0, 4, 5, 0)
+        assert [record.data for record in bags.records()] == [expected]
+
+
+def test_messages_that_are_not_of_their_type_are_dropped_and_counted(tmp_path, caplog):
+    folder = typed_bag(
+        tmp_path / "two",
+        STORAGES[-1],
+        ("/chatter", "std_msgs/msg/String", "string data\n", HELLO, HELLO[:-2], b"", HELLO),
+    )
+    with BagSeries([folder]) as bags:
+        assert read(bags) == [("/chatter", 1), ("/chatter", 4)]
+    assert [one.getMessage() for one in caplog.records] == [
+        f"{folder}: a message on /chatter is dropped: 8 bytes of CDR are not a std_msgs/String",
+        f"{folder}: 2 messages on /chatter dropped",
+    ]
+
+
+@pytest.fixture
+def compressed(tmp_path):
+    """Return a function that writes one file of a bag of ROS 2, compressed."""
+    zstandard = pytest.importorskip("zstandard")
+
+    def write(storage):
+        folder = typed_bag(
+            tmp_path / "two", storage, ("/chatter", "std_msgs/msg/String", "string data\n", HELLO)
+        )
+        (path,) = [one for one in folder.iterdir() if one.suffix in (".db3", ".mcap")]
+        alone = tmp_path / f"alone{path.suffix}.zstd"
+        alone.write_bytes(zstandard.compress(path.read_bytes()))
+        return alone
+
+    return write
+
+
+takes_files = pytest.mark.skipif(STORAGES == [None], reason="this version of rosbags reads folders only")
+
+
+@takes_files
+@pytest.mark.parametrize("storage", STORAGES)
+def test_one_compressed_file_is_played(compressed, storage, tmp_path, monkeypatch):
+    scratch = tmp_path / "scratch"
+    scratch.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(scratch))
+    path = compressed(storage)
+    with BagSeries([path]) as bags:
+        assert read(bags) == [("/chatter", 1)]
+        assert bags.path == str(path)
+        assert len(list(scratch.iterdir())) == 1
+    assert list(scratch.iterdir()) == []
+
+
+@takes_files
+def test_a_compressed_file_that_is_too_large_or_broken_is_an_error(compressed, tmp_path, monkeypatch):
+    scratch = tmp_path / "scratch"
+    scratch.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(scratch))
+    path = compressed(STORAGES[-1])
+    monkeypatch.setattr(ros2bags, "MAX_UNPACKED_BYTES", 100)
+    with pytest.raises(BagError, match="too large: unpacked it would have more than 100 bytes"):
+        BagSeries([path])
+    monkeypatch.undo()
+    monkeypatch.setattr(tempfile, "tempdir", str(scratch))
+    path.write_bytes(path.read_bytes()[:-9])
+    with pytest.raises(BagError, match="alone.* is not a complete ROS 2 bag"):
+        BagSeries([path])
+    assert list(scratch.iterdir()) == []
 
 
 def test_what_is_no_bag_of_ros_2_is_an_error(tmp_path):

@@ -176,8 +176,8 @@ def _written(target: str, do: Callable[..., object], *arguments: str, **options:
 
 
 def _without_kind(name: str) -> str:
-    base, kind = os.path.splitext(name)
-    return base if kind in _KINDS else name
+    kind = max((kind for kind in _KINDS if name.endswith(kind)), key=len, default="")
+    return name[: len(name) - len(kind)]
 
 
 def _names_below(place: str) -> Optional[List[str]]:
@@ -196,7 +196,7 @@ def _bags_of(names: Iterable[str]) -> List[str]:
     """Return which of the names below a folder are bags, in their order; what begins with a dot is left out."""
     paths = [path for path in map(PurePosixPath, names) if not any(part[0] == "." for part in path.parts)]
     folders = {path.parent for path in paths if path.name == _ROS2}
-    files = {path for path in paths if path.suffix in _KINDS and path.parent not in folders}
+    files = {path for path in paths if path.name.endswith(_KINDS) and path.parent not in folders}
     return [path.as_posix() for path in sorted(folders | files, key=lambda path: path.parts)]
 
 

@@ -18,13 +18,13 @@ Bag = Union[OneBag, "BagSeries"]
 
 
 def open_bag(path: PathLike) -> OneBag:
-    """Open a bag of ROS 1 (a file) or of ROS 2 (a folder, or a file that ends in ``.db3`` or ``.mcap``).
+    """Open a bag of ROS 1 (a file) or of ROS 2 (a folder, or a file that ends as one of `SUFFIXES`).
 
     Raises:
         BagError: where it cannot be read.
     """
     path = Path(path)
-    is_of_ros2 = path.is_dir() or (path.is_file() and path.suffix in SUFFIXES)
+    is_of_ros2 = path.is_dir() or (path.is_file() and path.name.endswith(SUFFIXES))
     return Ros2BagReader(path) if is_of_ros2 else BagReader(path)
 
 
