@@ -1,6 +1,7 @@
 """``msg`` prints types of the installation and of bags."""
 
 import pytest
+from rosbags import rosbag2
 
 from retalis.cli import main
 from retalis.engine.playback import BagWriter
@@ -28,8 +29,20 @@ def test_a_type_of_a_bag_is_printed_in_each_format(bag, capsys):
     for name, text in PRINTED.items():
         assert main(["msg", "only_in_bags/Point", "--bag", str(bag), "--format", name]) == 0
         assert capsys.readouterr().out == text
-    assert main(["msg", "std_msgs__0__String"]) == 0
-    assert capsys.readouterr().out == "std_msgs__0__String(\n    Data  % data: string\n)\n"
+    for name in ("std_msgs__0__String", "std_msgs/msg/String"):
+        assert main(["msg", name]) == 0
+        assert capsys.readouterr().out == "std_msgs__0__String(\n    Data  % data: string\n)\n"
+
+
+def test_a_type_of_a_bag_of_ros_2_is_printed(tmp_path, capsys):
+    options = {"version": 8} if hasattr(rosbag2, "StoragePlugin") else {}
+    with rosbag2.Writer(tmp_path / "two", **options) as writer:
+        connection = writer.add_connection(
+            "/solid", "my_msgs/msg/Solid", msgdef="float64[<=3] sizes [1, 2]\n", rihs01="RIHS01_0"
+        )
+        writer.write(connection, 1, bytes([0, 1, 0, 0, 0, 0, 0, 0]))
+    assert main(["msg", "my_msgs/msg/Solid", "--bag", str(tmp_path / "two")]) == 0
+    assert capsys.readouterr().out == "my_msgs__0__Solid(\n    Sizes  % sizes: float64[]\n)\n"
 
 
 def test_a_type_that_there_is_not_is_an_error_in_one_line(bag, capsys):

@@ -25,8 +25,9 @@ def asked():
 
 def test_a_goal_subscribes_a_topic_once(asked):
     engine, found = asked
-    engine.load(goals="subscribe_to(right, 'std_msgs/Bool', bumper_right)\nsubscribe_to(scan, 'a/B')")
+    engine.load(goals="subscribe_to(right, 'std_msgs/Bool', bumper_right)\nsubscribe_to(scan, 'a/msg/B')")
     assert engine.call("""subscribe_to("/right", "std_msgs/Bool", bumper_right)""")
+    assert engine.call("subscribe_to(right, 'std_msgs/msg/Bool', bumper_right)")
     assert engine.call("subscribe_to(said, 'std_msgs/String'), subscribe_to(left, 'std_msgs/Bool', bump)")
     assert found == [("right", "std_msgs/Bool", "bumper_right"), ("scan", "a/B", "")]
     joined = parts_of(engine).input_topics.joined(TOPICS)

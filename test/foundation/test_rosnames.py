@@ -2,7 +2,7 @@
 
 import pytest
 
-from retalis.foundation import plain_fault, topic_fault, type_fault
+from retalis.foundation import plain_fault, plain_type, topic_fault, type_fault
 
 STRANGE = ["x²", "ﬁle", "x\0", "\ud800", "x y", "x\n", "1x", "", "a:b", "\u212a", "x" * 256, "x;y", "é"]
 
@@ -29,6 +29,22 @@ def test_types_are_a_package_and_a_name(name):
 @pytest.mark.parametrize("name", ["tf/tfMessage", "a/B", "std_msgs/UInt8MultiArray", "a1_/B2_"])
 def test_types(name):
     assert type_fault(name) is None
+
+
+@pytest.mark.parametrize(
+    ("name", "plain"),
+    [
+        ("geometry_msgs/msg/Point", "geometry_msgs/Point"),
+        ("my_msgs/action/Go_FeedbackMessage", "my_msgs/Go_FeedbackMessage"),
+        ("geometry_msgs/Point", "geometry_msgs/Point"),
+        ("msg/Point", "msg/Point"),
+        ("a/msg/", "a/msg/"),
+        ("a/b/C", "a/b/C"),
+        ("a/msg/b/C", "a/msg/b/C"),
+    ],
+)
+def test_types_as_ros_2_names_them(name, plain):
+    assert plain_type(name) == plain
 
 
 @pytest.mark.parametrize("name", ["/tf", "tf", "~private", "~", "/a/b_1/C", "a/b", "a/"])

@@ -61,6 +61,24 @@ def test_an_added_type_is_found_with_its_nested_ones():
     assert "pkg/Other" not in registry
 
 
+def test_types_may_be_named_as_in_ros_2():
+    registry = nothing_installed()
+    definition = registry.add("pkg/msg/Stamped", STAMPED.replace("Inner inner", "pkg/msg/Inner inner"))
+    assert definition.name == "pkg/Stamped"
+    assert definition.md5sum == registry.add("pkg/Stamped", STAMPED).md5sum
+    assert registry.find("pkg/msg/Stamped") is registry.find("pkg/Stamped") is definition
+    assert registry.encoder("pkg/msg/Inner") is registry.encoder("pkg/Inner")
+    assert "pkg/msg/Inner" in registry
+    assert registry.known("pkg/msg/Inner") is registry.known("pkg/Inner")
+    assert registry.received("pkg/msg/Stamped", "pkg/Stamped", STAMPED, "*").name == "pkg/Stamped"
+    learned = registry.learn("pkg/msg/Other", "pkg/msg/Inner", "int8 x", "*")
+    assert (learned.decoder.definition.name, learned.instead) == ("pkg/Other", True)
+    assert Definitions().misspelt("std_msgs/msg/Strng") == "std_msgs/String"
+    assert Definitions().installed_text("std_msgs/msg/String") == Definitions().installed_text(
+        "std_msgs/String"
+    )
+
+
 def test_another_text_for_a_known_name_is_another_definition():
     registry = nothing_installed()
     first = registry.add("pkg/Type", "int8 x\n")

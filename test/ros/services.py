@@ -172,7 +172,7 @@ class Services(unittest.TestCase):
 
     def test_input_subscriptions(self):
         number = rospy.Publisher("number", Float64, queue_size=10)
-        self.assertEqual(self.add_input("number", "std_msgs/Float64").result, "ok")
+        self.assertEqual(self.add_input("number", "std_msgs/msg/Float64").result, "ok")
         self.assert_error(self.add_input("number", "std_msgs/Float64"), "number")
         self.assertEqual(
             self.add_subscription("std_msgs__0__Float64(X)", "", "number(X)", "t", "n").result, "ok"

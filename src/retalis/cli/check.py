@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Callable, Dict
 
 from ..engine import Settings, check_program
-from ..engine.playback import BagReader
+from ..engine.playback import open_bag
 from ..events.checks import ERROR, INFO, Finding
 from ..events.program import DIRECT
 from ..foundation import MessageError, counted, printable
@@ -84,7 +84,7 @@ def _package(path: Path) -> str:
 
 def _learn(definitions: Definitions, path: Path) -> None:
     """Add the message types of a bag."""
-    with BagReader(path) as bag:
+    with open_bag(path) as bag:
         for topic in bag.topics:
             try:
                 definitions.received(topic.type, topic.type, topic.definition, topic.md5sum)

@@ -4,8 +4,8 @@ import argparse
 from pathlib import Path
 from typing import Callable, Dict
 
-from ..engine.playback import BagReader
-from ..foundation import MessageError, UsageError, type_fault
+from ..engine.playback import open_bag
+from ..foundation import MessageError, UsageError, plain_type, type_fault
 from ..messages import Definition, Definitions, by_names, positional, zero
 
 FORMATS: Dict[str, Callable[[Definition, Definitions], str]] = {
@@ -38,7 +38,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    kind = options.type.replace("__0__", "/").replace("/msg/", "/")
+    kind = plain_type(options.type.replace("__0__", "/"))
     definitions = Definitions()
     fault = type_fault(kind)
     if fault is not None:
@@ -62,7 +62,7 @@ def _meant(definitions: Definitions, kind: str) -> str:
 
 def _learn(definitions: Definitions, path: Path, kind: str) -> None:
     """Learn a type from a bag, by which its messages are read."""
-    with BagReader(path) as bag:
+    with open_bag(path) as bag:
         topics = sorted(
             bag.topics, key=lambda topic: topic.type != kind
         )  # what lies in others is found in them, too

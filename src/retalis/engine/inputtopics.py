@@ -4,7 +4,7 @@ from typing import Any, Callable, Dict, Iterable, List, NamedTuple
 
 from ..events.language import event_fault
 from ..events.program import TopicEvent, Topics, TopicType
-from ..foundation import UsageError, topic_fault, type_fault
+from ..foundation import UsageError, plain_type, topic_fault, type_fault
 from ..messages import SlotNames
 from ..prolog.logic import Logic
 from ..prolog.machine import (
@@ -127,7 +127,7 @@ class InputTopics:
         return {one.event: one.kind for one in reversed(self._asked) if one.event}
 
     def _goal(self, machine: Machine, topic: Term, kind: Term, *event: Term) -> bool:
-        wanted = AskedTopic(*(_text(one) for one in (topic, kind, *event)))
+        wanted = AskedTopic(_text(topic), plain_type(_text(kind)), *map(_text, event))
         self._check("topic", topic, topic_fault(wanted.topic))
         self._check("message_type", kind, type_fault(wanted.kind))
         if event:

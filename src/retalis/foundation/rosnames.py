@@ -26,7 +26,7 @@ def plain_fault(text: str) -> Optional[str]:
 
 def plain_type(name: str) -> str:
     """Return the name of a message type as ROS 1 writes it: ``pkg/Type`` also for ``pkg/msg/Type``."""
-    found = _ROS2_TYPE.fullmatch(name)
+    found = _ROS2_TYPE.fullmatch(name) if name.count("/") == 2 else None
     return f"{found[1]}/{found[2]}" if found else name
 
 

@@ -3,7 +3,7 @@
 import re
 from typing import Callable, Container, Dict, Iterator, List, Tuple
 
-from ..foundation import SHOWN, MessageError, Place, place_at, place_in, plain_fault, shortened
+from ..foundation import SHOWN, MessageError, Place, place_at, place_in, plain_fault, plain_type, shortened
 from .definition import HEADER, SEPARATOR, Constant, ConstantValue, Definition, Field, Measure
 from .slots import BUILTIN, LARGEST, MOST_SLOTS, PRIMITIVES, VARIABLE
 
@@ -37,7 +37,7 @@ def split_sections(name: str, text: str) -> Dict[str, str]:
                 raise MessageError(
                     "expected 'MSG: pkg/Type' after the line of '='", place_in(name, number, 1, line)
                 )
-            current, lines, start = line[4:].strip(), [], 0
+            current, lines, start = plain_type(line[4:].strip()), [], 0
         elif len(line) >= 20 and not line.strip("="):
             _add_section(sections, current, lines)
             start = number
@@ -133,7 +133,7 @@ class _DefinitionReader:
 
     def _field(self, found: "re.Match[str]", offset: int) -> None:
         self._new_name(found, offset, self.fields)
-        kind, array, length = found["type"], found["array"], None
+        kind, array, length = plain_type(found["type"]), found["array"], None
         if array is not None:
             length = self._length(array[1:-1].strip(), offset + found.start("array"))
         if kind in BUILTIN:

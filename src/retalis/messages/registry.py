@@ -3,7 +3,7 @@
 from difflib import get_close_matches
 from typing import Dict, List, NamedTuple, Optional, Sequence, Set, Tuple, Union
 
-from ..foundation import Cache, MessageError, beginning, type_fault
+from ..foundation import Cache, MessageError, beginning, plain_type, type_fault
 from .decoding import Decoder
 from .definition import Definition
 from .encoding import Encoder
@@ -74,7 +74,7 @@ class Definitions:
         same name is read and returned all the same.
 
         Args:
-            name: ``pkg/Type``.
+            name: ``pkg/Type``, or ``pkg/msg/Type`` as in ROS 2; so wherever a type is named.
             text: the definition.
             md5sum: the checksum that came with the text; it is compared where it is given and is not ``*``.
 
@@ -82,6 +82,7 @@ class Definitions:
             MessageError: for a text that is not a definition or too long, that names a type found nowhere, or that
                 has another checksum; where too many types were added.
         """
+        name = plain_type(name)
         definition = self._read(name, text, md5sum)
         if name not in self._added:
             self._note(definition, len(text))
@@ -131,6 +132,7 @@ class Definitions:
         Raises:
             MessageError: where they are of another type, or what came with them is wrong.
         """
+        name, sent = plain_type(name), plain_type(sent)
         unknown = name not in self
         definition = self.received(name, sent, text, md5sum)
         return Learned(self.decoder(definition.as_event(event)), unknown and sent != name)
@@ -153,6 +155,7 @@ class Definitions:
         Raises:
             MessageError: where they are of another type, or what came with them is wrong.
         """
+        name, sent = plain_type(name), plain_type(sent)
         known = self.find(name) if name in self else None
         if known is not None and known.md5sum == md5sum:
             return known
@@ -172,6 +175,7 @@ class Definitions:
         Raises:
             MessageError: where it is found nowhere, or is wrong.
         """
+        name = plain_type(name)
         found = self._added.get(name) or self._found.get(name)
         if found is None:
             found = self._found[name] = _Resolver(self, {}).resolve(name)
@@ -218,7 +222,7 @@ class Definitions:
         >>> text.split()
         ['string', 'data']
         """
-        return self._installed.text(name)
+        return self._installed.text(plain_type(name))
 
     def misspelt(self, name: str) -> str:
         """Return the type that was probably meant by one that is not known; "" where none is like it.
@@ -226,6 +230,7 @@ class Definitions:
         >>> Definitions().misspelt("std_msgs/Strng"), Definitions().misspelt("string")
         ('std_msgs/String', 'std_msgs/String')
         """
+        name = plain_type(name)
         if name in self:
             return ""
         package, _, kind = name.rpartition("/")
@@ -273,6 +278,7 @@ class Definitions:
         >>> definitions.add("my_robot/Bumper", "bool left") is definitions.known("my_robot/Bumper")
         True
         """
+        name = plain_type(name)
         return self._added.get(name) or self._nested.get(name)
 
 

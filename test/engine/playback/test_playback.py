@@ -115,7 +115,7 @@ def test_topics_that_are_not_named_are_left_alone_unless_asked_for(program, bag)
     path = bag((SECOND, "/other", "my_msgs/Point", "my_msgs__0__Point(1.0)"))
     folder = program("", "", IN)
     assert run(folder, path)[1] == []
-    assert len(run(folder, path, topics=[TopicType("other", "my_msgs/Point")])[1]) == 1
+    assert len(run(folder, path, topics=[TopicType("other", "my_msgs/msg/Point")])[1]) == 1
 
 
 def test_a_type_goes_by_the_name_that_the_program_gives_it(program, bag):

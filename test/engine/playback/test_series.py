@@ -115,7 +115,7 @@ def test_a_bag_of_ros_2_gives_the_events_that_ros_1_would(tmp_path, storage):
     program.mkdir()
     (program / "pub_sub.xml").write_text(
         '<publish_subscribe><subscribe_to name="chatter" msg_type="std_msgs/String"/>'
-        '<subscribe_to name="level" msg_type="my_msgs/Level"/></publish_subscribe>'
+        '<subscribe_to name="level" msg_type="my_msgs/msg/Level"/></publish_subscribe>'
     )
     (program / "goalPredicates.txt").write_text("")
     found, wrong = [], []

@@ -32,6 +32,16 @@ def test_elements_stand_at_any_depth_and_comments_count_for_nothing(tmp_path):
     assert topics.published == ()
 
 
+def test_types_may_be_named_as_in_ros_2(tmp_path):
+    topics = read(
+        tmp_path,
+        '<publish_subscribe><subscribe_to name="a" msg_type="geometry_msgs/msg/Point"/>'
+        '<publish_to name="b" msg_type=" geometry_msgs/msg/Pose "/></publish_subscribe>',
+    )
+    assert topics.subscribed == (TopicType("a", "geometry_msgs/Point"),)
+    assert topics.published == (TopicType("b", "geometry_msgs/Pose"),)
+
+
 def test_topics_are_latched_where_that_is_said(tmp_path):
     line = '<publish_to name="{}" msg_type="std_msgs/String" latch="{}"/>'
     lines = [line.format("plain", "false"), line.format("kept", "true"), line.format("also", " true ")]

@@ -14,7 +14,7 @@ from .places import (
     result_file,
 )
 from .playback import Output, Playback
-from .series import BagSeries
+from .series import BagSeries, open_bag
 from .tables import RunTable
 from .workers import Unfinished, in_processes, on_cluster
 
@@ -33,6 +33,7 @@ __all__ = [
     "is_url",
     "Line",
     "on_cluster",
+    "open_bag",
     "Output",
     "output_line",
     "Playback",

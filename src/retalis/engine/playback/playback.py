@@ -15,6 +15,7 @@ from ...foundation import (
     RetalisError,
     beginning,
     counted,
+    plain_type,
     shortened,
     topic_fault,
     type_fault,
@@ -110,7 +111,7 @@ class Playback:
         self._outputs: List[Output] = []
         self._told: Set[str] = set()
         named = read_topics(folder / TOPICS)
-        self._asked = [*named.subscribed, *topics]
+        self._asked = [*named.subscribed, *(TopicType(one.topic, plain_type(one.type)) for one in topics)]
         self._topics = named._replace(subscribed=tuple(self._asked))
         self._types = {by_name(topic): kind for topic, kind in self._asked}
         self._published = {by_name(topic): kind for topic, kind in named.published}

@@ -15,6 +15,7 @@ from ...foundation import (
     UsageError,
     beginning,
     place_in,
+    plain_type,
     topic_fault,
     type_fault,
     undecodable,
@@ -50,11 +51,12 @@ DIRECT = (TopicType("tf", "tf/tfMessage"), TopicType("ar_pose_marker", "ar_pose/
 
 
 def topic_type(topic: str, kind: str) -> TopicType:
-    """Return a topic and its type, as they came from outside.
+    """Return a topic and its type, as they came from outside; the type may be written as in ROS 2 (``pkg/msg/Type``).
 
     Raises:
         UsageError: where one of them is not a name that ROS allows.
     """
+    kind = plain_type(kind)
     fault = topic_fault(topic) or type_fault(kind)
     if fault is not None:
         raise UsageError(fault)
