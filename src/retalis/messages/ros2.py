@@ -92,7 +92,7 @@ def ros2_type(name: str, text: str, find: FindText) -> Ros2Type:
     return Ros2Type(definition, _converter(definition, wide))
 
 
-class _Section(NamedTuple):
+class _Ros2Section(NamedTuple):
     """The definition of one type, without those of others.
 
     Attributes:
@@ -110,9 +110,9 @@ def _sections(name: str, text: str) -> Dict[str, str]:
     return {plain_type(kind): part for kind, part in split_sections(name, text).items()}
 
 
-def _reachable(name: str, texts: Dict[str, str], find: FindText) -> Dict[str, _Section]:
+def _reachable(name: str, texts: Dict[str, str], find: FindText) -> Dict[str, _Ros2Section]:
     """Read the definitions of a type and of those nested in it."""
-    types: Dict[str, _Section] = {}
+    types: Dict[str, _Ros2Section] = {}
     waiting: Deque[str] = deque([name])
     while waiting:
         kind = waiting.popleft()
@@ -124,12 +124,12 @@ def _reachable(name: str, texts: Dict[str, str], find: FindText) -> Dict[str, _S
                 raise MessageError(f"the type {beginning(kind)} is not defined in the bag or on this system")
             for other, part in _sections(kind, text).items():
                 texts.setdefault(other, part)
-        types[kind] = section = _Reader(kind, texts).read()
+        types[kind] = section = _Ros2DefinitionReader(kind, texts).read()
         waiting += section.nested
     return types
 
 
-class _Reader:
+class _Ros2DefinitionReader:
     """Reads the definition of one type.
 
     Args:
@@ -147,7 +147,7 @@ class _Reader:
         for other in texts:
             self.by_kind.setdefault(other.rpartition("/")[2], []).append(other)
 
-    def read(self) -> _Section:
+    def read(self) -> _Ros2Section:
         text = self.texts[self.name]
         for offset, line in lines_of(text):
             body = line.strip()
@@ -164,7 +164,7 @@ class _Reader:
                 self._constant(found["type"], found["name"], rest[1:])
             else:
                 self._slot(found)
-        return _Section("".join(f"{line}\n" for line in self.lines), self.wide, self.nested)
+        return _Ros2Section("".join(f"{line}\n" for line in self.lines), self.wide, self.nested)
 
     def _constant(self, kind: str, name: str, text: str) -> None:
         """Add a constant; one whose value ROS 1 cannot express is left out, as it is in no message."""
@@ -235,7 +235,7 @@ def _converter(definition: Definition, wide: _WideSlots) -> Callable[[bytes], by
             )
         data = bytes(raw[4:])
         if order not in made:
-            made[order] = [_Source(order, width, wide).compile(definition) for width in widths]
+            made[order] = [_ConverterSource(order, width, wide).compile(definition) for width in widths]
         for convert in made[order]:
             chunks: List[bytes] = []
             try:
@@ -249,7 +249,7 @@ def _converter(definition: Definition, wide: _WideSlots) -> Callable[[bytes], by
     return to_ros1
 
 
-class _Source:
+class _ConverterSource:
     """Source of the function that converts one type, in the making.
 
     Args:
@@ -330,7 +330,7 @@ class _Source:
         elif slot.type == "string":
             self.lines += [f"for _ in range({count}):", f"  {self.string(is_wide)}"]
         elif slot.definition is not None:
-            element = _Source(self.order, self.width, self.wide).compile(slot.definition)
+            element = _ConverterSource(self.order, self.width, self.wide).compile(slot.definition)
             name = self.given.name("element", element)
             self.lines += [f"for _ in range({count}):", f"  at = {name}(data, at, put)"]
 
