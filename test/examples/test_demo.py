@@ -132,5 +132,8 @@ def test_help_needs_no_ros():
 
 def test_free_port_is_free(demo):
     port = demo.free_port()
+    with demo.socket.socket() as client:
+        assert client.connect_ex(("localhost", port)) != 0  # nobody listens
     with demo.socket.socket() as server:
         server.bind(("localhost", port))
+        assert server.getsockname()[1] == port

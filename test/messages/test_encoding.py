@@ -1,10 +1,14 @@
 import struct
 
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
+from messages.wire import messages, serialize
 from retalis.foundation import MessageError
-from retalis.messages import Definitions, Installed
-from retalis.prolog.terms import CONS, NIL, Lazy, String, Var, atom, functor, make_list, timestamps
+from retalis.messages import Decoder, Definitions, Encoder, Installed
+from retalis.messages.checking import CheckingEncoder
+from retalis.prolog.terms import CONS, NIL, Lazy, String, Var, atom, copy, functor, make_list, timestamps
 
 STAMPED = """\
 Header header
@@ -219,6 +223,169 @@ def test_partial_lists():
     tail = Var()
     tail.ref = make_list([2])
     assert one("int8[]", (CONS, 1, tail)) == struct.pack("<I2b", 2, 1, 2)
+
+
+PAIR = functor("f", 2)
+
+
+def conses(end, *items, cons=CONS):
+    """Return a list of items with any end, of cells with any functor."""
+    for item in reversed(items):
+        end = (cons, item, end)
+    return end
+
+
+@pytest.mark.parametrize(
+    ("kind", "values", "expected"),
+    [
+        ("float64[2]", (1.0, 2.0), "slot x: expected a list (float64[2])"),
+        ("int8[1]", (1,), "slot x: expected a list (int8[1])"),
+        ("bool[2]", (atom("true"), atom("false")), "slot x: expected a list (bool[2])"),
+        ("float64[6]", (1, 2, 3, 4, 5, 6), "slot x: expected a list (float64[6])"),
+        ("float64[]", (1.0, 2.0), "slot x: expected a list (float64[])"),
+        ("string[]", (atom("a"),), "slot x: expected a list (string[])"),
+        ("string[2]", (atom("a"), atom("b")), "slot x: expected a list (string[2])"),
+        ("time", (1, 2), "slot x: expected time as [Sec,NSec]"),
+        ("duration", (1, 2), "slot x: expected duration as [Sec,NSec]"),
+        ("time[1]", (conses(NIL, 1, 2),), "slot x: expected a list (time[1])"),
+        ("time[]", (conses(NIL, 1, 2),), "slot x: expected a list (time[])"),
+    ],
+)
+def test_lists_end_and_are_made_of_cells_of_lists(kind, values, expected):
+    assert one(kind, conses(NIL, *values))
+    for end in (atom("end"), 0, Var(), (PAIR, values[0], NIL), String("")):
+        assert expected in fault(kind, conses(end, *values))
+    assert expected in fault(kind, conses(NIL, *values, cons=PAIR))
+    assert expected in fault(kind, (CONS, values[0], conses(NIL, *values[1:], values[-1], cons=PAIR)))
+    longer, shorter = conses(NIL, *values, values[-1]), conses(NIL, *values[:-1])
+    if kind.endswith("[]"):
+        assert one(kind, longer)
+        assert one(kind, shorter)
+    else:
+        wanted = expected if "[Sec" in expected else f"slot x: expected {len(values)} element"
+        assert wanted in fault(kind, longer)
+        assert wanted in fault(kind, shorter)
+
+
+@pytest.mark.parametrize(
+    ("kind", "value", "size"),
+    [
+        ("uint8[3]", '"abc"', 3),
+        ("uint8[2000]", '"' + "a" * 2000 + '"', 2000),
+        ("char[1]", '"a"', 1),
+        ("uint8[0]", '""', 0),
+    ],
+)
+def test_texts_of_byte_arrays_are_as_long_as_these(kind, value, size):
+    assert one(kind, atom(value)) == value[1:-1].encode()
+    assert f"({kind}), got {size + 1}" in fault(kind, atom(value[:-1] + 'a"'))
+    if size:
+        assert f"({kind}), got {size - 1}" in fault(kind, atom(value[1:-2]))
+
+
+def test_lazy_arrays_of_another_length_or_type_are_not_copied():
+    registry = Definitions(Installed([], [], rosbags=False))
+    names = ("float64[6]", "float64[7]", "float32[6]", "float64[]", "int64[6]")
+    types = [registry.add(f"pkg/Type{at}", f"{kind} x\n") for at, kind in enumerate(names)]
+    six = registry.decoder(types[0]).decode(struct.pack("<6d", *range(6)))[1]
+    made = [(functor(f"pkg__0__Type{at}", 1), six) for at in range(5)]
+    assert isinstance(six, Lazy)
+    encode = [registry.encoder(kind).encode for kind in types]
+    with pytest.raises(MessageError, match="expected 7 elements"):
+        encode[1](made[1])
+    assert encode[2](made[2]) == struct.pack("<6f", *range(6))
+    assert encode[3](made[3]) == struct.pack("<I6d", 6, *range(6))
+    with pytest.raises(MessageError, match=r"slot x\[0\]: expected int64, got 0.0"):
+        encode[4](made[4])
+    assert encode[0](made[0]) == struct.pack("<6d", *range(6))
+
+
+MIXED = """\
+bool flag
+int8 small
+uint64 large
+float32 real
+string text
+time stamp
+duration span
+float64[3] three
+time[2] two_times
+bool[] flags
+int16[6] six
+string[] names
+uint8[] raw
+uint8[3] code
+Inner inner
+Inner[] inners
+Nothing nothing
+Nothing[2] nothings
+================================================================================
+MSG: pkg/Inner
+int32 x
+string[1] name
+================================================================================
+MSG: pkg/Nothing
+"""
+MIXED_TYPE = Definitions(Installed([], [], rosbags=False)).add("pkg/Mixed", MIXED)
+DECODE = Decoder(MIXED_TYPE).decode
+ENCODE, CHECK = Encoder(MIXED_TYPE).encode, CheckingEncoder(MIXED_TYPE).encode
+
+odd_terms = st.one_of(
+    st.sampled_from(
+        [NIL, atom("end"), atom("true"), atom("nan"), atom('"FFFFFFFFFF?"'), atom("pkg__0__Nothing")]
+    ),
+    st.sampled_from([0, 1, -1, 255, 256, -129, 2**31, 2**64, 2**1100, 1.0, 1e39, float("inf")]),
+    st.builds(Var),
+    st.builds(String, st.text(max_size=4)),
+    st.just(conses(NIL, 1, 2)),
+    st.just((functor("pkg__0__Inner", 2), 1, conses(NIL, atom("a")))),
+    st.just((functor("pkg__0__Nothing", 1), 1)),
+)
+
+
+def places(term, path=()):
+    """Yield the place of each part of a term."""
+    yield path
+    if term.__class__ is tuple:
+        for at, part in enumerate(term[1:], 1):
+            yield from places(part, (*path, at))
+
+
+def replaced(term, path, part):
+    if not path:
+        return part
+    return (*term[: path[0]], replaced(term[path[0]], path[1:], part), *term[path[0] + 1 :])
+
+
+def with_functor(term, path, other):
+    if not path:
+        return (other, *term[1:]) if term.__class__ is tuple else term
+    return (*term[: path[0]], with_functor(term[path[0]], path[1:], other), *term[path[0] + 1 :])
+
+
+def outcome(encode, term):
+    try:
+        return encode(term, "out")
+    except MessageError as error:
+        return error.message
+
+
+@settings(deadline=None, max_examples=400, suppress_health_check=[HealthCheck.too_slow])
+@given(st.data())
+def test_the_fast_encoder_takes_and_refuses_what_the_checking_one_does(data):
+    values = data.draw(messages(MIXED_TYPE, st.text("abü", max_size=3).map(str.encode)))
+    raw = serialize(MIXED_TYPE, values)
+    term = copy(DECODE(raw))
+    assert ENCODE(term, "out") == CHECK(term, "out") == raw
+    for _ in range(data.draw(st.integers(1, 2))):
+        path = data.draw(st.sampled_from(list(places(term))))
+        if data.draw(st.booleans()):
+            term = replaced(term, path, data.draw(odd_terms))
+        else:
+            term = with_functor(
+                term, path, data.draw(st.sampled_from([CONS, PAIR, functor("pkg__0__Inner", 2)]))
+            )
+    assert outcome(ENCODE, term) == outcome(CHECK, term)
 
 
 def test_undecoded_parts_go_out_as_they_came_in():

@@ -100,7 +100,17 @@ def test_a_constant_that_ros_1_cannot_express_is_left_out():
 
 @pytest.mark.parametrize(
     "text",
-    ["float64<=3 x", "int32", "int32 x)", "int32 5", "string<10 x", "float64[<3] x", "int32[<=] x; y", "-"],
+    [
+        "float64<=3 x",
+        "int32",
+        "int32 x)",
+        "int32 5",
+        "string<10 x",
+        "float64[<3] x",
+        "int32[<=] x; y",
+        "-",
+        "time T=5",
+    ],
 )
 def test_what_is_no_definition_is_an_error_with_its_place(text):
     with pytest.raises(MessageError) as caught:

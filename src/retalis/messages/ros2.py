@@ -155,20 +155,28 @@ class _Ros2DefinitionReader:
                 continue
             found = _LINE.match(line)
             if found is None or (found["bound"] and found["type"] not in _TEXTS):
-                place = place_at(self.name, text, offset + len(line) - len(line.lstrip()))
-                raise MessageError(
-                    f"expected 'type name' or 'type NAME=value', found {shortened(body)}", place
-                )
-            rest = found["rest"].lstrip()
-            if rest.startswith("="):
-                self._constant(found["type"], found["name"], rest[1:])
+                problem = f"expected 'type name' or 'type NAME=value', found {shortened(body)}"
             else:
-                self._slot(found)
+                problem = self._line(found)
+            if problem:
+                place = place_at(self.name, text, offset + len(line) - len(line.lstrip()))
+                raise MessageError(problem, place)
         return _Ros2Section("".join(f"{line}\n" for line in self.lines), self.wide, self.nested)
+
+    def _line(self, found: "re.Match[str]") -> str:
+        """Take a slot or a constant; return what is wrong with it, or an empty text."""
+        rest = found["rest"].lstrip()
+        if not rest.startswith("="):
+            self._slot(found)
+            return ""
+        kind = _TYPES.get(found["type"], found["type"])
+        if kind not in PRIMITIVES and kind != "string":
+            return f"a constant cannot be of type {shortened(kind)}"
+        self._constant(kind, found["name"], rest[1:])
+        return ""
 
     def _constant(self, kind: str, name: str, text: str) -> None:
         """Add a constant; one whose value ROS 1 cannot express is left out, as it is in no message."""
-        kind = _TYPES.get(kind, kind)
         quoted = _QUOTED.match(text) if kind == "string" else None
         if quoted is not None:
             value = re.sub(r"\\(.)", r"\1", quoted[1] if quoted[1] is not None else quoted[2])

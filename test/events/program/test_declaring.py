@@ -59,20 +59,25 @@ def test_all_of_them_are_said():
 
 
 @pytest.mark.parametrize(
-    "text",
+    ("text", "number"),
     [
-        "a <- temperature(X).\n" + DECLARED,
-        DECLARED + "a <- temperature(M, V) where (M == left, temperature(V)).\ntemperature(3).",
-        DECLARED + "a <- temperature(V, _) or temperature(_, V).",
-        DECLARED + "a <- b(V) do (number(V) -> event(temperature(m, V)) ; event(temperature(V, 1))).",
-        DECLARED + "go(X) :- event(X), new_event(X, 1, 2).",
-        DECLARED + DECLARED,
-        DECLARED + "X <- a(X).",
-        DECLARED + "a <- temprature(X).",
+        ("a <- temperature(X).\n" + DECLARED, 1),
+        (DECLARED + "a <- temperature(M, V) where (M == left, temperature(V)).\ntemperature(3).", 1),
+        (DECLARED + "a <- temperature(V, _) or temperature(_, V).", 1),
+        (DECLARED + "a <- b(V) do (number(V) -> event(temperature(m, V)) ; event(temperature(V, 1))).", 1),
+        (DECLARED + "go(X) :- event(X), new_event(X, 1, 2).", 0),
+        (DECLARED + DECLARED, 0),
+        (DECLARED + "X <- a(X).", 1),
+        (DECLARED + "a <- temprature(X).", 1),
     ],
 )
-def test_what_is_before_or_not_certain_is_no_error(text):
-    Engine().load_rules(text)
+def test_what_is_before_or_not_certain_is_no_error(text, number):
+    engine = Engine()
+    engine.load_rules(text)
+    assert len(parts_of(engine).rules.rules) == number
+    with pytest.raises(Exception, match="is not as it is declared"):  # what comes later has to fit
+        engine.load_rules("late <- temperature(X).")
+    assert len(parts_of(engine).rules.rules) == number
 
 
 def test_a_declaration_may_hold_already_or_stand_in_an_included_file(tmp_path):
