@@ -54,6 +54,13 @@ def test_bags_below_a_folder_come_in_the_order_of_their_names(fleet):
     assert [bag.name for bag in found] == ["z", *NAMES, "ros2", "y"]
 
 
+def test_compressed_files_of_ros_2_are_bags(tmp_path):
+    for name in ("a.db3.zstd", "b.mcap.zstd", "c.zstd", "d.bag.zstd"):
+        (tmp_path / name).touch()
+    assert [bag.name for bag in find_bags([str(tmp_path)])] == ["a", "b"]
+    assert [bag.name for bag in find_bags(["x/e.db3.zstd", "f.zstd"])] == ["e", "f.zstd"]
+
+
 def test_a_url_has_the_same_bags_as_the_folder(fleet):
     pytest.importorskip("fsspec")
     found = find_bags([f"file://{fleet}", f"file://{fleet}/r10/ros2", f"file://{fleet}/r2/day.bag"])
