@@ -1,7 +1,7 @@
 """The stamps in the bytes of messages, with their frames."""
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from retalis.messages import Definitions, frame_text, text_writer, watched
@@ -101,7 +101,7 @@ class Seen:
         self.second = second
 
 
-@pytest.mark.slow
+@settings(deadline=None, max_examples=60)
 @given(
     st.sampled_from(["t/Own", "t/Odometry", "t/Frames", "t/Markers"]),
     st.lists(
